@@ -22,7 +22,7 @@ from verify.devices.protocols import EncoderReading
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
 from verify.live.bracketing import Bracketing, MeasuredPair
 from verify.live.buffers import ReadingBuffer
-from verify.live.clock import ESTIMATE_PERIOD, ClockKeeper, LiveClock, estimate_offset
+from verify.live.clock import ESTIMATE_PERIOD, ClockKeeper, Estimator, LiveClock, estimate_offset
 from verify.live.joint_row import Evidence, JointRow
 from verify.live.protocols import Alarm, MonitoredRobot
 from verify.measurement import chain
@@ -76,6 +76,7 @@ class SpotRun:
     skew: float = 0.0  # s
     jump: tuple[float, int, float] | None = None  # s, joint from 1, rad
     seed: int = 1
+    estimator: Estimator = estimate_offset
 
     def __post_init__(self) -> None:
         self.arm = ARM
@@ -111,7 +112,7 @@ class SpotRun:
         """Measure, compare and watch, as the loop does, as fast as it goes."""
         book = ReadingBuffer()
         subject = MonitoredRobot(self.arm, self.rig, self.marker, None)
-        keeper = ClockKeeper(self.arm, self.rig, book, None, lambda q: estimate_offset(q))
+        keeper = ClockKeeper(self.arm, self.rig, book, None, self.estimator)
         bracketing = Bracketing(subject, book, keeper, turning=False)
         watch = JointAlarms(6, limits, count(1))
         rows: list[JointRow] = []

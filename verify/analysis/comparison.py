@@ -47,6 +47,13 @@ class Comparison:
     alignment_error: Array  # (n, 6), what alignment left, as far as the neighbours show it
     determined: tuple[Array, ...]  # n of (6, d)
     rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
+    timed: bool = True  # False: t only tells the order
+
+    @property
+    def elapsed(self) -> Array:
+        """Time since the first pair, (n,), s; zeros where no time was noted."""
+        elapsed: Array = (self.t - self.t[0]) * self.timed
+        return elapsed
 
     def __len__(self) -> int:
         """Count the compared pairs."""
@@ -65,7 +72,7 @@ class ReadingUncertainty:
 
     resolution: float | None = None  # rad, the last digit
     time: float | Array | None = None  # s, standard, of time stamps; or of those about a pair (n,)
-    missed: Array | None = None  # (n, j), rad, standard, of the curve between readings
+    interpolation: Array | None = None  # (n, j), rad, standard, of the curve between readings
 
 
 def compare(
@@ -134,8 +141,8 @@ def _reading_covariance(
 ) -> Array:
     """Covariance of xi by the readings of some pairs of a track, (n, 6, 6)."""
     variance = np.repeat(readings.noise[None] ** 2, len(index), axis=0)
-    if stated.missed is not None:
-        variance = variance + stated.missed[index] ** 2
+    if stated.interpolation is not None:
+        variance = variance + stated.interpolation[index] ** 2
     if stated.resolution is not None:
         variance = variance + stated.resolution**2 / 12
     spread: Array = np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)

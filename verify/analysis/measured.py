@@ -5,6 +5,7 @@ One pair of pictures is kept with its LEDs marked, for the report.
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -20,7 +21,7 @@ from verify.analysis.instrument import (
 )
 from verify.analysis.results.warnings import rig_moved
 from verify.core.fiducials import Marker
-from verify.core.readings import Readings
+from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import Array, Image, Measurement, Sighting, StereoPair
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
@@ -31,6 +32,7 @@ from verify.measurement.track import Track, collect_track
 
 WIDTH, HEIGHT = 720, 450  # px of one picture in the report
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # a second
+MIN_STEP_RATIO = 5.0  # from reading to reading, over that of the pairs: nobody logs so little
 MARGIN = 0.35  # of the LEDs' extent, left around them
 MIN_SIDE = 160  # px of the original: less shows nothing but squares
 PNG_FLAGS = (
@@ -192,8 +194,10 @@ def session_clock(session: Session, track: Track, readings: Readings) -> ClockEs
     """Take the clock that session.toml gives, or find it from arrival times and the motion.
 
     Raises:
-        InputError: the motion does not show an offset, and no pair has a reading without one.
+        InputError: the readings' times are in another unit; or the motion does not show an offset,
+            and no pair has a reading without one.
     """
+    refuse_time_unit(session.folder, track.t, readings.t)
     if session.clock is not None:
         given = session.clock
         return ClockEstimate(
@@ -203,20 +207,34 @@ def session_clock(session: Session, track: Track, readings: Readings) -> ClockEs
     arrival = None if t_host is None else clock_from_arrival_times(session.encoders.t, t_host)
     clock = estimate_clock(track, session.arm, readings, arrival)
     if clock.source == "none" and not readings.available(track.t - clock.offset).any():
-        raise _apart_refusal(session, track, readings)
+        raise InputError(
+            *_apart(session.folder, track.t, readings.t),
+            "State [clock] encoder_offset_s, or record t_host_s.",
+        )
     return clock
 
 
-def _apart_refusal(session: Session, track: Track, readings: Readings) -> InputError:
-    """Say that the readings' times are not those of the pairs, and which unit would be."""
-    span = f"{readings.t[0]:g} s to {readings.t[-1]:g} s"
-    length, pairs = float(np.ptp(readings.t)), float(np.ptp(track.t))
-    unit = next((u for u, size in TIME_UNITS.items() if 0.5 < length / size / pairs < 2), None)
-    return InputError(
-        session.folder / "encoders.csv",
-        f"t_s runs from {span} and fits the pairs ({track.t[0]:g} s to {track.t[-1]:g} s) nowhere",
-        "readings must cover the pairs, once [clock] encoder_offset_s is added",
-        f"The times look like {unit}: divide them by {TIME_UNITS[unit]:.0f}."
-        if unit
-        else "State [clock] encoder_offset_s, or record t_host_s.",
-    )
+def _apart(folder: Path, t: Array, reading_t: Array) -> tuple[Path, str, str]:
+    """Say that the readings' times are not those of the pairs."""
+    span = f"{reading_t[0]:g} s to {reading_t[-1]:g} s"
+    found = f"t_s runs from {span} and fits the pairs ({t[0]:g} s to {t[-1]:g} s) nowhere"
+    expected = "readings must cover the pairs, once [clock] encoder_offset_s is added"
+    return folder / "encoders.csv", found, expected
+
+
+def refuse_time_unit(folder: Path, t: Array, reading_t: Array) -> None:
+    """Refuse readings whose times (m,) would fit those of the pairs (n,), s, in another unit.
+
+    Raises:
+        InputError: names the unit.
+    """
+    if min(len(t), len(reading_t)) < 2:
+        return
+    step = float(np.median(np.diff(reading_t)))
+    if step <= max(MAX_GAP, MIN_STEP_RATIO * float(np.median(np.diff(t)))):
+        return
+    ratio = float(np.ptp(reading_t) / np.ptp(t))
+    for unit, size in TIME_UNITS.items():
+        if 0.5 < ratio / size < 2:
+            remedy = f"The times look like {unit}: divide them by {size:.0f}."
+            raise InputError(*_apart(folder, t, reading_t), remedy)

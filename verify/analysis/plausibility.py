@@ -73,7 +73,7 @@ def refuse_misread(
     places_alone = bool(track.known_dof.min() < 6)
     if _poses_agree(session.arm, track, readings, clock.offset, places_alone=places_alone):
         return
-    for poses, found, expected, remedy in _usual_mistakes(instrument.poses):
+    for poses, found, expected, remedy in usual_mistakes(instrument.poses):
         other = replace(instrument, poses=poses)
         tried = measure_poses(session, other, readings, stated_noise(other)).track
         offset = session_clock(session, tried, readings).offset
@@ -81,7 +81,7 @@ def refuse_misread(
             raise InputError(session.left.path, found, expected, remedy)
 
 
-def _usual_mistakes(poses: Poses) -> list[tuple[Poses, str, str, str]]:
+def usual_mistakes(poses: Poses) -> list[tuple[Poses, str, str, str]]:
     """The usual mistakes: the poses as they would be without, and what to say of it."""
     found = [
         (

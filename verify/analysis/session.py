@@ -31,7 +31,7 @@ from verify.analysis.measured import (
     session_clock,
     setup_of,
 )
-from verify.analysis.mistakes import refuse_other_motion
+from verify.analysis.mistakes import refuse_exchanged_cameras, refuse_other_motion
 from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
@@ -135,6 +135,7 @@ def measure_session(
     if instrument is None:
         measured = measure_pictures(session, progress, chain)
         if not len(measured.track):
+            refuse_exchanged_cameras(session)
             raise measurement_refusal(session, measured)
         clock = session_clock(session, measured.track, readings)
     else:
@@ -165,6 +166,7 @@ def compare_session(
     unreachable: set[int] = set()
     for _ in range(2):  # a second time without the pairs that the arm cannot reach
         comparison = compare(track, session.arm, readings, clock.offset, stated=stated, known=known)
+        comparison = replace(comparison, timed=session.frames.timed)
         comparison = add_pan_noise(comparison, track, systematics)
         joints = solve_joints(comparison, session.arm)
         if joints.reached.all():

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from verify.core.records import Array
 from verify.errors import InputError
-from verify.io.series import CsvTable, open_table
+from verify.io.series import CsvTable, open_table, visit_times
 from verify.io.toml import MM
 
 POSITION = ("x_mm", "y_mm", "z_mm")
@@ -25,12 +25,13 @@ EXACT = (1e-8, 1e-8)  # m, rad: no instrument measures better; a covariance must
 class Poses:
     """Poses that an instrument measured, in its own frame: n poses, or n positions alone."""
 
-    t: Array  # (n,), s, the instrument's clock, strictly increasing
+    t: Array  # (n,), s, the instrument's clock, strictly increasing; visit_times if not timed
     position: Array  # (n, 3), m
     rotation: Array | None  # (n, 3, 3); None: positions alone
     position_uncertainty: Array | None  # (n, 3), m, standard, along the file's axes; None: unstated
     orientation_uncertainty: Array | None  # (n, 3), rad, of a rotation vector applied on the left
     rounding: tuple[float, float]  # m, rad: standard uncertainty that the last decimal leaves
+    timed: bool = True  # False: single visits in order, whose times nobody noted
 
     def __len__(self) -> int:
         """Count the poses."""
@@ -60,9 +61,11 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
         found = f"has the column {ORIENTATION_UNCERTAINTY[0]} and no quaternion"
         remedy = "Leave it out, or export the quaternions too."
         raise InputError(f"{path}, line 1", found, "it belongs to an orientation", remedy)
-    groups = [("t_s", *POSITION), *present]
+    timed = "t_s" in table.header
+    groups = [("t_s", *POSITION) if timed else POSITION, *present]
     columns = table.columns(tuple(name for group in groups for name in group))
-    table.require_rising("t_s", columns["t_s"])
+    t = columns["t_s"] if timed else visit_times(len(columns["x_mm"]))
+    table.require_rising("t_s", t)
     for name in (n for group in present for n in group if group is not QUATERNION):
         wrong = np.flatnonzero(columns[name] <= 0)
         if len(wrong):
@@ -82,7 +85,8 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
         # the quaternion's vector is the sine of half the angle: half the angle's error
         rounding = 2 * _rounding(quaternion)
     return Poses(
-        t=columns["t_s"],
+        t=t,
+        timed=timed,
         position=position * MM,
         rotation=rotation,
         position_uncertainty=None if position_u is None else position_u * MM,

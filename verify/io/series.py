@@ -6,23 +6,27 @@ import io
 import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
-from scipy import ndimage
 
+from verify.core.readings import MAX_GAP
 from verify.core.records import Array
 from verify.errors import InputError, one_line
 from verify.io.files import read_bytes
 from verify.io.toml import did_you_mean
 
+_PAIR_TIMES = ("t_left_s", "t_right_s")
+VISIT_PERIOD = 60.0  # s, of visits without times
 _JOINT = re.compile(r"q[1-9]\d*_deg")
-SPIKE_WINDOW = 5  # readings: up to two in a row stand out from the median of so many
+MAX_SPIKE = 2  # readings in a row
 MAX_SPEED = 20.0  # rad/s; wrists of small arms turn at up to 13
 MIN_SPIKE = np.deg2rad(2.0)
+MIN_SPIKE_RATIO = 8.0  # of the typical step: random postures jump by up to four times theirs
+MAX_BEYOND = np.deg2rad(45.0)  # an encoder may be off, and its arm at the end of its travel
 MAX_NAMED = 5  # spikes
 _REMEDY = "Delete the row or export again."
 
@@ -35,6 +39,8 @@ class FrameSeries:
     t_right: Array  # (n,), s
     pan_left: Array  # (n,), rad, as read; the rig's own where the file gives none
     pan_right: Array  # (n,), rad
+    # False: single visits in order, whose times nobody noted
+    timed: bool = field(default=True, kw_only=True)
 
     def __len__(self) -> int:
         """Count the pairs."""
@@ -43,7 +49,7 @@ class FrameSeries:
     def first(self, count: int) -> "FrameSeries":
         """Keep the first pairs alone."""
         series = (self.t_left, self.t_right, self.pan_left, self.pan_right)
-        return FrameSeries(*(values[:count] for values in series))
+        return FrameSeries(*(values[:count] for values in series), timed=self.timed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,22 +82,33 @@ def read_frames(
         InputError: names the file, the line and the column.
     """
     table, warnings = open_table(Path(path), torn)
-    required = ("frame", "t_left_s", "t_right_s")
+    timed = any(name in table.header for name in _PAIR_TIMES)
+    required = ("frame", *_PAIR_TIMES) if timed else ("frame",)
     optional = tuple(name for name in ("pan_left_deg", "pan_right_deg") if name in table.header)
     columns = table.columns(required + optional)
     count = len(columns["frame"])
     table.require_counting(columns["frame"], "images")
-    for name in ("t_left_s", "t_right_s"):
+    columns |= {} if timed else dict.fromkeys(_PAIR_TIMES, visit_times(count))
+    for name in _PAIR_TIMES:
         table.require_rising(name, columns[name])
     turned = [
         np.deg2rad(columns[name]) if name in columns else np.full(count, rest)
         for name, rest in zip(("pan_left_deg", "pan_right_deg"), pan, strict=True)
     ]
-    return FrameSeries(columns["t_left_s"], columns["t_right_s"], *turned), warnings
+    return FrameSeries(*(columns[name] for name in _PAIR_TIMES), *turned, timed=timed), warnings
+
+
+def visit_times(count: int) -> Array:
+    """Stand-ins for times that nobody noted, (count,), s: none is near another."""
+    return VISIT_PERIOD * np.arange(float(count))
 
 
 def read_encoders(
-    path: str | Path, joints: int, torn: bool = False
+    path: str | Path,
+    joints: int,
+    torn: bool = False,
+    limits: tuple[Array, Array] | None = None,
+    pairs: FrameSeries | None = None,
 ) -> tuple[EncoderSeries, tuple[str, ...]]:
     """Read encoders.csv: one row a reading of all joints.
 
@@ -99,6 +116,9 @@ def read_encoders(
         path: the file.
         joints: how many the robot has.
         torn: the recording was cut off, so the last line may be half a line; it is left out.
+        limits: rad, lowest and highest angle of each joint, where the robot is known.
+        pairs: what was measured: readings at these very times are single visits; without times,
+            row i belongs to pair i.
 
     Returns:
         The readings, and a warning where a half line or a spike was left out.
@@ -114,24 +134,60 @@ def read_encoders(
         remedy = "Export every joint, or name the right robot in session.toml."
         raise InputError(f"{path}, line 1", found, f"the robot has {joints} joints", remedy)
     arrivals = ("t_host_s",) if "t_host_s" in table.header else ()
-    columns = table.columns(("t_s", *wanted, *arrivals))
-    table.require_rising("t_s", columns["t_s"])
+    untimed = pairs is not None and not pairs.timed
+    columns = table.columns((*wanted, *arrivals) if untimed else ("t_s", *wanted, *arrivals))
     q = np.deg2rad(np.stack([columns[name] for name in wanted], axis=-1))
-    spike = _spikes(columns["t_s"], q)
+    t = columns.get("t_s", visit_times(len(q)))
+    table.require_rising("t_s", t)
+    if untimed and (len(q) != len(pairs or ()) or {"t_s", "t_host_s"} & set(table.header)):
+        times = "has times" if "t_s" in table.header else f"has {len(q)} rows"
+        expected = f"the {len(pairs or ())} poses or pairs have no times, and a reading each"
+        remedy = "Export both with their times, or both without and row by row."
+        raise InputError(path, times, expected, remedy)
+    spike = _stray(t, q, limits)
+    if pairs is None or not np.array_equal(t, pairs.t_left):
+        spike |= _spikes(t, q)
     kept = ~spike.any(axis=1)
     t_host = columns.get("t_host_s")
-    series = EncoderSeries(columns["t_s"][kept], q[kept], None if t_host is None else t_host[kept])
+    series = EncoderSeries(t[kept], q[kept], None if t_host is None else t_host[kept])
     return series, (*warnings, *_spike_warning(Path(path), spike))
 
 
+def _is_too_fast(t: Array, q: Array, lag: int) -> NDArray[np.bool_]:
+    """Whether q (m, j), rad, changes faster over `lag` readings than an arm turns, (m - lag, j)."""
+    fastest = np.maximum(MAX_SPEED * (t[lag:] - t[:-lag])[:, None], MIN_SPIKE)
+    typical = np.median(np.abs(np.diff(q, axis=0)), axis=0)
+    too_fast: NDArray[np.bool_] = np.abs(q[lag:] - q[:-lag]) > np.maximum(
+        fastest, MIN_SPIKE_RATIO * typical
+    )
+    return too_fast
+
+
 def _spikes(t: Array, q: Array) -> NDArray[np.bool_]:
-    """Readings (m, j) that no arm reaches: too fast there and too fast back."""
-    if len(t) < SPIKE_WINDOW:
-        return np.zeros(q.shape, dtype=bool)
-    median = ndimage.median_filter(q, size=(SPIKE_WINDOW, 1), mode="nearest")
-    interval = np.minimum(np.diff(t, prepend=-np.inf), np.diff(t, append=np.inf))[:, None]
-    spikes: NDArray[np.bool_] = np.abs(q - median) > np.maximum(MAX_SPEED * interval, MIN_SPIKE)
+    """Readings (m, j) that jump away and come back, while those beside them agree."""
+    spikes = np.zeros(q.shape, dtype=bool)
+    for length in range(1, min(MAX_SPIKE, len(t) - 2) + 1):
+        step = _is_too_fast(t, q, 1)
+        apart = _is_too_fast(t, q, length + 1)
+        away = step[:-length] & step[length:] & ~apart  # between readings i and i + length + 1
+        for place in range(1, length + 1):
+            spikes[place : place + len(away)] |= away
     return spikes
+
+
+def _stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> NDArray[np.bool_]:
+    """Readings (m, j) far outside the limits that no motion leads to; none where most are."""
+    if limits is None:
+        return np.zeros(q.shape, dtype=bool)
+    outside = (q < limits[0] - MAX_BEYOND) | (q > limits[1] + MAX_BEYOND)
+    if len(t) > 1:  # a stretch that motion leads to is an encoder's error
+        alone = _is_too_fast(t, q, 1) | (np.diff(t) > MAX_GAP)[:, None]
+        for joint in np.flatnonzero(outside.any(axis=0)):
+            parts = np.concatenate([[0], np.cumsum(alone[:, joint])])
+            inside = np.bincount(parts, ~outside[:, joint]) > 0
+            outside[:, joint] &= ~inside[parts]
+    stray: NDArray[np.bool_] = outside & (outside.mean(axis=0) <= 0.5)
+    return stray
 
 
 def _spike_warning(path: Path, spike: NDArray[np.bool_]) -> Iterator[str]:
@@ -141,8 +197,8 @@ def _spike_warning(path: Path, spike: NDArray[np.bool_]) -> Iterator[str]:
         places = [f"line {i + 2} (q{j + 1}_deg)" for i, j in zip(rows, joints, strict=True)]
         more = ", …" if len(places) > MAX_NAMED else ""
         yield (
-            f"{path.name}: {np.unique(rows).size} of {len(spike)} readings were left out, no arm "
-            f"turns so fast: {', '.join(places[:MAX_NAMED])}{more}."
+            f"{path.name}: {np.unique(rows).size} of {len(spike)} readings were left out, this "
+            f"arm cannot be there: {', '.join(places[:MAX_NAMED])}{more}."
         )
 
 

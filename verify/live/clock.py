@@ -145,8 +145,7 @@ ESTIMATE_PERIOD = 3.0  # s from one estimate to the next
 MIN_PAIRS = 40  # pairs, and
 MIN_SPAN = 3.0  # s, below which a motion shows little
 READING_MARGIN = 6.0  # s of readings on either side: half a window of offsets is searched
-MAX_CAMERA_DELAY = 0.5  # s by which pictures may be stamped late; no reading is older
-MAX_DELIVERY_DELAY = 5.0  # s: no line, and no program that writes in lumps, is always later
+MAX_ARRIVAL_RATIO = 10.0  # standard uncertainties of an arrival clock: no offset is farther away
 ESTIMATE_TIMEOUT = 20.0  # s for an estimate; a machine that is so busy gets none
 
 ClockRequest = tuple[Track, robots.Arm, Readings, ArrivalClock]
@@ -184,6 +183,7 @@ class ClockKeeper:
         self._line = ClockLine()
         self._segment: int | None = None
         self._version = 0
+        self._contradiction = 0.0  # s: arrival's offset less the motion's, where that is too far
         self.trouble = ""
 
     def add(self, measurement: Measurement) -> None:
@@ -218,10 +218,15 @@ class ClockKeeper:
                 offset, spread = self._line.at(t)
                 drift = self._line.drift
                 return LiveClock(offset, spread, "estimated", drift, segment, self._version)
+        return self._arrival_clock(doubt)
+
+    def _arrival_clock(self, doubt: float = 0.0) -> LiveClock | None:
+        """The clock that deliveries suggest, less well known where the motion contradicts it."""
         delay = self._book.least_delay()
         if delay is None:
             return None
-        return clock_from_arrivals(delay, max(self._book.half_width(), doubt), segment)
+        width = math.hypot(max(self._book.half_width(), doubt), self._contradiction)
+        return clock_from_arrivals(delay, width, self._segment)
 
     def estimate_now(self) -> bool:
         """Estimate the offset from the window; False where there is too little to do so."""
@@ -251,16 +256,26 @@ class ClockKeeper:
         while not stop.wait(ESTIMATE_PERIOD):
             try:
                 self.estimate_now()
-                self.trouble = ""
             except Exception as error:  # an alarm must not end with the clock's estimate
                 self.trouble = f"the clock could not be estimated: {error}"
 
     def _believable(self, found: ClockEstimate) -> bool:
-        """Refuse an offset that is not the only one, or by which no line delivers."""
-        delay = self._book.least_delay()
+        """Refuse an offset that is not the only one, or that arrival times exclude.
+
+        That is the motion of another cycle, or a line or cameras that are always late.
+        """
+        delay, self.trouble = self._book.least_delay(), ""
         if delay is None or found.source != "estimated":
             return False
-        return delay - MAX_DELIVERY_DELAY < found.offset < delay + MAX_CAMERA_DELAY
+        late = found.offset - delay
+        near = abs(late) <= MAX_ARRIVAL_RATIO * ArrivalClock(delay, U_ARRIVAL).reach
+        self._contradiction = 0.0 if near else abs(late)
+        if not near:
+            self.trouble = (
+                f"the motion shows an offset {late:+.2f} s from what the arrival of readings "
+                "shows, and is not believed: are readings or pictures always late?"
+            )
+        return near
 
     def _follow_segment(self) -> None:
         """Begin anew when the controller's clock did."""
@@ -268,4 +283,5 @@ class ClockKeeper:
             self._segment = self._book.segment
             self._window.clear()
             self._line = ClockLine()
+            self._contradiction, self.trouble = 0.0, ""
             self._version += 1

@@ -81,7 +81,7 @@ def test_a_torn_last_line_is_left_out_of_an_open_recording(tmp_path: Path) -> No
 @pytest.mark.parametrize(
     ("rows", "header", "place", "message"),
     [
-        (["0,1,2,3"], "t,x,y,z", "line 1", "no column t_s"),
+        (["0,1,2,3"], "t,x,y,z", "line 1", "no column x_mm"),
         (["0,1,2,3"], "t_s,x_mm,y_mm", "line 1", "no column z_mm"),
         (["0,1,2,3,1,0,0"], "t_s,x_mm,y_mm,z_mm,qw,qx,qy", "line 1", "no column qz"),
         (["0,1,2,3"], "t_s;x_mm;y_mm;z_mm", "line 1", "semicolons"),

@@ -1,3 +1,4 @@
+import re
 from itertools import islice
 from pathlib import Path
 from time import process_time
@@ -188,8 +189,8 @@ def test_a_reading_that_no_arm_reaches_is_named_and_left_out(tmp_path: Path) -> 
     assert len(encoders) == 38
     assert warnings == (
         (
-            "encoders.csv: 2 of 40 readings were left out, no arm turns so fast: line 19 (q1_deg), "
-            "line 32 (q1_deg)."
+            "encoders.csv: 2 of 40 readings were left out, this arm cannot be there: line 19 "
+            "(q1_deg), line 32 (q1_deg)."
         ),
     )
 
@@ -199,3 +200,45 @@ def test_a_belt_that_slips_and_an_angle_that_wraps_are_no_spikes(tmp_path: Path)
     path = tmp_path / "encoders.csv"
     path.write_text("\n".join(["t_s,q1_deg,q2_deg", *rows, ""]))
     assert read_encoders(path, 2)[1] == ()
+
+
+def test_visits_have_no_spikes_and_a_reading_far_outside_the_limits_is_one(tmp_path: Path) -> None:
+    """Random postures 0.1 s apart jump away and come back as a matter of course."""
+    q = np.random.default_rng(1).uniform(-60, 60, (500, 2))
+    q[7, 1] = 655.35
+    path = tmp_path / "encoders.csv"
+    table = pd.DataFrame({"t_s": 0.1 * np.arange(500), "q1_deg": q[:, 0], "q2_deg": q[:, 1]})
+    table.to_csv(path, index=False)
+    limits = np.deg2rad([-60.0, -60.0]), np.deg2rad([60.0, 60.0])
+    encoders, warnings = read_encoders(path, 2, limits=limits)
+    assert len(encoders) == 499
+    assert "line 9 (q2_deg)" in warnings[0]
+
+
+def test_readings_without_times_belong_to_the_pairs_row_by_row(tmp_path: Path) -> None:
+    frames_file, path = tmp_path / "frames.csv", tmp_path / "encoders.csv"
+    frames_file.write_text("frame\n0\n1\n2\n")
+    pairs, _ = read_frames(frames_file)
+    path.write_text(re.sub(r"(?m)^[^,]*,", "", ENCODERS))
+    encoders, _ = read_encoders(path, 2, pairs=pairs)
+    assert not pairs.timed
+    assert_array_equal(encoders.t, pairs.t_left)
+    path.write_text("q1_deg,q2_deg\n1,2\n")
+    with pytest.raises(InputError, match="has 1 rows; the 3 poses or pairs have no times"):
+        read_encoders(path, 2, pairs=pairs)
+    path.write_text(ENCODERS)
+    with pytest.raises(InputError, match="has times; the 3 poses or pairs have no times"):
+        read_encoders(path, 2, pairs=pairs)
+
+
+def test_readings_at_the_times_of_the_poses_are_visits(tmp_path: Path) -> None:
+    """A grid's rows: the first joint leaps away and back, as no motion would."""
+    frames_file, path = tmp_path / "frames.csv", tmp_path / "encoders.csv"
+    t = 0.1 * np.arange(40)
+    q = np.where(np.arange(40) % 20 == 7, 170.0, 0.0)
+    pd.DataFrame({"frame": range(40), "t_left_s": t, "t_right_s": t}).to_csv(
+        frames_file, index=False
+    )
+    pd.DataFrame({"t_s": t, "q1_deg": q}).to_csv(path, index=False)
+    assert len(read_encoders(path, 1)[0]) == 38
+    assert len(read_encoders(path, 1, pairs=read_frames(frames_file)[0])[0]) == 40

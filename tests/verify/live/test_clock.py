@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.support import spot_level
 from tests.support.spot_level import OFFSET, SpotRun, facing_rig
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.devices.protocols import EncoderReading
@@ -122,3 +123,26 @@ def test_the_offset_is_found_while_the_robot_moves() -> None:
     assert last.standard_uncertainty is not None
     assert abs(last.offset - OFFSET) < 4 * last.standard_uncertainty < 4e-3
     assert keeper.trouble == ""
+
+
+def test_a_short_cycle_never_leads_farther_than_the_arrivals_allow(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(spot_level, "PERIOD", np.full(6, 2.4))
+    run = SpotRun(*facing_rig(), rate=15.0)
+    rows, _, keeper = run.watch(14.0, AlarmLimits(0.1, 15.0, None))
+    clocks = [row.clock for row in rows if row.clock is not None]
+    assert clocks[-1].source == "estimated"
+    assert max(abs(clock.offset - OFFSET) for clock in clocks) < 2 * U_ARRIVAL
+    assert not keeper.trouble
+
+
+def test_an_offset_that_arrivals_exclude_is_said_and_not_taken() -> None:
+    run = SpotRun(*facing_rig(), rate=15.0)
+    run.estimator = lambda _request: estimate(OFFSET - 4.6)
+    rows, _, keeper = run.watch(8.0, AlarmLimits(0.1, 15.0, None))
+    last = rows[-1].clock
+    assert last is not None
+    assert last.source == "arrival"
+    assert (last.standard_uncertainty or 0.0) > 2.0
+    assert "-4.6" in keeper.trouble

@@ -125,7 +125,7 @@ def joint_faults(model: JointErrorModel, j: int) -> Iterator[Fault]:
     longest = float(np.abs(lever).max(initial=0.0))
     if longest > MIN_LEVER and np.ptp(lever) > MIN_LEVER_RATIO * longest:
         yield Fault("compliance", joint, "deg/m", shape_columns(model, j, lever[:, None]))
-    elapsed = comparison.t - comparison.t[0]
+    elapsed = comparison.elapsed
     if np.ptp(elapsed) > 0:
         column = model.joints[:, [j]] * elapsed[model.white.pair, None]
         yield Fault("drift", joint, "deg/h", column)
@@ -169,7 +169,7 @@ def common_faults(model: JointErrorModel, rig: Rig | None) -> list[Fault]:
     """Every common fault, those included that this session cannot show: their columns are 0."""
     comparison = model.comparison
     short = -clock_effect(comparison, steady=True)  # of an offset that wants a second more
-    elapsed = (comparison.t - comparison.t[0])[:, None, None]
+    elapsed = comparison.elapsed[:, None, None]
     columns: list[tuple[str, str, Array]] = [
         ("clock_drift", "ppm", short * elapsed),
         ("base_moved", "mm", -base_motion(comparison.base_T_jacobian)),

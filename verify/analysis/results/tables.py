@@ -33,7 +33,7 @@ def frames_table(measurements: list[Measurement], found: SessionAnalysis) -> pd.
     status, comparison, joints = found.status, found.model.comparison, found.compared.joints
     table: dict[str, Any] = {
         "frame": [m.frame for m in measurements],
-        "t_s": np.array([m.t for m in measurements]),
+        "t_s": [m.t if comparison.timed else np.nan for m in measurements],
         "status": status,
         "leds_seen": [m.leds_seen for m in measurements],
         "known_dof": _known_dof(measurements, status),
@@ -109,7 +109,10 @@ def spots_table(measurements: list[Measurement], marker: Marker) -> pd.DataFrame
 
 def resolved_table(comparison: Comparison, resolved: ResolvedErrors, frame: Array) -> pd.DataFrame:
     """The resolved error of each joint, and of the flange, at each compared pair."""
-    table: dict[str, Array] = {"frame": frame, "t_s": comparison.t}
+    table: dict[str, Array] = {
+        "frame": frame,
+        "t_s": np.where(comparison.timed, comparison.t, np.nan),
+    }
     for j in range(resolved.error.shape[1]):
         table[f"q{j + 1}_resolved_deg"] = np.rad2deg(resolved.error[:, j])
         table[f"q{j + 1}_resolved_u_deg"] = np.rad2deg(resolved.uncertainty[:, j])

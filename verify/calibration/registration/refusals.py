@@ -4,15 +4,18 @@ With the DH table held, what a motion leaves open is a motion of the base that a
 the LED body makes up for: a turn about, or a shift along, the only axis that turned.
 """
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 import robots
+from verify.analysis.mistakes import MAX_LEFT_SHARE, joint_mistakes
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration
 from verify.calibration.registration.start import RegistrationStart
 from verify.calibration.stereo.records import rms
+from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
 
@@ -23,6 +26,7 @@ MIN_PARALLEL_COSINE = 0.999  # cosine between directions that are called one
 # of an undetermined direction, in units of the limits: it is a turn, not a shift
 MIN_TURN_SHARE = 0.2
 MAX_TURN_DIFFERENCE = np.deg2rad(5.0)  # median; a degree of joint error makes one
+Restart = Callable[[Readings], RegistrationStart]
 MAX_RMS_PX = 10.0  # a degree of joint error makes a few; these are another robot's readings
 
 
@@ -121,32 +125,39 @@ def _axis(arm: robots.Arm, q: Array, direction: Array) -> str:
     return f"({x:.2f}, {y:.2f}, {z:.2f}) in the robot's base"
 
 
-def refuse_other_robot(start: RegistrationStart, folder: Path, robot: str) -> None:
+def refuse_other_robot(
+    start: RegistrationStart,
+    folder: Path,
+    robot: str,
+    readings: Readings,
+    restart: Restart,
+) -> None:
     """Refuse readings by which the flange turns otherwise than its LEDs, or mirrored.
 
     Args:
         start: base and LEDs in closed form, neither of them held.
         folder: the recording's.
         robot: as session.toml names it.
+        readings: of the joints.
+        restart: gives the closed form with other readings.
 
     Raises:
         InputError: the turns of readings and pictures differ by more than joint errors explain,
             or agree only with those of a mirror image.
     """
-    turns = np.linalg.norm(start.solved.residual[start.good, 3:], axis=1)
-    off = float(np.median(turns))
+    off = _turn_difference(start)
     check = (
         f'that "{robot}" is the robot that moved, and the order, signs and unit (degrees) of the '
         "columns in encoders.csv"
     )
+    found = f"by its readings the flange turns otherwise than its LEDs, {np.rad2deg(off):.0f}° off"
+    expected = f"{np.rad2deg(MAX_TURN_DIFFERENCE):.0f}° are the worst that joint errors explain"
     if off > MAX_TURN_DIFFERENCE:
-        raise InputError(
-            folder,
-            f"by its readings the flange turns otherwise than its LEDs, {np.rad2deg(off):.0f}° off "
-            "(median)",
-            f"{np.rad2deg(MAX_TURN_DIFFERENCE):.0f}° are the worst that joint errors explain",
-            f"Check {check}.",
-        )
+        named = _name_mistake(start, readings, restart)
+        if named is not None:
+            file, found = folder / "encoders.csv", f"{found} (median); {named[0]}"
+            raise InputError(file, found, expected, named[1])
+        raise InputError(folder, f"{found} (median)", expected, f"Check {check}.")
     if start.solved.mirrored:
         raise InputError(
             folder,
@@ -156,8 +167,37 @@ def refuse_other_robot(start: RegistrationStart, folder: Path, robot: str) -> No
         )
 
 
-def refuse_misfit(adjusted: AdjustedRegistration, place: str) -> None:
+def _turn_difference(start: RegistrationStart) -> float:
+    """Median angle by which flange and LEDs turn otherwise, rad."""
+    return float(np.median(np.linalg.norm(start.solved.residual[start.good, 3:], axis=1)))
+
+
+def _name_mistake(
+    start: RegistrationStart, readings: Readings, restart: Restart
+) -> tuple[str, str] | None:
+    """The usual mistake in the readings by which flange and LEDs turn alike, and its remedy."""
+    tried = [(_turn_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)]
+    least, name, remedy = min(tried)
+    if least > MAX_LEFT_SHARE * _turn_difference(start):
+        return None
+    return f"{name} fits: {np.rad2deg(least):.2g}° instead", remedy
+
+
+def refuse_misfit(
+    adjusted: AdjustedRegistration,
+    folder: Path,
+    start: RegistrationStart,
+    readings: Readings,
+    restart: Restart,
+) -> None:
     """Refuse readings that do not belong to the images.
+
+    Args:
+        adjusted: base and LEDs.
+        folder: the recording's.
+        start: from which they were adjusted.
+        readings: of the joints.
+        restart: gives the closed form with other readings.
 
     Raises:
         InputError: the LEDs are farther from their predicted pixels than joint errors explain.
@@ -165,8 +205,10 @@ def refuse_misfit(adjusted: AdjustedRegistration, place: str) -> None:
     left = adjusted.predicted.residual[adjusted.spotted.used]
     distance = rms(left) if len(left) else np.inf
     if distance > MAX_RMS_PX:
-        raise InputError(
-            place, f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen",
-            f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain",
-            "Check the robot's name, the readings' unit (degrees) and order, and the rig.",
-        )  # fmt: skip
+        found = f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen"
+        expected = f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain"
+        named = _name_mistake(start, readings, restart)
+        if named is not None:
+            raise InputError(folder / "encoders.csv", f"{found}; {named[0]}", expected, named[1])
+        remedy = "Check the robot's name, the readings' unit (degrees) and order, and the rig."
+        raise InputError(folder, found, expected, remedy)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 import robots
 from verify.analysis.clock.estimate import MAX_UNCERTAINTY, MIN_SIGNAL_TO_NOISE
+from verify.analysis.measured import refuse_time_unit
 from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
 from verify.calibration.registration.body_poses import BodyPose, body_poses
 from verify.calibration.registration.led_tracks import (
@@ -37,6 +38,7 @@ from verify.calibration.registration.records import (
     order_like_marker,
 )
 from verify.calibration.registration.refusals import (
+    Restart,
     refuse_misfit,
     refuse_other_robot,
     refuse_undetermined,
@@ -98,6 +100,7 @@ def register_motion(
         body = order_like_marker(marker, body, place)
     body, poses = body_poses(moving, recording.rig, body, TYPICAL_DIAMETER)
     setup = _setup(recording)
+    restart = _starter(recording, poses)
     start, at = _start_values(recording, poses, body, setup, held)
     left_out = _left_out(pairs, poses, start, setup.readings)
     poses = [pose for pose, good in zip(poses, start.good, strict=True) if good]
@@ -107,7 +110,7 @@ def register_motion(
     spotted = stack_spots(poses, recording.rig)
     adjusted = _adjust_observable(spotted, setup, at, free)
     adjusted, wild = _reject_pairs(adjusted, setup)
-    refuse_misfit(adjusted, place)
+    refuse_misfit(adjusted, recording.folder, start, setup.readings, restart)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
     diameter = round(float(np.median([pose.diameter for pose in poses])), 4)
     found = AdjustmentOutcome(adjusted, setup, start, diameter, dict(sorted(left_out.items())))
@@ -159,14 +162,13 @@ def _start_values(
         found = f"{len(poses)} pairs show three LEDs or more in both images"
         raise InputError(place, found, f"{MIN_PAIRS} at least", "Record more of them.")
     t = np.array([one.spots.t[0] for one in poses])
-    given = None if recording.clock is None else recording.clock.encoder_offset
     known = {
         "x": None if held.leds is None else fit_rigid(body, held.leds.leds),  # body_T_flange
         "y": recording.rig.rig_T_base if held.base else None,
     }
-    measured = np.array([one.pose.rig_T_flange for one in poses])
+    refuse_time_unit(recording.folder, t, readings.t)
     try:
-        start = start_registration(t, measured, recording.arm, readings, given, **known)
+        start = _starter(recording, poses, **known)(readings)
     except ValueError as error:
         raise InputError(
             recording.folder / "encoders.csv",
@@ -175,7 +177,9 @@ def _start_values(
             "Check that clock and recording belong together.",
         ) from error
     if not held.base and held.leds is None:
-        refuse_other_robot(start, recording.folder, recording.robot)
+        refuse_other_robot(
+            start, recording.folder, recording.robot, readings, _starter(recording, poses)
+        )
         q = readings.at(t[start.good] - start.clock)
         refuse_undetermined(recording.arm, q, _noise(poses, q, setup), place)
     flange_T_body = np.linalg.inv(start.solved.x)
@@ -183,6 +187,14 @@ def _start_values(
     if held.leds is not None:
         leds = held.leds.leds
     return start, RegistrationParameters(start.solved.y, leds, start.clock, 0.0)
+
+
+def _starter(recording: Recording, poses: list[BodyPose], **known: Array | None) -> Restart:
+    """Give the start values with any readings; `known` as start_registration has them."""
+    t = np.array([one.spots.t[0] for one in poses])
+    measured = np.array([one.pose.rig_T_flange for one in poses])
+    given = None if recording.clock is None else recording.clock.encoder_offset
+    return lambda q: start_registration(t, measured, recording.arm, q, given, **known)
 
 
 def _left_out(

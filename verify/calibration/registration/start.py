@@ -8,7 +8,7 @@ registered, on a grid, by the least mean squared angle. Base and body follow by 
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,7 +39,7 @@ class RegistrationStart:
 
     clock: float  # s
     rivals: tuple[float, ...]  # s, other offsets that fit as well
-    solved: HandEye  # x: body_T_flange, y: rig_T_base
+    solved: HandEye  # x: body_T_flange, y: rig_T_base; residuals of all n poses, nan: no reading
     good: NDArray[np.bool_]  # (n,), poses that it rests on
 
 
@@ -86,7 +86,10 @@ def start_registration(
             rests = np.ones(len(poses), dtype=bool)
         good = np.zeros(len(t), dtype=bool)
         good[np.flatnonzero(known)[rests]] = True
-        starts.append((_misfit(solved), RegistrationStart(offset, (), solved, good)))
+        residual = np.full((len(t), 6), np.nan)
+        residual[known] = solved.residual
+        whole = replace(solved, residual=residual)
+        starts.append((_misfit(solved), RegistrationStart(offset, (), whole, good)))
     least = min(misfit for misfit, _ in starts)
     close = [s for misfit, s in starts if misfit <= MAX_MISFIT_RATIO * least]
     best = max(close, key=lambda s: (round(float(s.good.mean()), 2), -abs(s.clock)))

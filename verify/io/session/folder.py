@@ -80,8 +80,20 @@ def file_digests(path: Path, robot: str, files: Mapping[str, Path]) -> dict[str,
     return {name: digest(file) for name, file in read.items()}
 
 
-def recording_fields(path: Path, table: RunTable, arm: robots.Arm) -> dict[str, Any]:
-    """Fields of a Recording that do not depend on what measured the robot."""
+def recording_fields(
+    path: Path, table: RunTable, arm: robots.Arm, *, timed: bool
+) -> dict[str, Any]:
+    """Fields of a Recording that do not depend on what measured the robot.
+
+    Raises:
+        InputError: a clock is given, and nothing has a time.
+    """
+    clock = table.clock
+    if not timed:  # row i belongs to row i
+        if clock is not None:
+            expected = "readings without times have no clock"
+            raise key_error(path, "clock", "is given", expected, "Leave it out.")
+        clock = keys.Clock(0.0, 0.0)
     return {
         "folder": path.parent,
         "name": path.parent.resolve().name,
@@ -90,7 +102,7 @@ def recording_fields(path: Path, table: RunTable, arm: robots.Arm) -> dict[str, 
         "description": table.description,
         "started": keys.format_start(table.started),
         "open": table.recording == "open",
-        "clock": table.clock,
+        "clock": clock,
         "encoder_resolution": keys.to_radians(table.encoder_readings.resolution_deg),
         "encoder_time_standard_uncertainty": table.encoder_readings.time_standard_uncertainty_s,
         "temperature_c": table.environment.temperature_c,

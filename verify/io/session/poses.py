@@ -81,15 +81,18 @@ def read_pose_streams(path: Path) -> dict[str, Any]:
     rig, rig_warnings = _read_base(path, table, named)
     check_absorption(path, rig, arm.dof)
     poses, poses_warnings = io_poses.read(named[table.poses.file], torn)
-    encoders, encoders_warnings = read_encoders(named[table.encoders], arm.dof, torn)
-    instrument = _instrument(path, table.poses, poses)
     still = np.zeros(len(poses))  # no camera turns
+    frames = FrameSeries(poses.t, poses.t, still, still, timed=poses.timed)
+    encoders, encoders_warnings = read_encoders(
+        named[table.encoders], arm.dof, torn, (arm.lower, arm.upper), frames
+    )
+    instrument = _instrument(path, table.poses, poses)
     none = MissingImages(named[table.poses.file])
     notes = (*warnings, *rig_warnings, *poses_warnings, *encoders_warnings)
     return {
-        **recording_fields(path, table, arm),
+        **recording_fields(path, table, arm, timed=poses.timed),
         "rig": rig,
-        "frames": FrameSeries(poses.t, poses.t, still, still),
+        "frames": frames,
         "encoders": encoders,
         "inputs": file_digests(path, table.robot, named),
         "warnings": (*notes, _describe_instrument(instrument)),

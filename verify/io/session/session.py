@@ -182,7 +182,9 @@ def _read_streams(
     torn = table.recording == "open"
     pan = (rig.left.pan, rig.right.pan)
     frames, frames_warnings = read_frames(named["frames"], pan, torn)
-    encoders, encoders_warnings = read_encoders(named["encoders"], arm.dof, torn)
+    encoders, encoders_warnings = read_encoders(
+        named["encoders"], arm.dof, torn, (arm.lower, arm.upper), frames
+    )
     left, right = open_images(named["left"]), open_images(named["right"])
     frames, sides, length_warnings = _common_length(named["frames"], frames, (left, right), torn)
     files = {getattr(table, key): file for key, file in named.items()}
@@ -190,7 +192,7 @@ def _read_streams(
     if torn and pending.exists():
         files[PENDING] = pending
     return {
-        **recording_fields(path, table, arm),
+        **recording_fields(path, table, arm, timed=frames.timed),
         "rig": rig,
         "frames": frames,
         "encoders": encoders,

@@ -330,3 +330,29 @@ def test_doubts_of_cameras_have_no_place_beside_poses(watched: Watched, tmp_path
     folder = posed(tmp_path, watched, more, "robot_base")
     with pytest.raises(InputError, match=r'covariance\.parameters\[0\]: is "left\.fx_px"'):
         open_session(folder)
+
+
+def test_visits_that_nobody_timed_are_compared_row_by_row(tmp_path: Path) -> None:
+    """Joint 3 reads 0.5° too much, more from visit to visit: an order, and no drift an hour."""
+    arm, rng = robots.load("iust_6r"), np.random.default_rng(4)
+    q = np.deg2rad(np.array([20, -50, 60, 10, -70, 20]) + rng.uniform(-20, 20, (40, 6)))
+    folder = write_posed(
+        tmp_path / "visits",
+        SAMPLE,
+        poses_csv(np.arange(40.0), robots.forward(arm, q)),
+        frame="robot_base",
+    )
+    q[:, 2] += np.deg2rad(np.linspace(0.4, 0.6, 40))
+    (folder / "encoders.csv").write_text(encoders_csv(np.arange(40.0), q))
+    for name in ("poses.csv", "encoders.csv"):
+        text = (folder / name).read_text()
+        (folder / name).write_text("".join(row.split(",", 1)[1] for row in text.splitlines(True)))
+    results = analyse(open_session(folder))
+    assert results.table("frames")["t_s"].isna().all()
+    assert results.summary["clock"]["alternatives_s"] == []
+    assert results.summary["joints"][2]["mean_error_deg"] == pytest.approx(0.5, abs=0.02)
+    assert "drift" not in str(results.summary["diagnosis"])
+    assert "pose, in order" in render_html(results)
+    (folder / "session.toml").write_text((folder / "session.toml").read_text() + CLOCK)
+    with pytest.raises(InputError, match="clock: is given; readings without times have no clock"):
+        open_session(folder)
