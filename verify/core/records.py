@@ -76,8 +76,9 @@ class Sighting:
     t: float  # s, the instant that `centre` belongs to
     pan: float  # rad, camera base angle as read
     peak: Array  # (m,), DN
-    velocity: Array  # (m, 2), px/s, from the neighbouring pair; 0 where the arm stands still
-    acceleration_lever: Array  # (m,), s²: px by which one px/s² of acceleration displaces `centre`
+    velocity: Array  # (m, 2), px/s, from neighbouring pairs; 0 where the arm stands still
+    # (m, 2), s² and s³: px by which one px/s² of acceleration, one px/s³ of jerk displace `centre`
+    lever: Array
 
     def __len__(self) -> int:
         """Count the LEDs."""
@@ -139,3 +140,4 @@ class Measurement:
     right: Sighting | None = None
     choice: str = ""  # how identification was settled: geometry, colour, continuity, encoders
     whole_frame: bool = False  # the LEDs were searched in the whole picture
+    settled: bool = True  # by the pairs before and after; False: by those before alone

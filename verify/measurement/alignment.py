@@ -1,18 +1,19 @@
-"""Carry the spots of both cameras to one instant along their image velocities.
+"""Carry the spots of both cameras to one instant along their image motion.
 
 The pictures of a pair are not simultaneous, and with a rolling shutter each row has its own
-instant: t_i = t + (row - (height - 1) / 2) line_time. Model of spot i, with the neighbouring pair
-(instant t_i', centre z_i'):
+instant: t_i = t + (row - (height - 1) / 2) line_time. Model of spot i, with its LED's sightings
+(instants t_i', t_i'') in the pairs before and after:
 
-    v_i = (z_i - z_i') / (t_i - t_i')
-    z_i(t) = z_i + (t - t_i) v_i + h_i a_i
+    z_i(t) = parabola through the three + k_i j_i
+    z_i(t) = line through the two + h_i a_i            where one neighbour alone shows the LED
 
     symbol  meaning                                                     unit
     z_i     centre, (2,)                                                px
-    v_i     image velocity, (2,)                                        px/s
     h_i     acceleration lever: error by one unit of acceleration       s²
-    a_i     image acceleration, unknown from two pairs; the pose fit
-            takes it as a rigid-body acceleration with a prior          px/s²
+    k_i     jerk lever: error by one unit of jerk                       s³
+    a_i     image acceleration, unknown from two sightings              px/s²
+    j_i     image jerk, unknown from three; the pose fit takes both as
+            a rigid body's with a prior                                 px/s³
 """
 
 from dataclasses import dataclass, replace
@@ -21,11 +22,12 @@ import numpy as np
 
 from verify.core.records import Array, Sighting
 from verify.core.rig import Camera
-from verify.measurement.kernels.alignment import carry_to_instant
+from verify.measurement.kernels.alignment import SpotView, carry_to_instant
 
 # Beyond such a gap between two pairs the motion at either is unknown: single visits, at rest.
 MAX_GAP = 1.5  # s
 TOL_INSTANT = 1e-9  # s, closer than any camera's clock
+NOTHING: SpotView = (np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +47,7 @@ def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array
 
 def align(
     now: RawSighting,
-    neighbour: RawSighting | None,
+    around: tuple[RawSighting | None, RawSighting | None],
     t: float,
     camera: Camera,
     *,
@@ -55,10 +57,9 @@ def align(
 
     Args:
         now: the sighting to carry.
-        neighbour: the same camera's sighting in the pair before (for the first pair: after);
-            None where there is none, or none with an LED in it.
+        around: the same camera's sightings in the pairs before and after; None where there is none.
         t: s, the pair's instant.
-        camera: the camera that saw both.
+        camera: the camera that saw them.
         alone: the pair is a single visit, far in time from its neighbours: taken as standing still.
 
     Returns:
@@ -66,33 +67,30 @@ def align(
     """
     if alone:
         return replace(now.sighting, t=t)
-    moved = _along_image_velocity(now, neighbour, t, camera) if neighbour is not None else None
-    if moved is None and np.all(np.abs(t - now.taken) < TOL_INSTANT):
-        return replace(now.sighting, t=t)
-    return moved
-
-
-def _along_image_velocity(
-    now: RawSighting, neighbour: RawSighting, t: float, camera: Camera
-) -> Sighting | None:
-    """Spots at the common instant, from the line through this sighting and its neighbour."""
-    sighting, before = now.sighting, neighbour.sighting
-    centres = sighting.centre, _pan_compensated(neighbour, sighting.pan, camera)
+    sighting = now.sighting
     matched, centre, covariance, velocity, lever = carry_to_instant(
-        (sighting.led, before.led),
-        (np.ascontiguousarray(centres[0]), np.ascontiguousarray(centres[1])),
-        (np.ascontiguousarray(sighting.covariance), np.ascontiguousarray(before.covariance)),
-        (now.taken, neighbour.taken),
+        _view(now, sighting.pan, camera),
+        _view(around[0], sighting.pan, camera),
+        _view(around[1], sighting.pan, camera),
         t,
     )
-    if not matched:
-        return None
-    moved = replace(sighting, centre=centre, covariance=covariance, t=t)
-    return replace(moved, velocity=velocity, acceleration_lever=lever)
+    if matched:
+        moved = replace(sighting, centre=centre, covariance=covariance, t=t)
+        return replace(moved, velocity=velocity, lever=lever)
+    at_once = np.all(np.abs(t - now.taken) < TOL_INSTANT)
+    return replace(sighting, t=t) if at_once else None
+
+
+def _view(raw: RawSighting | None, pan: float, camera: Camera) -> SpotView:
+    """A sighting as the kernel takes it, as the pan angle `pan` would show it."""
+    if raw is None:
+        return NOTHING
+    centre = np.ascontiguousarray(_pan_compensated(raw, pan, camera))
+    return raw.sighting.led, centre, np.ascontiguousarray(raw.sighting.covariance), raw.taken
 
 
 def _pan_compensated(raw: RawSighting, pan: float, camera: Camera) -> Array:
-    """The neighbour's spots as the present pan angle would show them, (m, 2), px."""
+    """Spots as the pan angle `pan` would show them, (m, 2), px."""
     sighting = raw.sighting
     if sighting.pan == pan:
         return sighting.centre

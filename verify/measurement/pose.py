@@ -2,19 +2,20 @@
 
 Model of spot i of camera c, at the pair's instant:
 
-    z_i = project_c(camera_T_rig (R p_i + p)) + h_i J_i a + e_i,   e_i ~ N(0, S_i), px
+    z_i = project_c(camera_T_rig (R p_i + p)) + J_i (h_i a + k_i j) + e_i,   e_i ~ N(0, S_i), px
     step: R' = exp(phi) R,   p' = p + rho,   both in rig axes
 
 p_i is the LED in the flange frame, S_i the spot's covariance, J_i the derivative by the pose (2, 6)
-and h_i the acceleration lever, s², of alignment. Parameter vector of a step:
+and h_i, k_i alignment's levers of acceleration and jerk, s² and s³. Parameter vector of a step:
 
     index  symbol  meaning                              unit
     0-2    rho     translation of the flange, rig axes  m
     3-5    phi     rotation vector, rig axes            rad
 
-The acceleration a, (6,) m/s² and rad/s², is unknown between two pairs and common to all spots of
-the rigid body: with a prior N(0, diag(sigma²)) it is marginalised, which correlates the spots'
-errors. An LED in one image alone counts. Spots that contradict the others are rejected one by one.
+The acceleration a, (6,) m/s² and rad/s², is unknown between two pairs, the jerk j among three. Both
+are common to all spots of the rigid body: with priors N(0, diag(sigma²)) they are marginalised,
+which correlates the spots' errors. An LED in one image alone counts. Spots that contradict the
+others are rejected one by one.
 """
 
 from collections.abc import Callable
@@ -28,7 +29,7 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array, Pose, Sighting
 from verify.core.rig import Rig
 from verify.measurement.kernels import pose as kernel
-from verify.measurement.kernels.pose import SCALE
+from verify.measurement.kernels.pose import JERK_PER_ACCELERATION, SCALE
 
 MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
@@ -43,7 +44,7 @@ class SightingStack:
     centre: Array  # (s, 2), px
     covariance: Array  # (s, 2, 2), px²
     velocity: Array  # (s, 2), px/s
-    lever: Array  # (s,), s²
+    lever: Array  # (s, 2), s² and s³
     camera_R_rig: Array  # (s, 3, 3)
     origin: Array  # (s, 3), m, of the rig in the camera
     lens: Array  # (5, s), k1, k2, p1, p2, k3
@@ -71,7 +72,7 @@ def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) ->
         centre=_concatenate(left.centre, right.centre),
         covariance=_concatenate(left.covariance, right.covariance),
         velocity=_concatenate(left.velocity, right.velocity),
-        lever=_concatenate(left.acceleration_lever, right.acceleration_lever),
+        lever=_concatenate(left.lever, right.lever),
         camera_R_rig=for_each_spot([camera_T_rig[:3, :3] for camera_T_rig in placed]),
         origin=for_each_spot([camera_T_rig[:3, 3] for camera_T_rig in placed]),
         lens=np.ascontiguousarray(for_each_spot([camera.distortion for camera in cameras]).T),
@@ -117,10 +118,10 @@ def fit_pose(
     keep = np.ones(len(views.centre), dtype=np.bool_)
     tolerance = np.diag(np.repeat(_excess_variance(views, marker), 2))
     centre, curvature = views.centre, np.zeros_like(views.centre)
-    if views.lever.any():
+    if views.lever[:, 0].any():
         rough = _gauss_newton(views, centre, keep, start)
         curvature = kernel.image_acceleration(views.places, rough.rig_T_flange, rough.twist)
-        centre, start = centre - curvature * views.lever[:, None], rough.rig_T_flange
+        centre, start = centre - curvature * views.lever[:, :1], rough.rig_T_flange
     while True:
         fit = _gauss_newton(views, centre, keep, start)
         worst, size = _worst_spot(fit, keep, tolerance)
@@ -146,6 +147,19 @@ def predict(views: SightingStack, rig_T_flange: Array) -> tuple[Array, Array, Ar
     by_pose = np.empty((count, 2, 6))
     kernel.predict_spots(rig_T_flange, *views.places, pixels, by_point, by_pose)
     return pixels, by_point, by_pose
+
+
+def motion_columns(by_pose: Array, lever: Array, prior: tuple[float, float]) -> Array:
+    """What unknown acceleration and jerk do to spots, columns of unit variance, (s, 2, 12), px.
+
+    Args:
+        by_pose: (s, 2, 6), derivative of the spots by the pose.
+        lever: (s, 2), s² and s³.
+        prior: of the acceleration, m/s² and rad/s² a component.
+    """
+    moved = by_pose * np.repeat(prior, 3)
+    a, b = lever[:, None, :1], JERK_PER_ACCELERATION * lever[:, None, 1:]
+    return np.concatenate([moved * a, moved * b], axis=2)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,8 +224,8 @@ def _pose(
 ) -> Pose:
     residual, by_point, by_pose = fit.predicted
     noise, acceleration, weight = fit.spread
-    prior2 = np.repeat(np.square(fit.prior), 3)  # of the acceleration's components
-    moved = (by_pose * views.lever[:, None, None]) ** 2 @ prior2
+    moved = motion_columns(by_pose, views.lever, fit.prior)
+    variance = np.trace(views.covariance, 0, 1, 2) + np.sum(moved**2, axis=(1, 2))
     off, determined = residual.reshape(-1), _determined_functionals(fit)
     return Pose(
         rig_T_flange=fit.rig_T_flange,
@@ -224,7 +238,7 @@ def _pose(
         sensitivity=by_point,
         curvature=curvature,
         residual=residual,
-        spot_uncertainty=np.sqrt((np.diag(noise).reshape(-1, 2) + moved).sum(axis=1) / 2),
+        spot_uncertainty=np.sqrt(variance / 2),
         rejected=~keep,
         consistent=consistent,
         chi2=float(off @ weight @ off),

@@ -304,9 +304,12 @@ def test_the_first_pair_borrows_its_successors_motion() -> None:
 
 
 def test_a_pair_whose_motion_nothing_shows_is_unaligned_not_guessed() -> None:
-    gone = [Occlusion(led=name, first=3, last=3) for name in "ABCD"]
+    gone, later = ([Occlusion(led=name, first=i, last=i) for name in "ABCD"] for i in (3, 5))
     for scenario, expected in (
-        (skewed(6, occlusion=gone), {3: "too_few_leds", 4: "unaligned"}),
+        # what neither neighbour shows: the one after is lost as well
+        (skewed(6, occlusion=gone + later),
+         {3: "too_few_leds", 4: "unaligned", 5: "too_few_leds"}),
+        (skewed(6, occlusion=gone), {3: "too_few_leds"}),
         (skewed(1), {}),  # a single visit: taken as standing still
         (scene(marker=FOUR, recording=ScenarioRecording(pairs=6, rate_hz=15.0), occlusion=gone),
          {3: "too_few_leds"}),

@@ -1,11 +1,10 @@
-"""Carry spots to another instant along their image velocity; box the LEDs that a pose predicts.
+"""Carry spots to another instant along their image motion; box the LEDs that a pose predicts.
 
-A spot z taken at t1, its LED's z0 at t0 in a neighbouring picture, is at the instant t
-
-    z + v (t - t1),  v = (z - z0) / (t1 - t0)
-
-with the covariance of that sum, and the lever -(t - t1) (t - t0) / 2 of an acceleration that two
-pictures do not show.
+A spot z taken at t1 and its LED's z0, z2 at t0, t2 in the neighbouring pictures lie on a parabola;
+at the instant t it has the covariance of the sum of the three, each with its Lagrange weight, and
+the lever -(t - t0) (t - t1) (t - t2) / 6 of a jerk that three pictures do not show. With one
+neighbour it is the line z + v (t - t1), v = (z - z0) / (t1 - t0), and the lever of the unknown
+acceleration -(t - t1) (t - t0) / 2.
 """
 
 import math
@@ -18,71 +17,112 @@ from verify.core.kernels.linear_algebra import dot, median
 from verify.core.records import Array
 
 Index = NDArray[np.int64]
+# LED (m,), centre (m, 2) px, covariance (m, 2, 2) px², instant (m,) s of one picture's spots
+SpotView = tuple[Index, Array, Array, Array]
 
 
 @compiled
 def carry_to_instant(
-    led: tuple[Index, Index],
-    centre: tuple[Array, Array],
-    covariance: tuple[Array, Array],
-    taken: tuple[Array, Array],
-    t: float,
+    now: SpotView, before: SpotView, after: SpotView, t: float
 ) -> tuple[int, Array, Array, Array, Array]:
-    """Carry m spots to an instant, along the lines through them and a neighbour's.
+    """Carry m spots to an instant, by what neighbouring pictures show of their LEDs.
 
-    LEDs new to this pair move like the others, with their spread as uncertainty.
+    LEDs that no neighbour shows move like the others, with their spread as uncertainty.
 
     Args:
-        led: (m,) and the neighbour's (k,).
-        centre: (m, 2) and (k, 2), px.
-        covariance: (m, 2, 2) and (k, 2, 2), px².
-        taken: (m,) and (k,), s.
+        now: the spots.
+        before: those of the picture before; empty where there is none.
+        after: those of the picture after; empty where there is none.
         t: s, to where.
 
     Returns:
-        How many LEDs the neighbour shows too, without which nothing else is of use; centre (m, 2);
-        covariance (m, 2, 2); velocity (m, 2), px/s; lever (m,), s².
+        How many LEDs a neighbour shows too, without which nothing else is of use; centre (m, 2);
+        covariance (m, 2, 2); velocity (m, 2), px/s; levers of acceleration and jerk (m, 2), s², s³.
     """
-    m, count = len(led[0]), 0
+    led, centre, covariance, taken = now
+    m, count = len(led), 0
     place, spread, velocity = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
-    lever, match, shared = np.empty(m), np.empty(m, np.int64), np.empty(m, np.int64)
+    lever, shared, shown = np.zeros((m, 2)), np.empty(m, np.int64), np.zeros(m, np.bool_)
+    intervals, mean = np.empty(m), np.zeros(2)
     for i in range(m):
-        match[i] = -1
-        for k in range(len(led[1])):
-            if led[1][k] == led[0][i]:
-                match[i] = k
-        if match[i] >= 0:
-            shared[count] = i
-            count += 1
+        b, c = row_of(before[0], led[i]), row_of(after[0], led[i])
+        if b < 0 and c < 0:
+            continue
+        early = taken[i] - before[3][b] if b >= 0 else 0.0
+        late = after[3][c] - taken[i] if c >= 0 else 0.0
+        weight, slope, lever[i, 0], lever[i, 1], intervals[count] = neighbour_weights(
+            t - taken[i], early, late
+        )
+        own = 1.0 - weight[0] - weight[1]
+        for x in range(2):
+            place[i, x], velocity[i, x] = centre[i, x], 0.0
+            for y in range(2):
+                spread[i, x, y] = own**2 * covariance[i, x, y]
+        for other, k, w, d in ((before, b, weight[0], slope[0]), (after, c, weight[1], slope[1])):
+            for x in range(2):
+                if k < 0:
+                    continue
+                away = other[1][k, x] - centre[i, x]
+                place[i, x] += w * away
+                velocity[i, x] += d * away
+                for y in range(2):
+                    spread[i, x, y] += w**2 * other[2][k, x, y]
+        for x in range(2):
+            mean[x] += velocity[i, x]
+        shared[count], shown[i] = i, True
+        count += 1
     if count == 0:
         return count, place, spread, velocity, lever
-    known, intervals = shared[:count], np.empty(count)
-    mean = np.zeros(2)
-    for n in range(count):
-        i = int(known[n])
-        k = int(match[i])
-        interval = taken[0][i] - taken[1][k]
-        intervals[n] = interval
-        share = (t - taken[0][i]) / interval
-        for a in range(2):
-            velocity[i, a] = (centre[0][i, a] - centre[1][k, a]) / interval
-            mean[a] += velocity[i, a] / count
-            for b in range(2):
-                own, other = covariance[0][i, a, b], covariance[1][k, a, b]
-                spread[i, a, b] = (1.0 + share) ** 2 * own + share**2 * other
-    scatter = velocity_scatter(velocity, known, mean)
-    typical = median(intervals)
-    for i in range(len(match)):
-        shift = t - taken[0][i]
-        interval = taken[0][i] - taken[1][match[i]] if match[i] >= 0 else typical
-        for a in range(2):
-            if match[i] < 0:
-                velocity[i, a] = mean[a]
-                for b in range(2):
-                    spread[i, a, b] = covariance[0][i, a, b] + shift**2 * scatter[a, b]
-            place[i, a] = centre[0][i, a] + velocity[i, a] * shift
-        lever[i] = -0.5 * shift * (shift + interval)
+    mean /= count
+    scatter = velocity_scatter(velocity, shared[:count], mean)
+    typical = median(intervals[:count])
+    for i in range(m):
+        if shown[i]:
+            continue
+        shift = t - taken[i]
+        for x in range(2):
+            velocity[i, x] = mean[x]
+            place[i, x] = centre[i, x] + mean[x] * shift
+            for y in range(2):
+                spread[i, x, y] = covariance[i, x, y] + shift**2 * scatter[x, y]
+        lever[i, 0] = -0.5 * shift * (shift + typical)
     return count, place, spread, velocity, lever
+
+
+@compiled
+def row_of(led: Index, wanted: int) -> int:
+    """Where an LED stands among a picture's, -1 where it does not."""
+    for k in range(len(led)):
+        if led[k] == wanted:
+            return k
+    return -1
+
+
+@compiled
+def neighbour_weights(
+    shift: float, early: float, late: float
+) -> tuple[tuple[float, float], tuple[float, float], float, float, float]:
+    """Weights of the sightings before and after in what a spot is `shift` s after its own instant.
+
+    Args:
+        shift: s.
+        early: s since the sighting before; 0 where there is none.
+        late: s until the one after; 0 where there is none.
+
+    Returns:
+        Their weights in the place; in the velocity, 1/s; the levers of acceleration, s², and jerk,
+        s³; and the s before the spot's own instant about whose middle the velocity holds.
+    """
+    if early == 0.0:
+        lever = -0.5 * shift * (shift - late)
+        return (0.0, shift / late), (0.0, 1.0 / late), lever, 0.0, -late
+    if late == 0.0:
+        lever = -0.5 * shift * (shift + early)
+        return (-shift / early, 0.0), (-1.0 / early, 0.0), lever, 0.0, early
+    first, last = early * (early + late), late * (early + late)
+    weights = shift * (shift - late) / first, shift * (shift + early) / last
+    slopes = (2.0 * shift - late) / first, (2.0 * shift + early) / last
+    return weights, slopes, 0.0, -shift * (shift + early) * (shift - late) / 6.0, -2.0 * shift
 
 
 @compiled
