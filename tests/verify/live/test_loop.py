@@ -182,7 +182,7 @@ def again(recorder: Memory, run: SpotRun) -> list[Measurement]:
         return list(measure(iter(recorder.pairs), Setup(run.rig, run.marker)))
 
 
-def test_live_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -> None:
+def test_settled_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -> None:
     played = stage()
     _, recorder, heard = watched(4.0, played)
     from verify.analysis.comparison import compare, solve_joints
@@ -190,9 +190,14 @@ def test_live_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -> N
 
     measured = again(recorder, played.run)
     assert recorder.closed
-    assert len(heard.rows) == len(measured) == len(recorder.pairs) > 25
-    live = [r for r in heard.rows if r.status == "measured"]
+    causal, settled = ([r for r in heard.rows if r.settled == s] for s in (False, True))
+    assert [r.frame for r in causal] == [r.frame for r in settled] == [m.frame for m in measured]
+    assert len(measured) == len(recorder.pairs) > 25
+    live = [r for r in settled if r.status == "measured"]
     assert len(live) >= 0.9 * len(measured)
+    # each pair is out at once, before it is settled
+    first = {r.frame: i for i, r in reversed(list(enumerate(heard.rows)))}
+    assert all(not heard.rows[i].settled for i in first.values())
     track = collect_track(measured, played.run.rig, [np.zeros((6, 2))] * len(measured))
     readings = Readings(
         np.array([r.t for r in recorder.readings]), np.array([r.q for r in recorder.readings])
@@ -289,6 +294,7 @@ def test_json_lines_carry_units_the_clock_and_no_nan() -> None:
     lines.alarm(Alarm(1, "change", 2.0, 1.5, "text", (4, 3), 0.01, 0.001))
     assert written[0]["error_deg"] == [None] * 6
     assert written[0]["clock"] is None
+    assert written[0]["settled"] is False
     assert written[1]["joint"] == 4
     assert written[1]["not_told_apart_from"] == [3]
     assert written[1]["error_deg"] == pytest.approx(0.573, abs=1e-3)
