@@ -274,8 +274,10 @@ def _measure_causally(assigned: _AssignedPair, around: Neighbours, setup: Setup)
 
 def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measurement:
     """Measure a pair by both its neighbours."""
-    if after is None:
-        return replace(now.measurement, settled=True)
+    causal = now.measurement
+    moved = any(s is None or s.lever.any() for s in (causal.left, causal.right))
+    if after is None or not moved:
+        return replace(causal, settled=True)
     return _fit(now.assigned, (now.before, after.kept), setup)
 
 
