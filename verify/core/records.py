@@ -105,7 +105,7 @@ class Pose:
     residual: Array  # (s, 2), px, measured less predicted
     spot_uncertainty: Array  # (s,), px a coordinate: noise, and what alignment adds to it
     rejected: NDArray[np.bool_]  # (s,), sightings that the fit rejected as outliers
-    consistent: bool  # no spot left contradicts the others
+    consistent: bool  # no spots left contradict the others
     chi2: float  # whitened residual sum of squares
     degrees_of_freedom: int
 

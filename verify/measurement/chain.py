@@ -35,6 +35,9 @@ from verify.measurement.systematics import Systematics, spot_columns, stated_sys
 MARGIN_PX = 14.0
 MIN_MOTION_PX = 0.3  # what clocks and lenses leave between two pictures of one instant
 UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
+# A hundred times the usual: the motion between the instants is so large that the pose is a guess,
+# whatever uncertainty the acceleration's prior lends it.
+MAX_REPROJECTION_PX = 2.0
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 Detector = Callable[[Image, Image, Array | None, Array | None], tuple[Spots, Spots]]
 
@@ -116,6 +119,12 @@ class _CausalPair:
     before: _AssignedPair | None
     measurement: Measurement
 
+    @property
+    def memory(self) -> Measurement | None:
+        """What the next pair is predicted from."""
+        pose = self.measurement.pose
+        return self.measurement if pose is not None and pose.consistent else None
+
 
 def measure(
     pairs: Iterable[StereoPair], setup: Setup, *, causal: bool = False
@@ -135,8 +144,7 @@ def measure(
     held: _AssignedPair | None = None  # the first pair of a burst, until its successor is there
     now: _CausalPair | None = None
     for pair in pairs:
-        good = now is not None and now.measurement.status == "measured"
-        found = _find_leds(pair, setup, now.measurement if now is not None and good else None)
+        found = _find_leds(pair, setup, now.memory if now is not None else None)
         if held is not None:
             now, held = _measure_causally(held, (None, found), setup), None
             if causal:
@@ -303,7 +311,8 @@ def _fit(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> Measureme
         return replace(measurement, status="unaligned")
     columns = partial(spot_columns, setup.parameters, setup.rig, setup.marker, left, right)
     pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange, columns)
-    status = "measured" if pose.consistent else "outlier"
+    good = pose.consistent and not pose.reprojection_rms_px > MAX_REPROJECTION_PX
+    status = "measured" if good else "outlier"
     return replace(measurement, status=status, pose=pose, left=left, right=right)
 
 

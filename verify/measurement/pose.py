@@ -28,10 +28,12 @@ from numpy.typing import NDArray
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Pose, Sighting
 from verify.core.rig import Rig
+from verify.core.statistics import chi2_isf
 from verify.measurement.kernels import pose as kernel
 from verify.measurement.kernels.pose import JERK_PER_ACCELERATION, SCALE
 
 MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
+P_CONTRADICTION = 1e-7  # of the pair's chi² as a whole
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
 MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
 
@@ -131,7 +133,8 @@ def fit_pose(
             worst, size = _worst_spot(fit, keep, tolerance)
         settled = size < MAX_SPOT_CHI2
         if settled or keep.sum() <= MIN_SPOTS or (~keep).sum() >= len(keep) // 3:
-            return _pose(fit, views, keep, settled, curvature)
+            consistent = settled and _plausible(fit, keep, tolerance)
+            return _pose(fit, views, keep, consistent, curvature)
         keep[worst] = False
 
 
@@ -212,6 +215,20 @@ def _excess_variance(views: SightingStack, marker: Marker) -> Array:
 def _worst_spot(fit: _PoseFit, keep: NDArray[np.bool_], tolerance: Array) -> tuple[int, float]:
     """The kept spot that fits worst, by its own residual in its own uncertainty."""
     return kernel.worst_spot(fit.predicted, fit.spread, fit.gain, _rows(keep), tolerance)
+
+
+def _plausible(fit: _PoseFit, keep: NDArray[np.bool_], tolerance: Array) -> bool:
+    """Whether the kept spots' residuals as a whole are what noise, motion and tolerance reach."""
+    rows = _rows(keep)
+    known = int(np.sum(fit.directions[1]))
+    if len(rows) <= known:
+        return True
+    (noise, acceleration, weight), off = fit.spread, fit.predicted[0].reshape(-1)
+    bound = float(chi2_isf(P_CONTRADICTION, len(rows) - known))
+    if off @ weight @ off < bound:
+        return True
+    spread = (noise + acceleration + tolerance)[np.ix_(rows, rows)]
+    return float(off[rows] @ np.linalg.solve(spread, off[rows])) < bound
 
 
 def _rows(keep: NDArray[np.bool_]) -> NDArray[np.int64]:
