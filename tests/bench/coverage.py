@@ -30,7 +30,7 @@ from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
 from verify.core.records import Array, Image, Sighting, StereoPair
 from verify.core.rig import Camera
-from verify.measurement.alignment import RawSighting
+from verify.measurement.alignment import RawSighting, align
 from verify.measurement.chain import Setup, measure
 from verify.simulation.scenario import Occlusion, Scenario
 from verify.simulation.world.led_render import led_images
@@ -39,6 +39,7 @@ ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 100
 PAIRS = 40
 STANDARD_ERROR = 0.007
+Around = tuple[RawSighting | None, RawSighting | None]
 KINDS = 40  # sessions with --classes
 MAX_RMS_RATIO = 1.1
 JPEG_QUALITY = 90  # of a webcam's MJPEG
@@ -153,16 +154,17 @@ def _known_motion(session: _Kept) -> Array:
     played = session.simulated
 
     def carry(
-        now: RawSighting, _around: object, t: float, camera: Camera, *, alone: bool = False
+        now: RawSighting, around: Around, t: float, camera: Camera, *, alone: bool = False
     ) -> Sighting:
-        del alone
+        moving = align(now, around, t, camera, alone=alone)  # its velocity predicts the next pair
+        velocity = np.zeros_like(now.sighting.centre) if moving is None else moving.velocity
         side, row = int(camera is played.rig.right), int(np.argmin(np.abs(played.t[:, 0] - t)))
         there, then = (
             led_images(played.world, side, float(moment), played.true_pan[row, side])
             for moment in (t, played.t[row, side])
         )
         centre = now.sighting.centre + (there - then)[now.sighting.led]
-        return replace(now.sighting, centre=centre, t=t)
+        return replace(now.sighting, centre=centre, velocity=velocity, t=t)
 
     off = np.full_like(session.truth, np.nan)
     with pytest.MonkeyPatch.context() as patch:
