@@ -14,7 +14,7 @@ motion between the two pictures.
 
 import os
 import sys
-from collections.abc import Generator
+from collections.abc import Generator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 
@@ -39,7 +39,7 @@ ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 100
 PAIRS = 40
 STANDARD_ERROR = 0.007
-Around = tuple[RawSighting | None, RawSighting | None]
+Around = Sequence[RawSighting | None]
 KINDS = 40  # sessions with --classes
 MAX_RMS_RATIO = 1.1
 JPEG_QUALITY = 90  # of a webcam's MJPEG

@@ -48,5 +48,5 @@ def _sighting(
         pan=float(played.pan[index, side]),
         peak=np.full(count, 200.0),
         velocity=np.zeros((count, 2)),
-        lever=np.zeros((count, 2)),
+        lever=np.zeros((count, 3)),
     )

@@ -96,7 +96,7 @@ def sight(
                 pan=camera.pan,
                 peak=np.full(m, 200.0),
                 velocity=np.zeros((m, 2)),
-                lever=np.zeros((m, 2)),
+                lever=np.zeros((m, 3)),
             )
         )
     return sides[0], sides[1]

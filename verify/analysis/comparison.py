@@ -18,7 +18,7 @@ from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
 from verify.core.records import Array
 from verify.measurement.alignment import MAX_GAP
-from verify.measurement.kernels.pose import JERK_PER_ACCELERATION as JERK_RATE
+from verify.measurement.kernels.pose import MOTION_RATE
 from verify.measurement.track import Track, difference_weights
 
 MIN_ACCELERATIONS = 5  # differences that make a session's mean square
@@ -238,7 +238,7 @@ def twist_transport(shift: Array) -> Array:
 def alignment_scale(track: Track) -> Array:
     """How far the session's real motion exceeds (or falls short of) what poses assumed, (n,).
 
-    The second and third differences of the measured poses show acceleration and jerk; their mean
+    Second to fourth differences of the measured poses show acceleration, jerk and snap; their mean
     squares over the session, with the poses' own noise taken off, replace what each pair assumed
     from its speed: an arm accelerates most where it turns back and has none. Without enough
     neighbouring pairs the assumption stands.
@@ -246,10 +246,10 @@ def alignment_scale(track: Track) -> Array:
     scale = np.ones(len(track))
     if not track.covariance_alignment.any():
         return scale
-    for order, chosen, rate in ((2, ~track.parabolic, 1.0), (3, track.parabolic, JERK_RATE)):
-        square = _mean_square_motion(track, order)
-        if square is not None and chosen.any():
-            assumed = np.square(rate * track.acceleration_prior[chosen])
+    for order in np.unique(track.order).tolist():
+        square, chosen = _mean_square_motion(track, order), track.order == order
+        if square is not None:
+            assumed = np.square(MOTION_RATE ** (order - 2) * track.acceleration_prior[chosen])
             scale[chosen] = np.mean(square / assumed, axis=1)
     return scale
 

@@ -77,7 +77,8 @@ class Sighting:
     pan: float  # rad, camera base angle as read
     peak: Array  # (m,), DN
     velocity: Array  # (m, 2), px/s, from neighbouring pairs; 0 where the arm stands still
-    # (m, 2), s² and s³: px by which one px/s² of acceleration, one px/s³ of jerk displace `centre`
+    # (m, 3), s², s³, s⁴: px by which one px/s² of acceleration, px/s³ of jerk or px/s⁴ of snap
+    # displaces `centre`
     lever: Array
 
     def __len__(self) -> int:

@@ -1,21 +1,22 @@
 """Carry the spots of both cameras to one instant along their image motion.
 
 The pictures of a pair are not simultaneous, and with a rolling shutter each row has its own
-instant: t_i = t + (row - (height - 1) / 2) line_time. Model of spot i, with its LED's sightings
-(instants t_i', t_i'') in the pairs before and after:
+instant: t_i = t + (row - (height - 1) / 2) line_time. Model of spot i, with its LED's sightings in
+n of the pairs before, after and before the one before:
 
-    z_i(t) = parabola through the three + k_i j_i
-    z_i(t) = line through the two + h_i a_i            where one neighbour alone shows the LED
+    z_i(t) = polynomial of order n through the n + 1 sightings + h_i a_i
 
     symbol  meaning                                                     unit
     z_i     centre, (2,)                                                px
-    h_i     acceleration lever: error by one unit of acceleration       s²
-    k_i     jerk lever: error by one unit of jerk                       s³
-    a_i     image acceleration, unknown from two sightings              px/s²
-    j_i     image jerk, unknown from three; the pose fit takes both as
-            a rigid body's with a prior                                 px/s³
+    n       1 (a line) where one neighbour alone shows the LED; 3 at
+            most, where both and the pair before them do                1
+    a_i     derivative of order n + 1 of the image motion, which the
+            sightings do not show: acceleration, jerk, snap. The pose
+            fit takes it as a rigid body's with a prior                 px/s^(n+1)
+    h_i     its lever: error by one unit                                s^(n+1)
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -47,7 +48,7 @@ def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array
 
 def align(
     now: RawSighting,
-    around: tuple[RawSighting | None, RawSighting | None],
+    around: Sequence[RawSighting | None],
     t: float,
     camera: Camera,
     *,
@@ -57,7 +58,8 @@ def align(
 
     Args:
         now: the sighting to carry.
-        around: the same camera's sightings in the pairs before and after; None where there is none.
+        around: the same camera's sightings in the pairs before, after, and before the one before;
+            None where there is none.
         t: s, the pair's instant.
         camera: the camera that saw them.
         alone: the pair is a single visit, far in time from its neighbours: taken as standing still.
@@ -68,10 +70,10 @@ def align(
     if alone:
         return replace(now.sighting, t=t)
     sighting = now.sighting
+    views = [_view(other, sighting.pan, camera) for other in around]
     matched, centre, covariance, velocity, lever = carry_to_instant(
         _view(now, sighting.pan, camera),
-        _view(around[0], sighting.pan, camera),
-        _view(around[1], sighting.pan, camera),
+        (views[0], views[1], views[2]),
         t,
     )
     if matched:

@@ -110,13 +110,17 @@ class _AssignedPair:
     whole_frame: bool
 
 
+# the pairs before and after, and the one before the former
+Neighbours = tuple[_AssignedPair | None, _AssignedPair | None, _AssignedPair | None]
+
+
 @dataclass(frozen=True, slots=True)
 class _CausalPair:
     """A pair measured by the one before it; the next one's prediction and motion rest on it."""
 
     assigned: _AssignedPair
     kept: _AssignedPair  # without the spots that its pose rejects
-    before: _AssignedPair | None
+    around: Neighbours
     measurement: Measurement
 
     @property
@@ -132,7 +136,7 @@ def measure(
     """Measure the flange's pose in each stereo pair.
 
     Args:
-        pairs: stereo pairs in time order, streamed; three are held at most.
+        pairs: stereo pairs in time order, streamed; two are held at most.
         setup: rig, marker, and what the encoders suggest.
         causal: give each pair by those before it too, at once (`settled` is False).
 
@@ -146,20 +150,20 @@ def measure(
     for pair in pairs:
         found = _find_leds(pair, setup, now.memory if now is not None else None)
         if held is not None:
-            now, held = _measure_causally(held, (None, found), setup), None
+            now, held = _measure_causally(held, (None, found, None), setup), None
             if causal:
                 yield now.measurement
         then = now
         if then is None or _beyond_gap(found, then.kept):
             now, held = None, found
         else:
-            now = _measure_causally(found, (then.kept, None), setup)
+            now = _measure_causally(found, (then.kept, None, then.around[0]), setup)
             if causal:
                 yield now.measurement
         if then is not None:
             yield _settle(then, now, setup)
     if held is not None:
-        now = _measure_causally(held, (None, None), setup)
+        now = _measure_causally(held, (None, None, None), setup)
         if causal:
             yield now.measurement
     if now is not None:
@@ -260,7 +264,7 @@ def _raw_sighting(
         pan=pan,
         peak=own.peak[index],
         velocity=np.zeros((len(index), 2)),
-        lever=np.zeros((len(index), 2)),
+        lever=np.zeros((len(index), 3)),
     )
     depth = np.full(len(index), np.nan)
     if correspondence.rig_T_flange is not None and len(index):
@@ -270,14 +274,11 @@ def _raw_sighting(
     return RawSighting(sighting, taken, depth)
 
 
-Neighbours = tuple[_AssignedPair | None, _AssignedPair | None]  # the pairs before and after
-
-
 def _measure_causally(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> _CausalPair:
     """Measure a pair by the one before; the first of a burst by the one after."""
     measurement = replace(_fit(assigned, around, setup), settled=False)
     kept = assigned if measurement.pose is None else _without_rejected(assigned, measurement.pose)
-    return _CausalPair(assigned, kept, around[0], measurement)
+    return _CausalPair(assigned, kept, around, measurement)
 
 
 def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measurement:
@@ -286,7 +287,8 @@ def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measur
     moved = any(s is None or s.lever.any() for s in (causal.left, causal.right))
     if after is None or not moved:
         return replace(causal, settled=True)
-    return _fit(now.assigned, (now.before, after.kept), setup)
+    before, _, earlier = now.around
+    return _fit(now.assigned, (before, after.kept, earlier), setup)
 
 
 def _fit(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> Measurement:
@@ -299,12 +301,12 @@ def _fit(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> Measureme
     )  # fmt: skip
     if found.status != "measured" or found.rig_T_flange is None:
         return measurement
-    before, after = (p if p and not _beyond_gap(assigned, p) else None for p in around)
+    near = [p if p and not _beyond_gap(assigned, p) else None for p in around]
     sides = []
     for side, camera in enumerate((setup.rig.left, setup.rig.right)):
         now = assigned.sides[side]
-        seen = (before.sides[side] if before else None), (after.sides[side] if after else None)
-        aligned = align(now, seen, assigned.pair_t, camera, alone=not (before or after))
+        seen = [p.sides[side] if p else None for p in near]
+        aligned = align(now, seen, assigned.pair_t, camera, alone=not any(near[:2]))
         sides.append(aligned if len(now.sighting) else now.sighting)
     left, right = sides
     if left is None or right is None:

@@ -2,20 +2,20 @@
 
 Model of spot i of camera c, at the pair's instant:
 
-    z_i = project_c(camera_T_rig (R p_i + p)) + J_i (h_i a + k_i j) + e_i,   e_i ~ N(0, S_i), px
+    z_i = project_c(camera_T_rig (R p_i + p)) + J_i sum_k h_ik a_k + e_i,   e_i ~ N(0, S_i), px
     step: R' = exp(phi) R,   p' = p + rho,   both in rig axes
 
 p_i is the LED in the flange frame, S_i the spot's covariance, J_i the derivative by the pose (2, 6)
-and h_i, k_i alignment's levers of acceleration and jerk, s² and s³. Parameter vector of a step:
+and h_ik alignment's levers of acceleration, jerk and snap, s², s³, s⁴. Parameter vector of a step:
 
     index  symbol  meaning                              unit
     0-2    rho     translation of the flange, rig axes  m
     3-5    phi     rotation vector, rig axes            rad
 
-The acceleration a, (6,) m/s² and rad/s², is unknown between two pairs, the jerk j among three. Both
-are common to all spots of the rigid body: with priors N(0, diag(sigma²)) they are marginalised,
-which correlates the spots' errors. An LED in one image alone counts. Spots that contradict the
-others are rejected one by one.
+The acceleration a_1, (6,) m/s² and rad/s², is unknown between two pairs, the jerk a_2 among three,
+the snap a_3 among four. They are common to all spots of the rigid body: with priors N(0,
+diag(sigma²)) they are marginalised, which correlates the spots' errors. An LED in one image alone
+counts. Spots that contradict the others are rejected one by one.
 """
 
 from collections.abc import Callable
@@ -30,7 +30,7 @@ from verify.core.records import Array, Pose, Sighting
 from verify.core.rig import Rig
 from verify.core.statistics import chi2_isf
 from verify.measurement.kernels import pose as kernel
-from verify.measurement.kernels.pose import JERK_PER_ACCELERATION, SCALE
+from verify.measurement.kernels.pose import MOTION_RATE, SCALE
 
 MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 P_CONTRADICTION = 1e-7  # of the pair's chi² as a whole
@@ -46,7 +46,7 @@ class SightingStack:
     centre: Array  # (s, 2), px
     covariance: Array  # (s, 2, 2), px²
     velocity: Array  # (s, 2), px/s
-    lever: Array  # (s, 2), s² and s³
+    lever: Array  # (s, 3), s², s³, s⁴
     camera_R_rig: Array  # (s, 3, 3)
     origin: Array  # (s, 3), m, of the rig in the camera
     lens: Array  # (5, s), k1, k2, p1, p2, k3
@@ -153,16 +153,17 @@ def predict(views: SightingStack, rig_T_flange: Array) -> tuple[Array, Array, Ar
 
 
 def motion_columns(by_pose: Array, lever: Array, prior: tuple[float, float]) -> Array:
-    """What unknown acceleration and jerk do to spots, columns of unit variance, (s, 2, 12), px.
+    """What motion that is not known does to spots, columns of unit variance, (s, 2, 18), px.
 
     Args:
         by_pose: (s, 2, 6), derivative of the spots by the pose.
-        lever: (s, 2), s² and s³.
+        lever: (s, 3), s², s³, s⁴.
         prior: of the acceleration, m/s² and rad/s² a component.
     """
     moved = by_pose * np.repeat(prior, 3)
-    a, b = lever[:, None, :1], JERK_PER_ACCELERATION * lever[:, None, 1:]
-    return np.concatenate([moved * a, moved * b], axis=2)
+    levers = lever * MOTION_RATE ** np.arange(lever.shape[1])
+    columns: Array = moved[:, :, None] * levers[:, None, :, None]
+    return columns.reshape(*moved.shape[:2], -1)
 
 
 @dataclass(frozen=True, slots=True)

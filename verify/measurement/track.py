@@ -24,7 +24,7 @@ class Track:
     covariance_alignment: Array  # (n, 6, 6)
     twist: Array  # (n, 6), m/s, rad/s, as the images show it
     acceleration_prior: Array  # (n, 2), m/s², rad/s²
-    parabolic: NDArray[np.bool_]  # (n,), alignment misses jerk alone, no acceleration
+    order: NDArray[np.int64]  # (n,), of the lowest derivative that alignment misses, from 2
     alignment_error: Array  # (n, 6), what the motion about a pair leaves of alignment
     systematic: Array  # (n, 6, p): d measured pose / d parameter of `Systematics`
     determined: tuple[Array, ...]  # n of (6, d)
@@ -71,7 +71,7 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
         covariance_alignment=_rotate_blocks(turn, [p.covariance_alignment for p in poses]),
         twist=np.array([turn @ p.twist for p in poses]).reshape(n, 6),
         acceleration_prior=np.array([p.acceleration_prior for p in poses]).reshape(n, 2),
-        parabolic=np.array([_parabolic(m) for m in measured], dtype=np.bool_),
+        order=np.array([_lowest_order(m) for m in measured], dtype=np.int64),
         alignment_error=_alignment_errors(measurements) @ turn.T,
         systematic=np.array(systematic).reshape(n, 6, -1) if n else np.zeros((0, 6, 0)),
         determined=tuple(turn @ p.determined for p in poses),
@@ -81,9 +81,9 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
 def _alignment_errors(measurements: list[Measurement]) -> Array:
     """How far the motion that alignment cannot know puts each measured pose off, (n, 6), rig axes.
 
-    The parabola through three sightings misses the jerk, the line through two the acceleration;
-    differences over wider windows of pairs show either. The values stay as they are: this goes into
-    the judgement, as a term that does not average out when the arm accelerates one way.
+    The line through two sightings misses the acceleration, the parabola through three the jerk, the
+    cubic the snap; differences over windows of pairs show each. The values stay as they are: this
+    goes into the judgement, as a term that does not average out when the arm accelerates one way.
     """
     errors = []
     for i, now in enumerate(measurements):
@@ -98,7 +98,7 @@ def _alignment_errors(measurements: list[Measurement]) -> Array:
             part = left_over[start : start + len(sighting)]
             curvature = now.pose.curvature[start : start + len(sighting)]
             start += len(sighting)
-            for order, known in ((2, curvature), (3, 0.0)):
+            for order, known in ((2, curvature), (3, 0.0), (4, 0.0)):
                 lever = sighting.lever[:, order - 2, None]
                 if lever.any():
                     shown = _image_derivative(measurements, i, side, order) - known
@@ -114,8 +114,9 @@ def _image_derivative(measurements: list[Measurement], i: int, side: str, order:
     """
     now: Sighting = getattr(measurements[i], side)
     total, count = np.zeros_like(now.centre), np.zeros((len(now), 1))
-    # of a parabola the windows hold both neighbours
-    for first in range(max(i - 2, 0), min(i - order + 2, len(measurements) - order - 1) + 1):
+    # windows hold all that the curve went through: the pair before the one before, of a cubic
+    earliest, latest = i - max(2, order - 1), min(i - order + 2, len(measurements) - order - 1)
+    for first in range(max(earliest, 0), latest + 1):
         window = measurements[first : first + order + 1]
         found = [getattr(m, side) for m in window]
         if any(s is None or s.pan != now.pan or not len(s) for s in found):
@@ -146,9 +147,9 @@ def _centres_of(leds: NDArray[np.int64], sighting: Sighting) -> Array:
     return np.where((sighting.led[row] == leds)[:, None], sighting.centre[row], np.nan)
 
 
-def _parabolic(measurement: Measurement) -> bool:
-    sides = [s for s in (measurement.left, measurement.right) if s is not None]
-    return bool(sides) and not any(s.lever[:, 0].any() for s in sides)
+def _lowest_order(measurement: Measurement) -> int:
+    sides = [s.lever for s in (measurement.left, measurement.right) if s is not None]
+    return 2 + int(np.argmax(np.any(np.concatenate(sides), axis=0))) if sides else 2
 
 
 def _pan(sighting: Sighting | None) -> float:

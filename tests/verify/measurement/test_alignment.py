@@ -25,7 +25,7 @@ def raw(
         pan=pan,
         peak=np.full(m, 200.0),
         velocity=np.zeros((m, 2)),
-        lever=np.zeros((m, 2)),
+        lever=np.zeros((m, 3)),
     )
     return RawSighting(sighting, np.full(m, t), np.full(m, depth))
 
@@ -33,11 +33,10 @@ def raw(
 def carried(
     now: RawSighting, *neighbours: RawSighting, t: float = 1.0, alone: bool = False
 ) -> Sighting:
-    before, after = (
-        next((n for n in neighbours if (n.taken[0] > now.taken[0]) == later), None)
-        for later in (False, True)
-    )
-    aligned = align(now, (before, after), t, CAMERA, alone=alone)
+    late = [n for n in neighbours if n.taken[0] > now.taken[0]]
+    early = [n for n in neighbours if n.taken[0] < now.taken[0]]
+    around = [*early[:1], *[None] * (not early), *late, *[None] * (not late), *early[1:]]
+    aligned = align(now, [*around, None][:3], t, CAMERA, alone=alone)
     assert aligned is not None
     return aligned
 
@@ -75,8 +74,14 @@ def test_both_neighbours_know_the_acceleration_and_a_jerk_costs_its_lever() -> N
         return START + SPEED * s + acceleration * s**2 / 2 + jerk * s**3 / 6
 
     aligned = carried(*(raw(at(t), t) for t in (1.004, 0.94, 1.068)))
-    assert_allclose(aligned.lever[:, 0], 0)
-    assert_allclose(aligned.centre - at(1.0), aligned.lever[:, 1:] * jerk, rtol=1e-6)
+    assert_allclose(aligned.lever[:, [0, 2]], 0)
+    assert_allclose(aligned.centre - at(1.0), aligned.lever[:, 1:2] * jerk, rtol=1e-6)
+    # the pair before the one before shows the jerk as well
+    cubic = carried(*(raw(at(t), t) for t in (1.004, 0.94, 1.068, 0.87)))
+    assert_allclose(cubic.centre, np.broadcast_to(at(1.0), START.shape), atol=1e-9)
+    assert_allclose(cubic.lever[:, :2], 0)
+    lever = 0.004 * 0.06 * 0.068 * 0.13 / 24
+    assert_allclose(np.abs(cubic.lever[:, 2]), lever, rtol=1e-9)
     # the velocity is that of the pair's instant
     assert_allclose(aligned.velocity, SPEED, atol=0.064 * 0.068 * np.abs(jerk).max() / 6)
 
@@ -104,10 +109,10 @@ def test_a_single_visit_far_from_its_neighbours_is_taken_as_standing_still() -> 
 
 
 def test_without_a_neighbour_only_a_picture_of_the_very_instant_can_be_used() -> None:
-    assert align(raw(START, 1.004), (None, None), 1.0, CAMERA) is None
-    assert align(raw(START, 1.0), (None, None), 1.0, CAMERA) is not None
+    assert align(raw(START, 1.004), [None] * 3, 1.0, CAMERA) is None
+    assert align(raw(START, 1.0), [None] * 3, 1.0, CAMERA) is not None
     others = raw(START, 0.94, leds=[7, 8, 9])
-    assert align(raw(START, 1.004), (others, None), 1.0, CAMERA) is None
+    assert align(raw(START, 1.004), [others, None, None], 1.0, CAMERA) is None
 
 
 def test_an_led_that_the_neighbour_did_not_see_moves_like_the_others_with_their_spread() -> None:

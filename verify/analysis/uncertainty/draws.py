@@ -55,7 +55,7 @@ class SpotDraws:
     led: Array  # (s,) index
     seen: Array  # (s, 2), px, steady motion allowed for
     noise: Array  # (2 s, 2 s), px², a root of the spots' covariance
-    by_motion: Array  # (2 s, 12), px: unknown acceleration and jerk, columns of unit variance
+    by_motion: Array  # (2 s, 18), px: motion that is not known, columns of unit variance
     weight: Array  # (2 s, 2 s), 1/px²
     gain: Array  # (6, 2 s), d pose / d spot in rig axes
 
@@ -254,7 +254,8 @@ class WorldDraws:
         assert pose is not None
         spots = used_spots(seen, rig, self.session.marker)
         moved = self.rng.standard_normal((self.draws, len(spots.noise))) @ spots.noise.T
-        moved += scale * self.rng.standard_normal((self.draws, 12)) @ spots.by_motion.T
+        motion = self.rng.standard_normal((self.draws, spots.by_motion.shape[1]))
+        moved += scale * motion @ spots.by_motion.T
         pan = [self.pan(side, float(reading)) for side, reading in enumerate(track.pan[row])]
         left, right = (
             self.camera(side, float(reading)) for side, reading in enumerate(track.pan[row])

@@ -131,7 +131,7 @@ def _raw(now: PairSpots, side: int, found: Correspondence, camera: Camera) -> Ra
         pan=now.pan[side],
         peak=spots.peak[index],
         velocity=np.zeros((len(index), 2)),
-        lever=np.zeros((len(index), 2)),
+        lever=np.zeros((len(index), 3)),
     )
     assert found.rig_T_flange is not None
     camera_T_rig = camera.camera_T_rig(now.pan[side])
@@ -145,12 +145,12 @@ def _pose(i: int, found: list[AssignedPair], rig: Rig, marker: Marker) -> BodyPo
     now, identified, raw = found[i]
     around = [
         found[k][2] if 0 <= k < len(found) and abs(found[k][0].t[0] - now.t[0]) <= MAX_GAP else None
-        for k in (i - 1, i + 1)
+        for k in (i - 1, i + 1, i - 2)
     ]
     left, right = (
         align(
             raw[side],
-            (around[0] and around[0][side], around[1] and around[1][side]),
+            [near[side] if near else None for near in around],
             now.t[0],
             camera,
             alone=not any(around),

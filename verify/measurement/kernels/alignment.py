@@ -1,10 +1,11 @@
 """Carry spots to another instant along their image motion; box the LEDs that a pose predicts.
 
-A spot z taken at t1 and its LED's z0, z2 at t0, t2 in the neighbouring pictures lie on a parabola;
-at the instant t it has the covariance of the sum of the three, each with its Lagrange weight, and
-the lever -(t - t0) (t - t1) (t - t2) / 6 of a jerk that three pictures do not show. With one
-neighbour it is the line z + v (t - t1), v = (z - z0) / (t1 - t0), and the lever of the unknown
-acceleration -(t - t1) (t - t0) / 2.
+A spot taken at t_0 and its LED's sightings at t_1 ... t_n in n neighbouring pictures lie on a
+polynomial; at the instant t it has the covariance of their sum, each with its Lagrange weight, and
+
+    the lever  -(t - t_0) ... (t - t_n) / (n + 1)!
+
+of the derivative of order n + 1 that these sightings do not show: acceleration, jerk or snap.
 """
 
 import math
@@ -23,7 +24,7 @@ SpotView = tuple[Index, Array, Array, Array]
 
 @compiled
 def carry_to_instant(
-    now: SpotView, before: SpotView, after: SpotView, t: float
+    now: SpotView, around: tuple[SpotView, SpotView, SpotView], t: float
 ) -> tuple[int, Array, Array, Array, Array]:
     """Carry m spots to an instant, by what neighbouring pictures show of their LEDs.
 
@@ -31,44 +32,44 @@ def carry_to_instant(
 
     Args:
         now: the spots.
-        before: those of the picture before; empty where there is none.
-        after: those of the picture after; empty where there is none.
+        around: those of the pictures before, after, and before the one before, which counts only
+            beside both others; empty where there is none.
         t: s, to where.
 
     Returns:
         How many LEDs a neighbour shows too, without which nothing else is of use; centre (m, 2);
-        covariance (m, 2, 2); velocity (m, 2), px/s; levers of acceleration and jerk (m, 2), s², s³.
+        covariance (m, 2, 2); velocity (m, 2), px/s; levers (m, 3), s², s³, s⁴.
     """
     led, centre, covariance, taken = now
     m, count = len(led), 0
-    place, spread, velocity = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
-    lever, shared, shown = np.zeros((m, 2)), np.empty(m, np.int64), np.zeros(m, np.bool_)
-    intervals, mean = np.empty(m), np.zeros(2)
+    place, spread, velocity = centre.copy(), np.zeros((m, 2, 2)), np.zeros((m, 2))
+    lever, shared, shown = np.zeros((m, 3)), np.empty(m, np.int64), np.zeros(m, np.bool_)
+    intervals, mean, instant = np.empty(m), np.zeros(2), np.empty(4)
+    row, weight, slope = np.empty(3, np.int64), np.empty(4), np.empty(4)
     for i in range(m):
-        b, c = row_of(before[0], led[i]), row_of(after[0], led[i])
-        if b < 0 and c < 0:
+        instant[0], n = taken[i], 0
+        for v in range(3):
+            row[v] = row_of(around[v][0], led[i]) if v < 2 or n == 2 else -1
+            if row[v] >= 0:
+                n += 1
+                instant[n] = around[v][3][row[v]]
+        if n == 0:
             continue
-        early = taken[i] - before[3][b] if b >= 0 else 0.0
-        late = after[3][c] - taken[i] if c >= 0 else 0.0
-        weight, slope, lever[i, 0], lever[i, 1], intervals[count] = neighbour_weights(
-            t - taken[i], early, late
-        )
-        own = 1.0 - weight[0] - weight[1]
-        for x in range(2):
-            place[i, x], velocity[i, x] = centre[i, x], 0.0
-            for y in range(2):
-                spread[i, x, y] = own**2 * covariance[i, x, y]
-        for other, k, w, d in ((before, b, weight[0], slope[0]), (after, c, weight[1], slope[1])):
+        lever[i, n - 1] = lagrange_weights(instant[: n + 1], t, weight, slope)
+        intervals[count] = taken[i] - instant[1] if n == 1 else -2.0 * (t - taken[i])
+        spread[i] = weight[0] ** 2 * covariance[i]
+        k = 0
+        for v in range(3):
+            if row[v] < 0:
+                continue
+            k += 1
             for x in range(2):
-                if k < 0:
-                    continue
-                away = other[1][k, x] - centre[i, x]
-                place[i, x] += w * away
-                velocity[i, x] += d * away
+                away = around[v][1][row[v], x] - centre[i, x]
+                place[i, x] += weight[k] * away
+                velocity[i, x] += slope[k] * away
                 for y in range(2):
-                    spread[i, x, y] += w**2 * other[2][k, x, y]
-        for x in range(2):
-            mean[x] += velocity[i, x]
+                    spread[i, x, y] += weight[k] ** 2 * around[v][2][row[v], x, y]
+        mean += velocity[i]
         shared[count], shown[i] = i, True
         count += 1
     if count == 0:
@@ -99,30 +100,23 @@ def row_of(led: Index, wanted: int) -> int:
 
 
 @compiled
-def neighbour_weights(
-    shift: float, early: float, late: float
-) -> tuple[tuple[float, float], tuple[float, float], float, float, float]:
-    """Weights of the sightings before and after in what a spot is `shift` s after its own instant.
-
-    Args:
-        shift: s.
-        early: s since the sighting before; 0 where there is none.
-        late: s until the one after; 0 where there is none.
+def lagrange_weights(instant: Array, t: float, weight: Array, slope: Array) -> float:
+    """Fill in the weights of values at n + 1 instants in the value and the slope, 1/s, at t, s.
 
     Returns:
-        Their weights in the place; in the velocity, 1/s; the levers of acceleration, s², and jerk,
-        s³; and the s before the spot's own instant about whose middle the velocity holds.
+        The error, by one unit of the derivative of order n + 1 that the values do not show.
     """
-    if early == 0.0:
-        lever = -0.5 * shift * (shift - late)
-        return (0.0, shift / late), (0.0, 1.0 / late), lever, 0.0, -late
-    if late == 0.0:
-        lever = -0.5 * shift * (shift + early)
-        return (-shift / early, 0.0), (-1.0 / early, 0.0), lever, 0.0, early
-    first, last = early * (early + late), late * (early + late)
-    weights = shift * (shift - late) / first, shift * (shift + early) / last
-    slopes = (2.0 * shift - late) / first, (2.0 * shift + early) / last
-    return weights, slopes, 0.0, -shift * (shift + early) * (shift - late) / 6.0, -2.0 * shift
+    error = -1.0
+    for a in range(len(instant)):
+        error *= (t - instant[a]) / (a + 1.0)
+        weight[a], slope[a] = 1.0, 0.0
+        for b in range(len(instant)):
+            if b == a:
+                continue
+            apart = instant[a] - instant[b]
+            slope[a] = (slope[a] * (t - instant[b]) + weight[a]) / apart
+            weight[a] *= (t - instant[b]) / apart
+    return error
 
 
 @compiled
