@@ -73,6 +73,11 @@ def test_joints_scatter_at_most_twice_what_the_pixels_predict(
         assert np.all(np.mean(wrong(one) ** 2, axis=0) <= 4 * np.mean(claimed**2, axis=0))
 
 
+def test_joints_scatter_as_with_a_carrier_that_knows_the_motion(multi_joint: Run) -> None:
+    known = [0.0029, 0.0048, 0.0203, 0.0241, 0.0083, 0.0028]  # deg
+    assert np.all(np.sqrt(np.mean(wrong(multi_joint) ** 2, axis=0)) <= known)
+
+
 def test_the_clock_is_found_though_a_joint_is_at_fault(multi_joint: Run) -> None:
     clock = multi_joint.summary["clock"]
     assert clock["source"] == "estimated"

@@ -127,14 +127,15 @@ def fit_pose(
     while True:
         fit = _gauss_newton(views, centre, keep, start)
         worst, size = _worst_spot(fit, keep, tolerance)
-        if size >= MAX_SPOT_CHI2 and parameter_columns is not None:
+        sound = size < MAX_SPOT_CHI2 and _plausible(fit, keep, tolerance)
+        if not sound and parameter_columns is not None:
             columns = parameter_columns(fit.rig_T_flange, fit.predicted[1])
             tolerance, parameter_columns = tolerance + columns @ columns.T, None
             worst, size = _worst_spot(fit, keep, tolerance)
-        settled = size < MAX_SPOT_CHI2
-        if settled or keep.sum() <= MIN_SPOTS or (~keep).sum() >= len(keep) // 3:
-            consistent = settled and _plausible(fit, keep, tolerance)
-            return _pose(fit, views, keep, consistent, curvature)
+            sound = size < MAX_SPOT_CHI2 and _plausible(fit, keep, tolerance)
+        last = keep.sum() <= MIN_SPOTS or (~keep).sum() >= len(keep) // 3
+        if last or size < MAX_SPOT_CHI2:
+            return _pose(fit, views, keep, sound, curvature)
         keep[worst] = False
 
 
