@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from robots.transforms import difference
 from tests.support.simulated import HOME_DEG, in_memory, scene
+from tests.support.spot_level import SpotRun, facing_rig, picture, without_pictures
 from verify.analysis.session import analyse
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
@@ -318,6 +319,20 @@ def test_a_pair_whose_motion_nothing_shows_is_unaligned_not_guessed() -> None:
         assert {
             m.frame: m.status for m in measured(scenario)[1] if m.status != "measured"
         } == expected
+
+
+@pytest.mark.parametrize("late", [0.02, 0.037, -0.037])
+def test_pictures_that_were_not_taken_together_are_an_outlier(late: float) -> None:
+    rig, marker = facing_rig()
+    run = SpotRun(rig, marker, 15.0)
+    pairs = [
+        replace(p, right=picture(run.spots(1, p.t_right + late))) if p.frame == 10 else p
+        for p in run.pairs(1.2)
+    ]
+    with without_pictures():
+        found = {m.frame: m.status for m in measure(pairs, Setup(rig, marker))}
+    assert found.pop(10) == "outlier"
+    assert set(found.values()) == {"measured"}
 
 
 def test_single_visits_are_taken_as_standing_still() -> None:
