@@ -70,6 +70,7 @@ soak: $(DEV)
 
 bench-coverage: $(DEV)
 	$(BIN)/python -m tests.bench.coverage
+	$(BIN)/python -m tests.bench.coverage --classes
 	$(BIN)/python -m tests.bench.calibration
 	$(BIN)/python -m tests.bench.registration
 	$(BIN)/python -m tests.bench.whole_chain

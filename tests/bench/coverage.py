@@ -5,24 +5,44 @@ The unit is the session. A cell (arm, joint) is the mean over sessions of the sh
 sessions of at most 0.7 %. Near-singular pairs are left out by the tool's own flag.
 
     python -m tests.bench.coverage [SESSIONS] [SEED]
+
+With --classes, sessions of every kind instead: 10 and 30 pairs a second, slow and brisk, right
+pictures 0 to 40 ms late, FFV1 and MJPEG, two to five LEDs, some hidden. Coverage of a pair's joints
+and of its errors in every class, and the joints' rms against that of a carrier that knows the
+motion between the two pictures.
 """
 
 import os
 import sys
+from collections.abc import Generator, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
+import cv2
+import msgspec
 import numpy as np
+import pytest
 
+import robots
 from tests.bench.cells import HIGH, LOW, SEEDS, WITHIN, conclude, replicates
 from tests.support.random_scenarios import random_scenario
-from tests.support.simulated import in_memory
+from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
-from verify.core.records import Array
+from verify.core.records import Array, Image, Sighting, StereoPair
+from verify.core.rig import Camera
+from verify.measurement.alignment import RawSighting, align
+from verify.measurement.chain import Setup, measure
+from verify.simulation.scenario import Occlusion, Scenario
+from verify.simulation.world.led_render import led_images
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 100
 PAIRS = 40
 STANDARD_ERROR = 0.007
+Around = Sequence[RawSighting | None]
+KINDS = 40  # sessions with --classes
+MAX_RMS_RATIO = 1.1
+JPEG_QUALITY = 90  # of a webcam's MJPEG
 
 
 def session_shares(arm: str, seed: int) -> tuple[Array, float, float]:
@@ -39,6 +59,157 @@ def session_shares(arm: str, seed: int) -> tuple[Array, float, float]:
     clear = seen & (frames["ambiguous_joints"] == "").to_numpy()
     shares = hit[clear].mean(axis=0) if clear.any() else np.full(joints, np.nan)
     return shares, 1 - clear.sum() / max(int(seen.sum()), 1), 1 - float(seen.mean())
+
+
+@dataclass(frozen=True)
+class _Kept(InMemory):
+    """A session whose pictures stay in memory."""
+
+    kept: list[StereoPair]
+
+    def pairs(self) -> Generator[StereoPair]:
+        yield from self.kept
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """One session of a kind; n pairs, j joints, rad; nan where no value was given."""
+
+    classes: dict[str, str]
+    hits: tuple[Array, Array]  # (n, j) each: within WITHIN u, the measured angles and the errors
+    off: tuple[
+        Array, Array
+    ]  # (n, j) each, measured less true: this chain, one that knows the motion
+
+
+def drawn_kind(rng: np.random.Generator, arm: str) -> tuple[Scenario, dict[str, str]]:
+    """Draw a session and say which classes it is of."""
+    rate, brisk = float(rng.choice([10, 30])), bool(rng.random() < 0.5)
+    late = float(rng.choice([0.0, 0.004, 0.4 / rate]))
+    leds = int(rng.choice([2, 3, 3, 4, 4, 5, 5]))
+    scenario = random_scenario(rng, arm, leds=leds, pairs=PAIRS)
+    speed = (
+        {"slowest_hz": 0.12, "fastest_hz": 0.5}
+        if brisk
+        else {"slowest_hz": 0.03, "fastest_hz": 0.1}
+    )
+    recording = {"rate_hz": rate, "skew_s": late, "skew_jitter_s": min(late, 0.0005)}
+    hidden = str(rng.choice(["nothing", "an LED", "half an LED"]))
+    names = [led.name for led in scenario.marker.led]
+    hides = []
+    for first in range(4, PAIRS - 6, 9) if hidden != "nothing" else ():
+        share = 1.0 if hidden == "an LED" else 0.5
+        name, side = str(rng.choice(names)), str(rng.choice(["left", "right"]))
+        hides.append(Occlusion(led=name, first=first, last=first + 5, camera=side, share=share))
+    changed = msgspec.structs.replace(
+        scenario,
+        motion=msgspec.structs.replace(scenario.motion, **speed),
+        recording=msgspec.structs.replace(scenario.recording, **recording),
+        occlusion=hides,
+    )
+    codec = str(rng.choice(["FFV1", "MJPEG"]))
+    skew = "none" if not late else "4 ms" if late == 0.004 else f"{late * 1e3:.0f} ms"
+    return changed, {
+        "rate": f"{rate:.0f} Hz", "motion": "brisk" if brisk else "slow", "skew": skew,
+        "codec": codec, "LEDs": str(leds), "hidden": hidden,
+    }  # fmt: skip
+
+
+def through_jpeg(image: Image) -> Image:
+    """A picture as MJPEG leaves it."""
+    packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
+    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), dtype=np.uint8)
+
+
+def session_of_a_kind(seed: int) -> Outcome:
+    """Measure one session, and the same pictures with the motion known."""
+    rng = np.random.default_rng(seed)
+    scenario, classes = drawn_kind(rng, str(rng.choice(ARMS)))
+    plain = in_memory(scenario)
+    pairs = list(plain.pairs())
+    if classes["codec"] == "MJPEG":
+        pairs = [replace(p, left=through_jpeg(p.left), right=through_jpeg(p.right)) for p in pairs]
+    session = _Kept(**{f.name: getattr(plain, f.name) for f in fields(plain)}, kept=pairs)
+    frames = analyse(session).tables["frames"]
+    clear = ((frames["status"] == "measured") & (frames["ambiguous_joints"] == "")).to_numpy()
+    truth = session.truth
+    value = {
+        kind: np.deg2rad(frames[[f"q{j + 1}_{kind}_deg" for j in range(6)]].to_numpy(dtype=float))
+        for kind in ("measured", "u", "error", "error_u")
+    }
+    off = np.where(clear[:, None], value["measured"] - truth, np.nan)
+    error = np.where(clear[:, None], value["error"], np.nan)
+    return Outcome(
+        classes,
+        tuple(
+            np.where(np.isnan(e), np.nan, np.abs(e) <= WITHIN * u)
+            for e, u in ((off, value["u"]), (error, value["error_u"]))
+        ),
+        (off, _known_motion(session)),
+    )
+
+
+def _known_motion(session: _Kept) -> Array:
+    """Joints of the same pictures less the true ones, (n, j), where the motion is known."""
+    played = session.simulated
+
+    def carry(
+        now: RawSighting, around: Around, t: float, camera: Camera, *, alone: bool = False
+    ) -> Sighting:
+        moving = align(now, around, t, camera, alone=alone)  # its velocity predicts the next pair
+        velocity = np.zeros_like(now.sighting.centre) if moving is None else moving.velocity
+        side, row = int(camera is played.rig.right), int(np.argmin(np.abs(played.t[:, 0] - t)))
+        there, then = (
+            led_images(played.world, side, float(moment), played.true_pan[row, side])
+            for moment in (t, played.t[row, side])
+        )
+        centre = now.sighting.centre + (there - then)[now.sighting.led]
+        return replace(now.sighting, centre=centre, velocity=velocity, t=t)
+
+    off = np.full_like(session.truth, np.nan)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("verify.measurement.chain.align", carry)
+        for m in measure(session.pairs(), Setup(session.rig, session.marker)):
+            if m.status == "measured" and m.pose is not None and m.pose.known_dof == 6:
+                pose = np.linalg.inv(session.rig.rig_T_base) @ m.pose.rig_T_flange
+                near = session.truth[m.frame : m.frame + 1]
+                off[m.frame] = robots.nearest(session.arm, pose[None], near)[0][0] - near[0]
+    return off
+
+
+def by_class(count: int, seed: int) -> int:
+    """Print every class; how many fail."""
+    outcomes, failed = replicates(session_of_a_kind, seed, count), 0
+    groups = {("all", ""): outcomes}
+    for outcome in outcomes:
+        for group in outcome.classes.items():
+            groups.setdefault(group, []).append(outcome)
+    print(f"seed {seed}, {count} sessions of {PAIRS} pairs; rms: against known motion")
+    for (kind, level), chosen in sorted(groups.items()):
+        shares = [(np.nanmean(o.hits[0]), np.nanmean(o.hits[1])) for o in chosen if has_joints(o)]
+        own, known = (np.concatenate([o.off[k] for o in chosen]) for k in (0, 1))
+        both = ~np.isnan(own + known)
+        ratio = np.sqrt(np.mean(own[both] ** 2) / np.mean(known[both] ** 2)) if both.any() else 1.0
+        if not shares:
+            print(f"  {kind:7s}{level:12s} no pair gives joints")
+            continue
+        share, error = (
+            np.mean(shares, axis=0),
+            np.std(shares, axis=0) / np.sqrt(max(len(shares) - 1, 1)),
+        )
+        # a class of few sessions fails where its mean is clearly outside
+        good = np.all((share + 2 * error >= LOW) & (share - 2 * error <= HIGH))
+        good = bool(good and ratio <= MAX_RMS_RATIO)
+        failed += not good
+        q, e = (f"{a:.1%} ± {b:.1%}" for a, b in zip(share, error, strict=True))
+        line = f"  {kind:7s}{level:12s}{len(shares):3d}  q {q}  error {e}  rms {ratio:.2f}"
+        print(line + "  FAILS" * (not good))
+    return failed
+
+
+def has_joints(outcome: Outcome) -> bool:
+    """Whether any pair of a session gives a joint."""
+    return bool(np.isfinite(outcome.hits[0]).any() and np.isfinite(outcome.hits[1]).any())
 
 
 def main(sessions: int, seeds: tuple[int, ...]) -> int:
@@ -62,6 +233,9 @@ def main(sessions: int, seeds: tuple[int, ...]) -> int:
 
 if __name__ == "__main__":
     os.environ["OMP_NUM_THREADS"] = "1"
-    count = int(sys.argv[1]) if len(sys.argv) > 1 else SESSIONS
-    chosen = (int(sys.argv[2]),) if len(sys.argv) > 2 else SEEDS
-    sys.exit(main(count, chosen))
+    numbers = [int(word) for word in sys.argv[1:] if word != "--classes"]
+    chosen = (numbers[1],) if len(numbers) > 1 else SEEDS
+    if "--classes" in sys.argv:
+        count = numbers[0] if numbers else KINDS
+        sys.exit(conclude(sum(by_class(count, seed) for seed in chosen)))
+    sys.exit(main(numbers[0] if numbers else SESSIONS, chosen))

@@ -52,6 +52,7 @@ def track_of(t: Array, poses: Array, place: float, turn: float) -> Track:
         covariance_alignment=np.zeros((n, 6, 6)),
         twist=np.zeros((n, 6)),
         acceleration_prior=np.ones((n, 2)),
+        order=np.full(n, 4),
         alignment_error=np.zeros((n, 6)),
         systematic=np.zeros((n, 6, 2)),
         determined=(np.eye(6),) * n,

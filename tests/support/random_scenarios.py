@@ -125,7 +125,7 @@ def _marker(rng: np.random.Generator, count: int) -> ScenarioMarker:
         places = np.round(rng.uniform([-80, -80, 8], [80, 80, 45], (count, 3)), 1)
         apart = np.linalg.norm(places[:, None] - places, axis=-1) + 1e9 * np.eye(count)
         extents = np.linalg.svd(places - places.mean(axis=0), compute_uv=False)
-        if apart.min() > APART_MM and extents[1] > OFF_LINE_MM * np.sqrt(2):
+        if apart.min() > APART_MM and (count == 2 or extents[1] > OFF_LINE_MM * np.sqrt(2)):
             break
     peaks = np.round(rng.uniform(150, 230, count), 1)
     return ScenarioMarker(

@@ -81,7 +81,7 @@ def sighting(leds: list[int], centre: Array, sigma: float, t: float, pan: float)
         pan=pan,
         peak=np.full(n, 200.0),
         velocity=np.zeros((n, 2)),
-        acceleration_lever=np.zeros(n),
+        lever=np.zeros((n, 3)),
     )
 
 

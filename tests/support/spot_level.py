@@ -119,7 +119,10 @@ class SpotRun:
         alarms: list[Alarm] = []
         number, due = 0, ESTIMATE_PERIOD
         with without_pictures():
-            for measured in measure(self.pairs(seconds), Setup(self.rig, self.marker)):
+            setup = Setup(self.rig, self.marker)
+            for measured in measure(self.pairs(seconds), setup, causal=True):
+                if measured.settled:
+                    continue
                 while number * READ_EVERY < measured.t + 3 * READ_EVERY:
                     book.add(self.reading(number))
                     number += 1

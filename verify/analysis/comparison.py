@@ -18,9 +18,10 @@ from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
 from verify.core.records import Array
 from verify.measurement.alignment import MAX_GAP
-from verify.measurement.track import Track
+from verify.measurement.kernels.pose import MOTION_RATE
+from verify.measurement.track import Track, difference_weights
 
-MIN_ACCELERATIONS = 5  # second differences that make a session's mean square
+MIN_ACCELERATIONS = 5  # differences that make a session's mean square
 MAX_GAUGE_STEPS = 12  # Newton on a turn: from half a turn away it takes six
 TOL_GAUGE = 1e-9  # rad
 # A direction that moves a joint less than this share of the most moved one is rounding.
@@ -242,45 +243,41 @@ def twist_transport(shift: Array) -> Array:
 
 
 def alignment_scale(track: Track) -> Array:
-    """How far the session's real accelerations exceed (or fall short of) what poses assumed, (n,).
+    """How far the session's real motion exceeds (or falls short of) what poses assumed, (n,).
 
-    The second differences of the measured poses show the motion's acceleration; their mean square
-    over the session, with the poses' own noise taken off, replaces what each pair assumed from its
-    speed: an arm accelerates most where it turns back and has none. Without three neighbouring
-    pairs the assumption stands.
+    Second to fourth differences of the measured poses show acceleration, jerk and snap; their mean
+    squares over the session, with the poses' own noise taken off, replace what each pair assumed
+    from its speed: an arm accelerates most where it turns back and has none. Without enough
+    neighbouring pairs the assumption stands.
     """
-    if len(track) < MIN_ACCELERATIONS or not track.covariance_alignment.any():
-        return np.ones(len(track))
-    interval = np.diff(track.t)
-    regular = (interval[:-1] < MAX_GAP) & (interval[1:] < MAX_GAP)
-    full = track.known_dof == 6
-    usable = np.flatnonzero(regular & full[:-2] & full[1:-1] & full[2:]) + 1
-    if len(usable) < MIN_ACCELERATIONS:
-        return np.ones(len(track))
-    pose = track.base_T_flange
-    before = twist_difference(pose[usable], pose[usable - 1]) / interval[usable - 1, None]
-    after = twist_difference(pose[usable + 1], pose[usable]) / interval[usable, None]
-    span = (track.t[usable + 1] - track.t[usable - 1]) / 2
-    acceleration = (after - before) / span[:, None]
-    noise = _second_difference_variance(track, usable, interval, span)
-    square = np.maximum(np.mean(acceleration**2 - noise, axis=0), 0.0)  # of each component
-    seen = np.array([square[:3].mean(), square[3:].mean()])
-    scale: Array = np.mean(seen / track.acceleration_prior**2, axis=1)
+    scale = np.ones(len(track))
+    if not track.covariance_alignment.any():
+        return scale
+    for order in np.unique(track.order).tolist():
+        square, chosen = _mean_square_motion(track, order), track.order == order
+        if square is not None:
+            assumed = np.square(MOTION_RATE ** (order - 2) * track.acceleration_prior[chosen])
+            scale[chosen] = np.mean(square / assumed, axis=1)
     return scale
 
 
-def _second_difference_variance(
-    track: Track, usable: NDArray[np.int64], interval: Array, span: Array
-) -> Array:
-    """Variance that the poses' own noise gives to a second difference, (u, 6)."""
-    variance = np.diagonal(track.covariance_pixels, axis1=1, axis2=2)
-    early, late = 1 / interval[usable - 1, None], 1 / interval[usable, None]
-    total: Array = (
-        variance[usable - 1] * early**2
-        + variance[usable] * (early + late) ** 2
-        + variance[usable + 1] * late**2
-    ) / span[:, None] ** 2
-    return total
+def _mean_square_motion(track: Track, order: int) -> Array | None:
+    """Mean square of a derivative of the poses, (2,), m²/s^2k, rad²/s^2k; None without enough."""
+    if len(track) < MIN_ACCELERATIONS + order:
+        return None
+    windows = np.lib.stride_tricks.sliding_window_view(np.arange(len(track)), order + 1)
+    regular = (np.diff(track.t[windows], axis=1) < MAX_GAP).all(axis=1)
+    windows = windows[regular & (track.known_dof[windows] == 6).all(axis=1)]
+    if len(windows) < MIN_ACCELERATIONS:
+        return None
+    weights = difference_weights(track.t[windows])
+    poses, middle = track.base_T_flange[windows], track.base_T_flange[windows[:, order // 2]]
+    moved = [twist_difference(poses[:, k], middle) for k in range(order + 1)]
+    motion = np.einsum("wk,kwi->wi", weights, np.array(moved))
+    own = np.diagonal(track.covariance_pixels, axis1=1, axis2=2)[windows]
+    noise = np.einsum("wk,wki->wi", weights**2, own)
+    square = np.maximum(np.mean(motion**2 - noise, axis=0), 0.0)  # of each component
+    return np.array([square[:3].mean(), square[3:].mean()])
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,8 +76,10 @@ class Sighting:
     t: float  # s, the instant that `centre` belongs to
     pan: float  # rad, camera base angle as read
     peak: Array  # (m,), DN
-    velocity: Array  # (m, 2), px/s, from the neighbouring pair; 0 where the arm stands still
-    acceleration_lever: Array  # (m,), s²: px by which one px/s² of acceleration displaces `centre`
+    velocity: Array  # (m, 2), px/s, from neighbouring pairs; 0 where the arm stands still
+    # (m, 3), s², s³, s⁴: px by which one px/s² of acceleration, px/s³ of jerk or px/s⁴ of snap
+    # displaces `centre`
+    lever: Array
 
     def __len__(self) -> int:
         """Count the LEDs."""
@@ -104,7 +106,7 @@ class Pose:
     residual: Array  # (s, 2), px, measured less predicted
     spot_uncertainty: Array  # (s,), px a coordinate: noise, and what alignment adds to it
     rejected: NDArray[np.bool_]  # (s,), sightings that the fit rejected as outliers
-    consistent: bool  # no spot left contradicts the others
+    consistent: bool  # no spots left contradict the others
     chi2: float  # whitened residual sum of squares
     degrees_of_freedom: int
 
@@ -139,3 +141,4 @@ class Measurement:
     right: Sighting | None = None
     choice: str = ""  # how identification was settled: geometry, colour, continuity, encoders
     whole_frame: bool = False  # the LEDs were searched in the whole picture
+    settled: bool = True  # by the pairs before and after; False: by those before alone

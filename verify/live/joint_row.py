@@ -49,6 +49,7 @@ class JointRow:
     base_T_measured: Array | None = None  # (4, 4)
     base_T_encoder: Array | None = None  # (4, 4)
     evidence: "Evidence | None" = None
+    settled: bool = False  # by the pairs before and after, as in a recording
 
 
 @dataclass(frozen=True, slots=True)
@@ -206,6 +207,7 @@ class Comparer:
                 clock_uncertainty=doubt,
                 determined=comparison.determined[n],
             ),
+            settled=measurement.settled,
         )
 
     def _measured_alone(
@@ -239,6 +241,7 @@ class Comparer:
             uncertainty=nothing,
             single=nothing,
             clock=clock,
+            settled=measurement.settled,
             **known,
         )
 

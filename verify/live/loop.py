@@ -5,7 +5,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -22,6 +22,7 @@ from verify.live.alarms.joints import AlarmLimits, JointAlarms
 from verify.live.alarms.loss import DeviceWatch, TargetWatch
 from verify.live.bracketing import (
     MAX_PAIRS_TOGETHER,
+    MAX_QUEUED,
     BracketedPair,
     Bracketing,
     MeasuredPair,
@@ -104,6 +105,8 @@ class LiveLoop:
         self._prepare = computation.prepare
         self._arrivals: dict[float, tuple[float, float, CapturedPair]] = {}
         self._measured: deque[MeasuredPair] = deque()
+        self._unsettled: dict[float, MeasuredPair] = {}
+        self._settled: deque[MeasuredPair] = deque()
         self._wake = threading.Condition()
         self._watching = threading.Lock()  # of the target's alarm: two threads use it
         self._measuring_ended = False
@@ -223,7 +226,8 @@ class LiveLoop:
                 self._wake.notify_all()
 
     def _here(self, pairs: Iterator[StereoPair], expected: ExpectedPoses) -> Iterator[Measurement]:
-        return measure(pairs, Setup(self._subject.rig, self._subject.marker, expected))
+        setup = Setup(self._subject.rig, self._subject.marker, expected)
+        return measure(pairs, setup, causal=True)
 
     def _taken(self) -> Iterator[CapturedPair]:
         """Pairs of pictures with the angles of their bases."""
@@ -263,6 +267,12 @@ class LiveLoop:
             yield pair
 
     def _hand_over(self, measurement: Measurement) -> None:
+        if measurement.settled:
+            taken = replace(self._unsettled.pop(measurement.t), measurement=measurement)
+            with self._wake:
+                self._settled.append(taken)
+                self._wake.notify_all()
+            return
         self._keeper.add(measurement)
         nothing = (time.monotonic(), 0.0, None)
         arrived, doubt, pair = self._arrivals.pop(measurement.t, nothing)
@@ -270,8 +280,9 @@ class LiveLoop:
             self.state.set_pictures(pair, measurement)
             if self._follower is not None:
                 self._follower.look(pair, measurement, self._expected)
+        taken = self._unsettled[measurement.t] = MeasuredPair(measurement, arrived, doubt)
         with self._wake:
-            self._measured.append(MeasuredPair(measurement, arrived, doubt))
+            self._measured.append(taken)
             self._wake.notify_all()
 
     def _expected(self, t: float) -> Sequence[Array]:
@@ -290,7 +301,10 @@ class LiveLoop:
     def _compare(self) -> None:
         while (item := self._next_measured()) is not None:
             try:
-                pairs = [self._bracketing.wait(*item, self._recorder.through)]
+                if item[0].measurement.settled:
+                    self._settle(item[0])
+                    continue
+                pairs = [self._bracketing.wait(*item, self._meanwhile)]
                 while len(pairs) < MAX_PAIRS_TOGETHER and (more := self._another()) is not None:
                     pairs.append(more)
                 for row, since in self._bracketing.compare(pairs):
@@ -301,9 +315,24 @@ class LiveLoop:
                 self._failed_step("comparison", error)
 
     def _next_measured(self) -> tuple[MeasuredPair, int] | None:
+        """Take the next pair and how many wait behind it; settled ones when no other waits."""
         with self._wake:
-            self._wake.wait_for(lambda: self._measured or self._measuring_ended)
-            return (self._measured.popleft(), len(self._measured)) if self._measured else None
+            self._wake.wait_for(lambda: self._measured or self._settled or self._measuring_ended)
+            queue = self._measured or self._settled
+            return (queue.popleft(), len(self._measured)) if queue else None
+
+    def _meanwhile(self, frame: int) -> None:
+        """Do what is not urgent while a pair waits for its reading."""
+        self._recorder.through(frame)
+        while len(self._settled) > MAX_QUEUED:
+            self._settle(self._settled.popleft())
+
+    def _settle(self, taken: MeasuredPair) -> None:
+        """Hand on a pair again, once its successor has shown its motion too."""
+        pair = self._bracketing.wait(taken, MAX_QUEUED, lambda _: None)
+        (row, _), statistic = self._bracketing.compare([pair])[0], self._joints.statistic
+        for listener in self._listeners:
+            listener.row(row, statistic)
 
     def _another(self) -> BracketedPair | None:
         """Take the next measured pair if it needs no wait."""

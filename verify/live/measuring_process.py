@@ -109,7 +109,7 @@ def _detect_shared_picture(request: DetectionRequest) -> Spots:
 
 
 class MeasuringProcess:
-    """Measures pairs in another process; the same measurements as `chain.measure` gives.
+    """Measures pairs in another process; the same measurements as `chain.measure` gives live.
 
     Once that process is lost, pairs are measured here.
 
@@ -144,7 +144,7 @@ class MeasuringProcess:
     def measure(
         self, pairs: Iterator[StereoPair], expected: ExpectedPoses
     ) -> Iterator[Measurement]:
-        """Measure pairs in order, as `chain.measure` does.
+        """Measure pairs in order, as `chain.measure` does: each causally, then settled.
 
         Args:
             pairs: in time order.
@@ -163,7 +163,7 @@ class MeasuringProcess:
             self._process.stop(0.0)
             self._warn(f"pairs are measured by the main process from now on: {error}")
             setup = Setup(self._rig, self._marker, expected)
-            yield from measure(chain(list(unanswered), pairs), setup)
+            yield from measure(chain(list(unanswered), pairs), setup, causal=True)
 
     def close(self) -> None:
         """End the process."""
@@ -212,7 +212,8 @@ def _measure_pairs(line: ParentLine, rig: Rig, marker: Marker) -> None:
             poses: Sequence[Array] = line.receive()
             return poses
 
-        for measurement in measure(_receive_pairs(line), Setup(rig, marker, expected, detector)):
+        setup = Setup(rig, marker, expected, detector)
+        for measurement in measure(_receive_pairs(line), setup, causal=True):
             line.send("measured", measurement)
         line.send("next")
 

@@ -64,7 +64,10 @@ class Listener(Protocol):
     """Receives rows and alarms, in a thread of its own: it may take its time."""
 
     def row(self, row: JointRow, statistic: Array) -> None:
-        """Take a pair's outcome; some may be left out when there are too many."""
+        """Take a pair's outcome, at first causal and then `settled`.
+
+        Some may be left out when there are too many.
+        """
 
     def alarm(self, alarm: Alarm) -> None:
         """Take an alarm that is new, revised, or over."""

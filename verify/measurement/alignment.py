@@ -1,31 +1,34 @@
-"""Carry the spots of both cameras to one instant along their image velocities.
+"""Carry the spots of both cameras to one instant along their image motion.
 
 The pictures of a pair are not simultaneous, and with a rolling shutter each row has its own
-instant: t_i = t + (row - (height - 1) / 2) line_time. Model of spot i, with the neighbouring pair
-(instant t_i', centre z_i'):
+instant: t_i = t + (row - (height - 1) / 2) line_time. Model of spot i, with its LED's sightings in
+n of the pairs before, after and before the one before:
 
-    v_i = (z_i - z_i') / (t_i - t_i')
-    z_i(t) = z_i + (t - t_i) v_i + h_i a_i
+    z_i(t) = polynomial of order n through the n + 1 sightings + h_i a_i
 
     symbol  meaning                                                     unit
     z_i     centre, (2,)                                                px
-    v_i     image velocity, (2,)                                        px/s
-    h_i     acceleration lever: error by one unit of acceleration       s²
-    a_i     image acceleration, unknown from two pairs; the pose fit
-            takes it as a rigid-body acceleration with a prior          px/s²
+    n       1 (a line) where one neighbour alone shows the LED; 3 at
+            most, where both and the pair before them do                1
+    a_i     derivative of order n + 1 of the image motion, which the
+            sightings do not show: acceleration, jerk, snap. The pose
+            fit takes it as a rigid body's with a prior                 px/s^(n+1)
+    h_i     its lever: error by one unit                                s^(n+1)
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from verify.core.records import Array, Sighting
 from verify.core.rig import Camera
-from verify.measurement.kernels.alignment import carry_to_instant
+from verify.measurement.kernels.alignment import SpotView, carry_to_instant
 
 # Beyond such a gap between two pairs the motion at either is unknown: single visits, at rest.
 MAX_GAP = 1.5  # s
 TOL_INSTANT = 1e-9  # s, closer than any camera's clock
+NOTHING: SpotView = (np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +48,7 @@ def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array
 
 def align(
     now: RawSighting,
-    neighbour: RawSighting | None,
+    around: Sequence[RawSighting | None],
     t: float,
     camera: Camera,
     *,
@@ -55,10 +58,10 @@ def align(
 
     Args:
         now: the sighting to carry.
-        neighbour: the same camera's sighting in the pair before (for the first pair: after);
-            None where there is none, or none with an LED in it.
+        around: the same camera's sightings in the pairs before, after, and before the one before;
+            None where there is none.
         t: s, the pair's instant.
-        camera: the camera that saw both.
+        camera: the camera that saw them.
         alone: the pair is a single visit, far in time from its neighbours: taken as standing still.
 
     Returns:
@@ -66,33 +69,30 @@ def align(
     """
     if alone:
         return replace(now.sighting, t=t)
-    moved = _along_image_velocity(now, neighbour, t, camera) if neighbour is not None else None
-    if moved is None and np.all(np.abs(t - now.taken) < TOL_INSTANT):
-        return replace(now.sighting, t=t)
-    return moved
-
-
-def _along_image_velocity(
-    now: RawSighting, neighbour: RawSighting, t: float, camera: Camera
-) -> Sighting | None:
-    """Spots at the common instant, from the line through this sighting and its neighbour."""
-    sighting, before = now.sighting, neighbour.sighting
-    centres = sighting.centre, _pan_compensated(neighbour, sighting.pan, camera)
+    sighting = now.sighting
+    views = [_view(other, sighting.pan, camera) for other in around]
     matched, centre, covariance, velocity, lever = carry_to_instant(
-        (sighting.led, before.led),
-        (np.ascontiguousarray(centres[0]), np.ascontiguousarray(centres[1])),
-        (np.ascontiguousarray(sighting.covariance), np.ascontiguousarray(before.covariance)),
-        (now.taken, neighbour.taken),
+        _view(now, sighting.pan, camera),
+        (views[0], views[1], views[2]),
         t,
     )
-    if not matched:
-        return None
-    moved = replace(sighting, centre=centre, covariance=covariance, t=t)
-    return replace(moved, velocity=velocity, acceleration_lever=lever)
+    if matched:
+        moved = replace(sighting, centre=centre, covariance=covariance, t=t)
+        return replace(moved, velocity=velocity, lever=lever)
+    at_once = np.all(np.abs(t - now.taken) < TOL_INSTANT)
+    return replace(sighting, t=t) if at_once else None
+
+
+def _view(raw: RawSighting | None, pan: float, camera: Camera) -> SpotView:
+    """A sighting as the kernel takes it, as the pan angle `pan` would show it."""
+    if raw is None:
+        return NOTHING
+    centre = np.ascontiguousarray(_pan_compensated(raw, pan, camera))
+    return raw.sighting.led, centre, np.ascontiguousarray(raw.sighting.covariance), raw.taken
 
 
 def _pan_compensated(raw: RawSighting, pan: float, camera: Camera) -> Array:
-    """The neighbour's spots as the present pan angle would show them, (m, 2), px."""
+    """Spots as the pan angle `pan` would show them, (m, 2), px."""
     sighting = raw.sighting
     if sighting.pan == pan:
         return sighting.centre

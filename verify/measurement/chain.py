@@ -35,6 +35,9 @@ from verify.measurement.systematics import Systematics, spot_columns, stated_sys
 MARGIN_PX = 14.0
 MIN_MOTION_PX = 0.3  # what clocks and lenses leave between two pictures of one instant
 UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
+# A hundred times the usual: the motion between the instants is so large that the pose is a guess,
+# whatever uncertainty the acceleration's prior lends it.
+MAX_REPROJECTION_PX = 2.0
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 Detector = Callable[[Image, Image, Array | None, Array | None], tuple[Spots, Spots]]
 
@@ -103,66 +106,77 @@ class _AssignedPair:
     pair_t: float
     frame: int
     correspondence: Correspondence
-    left: RawSighting
-    right: RawSighting
+    sides: tuple[RawSighting, RawSighting]  # left and right
     whole_frame: bool
 
 
+# the pairs before and after, and the one before the former
+Neighbours = tuple[_AssignedPair | None, _AssignedPair | None, _AssignedPair | None]
+
+
 @dataclass(frozen=True, slots=True)
-class _PreviousPair:
-    """The last measured pair: the prediction and the motion of the next one rest on it."""
+class _CausalPair:
+    """A pair measured by the one before it; the next one's prediction and motion rest on it."""
 
     assigned: _AssignedPair
-    pose: Pose
+    kept: _AssignedPair  # without the spots that its pose rejects
+    around: Neighbours
+    measurement: Measurement
 
-
-@dataclass(slots=True)
-class ChainState:
-    """State of the chain between two pairs: all that a later measurement depends on."""
-
-    memory: _PreviousPair | None = None
-    previous: _AssignedPair | None = None
-    held: _AssignedPair | None = None  # the first pair of a burst, until its successor is there
+    @property
+    def memory(self) -> Measurement | None:
+        """What the next pair is predicted from."""
+        pose = self.measurement.pose
+        return self.measurement if pose is not None and pose.consistent else None
 
 
 def measure(
-    pairs: Iterable[StereoPair], setup: Setup, carried: ChainState | None = None
+    pairs: Iterable[StereoPair], setup: Setup, *, causal: bool = False
 ) -> Iterator[Measurement]:
     """Measure the flange's pose in each stereo pair.
 
     Args:
         pairs: stereo pairs in time order, streamed; two are held at most.
         setup: rig, marker, and what the encoders suggest.
-        carried: state to go on from, up to date whenever the next pair is taken; None begins anew.
+        causal: give each pair by those before it too, at once (`settled` is False).
 
     Yields:
-        One measurement a pair, in order. A pair that cannot be measured has a status with the
-        reason. The first pair, also after a gap, is delivered with its successor, whose motion it
-        borrows.
+        One settled measurement a pair, in order, once its successor is there: both neighbours show
+        its motion. A pair that cannot be measured has a status with the reason. The first pair,
+        also after a gap, borrows the motion of its successor.
     """
-    now = carried if carried is not None else ChainState()
+    held: _AssignedPair | None = None  # the first pair of a burst, until its successor is there
+    now: _CausalPair | None = None
     for pair in pairs:
-        assigned = _find_leds(pair, setup, now.memory if now.held is None else None)
-        if now.held is not None:
-            measurement, now.memory, now.previous = _finish(now.held, assigned, setup)
-            yield measurement
-            now.held = None
-        if now.previous is None or _beyond_gap(assigned, now.previous):
-            now.held = assigned
-            continue
-        measurement, now.memory, now.previous = _finish(assigned, now.previous, setup)
-        yield measurement
-    if now.held is not None:
-        yield _finish(now.held, None, setup)[0]
+        found = _find_leds(pair, setup, now.memory if now is not None else None)
+        if held is not None:
+            now, held = _measure_causally(held, (None, found, None), setup), None
+            if causal:
+                yield now.measurement
+        then = now
+        if then is None or _beyond_gap(found, then.kept):
+            now, held = None, found
+        else:
+            now = _measure_causally(found, (then.kept, None, then.around[0]), setup)
+            if causal:
+                yield now.measurement
+        if then is not None:
+            yield _settle(then, now, setup)
+    if held is not None:
+        now = _measure_causally(held, (None, None, None), setup)
+        if causal:
+            yield now.measurement
+    if now is not None:
+        yield _settle(now, None, setup)
 
 
 def _beyond_gap(one: _AssignedPair, other: _AssignedPair) -> bool:
     return abs(one.pair_t - other.pair_t) > MAX_GAP
 
 
-def _find_leds(pair: StereoPair, setup: Setup, memory: _PreviousPair | None) -> _AssignedPair:
+def _find_leds(pair: StereoPair, setup: Setup, memory: Measurement | None) -> _AssignedPair:
     """Find the spots and assign them to LEDs; in the whole frame where prediction fails."""
-    prediction = _predict(memory, pair.t_left) if memory is not None else None
+    prediction = _predict(memory, pair.t_left)
     if prediction is not None:
         windows = [
             led_windows(setup.marker, camera, pan, prediction, image)
@@ -195,7 +209,7 @@ def _assign(
     pair: StereoPair,
     spots: tuple[Spots, Spots],
     setup: Setup,
-    memory: _PreviousPair | None,
+    memory: Measurement | None,
     prediction: PosePrediction | None,
     *,
     whole_frame: bool,
@@ -212,13 +226,13 @@ def _assign(
     left, right = (
         _raw_sighting(pair, spots, setup, correspondence, side) for side in ("left", "right")
     )
-    return _AssignedPair(pair.t_left, pair.frame, correspondence, left, right, whole_frame)
+    return _AssignedPair(pair.t_left, pair.frame, correspondence, (left, right), whole_frame)
 
 
-def _motion_px(pair: StereoPair, setup: Setup, memory: _PreviousPair | None) -> float:
+def _motion_px(pair: StereoPair, setup: Setup, memory: Measurement | None) -> float:
     """How far the LEDs may move between the two exposures of a pair."""
     skew = abs(pair.t_right - pair.t_left)
-    if memory is None or pair.t_left - memory.assigned.pair_t > MAX_GAP:
+    if memory is None or memory.pose is None or pair.t_left - memory.t > MAX_GAP:
         return MIN_MOTION_PX + skew * UNKNOWN_SPEED_PX
     twist, pose = memory.pose.twist, memory.pose.rig_T_flange
     speed = _norm(twist[:3]) + setup.reach * _norm(twist[3:])
@@ -250,7 +264,7 @@ def _raw_sighting(
         pan=pan,
         peak=own.peak[index],
         velocity=np.zeros((len(index), 2)),
-        acceleration_lever=np.zeros(len(index)),
+        lever=np.zeros((len(index), 3)),
     )
     depth = np.full(len(index), np.nan)
     if correspondence.rig_T_flange is not None and len(index):
@@ -260,10 +274,25 @@ def _raw_sighting(
     return RawSighting(sighting, taken, depth)
 
 
-def _finish(
-    assigned: _AssignedPair, neighbour: _AssignedPair | None, setup: Setup
-) -> tuple[Measurement, _PreviousPair | None, _AssignedPair]:
-    """Align and fit the pose; return the measurement and the state for the next pair."""
+def _measure_causally(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> _CausalPair:
+    """Measure a pair by the one before; the first of a burst by the one after."""
+    measurement = replace(_fit(assigned, around, setup), settled=False)
+    kept = assigned if measurement.pose is None else _without_rejected(assigned, measurement.pose)
+    return _CausalPair(assigned, kept, around, measurement)
+
+
+def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measurement:
+    """Measure a pair by both its neighbours."""
+    causal = now.measurement
+    moved = any(s is None or s.lever.any() for s in (causal.left, causal.right))
+    if after is None or not moved:
+        return replace(causal, settled=True)
+    before, _, earlier = now.around
+    return _fit(now.assigned, (before, after.kept, earlier), setup)
+
+
+def _fit(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> Measurement:
+    """Align a pair by its neighbours and fit the pose."""
     found = assigned.correspondence
     leds = len(set(found.left_led.tolist()) | set(found.right_led.tolist()))
     measurement = Measurement(
@@ -271,44 +300,43 @@ def _finish(
         whole_frame=assigned.whole_frame,
     )  # fmt: skip
     if found.status != "measured" or found.rig_T_flange is None:
-        return measurement, None, assigned
-    alone = neighbour is None or _beyond_gap(assigned, neighbour)
+        return measurement
+    near = [p if p and not _beyond_gap(assigned, p) else None for p in around]
     sides = []
-    for camera, now, before in (
-        (setup.rig.left, assigned.left, neighbour.left if neighbour else None),
-        (setup.rig.right, assigned.right, neighbour.right if neighbour else None),
-    ):
-        useful = before if before is not None and len(before.sighting) else None
-        aligned = align(now, useful, assigned.pair_t, camera, alone=alone)
+    for side, camera in enumerate((setup.rig.left, setup.rig.right)):
+        now = assigned.sides[side]
+        seen = [p.sides[side] if p else None for p in near]
+        aligned = align(now, seen, assigned.pair_t, camera, alone=not any(near[:2]))
         sides.append(aligned if len(now.sighting) else now.sighting)
     left, right = sides
     if left is None or right is None:
-        return replace(measurement, status="unaligned"), None, assigned
+        return replace(measurement, status="unaligned")
     columns = partial(spot_columns, setup.parameters, setup.rig, setup.marker, left, right)
     pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange, columns)
-    status = "measured" if pose.consistent else "outlier"
-    measurement = replace(measurement, status=status, pose=pose, left=left, right=right)
-    kept = _without_rejected(assigned, pose)
-    return measurement, _PreviousPair(kept, pose) if pose.consistent else None, kept
+    good = pose.consistent and not pose.reprojection_rms_px > MAX_REPROJECTION_PX
+    status = "measured" if good else "outlier"
+    return replace(measurement, status=status, pose=pose, left=left, right=right)
 
 
 def _without_rejected(assigned: _AssignedPair, pose: Pose) -> _AssignedPair:
     """Leave out spots that the pose fit rejected: the next pair must not rest on them."""
     if not pose.rejected.any():
         return assigned
-    left, right = assigned.left, assigned.right
-    kept = np.split(~pose.rejected, [len(left.sighting)])
-    left = replace(take_rows(left, kept[0]), sighting=take_rows(left.sighting, kept[0]))
-    right = replace(take_rows(right, kept[1]), sighting=take_rows(right.sighting, kept[1]))
-    return replace(assigned, left=left, right=right)
+    kept = np.split(~pose.rejected, [len(assigned.sides[0].sighting)])
+    left, right = (
+        replace(take_rows(raw, rows), sighting=take_rows(raw.sighting, rows))
+        for raw, rows in zip(assigned.sides, kept, strict=True)
+    )
+    return replace(assigned, sides=(left, right))
 
 
-def _predict(memory: _PreviousPair, t: float) -> PosePrediction | None:
+def _predict(memory: Measurement | None, t: float) -> PosePrediction | None:
     """Predict the flange's pose from the last pose and its twist; None after a gap."""
-    interval = t - memory.assigned.pair_t
+    if memory is None or memory.pose is None:
+        return None
+    interval, pose = t - memory.t, memory.pose
     if interval > MAX_GAP:
         return None
-    pose = memory.pose
     linear, angular = (
         ACCELERATION_PER_SPEED * _norm(part) + rough
         for part, rough in zip((pose.twist[:3], pose.twist[3:]), MIN_ACCELERATION, strict=True)

@@ -2,19 +2,20 @@
 
 Model of spot i of camera c, at the pair's instant:
 
-    z_i = project_c(camera_T_rig (R p_i + p)) + h_i J_i a + e_i,   e_i ~ N(0, S_i), px
+    z_i = project_c(camera_T_rig (R p_i + p)) + J_i sum_k h_ik a_k + e_i,   e_i ~ N(0, S_i), px
     step: R' = exp(phi) R,   p' = p + rho,   both in rig axes
 
 p_i is the LED in the flange frame, S_i the spot's covariance, J_i the derivative by the pose (2, 6)
-and h_i the acceleration lever, s², of alignment. Parameter vector of a step:
+and h_ik alignment's levers of acceleration, jerk and snap, s², s³, s⁴. Parameter vector of a step:
 
     index  symbol  meaning                              unit
     0-2    rho     translation of the flange, rig axes  m
     3-5    phi     rotation vector, rig axes            rad
 
-The acceleration a, (6,) m/s² and rad/s², is unknown between two pairs and common to all spots of
-the rigid body: with a prior N(0, diag(sigma²)) it is marginalised, which correlates the spots'
-errors. An LED in one image alone counts. Spots that contradict the others are rejected one by one.
+The acceleration a_1, (6,) m/s² and rad/s², is unknown between two pairs, the jerk a_2 among three,
+the snap a_3 among four. They are common to all spots of the rigid body: with priors N(0,
+diag(sigma²)) they are marginalised, which correlates the spots' errors. An LED in one image alone
+counts. Spots that contradict the others are rejected one by one.
 """
 
 from collections.abc import Callable
@@ -27,10 +28,12 @@ from numpy.typing import NDArray
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Pose, Sighting
 from verify.core.rig import Rig
+from verify.core.statistics import chi2_isf
 from verify.measurement.kernels import pose as kernel
-from verify.measurement.kernels.pose import SCALE
+from verify.measurement.kernels.pose import MOTION_RATE, SCALE
 
 MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
+P_CONTRADICTION = 1e-7  # of the pair's chi² as a whole
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
 MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
 
@@ -43,7 +46,7 @@ class SightingStack:
     centre: Array  # (s, 2), px
     covariance: Array  # (s, 2, 2), px²
     velocity: Array  # (s, 2), px/s
-    lever: Array  # (s,), s²
+    lever: Array  # (s, 3), s², s³, s⁴
     camera_R_rig: Array  # (s, 3, 3)
     origin: Array  # (s, 3), m, of the rig in the camera
     lens: Array  # (5, s), k1, k2, p1, p2, k3
@@ -71,7 +74,7 @@ def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) ->
         centre=_concatenate(left.centre, right.centre),
         covariance=_concatenate(left.covariance, right.covariance),
         velocity=_concatenate(left.velocity, right.velocity),
-        lever=_concatenate(left.acceleration_lever, right.acceleration_lever),
+        lever=_concatenate(left.lever, right.lever),
         camera_R_rig=for_each_spot([camera_T_rig[:3, :3] for camera_T_rig in placed]),
         origin=for_each_spot([camera_T_rig[:3, 3] for camera_T_rig in placed]),
         lens=np.ascontiguousarray(for_each_spot([camera.distortion for camera in cameras]).T),
@@ -117,20 +120,22 @@ def fit_pose(
     keep = np.ones(len(views.centre), dtype=np.bool_)
     tolerance = np.diag(np.repeat(_excess_variance(views, marker), 2))
     centre, curvature = views.centre, np.zeros_like(views.centre)
-    if views.lever.any():
+    if views.lever[:, 0].any():
         rough = _gauss_newton(views, centre, keep, start)
         curvature = kernel.image_acceleration(views.places, rough.rig_T_flange, rough.twist)
-        centre, start = centre - curvature * views.lever[:, None], rough.rig_T_flange
+        centre, start = centre - curvature * views.lever[:, :1], rough.rig_T_flange
     while True:
         fit = _gauss_newton(views, centre, keep, start)
         worst, size = _worst_spot(fit, keep, tolerance)
-        if size >= MAX_SPOT_CHI2 and parameter_columns is not None:
+        sound = size < MAX_SPOT_CHI2 and _plausible(fit, keep, tolerance)
+        if not sound and parameter_columns is not None:
             columns = parameter_columns(fit.rig_T_flange, fit.predicted[1])
             tolerance, parameter_columns = tolerance + columns @ columns.T, None
             worst, size = _worst_spot(fit, keep, tolerance)
-        settled = size < MAX_SPOT_CHI2
-        if settled or keep.sum() <= MIN_SPOTS or (~keep).sum() >= len(keep) // 3:
-            return _pose(fit, views, keep, settled, curvature)
+            sound = size < MAX_SPOT_CHI2 and _plausible(fit, keep, tolerance)
+        last = keep.sum() <= MIN_SPOTS or (~keep).sum() >= len(keep) // 3
+        if last or size < MAX_SPOT_CHI2:
+            return _pose(fit, views, keep, sound, curvature)
         keep[worst] = False
 
 
@@ -146,6 +151,20 @@ def predict(views: SightingStack, rig_T_flange: Array) -> tuple[Array, Array, Ar
     by_pose = np.empty((count, 2, 6))
     kernel.predict_spots(rig_T_flange, *views.places, pixels, by_point, by_pose)
     return pixels, by_point, by_pose
+
+
+def motion_columns(by_pose: Array, lever: Array, prior: tuple[float, float]) -> Array:
+    """What motion that is not known does to spots, columns of unit variance, (s, 2, 18), px.
+
+    Args:
+        by_pose: (s, 2, 6), derivative of the spots by the pose.
+        lever: (s, 3), s², s³, s⁴.
+        prior: of the acceleration, m/s² and rad/s² a component.
+    """
+    moved = by_pose * np.repeat(prior, 3)
+    levers = lever * MOTION_RATE ** np.arange(lever.shape[1])
+    columns: Array = moved[:, :, None] * levers[:, None, :, None]
+    return columns.reshape(*moved.shape[:2], -1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,6 +219,20 @@ def _worst_spot(fit: _PoseFit, keep: NDArray[np.bool_], tolerance: Array) -> tup
     return kernel.worst_spot(fit.predicted, fit.spread, fit.gain, _rows(keep), tolerance)
 
 
+def _plausible(fit: _PoseFit, keep: NDArray[np.bool_], tolerance: Array) -> bool:
+    """Whether the kept spots' residuals as a whole are what noise, motion and tolerance reach."""
+    rows = _rows(keep)
+    known = int(np.sum(fit.directions[1]))
+    if len(rows) <= known:
+        return True
+    (noise, acceleration, weight), off = fit.spread, fit.predicted[0].reshape(-1)
+    bound = float(chi2_isf(P_CONTRADICTION, len(rows) - known))
+    if off @ weight @ off < bound:
+        return True
+    spread = (noise + acceleration + tolerance)[np.ix_(rows, rows)]
+    return float(off[rows] @ np.linalg.solve(spread, off[rows])) < bound
+
+
 def _rows(keep: NDArray[np.bool_]) -> NDArray[np.int64]:
     """Which coordinates (2 k,) are those of kept spots (s,)."""
     return np.flatnonzero(np.repeat(keep, 2))
@@ -210,8 +243,8 @@ def _pose(
 ) -> Pose:
     residual, by_point, by_pose = fit.predicted
     noise, acceleration, weight = fit.spread
-    prior2 = np.repeat(np.square(fit.prior), 3)  # of the acceleration's components
-    moved = (by_pose * views.lever[:, None, None]) ** 2 @ prior2
+    moved = motion_columns(by_pose, views.lever, fit.prior)
+    variance = np.trace(views.covariance, 0, 1, 2) + np.sum(moved**2, axis=(1, 2))
     off, determined = residual.reshape(-1), _determined_functionals(fit)
     return Pose(
         rig_T_flange=fit.rig_T_flange,
@@ -224,7 +257,7 @@ def _pose(
         sensitivity=by_point,
         curvature=curvature,
         residual=residual,
-        spot_uncertainty=np.sqrt((np.diag(noise).reshape(-1, 2) + moved).sum(axis=1) / 2),
+        spot_uncertainty=np.sqrt(variance / 2),
         rejected=~keep,
         consistent=consistent,
         chi2=float(off @ weight @ off),

@@ -1,5 +1,6 @@
 """The measured poses of a session as arrays in the robot's base frame: the seam to the tables."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
 
@@ -23,7 +24,8 @@ class Track:
     covariance_alignment: Array  # (n, 6, 6)
     twist: Array  # (n, 6), m/s, rad/s, as the images show it
     acceleration_prior: Array  # (n, 2), m/s², rad/s²
-    alignment_error: Array  # (n, 6), what the image accelerations about a pair leave of alignment
+    order: NDArray[np.int64]  # (n,), of the lowest derivative that alignment misses, from 2
+    alignment_error: Array  # (n, 6), what the motion about a pair leaves of alignment
     systematic: Array  # (n, 6, p): d measured pose / d parameter of `Systematics`
     determined: tuple[Array, ...]  # n of (6, d)
 
@@ -69,6 +71,7 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
         covariance_alignment=_rotate_blocks(turn, [p.covariance_alignment for p in poses]),
         twist=np.array([turn @ p.twist for p in poses]).reshape(n, 6),
         acceleration_prior=np.array([p.acceleration_prior for p in poses]).reshape(n, 2),
+        order=np.array([_lowest_order(m) for m in measured], dtype=np.int64),
         alignment_error=_alignment_errors(measurements) @ turn.T,
         systematic=np.array(systematic).reshape(n, 6, -1) if n else np.zeros((0, 6, 0)),
         determined=tuple(turn @ p.determined for p in poses),
@@ -76,58 +79,77 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
 
 
 def _alignment_errors(measurements: list[Measurement]) -> Array:
-    """How far alignment's steady motion puts each measured pose off, (n, 6), rig axes.
+    """How far the motion that alignment cannot know puts each measured pose off, (n, 6), rig axes.
 
-    A pair looks back one pair and cannot know its acceleration; once its successor is there, the
-    second difference of the spots shows it. The values stay as they are: this goes into the
-    judgement, as a term that does not average out when the arm accelerates one way.
+    The line through two sightings misses the acceleration, the parabola through three the jerk, the
+    cubic the snap; differences over windows of pairs show each. The values stay as they are: this
+    goes into the judgement, as a term that does not average out when the arm accelerates one way.
     """
     errors = []
     for i, now in enumerate(measurements):
         if now.status != "measured" or now.pose is None:
             continue
-        around = measurements[max(i - 1, 0) : i + 2]
-        near = len(around) == 3 and all(abs(m.t - now.t) <= MAX_GAP for m in around)
-        errors.append(_alignment_error(around[0], now, around[2]) if near else np.zeros(6))
+        left_over = np.zeros_like(now.pose.residual)
+        start = 0
+        for side in ("left", "right"):
+            sighting: Sighting | None = getattr(now, side)
+            if sighting is None:
+                break
+            part = left_over[start : start + len(sighting)]
+            curvature = now.pose.curvature[start : start + len(sighting)]
+            start += len(sighting)
+            for order, known in ((2, curvature), (3, 0.0), (4, 0.0)):
+                lever = sighting.lever[:, order - 2, None]
+                if lever.any():
+                    shown = _image_derivative(measurements, i, side, order) - known
+                    part += lever * np.nan_to_num(shown)
+        errors.append(now.pose.gain @ left_over.reshape(-1))
     return np.array(errors).reshape(-1, 6)
 
 
-def _alignment_error(before: Measurement, now: Measurement, after: Measurement) -> Array:
-    if now.pose is None:
-        return np.zeros(6)
-    shifts, start = [], 0
-    for side in ("left", "right"):
-        sightings = [getattr(m, side) for m in (before, now, after)]
-        if any(sighting is None for sighting in sightings):
-            return np.zeros(6)
-        count, lever = len(sightings[1]), sightings[1].acceleration_lever
-        corrected = now.pose.curvature[start : start + count]
-        start += count
-        left_over = _second_difference(*sightings, otherwise=corrected) - corrected
-        shifts.append(left_over * lever[:, None])
-    error: Array = now.pose.gain @ np.concatenate(shifts).reshape(-1)
-    return error
+def _image_derivative(measurements: list[Measurement], i: int, side: str, order: int) -> Array:
+    """Derivative of each LED's image in pair i, (m, 2), px/s^order; nan where no window shows it.
+
+    The mean over the windows of neighbouring pairs that hold the pair: its noise is the least.
+    """
+    now: Sighting = getattr(measurements[i], side)
+    total, count = np.zeros_like(now.centre), np.zeros((len(now), 1))
+    # windows hold all that the curve went through: the pair before the one before, of a cubic
+    earliest, latest = i - max(2, order - 1), min(i - order + 2, len(measurements) - order - 1)
+    for first in range(max(earliest, 0), latest + 1):
+        window = measurements[first : first + order + 1]
+        found = [getattr(m, side) for m in window]
+        if any(s is None or s.pan != now.pan or not len(s) for s in found):
+            continue
+        t = np.array([m.t for m in window])
+        if np.diff(t).max() > MAX_GAP:
+            continue
+        places = np.array([_centres_of(now.led, sighting) for sighting in found])
+        there = ~np.isnan(places).any(axis=(0, 2))
+        total[there] += np.tensordot(difference_weights(t), places[:, there], axes=1)
+        count[there] += 1
+    with np.errstate(invalid="ignore"):
+        mean: Array = total / count
+    return mean
 
 
-def _second_difference(
-    before: Sighting, now: Sighting, after: Sighting, *, otherwise: Array
-) -> Array:
-    """Acceleration of each LED's image, (m, 2), px/s²; `otherwise` where a neighbour lacks it."""
-    acceleration = otherwise.copy()
-    if not np.any(now.acceleration_lever) or before.pan != now.pan or after.pan != now.pan:
-        return acceleration
-    leds = np.concatenate([before.led, now.led, after.led]).max() + 1
-    there = []
-    for sighting in (before, after):
-        place = np.full(leds, -1)
-        place[sighting.led] = np.arange(len(sighting))
-        there.append(place[now.led])
-    both = (there[0] >= 0) & (there[1] >= 0)
-    early, late = now.t - before.t, after.t - now.t
-    first = (now.centre[both] - before.centre[there[0][both]]) / early
-    second = (after.centre[there[1][both]] - now.centre[both]) / late
-    acceleration[both] = 2 * (second - first) / (early + late)
-    return acceleration
+def difference_weights(t: Array) -> Array:
+    """Weights (..., k + 1) of values at t, s, in the k-th derivative: a divided difference."""
+    apart = t[..., :, None] - t[..., None, :] + np.eye(t.shape[-1])
+    weights: Array = math.factorial(t.shape[-1] - 1) / apart.prod(axis=-1)
+    return weights
+
+
+def _centres_of(leds: NDArray[np.int64], sighting: Sighting) -> Array:
+    """Centres of some LEDs in a sighting, (m, 2), px; nan where they are not in it."""
+    row = np.searchsorted(sighting.led, leds, sorter=(order := np.argsort(sighting.led)))
+    row = order[np.minimum(row, len(order) - 1)]
+    return np.where((sighting.led[row] == leds)[:, None], sighting.centre[row], np.nan)
+
+
+def _lowest_order(measurement: Measurement) -> int:
+    sides = [s.lever for s in (measurement.left, measurement.right) if s is not None]
+    return 2 + int(np.argmax(np.any(np.concatenate(sides), axis=0))) if sides else 2
 
 
 def _pan(sighting: Sighting | None) -> float:

@@ -102,7 +102,7 @@ def poses_of_every_kind() -> None:
     for count, off in ((1, 0.0), (2, 0.0), (4, 0.0), (4, 3.0)):
         left, right = sight(rig, make_marker(count), truth, 0.05)
         left.centre[0] += off
-        right.acceleration_lever[:] = 1e-4
+        right.lever[:] = 1e-4
         fit_pose(left, right, rig, make_marker(count), np.asfortranarray(truth))
 
 

@@ -12,7 +12,8 @@ import numpy as np
 import pytest
 
 from tests.support.spot_level import READ_EVERY, SpotRun, facing_rig, without_pictures
-from verify.core.records import Array, StereoPair
+from verify.core.readings import Readings
+from verify.core.records import Array, Measurement, StereoPair
 from verify.devices.protocols import CameraFrame, CameraState, DeviceState, EncoderReading
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import estimate_offset
@@ -20,6 +21,7 @@ from verify.live.joint_row import JointRow
 from verify.live.loop import LiveLoop, LoopComputation, LoopSettings
 from verify.live.outputs.listeners import AlarmCommand, JsonLines, ListenerThread
 from verify.live.protocols import Alarm, LiveDevices, MonitoredRobot
+from verify.measurement.chain import Setup, measure
 
 RATE = 10.0  # pairs a second: a machine that does other things keeps up
 WAIT = 0.02  # s
@@ -194,6 +196,43 @@ def stage(**wrong: object) -> Stage:
     return Stage(SpotRun(rig, marker), **wrong)  # type: ignore[arg-type]  # fields of Stage
 
 
+def again(recorder: Memory, run: SpotRun) -> list[Measurement]:
+    """Measure the recorded pairs, as a session is."""
+    with without_pictures():
+        return list(measure(iter(recorder.pairs), Setup(run.rig, run.marker)))
+
+
+@pytest.mark.realtime
+def test_settled_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -> None:
+    played = stage()
+    _, recorder, heard = watched(4.0, played)
+    from verify.analysis.comparison import compare, solve_joints
+    from verify.measurement.track import collect_track
+
+    measured = again(recorder, played.run)
+    assert recorder.closed
+    causal, settled = ([r for r in heard.rows if r.settled == s] for s in (False, True))
+    assert [r.frame for r in causal] == [r.frame for r in settled] == [m.frame for m in measured]
+    assert len(measured) == len(recorder.pairs) > 25
+    live = [r for r in settled if r.status == "measured"]
+    assert len(live) >= 0.9 * len(measured)
+    # each pair is out at once, before it is settled
+    first = {r.frame: i for i, r in reversed(list(enumerate(heard.rows)))}
+    assert all(not heard.rows[i].settled for i in first.values())
+    track = collect_track(measured, played.run.rig, [np.zeros((6, 2))] * len(measured))
+    readings = Readings(
+        np.array([r.t for r in recorder.readings]), np.array([r.q for r in recorder.readings])
+    )
+    clock = live[-1].clock
+    assert clock is not None
+    comparison = compare(track, played.run.arm, readings, clock.offset)
+    joints = solve_joints(comparison, played.run.arm)
+    found = dict(zip(track.t[comparison.index].tolist(), joints.q, strict=True))
+    for row in live:
+        if row.t in found:
+            np.testing.assert_array_equal(row.measured, found[row.t])
+
+
 @pytest.mark.realtime
 def test_covered_leds_are_a_lost_target_and_never_no_error() -> None:
     _, _, heard = watched(5.0, stage(away={"leds": (1.5, 3.2)}))
@@ -265,6 +304,7 @@ def test_json_lines_carry_units_the_clock_and_no_nan() -> None:
     lines.alarm(Alarm(1, "change", 2.0, 1.5, "text", (4, 3), 0.01, 0.001))
     assert written[0]["error_deg"] == [None] * 6
     assert written[0]["clock"] is None
+    assert written[0]["settled"] is False
     assert written[1]["joint"] == 4
     assert written[1]["not_told_apart_from"] == [3]
     assert written[1]["error_deg"] == pytest.approx(0.573, abs=1e-3)

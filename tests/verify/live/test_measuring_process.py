@@ -23,7 +23,7 @@ def session() -> SimulatedSession:
 
 @pytest.fixture(scope="module")
 def here(session: SimulatedSession) -> list[Measurement]:
-    return list(measure(pairs(session), Setup(session.rig, session.marker)))
+    return list(measure(pairs(session), Setup(session.rig, session.marker), causal=True))
 
 
 def pairs(session: SimulatedSession) -> Iterator[StereoPair]:
@@ -35,7 +35,7 @@ def nothing(_t: float) -> list[Array]:
 
 
 def alike(found: list[Measurement], wanted: list[Measurement]) -> None:
-    assert [m.frame for m in found] == [m.frame for m in wanted]
+    assert [(m.frame, m.settled) for m in found] == [(m.frame, m.settled) for m in wanted]
     for one, other in zip(found, wanted, strict=True):
         assert (one.status, one.t, one.choice) == (other.status, other.t, other.choice)
         np.testing.assert_array_equal(one.pose.rig_T_flange, other.pose.rig_T_flange)
@@ -73,9 +73,15 @@ def test_a_lost_process_costs_no_pair_and_is_reported(
         found = list(process.measure(given(), nothing))
     finally:
         process.close()
-    assert [m.frame for m in found] == [m.frame for m in here]
+    assert [m.frame for m in found if not m.settled] == list(range(PAIRS))
+    # the last pair before the loss has no successor to settle it
+    assert [m.frame for m in found if m.settled] == [
+        *range(LOST_AFTER - 1),
+        *range(LOST_AFTER, PAIRS),
+    ]
     assert all(m.status == "measured" for m in found)
-    alike(found[:LOST_AFTER], here[:LOST_AFTER])
+    before = 2 * LOST_AFTER - 1
+    alike(found[:before], here[:before])
     assert len(message) == 1
     assert "measured by the main process from now on" in message[0]
 
@@ -93,7 +99,7 @@ def test_it_requests_the_predicted_flange_pose(session: SimulatedSession) -> Non
         first = list(process.measure(iter([session.pair(0)]), expected))
     finally:
         process.close()
-    assert [m.frame for m in first] == [0]
+    assert [(m.frame, m.settled) for m in first] == [(0, False), (0, True)]
     assert asked == [session.pair(0).t_left]  # nothing is predicted for the first pair
 
 

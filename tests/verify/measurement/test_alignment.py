@@ -25,15 +25,18 @@ def raw(
         pan=pan,
         peak=np.full(m, 200.0),
         velocity=np.zeros((m, 2)),
-        acceleration_lever=np.zeros(m),
+        lever=np.zeros((m, 3)),
     )
     return RawSighting(sighting, np.full(m, t), np.full(m, depth))
 
 
 def carried(
-    now: RawSighting, neighbour: RawSighting | None, t: float, *, alone: bool = False
+    now: RawSighting, *neighbours: RawSighting, t: float = 1.0, alone: bool = False
 ) -> Sighting:
-    aligned = align(now, neighbour, t, CAMERA, alone=alone)
+    late = [n for n in neighbours if n.taken[0] > now.taken[0]]
+    early = [n for n in neighbours if n.taken[0] < now.taken[0]]
+    around = [*early[:1], *[None] * (not early), *late, *[None] * (not late), *early[1:]]
+    aligned = align(now, [*around, None][:3], t, CAMERA, alone=alone)
     assert aligned is not None
     return aligned
 
@@ -45,7 +48,7 @@ SPEED = np.array([[120.0, -40.0], [110.0, -30.0], [130.0, -45.0]])  # px/s
 @pytest.mark.parametrize("interval", [-0.067, 0.067], ids=["pair before", "pair after"])
 def test_a_steady_motion_is_carried_to_the_common_instant_exactly(interval: float) -> None:
     now, neighbour = raw(START, 1.004), raw(START + SPEED * interval, 1.004 + interval)
-    aligned = carried(now, neighbour, 1.0)
+    aligned = carried(now, neighbour)
     assert_allclose(aligned.centre, START - SPEED * 0.004, atol=1e-9)
     assert_allclose(aligned.velocity, SPEED, rtol=1e-9)
     assert aligned.t == pytest.approx(1.0)
@@ -58,40 +61,63 @@ def test_an_acceleration_costs_its_lever(neighbour: float) -> None:
     def at(t: float) -> Array:
         return START + SPEED * (t - 1.0) + acceleration * (t - 1.0) ** 2 / 2
 
-    aligned = carried(raw(at(1.004), 1.004), raw(at(neighbour), neighbour), 1.0)
+    aligned = carried(raw(at(1.004), 1.004), raw(at(neighbour), neighbour))
     error = aligned.centre - at(1.0)
-    assert_allclose(error, aligned.acceleration_lever[:, None] * acceleration, rtol=1e-9)
+    assert_allclose(error, aligned.lever[:, :1] * acceleration, rtol=1e-9)
 
 
-def test_the_covariance_is_that_of_the_line_through_two_noisy_sightings() -> None:
+def test_both_neighbours_know_the_acceleration_and_a_jerk_costs_its_lever() -> None:
+    acceleration, jerk = np.array([800.0, 300.0]), np.array([-4000.0, 9000.0])  # px/s², px/s³
+
+    def at(t: float) -> Array:
+        s = t - 1.0
+        return START + SPEED * s + acceleration * s**2 / 2 + jerk * s**3 / 6
+
+    aligned = carried(*(raw(at(t), t) for t in (1.004, 0.94, 1.068)))
+    assert_allclose(aligned.lever[:, [0, 2]], 0)
+    assert_allclose(aligned.centre - at(1.0), aligned.lever[:, 1:2] * jerk, rtol=1e-6)
+    # the pair before the one before shows the jerk as well
+    cubic = carried(*(raw(at(t), t) for t in (1.004, 0.94, 1.068, 0.87)))
+    assert_allclose(cubic.centre, np.broadcast_to(at(1.0), START.shape), atol=1e-9)
+    assert_allclose(cubic.lever[:, :2], 0)
+    lever = 0.004 * 0.06 * 0.068 * 0.13 / 24
+    assert_allclose(np.abs(cubic.lever[:, 2]), lever, rtol=1e-9)
+    # the velocity is that of the pair's instant
+    assert_allclose(aligned.velocity, SPEED, atol=0.064 * 0.068 * np.abs(jerk).max() / 6)
+
+
+@pytest.mark.parametrize("both", [False, True], ids=["line", "parabola"])
+def test_the_covariance_is_that_of_the_curve_through_noisy_sightings(both: bool) -> None:
     rng = np.random.default_rng(3)
     centres = []
     for _ in range(4000):
-        noise = rng.normal(0, SIGMA, (2, *START.shape))
+        noise = rng.normal(0, SIGMA, (3, *START.shape))
         now = raw(START + noise[0], 1.02)
         before = raw(START - SPEED * 0.067 + noise[1], 0.953)
-        aligned = carried(now, before, 1.0)
+        after = raw(START + SPEED * 0.067 + noise[2], 1.087)
+        aligned = carried(now, before, after) if both else carried(now, before)
         centres.append(aligned.centre)
     claimed = np.sqrt(aligned.covariance[0, 0, 0])
     assert_allclose(np.std(centres, axis=0), claimed, rtol=0.05)
 
 
 def test_a_single_visit_far_from_its_neighbours_is_taken_as_standing_still() -> None:
-    aligned = carried(raw(START, 10.004), None, 10.0, alone=True)
+    aligned = carried(raw(START, 10.004), t=10.0, alone=True)
     assert_allclose(aligned.centre, START)
     assert_allclose(aligned.velocity, 0)
-    assert_allclose(aligned.acceleration_lever, 0)
+    assert_allclose(aligned.lever, 0)
 
 
 def test_without_a_neighbour_only_a_picture_of_the_very_instant_can_be_used() -> None:
-    assert align(raw(START, 1.004), None, 1.0, CAMERA) is None
-    assert align(raw(START, 1.0), None, 1.0, CAMERA) is not None
-    assert align(raw(START, 1.004), raw(START, 0.94, leds=[7, 8, 9]), 1.0, CAMERA) is None
+    assert align(raw(START, 1.004), [None] * 3, 1.0, CAMERA) is None
+    assert align(raw(START, 1.0), [None] * 3, 1.0, CAMERA) is not None
+    others = raw(START, 0.94, leds=[7, 8, 9])
+    assert align(raw(START, 1.004), [others, None, None], 1.0, CAMERA) is None
 
 
 def test_an_led_that_the_neighbour_did_not_see_moves_like_the_others_with_their_spread() -> None:
     before = raw((START - SPEED * 0.083)[:2], 0.937, leds=[0, 1])
-    aligned = carried(raw(START, 1.02), before, 1.0)
+    aligned = carried(raw(START, 1.02), before)
     assert_allclose(aligned.velocity[2], SPEED[:2].mean(axis=0), rtol=1e-9)
     assert np.trace(aligned.covariance[2]) > np.trace(aligned.covariance[0])
 
@@ -103,7 +129,7 @@ def test_a_base_that_turned_between_the_pairs_is_not_taken_for_a_motion_of_the_a
     inverse = np.linalg.inv(CAMERA.rig_T_camera(CAMERA.pan))
     depth = points @ inverse[2, :3] + inverse[2, 3]
     before = replace(raw(project(CAMERA, CAMERA.pan, points), 0.953, pan=CAMERA.pan), depth=depth)
-    aligned = carried(now, before, 1.0)
+    aligned = carried(now, before)
     assert_allclose(aligned.velocity, 0, atol=1e-6)
 
 
@@ -114,5 +140,5 @@ def test_with_a_rolling_shutter_each_spot_has_the_instant_of_its_row() -> None:
     now = RawSighting(raw(START, 1.0).sighting, instants, np.full(3, 0.6))
     earlier = START - SPEED * 0.067
     before = RawSighting(raw(earlier, 0.933).sighting, instants - 0.067, np.full(3, 0.6))
-    aligned = carried(now, before, 1.0)
+    aligned = carried(now, before)
     assert_allclose(aligned.centre, START - SPEED * (instants - 1.0)[:, None], atol=1e-9)

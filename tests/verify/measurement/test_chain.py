@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from robots.transforms import difference
 from tests.support.simulated import HOME_DEG, in_memory, marker_of, scene
+from tests.support.spot_level import SpotRun, facing_rig, picture, without_pictures
 from verify.analysis.session import analyse
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
@@ -296,9 +297,12 @@ def test_the_first_pair_borrows_its_successors_motion() -> None:
 
 
 def test_a_pair_whose_motion_nothing_shows_is_unaligned_not_guessed() -> None:
-    gone = [Occlusion(led=name, first=3, last=3) for name in "ABCD"]
+    gone, later = ([Occlusion(led=name, first=i, last=i) for name in "ABCD"] for i in (3, 5))
     for scenario, expected in (
-        (skewed(6, occlusion=gone), {3: "too_few_leds", 4: "unaligned"}),
+        # what neither neighbour shows: the one after is lost as well
+        (skewed(6, occlusion=gone + later),
+         {3: "too_few_leds", 4: "unaligned", 5: "too_few_leds"}),
+        (skewed(6, occlusion=gone), {3: "too_few_leds"}),
         (skewed(1), {}),  # a single visit: taken as standing still
         (scene(marker=FOUR, recording=ScenarioRecording(pairs=6, rate_hz=15.0), occlusion=gone),
          {3: "too_few_leds"}),
@@ -307,6 +311,20 @@ def test_a_pair_whose_motion_nothing_shows_is_unaligned_not_guessed() -> None:
         assert {
             m.frame: m.status for m in measured(scenario)[1] if m.status != "measured"
         } == expected
+
+
+@pytest.mark.parametrize("late", [0.02, 0.037, -0.037])
+def test_pictures_that_were_not_taken_together_are_an_outlier(late: float) -> None:
+    rig, marker = facing_rig()
+    run = SpotRun(rig, marker, 15.0)
+    pairs = [
+        replace(p, right=picture(run.spots(1, p.t_right + late))) if p.frame == 10 else p
+        for p in run.pairs(1.2)
+    ]
+    with without_pictures():
+        found = {m.frame: m.status for m in measure(pairs, Setup(rig, marker))}
+    assert found.pop(10) == "outlier"
+    assert set(found.values()) == {"measured"}
 
 
 def test_single_visits_are_taken_as_standing_still() -> None:

@@ -99,7 +99,7 @@ def test_an_unknown_acceleration_correlates_what_alignment_moved() -> None:
     rig, marker, truth = make_rig(), make_marker(), facing()
     left, right = sight(rig, marker, truth, SIGMA)
     speed = np.tile([150.0, 20.0], (4, 1))
-    moved = replace(right, velocity=speed, acceleration_lever=np.full(4, 0.004 * 0.067 / 2))
+    moved = replace(right, velocity=speed, lever=np.full((4, 3), [0.004 * 0.067 / 2, 0.0, 0.0]))
     pose = fit_pose(replace(left, velocity=speed), moved, rig, marker, truth)
     depth = truth[:3, 3] / np.linalg.norm(truth[:3, 3])
     along = depth @ pose.covariance_alignment[:3, :3] @ depth

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from robots.transforms import cross_matrix
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
+from verify.measurement.pose import motion_columns
 
 TOL_RANK = 1e-9  # singular values of a whitened pose design below this are rounding
 # of a figure's effect left beside the pose's: less, and the pair does not show it
@@ -116,13 +117,15 @@ def _rigid(offset: Array) -> Array:
 def _covariance(pairs: Sequence[PosedPair], by_pose: Array) -> Array:
     """What varies from pair to pair, (n, 2 s, 2 s), px²: noise, and the acceleration all share."""
     blocks = np.array([np.concatenate([a.covariance, b.covariance]) for _, _, a, b in pairs])
-    lever = np.array(
-        [np.concatenate([a.acceleration_lever, b.acceleration_lever]) for _, _, a, b in pairs]
+    moved_px = np.array(
+        [
+            motion_columns(by, np.concatenate([a.lever, b.lever]), pose.acceleration_prior)
+            for by, (_, pose, a, b) in zip(by_pose, pairs, strict=True)
+        ]
     )
-    prior = np.array([np.repeat(np.square(pose.acceleration_prior), 3) for _, pose, _, _ in pairs])
-    count, spots = lever.shape
-    moved_px = (by_pose * lever[:, :, None, None]).reshape(count, -1, 6)
-    total: Array = (moved_px * prior[:, None]) @ np.swapaxes(moved_px, 1, 2)
+    count, spots = moved_px.shape[:2]
+    moved_px = moved_px.reshape(count, 2 * spots, -1)
+    total: Array = moved_px @ np.swapaxes(moved_px, 1, 2)
     by_spot = total.reshape(count, spots, 2, spots, 2)
     np.einsum("nsisj->nsij", by_spot)[:] += blocks
     return total

@@ -16,6 +16,7 @@ from verify.analysis.model import SessionComparison
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
 from verify.core.rig import Camera, Rig
+from verify.measurement.pose import motion_columns
 from verify.measurement.sensitivities import AXES, LENS
 from verify.measurement.systematics import covariance_root
 from verify.measurement.track import Track
@@ -54,7 +55,7 @@ class SpotDraws:
     led: Array  # (s,) index
     seen: Array  # (s, 2), px, steady motion allowed for
     noise: Array  # (2 s, 2 s), px², a root of the spots' covariance
-    by_acceleration: Array  # (2 s, 6), px by m/s² and rad/s²
+    by_motion: Array  # (2 s, 18), px: motion that is not known, columns of unit variance
     weight: Array  # (2 s, 2 s), 1/px²
     gain: Array  # (6, 2 s), d pose / d spot in rig axes
 
@@ -71,14 +72,13 @@ def used_spots(measurement: Measurement, rig: Rig, marker: Marker) -> SpotDraws:
     used = ~pose.rejected
     led = np.concatenate([left.led, right.led])[used]
     covariance = np.concatenate([left.covariance, right.covariance])[used]
-    lever = np.concatenate([left.acceleration_lever, right.acceleration_lever])[used]
+    lever = np.concatenate([left.lever, right.lever])[used]
     count = len(led)
     root = np.zeros((count, 2, count, 2))
     np.einsum("iaib->iab", root)[:] = np.linalg.cholesky(covariance)
     noise = root.reshape(2 * count, -1)
     by_pose = _by_pose(pose.sensitivity[used], marker.leds[led] @ pose.rig_T_flange[:3, :3].T)
-    moved = (by_pose * lever[:, None, None]).reshape(-1, 6)
-    spread = np.repeat(np.square(pose.acceleration_prior), 3)
+    moved = motion_columns(by_pose, lever, pose.acceleration_prior).reshape(2 * count, -1)
     number = int(used[: len(left)].sum())
     rows = np.repeat(used, 2)
     return SpotDraws(
@@ -86,8 +86,8 @@ def used_spots(measurement: Measurement, rig: Rig, marker: Marker) -> SpotDraws:
         led=led,
         seen=_predict_spots(pose, left, right, number, led, rig, marker) + pose.residual[used],
         noise=noise,
-        by_acceleration=moved,
-        weight=np.asarray(np.linalg.inv(noise @ noise.T + (moved * spread) @ moved.T)),
+        by_motion=moved,
+        weight=np.asarray(np.linalg.inv(noise @ noise.T + moved @ moved.T)),
         gain=pose.gain[:, rows],
     )
 
@@ -254,8 +254,8 @@ class WorldDraws:
         assert pose is not None
         spots = used_spots(seen, rig, self.session.marker)
         moved = self.rng.standard_normal((self.draws, len(spots.noise))) @ spots.noise.T
-        prior = np.repeat(pose.acceleration_prior, 3) * scale
-        moved += self.rng.standard_normal((self.draws, 6)) * prior @ spots.by_acceleration.T
+        motion = self.rng.standard_normal((self.draws, spots.by_motion.shape[1]))
+        moved += scale * motion @ spots.by_motion.T
         pan = [self.pan(side, float(reading)) for side, reading in enumerate(track.pan[row])]
         left, right = (
             self.camera(side, float(reading)) for side, reading in enumerate(track.pan[row])

@@ -80,7 +80,7 @@ def _sighting(view: BoardView | None, pan: float) -> Sighting:
         pan=pan,
         peak=np.zeros(n),
         velocity=np.zeros((n, 2)),
-        acceleration_lever=np.zeros(n),
+        lever=np.zeros((n, 3)),
     )
 
 

@@ -131,7 +131,7 @@ def _raw(now: PairSpots, side: int, found: Correspondence, camera: Camera) -> Ra
         pan=now.pan[side],
         peak=spots.peak[index],
         velocity=np.zeros((len(index), 2)),
-        acceleration_lever=np.zeros(len(index)),
+        lever=np.zeros((len(index), 3)),
     )
     assert found.rig_T_flange is not None
     camera_T_rig = camera.camera_T_rig(now.pan[side])
@@ -143,16 +143,20 @@ def _raw(now: PairSpots, side: int, found: Correspondence, camera: Camera) -> Ra
 def _pose(i: int, found: list[AssignedPair], rig: Rig, marker: Marker) -> BodyPose | None:
     """Bring a pair's right image to the left one's instant and fit the body's pose."""
     now, identified, raw = found[i]
-    near = [
-        other
-        for other in (found[i - 1] if i else None, found[i + 1] if i + 1 < len(found) else None)
-        if other is not None and abs(other[0].t[0] - now.t[0]) <= MAX_GAP
+    around = [
+        found[k][2] if 0 <= k < len(found) and abs(found[k][0].t[0] - now.t[0]) <= MAX_GAP else None
+        for k in (i - 1, i + 1, i - 2)
     ]
-    sides = [
-        align(r, near[0][2][side] if near else None, now.t[0], camera, alone=not near)
-        for side, (r, camera) in enumerate(zip(raw, (rig.left, rig.right), strict=True))
-    ]
-    left, right = sides
+    left, right = (
+        align(
+            raw[side],
+            [near[side] if near else None for near in around],
+            now.t[0],
+            camera,
+            alone=not any(around),
+        )
+        for side, camera in enumerate((rig.left, rig.right))
+    )
     if left is None or right is None or identified.rig_T_flange is None:
         return None
     pose = fit_pose(left, right, rig, marker, identified.rig_T_flange)

@@ -206,7 +206,7 @@ def _sighting(
         pan=pan,
         peak=spots.peak[spot],
         velocity=np.zeros((len(led), 2)),
-        acceleration_lever=np.zeros(len(led)),
+        lever=np.zeros((len(led), 3)),
     )
 
 

@@ -20,7 +20,7 @@ from verify.errors import InputError
 from verify.live.joint_row import JointRow
 from verify.live.protocols import Alarm, Listener
 
-MAX_QUEUED_ROWS = 300  # that may wait for a listener: ten seconds
+MAX_QUEUED_ROWS = 600  # that may wait for a listener: ten seconds, each pair twice
 JOIN_TIMEOUT = 2.0  # s that a listener is given to say what is left
 COMMAND_TIMEOUT = 60.0  # s, after which a command is ended
 
@@ -87,6 +87,7 @@ def row_fields(row: JointRow) -> dict[str, Any]:
         "t_s": row.t,
         "status": row.status,
         "leds_seen": row.leds_seen,
+        "settled": row.settled,
         "measured_deg": _degrees(row.measured),
         "encoder_deg": _degrees(row.encoder),
         "error_deg": _degrees(row.error),

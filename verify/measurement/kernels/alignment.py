@@ -1,11 +1,11 @@
-"""Carry spots to another instant along their image velocity; box the LEDs that a pose predicts.
+"""Carry spots to another instant along their image motion; box the LEDs that a pose predicts.
 
-A spot z taken at t1, its LED's z0 at t0 in a neighbouring picture, is at the instant t
+A spot taken at t_0 and its LED's sightings at t_1 ... t_n in n neighbouring pictures lie on a
+polynomial; at the instant t it has the covariance of their sum, each with its Lagrange weight, and
 
-    z + v (t - t1),  v = (z - z0) / (t1 - t0)
+    the lever  -(t - t_0) ... (t - t_n) / (n + 1)!
 
-with the covariance of that sum, and the lever -(t - t1) (t - t0) / 2 of an acceleration that two
-pictures do not show.
+of the derivative of order n + 1 that these sightings do not show: acceleration, jerk or snap.
 """
 
 import math
@@ -18,71 +18,105 @@ from verify.core.kernels.linear_algebra import dot, median
 from verify.core.records import Array
 
 Index = NDArray[np.int64]
+# LED (m,), centre (m, 2) px, covariance (m, 2, 2) px², instant (m,) s of one picture's spots
+SpotView = tuple[Index, Array, Array, Array]
 
 
 @compiled
 def carry_to_instant(
-    led: tuple[Index, Index],
-    centre: tuple[Array, Array],
-    covariance: tuple[Array, Array],
-    taken: tuple[Array, Array],
-    t: float,
+    now: SpotView, around: tuple[SpotView, SpotView, SpotView], t: float
 ) -> tuple[int, Array, Array, Array, Array]:
-    """Carry m spots to an instant, along the lines through them and a neighbour's.
+    """Carry m spots to an instant, by what neighbouring pictures show of their LEDs.
 
-    LEDs new to this pair move like the others, with their spread as uncertainty.
+    LEDs that no neighbour shows move like the others, with their spread as uncertainty.
 
     Args:
-        led: (m,) and the neighbour's (k,).
-        centre: (m, 2) and (k, 2), px.
-        covariance: (m, 2, 2) and (k, 2, 2), px².
-        taken: (m,) and (k,), s.
+        now: the spots.
+        around: those of the pictures before, after, and before the one before, which counts only
+            beside both others; empty where there is none.
         t: s, to where.
 
     Returns:
-        How many LEDs the neighbour shows too, without which nothing else is of use; centre (m, 2);
-        covariance (m, 2, 2); velocity (m, 2), px/s; lever (m,), s².
+        How many LEDs a neighbour shows too, without which nothing else is of use; centre (m, 2);
+        covariance (m, 2, 2); velocity (m, 2), px/s; levers (m, 3), s², s³, s⁴.
     """
-    m, count = len(led[0]), 0
-    place, spread, velocity = np.empty((m, 2)), np.empty((m, 2, 2)), np.empty((m, 2))
-    lever, match, shared = np.empty(m), np.empty(m, np.int64), np.empty(m, np.int64)
+    led, centre, covariance, taken = now
+    m, count = len(led), 0
+    place, spread, velocity = centre.copy(), np.zeros((m, 2, 2)), np.zeros((m, 2))
+    lever, shared, shown = np.zeros((m, 3)), np.empty(m, np.int64), np.zeros(m, np.bool_)
+    intervals, mean, instant = np.empty(m), np.zeros(2), np.empty(4)
+    row, weight, slope = np.empty(3, np.int64), np.empty(4), np.empty(4)
     for i in range(m):
-        match[i] = -1
-        for k in range(len(led[1])):
-            if led[1][k] == led[0][i]:
-                match[i] = k
-        if match[i] >= 0:
-            shared[count] = i
-            count += 1
+        instant[0], n = taken[i], 0
+        for v in range(3):
+            row[v] = row_of(around[v][0], led[i]) if v < 2 or n == 2 else -1
+            if row[v] >= 0:
+                n += 1
+                instant[n] = around[v][3][row[v]]
+        if n == 0:
+            continue
+        lever[i, n - 1] = lagrange_weights(instant[: n + 1], t, weight, slope)
+        intervals[count] = taken[i] - instant[1] if n == 1 else -2.0 * (t - taken[i])
+        spread[i] = weight[0] ** 2 * covariance[i]
+        k = 0
+        for v in range(3):
+            if row[v] < 0:
+                continue
+            k += 1
+            for x in range(2):
+                away = around[v][1][row[v], x] - centre[i, x]
+                place[i, x] += weight[k] * away
+                velocity[i, x] += slope[k] * away
+                for y in range(2):
+                    spread[i, x, y] += weight[k] ** 2 * around[v][2][row[v], x, y]
+        mean += velocity[i]
+        shared[count], shown[i] = i, True
+        count += 1
     if count == 0:
         return count, place, spread, velocity, lever
-    known, intervals = shared[:count], np.empty(count)
-    mean = np.zeros(2)
-    for n in range(count):
-        i = int(known[n])
-        k = int(match[i])
-        interval = taken[0][i] - taken[1][k]
-        intervals[n] = interval
-        share = (t - taken[0][i]) / interval
-        for a in range(2):
-            velocity[i, a] = (centre[0][i, a] - centre[1][k, a]) / interval
-            mean[a] += velocity[i, a] / count
-            for b in range(2):
-                own, other = covariance[0][i, a, b], covariance[1][k, a, b]
-                spread[i, a, b] = (1.0 + share) ** 2 * own + share**2 * other
-    scatter = velocity_scatter(velocity, known, mean)
-    typical = median(intervals)
-    for i in range(len(match)):
-        shift = t - taken[0][i]
-        interval = taken[0][i] - taken[1][match[i]] if match[i] >= 0 else typical
-        for a in range(2):
-            if match[i] < 0:
-                velocity[i, a] = mean[a]
-                for b in range(2):
-                    spread[i, a, b] = covariance[0][i, a, b] + shift**2 * scatter[a, b]
-            place[i, a] = centre[0][i, a] + velocity[i, a] * shift
-        lever[i] = -0.5 * shift * (shift + interval)
+    mean /= count
+    scatter = velocity_scatter(velocity, shared[:count], mean)
+    typical = median(intervals[:count])
+    for i in range(m):
+        if shown[i]:
+            continue
+        shift = t - taken[i]
+        for x in range(2):
+            velocity[i, x] = mean[x]
+            place[i, x] = centre[i, x] + mean[x] * shift
+            for y in range(2):
+                spread[i, x, y] = covariance[i, x, y] + shift**2 * scatter[x, y]
+        lever[i, 0] = -0.5 * shift * (shift + typical)
     return count, place, spread, velocity, lever
+
+
+@compiled
+def row_of(led: Index, wanted: int) -> int:
+    """Where an LED stands among a picture's, -1 where it does not."""
+    for k in range(len(led)):
+        if led[k] == wanted:
+            return k
+    return -1
+
+
+@compiled
+def lagrange_weights(instant: Array, t: float, weight: Array, slope: Array) -> float:
+    """Fill in the weights of values at n + 1 instants in the value and the slope, 1/s, at t, s.
+
+    Returns:
+        The error, by one unit of the derivative of order n + 1 that the values do not show.
+    """
+    error = -1.0
+    for a in range(len(instant)):
+        error *= (t - instant[a]) / (a + 1.0)
+        weight[a], slope[a] = 1.0, 0.0
+        for b in range(len(instant)):
+            if b == a:
+                continue
+            apart = instant[a] - instant[b]
+            slope[a] = (slope[a] * (t - instant[b]) + weight[a]) / apart
+            weight[a] *= (t - instant[b]) / apart
+    return error
 
 
 @compiled

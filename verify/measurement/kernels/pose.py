@@ -32,6 +32,7 @@ MAX_ITERATIONS = 25
 # Acceleration assumed a speed, 1/s: arms move in sines near 0.5 Hz (2 pi f = 3) or in ramps of a
 # third of a second. The session's own motion corrects it afterwards (comparison.py).
 ACCELERATION_PER_SPEED = 3.0
+MOTION_RATE = 3.0  # likewise: of jerk an acceleration, of snap a jerk, 1/s
 MIN_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and stops
 TIME_STEP = 0.01  # s, of the image's acceleration: long against rounding, short against the motion
 TOL_STEP = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
@@ -238,10 +239,10 @@ def spot_covariance(
 
     Args:
         design: (2 s, 6), derivative of the spots by the pose.
-        spots: covariance (s, 2, 2) px², velocity, and the acceleration's lever (s,) s².
+        spots: covariance (s, 2, 2) px², velocity, and levers (s, 3) of acceleration, jerk, snap.
         rows: (2 k,), those of the kept spots.
         prior: acceleration, m/s² and rad/s² a component.
-        spread: from the pixels, from an unknown acceleration, and the inverse of their sum: that
+        spread: from the pixels, from motion that is not known, and the inverse of their sum: that
             of the kept spots, 0 for the others.
     """
     covariance, _, lever = spots
@@ -256,7 +257,11 @@ def spot_covariance(
             shared = 0.0
             for k in range(N_FREE):
                 shared += prior[k // 3] ** 2 * design[i, k] * design[j, k]
-            shared *= lever[i // 2] * lever[j // 2]
+            levers = 0.0
+            for order in range(lever.shape[1]):
+                product = lever[i // 2, order] * lever[j // 2, order]
+                levers += MOTION_RATE ** (2 * order) * product
+            shared *= levers
             acceleration[i, j] = acceleration[j, i] = shared
     count = len(rows)
     kept, root = np.empty((count, count)), np.empty((count, count))
@@ -304,7 +309,8 @@ def fit_spots(
     Args:
         places: what `predict_spots` needs after the pose.
         centre: (s, 2), px, as measured.
-        spots: covariance (s, 2, 2) px², velocity (s, 2) px/s and the acceleration's lever (s,) s².
+        spots: covariance (s, 2, 2) px², velocity (s, 2) px/s and the levers (s, 3) of acceleration,
+            jerk and snap, s², s³, s⁴.
         rows: (2 k,), those of the spots that count.
         pose: (4, 4), rig_T_flange, changed.
 

@@ -143,7 +143,7 @@ def sighting(centre: Array, session: InMemory, pair: int, pan: float) -> Sightin
         pan=float(pan),
         peak=np.full(n, 200.0),
         velocity=np.zeros((n, 2)),
-        acceleration_lever=np.zeros(n),
+        lever=np.zeros((n, 3)),
     )
 
 
