@@ -47,6 +47,7 @@ class Comparison:
     alignment_error: Array  # (n, 6), what alignment left, as far as the neighbours show it
     determined: tuple[Array, ...]  # n of (6, d)
     rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
+    timed: bool = True  # False: nobody measured `t`, which numbers single visits
 
     def __len__(self) -> int:
         """Count the compared pairs."""

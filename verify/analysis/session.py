@@ -18,9 +18,15 @@ from verify.analysis.comparison import (
     solve_joints,
 )
 from verify.analysis.diagnosis.detectability import detectable
-from verify.analysis.diagnosis.diagnose import find_causes
+from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
 from verify.analysis.instrument import MeasuredSession
-from verify.analysis.joint_errors import JointErrors, mean_errors, predict_errors, resolve_errors
+from verify.analysis.joint_errors import (
+    JointErrors,
+    ResolvedErrors,
+    mean_errors,
+    predict_errors,
+    resolve_errors,
+)
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.measured import (
     Chain,
@@ -66,7 +72,9 @@ from verify.measurement.track import Track
 
 __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 
+TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
+MAX_ROUNDS = 3  # of causes and what pairs repeat of what they leave
 MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
 NO_TOLERANCE = Tolerance(None, None, None)
 
@@ -177,8 +185,15 @@ def compare_session(
     return SessionComparison(session, track, systematics, clock, comparison, joints), unreachable
 
 
-def session_model(compared: SessionComparison) -> JointErrorModel:
-    """Linearise a session about the errors that are there; pairs repeat each other's errors."""
+def session_model(
+    compared: SessionComparison,
+) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
+    """Linearise a session about the errors that are there, find their causes, resolve them.
+
+    Pairs that repeat each other's errors count for fewer. What a cause leaves in every pair from
+    its beginning on repeats itself as well: so causes are found first with all that counted as
+    noise, then again with what they themselves leave.
+    """
     session, joints = compared.session, compared.joints
 
     def built(comparison: Comparison) -> JointErrorModel:
@@ -193,10 +208,28 @@ def session_model(compared: SessionComparison) -> JointErrorModel:
         first = np.nan_to_num(resolve_errors(built(compared.comparison)).mean)
         typical = np.where(known.any(axis=0), typical, first)
     middle = relinearise(compared.comparison, session.arm, typical)
-    model = built(middle)
-    residual = model.xi - predict_errors(model, resolve_errors(model))
-    factors = autocorrelation(model.white.by_pair(residual))
-    return built(inflate_covariance(middle, factors)) if np.any(factors > 1) else model
+    plain = built(middle)
+
+    def repeated(resolved: ResolvedErrors) -> Array:
+        return autocorrelation(plain.white.by_pair(plain.xi - predict_errors(plain, resolved)))
+
+    unexplained = resolve_errors(plain)
+    factors = repeated(unexplained)
+    for _ in range(MAX_ROUNDS):
+        inflated = bool(np.any(factors > 1))
+        model = built(inflate_covariance(middle, factors)) if inflated else plain
+        found = find_causes(
+            model, resolve_errors(model) if inflated else unexplained, session.arm, session.rig
+        )
+        resolved = resolve_errors(model, explained_by(found, model, session.arm, session.rig))
+        if not inflated or not resolved.causes:
+            break
+        causes = explained_by(found, plain, session.arm, session.rig)
+        left = np.minimum(repeated(resolve_errors(plain, causes)), factors)
+        if np.allclose(left, factors, rtol=TOL_REPEATED):
+            break
+        factors = left
+    return model, found, resolved
 
 
 def zero_undetermined_columns(comparison: Comparison) -> Comparison:
@@ -240,7 +273,7 @@ def _estimate(
 ) -> SessionAnalysis:
     """Estimate errors, their uncertainties and their causes."""
     session, joints = compared.session, compared.joints
-    model = session_model(compared)
+    model, diagnosis, resolved = session_model(compared)
     comparison, clock_uncertainty = model.comparison, compared.clock_uncertainty
     errors = JointErrors(
         error=joints.single,
@@ -248,9 +281,8 @@ def _estimate(
         systematic=joints.inverse @ model.prior_columns,
         clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
     )
-    resolved = resolve_errors(model)
-    means = mean_errors(model, errors, resolved, clock_uncertainty, compared.systematics)
-    sources = budget(model, compared, errors, means, resolved)
+    means = mean_errors(model, resolved, compared.systematics)
+    sources = budget(model, compared, means, resolved)
     means = replace(means, coverage_factor=sources.coverage_factor)
     used = [m for m in measured.measurements if m.status == "measured"]
     return SessionAnalysis(
@@ -268,7 +300,7 @@ def _estimate(
         sweeps=judge_sweeps(model, compared),
         visibility=visibility(model),
         relative=compare_relative_motions(model),
-        diagnosis=find_causes(model, resolved, session.arm, session.rig),
+        diagnosis=diagnosis,
         flange=_flange(model, clock_uncertainty),
         warnings=result_warnings(compared, measured.measurements, model),
     )

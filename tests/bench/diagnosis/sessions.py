@@ -18,8 +18,7 @@ from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
-from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
-from verify.analysis.joint_errors import resolve_errors
+from verify.analysis.diagnosis.diagnose import Diagnosis
 from verify.analysis.model import SessionComparison, add_pan_noise
 from verify.analysis.session import session_model
 from verify.core.readings import Readings
@@ -147,8 +146,7 @@ def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:
     comparison = add_pan_noise(comparison, track, watched.systematics)
     joints = solve_joints(comparison, session.arm)
     compared = SessionComparison(session, track, watched.systematics, clock, comparison, joints)
-    model = session_model(compared)
-    return find_causes(model, resolve_errors(model), session.arm, session.rig)
+    return session_model(compared)[1]
 
 
 def _read(watched: Watched, fault: Injected | None) -> Readings:

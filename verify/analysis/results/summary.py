@@ -212,6 +212,7 @@ def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:
     return {
         "joint": j + 1,
         "mean_error_deg": finite_number(means.mean[j] * DEGREE),
+        "plain_mean_error_deg": finite_number(float(plain.mean()) * DEGREE) if len(plain) else None,
         "rms_error_deg": finite_number(float(np.sqrt(np.mean(plain**2))) * DEGREE)
         if len(plain)
         else None,
@@ -227,7 +228,7 @@ def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:
         "conformance_probability": finite_number(verdict.probability),
         "verdict": verdict.verdict,
         "reason": verdict.reason,
-        "pairs": int(means.pairs[j]),
+        "pairs": int(np.sum(~np.isnan(error))) or len(error),
         "visible_fraction": finite_number(seen.fraction[j]),
         "visible_fraction_since_registration": finite_number(seen.fraction_since[j]),
         "minimum_detectable_error_deg": finite_number(seen.detectable[j] * DEGREE),

@@ -28,13 +28,12 @@ from verify.analysis.comparison import (
     inflate_covariance,
     solve_joints,
 )
-from verify.analysis.joint_errors import JointErrors, MeanErrors, mean_errors, resolve_errors
+from verify.analysis.joint_errors import MeanErrors, mean_errors, resolve_errors
 from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
     add_pan_noise,
     build_model,
-    clock_effect,
 )
 from verify.analysis.uncertainty.budget import Budget, budget
 from verify.analysis.uncertainty.sources import robot_table_columns
@@ -58,11 +57,9 @@ DEGREES = 7.0
 class Made:
     """A session as far as a budget asks for it."""
 
-    session: Session
     model: JointErrorModel
     plain: Comparison
     joints: JointComparison
-    errors: JointErrors
     means: MeanErrors
     found: Budget
     systematics: Systematics
@@ -122,20 +119,10 @@ def made(
 
 
 def _judged(compared: SessionComparison, model: JointErrorModel) -> Made:
-    plain, joints, clock = compared.comparison, compared.joints, compared.clock
-    systematics, session = compared.systematics, compared.session
-    inverse, counted = joints.inverse, model.comparison
-    errors = JointErrors(
-        error=joints.single,
-        covariance=inverse @ counted.covariance @ np.swapaxes(inverse, 1, 2),
-        systematic=inverse @ model.prior_columns,
-        clock=(inverse @ clock_effect(counted))[:, :, 0],
-    )
     resolved = resolve_errors(model)
-    estimated = clock.standard_uncertainty if clock.source == "estimated" else None
-    means = mean_errors(model, errors, resolved, estimated, systematics)
-    found = budget(model, compared, errors, means, resolved)
-    return Made(session, model, plain, joints, errors, means, found, systematics)
+    means = mean_errors(model, resolved, compared.systematics)
+    found = budget(model, compared, means, resolved)
+    return Made(model, compared.comparison, compared.joints, means, found, compared.systematics)
 
 
 CASES: dict[str, dict[str, Any]] = {
@@ -200,9 +187,7 @@ def _mean_with(this: Made, moved: Array) -> Array:
     comparison = replace(this.model.comparison, xi=this.model.comparison.xi + moved)
     white = this.model.white.rows(comparison.xi[:, :, None])[:, 0]
     model = replace(this.model, comparison=comparison, xi=white)
-    by_pair = np.einsum("njk,nk->nj", this.joints.inverse, moved)
-    errors = replace(this.errors, error=this.errors.error + by_pair)
-    return mean_errors(model, errors, resolve_errors(model), None, this.systematics).mean
+    return resolve_errors(model).mean
 
 
 def test_a_length_of_the_table_does_what_an_arm_with_another_length_does() -> None:
