@@ -64,6 +64,7 @@ class Injected:
     parameter: str | None = None
     per_turn: int = 1
     phase: float = 0.0
+    begin: float = 0.0  # s, cameras' clock, of a step
 
 
 @dataclass(frozen=True)
@@ -189,9 +190,10 @@ def _reading_error(
             phase_deg=float(np.degrees(fault.phase)),
             per_turn=fault.per_turn,
         ),
+        "step": ScenarioFault(joint=fault.joint, step_deg=degrees, step_t_s=fault.begin),
     }[fault.kind]
     direction = watched.session.simulated.world.motion.direction(true_t)
-    return reading_error(true, direction, [wrong])
+    return reading_error(true_t, true, direction, [wrong])
 
 
 def _seen(watched: Watched, fault: Injected) -> Track:

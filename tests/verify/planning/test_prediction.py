@@ -189,8 +189,8 @@ def test_pictures_taken_one_after_the_other_give_the_same_poses(
     # readings alone are noisy here: a chi-squared with far fewer degrees of freedom than rows
     assert np.mean(seen.model.xi**2) < 1.2
     if skew:
-        u, before = (one.analysis.means.random for one in (foretold, made.prediction))
-        assert (u > before).all()
+        u, before = (np.diag(p.analysis.means.covariance) for p in (foretold, made.prediction))
+        assert u.sum() > before.sum()
 
 
 def test_the_sources_make_up_the_uncertainty(made: SessionPlan) -> None:
@@ -237,4 +237,5 @@ def test_a_plan_s_coverage_factor_is_the_budget_s(
     )  # fmt: skip
     stated = budget(model, compared, judged.means, resolve_errors(model)).coverage_factor
     assert_allclose(judged.means.coverage_factor, stated, rtol=1e-9)
-    assert np.all((stated > 2.0) & (stated < 2.65)) if degrees < 10 else np.any(stated == 2.0)
+    assert np.all(stated < 2.65)
+    assert np.any(stated > 2.0) if degrees < 10 else np.any(stated == 2.0)
