@@ -19,7 +19,8 @@ from tests.support.simulated import InMemory, in_memory
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.diagnosis.diagnose import Diagnosis
-from verify.analysis.model import SessionComparison, add_pan_noise
+from verify.analysis.joint_errors import ResolvedErrors
+from verify.analysis.model import JointErrorModel, SessionComparison, add_pan_noise
 from verify.analysis.session import session_model
 from verify.core.readings import Readings
 from verify.core.records import Array
@@ -138,7 +139,9 @@ def measured(
     return collect_track(found, session.rig, effects)
 
 
-def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:
+def judged(
+    watched: Watched, fault: Injected | None
+) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Judge a session with a fault in it, by the steps of a run."""
     session, clock = watched.session, watched.clock
     track = watched.track if fault is None else _seen(watched, fault)
@@ -147,7 +150,7 @@ def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:
     comparison = add_pan_noise(comparison, track, watched.systematics)
     joints = solve_joints(comparison, session.arm)
     compared = SessionComparison(session, track, watched.systematics, clock, comparison, joints)
-    return session_model(compared)[1]
+    return session_model(compared)
 
 
 def _read(watched: Watched, fault: Injected | None) -> Readings:
