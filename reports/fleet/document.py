@@ -16,6 +16,7 @@ from reports.document.blocks import (
     lay_out,
     software,
     tabulate,
+    uncertain_field,
 )
 from reports.document.charts import records
 from reports.document.formatting import (
@@ -130,7 +131,7 @@ def joints(results: Results) -> Section:
         Column("Arm", "l", field("arm")),
         Column("Joint", "l", field("joint", str)),
         Column("State", "l", _state),
-        Column("Error now [°]", "r", evidence.expanded_field("error_deg", "error_u_deg")),
+        Column("Error now [°]", "r", uncertain_field("error_deg", "error_u_deg", k=2)),
         Column("Trend [°/month]", "r", _trend),
         Column("Sessions", "r", field("sessions", count)),
         Column("Odd ones", "r", field("odd_sessions", count)),

@@ -1,6 +1,5 @@
 """The second half of a fleet report: comparisons, worst sessions, what was not seen, failures."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -16,6 +15,7 @@ from reports.document.blocks import (
     Table,
     field,
     tabulate,
+    uncertain_field,
 )
 from reports.document.charts import records
 from reports.document.formatting import (
@@ -29,7 +29,6 @@ from reports.document.formatting import (
     percent,
     significant,
     text_or_dash,
-    with_uncertainty,
 )
 from reports.fleet.charts import STATES
 from reports.results import Results
@@ -98,21 +97,13 @@ def _contrast_table(first: str, second: str, entries: list[dict[str, Any]]) -> T
         Column("Joint", "l", field("joint", str)),
         Column("First [°]", "r", partial(_mean_and_sessions, "first")),
         Column("Second [°]", "r", partial(_mean_and_sessions, "second")),
-        Column("Difference ± U [°]", "r", expanded_field("difference_deg", "difference_u_deg")),
+        Column(
+            "Difference ± U [°]", "r", uncertain_field("difference_deg", "difference_u_deg", k=2)
+        ),
         Column("Result", "l", _contrast_result),
     )
     title = f"Mean errors: {text_or_dash(first)}, {text_or_dash(second)}, and the difference."
     return tabulate(title, columns, sorted(entries, key=lambda e: not e["shown"]), CONTRAST_NOTE)
-
-
-def expanded_field(key: str, u_key: str) -> Callable[[dict[str, Any]], str]:
-    """Make the writer of a value of an entry with its expanded uncertainty (k = 2)."""
-
-    def write(entry: dict[str, Any]) -> str:
-        u = finite(entry.get(u_key))
-        return with_uncertainty(entry.get(key), None if u is None else 2 * u)
-
-    return write
 
 
 def _mean_and_sessions(side: str, entry: dict[str, Any]) -> str:
@@ -138,7 +129,7 @@ def worst_sessions(results: Results) -> Section | None:
             "Sessions have no reports of their own yet: run the same command with --reports; "
             "nothing is measured again for it."
         )
-    error = expanded_field("worst_error_deg", "worst_error_u_deg")
+    error = uncertain_field("worst_error_deg", "worst_error_u_deg", k=2)
     columns = (
         Column("Session", "l", _session_link, wide=True),
         Column("Started", "l", field("started")),

@@ -32,7 +32,6 @@ from reports.document.formatting import (
     probability,
     significant,
     text_or_dash,
-    with_uncertainty,
 )
 from reports.document.formatting import joint_names as name_joints
 from reports.results import Results
@@ -41,9 +40,9 @@ from reports.session.figures import evidence, motion
 from reports.session.headline import headline, is_hidden
 
 ERROR_NOTE = (
-    "U: expanded uncertainty (k · u) of the mean over these pairs. Max |e| holds noise and is "
-    "never judged. The verdict rests on ê, the resolved error, with its standard uncertainty u: "
-    "the curve through the errors that noise does not follow."
+    "The verdict rests on ê, the resolved error: the curve through the errors that noise does not "
+    "follow, causes found included. Mean: of ê over these pairs, with its expanded uncertainty "
+    "(k); worst ê: with k = 2. Max |e|, of single pairs, holds noise and is never judged."
 )
 DETECTABILITY_NOTE = (
     "Visible: share of an offset's signal left after all that was fitted, for an offset that "
@@ -79,13 +78,11 @@ def verdict(results: Results) -> Section:
 def clock_text(summary: dict[str, Any]) -> str:
     """Say the encoder clock's offset and where it comes from."""
     entry = summary.get("clock") or {}
-    offset = with_uncertainty(
-        entry.get("encoder_offset_s"), entry.get("standard_uncertainty_s"), "s"
-    )
+    offset = uncertain_field("encoder_offset_s", "standard_uncertainty_s", "s", k=2)(entry)
     if offset == DASH:
         return "not observable" if entry.get("observable") is False else DASH
     source = lookup_label(phrases.CLOCK_SOURCES, entry.get("source"))
-    return f"{offset} (1σ), {source}"
+    return f"{offset} (k = 2), {source}"
 
 
 def joints(results: Results) -> Section:
@@ -127,8 +124,8 @@ def _error_table(entries: list[dict[str, Any]]) -> Table:
         Column("RMS [°]", "r", field("rms_error_deg", number)),
         Column("Max |e| [°]", "r", field("max_abs_error_deg", number)),
         Column(
-            "Worst ê ± u [°]", "r",
-            uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg"),
+            "Worst ê ± U [°]", "r",
+            uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", k=2),
         ),
         Column("Tolerance [°]", "r", field("tolerance_deg", _format_tolerance)),
         Column("P(conform)", "r", field("conformance_probability", probability)),
@@ -164,10 +161,10 @@ def _detectability_table(entries: list[dict[str, Any]]) -> Table:
 
 
 def _combination_table(entries: list[dict[str, Any]]) -> Table:
-    value = uncertain_field("mean_error_deg", "standard_uncertainty_deg")
+    value = uncertain_field("mean_error_deg", "standard_uncertainty_deg", k=2)
     columns = (
         Column("Sum", "l", field("label")),
-        Column("Mean error ± u [°]", "r", value),
+        Column("Mean error ± U [°]", "r", value),
         Column("Pairs", "r", field("pairs", count)),
         Column("Why it is given", "l", _coupling, wide=True),
     )

@@ -93,11 +93,15 @@ def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:
     if failing:
         worst = max(failing, key=lambda j: abs(finite(j.get("worst_error_deg")) or 0.0))
         text = with_uncertainty(
-            worst.get("worst_error_deg"), worst.get("worst_error_standard_uncertainty_deg"), "°"
+            worst.get("worst_error_deg"),
+            None
+            if (u := finite(worst.get("worst_error_standard_uncertainty_deg"))) is None
+            else 2 * u,
+            "°",
         )
         verb = "exceed" if len(failing) > 1 else "exceeds"
         names = joint_names([joint.get("joint") for joint in failing])
-        return f"{names} {verb} {tolerance_text(summary, failing)} (worst: {text}, 1σ)"
+        return f"{names} {verb} {tolerance_text(summary, failing)} (worst: {text}, k = 2)"
     pose = []
     for name, unit in (("position", "mm"), ("orientation", "deg")):
         entry = summary.get(name) or {}

@@ -119,7 +119,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "position": _flange(judged, position, slice(0, 3), MILLIMETRE, "mm"),
         "orientation": _flange(judged, orientation, slice(3, 6), DEGREE, "deg"),
         "relative_motions": _relative(judged.relative),
-        "diagnosis": [cause_entry(c) for c in judged.diagnosis.causes],
+        "diagnosis": _diagnosis(judged),
         "outlying_pairs": [int(f) for f in judged.frame[judged.diagnosis.outlying]],
         "budget": {
             **budget_entry(
@@ -137,6 +137,25 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "choices": dict(sorted(judged.choices.items())),
         "known_dof": max((b.shape[1] for b in judged.model.comparison.determined), default=0),
     }
+
+
+def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
+    """The causes; an offset that is all that ails its joint is the mean of the resolved error."""
+    causes, means = judged.diagnosis.causes, judged.means
+    count = Counter(c.joint for c in causes)
+    entries = []
+    for cause in causes:
+        entry = cause_entry(cause)
+        j = (cause.joint or 0) - 1
+        if cause.kind == "offset" and count[cause.joint] == 1 and np.isfinite(means.mean[j]):
+            u = float(np.sqrt(means.covariance[j, j]) * DEGREE)
+            entry |= {
+                "value": float(means.mean[j] * DEGREE),
+                "standard_uncertainty": u,
+                "expanded_uncertainty": float(means.coverage_factor[j]) * u,
+            }
+        entries.append(entry)
+    return entries
 
 
 def _decision(judged: SessionAnalysis) -> dict[str, Any]:
