@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
 from reports.document.charts import Chart, Path
-from reports.document.formatting import DASH, text_or_dash, with_uncertainty
+from reports.document.formatting import DASH, finite, text_or_dash, with_uncertainty
 from reports.results import Results, one_line
 
 

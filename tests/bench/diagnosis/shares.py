@@ -152,7 +152,7 @@ def detection(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
         print(f"{name:28s} {len(high):3d}  {named:5.0%}{marks[0]} {_share(high, 'wrong'):5.0%}"
               f"      {inside:5.0%}{marks[1]}    {_share(between, 'wrong'):5.0%}"
               f"   {wrong:5.1%}{marks[2]} {_share(low, 'named'):5.0%}", flush=True)  # fmt: skip
-    steps = [t for key, cell in cells.items() if key[0] == "step" for t in cell]
+    steps = [t for key, cell in cells.items() if key[::2] == ("step", LEVELS[0]) for t in cell]
     kept = float(np.mean([t.kept for t in steps]))
     failed += int(kept < LEAST_KEPT)
     print(f"after a step {kept:.1%} of the other joints keep their verdict"

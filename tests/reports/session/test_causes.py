@@ -29,6 +29,8 @@ EVERY = [
     cause("offset", 3, 0.4, "deg", runner_up=RIVAL | {"advantage": 953.2}),
     cause("compliance", 4, 0.52, "deg/m"),
     cause("drift", 5, -12.0, "deg/h"),
+    cause("step", 4, 0.8, "deg", t_s=7.04),
+    cause("base_moved", None, 1.2, "mm", turn_deg=0.081, t_s=3.2),
     cause("clock_drift", None, 140.0, "ppm"),
     cause("clock_drift", None, -140.0, "ppm"),
     cause("camera_skew", None, 0.0031, "s"),
@@ -127,7 +129,7 @@ def test_detectable_faults_are_a_table_of_joints_and_kinds() -> None:
     assert hidden.items[1].startswith("A gain of joint 2 cannot show")
     assert hidden.items[2] == "Backlash of joint 1 cannot show: it moved one way only."
     first = [[cell.text for cell in line] for line in table_of(section).rows]
-    assert first[0] == ["q1", "–", "0.020 / 0.070", "–", "–", "–", "–", "–"]
+    assert first[0] == ["q1", "–", "0.020 / 0.070", *"––––––"]
     assert first[1] == [
         "q2", "0.0065 / 0.087", "–", "0.011 / 0.011", "0.020 / –", "0.0090 / 0.018", "–", "–",
     ]  # fmt: skip
