@@ -70,7 +70,7 @@ def change_date(change: dict[str, Any]) -> str:
 def change_text(one: dict[str, Any]) -> str:
     """Say a change in half a sentence."""
     unit = "°" if one["unit"] == "deg" else "° a month"
-    size = with_uncertainty(one["size"], 2 * float(one["size_u"]), unit)
+    size = with_uncertainty(one["size"], 2 * float(one["size_u"])) + unit
     verb = {"step": "changed", "drift": "drifts", "change": "changed or drifts"}
     when = "since" if one["term"] == "drift" else "on"
     return (

@@ -1,6 +1,7 @@
 """The first half of a report: the verdict, the joints, the causes, the errors, the pose."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import PurePath
 from typing import Any
 
@@ -19,12 +20,13 @@ from reports.document.blocks import (
     tabulate,
     uncertain_field,
 )
-from reports.document.charts import MAX_LINE_POINTS
+from reports.document.charts import MAX_LINE_POINTS, records
 from reports.document.formatting import (
     DASH,
     UNITS,
     count,
     exact_number,
+    finite,
     join_words,
     lookup_label,
     number,
@@ -55,6 +57,10 @@ CAUSE_NOTE = (
     "parameters: BIC by 10). Explains: share of the weighted errors that goes with it. Runner-up: "
     "the rival that fits best in its place, and by how much worse."
 )
+ALARM_NOTE = (
+    "t on the clock of the errors over time: when the alarm was raised, a little after what it "
+    "tells of. alarms.csv has them all."
+)
 MAX_LISTED_PAIRS = 30  # listed by their numbers; summary.json lists all
 
 
@@ -72,7 +78,39 @@ def verdict(results: Results) -> Section:
         ("Poses" if instrument else "Stereo pairs", measured),
         ("Encoder clock", clock_text(summary)),
     ]
-    return Section("verdict", "Verdict", (headline(results), Facts(tuple(items))))
+    return Section(
+        "verdict", "Verdict", (headline(results), Facts(tuple(items)), *_alarm_blocks(results))
+    )
+
+
+def _alarm_blocks(results: Results) -> tuple[Block, ...]:
+    """List what a watched run told, and the cause that the diagnosis found for it."""
+    if "alarms" not in results.tables:
+        return ()
+    alarms = records(results.table("alarms"))
+    if not alarms:
+        return (Paragraph("The robot was watched, and no alarm was raised."),)
+    columns = (
+        Column("Alarm", "l", field("alarm", count)),
+        Column("At [s]", "r", field("t_s", number, 1)),
+        Column("Told", "l", field("text"), wide=True),
+        Column("Explained by", "l", partial(_explanation, results.summary), wide=True),
+    )
+    return (tabulate("Alarms while the robot was watched.", columns, alarms, ALARM_NOTE),)
+
+
+def _explanation(summary: dict[str, Any], alarm: dict[str, Any]) -> str:
+    """The causes of an alarm's joint, and common ones, that had begun when it was raised."""
+    joint, raised = finite(alarm.get("joint")), finite(alarm.get("t_s"))
+    if joint is None:
+        return DASH
+    named = [
+        causes.cause_name(one)
+        for one in summary.get("diagnosis") or []
+        if one.get("kind") != "ambiguous" and one.get("joint") in (None, int(joint))
+        and (raised is None or (finite(one.get("t_s")) or raised) <= raised)
+    ]  # fmt: skip
+    return "; ".join(named) or "no cause that the diagnosis found"
 
 
 def clock_text(summary: dict[str, Any]) -> str:

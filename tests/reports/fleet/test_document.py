@@ -31,8 +31,14 @@ def test_it_opens_with_what_changed_and_since_when() -> None:
     verdict = blocks(document, Verdict)[0]
     assert verdict.tone == "nonconform"
     assert verdict.label == "2 of 12 joints changed"
-    assert "Joint 3 of arm_a drifts up by 0.0200 ± 0.0040° a month" in verdict.sentence
-    assert "joint 5 of arm_b stepped down by 0.300 ± 0.020° on 2025-06-14" in verdict.sentence
+    assert (
+        "The reading of joint 3 of arm_a drifts by +0.0200 ± 0.0040° a month (k = 2)"
+        in verdict.sentence
+    )
+    assert (
+        "the reading of joint 5 of arm_b changed by −0.300 ± 0.020° (k = 2) on 2025-06-14"
+        in verdict.sentence
+    )
     assert "The other 10 joints show no change" in verdict.sentence
     assert "at most 1 %" in verdict.remarks[0]
 
