@@ -61,6 +61,7 @@ ALARM_NOTE = (
     "t on the clock of the errors over time: when the alarm was raised, a little after what it "
     "tells of. alarms.csv has them all."
 )
+MAX_LISTED_ALARMS = 12  # on page one, the first; alarms.csv has all
 MAX_LISTED_PAIRS = 30  # listed by their numbers; summary.json lists all
 
 
@@ -87,7 +88,7 @@ def _alarm_blocks(results: Results) -> tuple[Block, ...]:
     """List what a watched run told, and the cause that the diagnosis found for it."""
     if "alarms" not in results.tables:
         return ()
-    alarms = records(results.table("alarms"))
+    alarms = records(results.table("alarms").astype({"joint": float}))
     if not alarms:
         return (Paragraph("The robot was watched, and no alarm was raised."),)
     columns = (
@@ -96,19 +97,23 @@ def _alarm_blocks(results: Results) -> tuple[Block, ...]:
         Column("Told", "l", field("text"), wide=True),
         Column("Explained by", "l", partial(_explanation, results.summary), wide=True),
     )
-    return (tabulate("Alarms while the robot was watched.", columns, alarms, ALARM_NOTE),)
+    return (
+        tabulate(
+            "Alarms while the robot was watched.", columns, alarms[:MAX_LISTED_ALARMS], ALARM_NOTE
+        ),
+    )
 
 
 def _explanation(summary: dict[str, Any], alarm: dict[str, Any]) -> str:
     """The causes of an alarm's joint, and common ones, that had begun when it was raised."""
     joint, raised = finite(alarm.get("joint")), finite(alarm.get("t_s"))
-    if joint is None:
+    if joint is None or raised is None:
         return DASH
     named = [
         causes.cause_name(one)
         for one in summary.get("diagnosis") or []
         if one.get("kind") != "ambiguous" and one.get("joint") in (None, int(joint))
-        and (raised is None or (finite(one.get("t_s")) or raised) <= raised)
+        and (finite(one.get("t_s")) or raised) <= raised
     ]  # fmt: skip
     return "; ".join(named) or "no cause that the diagnosis found"
 

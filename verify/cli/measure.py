@@ -60,9 +60,9 @@ def measure_and_report_all(
     folders: Sequence[Path],
     out: Path,
     tolerances: ToleranceOptions,
-    alarms: pd.DataFrame,
     *,
     force: bool,
+    alarms: pd.DataFrame | None = None,
 ) -> dict[Path, str | None]:
     """Measure the sessions of one live run, a report each; an unmeasurable one is left out.
 
@@ -70,8 +70,8 @@ def measure_and_report_all(
         folders: in their order: more than one where the controller's clock began anew.
         out: the first one's report; the others' have a number behind it.
         tolerances: replace the sessions'.
-        alarms: of the run, as in alarms.csv: on page one of the first report.
         force: write into folders that exist.
+        alarms: of the run, as in alarms.csv: on page one of the first report.
 
     Returns:
         The verdict of each report, at least one.

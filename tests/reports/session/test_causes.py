@@ -137,7 +137,7 @@ def test_detectable_faults_are_a_table_of_joints_and_kinds() -> None:
     first = [[cell.text for cell in line] for line in table_of(section).rows]
     assert first[0] == ["q1", "–", "0.020 / 0.070", *"––––––"]
     assert first[1] == [
-        "q2", "0.0065 / 0.087", "–", "0.011 / 0.011", "0.020 / –", "0.0090 / 0.018", "–", "–",
+        "q2", "0.0065 / 0.087", "–", "0.011 / 0.011", "0.020 / –", "0.0090 / 0.018", *"–––",
     ]  # fmt: skip
     second = [[cell.text for cell in line] for line in table_of(section, 1).rows]
     assert ["link parameter a2 of joint 2", "0.043", "0.14", "mm"] in second
