@@ -8,6 +8,7 @@ from typing import Any
 import pandas as pd
 
 from reports import Results
+from reports.document.formatting import with_uncertainty
 from reports.session.headline import headline
 from verify.analysis.session import analyse
 from verify.cli.options import ToleranceOptions
@@ -128,7 +129,6 @@ def _verbose_lines(summary: dict[str, Any]) -> list[str]:
 
 def _joint_line(joint: dict[str, Any]) -> str:
     mean, u = joint["mean_error_deg"], joint["expanded_uncertainty_deg"]
-    error = "not determined" if mean is None else f"{mean:+.3f}°"
-    doubt = "" if u is None else f" ± {u:.3f}°"
+    error = "not determined" if mean is None else with_uncertainty(mean, u, "°")
     verdict = "" if joint["verdict"] is None else f"  {joint['verdict']}"
-    return f"  joint {joint['joint']}: {error}{doubt}{verdict}"
+    return f"  joint {joint['joint']}: {error}{verdict}"
