@@ -16,6 +16,7 @@ from verify.analysis.comparison import (
     inflate_covariance,
     relinearise,
     solve_joints,
+    without_weight,
 )
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
@@ -74,7 +75,7 @@ __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 
 TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
-MAX_ROUNDS = 3  # of causes and what pairs repeat of what they leave
+MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
 MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
 NO_TOLERANCE = Tolerance(None, None, None)
 
@@ -192,7 +193,8 @@ def session_model(
 
     Pairs that repeat each other's errors count for fewer. What a cause leaves in every pair from
     its beginning on repeats itself as well: so causes are found first with all that counted as
-    noise, then again with what they themselves leave.
+    noise, then again with what they themselves leave. A pair whose reading lies between one from
+    before a change and one from after it weighs nothing.
     """
     session, joints = compared.session, compared.joints
 
@@ -208,27 +210,27 @@ def session_model(
         first = np.nan_to_num(resolve_errors(built(compared.comparison)).mean)
         typical = np.where(known.any(axis=0), typical, first)
     middle = relinearise(compared.comparison, session.arm, typical)
-    plain = built(middle)
 
-    def repeated(resolved: ResolvedErrors) -> Array:
-        return autocorrelation(plain.white.by_pair(plain.xi - predict_errors(plain, resolved)))
+    def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:
+        causes = [] if found is None else explained_by(found, model, session.arm, session.rig)
+        resolved = resolve_errors(model, causes)
+        left = model.xi - predict_errors(model, resolved)
+        return resolved, autocorrelation(model.white.by_pair(left))
 
-    unexplained = resolve_errors(plain)
-    factors = repeated(unexplained)
+    factors = explained(built(middle), None)[1]
+    across = np.zeros(0, dtype=np.int64)
     for _ in range(MAX_ROUNDS):
-        inflated = bool(np.any(factors > 1))
-        model = built(inflate_covariance(middle, factors)) if inflated else plain
-        found = find_causes(
-            model, resolve_errors(model) if inflated else unexplained, session.arm, session.rig
-        )
-        resolved = resolve_errors(model, explained_by(found, model, session.arm, session.rig))
-        if not inflated or not resolved.causes:
+        model = built(inflate_covariance(without_weight(middle, across), factors))
+        found = find_causes(model, resolve_errors(model), session.arm, session.rig)
+        resolved, _ = explained(model, found)
+        more = np.union1d(across, found.straddling(middle.t))
+        found = replace(found, outlying=np.union1d(found.outlying, across))
+        if not resolved.causes:
             break
-        causes = explained_by(found, plain, session.arm, session.rig)
-        left = np.minimum(repeated(resolve_errors(plain, causes)), factors)
-        if np.allclose(left, factors, rtol=TOL_REPEATED):
+        left = explained(built(without_weight(middle, more)), found)[1]
+        if len(more) == len(across) and np.all(left > (1 - TOL_REPEATED) * factors):
             break
-        factors = left
+        factors, across = np.minimum(left, factors), more
     return model, found, resolved
 
 

@@ -25,7 +25,7 @@ from verify.analysis.diagnosis.steps import (
     begun,
     stated_steps,
 )
-from verify.analysis.joint_errors import ResolvedErrors, predict_errors
+from verify.analysis.joint_errors import ResolvedErrors, predict_errors, resolve_errors
 from verify.analysis.least_squares import Whitener, solve
 from verify.analysis.model import JointErrorModel, WhitenedColumns
 from verify.core.records import Array
@@ -37,6 +37,7 @@ P_OUTLIER = 1e-3  # chance of listing any pair of a session without outliers
 MAX_OUTLIER_SHARE = 0.1  # of the pairs: more of them are no outliers, the fit lacks something
 P_LACK_OF_FIT = 1e-3  # chance of doubting sound figures
 MAX_ROUNDS = 6
+MAX_CHANGES = 3  # sought before any other fault, so that pairs across them lie out
 MAX_PAIRS = 2000  # of a session; of longer ones so many, evenly spread
 TOL_MISFIT = 0.01  # of the misfit
 
@@ -88,6 +89,16 @@ class Diagnosis:
     misfit: float  # chi-squared a degree of freedom that the causes leave, where they lack; else 1
     products: FaultProducts
 
+    def straddling(self, t: Array) -> NDArray[np.int64]:
+        """Pairs that lie out beside the instant of a change: readings of before and after meet.
+
+        Args:
+            t: (n,), s, of all pairs.
+        """
+        begins = [c.fault.begin for c in self.causes if c.fault.begin is not None]
+        beside = {k + i for k in np.searchsorted(t, begins).tolist() for i in (-1, 0)}
+        return np.array([i for i in self.outlying.tolist() if i in beside], dtype=np.int64)
+
 
 def find_causes(
     model: JointErrorModel,
@@ -116,6 +127,15 @@ def find_causes(
     moving = beginning_faults(model, faults)
     faults += stated_steps(model, moving)
     outlying = _within(_outliers(model, residual), len(chosen))
+    changes: list[Fault] = []
+    for _ in range(MAX_CHANGES):
+        scan = StepScan(model, ~np.isin(model.white.pair, outlying))
+        change = scan.strongest(moving, changes)
+        if change is None:
+            break
+        changes.append(change)
+        residual = model.xi - predict_errors(model, resolve_errors(model, changes))
+        outlying = _within(_outliers(model, residual), len(chosen))
     for _ in range(MAX_ROUNDS):
         kept = ~np.isin(model.white.pair, outlying)
         products, best, misfit = _best_dated_set(model, faults, moving, kept)

@@ -26,6 +26,9 @@ from verify.core.records import Array
 
 MIN_PAIRS_BESIDE = 3  # before and after an instant; fewer are outliers
 MOVING_KINDS = ("base_moved", "led_body_slipped", "camera_turned")
+MIN_WORTH = (
+    15.0  # of chi-squared beyond Schwarz's criterion, of a change sought before any other fault
+)
 TOL_RANK = 1e-8  # of a column's square: what others leave of it by rounding
 
 
@@ -106,6 +109,23 @@ class StepScan:
                 gain = self._gains(fault.columns, common if plain else self._free(beside))
                 chosen.append(begun(self.model, fault, int(at[np.argmax(gain[at])])))
         return chosen
+
+    def strongest(self, moving: list[Fault], found: list[Fault]) -> Fault | None:
+        """The change that explains most beside those that were found; None: none is clear.
+
+        A reading between one from before and one from after a change is neither: its pair lies out,
+        which shows once the change itself is known.
+        """
+        at, rows = instants(self.model), int(self.kept.sum())
+        basis = self._free([f.columns for f in found])
+        best, most = None, MIN_WORTH
+        for fault in moving if len(at) else ():
+            gain = self._gains(fault.columns, basis)[at]
+            change = begun(self.model, fault, int(at[np.argmax(gain)]))
+            worth = float(gain.max()) - change.schwarz(rows)
+            if worth > most:
+                best, most = change, worth
+        return best
 
     def _free(self, columns: list[Array]) -> Array:
         """An orthonormal basis (r, m) of columns and all that was fitted, stated ones held."""
