@@ -5,7 +5,7 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
 from reports.document.charts import Chart, Path
-from reports.document.formatting import DASH, text_or_dash, with_uncertainty
+from reports.document.formatting import DASH, finite, text_or_dash, with_uncertainty
 from reports.results import Results, one_line
 
 
@@ -198,10 +198,15 @@ def field(
 
 
 def uncertain_field(
-    key: str, u_key: str, unit: str = "", signed: bool = True
+    key: str, u_key: str, unit: str = "", *, signed: bool = True, k: float = 1.0
 ) -> Callable[[Mapping[str, Any]], str]:
-    """Make the writer of a value of an entry with its uncertainty."""
-    return lambda entry: with_uncertainty(entry.get(key), entry.get(u_key), unit, signed)
+    """Make the writer of a value of an entry with `k` times its uncertainty."""
+
+    def write(entry: Mapping[str, Any]) -> str:
+        u = finite(entry.get(u_key))
+        return with_uncertainty(entry.get(key), None if u is None else k * u, unit, signed)
+
+    return write
 
 
 def tabulate(caption: str, columns: Iterable[Column], entries: Iterable[Any], *notes: str) -> Table:

@@ -70,13 +70,12 @@ def change_date(change: dict[str, Any]) -> str:
 def change_text(one: dict[str, Any]) -> str:
     """Say a change in half a sentence."""
     unit = "°" if one["unit"] == "deg" else "° a month"
-    size = with_uncertainty(abs(float(one["size"])), 2 * float(one["size_u"]), signed=False)
-    way = "up" if float(one["size"]) > 0 else "down"
-    verb = {"step": "stepped", "drift": "drifts", "change": "changed (step or drift)"}
+    size = with_uncertainty(one["size"], 2 * float(one["size_u"])) + unit
+    verb = {"step": "changed", "drift": "drifts", "change": "changed or drifts"}
     when = "since" if one["term"] == "drift" else "on"
     return (
-        f"joint {one['joint']} of {text_or_dash(one['arm'])} {verb[str(one['kind'])]} {way} by "
-        f"{size}{unit} {when} {format_day(one['t_days'])}"
+        f"the reading of joint {one['joint']} of {text_or_dash(one['arm'])} "
+        f"{verb[str(one['kind'])]} by {size} (k = 2) {when} {format_day(one['t_days'])}"
     )
 
 

@@ -114,7 +114,7 @@ def joints(results: Results) -> doc.Section:
         doc.Column("Arm", "l", doc.field("arm")),
         doc.Column("Joint", "l", doc.field("joint", str)),
         doc.Column("State", "l", _state),
-        doc.Column("Error now [°]", "r", evidence.expanded_field("error_deg", "error_u_deg")),
+        doc.Column("Error now [°]", "r", doc.uncertain_field("error_deg", "error_u_deg", k=2)),
         doc.Column("Trend [°/month]", "r", _trend),
         doc.Column("Sessions", "r", doc.field("sessions", count)),
         doc.Column("Odd ones", "r", doc.field("odd_sessions", count)),

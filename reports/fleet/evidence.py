@@ -1,6 +1,5 @@
 """The second half of a fleet report: comparisons, worst sessions, what was not seen, failures."""
 
-from collections.abc import Callable
 from functools import partial
 from typing import Any
 
@@ -19,7 +18,6 @@ from reports.document.formatting import (
     percent,
     significant,
     text_or_dash,
-    with_uncertainty,
 )
 from reports.fleet.charts import STATES
 from reports.results import Results
@@ -87,23 +85,17 @@ def _contrast_table(first: str, second: str, entries: list[dict[str, Any]]) -> d
         doc.Column("Joint", "l", doc.field("joint", str)),
         doc.Column("First [°]", "r", partial(_mean_and_sessions, "first")),
         doc.Column("Second [°]", "r", partial(_mean_and_sessions, "second")),
-        doc.Column("Difference ± U [°]", "r", expanded_field("difference_deg", "difference_u_deg")),
+        doc.Column(
+            "Difference ± U [°]",
+            "r",
+            doc.uncertain_field("difference_deg", "difference_u_deg", k=2),
+        ),
         doc.Column("Result", "l", _contrast_result),
     )
     title = f"Mean errors: {text_or_dash(first)}, {text_or_dash(second)}, and the difference."
     return doc.tabulate(
         title, columns, sorted(entries, key=lambda e: not e["shown"]), CONTRAST_NOTE
     )
-
-
-def expanded_field(key: str, u_key: str) -> Callable[[dict[str, Any]], str]:
-    """Make the writer of a value of an entry with its expanded uncertainty (k = 2)."""
-
-    def write(entry: dict[str, Any]) -> str:
-        u = finite(entry.get(u_key))
-        return with_uncertainty(entry.get(key), None if u is None else 2 * u)
-
-    return write
 
 
 def _mean_and_sessions(side: str, entry: dict[str, Any]) -> str:
@@ -129,7 +121,7 @@ def worst_sessions(results: Results) -> doc.Section | None:
             "Sessions have no reports of their own yet: run the same command with --reports; "
             "nothing is measured again for it."
         )
-    error = expanded_field("worst_error_deg", "worst_error_u_deg")
+    error = doc.uncertain_field("worst_error_deg", "worst_error_u_deg", k=2)
     columns = (
         doc.Column("Session", "l", _session_link, wide=True),
         doc.Column("Started", "l", doc.field("started")),

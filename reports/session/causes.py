@@ -24,6 +24,7 @@ CAUSES = {
     "eccentricity": "eccentricity",
     "compliance": "compliance",
     "drift": "drift",
+    "step": "step",
     "dh": "link parameter",
     "geometry": "links that differ from the robot file",
     "clock": "encoder clock offset",
@@ -41,6 +42,8 @@ REMEDIES = {
     "eccentricity": "check that its encoder or gear runs true",
     "compliance": "check its gear and bearings under load",
     "drift": "warm up before measuring, and check how its encoder is fixed",
+    "step": "find out what slipped, was reset or exchanged then; before and after it are to be "
+    "judged apart",
     "geometry": "find them with verify identify, and judge by the corrected robot file",
     "clock_drift": "take both times from one clock, or keep sessions short",
     "camera_turned": "calibrate the rig again",
@@ -72,7 +75,13 @@ def cause_name(entry: dict[str, Any]) -> str:
         turns = exact_number(entry.get("per_turn", 1))
         name = f"{name} ({turns} per turn, phase {number(entry['phase_deg'], 1)}°)"
     joint = entry.get("joint")
-    return name if joint is None else f"{name} of joint {joint}"
+    name = name if joint is None else f"{name} of joint {joint}"
+    return name if finite(entry.get("t_s")) is None else f"{name} {instant(entry)}"
+
+
+def instant(entry: dict[str, Any]) -> str:
+    """Say when a fault began, on the clock of the errors over time: `at 12.3 s`."""
+    return f"at {number(entry.get('t_s'), 1)} s"
 
 
 def format_value(entry: dict[str, Any]) -> str:
@@ -171,13 +180,14 @@ def _decimals(entry: dict[str, Any]) -> int:
 
 @dataclass(frozen=True, slots=True)
 class CauseText:
-    """A cause as half a sentence; it may name amount, joint, turns, parameter, turn and way."""
+    """A cause as half a sentence; it may name amount, joint, turns, parameter, turn, way, since."""
 
     sentence: str
     unit: str = "°"
     ways: tuple[str, str] | None = None  # of a positive and of a negative value, shown unsigned
     signed: bool = False
     factor: float = 1.0  # from the entry's unit to that of the sentence
+    since: str = "since it was registered"  # of what was there before the session
 
 
 CAUSE_TEXTS = {
@@ -196,22 +206,22 @@ CAUSE_TEXTS = {
     "clock": CauseText("the encoder clock offset is wrong by {amount}", "s", ways=("", "")),
     "dh": CauseText("{owner}'s {parameter} differs by {amount}", "", signed=True),
     "compliance": CauseText("joint {joint} gives way by {amount} of lever", "°/m"),
+    "step": CauseText("joint {joint}'s reading changed by {amount} {since}", signed=True),
     "drift": CauseText("joint {joint}'s reading drifts by {amount}", "°/h", signed=True),
     "clock_drift": CauseText("the encoder clock {way} {amount}", "ppm", ways=("loses", "gains")),
     "camera_skew": CauseText(
         "the right pictures were taken {amount} {way} than stamped", "s", ways=("later", "earlier")
     ),
     "camera_turned": CauseText(
-        "the right camera has turned by {amount} since the calibration", ways=("", "")
+        "the right camera has turned by {amount} {since}",
+        ways=("", ""),
+        since="since the calibration",
     ),
     "base_moved": CauseText(
-        "the robot's base, or the whole rig, has moved by {amount} and {turn}° since it was "
-        "registered",
+        "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}",
         "mm",
     ),
-    "led_body_slipped": CauseText(
-        "the LED body has moved by {amount} and {turn}° since it was registered", "mm"
-    ),
+    "led_body_slipped": CauseText("the LED body has moved by {amount} and {turn}° {since}", "mm"),
 }
 
 
@@ -228,5 +238,6 @@ def _cause_sentence(text: CauseText, entry: dict[str, Any], value: float) -> str
         parameter=entry.get("parameter", "a link parameter"),
         turns=f"{turns} {'wave' if turns == '1' else 'waves'}",
         turn=number(entry.get("turn_deg"), 3),
+        since=text.since if finite(entry.get("t_s")) is None else instant(entry),
         way=text.ways[value <= 0] if text.ways else "",
     )

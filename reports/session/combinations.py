@@ -45,7 +45,7 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     rows = [
         doc.row(
             text_or_dash(c.get("label")),
-            with_uncertainty(c.get("mean_error_deg"), c["standard_uncertainty_deg"]),
+            with_uncertainty(c.get("mean_error_deg"), 2 * c["standard_uncertainty_deg"]),
             "axes are parallel",
         )
         for c in sums
@@ -55,19 +55,21 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     for place, name in enumerate(names):
         if entries[place].get("joint") in members and np.isfinite(u[place]):
             rows.append(
-                doc.row(f"q{name}", with_uncertainty(mean[place], u[place]), "a member by itself")
+                doc.row(
+                    f"q{name}", with_uncertainty(mean[place], 2 * u[place]), "a member by itself"
+                )
             )
     for which, why in ((0, "known best of all sums"), (-1, "known worst of all sums")):
         weights = vectors[:, which] / vectors[np.argmax(np.abs(vectors[:, which])), which]
         label = _combination_name(weights, [names[k] for k in determined])
         # of weights whose largest is one, as a sum of joints has them
         size = float(np.sqrt(max(values[which], 0.0))) / float(np.abs(vectors[:, which]).max())
-        rows.append(doc.row(label, with_uncertainty(weights @ mean[determined], size), why))
+        rows.append(doc.row(label, with_uncertainty(weights @ mean[determined], 2 * size), why))
     return [
         doc.Table(
-            "Sums of the joints' mean errors, those known well beside those known badly.",
+            "Sums of the joints' mean errors (k = 2), those known well beside those known badly.",
             "lrl",
-            ("Sum", "Mean error ± u [°]", "Why it is given"),
+            ("Sum", "Mean error ± U [°]", "Why it is given"),
             tuple(rows),
             (_uncertainty_ratio_text(values),),
         )
@@ -110,6 +112,7 @@ COLUMNS = (
     ("waves", "Waves [°]"),
     ("compliance", "Compliance [°/m]"),
     ("drift", "Drift [°/h]"),
+    ("step", "Step [°]"),
 )
 TABLE_NOTE = (
     "Each entry: the smallest fault that the diagnosis would list, / the smallest that it would "
@@ -120,7 +123,8 @@ TABLE_NOTE = (
 FAULT_NOTE = (
     "Eccentricity: one wave a turn, of the least favourable phase; tried where a joint turns more "
     "than 60°. Waves: the least favourable number of waves a turn of those that the swing shows. "
-    "Compliance: error a metre of horizontal lever, tried where the lever varies by half."
+    "Compliance: error a metre of horizontal lever, tried where the lever varies by half. Step: an "
+    "offset that changes in the middle of the session."
 )
 
 

@@ -1,6 +1,7 @@
 """The first half of a report: the verdict, the joints, the causes, the errors, the pose."""
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import PurePath
 from typing import Any
 
@@ -19,12 +20,13 @@ from reports.document.blocks import (
     tabulate,
     uncertain_field,
 )
-from reports.document.charts import MAX_LINE_POINTS
+from reports.document.charts import MAX_LINE_POINTS, records
 from reports.document.formatting import (
     DASH,
     UNITS,
     count,
     exact_number,
+    finite,
     join_words,
     lookup_label,
     number,
@@ -32,7 +34,6 @@ from reports.document.formatting import (
     probability,
     significant,
     text_or_dash,
-    with_uncertainty,
 )
 from reports.document.formatting import joint_names as name_joints
 from reports.results import Results
@@ -41,9 +42,9 @@ from reports.session.figures import evidence, motion
 from reports.session.headline import headline, is_hidden
 
 ERROR_NOTE = (
-    "U: expanded uncertainty (k · u) of the mean over these pairs. Max |e| holds noise and is "
-    "never judged. The verdict rests on ê, the resolved error, with its standard uncertainty u: "
-    "the curve through the errors that noise does not follow."
+    "The verdict rests on ê, the resolved error: the curve through the errors that noise does not "
+    "follow, causes found included. Mean: of ê over these pairs, with its expanded uncertainty "
+    "(k); worst ê: with k = 2. Max |e|, of single pairs, holds noise and is never judged."
 )
 DETECTABILITY_NOTE = (
     "Visible: share of an offset's signal left after all that was fitted, for an offset that "
@@ -56,6 +57,11 @@ CAUSE_NOTE = (
     "parameters: BIC by 10). Explains: share of the weighted errors that goes with it. Runner-up: "
     "the rival that fits best in its place, and by how much worse."
 )
+ALARM_NOTE = (
+    "t on the clock of the errors over time: when the alarm was raised, a little after what it "
+    "tells of. alarms.csv has them all."
+)
+MAX_LISTED_ALARMS = 12  # on page one, the first; alarms.csv has all
 MAX_LISTED_PAIRS = 30  # listed by their numbers; summary.json lists all
 
 
@@ -73,19 +79,53 @@ def verdict(results: Results) -> Section:
         ("Poses" if instrument else "Stereo pairs", measured),
         ("Encoder clock", clock_text(summary)),
     ]
-    return Section("verdict", "Verdict", (headline(results), Facts(tuple(items))))
+    return Section(
+        "verdict", "Verdict", (headline(results), Facts(tuple(items)), *_alarm_blocks(results))
+    )
+
+
+def _alarm_blocks(results: Results) -> tuple[Block, ...]:
+    """List what a watched run told, and the cause that the diagnosis found for it."""
+    if "alarms" not in results.tables:
+        return ()
+    alarms = records(results.table("alarms").astype({"joint": float}))
+    if not alarms:
+        return (Paragraph("The robot was watched, and no alarm was raised."),)
+    columns = (
+        Column("Alarm", "l", field("alarm", count)),
+        Column("At [s]", "r", field("t_s", number, 1)),
+        Column("Told", "l", field("text"), wide=True),
+        Column("Explained by", "l", partial(_explanation, results.summary), wide=True),
+    )
+    return (
+        tabulate(
+            "Alarms while the robot was watched.", columns, alarms[:MAX_LISTED_ALARMS], ALARM_NOTE
+        ),
+    )
+
+
+def _explanation(summary: dict[str, Any], alarm: dict[str, Any]) -> str:
+    """The causes of an alarm's joint, and common ones, that had begun when it was raised."""
+    joint, raised = finite(alarm.get("joint")), finite(alarm.get("t_s"))
+    if joint is None or raised is None:
+        return DASH
+    named = [
+        causes.cause_name(one)
+        for one in summary.get("diagnosis") or []
+        if one.get("kind") != "ambiguous" and one.get("joint") in (None, int(joint))
+        and (finite(one.get("t_s")) or raised) <= raised
+    ]  # fmt: skip
+    return "; ".join(named) or "no cause that the diagnosis found"
 
 
 def clock_text(summary: dict[str, Any]) -> str:
     """Say the encoder clock's offset and where it comes from."""
     entry = summary.get("clock") or {}
-    offset = with_uncertainty(
-        entry.get("encoder_offset_s"), entry.get("standard_uncertainty_s"), "s"
-    )
+    offset = uncertain_field("encoder_offset_s", "standard_uncertainty_s", "s", k=2)(entry)
     if offset == DASH:
         return "not observable" if entry.get("observable") is False else DASH
     source = lookup_label(phrases.CLOCK_SOURCES, entry.get("source"))
-    return f"{offset} (1σ), {source}"
+    return f"{offset} (k = 2), {source}"
 
 
 def joints(results: Results) -> Section:
@@ -127,8 +167,8 @@ def _error_table(entries: list[dict[str, Any]]) -> Table:
         Column("RMS [°]", "r", field("rms_error_deg", number)),
         Column("Max |e| [°]", "r", field("max_abs_error_deg", number)),
         Column(
-            "Worst ê ± u [°]", "r",
-            uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg"),
+            "Worst ê ± U [°]", "r",
+            uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", k=2),
         ),
         Column("Tolerance [°]", "r", field("tolerance_deg", _format_tolerance)),
         Column("P(conform)", "r", field("conformance_probability", probability)),
@@ -164,10 +204,10 @@ def _detectability_table(entries: list[dict[str, Any]]) -> Table:
 
 
 def _combination_table(entries: list[dict[str, Any]]) -> Table:
-    value = uncertain_field("mean_error_deg", "standard_uncertainty_deg")
+    value = uncertain_field("mean_error_deg", "standard_uncertainty_deg", k=2)
     columns = (
         Column("Sum", "l", field("label")),
-        Column("Mean error ± u [°]", "r", value),
+        Column("Mean error ± U [°]", "r", value),
         Column("Pairs", "r", field("pairs", count)),
         Column("Why it is given", "l", _coupling, wide=True),
     )

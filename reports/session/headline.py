@@ -3,7 +3,7 @@
 from typing import Any
 
 from reports.document import formatting
-from reports.document.blocks import Verdict
+from reports.document.blocks import Verdict, uncertain_field
 from reports.document.formatting import (
     capitalise,
     exact_number,
@@ -27,6 +27,7 @@ LABELS = {
 }
 MAX_CAUSES = 3  # named in the headline; more would hide the first, and the diagnosis lists them all
 SCOPE = "This covers the poses, directions and speeds that the session shows, and no others."
+WORST_ERROR = uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", "°", k=2)
 SINGULAR_NAMES = ("the robot base", "the measured point")
 
 
@@ -92,12 +93,10 @@ def _nonconform(results: Results) -> str:
 def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:
     if failing:
         worst = max(failing, key=lambda j: abs(finite(j.get("worst_error_deg")) or 0.0))
-        text = with_uncertainty(
-            worst.get("worst_error_deg"), worst.get("worst_error_standard_uncertainty_deg"), "°"
-        )
+        text = WORST_ERROR(worst)
         verb = "exceed" if len(failing) > 1 else "exceeds"
         names = joint_names([joint.get("joint") for joint in failing])
-        return f"{names} {verb} {tolerance_text(summary, failing)} (worst: {text}, 1σ)"
+        return f"{names} {verb} {tolerance_text(summary, failing)} (worst: {text}, k = 2)"
     pose = []
     for name, unit in (("position", "mm"), ("orientation", "deg")):
         entry = summary.get(name) or {}

@@ -88,7 +88,7 @@ def test_the_report_names_the_joint_and_dates_the_step_to_its_session(lab: Path,
     assert found["session"] == str(lab / f"{REPAIRED:02d}")
     assert abs(found["size"] - 0.3) < 0.05
     page = (out / "fleet.html").read_text()
-    assert "Joint 2 of iust_6r stepped up" in page
+    assert "The reading of joint 2 of iust_6r changed by +" in page
 
 
 def test_started_again_nothing_is_measured_and_the_bytes_are_the_same(lab: Path, out: Path) -> None:

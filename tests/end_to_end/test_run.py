@@ -10,9 +10,11 @@ from typing import Any, Literal
 
 import msgspec
 import numpy as np
+import pandas as pd
 import pytest
 
 import reports
+from reports.document.formatting import with_uncertainty
 from tests.support.command import SAMPLES, Outcome, Run, read_summary, replayed, run, verify
 from verify import Setup, analyse, measure, open_session
 
@@ -30,7 +32,8 @@ def table(name: str, keys: str = "", /, **more: Any) -> type[msgspec.Struct]:
 
 
 FLANGE = "rms_error_{0} max_error_{0} expanded_uncertainty_{0} tolerance_{0}"
-JOINT = """mean_error_deg rms_error_deg max_abs_error_deg standard_uncertainty_deg
+JOINT = """mean_error_deg plain_mean_error_deg rms_error_deg max_abs_error_deg
+    standard_uncertainty_deg
     expanded_uncertainty_deg coverage_factor worst_error_deg worst_error_standard_uncertainty_deg
     tolerance_deg conformance_probability visible_fraction visible_fraction_since_registration
     minimum_detectable_error_deg minimum_separable_error_deg"""
@@ -154,9 +157,30 @@ def test_figures_of_the_table_and_of_the_summary_agree(faulty: Run) -> None:
         error = frames[f"q{joint['joint']}_error_deg"]
         reading = frames[f"q{joint['joint']}_encoder_deg"]
         assert np.allclose(reading - frames[f"q{joint['joint']}_measured_deg"], error, atol=2e-6)
-        assert joint["mean_error_deg"] == pytest.approx(error.mean(), abs=1e-6)
+        assert joint["plain_mean_error_deg"] == pytest.approx(error.mean(), abs=1e-6)
         assert joint["max_abs_error_deg"] == pytest.approx(error.abs().max(), abs=1e-6)
         assert joint["rms_error_deg"] == pytest.approx(np.sqrt((error**2).mean()), abs=1e-6)
+
+
+def test_one_number_for_one_thing(faulty: Run) -> None:
+    """The mean of the resolved error: in summary.json, table, terminal and headline."""
+    page = (faulty.out / "report.html").read_text(encoding="utf-8")
+    resolved = pd.read_parquet(faulty.out / "results" / "resolved.parquet")
+    for joint in faulty.summary["joints"]:
+        mean, expanded = joint["mean_error_deg"], joint["expanded_uncertainty_deg"]
+        curve = resolved[f"q{joint['joint']}_resolved_deg"]
+        assert mean == pytest.approx(curve.mean(), abs=1e-9)
+        assert abs(joint["worst_error_deg"]) == pytest.approx(curve.abs().max(), abs=1e-9)
+        assert f"joint {joint['joint']}: {with_uncertainty(mean, expanded, '°')}" in (
+            faulty.outcome.out
+        )
+        assert with_uncertainty(mean, expanded) in page
+    (cause,), faulted = faulty.summary["diagnosis"], faulty.summary["joints"][1]
+    assert cause["value"] == faulted["mean_error_deg"]
+    assert cause["expanded_uncertainty"] == faulted["expanded_uncertainty_deg"]
+    stated = with_uncertainty(cause["value"], cause["expanded_uncertainty"], "°", signed=False)
+    for text in (page, faulty.outcome.out):
+        assert f"Joint 2 reads {stated} (k = 2) too high" in text
 
 
 def test_the_fault_of_the_sample_is_named_and_its_tolerance_is_the_sessions(faulty: Run) -> None:

@@ -22,9 +22,9 @@ from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.comparison import compare, solve_joints
-from verify.analysis.joint_errors import JointErrors, mean_errors, resolve_errors
-from verify.analysis.model import build_model, clock_effect
+from verify.analysis.comparison import compare
+from verify.analysis.joint_errors import mean_errors, resolve_errors
+from verify.analysis.model import build_model
 from verify.analysis.session import analyse
 from verify.calibration.corners.find import find_board
 from verify.calibration.registration.fixture import (
@@ -315,7 +315,6 @@ def _at_spots(session: InMemory, noise_seed: int) -> tuple[Array, Array]:
     output = session.clock.encoder_offset, session.clock.standard_uncertainty
     readings = Readings(session.encoders.t, session.encoders.q)
     comparison = compare(track, arm, readings, output[0])
-    joints = solve_joints(comparison, arm)
     model = build_model(
         comparison,
         track,
@@ -324,11 +323,5 @@ def _at_spots(session: InMemory, noise_seed: int) -> tuple[Array, Array]:
         ClockEstimate(*output, "given", np.zeros((0, 2))),
         parameters,
     )
-    errors = JointErrors(
-        error=joints.single,
-        covariance=joints.covariance,
-        systematic=joints.inverse @ model.prior_columns,
-        clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
-    )
-    means = mean_errors(model, errors, resolve_errors(model), None, parameters)
+    means = mean_errors(model, resolve_errors(model), parameters)
     return means.mean, means.covariance

@@ -66,10 +66,10 @@ def combinations(
         found += _singularity_sums(joints, errors, clock)
         if arm.dof > POSE_DOF:
             found += _pose_sums(model.comparison, joints, errors, clock)
-    return found + _parallel(arm, means)
+    return found + _parallel(arm, means, len(model.comparison))
 
 
-def _parallel(arm: robots.Arm, means: MeanErrors) -> list[Combination]:
+def _parallel(arm: robots.Arm, means: MeanErrors, pairs: int) -> list[Combination]:
     """Sums over joints with parallel axes: the angle of the last link, known better than each."""
     found = []
     for weights in _parallel_axes(arm):
@@ -77,7 +77,6 @@ def _parallel(arm: robots.Arm, means: MeanErrors) -> list[Combination]:
         if np.isfinite(means.mean[used]).all():
             mean = float(weights[used] @ means.mean[used])
             variance = float(weights[used] @ means.covariance[np.ix_(used, used)] @ weights[used])
-            pairs = int(means.pairs[used].min())
             found.append(Combination(weights, mean, float(np.sqrt(variance)), pairs, "well_known"))
     return found
 

@@ -24,6 +24,7 @@ from verify.measurement.track import Track, difference_weights
 MIN_ACCELERATIONS = 5  # differences that make a session's mean square
 MAX_GAUGE_STEPS = 12  # Newton on a turn: from half a turn away it takes six
 TOL_GAUGE = 1e-9  # rad
+NO_WEIGHT = 1e8  # on a covariance: less than what any session could tell
 # A direction that moves a joint less than this share of the most moved one is rounding.
 MIN_MOTION = 1e-6
 
@@ -183,6 +184,13 @@ def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:
             covariance[i] = (lower * factors) @ lower.T
         else:
             covariance[i] *= factors.max()
+    return replace(comparison, covariance=covariance)
+
+
+def without_weight(comparison: Comparison, pairs: NDArray[np.int64]) -> Comparison:
+    """Let some pairs count for nothing, and keep them."""
+    covariance = comparison.covariance.copy()
+    covariance[pairs] *= NO_WEIGHT
     return replace(comparison, covariance=covariance)
 
 

@@ -9,12 +9,14 @@ with the terms that the motion can tell apart: angle q beyond MIN_SPAN, directio
 both occur, sine and cosine beyond MIN_SPAN_CIRCULAR.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from verify.analysis.comparison import Comparison
+from verify.analysis.diagnosis.faults import Fault
 from verify.analysis.least_squares import RegressionFit, solve
 from verify.analysis.model import JointErrorModel
 from verify.core.records import Array
@@ -26,7 +28,7 @@ MIN_SPAN_CIRCULAR = np.deg2rad(60.0)  # docs/results.md: below that sine and cos
 MIN_PAIRS_PER_DIRECTION = 3
 MIN_PAIRS = 4  # fewer visits leave nothing to tell a slope from chance by
 MIN_PAIRS_CIRCULAR = 8  # likewise with five terms a joint
-MIN_SIGNIFICANCE = 4.0  # standard uncertainties: one false term in a thousand sessions
+TOL_SHAPE = 1e-6  # of a shape: what other terms leave of it by rounding
 P_LACK_OF_FIT = 1e-3  # chance of calling a sound fit bad
 P_TWO_SIGMA = 0.97725  # coverage of k = 2, one-sided
 MIN_LARGE_DOF = 50  # effective degrees of freedom above which k = 2 stands for 95 %
@@ -44,13 +46,15 @@ class ResolvedErrors:
     swing: Array  # (j,), half the range of what is not constant; nan where that is not determined
     swing_uncertainty: Array  # (j,)
     terms: tuple[tuple[str, ...], ...]  # fitted terms a joint
-    significant: Array  # (r, s), whitened columns of the terms, constants apart, that are there
+    causes: tuple[Fault, ...]  # fitted with them
     lack_of_fit: bool
     misfit: float  # chi-squared a degree of freedom where the fit lacks, else 1
     fit: RegressionFit
 
 
-def error_terms(comparison: Comparison) -> tuple[list[tuple[str, ...]], list[Array]]:
+def error_terms(
+    comparison: Comparison, causes: Sequence[Fault] = ()
+) -> tuple[list[tuple[str, ...]], list[Array]]:
     """The terms that a joint's motion can tell apart, and their columns (n, terms) a joint."""
     names, columns = [], []
     for j in range(comparison.q.shape[1]):
@@ -67,15 +71,34 @@ def error_terms(comparison: Comparison) -> tuple[list[tuple[str, ...]], list[Arr
         if span > MIN_SPAN_CIRCULAR and len(q) >= MIN_PAIRS_CIRCULAR:
             terms += ["sine", "cosine"]
             parts += [np.sin(q - middle), np.cos(q - middle) - np.mean(np.cos(q - middle))]
+        for cause in causes:
+            if cause.joint != j + 1 or cause.shape is None:
+                continue
+            for shape in cause.shape.T:
+                if _is_new(shape, np.stack(parts, axis=1)):
+                    terms.append(cause.kind)
+                    parts.append(shape / np.abs(shape).max())
         names.append(tuple(terms))
         columns.append(np.stack(parts, axis=1))
     return names, columns
 
 
-def resolve_errors(model: JointErrorModel) -> ResolvedErrors:
-    """Fit the resolved errors of all joints together, with what was registered."""
-    names, columns = error_terms(model.comparison)
-    design, carried = resolved_design(model)
+def _is_new(shape: Array, terms: Array) -> bool:
+    """Whether terms (n, t) leave anything of a shape (n,)."""
+    left = shape - terms @ np.linalg.lstsq(terms, shape)[0]
+    return bool(np.linalg.norm(left) > TOL_SHAPE * np.linalg.norm(shape))
+
+
+def resolve_errors(model: JointErrorModel, causes: Sequence[Fault] = ()) -> ResolvedErrors:
+    """Fit the resolved errors of all joints together, with what was registered.
+
+    Args:
+        model: the session.
+        causes: faults that were found. A joint's is a term of its error; a common one, or a link's,
+            is no error of a joint, and takes off them what it explains.
+    """
+    names, columns = error_terms(model.comparison, causes)
+    design, carried = resolved_design(model, causes)
     count = carried.shape[2]
     fit = solve(design, model.xi, model.prior)
     limit = chi2_isf(P_LACK_OF_FIT, max(fit.degrees_of_freedom, 1))
@@ -96,7 +119,7 @@ def resolve_errors(model: JointErrorModel) -> ResolvedErrors:
         swing=swing,
         swing_uncertainty=doubt,
         terms=tuple(names),
-        significant=_significant(design[:, :count], columns, fit, misfit),
+        causes=tuple(causes),
         lack_of_fit=lacking,
         misfit=misfit,
         fit=fit,
@@ -105,19 +128,19 @@ def resolve_errors(model: JointErrorModel) -> ResolvedErrors:
 
 def predict_errors(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
     """The whitened errors that the fit describes, held columns included, (r,)."""
-    free = resolved_design(model)[0] @ resolved.fit.value
+    free = resolved_design(model, resolved.causes)[0] @ resolved.fit.value
     described: Array = free + model.prior @ resolved.fit.held
     return described
 
 
-def resolved_design(model: JointErrorModel) -> tuple[Array, Array]:
+def resolved_design(model: JointErrorModel, causes: Sequence[Fault] = ()) -> tuple[Array, Array]:
     """Lay out the regression of the resolved errors.
 
     Returns:
-        The whitened columns of all joints' terms and of what was fitted beside them, (r, k + f);
+        The whitened columns of all joints' terms and of what is fitted beside them, (r, k + f);
         and what a unit of each term is to each joint's error at each pair, (n, j, k).
     """
-    _, columns = error_terms(model.comparison)
+    _, columns = error_terms(model.comparison, causes)
     places = _column_offsets(columns)
     carried = np.zeros((len(columns[0]), len(columns), places[-1]))
     parts = []
@@ -126,7 +149,8 @@ def resolved_design(model: JointErrorModel) -> tuple[Array, Array]:
         varying = model.joints[:, [j]] * terms[model.white.pair]
         varying[:, 0] = model.offsets[:, j]  # the constant is what registration left of it
         parts.append(varying)
-    return np.concatenate([*parts, model.fitted], axis=1), carried
+    beside = [cause.columns for cause in causes if cause.shape is None]
+    return np.concatenate([*parts, model.fitted, *beside], axis=1), carried
 
 
 def _column_offsets(columns: list[Array]) -> list[int]:
@@ -161,16 +185,6 @@ def _half_range(
     return swing, doubt
 
 
-def _significant(design: Array, columns: list[Array], fit: RegressionFit, misfit: float) -> Array:
-    """Columns of the terms, constants apart, that differ from 0 beyond doubt."""
-    count = design.shape[1]
-    varying = np.ones(count, dtype=bool)
-    varying[_column_offsets(columns)[:-1]] = False
-    variance = np.diag(fit.covariance)[:count] * misfit
-    size = np.abs(fit.value[:count]) / np.sqrt(np.maximum(variance, 1e-300))
-    return design[:, fit.estimable[:count] & varying & (size > MIN_SIGNIFICANCE)]
-
-
 @dataclass(frozen=True, slots=True)
 class JointErrors:
     """Per-pair joint errors (readings less measured), rad; nan where a pair does not tell."""
@@ -189,7 +203,6 @@ class MeanErrors:
     covariance: Array  # (j, j), nan rows where the mean is nan
     random: Array  # (j,), standard uncertainty from what averages out
     coverage_factor: Array  # (j,)
-    pairs: NDArray[np.int64]  # (j,), in each joint's statistics
 
 
 def effective_degrees(
@@ -220,75 +233,46 @@ def coverage_factor(degrees: Array) -> Array:
 
 
 def mean_errors(
-    model: JointErrorModel,
-    errors: JointErrors,
-    resolved: ResolvedErrors,
-    clock_uncertainty: float | None,
-    systematics: Systematics,
+    model: JointErrorModel, resolved: ResolvedErrors, systematics: Systematics
 ) -> MeanErrors:
-    """Plain means over the pairs that tell a joint's error, else from a fit over the session.
+    """Means over the pairs of the resolved errors, on which verdict and causes rest.
 
     Args:
         model: the session's linear model.
-        errors: joint errors a pair.
-        resolved: the fit of all joints' errors, for joints that no pair tells.
-        clock_uncertainty: s, of a clock offset that was estimated; None where it is given.
+        resolved: the fit of all joints' errors.
         systematics: for the degrees of freedom that the calibration states.
     """
-    if is_fitted(model, errors):
-        return _fitted_means(model, resolved)
-    known = ~np.isnan(errors.error)
-    pairs = known.sum(axis=0)
-    weight = known / np.maximum(pairs, 1)
-    mean = np.where(pairs > 0, np.sum(np.nan_to_num(errors.error) * weight, axis=0), np.nan)
-    random = np.einsum("ni,nij,nj->ij", weight, np.nan_to_num(errors.covariance), weight)
-    moved = np.einsum("ni,nip->ip", weight, np.nan_to_num(errors.systematic))
-    covariance = random + moved @ moved.T
-    if clock_uncertainty is not None:
-        drift = (np.nan_to_num(errors.clock) * weight).sum(axis=0) * clock_uncertainty
-        covariance = covariance + np.outer(drift, drift)
-    covariance[pairs == 0] = covariance[:, pairs == 0] = np.nan
-    spread = np.sqrt(np.diag(random))
-    # six coordinates a pair share the noise estimate; the spots' own is known far better
+    by_row = mean_sensitivities(model, resolved)
+    random = np.sum(by_row**2, axis=1)  # whitened rows have unit variance
     degrees = effective_degrees(
-        np.diag(covariance),
-        np.diag(random),
-        np.maximum(6.0 * pairs - 6, 1.0),
-        _calibration_variance(moved, systematics),
+        np.diag(resolved.mean_covariance),
+        random,
+        max(float(resolved.fit.degrees_of_freedom), 1.0),
+        _calibration_variance(by_row @ model.prior, systematics),
         systematics.degrees_of_freedom,
     )
-    return MeanErrors(mean, covariance, spread, coverage_factor(degrees), pairs.astype(np.int64))
+    return MeanErrors(
+        resolved.mean, resolved.mean_covariance, np.sqrt(random), coverage_factor(degrees)
+    )
 
 
-def is_fitted(model: JointErrorModel, errors: JointErrors) -> bool:
-    """Whether the means come from a fit over the session, as no pair tells some joint's error."""
-    told = bool((~np.isnan(errors.error)).any(axis=0).all())
-    return model.through_encoders or model.clock_open or not told
+def mean_sensitivities(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
+    """Derivative of the mean errors by the whitened rows, (j, r); nan where not determined.
 
+    Whatever moves the rows moves the means by these, so every source's share of a mean's variance
+    is its own variance carried through them, and the shares add up.
 
-def _fitted_means(model: JointErrorModel, resolved: ResolvedErrors) -> MeanErrors:
-    """Means by weighted least squares over the session.
-
-    With a registration through the encoders, constant offsets of all joints together with what was
-    registered; else the mean of the resolved errors, which gain and backlash do not mislead.
+    Source: GUM 5.1.3, sensitivity coefficients; means by generalised least squares.
     """
-    joints = model.joints.shape[1]
-    design = np.concatenate([model.offsets, model.fitted], axis=1)
-    fit = solve(design, model.xi, model.prior)
-    random = np.sqrt(np.maximum(np.diag(solve(design, model.xi).covariance)[:joints], 0.0))
-    if model.through_encoders:
-        known = fit.estimable[:joints]
-        mean, covariance = fit.value[:joints], fit.covariance[:joints, :joints].copy()
-    else:
-        known = ~np.isnan(resolved.mean)
-        mean, covariance = resolved.mean, resolved.mean_covariance.copy()
-    mean = np.where(known, mean, np.nan)
-    covariance[~known] = covariance[:, ~known] = np.nan
-    pairs = np.full(joints, len(model.comparison))
-    # the fit weighs sources against each other; `budget` takes the calibration's part of it out
-    degrees = np.full(joints, float(fit.degrees_of_freedom))
-    factor = coverage_factor(degrees)
-    return MeanErrors(mean, covariance, np.where(known, random, np.nan), factor, pairs)
+    design, carried = resolved_design(model, resolved.causes)
+    free = np.zeros((carried.shape[1], design.shape[1]))
+    free[:, : carried.shape[2]] = carried.mean(axis=0)
+    held = model.prior
+    # W = (1 + H H')⁻¹ weighs rows by noise and held columns together
+    inner = np.linalg.solve(np.eye(held.shape[1]) + held.T @ held, held.T)
+    weighted = design.T - (design.T @ held) @ inner
+    found: Array = free @ resolved.fit.covariance @ weighted
+    return np.where(np.isnan(resolved.mean)[:, None], np.nan, found)
 
 
 def _calibration_variance(moved: Array, systematics: Systematics) -> Array:

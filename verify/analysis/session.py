@@ -16,11 +16,18 @@ from verify.analysis.comparison import (
     inflate_covariance,
     relinearise,
     solve_joints,
+    without_weight,
 )
 from verify.analysis.diagnosis.detectability import detectable
-from verify.analysis.diagnosis.diagnose import find_causes
+from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
 from verify.analysis.instrument import MeasuredSession
-from verify.analysis.joint_errors import JointErrors, mean_errors, predict_errors, resolve_errors
+from verify.analysis.joint_errors import (
+    JointErrors,
+    ResolvedErrors,
+    mean_errors,
+    predict_errors,
+    resolve_errors,
+)
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.measured import (
     Chain,
@@ -66,7 +73,9 @@ from verify.measurement.track import Track
 
 __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 
+TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
+MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
 MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
 NO_TOLERANCE = Tolerance(None, None, None)
 
@@ -179,8 +188,16 @@ def compare_session(
     return SessionComparison(session, track, systematics, clock, comparison, joints), unreachable
 
 
-def session_model(compared: SessionComparison) -> JointErrorModel:
-    """Linearise a session about the errors that are there; pairs repeat each other's errors."""
+def session_model(
+    compared: SessionComparison,
+) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
+    """Linearise a session about the errors that are there, find their causes, resolve them.
+
+    Pairs that repeat each other's errors count for fewer. What a cause leaves in every pair from
+    its beginning on repeats itself as well: so causes are found first with all that counted as
+    noise, then again with what they themselves leave. A pair whose reading lies between one from
+    before a change and one from after it weighs nothing.
+    """
     session, joints = compared.session, compared.joints
 
     def built(comparison: Comparison) -> JointErrorModel:
@@ -195,10 +212,28 @@ def session_model(compared: SessionComparison) -> JointErrorModel:
         first = np.nan_to_num(resolve_errors(built(compared.comparison)).mean)
         typical = np.where(known.any(axis=0), typical, first)
     middle = relinearise(compared.comparison, session.arm, typical)
-    model = built(middle)
-    residual = model.xi - predict_errors(model, resolve_errors(model))
-    factors = autocorrelation(model.white.by_pair(residual))
-    return built(inflate_covariance(middle, factors)) if np.any(factors > 1) else model
+
+    def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:
+        causes = [] if found is None else explained_by(found, model, session.arm, session.rig)
+        resolved = resolve_errors(model, causes)
+        left = model.xi - predict_errors(model, resolved)
+        return resolved, autocorrelation(model.white.by_pair(left))
+
+    factors = explained(built(middle), None)[1]
+    across = np.zeros(0, dtype=np.int64)
+    for _ in range(MAX_ROUNDS):
+        model = built(inflate_covariance(without_weight(middle, across), factors))
+        found = find_causes(model, resolve_errors(model), session.arm, session.rig)
+        resolved, _ = explained(model, found)
+        more = np.union1d(across, found.straddling(middle.t))
+        found = replace(found, outlying=np.union1d(found.outlying, across))
+        if not resolved.causes:
+            break
+        left = explained(built(without_weight(middle, more)), found)[1]
+        if len(more) == len(across) and np.all(left > (1 - TOL_REPEATED) * factors):
+            break
+        factors, across = np.minimum(left, factors), more
+    return model, found, resolved
 
 
 def zero_undetermined_columns(comparison: Comparison) -> Comparison:
@@ -242,7 +277,7 @@ def _estimate(
 ) -> SessionAnalysis:
     """Estimate errors, their uncertainties and their causes."""
     session, joints = compared.session, compared.joints
-    model = session_model(compared)
+    model, diagnosis, resolved = session_model(compared)
     comparison, clock_uncertainty = model.comparison, compared.clock_uncertainty
     errors = JointErrors(
         error=joints.single,
@@ -250,9 +285,8 @@ def _estimate(
         systematic=joints.inverse @ model.prior_columns,
         clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
     )
-    resolved = resolve_errors(model)
-    means = mean_errors(model, errors, resolved, clock_uncertainty, compared.systematics)
-    sources = budget(model, compared, errors, means, resolved)
+    means = mean_errors(model, resolved, compared.systematics)
+    sources = budget(model, compared, means, resolved)
     means = replace(means, coverage_factor=sources.coverage_factor)
     used = [m for m in measured.measurements if m.status == "measured"]
     return SessionAnalysis(
@@ -270,7 +304,7 @@ def _estimate(
         sweeps=judge_sweeps(model, compared),
         visibility=visibility(model),
         relative=compare_relative_motions(model),
-        diagnosis=find_causes(model, resolved, session.arm, session.rig),
+        diagnosis=diagnosis,
         flange=_flange(model, clock_uncertainty),
         warnings=result_warnings(compared, measured.measurements, model),
     )

@@ -1,10 +1,14 @@
 """Measure recorded sessions: results, verdict, and a report on each."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
+
 from reports import Results
+from reports.document.formatting import with_uncertainty
 from reports.session.headline import headline
 from verify.analysis.session import analyse
 from verify.cli.options import ToleranceOptions
@@ -15,7 +19,12 @@ from verify.io.session.session import open_session
 
 
 def measure_and_report(
-    folder: Path, out: Path | None, tolerances: ToleranceOptions, *, force: bool
+    folder: Path,
+    out: Path | None,
+    tolerances: ToleranceOptions,
+    *,
+    force: bool,
+    alarms: pd.DataFrame | None = None,
 ) -> str | None:
     """Measure a session, write its reports, print the results.
 
@@ -24,6 +33,7 @@ def measure_and_report(
         out: where the reports go; None: NAME-report in the current folder.
         tolerances: replace the session's.
         force: write into a folder that exists.
+        alarms: of a watched run, as in alarms.csv; None: it was not watched.
 
     Returns:
         The verdict; None where no tolerance was given.
@@ -38,6 +48,8 @@ def measure_and_report(
     tolerance = tolerances.tolerance(session.arm.dof)
     with terminal.progress("pairs") as progress:
         results = analyse(session, tolerance=tolerance, progress=progress)
+    if alarms is not None:
+        results = replace(results, tables=results.tables | {"alarms": alarms})
     terminal.warn(*(w for w in results.summary["warnings"] if w not in session.warnings))
     write_report_folder(results, target, force=force, frames=True)
     _print_summary(results, target)
@@ -46,7 +58,12 @@ def measure_and_report(
 
 
 def measure_and_report_all(
-    folders: Sequence[Path], out: Path, tolerances: ToleranceOptions, *, force: bool
+    folders: Sequence[Path],
+    out: Path,
+    tolerances: ToleranceOptions,
+    *,
+    force: bool,
+    alarms: pd.DataFrame | None = None,
 ) -> dict[Path, str | None]:
     """Measure the sessions of one live run, a report each; an unmeasurable one is left out.
 
@@ -55,6 +72,7 @@ def measure_and_report_all(
         out: the first one's report; the others' have a number behind it.
         tolerances: replace the sessions'.
         force: write into folders that exist.
+        alarms: of the run, as in alarms.csv: on page one of the first report.
 
     Returns:
         The verdict of each report, at least one.
@@ -67,7 +85,10 @@ def measure_and_report_all(
     for number, folder in enumerate(folders, start=1):
         target = out if number == 1 else out.with_name(f"{out.name}-{number}")
         try:
-            verdicts[target] = measure_and_report(folder, target, tolerances, force=force)
+            told = None if verdicts else alarms
+            verdicts[target] = measure_and_report(
+                folder, target, tolerances, force=force, alarms=told
+            )
         except InputError as refusal:
             refusals.append(refusal)
     if not verdicts:
@@ -108,7 +129,6 @@ def _verbose_lines(summary: dict[str, Any]) -> list[str]:
 
 def _joint_line(joint: dict[str, Any]) -> str:
     mean, u = joint["mean_error_deg"], joint["expanded_uncertainty_deg"]
-    error = "not determined" if mean is None else f"{mean:+.3f}°"
-    doubt = "" if u is None else f" ± {u:.3f}°"
+    error = "not determined" if mean is None else with_uncertainty(mean, u, "°")
     verdict = "" if joint["verdict"] is None else f"  {joint['verdict']}"
-    return f"  joint {joint['joint']}: {error}{doubt}{verdict}"
+    return f"  joint {joint['joint']}: {error}{verdict}"

@@ -102,7 +102,7 @@ def _run_live(
     force: bool,
 ) -> int:
     from verify.cli.measure import measure_and_report_all
-    from verify.cli.watch import RunOptions, alarms_csv, watch
+    from verify.cli.watch import RunOptions, alarms_table, watch
     from verify.io.files import write_whole
     from verify.io.results import refuse_existing
     from verify.live.station.station import open_station
@@ -115,8 +115,10 @@ def _run_live(
     options = RunOptions(duration, tolerances.tolerance(station.arm.dof), on_alarm, page)
     watched = watch(station, options)
     out = out if out is not None else Path(f"{watched.folders[0].name}-report")
-    reported = measure_and_report_all(watched.folders, out, tolerances, force=force)
-    write_whole(next(iter(reported)) / "alarms.csv", alarms_csv(watched.alarms))
+    alarms = alarms_table(watched.alarms)
+    reported = measure_and_report_all(watched.folders, out, tolerances, force=force, alarms=alarms)
+    text = alarms.to_csv(index=False, lineterminator="\n")
+    write_whole(next(iter(reported)) / "alarms.csv", text.encode())
     if watched.defects:
         raise WatchDefectError(" ".join(watched.defects))
     return EXIT_STATUS[max(reported.values(), key=SEVERITY.index)]

@@ -125,8 +125,8 @@ def watch(station: Station, options: RunOptions) -> RunResult:
     return RunResult(recorded.folders, state.snapshot().alarms[::-1], live.defects)
 
 
-def alarms_csv(alarms: tuple[Alarm, ...]) -> bytes:
-    """Write alarms as alarms.csv has them, one a row."""
+def alarms_table(alarms: tuple[Alarm, ...]) -> pd.DataFrame:
+    """Lay alarms out as alarms.csv has them, one a row."""
     rows = [alarm.fields() for alarm in alarms]
     for row in rows:
         row["not_told_apart_from"] = "+".join(map(str, row["not_told_apart_from"]))
@@ -137,8 +137,7 @@ def alarms_csv(alarms: tuple[Alarm, ...]) -> bytes:
         *("alarm", "kind", "began_utc", "ended_utc", "t_s", "device", "joint"),
         *("not_told_apart_from", "error_deg", "standard_uncertainty_deg", "text"),
     ]
-    table = pd.DataFrame(rows, columns=columns).astype({"joint": "Int64"})
-    return table.to_csv(index=False, lineterminator="\n").encode()
+    return pd.DataFrame(rows, columns=columns).astype({"joint": "Int64"})
 
 
 def _utc(epoch: float | None) -> str | None:

@@ -17,11 +17,11 @@ ExpectedPoses = Callable[[float], Sequence[Array]]  # rig_T_flange from the read
 
 
 def format_error_deg(error: float, standard_uncertainty: float) -> str:
-    """Write an error and its uncertainty (rad) in degrees, with as many digits as it has."""
+    """Write an error and its expanded uncertainty (k = 2) in degrees; both are given in rad."""
     digits = 2 if standard_uncertainty >= math.radians(0.01) else 3
-    value, doubt = math.degrees(error), math.degrees(standard_uncertainty)
+    value, doubt = math.degrees(error), 2 * math.degrees(standard_uncertainty)
     sign = "−" if value < 0 else "+"
-    return f"{sign}{abs(value):.{digits}f}° ± {doubt:.{digits}f}° (1σ)"
+    return f"{sign}{abs(value):.{digits}f}° ± {doubt:.{digits}f}° (k = 2)"
 
 
 @dataclass(frozen=True, slots=True)

@@ -20,14 +20,13 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
-from verify.analysis.comparison import Comparison, compare, solve_joints
-from verify.analysis.joint_errors import JointErrors, MeanErrors, mean_errors, resolve_errors
+from verify.analysis.comparison import Comparison, compare
+from verify.analysis.joint_errors import MeanErrors, mean_errors, resolve_errors
 from verify.analysis.model import (
     JointErrorModel,
     Observability,
     add_pan_noise,
     build_model,
-    clock_effect,
     prior_columns,
     visibility,
 )
@@ -119,8 +118,6 @@ class PredictedAnalysis:
 
     means: MeanErrors
     visibility: Observability
-    errors: JointErrors
-    inverse: Array  # (m, j, 6), d joints / d pose
 
 
 def simulate_session(
@@ -169,21 +166,11 @@ def simulate_session(
     )
 
 
-def estimate_means(session: PredictedSession, arm: robots.Arm) -> PredictedAnalysis:
+def estimate_means(session: PredictedSession) -> PredictedAnalysis:
     """Estimate mean errors and their uncertainty as `verify run` does."""
-    model, clock = session.model, session.clock
-    comparison = session.comparison
-    joints = solve_joints(comparison, arm)
-    inverse = joints.inverse
-    errors = JointErrors(
-        error=joints.single,
-        covariance=inverse @ comparison.covariance @ np.swapaxes(inverse, 1, 2),
-        systematic=inverse @ model.prior_columns,
-        clock=(inverse @ clock_effect(comparison))[:, :, 0],
-    )
-    estimated = clock.standard_uncertainty if clock.source == "estimated" else None
-    means = mean_errors(model, errors, resolve_errors(model), estimated, session.systematics)
-    return PredictedAnalysis(means, visibility(model), errors, inverse)
+    model = session.model
+    means = mean_errors(model, resolve_errors(model), session.systematics)
+    return PredictedAnalysis(means, visibility(model))
 
 
 class _SyntheticPairs:

@@ -115,7 +115,7 @@ def predict_session(
     geometry = "kinematics" in request.observe
     return SessionPrediction(
         session,
-        estimate_means(session, setup.arm),
+        estimate_means(session),
         predict_faults(session.model, request.observe),
         predict_clock(session),
         predict_geometry(setup, session.model) if geometry else None,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from verify.analysis.joint_errors import is_fitted
+from verify.analysis.joint_errors import mean_sensitivities, resolve_errors
 from verify.analysis.least_squares import residual_products, solve
 from verify.analysis.model import DETECTION_SIGMA, JointErrorModel, clock_effect, prior_columns
 from verify.calibration.kinematics.chain import Parameter
@@ -136,32 +136,23 @@ class UncertaintyShare:
 def uncertainty_sources(
     session: PredictedSession, analysis: PredictedAnalysis
 ) -> list[UncertaintyShare]:
-    """Split the mean errors' uncertainties by source.
-
-    Of plain means the squares add up. Where the means come from a fit, a share is what their
-    variance loses when the source is exact, and what sources share need not add up.
+    """Split the mean errors' uncertainties by source: the squares add up where all are stated.
 
     Args:
         session: the session.
         analysis: its means.
     """
-    fitted = is_fitted(session.model, analysis.errors)
     found = [UncertaintyShare(RANDOM_SOURCE, analysis.means.random)]
-    for name, columns, others in _columns(session):
-        share = (
-            _fitted_uncertainty(session, others)
-            if fitted
-            else _plain_uncertainty(analysis, columns)
-        )
+    by_row = mean_sensitivities(session.model, resolve_errors(session.model))
+    for name, columns in _columns(session):
+        share: Array = np.linalg.norm(by_row @ session.model.white.rows(columns), axis=1)
         if np.any(share > 0):
-            found.append(
-                UncertaintyShare(name, np.where(np.isnan(analysis.means.mean), np.nan, share))
-            )
+            found.append(UncertaintyShare(name, share))
     return found
 
 
-def _columns(session: PredictedSession) -> Iterator[tuple[str, Array, Array]]:
-    """Each source's columns of unit variance (n, 6, p), and those of all others."""
+def _columns(session: PredictedSession) -> Iterator[tuple[str, Array]]:
+    """Each source's columns of unit variance (n, 6, p)."""
     comparison, clock = session.comparison, session.clock
     parts: dict[str, Array] = {}
     stated, exact = session.systematics, replace(clock, standard_uncertainty=None)
@@ -173,28 +164,6 @@ def _columns(session: PredictedSession) -> Iterator[tuple[str, Array, Array]]:
         parts[source] = prior_columns(still, session.track, exact, own)
     none = replace(stated, covariance=np.zeros_like(stated.covariance))
     parts[PAN_SOURCE] = prior_columns(still, session.track, exact, none)
-    if clock.standard_uncertainty:
+    if clock.source == "given" and clock.standard_uncertainty:  # else the means' fit frees it
         parts[CLOCK_SOURCE] = clock_effect(comparison) * clock.standard_uncertainty
-    for name, columns in parts.items():
-        rest = [other for key, other in parts.items() if key != name]
-        yield name, columns, np.concatenate([*rest, np.zeros((len(comparison), 6, 0))], axis=2)
-
-
-def _plain_uncertainty(analysis: PredictedAnalysis, columns: Array) -> Array:
-    """Standard uncertainty carried through the plain mean, (j,)."""
-    valid = ~np.isnan(analysis.errors.error)
-    weight = valid / np.maximum(valid.sum(axis=0), 1)
-    share = np.einsum("ni,nij,njp->ip", weight, analysis.inverse, columns)
-    size: Array = np.linalg.norm(share, axis=1)
-    return size
-
-
-def _fitted_uncertainty(session: PredictedSession, others: Array) -> Array:
-    """What the fitted means' uncertainty loses when a source is exact, (j,)."""
-    model = session.model
-    design = np.concatenate([model.offsets, model.fitted], axis=1)
-    joints = model.offsets.shape[1]
-    without = np.diag(solve(design, model.xi, model.white.rows(others)).covariance)[:joints]
-    whole = np.diag(solve(design, model.xi, model.prior).covariance)[:joints]
-    lost: Array = np.sqrt(np.maximum(whole - without, 0.0))
-    return lost
+    yield from parts.items()

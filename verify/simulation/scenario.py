@@ -187,6 +187,8 @@ class ScenarioFault(ScenarioTable, frozen=True):
     eccentricity_deg: NotNegative = 0.0
     phase_deg: float = 0.0
     per_turn: Count = 1
+    step_deg: float = 0.0  # by which the offset changes at an instant
+    step_t_s: float = 0.0  # of the cameras' clock, on which the first pair is taken at 1 s
 
 
 class ScenarioClock(ScenarioTable, frozen=True):

@@ -18,9 +18,9 @@ from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
-from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
-from verify.analysis.joint_errors import resolve_errors
-from verify.analysis.model import SessionComparison, add_pan_noise
+from verify.analysis.diagnosis.diagnose import Diagnosis
+from verify.analysis.joint_errors import ResolvedErrors
+from verify.analysis.model import JointErrorModel, SessionComparison, add_pan_noise
 from verify.analysis.session import session_model
 from verify.core.readings import Readings
 from verify.core.records import Array
@@ -65,6 +65,7 @@ class Injected:
     parameter: str | None = None
     per_turn: int = 1
     phase: float = 0.0
+    begin: float = 0.0  # s, cameras' clock, of a step
 
 
 @dataclass(frozen=True)
@@ -138,7 +139,9 @@ def measured(
     return collect_track(found, session.rig, effects)
 
 
-def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:
+def judged(
+    watched: Watched, fault: Injected | None
+) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Judge a session with a fault in it, by the steps of a run."""
     session, clock = watched.session, watched.clock
     track = watched.track if fault is None else _seen(watched, fault)
@@ -147,8 +150,7 @@ def diagnosed(watched: Watched, fault: Injected | None) -> Diagnosis:
     comparison = add_pan_noise(comparison, track, watched.systematics)
     joints = solve_joints(comparison, session.arm)
     compared = SessionComparison(session, track, watched.systematics, clock, comparison, joints)
-    model = session_model(compared)
-    return find_causes(model, resolve_errors(model), session.arm, session.rig)
+    return session_model(compared)
 
 
 def _read(watched: Watched, fault: Injected | None) -> Readings:
@@ -191,9 +193,10 @@ def _reading_error(
             phase_deg=float(np.degrees(fault.phase)),
             per_turn=fault.per_turn,
         ),
+        "step": ScenarioFault(joint=fault.joint, step_deg=degrees, step_t_s=fault.begin),
     }[fault.kind]
     direction = watched.session.simulated.world.motion.direction(true_t)
-    return reading_error(true, direction, [wrong])
+    return reading_error(true_t, true, direction, [wrong])
 
 
 def _seen(watched: Watched, fault: Injected) -> Track:

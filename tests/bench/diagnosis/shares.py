@@ -4,7 +4,9 @@ False accusations: of sessions without a fault, those with any cause listed. Det
 fault and a joint: the session itself states what it would notice (detectable) and what it would
 tell from every other fault (separable). A fault is put in at 1.5 times the separable size; between
 that and 1.5 times the detectable one; and at half the separable one. Verdicts: a joint that is
-sound, or has one of three faults whose mean is next to nothing, at a tolerance of 0.2°.
+sound, or has one of three faults whose mean is next to nothing, at a tolerance of 0.2°. A step
+comes at any pair but the outermost; it is named with its instant (± 2 pairs) and its size (4 u),
+and the verdicts on the other joints at 0.2° stay what they were.
 
     python -m tests.bench.diagnosis.shares [SESSIONS] [SEED]
 """
@@ -19,11 +21,15 @@ import numpy as np
 import pandas as pd
 
 from tests.bench.cells import seeds as seeds_of
-from tests.bench.diagnosis.sessions import Injected, Watched, diagnosed, watched
-from tests.bench.diagnosis.verdicts import CASES, verdicts
+from tests.bench.diagnosis.sessions import Injected, Watched, judged, watched
+from tests.bench.diagnosis.verdicts import CASES, TOLERANCE, verdicts
 from verify.analysis.diagnosis.detectability import detectable
-from verify.analysis.diagnosis.diagnose import Diagnosis
 from verify.analysis.diagnosis.faults import UNIT_SCALES
+from verify.analysis.diagnosis.search import FaultProducts
+from verify.analysis.diagnosis.steps import beginning_faults, begun, instants
+from verify.analysis.joint_errors import ResolvedErrors
+from verify.analysis.model import JointErrorModel, visibility
+from verify.analysis.verdict import judge_joint
 
 SESSIONS = 100  # with faults; three times as many without
 SEED = 20261121
@@ -31,6 +37,8 @@ HEALTHY = 3
 MOST_FALSE = 0.02
 LEVELS = ("1.5 sep", "between", "0.5 sep")
 LEAST_RIGHT, MOST_WRONG = 0.90, 0.02
+LEAST_KEPT = 0.95  # verdicts on other joints after a step
+MAX_PAIRS_OFF, MAX_SIGMA_OFF = 2.01, 4.0  # of a step's instant and size
 UNMADE = ("beta",)  # a DH table has none to put a fault into
 TRIALS = 400
 
@@ -40,33 +48,46 @@ class Trial:
     """One fault put in, and what was said."""
 
     kind: str
-    joint: int  # 0: common
+    joint: int | None
     level: str
     named: bool
     inside: bool  # an entry that is ambiguous
     wrong: bool  # somebody else named
+    kept: float  # share of the other joints whose verdict is what it was
 
 
 def healthy(seed: int) -> list[str]:
     """What is said of a session without a fault."""
-    return [f"{c.kind} {c.joint or ''}" for c in diagnosed(watched(seed), None).causes]
+    return [f"{c.kind} {c.joint or ''}" for c in judged(watched(seed), None)[1].causes]
 
 
 def trials(seed: int) -> list[Trial]:
     """Put every fault into one session, one at a time."""
     case, rng = watched(seed), np.random.default_rng([seed, 1])
-    stated = detectable(diagnosed(case, None).products)
-    stated = stated[stated["separable"].notna()]
+    model, found_none, resolved = judged(case, None)
+    first = int(rng.choice(instants(model)))
+    steps = [begun(model, fault, first) for fault in beginning_faults(model, ())]
+    faults = [*steps, *found_none.products.faults]  # the first of a name has its size stated
+    every = FaultProducts.of(model, faults, np.ones(len(model.xi), dtype=np.bool_))
+    stated = detectable(every).assign(begin=steps[0].begin)
+    stated, sound = stated[stated["separable"].notna()], _verdicts(model, resolved)
     found = []
     for _, rows in stated.groupby([stated["kind"], stated["joint"].fillna(0)]):
         usable = rows[~rows["parameter"].astype(str).str.startswith(UNMADE)]
         if len(usable):
             row = usable.iloc[int(rng.integers(len(usable)))]
-            found += [_trial(case, row, level, rng) for level in LEVELS]
+            found += [_trial(case, row, level, rng, sound) for level in LEVELS]
     return found
 
 
-def _trial(case: Watched, row: pd.Series, level: str, rng: np.random.Generator) -> Trial:
+def _verdicts(model: JointErrorModel, resolved: ResolvedErrors) -> list[str | None]:
+    least = visibility(model).detectable.tolist()
+    return [judge_joint(resolved, j, TOLERANCE, d).verdict for j, d in enumerate(least)]
+
+
+def _trial(
+    case: Watched, row: pd.Series, level: str, rng: np.random.Generator, sound: list[str | None]
+) -> Trial:
     low, high = 1.5 * float(row["detectable"]), 1.5 * float(row["separable"])
     size = {"1.5 sep": high, "between": low * (high / low) ** rng.random(), "0.5 sep": high / 3}
     joint = None if pd.isna(row["joint"]) else int(row["joint"])
@@ -78,18 +99,25 @@ def _trial(case: Watched, row: pd.Series, level: str, rng: np.random.Generator) 
         parameter=None if pd.isna(row["parameter"]) else str(row["parameter"]),
         per_turn=1 if pd.isna(row["per_turn"]) else int(row["per_turn"]),
         phase=float(rng.uniform(0, 2 * np.pi)),
+        begin=float(row["begin"]),
     )
-    return _told(fault, level, diagnosed(case, fault))
-
-
-def _told(fault: Injected, level: str, diagnosis: Diagnosis) -> Trial:
+    model, diagnosis, resolved = judged(case, fault)
     own = (fault.kind, fault.joint)
-    named = [(c.kind, c.joint) for c in diagnosis.causes if c.kind != "ambiguous"]
+    causes = [c for c in diagnosis.causes if c.kind != "ambiguous"]
+    right = [c for c in causes if (c.kind, c.joint) == own]
+    if fault.kind == "step":
+        late = MAX_PAIRS_OFF * float(np.median(np.diff(model.comparison.t)))
+        right = [
+            c
+            for c in right
+            if abs((c.fault.begin or 0.0) - fault.begin) < late
+            and abs(c.value - fault.size) < MAX_SIGMA_OFF * c.standard_uncertainty
+        ]
     unclear = [(k.kind, k.joint) for c in diagnosis.causes for k in c.candidates]
-    return Trial(
-        fault.kind, fault.joint or 0, level, own in named, own in unclear,
-        any(name != own for name in named),
-    )  # fmt: skip
+    after = _verdicts(model, resolved)
+    kept = [after[j] == v for j, v in enumerate(sound) if j + 1 != fault.joint]
+    wrong = any((c.kind, c.joint) != own for c in causes)
+    return Trial(*own, level, bool(right), own in unclear, wrong, float(np.mean(kept)))
 
 
 def accusations(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
@@ -109,7 +137,7 @@ def detection(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
     cells: dict[tuple[str, int, str], list[Trial]] = defaultdict(list)
     for outcome in pool.map(trials, seeds):
         for trial in outcome:
-            cells[trial.kind, trial.joint, trial.level].append(trial)
+            cells[trial.kind, trial.joint or 0, trial.level].append(trial)
     print(f"{'fault':28s} n    1.5 separable    between: named    0.5 separable")
     print(f"{'':28s}       named  wrong    or inside  wrong   wrong  named")
     failed = 0
@@ -124,6 +152,11 @@ def detection(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
         print(f"{name:28s} {len(high):3d}  {named:5.0%}{marks[0]} {_share(high, 'wrong'):5.0%}"
               f"      {inside:5.0%}{marks[1]}    {_share(between, 'wrong'):5.0%}"
               f"   {wrong:5.1%}{marks[2]} {_share(low, 'named'):5.0%}", flush=True)  # fmt: skip
+    steps = [t for key, cell in cells.items() if key[::2] == ("step", LEVELS[0]) for t in cell]
+    kept = float(np.mean([t.kept for t in steps]))
+    failed += int(kept < LEAST_KEPT)
+    print(f"after a step {kept:.1%} of the other joints keep their verdict"
+          f"{'' if kept >= LEAST_KEPT else '  FAILS'}", flush=True)  # fmt: skip
     return failed
 
 
@@ -131,7 +164,7 @@ def _share(cell: list[Trial], what: str) -> float:
     return float(np.mean([getattr(t, what) for t in cell]))
 
 
-def judged(pool: ProcessPoolExecutor, count: int, seed: int) -> int:
+def verdict_shares(pool: ProcessPoolExecutor, count: int, seed: int) -> int:
     """Print the verdicts; return how many lines fail."""
     seeds = seeds_of([seed, 3], count)
     outcomes = list(pool.map(verdicts, seeds))
@@ -147,7 +180,7 @@ def judged(pool: ProcessPoolExecutor, count: int, seed: int) -> int:
 def main(sessions: int, seed: int) -> int:
     """Print the tables; 1 where a cell fails."""
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
-        failed = judged(pool, TRIALS, seed)
+        failed = verdict_shares(pool, TRIALS, seed)
         failed += accusations(pool, sessions, seed)
         failed += detection(pool, sessions, seed)
     print("all cells hold" if not failed else f"{failed} cells fail (!)")

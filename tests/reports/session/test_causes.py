@@ -37,6 +37,8 @@ EVERY = [
     cause("base_moved", None, 1.2, "mm", turn_deg=0.081),
     cause("led_body_slipped", None, 0.4, "mm", turn_deg=0.12),
     cause("geometry", None, 0.0, "") | dict.fromkeys(FIGURES),
+    cause("step", 4, 0.8, "deg", t_s=7.04),
+    cause("base_moved", None, 1.2, "mm", turn_deg=0.081, t_s=3.2),
 ]
 UNCLEAR = {
     "joint": None, "kind": "ambiguous", "value": 0.1, "unit": "deg", "explains": 0.3,
@@ -64,6 +66,12 @@ def test_every_kind_has_its_remedy() -> None:
         assert session_causes.remedy(entry) != "–", entry["kind"]
         assert ":" in session_causes.finding(entry)
         assert "None" not in message.sentence, entry["kind"]
+
+
+def test_what_begins_in_the_session_is_stated_with_its_instant() -> None:
+    step, moved = map(session_causes.finding, EVERY[-2:])
+    assert step.startswith("joint 4's reading changed by +0.800° ± 0.080° (k = 2) at 7.0 s: find")
+    assert "has moved by 1.20 ± 0.12 mm (k = 2) and 0.081° at 3.2 s: register" in moved
 
 
 def test_signs_are_stated_as_corrections() -> None:
@@ -127,9 +135,9 @@ def test_detectable_faults_are_a_table_of_joints_and_kinds() -> None:
     assert hidden.items[1].startswith("A gain of joint 2 cannot show")
     assert hidden.items[2] == "Backlash of joint 1 cannot show: it moved one way only."
     first = [[cell.text for cell in line] for line in table_of(section).rows]
-    assert first[0] == ["q1", "–", "0.020 / 0.070", "–", "–", "–", "–", "–"]
+    assert first[0] == ["q1", "–", "0.020 / 0.070", *"––––––"]
     assert first[1] == [
-        "q2", "0.0065 / 0.087", "–", "0.011 / 0.011", "0.020 / –", "0.0090 / 0.018", "–", "–",
+        "q2", "0.0065 / 0.087", "–", "0.011 / 0.011", "0.020 / –", "0.0090 / 0.018", *"–––",
     ]  # fmt: skip
     second = [[cell.text for cell in line] for line in table_of(section, 1).rows]
     assert ["link parameter a2 of joint 2", "0.043", "0.14", "mm"] in second
@@ -139,3 +147,13 @@ def test_detectable_faults_are_a_table_of_joints_and_kinds() -> None:
 def test_without_the_table_no_detectability_is_stated() -> None:
     section = detectable(made.nothing())
     assert [block.kind for block in section.blocks] == ["paragraph"]
+
+
+def test_alarms_of_a_watched_run_are_on_page_one_with_the_cause_that_explains_them() -> None:
+    told = [(1, 4, 7.3, "The reading of joint 4 has changed."), (2, None, 9.0, "Target lost.")]
+    alarms = pd.DataFrame(told, columns=["alarm", "joint", "t_s", "text"])
+    results = with_causes([cause("step", 4, 0.8, "deg", t_s=7.04)])
+    page = findings.verdict(replace(results, tables=results.tables | {"alarms": alarms}))
+    rows = [[cell.text for cell in line] for line in table_of(page).rows]
+    assert rows[0] == ["1", "7.3", told[0][3], "step of joint 4 at 7.0 s"]
+    assert rows[1] == ["2", "9.0", "Target lost.", "–"]

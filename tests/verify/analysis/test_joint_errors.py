@@ -30,10 +30,10 @@ from tests.support.motions import (
     swinging,
 )
 from tests.support.scene import sight
-from verify.analysis.comparison import compare, solve_joints
+from verify.analysis.comparison import compare
 from verify.analysis.diagnosis.causes import Cause
 from verify.analysis.diagnosis.diagnose import find_causes
-from verify.analysis.joint_errors import JointErrors, MeanErrors, mean_errors, resolve_errors
+from verify.analysis.joint_errors import MeanErrors, mean_errors, resolve_errors
 from verify.analysis.least_squares import solve
 from verify.analysis.model import JointErrorModel, build_model, visibility
 from verify.analysis.verdict import judge_joint
@@ -214,11 +214,8 @@ def replicate(rig: Rig, marker: Marker, parameters: Systematics, seed: int) -> M
     track = collect_track(measurements, rig, effects)
     log = (t[:, None] + np.linspace(-0.2, 0.2, 5)).ravel()
     comparison = compare(track, ARM, Readings(log, np.repeat(q, 5, axis=0)), 0.0)
-    joints = solve_joints(comparison, ARM)
     model = build_model(comparison, track, rig, marker, GIVEN, parameters)
-    systematic = joints.inverse @ model.prior_columns
-    errors = JointErrors(joints.single, joints.covariance, systematic, np.zeros_like(joints.error))
-    return mean_errors(model, errors, resolve_errors(model), None, parameters)
+    return mean_errors(model, resolve_errors(model), parameters)
 
 
 @pytest.mark.slow

@@ -19,6 +19,7 @@ SEPARATING_MOTIONS = (
     ("camera_turned", "other_distances"),
     ("clock_drift", "longer_record"),
     ("drift", "return_to_start"),
+    ("step", "return_to_start"),
     ("camera_skew", "varied_speeds"),
     ("clock", "varied_speeds"),
     ("backlash", "two_sided_stops"),
@@ -71,9 +72,9 @@ def required_advantage(products: FaultProducts) -> Array:
 
 
 def _bic_penalty(products: FaultProducts) -> Array:
-    """What Schwarz's criterion holds against rival k for its coefficients, less those of i."""
-    freedom = np.array([fault.freedom for fault in products.faults])
-    simpler: Array = (freedom - freedom[:, None]) * np.log(max(products.rows, 2))
+    """What Schwarz's criterion holds against rival k for its parameters, less those of i."""
+    price = np.array([fault.schwarz(products.rows) for fault in products.faults])
+    simpler: Array = price - price[:, None]
     return simpler
 
 

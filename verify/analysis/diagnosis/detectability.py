@@ -12,7 +12,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from verify.analysis.diagnosis.causes import MIN_ADVANTAGE, required_advantage
-from verify.analysis.diagnosis.faults import UNIT_SCALES
+from verify.analysis.diagnosis.faults import UNIT_SCALES, Name
 from verify.analysis.diagnosis.search import FaultProducts
 from verify.core.records import Array
 from verify.core.statistics import chi2_isf
@@ -36,8 +36,9 @@ def detectable(products: FaultProducts) -> pd.DataFrame:
         `joint` (none of a common fault), `kind`, `parameter` (of a link; the axis of a
         displacement), `per_turn` (waves of an eccentricity), `unit`; `detectable` and `separable`,
         in that unit, nan where no size would do; `rival_joint`, `rival_kind`: from which it is
-        told last. An eccentricity's are those of its least favourable phase, a displacement's
-        those of one along or about one axis alone.
+        told last. A step's are those of one in the middle of the session, an eccentricity's those
+        of its least favourable phase, a displacement's those of one along or about one axis alone,
+        from the beginning.
     """
     ways = _fault_directions(products)
     listed, named, rival = _sizes(products, ways)
@@ -66,9 +67,11 @@ class _FaultVariant(NamedTuple):
 
 def _fault_directions(products: FaultProducts) -> list[_FaultVariant]:
     ways = []
+    stated: set[Name] = set()
     for i, (fault, place) in enumerate(zip(products.faults, products.places, strict=True)):
-        if not fault.unit:
+        if not fault.unit or (fault.begin is not None and fault.name in stated):
             continue
+        stated.add(fault.name)
         if fault.freedom == len(AXES):
             units = ("mm",) * 3 + ("deg",) * 3
             along = zip(place.tolist(), AXES, units, strict=True)

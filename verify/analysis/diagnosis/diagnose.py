@@ -18,18 +18,26 @@ from verify.analysis.diagnosis.causes import Cause, build_cause, merge_ambiguous
 from verify.analysis.diagnosis.faults import Fault
 from verify.analysis.diagnosis.link_faults import fault_dictionary
 from verify.analysis.diagnosis.search import FaultProducts, FaultSet, search_faults
-from verify.analysis.joint_errors import ResolvedErrors, predict_errors
+from verify.analysis.diagnosis.steps import (
+    MIN_PAIRS_BESIDE,
+    StepScan,
+    beginning_faults,
+    begun,
+    stated_steps,
+)
+from verify.analysis.joint_errors import ResolvedErrors, predict_errors, resolve_errors
 from verify.analysis.least_squares import Whitener, solve
 from verify.analysis.model import JointErrorModel, WhitenedColumns
 from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.core.statistics import chi2_isf, chi2_ppf
 
-PER_JOINT_FIELDS = ("rate_variance",)  # of a comparison: one number a joint, not a pair
+UNPAIRED_FIELDS = ("rate_variance", "timed")  # of a comparison: not one a pair
 P_OUTLIER = 1e-3  # chance of listing any pair of a session without outliers
 MAX_OUTLIER_SHARE = 0.1  # of the pairs: more of them are no outliers, the fit lacks something
 P_LACK_OF_FIT = 1e-3  # chance of doubting sound figures
 MAX_ROUNDS = 6
+MAX_CHANGES = 3  # sought before any other fault, so that pairs across them lie out
 MAX_PAIRS = 2000  # of a session; of longer ones so many, evenly spread
 TOL_MISFIT = 0.01  # of the misfit
 
@@ -64,7 +72,7 @@ def _select_pairs(comparison: Comparison, chosen: NDArray[np.int64]) -> Comparis
         value = getattr(comparison, field.name)
         if isinstance(value, tuple):
             changes[field.name] = tuple(value[i] for i in chosen)
-        elif field.name not in PER_JOINT_FIELDS:
+        elif field.name not in UNPAIRED_FIELDS:
             changes[field.name] = value[chosen]
     return replace(comparison, **changes)
 
@@ -80,6 +88,16 @@ class Diagnosis:
     outlying: NDArray[np.int64]  # rows of the comparison that follow no cause
     misfit: float  # chi-squared a degree of freedom that the causes leave, where they lack; else 1
     products: FaultProducts
+
+    def straddling(self, t: Array) -> NDArray[np.int64]:
+        """Pairs that lie out beside the instant of a change: readings of before and after meet.
+
+        Args:
+            t: (n,), s, of all pairs.
+        """
+        begins = [c.fault.begin for c in self.causes if c.fault.begin is not None]
+        beside = {k + i for k in np.searchsorted(t, begins).tolist() for i in (-1, 0)}
+        return np.array([i for i in self.outlying.tolist() if i in beside], dtype=np.int64)
 
 
 def find_causes(
@@ -106,16 +124,80 @@ def find_causes(
         residual = residual[np.isin(model.white.pair, chosen)]
         model = thin_model(model, chosen)
     faults = fault_dictionary(model, arm, rig)
-    outlying = _outliers(model, residual)
+    moving = beginning_faults(model, faults)
+    faults += stated_steps(model, moving)
+    outlying = _within(_outliers(model, residual), len(chosen))
+    changes: list[Fault] = []
+    for _ in range(MAX_CHANGES):
+        scan = StepScan(model, ~np.isin(model.white.pair, outlying))
+        change = scan.strongest(moving, changes)
+        if change is None:
+            break
+        changes.append(change)
+        residual = model.xi - predict_errors(model, resolve_errors(model, changes))
+        outlying = _within(_outliers(model, residual), len(chosen))
     for _ in range(MAX_ROUNDS):
         kept = ~np.isin(model.white.pair, outlying)
-        products, best, misfit = _best_set(model, faults, kept)
+        products, best, misfit = _best_dated_set(model, faults, moving, kept)
         again = _outliers(model, _residual(model, products, best, kept))
         if np.array_equal(again, outlying):
             break
         outlying = again
     causes = sorted((build_cause(products, best, i) for i in best), key=lambda c: -c.explains)
     return Diagnosis(merge_ambiguous(causes), chosen[outlying], misfit, products)
+
+
+def explained_by(
+    found: Diagnosis, model: JointErrorModel, arm: robots.Arm | None, rig: Rig | None
+) -> list[Fault]:
+    """The faults by which a diagnosis explains a session, for a model of all its pairs.
+
+    Of causes that cannot be told apart all are taken: no verdict may rest on which it is.
+    """
+    listed = [[c.fault for c in cause.candidates] or [cause.fault] for cause in found.causes]
+    wanted = {(f.name, f.per_turn, f.begin): f for faults in listed for f in faults}
+    if not wanted:
+        return []
+    lasting = fault_dictionary(model, arm, rig)
+    moving = {f.name: f for f in beginning_faults(model, lasting)}
+    every = {(f.name, f.per_turn, None): f for f in lasting}
+    return [
+        every[*key[:2], None]
+        if fault.begin is None
+        else begun(model, moving[fault.name], int(np.searchsorted(model.comparison.t, fault.begin)))
+        for key, fault in wanted.items()
+    ]
+
+
+def _within(outlying: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+    """Outlying pairs without a run at either end of the session: there something has changed."""
+    rest = np.setdiff1d(np.arange(count), outlying)
+    before, after = rest.min(initial=count), rest.max(initial=-1)
+    inside = (outlying > before) & (outlying < after)
+    ends = (outlying < before) & (before < MIN_PAIRS_BESIDE)
+    ends |= (outlying > after) & (count - 1 - after < MIN_PAIRS_BESIDE)
+    isolated: NDArray[np.int64] = outlying[inside | ends]
+    return isolated
+
+
+def _best_dated_set(
+    model: JointErrorModel, faults: list[Fault], moving: list[Fault], kept: NDArray[np.bool_]
+) -> tuple[FaultProducts, FaultSet, float]:
+    """The best set, of which those that begin in the session do so at their likeliest instants."""
+    scan, tried = StepScan(model, kept), list(faults)
+    found: list[Fault] = []
+    for _ in range(MAX_ROUNDS):
+        known = {(f.name, f.begin) for f in tried}
+        new = {(f.name, f.begin): f for f in scan.likeliest(moving, found)}
+        more = [f for key, f in new.items() if key not in known]
+        if found and not more:
+            break
+        tried += more
+        products, best, misfit = _best_set(model, tried, kept)
+        before, found = found, [products.faults[i] for i in best]
+        if [(f.name, f.begin) for f in before] == [(f.name, f.begin) for f in found]:
+            break
+    return products, best, misfit
 
 
 def _best_set(

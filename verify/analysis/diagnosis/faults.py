@@ -62,10 +62,13 @@ class Fault:
     columns: Array  # (r, p), whitened, what a SI unit of each of its p coefficients does
     parameter: str | None = None  # of a link: a2, d4, alpha1, beta3
     per_turn: int | None = None  # of an eccentricity
+    shape: Array | None = None  # (n, p), of a joint: its error at each pair by a unit of each
+    begin: float | None = None  # s, cameras' clock; None: it was there before the session
+    instants: int = 1  # at which it might have begun
 
     @property
     def name(self) -> Name:
-        """What a diagnosis says of it; waves of another number a turn have the same name."""
+        """What a diagnosis says of it; other waves a turn, or another begin, have the same name."""
         return self.kind, self.joint, self.parameter
 
     @property
@@ -77,6 +80,14 @@ class Fault:
     def freedom(self) -> int:
         """Number of its coefficients."""
         return int(self.columns.shape[1])
+
+    def schwarz(self, rows: int) -> float:
+        """What Schwarz's criterion asks for its coefficients and for its begin, in chi-squared.
+
+        An instant is one of so many, and the data fix it to a pair: it costs twice the logarithm of
+        their number. Source: Zhang and Siegmund, Biometrics 63, 2007.
+        """
+        return self.freedom * float(np.log(max(rows, 2))) + 2 * float(np.log(self.instants))
 
 
 def fault_figures(
@@ -115,20 +126,24 @@ def _size_uncertainty(values: Array, covariance: Array) -> tuple[float, float]:
 def joint_faults(model: JointErrorModel, j: int) -> Iterator[Fault]:
     """Faults of one joint (from 0) that its motion can show at all."""
     comparison, joint = model.comparison, j + 1
-    yield Fault("offset", joint, "deg", model.offsets[:, [j]])
+
+    def fault(kind: str, unit: str, shape: Array) -> Fault:
+        return Fault(kind, joint, unit, shape_columns(model, j, shape), shape=shape)
+
+    elapsed = comparison.elapsed[:, None]
+    yield fault("offset", "deg", np.ones_like(elapsed))
     yield from _by_angle(model, j)
-    direction = comparison.direction[:, j]
+    direction = comparison.direction[:, [j]]
     if min(np.sum(direction > 0), np.sum(direction < 0)) >= MIN_PAIRS_PER_DIRECTION:
-        yield Fault("backlash", joint, "deg", shape_columns(model, j, direction[:, None] / 2))
+        yield fault("backlash", "deg", direction / 2)
     # what hangs below pulls with its horizontal lever; an elastic joint reads more than it turned
-    lever = comparison.jacobian[:, 2, j]
+    lever = comparison.jacobian[:, 2, [j]]
     longest = float(np.abs(lever).max(initial=0.0))
     if longest > MIN_LEVER and np.ptp(lever) > MIN_LEVER_RATIO * longest:
-        yield Fault("compliance", joint, "deg/m", shape_columns(model, j, lever[:, None]))
-    elapsed = comparison.elapsed
-    if np.ptp(elapsed) > 0:
-        column = model.joints[:, [j]] * elapsed[model.white.pair, None]
-        yield Fault("drift", joint, "deg/h", column)
+        yield fault("compliance", "deg/m", lever)
+    if comparison.timed and np.ptp(elapsed) > 0:
+        column = model.joints[:, [j]] * elapsed[model.white.pair]
+        yield Fault("drift", joint, "deg/h", column, shape=elapsed)
 
 
 def _by_angle(model: JointErrorModel, j: int) -> Iterator[Fault]:
@@ -137,14 +152,16 @@ def _by_angle(model: JointErrorModel, j: int) -> Iterator[Fault]:
     span = float(np.ptp(q))
     if span <= MIN_SPAN:
         return
-    yield Fault("gain", j + 1, "ratio", shape_columns(model, j, q[:, None]))
+    yield Fault("gain", j + 1, "ratio", shape_columns(model, j, q[:, None]), shape=q[:, None])
     shown = [waves for waves in WAVES_PER_TURN if _resolves_waves(q, span, waves)]
     angles = q[:, None] * np.array(shown, dtype=float)
     shapes = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
     columns = shape_columns(model, j, shapes)
     for i, waves in enumerate(shown):
-        own = columns[:, 2 * i : 2 * i + 2]
-        yield Fault("eccentricity", j + 1, "deg", own, per_turn=waves)
+        own = slice(2 * i, 2 * i + 2)
+        yield Fault(
+            "eccentricity", j + 1, "deg", columns[:, own], per_turn=waves, shape=shapes[:, own]
+        )
 
 
 def _resolves_waves(q: Array, span: float, waves: int) -> bool:
@@ -171,7 +188,7 @@ def common_faults(model: JointErrorModel, rig: Rig | None) -> list[Fault]:
     short = -clock_effect(comparison, steady=True)  # of an offset that wants a second more
     elapsed = comparison.elapsed[:, None, None]
     columns: list[tuple[str, str, Array]] = [
-        ("clock_drift", "ppm", short * elapsed),
+        *([("clock_drift", "ppm", short * elapsed)] if comparison.timed else []),
         ("base_moved", "mm", -base_motion(comparison.base_T_jacobian)),
         ("led_body_slipped", "mm", -body_motion(comparison.base_T_jacobian)),
         ("camera_turned", "deg", -comparison.systematic[:, :, [-1]]),

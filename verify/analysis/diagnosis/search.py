@@ -18,6 +18,7 @@ from verify.core.records import Array
 from verify.core.statistics import chi2_isf
 
 P_FALSE_ALARM = 5e-3  # chance of accusing anybody at all where nothing is wrong
+P_FALSE_BEGIN = 1e-3  # likewise of what begins in the session, whichever it is and whenever
 MIN_SHARE = 0.01  # of the misfit: what explains less is no cause worth a name
 TOL_RANK = 1e-8  # of a normalised Gram matrix: closer columns cannot be told apart at all
 DETECTION_SIGMA = 4.13  # standard deviations: false alarm 0.1 %, power 80 %
@@ -167,13 +168,17 @@ def _penalties(faults: list[Fault], visible: NDArray[np.bool_], rows: int) -> Ar
     """What a fault has to lower chi-squared by to be listed.
 
     More than Schwarz's criterion asks, and more than chance gives the best of them all once in
-    1 / P_FALSE_ALARM sessions (Bonferroni); and in a long session, where the smallest effect
-    that nobody stated becomes significant, a share of the misfit.
+    1 / P_FALSE_ALARM sessions (Bonferroni), the best instant of those that begin in the session
+    once in 1 / P_FALSE_BEGIN; and in a long session, where the smallest effect that nobody stated
+    becomes significant, a share of the misfit.
     """
-    each = P_FALSE_ALARM / max(int(visible.sum()), 1)
-    freedom = np.array([f.freedom for f in faults])
-    chance = np.asarray(chi2_isf(each, freedom), dtype=np.float64)
-    schwarz = freedom * np.log(max(rows, 2))
+    begins = np.array([f.begin is not None for f in faults])
+    instants = np.array([f.instants for f in faults])
+    kinds = len({f.name for f in faults if f.begin is not None})
+    lasting = max(int((visible & ~begins).sum()), 1)
+    each = np.where(begins, P_FALSE_BEGIN / (max(kinds, 1) * instants), P_FALSE_ALARM / lasting)
+    chance = np.asarray(chi2_isf(each, np.array([f.freedom for f in faults])), dtype=np.float64)
+    schwarz = np.array([f.schwarz(rows) for f in faults])
     prices: Array = np.maximum.reduce([chance, schwarz, np.full(len(faults), MIN_SHARE * rows)])
     return prices
 

@@ -164,6 +164,8 @@ def _extra_fields(fault: Fault) -> dict[str, Any]:
         more["parameter"] = fault.parameter
     if fault.per_turn is not None:
         more["per_turn"] = fault.per_turn
+    if fault.begin is not None:
+        more["t_s"] = fault.begin
     return more
 
 

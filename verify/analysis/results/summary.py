@@ -119,7 +119,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "position": _flange(judged, position, slice(0, 3), MILLIMETRE, "mm"),
         "orientation": _flange(judged, orientation, slice(3, 6), DEGREE, "deg"),
         "relative_motions": _relative(judged.relative),
-        "diagnosis": [cause_entry(c) for c in judged.diagnosis.causes],
+        "diagnosis": _diagnosis(judged),
         "outlying_pairs": [int(f) for f in judged.frame[judged.diagnosis.outlying]],
         "budget": {
             **budget_entry(
@@ -137,6 +137,25 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "choices": dict(sorted(judged.choices.items())),
         "known_dof": max((b.shape[1] for b in judged.model.comparison.determined), default=0),
     }
+
+
+def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
+    """The causes; an offset that is all that ails its joint is the mean of the resolved error."""
+    causes, means = judged.diagnosis.causes, judged.means
+    count = Counter(c.joint for c in causes)
+    entries = []
+    for cause in causes:
+        entry = cause_entry(cause)
+        j = (cause.joint or 0) - 1
+        if cause.kind == "offset" and count[cause.joint] == 1 and np.isfinite(means.mean[j]):
+            u = float(np.sqrt(means.covariance[j, j]) * DEGREE)
+            entry |= {
+                "value": float(means.mean[j] * DEGREE),
+                "standard_uncertainty": u,
+                "expanded_uncertainty": float(means.coverage_factor[j]) * u,
+            }
+        entries.append(entry)
+    return entries
 
 
 def _decision(judged: SessionAnalysis) -> dict[str, Any]:
@@ -212,6 +231,7 @@ def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:
     return {
         "joint": j + 1,
         "mean_error_deg": finite_number(means.mean[j] * DEGREE),
+        "plain_mean_error_deg": finite_number(float(plain.mean()) * DEGREE) if len(plain) else None,
         "rms_error_deg": finite_number(float(np.sqrt(np.mean(plain**2))) * DEGREE)
         if len(plain)
         else None,
@@ -227,7 +247,7 @@ def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:
         "conformance_probability": finite_number(verdict.probability),
         "verdict": verdict.verdict,
         "reason": verdict.reason,
-        "pairs": int(means.pairs[j]),
+        "pairs": int(np.sum(~np.isnan(error))) or len(error),
         "visible_fraction": finite_number(seen.fraction[j]),
         "visible_fraction_since_registration": finite_number(seen.fraction_since[j]),
         "minimum_detectable_error_deg": finite_number(seen.detectable[j] * DEGREE),

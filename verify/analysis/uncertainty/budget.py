@@ -10,20 +10,16 @@ from dataclasses import dataclass
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 import robots
 from verify.analysis.comparison import Comparison
 from verify.analysis.joint_errors import (
-    JointErrors,
     MeanErrors,
     ResolvedErrors,
     coverage_factor,
     effective_degrees,
-    is_fitted,
-    resolved_design,
+    mean_sensitivities,
 )
-from verify.analysis.least_squares import solve
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.uncertainty.sources import (
     ALIGNMENT,
@@ -77,7 +73,6 @@ class _BudgetLine:
 def budget(
     model: JointErrorModel,
     compared: SessionComparison,
-    errors: JointErrors,
     means: MeanErrors,
     resolved: ResolvedErrors,
 ) -> Budget:
@@ -86,17 +81,15 @@ def budget(
     Args:
         model: the session's linear model.
         compared: the session, before pairs that repeat each other were counted for fewer.
-        errors: joint errors a pair.
         means: what the sources add up to.
-        resolved: the fit that means come from where no pair tells some joint's error.
+        resolved: the fit that means come from.
     """
-    by_pair = mean_sensitivities(model, errors, resolved, compared.joints.inverse)
-    fitted = is_fitted(model, errors)
+    by_pair = _by_pair(model, mean_sensitivities(model, resolved))
     varying = random_sources(model, compared)
-    held = systematic_sources(model.comparison, compared, clock_fitted=fitted)
-    own = _noise_dof(resolved, means, fitted=fitted)
+    held = systematic_sources(model.comparison, compared)
+    own = np.full(len(means.mean), max(float(resolved.fit.degrees_of_freedom), 1.0))
     lines = [*_random_lines(varying, by_pair, own), *_systematic_lines(held, by_pair)]
-    if fitted and not model.through_encoders and resolved.misfit > 1:
+    if resolved.misfit > 1:
         lacking = (resolved.misfit - 1) * sum(line.variance for line in lines)
         lines.append(_BudgetLine(LACK_OF_FIT, "random", "A", np.asarray(lacking), own))
     known = ~np.isnan(means.mean)
@@ -118,68 +111,12 @@ def budget(
     )
 
 
-def mean_sensitivities(
-    model: JointErrorModel, errors: JointErrors, resolved: ResolvedErrors, inverse: Array
-) -> Array:
-    """Derivative of the mean errors by each pair's twist xi, (n, j, 6); nan where not determined.
-
-    Whatever moves the twists moves the means by these, so every source's share of a mean's variance
-    is its own variance carried through them, and the shares add up.
-
-    Args:
-        model: the session's linear model.
-        errors: joint errors a pair.
-        resolved: the fit that means come from where no pair tells some joint's error.
-        inverse: (n, j, 6), d joints / d pose.
-
-    Source: GUM 5.1.3, sensitivity coefficients; means by generalised least squares.
-    """
-    if not is_fitted(model, errors):
-        known: NDArray[np.bool_] = ~np.isnan(errors.error)
-        weight = known / known.sum(axis=0)  # every joint is told by some pair
-        plain: Array = weight[:, :, None] * inverse
-        return plain
-    return _by_pair(model, _fitted_sensitivities(model, resolved))
-
-
-def _fitted_sensitivities(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
-    """Derivative of the fitted means by the whitened rows, (j, r)."""
-    joints = model.joints.shape[1]
-    if model.through_encoders:
-        design, chosen = np.concatenate([model.offsets, model.fitted], axis=1), np.eye(joints)
-    else:
-        design, carried = resolved_design(model)
-        chosen = carried.mean(axis=0)
-    free = np.zeros((joints, design.shape[1]))
-    free[:, : chosen.shape[1]] = chosen
-    fit = solve(design, model.xi, model.prior)
-    held = model.prior
-    # W = (1 + H H')⁻¹ weighs rows by noise and held columns together
-    inner = np.linalg.solve(np.eye(held.shape[1]) + held.T @ held, held.T)
-    weighted = design.T - (design.T @ held) @ inner
-    found: Array = free @ fit.covariance @ weighted
-    known = fit.estimable if model.through_encoders else fit.estimable | (free == 0).all(axis=0)
-    hidden = np.any(free[:, ~known] != 0, axis=1)
-    if not model.through_encoders:
-        hidden |= np.isnan(resolved.mean)
-    return np.where(hidden[:, None], np.nan, found)
-
-
 def _by_pair(model: JointErrorModel, by_row: Array) -> Array:
     """Take derivatives by whitened rows (j, r) to those by the pairs' twists, (n, j, 6)."""
     factors = model.white.factors
     ends = np.cumsum([len(f) for f in factors])
     parts = np.split(by_row, ends[:-1], axis=1)
     return np.array([part @ factor for part, factor in zip(parts, factors, strict=True)])
-
-
-def _noise_dof(resolved: ResolvedErrors, means: MeanErrors, *, fitted: bool) -> Array:
-    """Degrees of freedom of what the session itself shows of its noise, (j,)."""
-    if fitted:
-        return np.full(len(means.mean), max(float(resolved.fit.degrees_of_freedom), 1.0))
-    # six coordinates a pair share the noise estimate
-    degrees: Array = np.maximum(6.0 * means.pairs - 6, 1.0)
-    return degrees
 
 
 def _random_lines(sources: list[RandomSource], by_pair: Array, own: Array) -> Iterator[_BudgetLine]:

@@ -92,16 +92,13 @@ def pan_reading_covariance(comparison: Comparison, compared: SessionComparison) 
             yield effect[:, :, None] * effect[:, None, :]
 
 
-def systematic_sources(
-    comparison: Comparison, compared: SessionComparison, *, clock_fitted: bool
-) -> SystematicSources:
+def systematic_sources(comparison: Comparison, compared: SessionComparison) -> SystematicSources:
     """List everything stated or estimated once for the session, parameter by parameter.
 
     Args:
         comparison: of the model.
         compared: the session; its rig tells which parameters share the calibration's degrees of
             freedom.
-        clock_fitted: the clock is a free column of the fit that means come from.
     """
     rig, clock, systematics = compared.session.rig, compared.clock, compared.systematics
     count = len(systematics.names)
@@ -111,10 +108,10 @@ def systematic_sources(
     types = ["B"] * count
     columns, variances = [comparison.systematic[:, :, :count]], []
     u = clock.standard_uncertainty
-    if u and not (clock_fitted and clock.source != "given"):
+    if u and clock.source == "given":  # else it is a free column of the fit
         names.append("clock_s")
         sources.append(CLOCK)
-        types.append("A" if clock.source == "estimated" else "B")
+        types.append("B")
         columns.append(clock_effect(comparison))
         variances.append(np.array([u**2]))
     if comparison.alignment_error.any():

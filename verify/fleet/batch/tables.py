@@ -30,6 +30,7 @@ NUMBER, TEXT, COUNT = pa.float64(), pa.string(), pa.int64()
 
 JOINT_COLUMNS = (
     ("mean_error_deg", NUMBER),
+    ("plain_mean_error_deg", NUMBER),
     ("rms_error_deg", NUMBER),
     ("max_abs_error_deg", NUMBER),
     ("standard_uncertainty_deg", NUMBER),
@@ -60,6 +61,7 @@ CAUSE_TYPE = pa.struct(
         ("candidates", pa.list_(pa.struct([("joint", COUNT), ("kind", TEXT)]))),
         ("parameter", TEXT),
         ("per_turn", COUNT),
+        ("t_s", NUMBER),
         ("phase_deg", NUMBER),
         ("turn_deg", NUMBER),
         ("separating_motion", TEXT),

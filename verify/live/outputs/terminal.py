@@ -67,7 +67,7 @@ def render_snapshot(now: LiveSnapshot, tolerance_deg: list[float] | None) -> Ren
 
 def _joints(now: LiveSnapshot, tolerance_deg: list[float] | None) -> Table:
     table = Table(box=None, pad_edge=False)
-    for title, side in (("joint", "right"), ("error", "right"), ("± u", "right"), ("", "left")):
+    for title, side in (("joint", "right"), ("error", "right"), ("± U", "right"), ("", "left")):
         table.add_column(title, justify="right" if side == "right" else "left")
     table.add_column("alarm", justify="right")
     row = now.row
@@ -82,7 +82,7 @@ def _joints(now: LiveSnapshot, tolerance_deg: list[float] | None) -> Table:
         table.add_row(
             str(j + 1),
             Text(f"{degrees:+.3f}°" if valid else "–", style="bold red" if beyond else ""),
-            f"{doubt:.3f}°" if valid else "–",
+            f"{2 * doubt:.3f}°" if valid else "–",
             _bar(degrees, doubt, tolerance) if valid else Text(row.status.replace("_", " ")),
             Text(f"{min(share, 1.0):.0%}", style="red" if share > 0.7 else ""),
         )

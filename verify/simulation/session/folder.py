@@ -65,6 +65,7 @@ def _faults(faults: list[ScenarioFault]) -> str:
             f"backlash {fault.backlash_deg:+g} deg": fault.backlash_deg,
             f"eccentricity {fault.eccentricity_deg:g} deg, phase {fault.phase_deg:g} deg, "
             f"{fault.per_turn} per turn": fault.eccentricity_deg,
+            f"step {fault.step_deg:g} deg at {fault.step_t_s:g} s": fault.step_deg,
         }
         present = "; ".join(text for text, size in parts.items() if size)
         lines.append(f"The encoder of joint {fault.joint} is at fault: {present}.")

@@ -18,10 +18,11 @@ from verify.simulation.world.motion import RandomStream, generator, plan_motion
 from verify.simulation.world.world import SimulatedWorld
 
 
-def reading_error(q: Array, direction: Array, faults: Sequence[ScenarioFault]) -> Array:
-    """Reading less true angle: offset + gain q + backlash/2 d + ecc cos(n (q - phase)).
+def reading_error(t: Array, q: Array, direction: Array, faults: Sequence[ScenarioFault]) -> Array:
+    """Reading less true angle: offset + gain q + backlash/2 d + ecc cos(n (q - phase)) + step.
 
     Args:
+        t: (...,), s, cameras' clock.
         q: (..., joints), rad, the true angles in the robot file's zero.
         direction: (..., joints), +1 or -1, the last direction of travel, kept at rest.
         faults: any number of them, also several on one joint.
@@ -38,6 +39,7 @@ def reading_error(q: Array, direction: Array, faults: Sequence[ScenarioFault]) -
             + fault.gain * q[..., k]
             + np.radians(fault.backlash_deg) / 2 * direction[..., k]
             + np.radians(fault.eccentricity_deg) * np.cos(turn)
+            + np.radians(fault.step_deg) * (t >= fault.step_t_s)
         )
     return error
 
@@ -220,7 +222,7 @@ def noisy_readings(
         (n, joints), rad, before any rounding to the encoders' resolution.
     """
     q = world.joints(t)
-    q = q + reading_error(q, world.motion.direction(t), scenario.fault)
+    q = q + reading_error(t, q, world.motion.direction(t), scenario.fault)
     q += np.radians(scenario.encoders.noise_deg) * rng.standard_normal(q.shape)
     return q
 

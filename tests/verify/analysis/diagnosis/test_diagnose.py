@@ -8,6 +8,8 @@ What a fault would add beside a set: against fits of the larger set, by numpy.
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
@@ -18,7 +20,7 @@ import robots
 from tests.support.motions import ARM, HOME, PERIOD, make_track
 from tests.support.scene import make_marker, make_rig
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.comparison import compare
+from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes, thin_model
@@ -26,10 +28,19 @@ from verify.analysis.diagnosis.faults import Fault
 from verify.analysis.diagnosis.link_faults import link_displacements
 from verify.analysis.diagnosis.search import FaultProducts
 from verify.analysis.joint_errors import resolve_errors
-from verify.analysis.model import base_motion, body_motion, build_model
+from verify.analysis.model import (
+    SessionComparison,
+    base_motion,
+    body_motion,
+    build_model,
+    visibility,
+)
 from verify.analysis.results.entries import cause_entry
+from verify.analysis.session import session_model
+from verify.analysis.verdict import judge_joint
 from verify.core.readings import Readings
 from verify.core.records import Array
+from verify.io.session.session import Session
 from verify.measurement.systematics import stated_systematics
 from verify.measurement.track import Track, subset
 
@@ -83,6 +94,7 @@ FAULTS: dict[str, tuple[int, Error, float]] = {
     "backlash": (4, lambda t, _: at(4, np.deg2rad(0.1) * direction(t)[:, 3]), 0.2),
     "eccentricity": (6, lambda _, q: at(6, np.deg2rad(0.25) * np.cos(3 * (q[:, 5] - 0.4))), 0.25),
     "drift": (5, lambda t, _: at(5, np.deg2rad(0.02) * (t - T[0])), 72.0),
+    "step": (4, lambda t, _: at(4, np.deg2rad(-0.3) * (t >= T[60] - 0.05)), -0.3),
     "compliance": (5, lambda _, q: at(5, np.deg2rad(4.0) * robots.jacobian(ARM, q)[:, 2, 4]), 4.0),
 }
 
@@ -94,7 +106,7 @@ def test_each_kind_of_fault_of_a_joint_is_named_with_its_value(kind: str) -> Non
     assert names(seen) == [(kind, joint)]
     entry = cause_entry(seen.causes[0])
     assert abs(entry["value"] - value) < 2 * entry["expanded_uncertainty"]  # 4 u
-    assert entry["standard_uncertainty"] < 0.1 * value
+    assert entry["standard_uncertainty"] < 0.1 * abs(value)
     assert entry["runner_up"]["advantage"] > 15
 
 
@@ -125,12 +137,61 @@ def test_what_moved_since_registration_is_named_with_how_far() -> None:
     def slipped(track: Track) -> Track:
         return replace(track, base_T_flange=track.base_T_flange @ step)
 
-    for change, kind in ((moved, "base_moved"), (slipped, "led_body_slipped")):
-        seen = found(4, change=change)
-        assert names(seen) == [(kind, None)]
-        entry = cause_entry(seen.causes[0])
-        assert_allclose(entry["value"], 1e3 * np.linalg.norm(step[:3, 3]), rtol=0.1)
-        assert_allclose(entry["turn_deg"], np.sqrt(0.1**2 * 2 + 0.15**2), rtol=0.1)
+    def since(change: Callable[[Track], Track], first: int) -> Callable[[Track], Track]:
+        def late(track: Track) -> Track:
+            after = (np.arange(len(T)) >= first)[:, None, None]
+            pose = np.where(after, change(track).base_T_flange, track.base_T_flange)
+            return replace(track, base_T_flange=pose)
+
+        return late
+
+    for first, source in ((0, "fixture"), (52, "fixture"), (52, "motion")):
+        for change, kind in ((moved, "base_moved"), (slipped, "led_body_slipped")):
+            seen = found(4, change=since(change, first), source=source)
+            assert names(seen) == [(kind, None)]
+            entry = cause_entry(seen.causes[0])
+            assert_allclose(entry["value"], 1e3 * np.linalg.norm(step[:3, 3]), rtol=0.1)
+            assert_allclose(entry["turn_deg"], np.sqrt(0.1**2 * 2 + 0.15**2), rtol=0.1)
+            assert entry.get("t_s") == (pytest.approx(T[51:53].mean()) if first else None)
+
+
+def test_a_step_is_dated_and_leaves_the_other_joints_their_verdict() -> None:
+    """The pairs repeat the step from its instant on: that is no noise of theirs."""
+    rng = np.random.default_rng(21)
+    q = motion(LOG) + rng.normal(0, np.deg2rad(0.005), (len(LOG), 6))
+    q += at(4, np.deg2rad(0.8) * (T[40] - 0.05 <= LOG))
+    rig, marker = replace(make_rig(), base_source="fixture"), make_marker(source="jig")
+    track = make_track(T, motion(T), rng)
+    session = cast("Session", SimpleNamespace(arm=ARM, rig=rig, marker=marker))
+    stated = stated_systematics(rig, marker, turning=False)
+    comparison = compare(track, ARM, Readings(LOG, q), 0.0)
+    compared = SessionComparison(
+        session, track, stated, GIVEN, comparison, solve_joints(comparison, ARM)
+    )
+    model, seen, resolved = session_model(compared)
+    assert names(seen) == [("step", 4)]
+    assert cause_entry(seen.causes[0])["t_s"] == pytest.approx(T[39:41].mean())
+    assert not resolved.lack_of_fit
+    assert resolved.uncertainty.max() < np.deg2rad(0.03)
+    smallest = visibility(model).detectable
+    verdicts = [judge_joint(resolved, j, np.deg2rad(0.1), smallest[j]).verdict for j in range(6)]
+    assert verdicts == ["conform"] * 3 + ["nonconform"] + ["conform"] * 2
+
+
+def test_visits_that_nobody_timed_show_no_drift_and_no_step() -> None:
+    rng = np.random.default_rng(22)
+    rig, marker = make_rig(), make_marker()
+    comparison = compare(make_track(T, motion(T), rng), ARM, Readings(LOG, motion(LOG)), 0.0)
+    systematics = stated_systematics(rig, marker, turning=False)
+    for timed in (True, False):
+        model = build_model(
+            replace(comparison, timed=timed), make_track(T, motion(T), rng), rig, marker, GIVEN,
+            systematics,
+        )  # fmt: skip
+        kinds = {f.kind for f in find_causes(model, resolve_errors(model), ARM).products.faults}
+        assert kinds & {"drift", "clock_drift", "step"} == (
+            {"drift", "clock_drift", "step"} if timed else set()
+        )
 
 
 @pytest.mark.parametrize(

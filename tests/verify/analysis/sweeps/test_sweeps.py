@@ -62,7 +62,7 @@ def swept(
     if moved is not None:
         track = replace(track, base_T_flange=moved[0] @ track.base_T_flange @ moved[1])
     q = path.angles(log)
-    read = q + reading_error(q, path.direction(log), faults)
+    read = q + reading_error(log, q, path.direction(log), faults)
     read = read + rng.normal(0, np.deg2rad(0.005), q.shape)
     read = read if grain is None else np.round(read / grain) * grain
     comparison = compare(

@@ -34,6 +34,7 @@ def test_each_fault_is_what_the_interface_defines_and_leaves_the_other_joints_al
         ScenarioFault(joint=2, gain=0.01),
         ScenarioFault(joint=3, backlash_deg=0.6),
         ScenarioFault(joint=4, eccentricity_deg=0.3, phase_deg=25.0, per_turn=2),
+        ScenarioFault(joint=5, step_deg=-0.2, step_t_s=1.5),
     )
     error, truth, direction = error_deg(session)
     assert_allclose(error[:, 0], 0.4, atol=1e-10)
@@ -42,7 +43,9 @@ def test_each_fault_is_what_the_interface_defines_and_leaves_the_other_joints_al
     assert_allclose(error[:, 2], 0.3 * direction[:, 2], atol=1e-10)
     wave = np.cos(2 * np.radians(truth[:, 3] - 25.0))
     assert_allclose(error[:, 3], 0.3 * wave, atol=1e-10)
-    assert_allclose(error[:, 4:], 0, atol=1e-10)
+    late = session.t[:, 0] >= 1.5
+    assert_allclose(error[:, 4], -0.2 * late, atol=1e-10)
+    assert_allclose(error[:, 5], 0, atol=1e-10)
 
 
 def test_a_positive_backlash_reads_higher_moving_up_than_moving_down() -> None:
