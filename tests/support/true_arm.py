@@ -1,6 +1,6 @@
 """An arm with known errors, built of pinocchio's motions and of nothing under test."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio
@@ -54,6 +54,19 @@ def true_arm(name: str, seed: int, *, geometry: float = 1.0, offsets: float = 1.
         world_T_base=_place(draw, 1.0),
         flange_T_target=_place(draw, 0.1),
     )
+
+
+def faulty_arm(name: str, seed: int) -> TrueArm:
+    """Offsets to 2°, lengths to 2 mm, twists to 0.5°, alike likely; base and tool anywhere."""
+    draw = np.random.default_rng(seed)
+    scale = {"correction": np.radians(2.0), "d": 2e-3, "a": 2e-3}
+    begun = true_arm(name, seed)
+    errors = {
+        key: scale.get(key, np.radians(0.5)) * draw.uniform(-1, 1, 6)
+        for key in ("correction", "d", "a", "alpha", "beta")
+    }
+    parallel = np.abs(np.sin(begun.arm.alpha)) < 0.1  # axes that DH's d cannot lean
+    return replace(begun, **{**errors, "beta": errors["beta"] * parallel * (np.arange(6) < 5)})
 
 
 def readings(arm: robots.Arm, count: int, seed: int) -> Array:

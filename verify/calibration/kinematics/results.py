@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 import robots
 from reports import Results
 from verify.calibration.kinematics.chain import Parameter
-from verify.calibration.kinematics.fit import CrossValidation, statistics
 from verify.calibration.kinematics.identify import IdentificationResult, LevelResult
 from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.calibration.kinematics.validation import CrossValidation, statistics
 from verify.calibration.origin import DEG, MM, ResultsOrigin
 from verify.core.records import Array
 
@@ -190,7 +190,7 @@ def _level(level: LevelResult) -> dict[str, Any]:
         "identified": len(level.fit.parameters),
         "rank": level.support.rank,
         "candidates": level.support.candidates,
-        "criterion": level.criterion,
+        "criterion": None if level.held_out is None else float(np.nanmean(level.held_out.chi2)),
         "noise_position": level.fit.scale.position,
         "noise_orientation": level.fit.scale.orientation,
         "outlying": int((~level.fit.used).sum()),
