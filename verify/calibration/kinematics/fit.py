@@ -54,6 +54,7 @@ class KinematicFit:
     scale: NoiseScale
     distance: Array  # (n,), squared Mahalanobis length of what is left in each row
     used: NDArray[np.bool_]  # (n,)
+    scatter: float | None = None  # of parameters between recordings, over u; None: one recording
 
     @property
     def standard_uncertainty(self) -> Array:

@@ -27,16 +27,20 @@ from verify.calibration.kinematics.fit import (
 )
 from verify.calibration.kinematics.identifiability import (
     Identifiability,
+    UnidentifiableParameter,
     identifiability,
     observability_indices,
+    unsupported,
 )
 from verify.calibration.kinematics.model import start_state
 from verify.calibration.kinematics.noise import initial_scale
 from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.calibration.kinematics.recordings import with_scatter
 from verify.calibration.kinematics.validation import CrossValidation, best_model, hold_out
 from verify.core.records import Array
 
 LEVELS = ("registration", "offsets", "geometry")
+MIN_PRIOR_SHARE = 0.5  # of a prior's standard deviation: what is left of it where poses say little
 MIN_NUMBERS_PER_PARAMETER = 1.5  # measured: with fewer, residuals do not judge a model
 
 
@@ -61,12 +65,29 @@ class LevelResult:
     fit: KinematicFit
     held_out: CrossValidation | None
 
+    @property
+    def weak(self) -> tuple[UnidentifiableParameter, ...]:
+        """The arm's own parameters that rest on their priors more than on the poses."""
+        known, own = self.fit.information, self.support.supported
+        columns = [self.fit.parameters.index(p) for p in own]
+        found = [
+            unsupported(own, known[:, columns], k, [i for i in range(len(own)) if i != k])
+            for k in range(len(own))
+        ]
+        return tuple(
+            one
+            for one in found
+            if not one.parameter.axis
+            and one.uncertainty_if_free > MIN_PRIOR_SHARE * one.parameter.prior
+        )
+
 
 @dataclass(frozen=True, slots=True)
 class IdentificationResult:
     """All models and the chosen one."""
 
     levels: tuple[LevelResult, ...]  # smallest first
+    richest: KinematicFit  # of the largest model that the data can judge
     chosen: LevelResult
     observability: dict[str, float]
     before: Array  # (n, 6), m and rad: left by registration alone
@@ -116,7 +137,7 @@ def identify_arm(
         LevelResult(
             name,
             support,
-            fit,
+            with_scatter(fit, poses),
             hold_out(
                 fit, poses, richest.scale,
                 splits=options.splits, share=options.share, seed=options.seed,
@@ -130,6 +151,7 @@ def identify_arm(
     chosen = levels[best if options.level is None else LEVELS.index(options.level)]
     return IdentificationResult(
         levels,
+        richest,
         chosen,
         observability_indices(chosen.fit.information, int(chosen.fit.used.sum())),
         pose_residuals(levels[0].fit.state, poses),

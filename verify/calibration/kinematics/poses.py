@@ -21,6 +21,7 @@ class IdentificationPoses:
     stated: bool  # the covariances were stated; else only their proportions count
     base: Rows  # (n,), from 0: which placing of the robot in the world
     tool: Rows  # (n,), from 0: which mounting of the target
+    recording: Rows  # (n,), which of several the row is from
     block: Rows  # (n,): rows of one block are held out together, as they repeat each other
     nuisance: Array  # (n, 6, p), of unit variance: what does not average out
     position_only: bool
@@ -81,6 +82,7 @@ def build_poses(
         stated=covariance is not None,
         base=none if base is None else base,
         tool=none if tool is None else tool,
+        recording=none,
         block=np.arange(n) if block is None else block,
         nuisance=np.zeros((n, 6, 0)) if nuisance is None else nuisance,
         position_only=position_only,

@@ -14,6 +14,7 @@ from verify.analysis.model import add_pan_noise, clock_effect, prior_columns
 from verify.analysis.session import measure_session
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.kinematics.chain import ArmState, KinematicChain
+from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.identify import IdentificationResult
 from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 from verify.core.readings import Readings
@@ -163,7 +164,7 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
             determined=tuple(known for one in sessions for known in one.comparison.determined),
         )
     return CombinedPoses(
-        poses=replace(rows, base=bases[source], tool=tools[source], block=block),
+        poses=replace(rows, base=bases[source], tool=tools[source], recording=source, block=block),
         sessions=tuple(sessions),
         source=source,
         frame=np.concatenate([one.frame for one in sessions]),
@@ -205,8 +206,9 @@ def _mounting(one: SessionPoses) -> bytes:
 def deflate_repetition(gathered: CombinedPoses, found: IdentificationResult) -> CombinedPoses:
     """Reduce the weight of pairs that repeat each other's errors, by a first fit's residuals."""
     rows = gathered.poses
-    white = found.chosen.fit.scale.whiten(rows, found.after)
-    white[np.all(rows.whitener == 0, axis=2) | ~found.chosen.fit.used[:, None]] = np.nan
+    fit = found.richest
+    white = fit.scale.whiten(rows, pose_residuals(fit.state, rows))
+    white[np.all(rows.whitener == 0, axis=2) | ~fit.used[:, None]] = np.nan
     whitener = rows.whitener.copy()
     for i in range(len(gathered.sessions)):
         own = gathered.source == i

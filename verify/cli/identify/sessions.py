@@ -11,6 +11,7 @@ from verify.analysis.instrument import BODY_SOURCE
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.identify import (
+    LEVELS,
     IdentificationOptions,
     IdentificationResult,
     identify_arm,
@@ -133,7 +134,7 @@ def _identify_twice(
     chain = chain_of(gathered.sessions[0].session.arm)
     # with both free no start is needed
     known = None if options.free_base and options.free_tool else gathered.state(chain)
-    first = identify_arm(chain, gathered.poses, replace(options, splits=0), known)
+    first = identify_arm(chain, gathered.poses, replace(options, level=LEVELS[0], splits=0), known)
     fewer = deflate_repetition(gathered, first)
     return fewer, identify_arm(chain, fewer.poses, options, known)
 

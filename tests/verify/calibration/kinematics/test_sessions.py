@@ -32,7 +32,7 @@ def seen() -> SessionPoses:
 
 def found(gathered: CombinedPoses, *, free: bool) -> IdentificationResult:
     chain = chain_of(gathered.sessions[0].session.arm)
-    wish = IdentificationOptions(free_base=free, free_tool=free, splits=0)
+    wish = IdentificationOptions(free_base=free, free_tool=free, splits=2)
     return identify_arm(chain, gathered.poses, wish, gathered.state(chain))
 
 
