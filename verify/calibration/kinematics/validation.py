@@ -36,10 +36,10 @@ class CrossValidation:
 def split(
     poses: IdentificationPoses, share: float, generator: np.random.Generator
 ) -> NDArray[np.bool_]:
-    """Hold out a share of the blocks of every base and tool; (n,), True where held out."""
+    """Hold out a share of the blocks of every base; (n,), True where held out."""
     held = np.zeros(len(poses), dtype=bool)
-    for base, tool in sorted(set(zip(poses.base.tolist(), poses.tool.tolist(), strict=True))):
-        own = (poses.base == base) & (poses.tool == tool)
+    for base in np.unique(poses.base):
+        own = poses.base == base
         blocks = np.unique(poses.block[own])
         some_blocks = generator.permutation(blocks)[: max(1, round(share * len(blocks)))]
         held |= own & np.isin(poses.block, some_blocks)

@@ -30,6 +30,7 @@ from verify.calibration.kinematics.sessions import (
     gather_sessions,
     require_one_arm,
     session_to_poses,
+    split_targets,
 )
 from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
@@ -100,7 +101,7 @@ def identify_sessions(
 
 def _combine_poses(sessions: Sequence[Session]) -> CombinedPoses:
     measured = []
-    for session in sessions:
+    for session in (part for whole in sessions for part in split_targets(whole)):
         with terminal.progress(f"pairs of {session.name}") as progress:
             measured.append(session_to_poses(session, progress))
     gathered = gather_sessions(measured)
