@@ -33,12 +33,16 @@ class Poses:
     orientation_uncertainty: Array | None  # (n, 3), rad, of a rotation vector applied on the left
     rounding: tuple[float, float]  # m, rad: standard uncertainty that the last decimal leaves
     target: Array | None = None  # (n,), number of the target that each row is of; None: one
+    of_several: bool = False  # of one target of several
 
     def by_target(self) -> dict[int, "Poses"]:
         """The poses of each target by itself, by its number."""
         if self.target is None:
             return {1: self}
-        values = {f.name: getattr(self, f.name) for f in fields(self)} | {"target": None}
+        values = {f.name: getattr(self, f.name) for f in fields(self)} | {
+            "target": None,
+            "of_several": True,
+        }
         return {
             int(number): Poses(
                 **{

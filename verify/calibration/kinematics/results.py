@@ -12,6 +12,7 @@ import robots
 from reports import Results
 from verify.calibration.kinematics.chain import Parameter
 from verify.calibration.kinematics.identify import IdentificationResult, LevelResult
+from verify.calibration.kinematics.placements import placement_entries
 from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.validation import CrossValidation, statistics
 from verify.calibration.origin import DEG, MM, ResultsOrigin
@@ -84,6 +85,7 @@ def identification_results(
         "rank": found.level("geometry").support.rank,
         "candidates": found.level("geometry").support.candidates,
         "parameters": parameters,
+        "placements": placement_entries(fitted),
         "offsets": _offsets(found, origin.arm.dof),
         "judged": None if judged is None else _judged_entries(judged, poses.position_only),
         "held": _held(found),

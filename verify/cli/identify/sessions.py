@@ -1,5 +1,6 @@
 """Identify an arm's own parameters from sessions; write the corrected arm and its report."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -7,8 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from reports import Results
-from verify.analysis.instrument import BODY_SOURCE
+from verify.analysis.instrument import BODY_SOURCE, CALIBRATION_SOURCE
 from verify.calibration.kinematics.chain import chain_of
+from verify.calibration.kinematics.doubts import unstated_effects
 from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.identify import (
     LEVELS,
@@ -17,6 +19,7 @@ from verify.calibration.kinematics.identify import (
     identify_arm,
     register,
 )
+from verify.calibration.kinematics.placements import session_files
 from verify.calibration.kinematics.results import (
     IdentificationProvenance,
     ValidationSessions,
@@ -25,7 +28,6 @@ from verify.calibration.kinematics.results import (
 from verify.calibration.kinematics.robot_file import CorrectionProvenance, encode_robot
 from verify.calibration.kinematics.sessions import (
     CombinedPoses,
-    SessionPoses,
     deflate_repetition,
     gather_sessions,
     require_one_arm,
@@ -83,7 +85,7 @@ def identify_sessions(
         free_tool=gathered.free_tool if free_tool is None else free_tool,
     )
     gathered, found = _identify_twice(gathered, options)
-    origin = _identification_provenance(gathered, options, found.chosen.name)
+    origin = _identification_provenance(gathered, options, found)
     name, content = encode_robot(
         origin.arm, found.chain, _correction_provenance(found, origin),
         offsets_only=found.chosen.name != "geometry",
@@ -95,6 +97,9 @@ def identify_sessions(
     with write_folder_whole(target, force) as folder:
         write_report_folder(made, folder, force=True)
         (folder / name).write_bytes(content)
+        for path, data in session_files(gathered, found.chosen.fit, name, content):
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(data)
         (folder / "parameters.csv").write_text(table, encoding="utf-8")
     _print_summary(made, target)
 
@@ -141,7 +146,7 @@ def _identify_twice(
 
 
 def _identification_provenance(
-    gathered: CombinedPoses, options: IdentificationOptions, level: str
+    gathered: CombinedPoses, options: IdentificationOptions, found: IdentificationResult
 ) -> IdentificationProvenance:
     sessions = [one.session for one in gathered.sessions]
     several = len(sessions) > 1
@@ -159,27 +164,43 @@ def _identification_provenance(
         free_tool=options.free_tool,
         description=sessions[0].description if not several else "",
         inputs=inputs,
-        warnings=tuple(dict.fromkeys(_warnings(gathered.sessions, options, level))),
+        warnings=tuple(dict.fromkeys(_warnings(gathered, options, found))),
     )
 
 
 def _warnings(
-    sessions: Sequence[SessionPoses], options: IdentificationOptions, level: str
+    gathered: CombinedPoses, options: IdentificationOptions, found: IdentificationResult
 ) -> list[str]:
-    warnings = [warning for one in sessions for warning in one.session.warnings]
+    warnings = [warning for one in gathered.sessions for warning in one.session.warnings]
     hidden = {
         "robot base": options.free_base,
         "LED body": options.free_tool,
         BODY_SOURCE: options.free_tool,
-        "robot table": level == "geometry",
+        "robot table": found.chosen.name == "geometry",
     }
-    exact = [
-        source for one in sessions for source in one.uncounted if not hidden.get(source, False)
-    ]
+    exact = dict.fromkeys(
+        source
+        for one in gathered.sessions
+        for source in one.uncounted
+        if not hidden.get(source, False)
+    )
     if exact:
+        held = {"robot base": "base", "LED body": "tool", BODY_SOURCE: "tool"}
+        effects = unstated_effects(
+            found.chosen.fit,
+            gathered.poses,
+            [source for source in exact if source in ("rig", CALIBRATION_SOURCE)],
+            {held[source]: source for source in exact if source in held},
+        )
+        said = "".join(f"; {effect.source}: {effect}" for effect in effects)
         warnings.append(
-            f"No uncertainty is stated for {', '.join(dict.fromkeys(exact))}: taken as exact; the "
-            "uncertainties hold on that condition."
+            f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the uncertainties "
+            f"hold on that condition{said}."
+        )
+    if found.chosen.fit.scatter is None:
+        warnings.append(
+            "From one recording: how this arm's parameters differ from one recording to the next "
+            "is not in the uncertainties. Give two or more sessions."
         )
     return warnings
 
@@ -226,10 +247,12 @@ def _print_summary(made: Results, target: Path) -> None:
 
 
 def _joint_line(joint: dict[str, float | None]) -> str:
-    add, u = joint["add_to_reading_deg"], joint["standard_uncertainty_deg"]
+    add, u = joint["add_to_reading_deg"], joint["expanded_uncertainty_deg"]
     if add is None or u is None:
         return f"  joint {joint['joint']}: offset not identified"
+    digits = max(3, 1 - math.floor(math.log10(u)))
     return (
-        f"  joint {joint['joint']}: encoder less measured {-add:+.3f}° ± {2 * u:.3f}° (k = 2); "
-        f"add {add:+.3f}° to the reading"
+        f"  joint {joint['joint']}: encoder less measured {-add:+.{digits}f}° ± {u:.{digits}f}° "
+        "(k = 2); "
+        f"add {add:+.{digits}f}° to the reading"
     )
