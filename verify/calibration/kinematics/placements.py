@@ -70,7 +70,8 @@ def session_files(
             if "tool" in kinds:
                 yield f"{folder}/marker.toml", encode_marker(_moved_marker(session, fit, tool))
             continue
-        yield f"{folder}/session.toml", _session_toml(session, fit, rig, tool, robot_file)
+        text = _session_toml(session, fit, rig, tool, robot_file, stated=gathered.poses.stated)
+        yield f"{folder}/session.toml", text
         yield f"{folder}/{robot_file}", robot
         for path in session.inputs:
             if path.endswith(".csv"):
@@ -124,7 +125,7 @@ def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Any:
 
 
 def _session_toml(
-    session: Session, fit: KinematicFit, rig: Rig, place: int, robot_file: str
+    session: Session, fit: KinematicFit, rig: Rig, place: int, robot_file: str, *, stated: bool
 ) -> bytes:
     """The session of poses with the corrected arm, its base and its target where they were found."""
     tree = tomllib.loads((session.folder / "session.toml").read_text(encoding="utf-8"))
@@ -135,6 +136,10 @@ def _session_toml(
     poses = {**tree["poses"], "point_mm": encode_numbers(body[:3, 3], 1 / MM), "frame": "instrument"}
     if not instrument.positions_alone:
         poses["rotation"] = encode_numbers(body[:3, :3])
+    if not stated:
+        poses["position_standard_uncertainty_mm"] = fit.scale.position * MM
+        if not instrument.positions_alone:
+            poses["orientation_standard_uncertainty_deg"] = fit.scale.orientation * DEG
     sigma = np.sqrt(np.diag(_covariance(fit, "tool", place))).tolist()
     if any(sigma):
         uncertainty = dict(zip(KEYS, sigma, strict=True))
