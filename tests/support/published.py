@@ -1,5 +1,6 @@
 """A real UR10 before a laser tracker: poses of Landgraf and others (2021), read as published."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +26,18 @@ def series(name: str, every: int = 1) -> IdentificationPoses:
     return _read(shared("data", "robot_ur10_lasertracker") / SERIES[name], every)
 
 
+def concatenate(recordings: list[IdentificationPoses]) -> IdentificationPoses:
+    """Recordings of one arm, base and target anew in each, as one set of rows."""
+    each = np.repeat(np.arange(len(recordings)), [len(one) for one in recordings])
+    values = {
+        f.name: np.concatenate(parts) if isinstance(parts[0], np.ndarray) else parts[0]
+        for f in fields(IdentificationPoses)
+        if (parts := [getattr(one, f.name) for one in recordings])
+    }
+    own = {"base": each, "tool": each, "recording": each, "block": np.arange(len(each))}
+    return IdentificationPoses(**{**values, **own})
+
+
 def _read(path: Path, every: int) -> IdentificationPoses:
     table = pd.read_csv(path, sep=";", decimal=",").iloc[::every]
     q = table[[f"{joint}_joint" for joint in JOINTS]].to_numpy(dtype=float)
@@ -36,21 +49,30 @@ def _read(path: Path, every: int) -> IdentificationPoses:
 
 
 def write_session(
-    folder: Path, rows: IdentificationPoses, *, positions_alone: bool = False, period: float = 0.1
+    folder: Path,
+    rows: IdentificationPoses,
+    *,
+    positions_alone: bool = False,
+    period: float = 0.1,
+    robot: str = "ur10",
 ) -> Path:
-    """Write a series as a session of poses, one each `period`, s; base and target not stated."""
+    """Write rows as a session of poses, one each `period`, s; base and target not stated."""
     folder.mkdir()
-    t = [f"{period * i:.3f}" for i in range(len(rows))]
+    t = [f"{period * i:.3f}" for i in rows.block]
     places, turns = rows.world_T_target[:, :3, 3] * 1e3, rows.world_T_target[:, :3, :3]
     header, columns = "t_s,x_mm,y_mm,z_mm", places
     if not positions_alone:
         quaternions = np.roll(Rotation.from_matrix(turns).as_quat(), 1, axis=1)
         header, columns = f"{header},qw,qx,qy,qz", np.hstack([places, quaternions])
+    if rows.tool.any():
+        header, columns = f"{header},target", np.hstack([columns, rows.tool[:, None] + 1.0])
     _write(folder / "poses.csv", header, t, columns)
     heads = ",".join(f"q{j + 1}_deg" for j in range(rows.q.shape[1]))
-    _write(folder / "encoders.csv", f"t_s,{heads}", t, np.degrees(rows.q))
+    first = rows.tool == 0
+    times = [at for at, own in zip(t, first, strict=True) if own]
+    _write(folder / "encoders.csv", f"t_s,{heads}", times, np.degrees(rows.q[first]))
     (folder / "session.toml").write_text(
-        'format = 1\nrobot = "ur10"\nencoders = "encoders.csv"\n'
+        f'format = 1\nrobot = "{robot}"\nencoders = "encoders.csv"\n'
         "[clock]\nencoder_offset_s = 0.0\n"
         '[poses]\nfile = "poses.csv"\ninstrument = "a laser tracker"\nframe = "robot_base"\n'
     )

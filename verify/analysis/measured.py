@@ -138,9 +138,12 @@ def measure_instrument(
         InputError: the poses are of several targets.
     """
     if instrument.poses.target is not None:
-        found, expected = "has the column target", "one target is compared with the readings"
-        remedy = "`verify identify` takes several; give one target a session here."
-        raise InputError(session.left.path, found, expected, remedy)
+        raise InputError(
+            session.left.path,
+            "has the column target",
+            "one target is compared with the readings",
+            "`verify identify` takes several; give one target a session here.",
+        )
     noise = stated_noise(instrument)
     seen = measure_poses(session, instrument, readings, noise)
     clock = session_clock(session, seen.track, readings)

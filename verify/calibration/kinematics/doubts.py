@@ -70,7 +70,7 @@ def unstated_effects(
         effects.append(UnstatedEffect(source, "0.1 % of scale", *moved(change)))
     for kind, source in held.items():
         for error, size, axes in (("1 mm", LENGTH, AXES[:3]), ("0.1°", ANGLE, AXES[3:])):
-            places = tuple(Parameter(kind, 0, axis) for axis in axes)
-            change = predict_with_jacobian(fit.state, rows.q, rows.base, rows.tool, places)[1]
+            moves = tuple(Parameter(kind, 0, axis) for axis in axes)
+            change = predict_with_jacobian(fit.state, rows.q, rows.base, rows.tool, moves)[1]
             effects.append(UnstatedEffect(source, error, *moved(size * change)))
     return effects

@@ -91,7 +91,7 @@ def _residuals(predicted: Array, poses: IdentificationPoses) -> Array:
 def scaled_columns(
     state: ArmState, poses: IdentificationPoses, parameters: tuple[Parameter, ...]
 ) -> tuple[Array, Array]:
-    """Residuals (n, 6), m and rad, and the pose's change a tolerance of each parameter, (n, 6, L)."""
+    """Residuals (n, 6), m and rad, and the change a tolerance of each parameter, (n, 6, L)."""
     predicted, jacobian = predict_with_jacobian(state, poses.q, poses.base, poses.tool, parameters)
     jacobian *= tolerances(parameters)
     return _residuals(predicted, poses), jacobian
@@ -204,7 +204,10 @@ def _outlying_rows(
 
 
 def _without_nuisances(
-    left: Array, poses: IdentificationPoses, scale: NoiseScale, used: NDArray[np.bool_] | None = None
+    left: Array,
+    poses: IdentificationPoses,
+    scale: NoiseScale,
+    used: NDArray[np.bool_] | None = None,
 ) -> Array:
     """Residuals (n, 6) less the most likely effect of the nuisances on the used rows."""
     extra = poses.nuisance.shape[2]

@@ -7,7 +7,7 @@ out:
 
 In the order given, a parameter is supported while its column is not a combination of the chosen
 ones and the smallest singular value of R over them stays `least` or more: at 1 every combination is
-known better than 1 mm or 1°; at 0 gauges alone are held, and what the data leave open a prior holds.
+known better than 1 mm or 1°; at 0 gauges alone are held, and a prior what the data leave open.
 """
 
 from dataclasses import dataclass

@@ -3,13 +3,12 @@
 Three models are fitted, each within the next: base and tool alone; with the joints' offsets; with
 all of the arm's geometry. All are adjusted together, the arm's own numbers held by weak priors
 (`Parameter.prior`); gauges alone are held. Rank and gauges are stated at the arm's nominal
-numbers, where parallel axes are parallel. The largest model that the data can judge is fitted first: noise and
-outlying rows are what it leaves. The model that predicts held-out poses best is chosen.
+numbers, where parallel axes are parallel. The largest model that the data can judge is fitted
+first: noise and outlying rows are what it leaves. The model that predicts held-out poses best is
+chosen.
 """
 
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from verify.calibration.kinematics.chain import (
     ArmState,
@@ -36,7 +35,12 @@ from verify.calibration.kinematics.model import start_state
 from verify.calibration.kinematics.noise import initial_scale
 from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.recordings import with_scatter
-from verify.calibration.kinematics.validation import CrossValidation, best_model, hold_out
+from verify.calibration.kinematics.validation import (
+    CrossValidation,
+    HoldOut,
+    best_model,
+    hold_out,
+)
 from verify.core.records import Array
 
 LEVELS = ("registration", "offsets", "geometry")
@@ -45,15 +49,12 @@ MIN_NUMBERS_PER_PARAMETER = 1.5  # measured: with fewer, residuals do not judge 
 
 
 @dataclass(frozen=True, slots=True)
-class IdentificationOptions:
+class IdentificationOptions(HoldOut):
     """What is free, which model to take, and how it is cross-validated."""
 
     free_base: bool = True
     free_tool: bool = True
-    level: str | None = None  # of `LEVELS`; None: the one that the data call for
-    splits: int = 10  # of the hold-out; 0: none
-    share: float = 0.3  # of the rows that are held out
-    seed: int = 1
+    level: str | None = None  # of `LEVELS`; None: the one that predicts best
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,31 +123,23 @@ def identify_arm(
     """
     options = options or IdentificationOptions()
     begun = replace(known, chain=chain) if known is not None else start_state(chain, poses)
-    placed = _registration(begun, poses, options)
-    supports = _supports(begun, poses, placed)
+    supports = _supports(begun, poses, _registration(begun, poses, options))
     fitted = [_fitted(support) for support in supports]
     numbers = int(poses.dimensions.sum()) / MIN_NUMBERS_PER_PARAMETER
-    judged = [len(s.supported) <= numbers for s in supports]
+    judged = [len(support.supported) <= numbers for support in supports]
     largest = [f for f, enough in zip(fitted, judged, strict=True) if enough] or fitted[:1]
     richest = fit_parameters(begun, poses, largest[-1])
-    fits = [
-        richest if free == largest[-1] else fit_parameters(begun, poses, free, richest)
-        for free in fitted
-    ]
-    levels = tuple(
-        LevelResult(
-            name,
-            support,
-            with_scatter(fit, poses),
-            hold_out(
-                fit, poses, richest.scale,
-                splits=options.splits, share=options.share, seed=options.seed,
-            )
-            if enough
-            else None,
-        )  # fmt: skip
-        for name, support, fit, enough in zip(LEVELS, supports, fits, judged, strict=True)
-    )
+
+    def level(name: str, free: tuple[Parameter, ...], support: Identifiability) -> LevelResult:
+        fit = richest
+        if free != largest[-1]:
+            fit = fit_parameters(begun, poses, free, richest)
+        held_out = None
+        if free in largest:
+            held_out = hold_out(fit, poses, richest.scale, options)
+        return LevelResult(name, support, with_scatter(fit, poses), held_out)
+
+    levels = tuple(map(level, LEVELS, fitted, supports))
     best = best_model([level.held_out for level in levels], poses.block)
     chosen = levels[best if options.level is None else LEVELS.index(options.level)]
     return IdentificationResult(

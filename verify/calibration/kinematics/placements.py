@@ -1,7 +1,7 @@
 """Where base and target were found, and the files in which `verify run` takes them.
 
 A session of pictures gets a rig.toml and a marker.toml, to be put in the place of its own; one of
-poses a whole folder, with the corrected arm. Both say source = "motion": found through the encoders.
+poses a whole folder, with the corrected arm. Both say source = "motion": through the encoders.
 """
 
 import tomllib
@@ -17,6 +17,7 @@ from verify.calibration.kinematics.chain import AXES, Parameter
 from verify.calibration.kinematics.fit import KinematicFit
 from verify.calibration.kinematics.sessions import CombinedPoses
 from verify.calibration.origin import DEG, MM
+from verify.core.fiducials import Marker
 from verify.core.records import Array
 from verify.core.rig import Covariance, Rig
 from verify.io import rig as io_rig
@@ -81,7 +82,11 @@ def session_files(
 def _covariance(fit: KinematicFit, kind: str, place: int) -> Array:
     """Of a base's or tool's six numbers, (6, 6), mm and degrees; 0 where they were held."""
     found = np.zeros((6, 6))
-    own = [fit.parameters.index(p) for axis in AXES if (p := Parameter(kind, place, axis)) in fit.parameters]
+    own = [
+        fit.parameters.index(p)
+        for axis in AXES
+        if (p := Parameter(kind, place, axis)) in fit.parameters
+    ]
     axes = [AXES.index(fit.parameters[k].axis) for k in own]
     found[np.ix_(axes, axes)] = fit.covariance[np.ix_(own, own)]
     return found * np.outer(UNITS, UNITS)
@@ -114,7 +119,7 @@ def _correlation(covariance: Array) -> Array:
     return found
 
 
-def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Any:
+def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Marker:
     """The LEDs where the flange has them: a session's LEDs are its target."""
     tool, marker = fit.state.tool[place], session.marker
     u = np.sqrt(np.diag(_covariance(fit, "tool", place))) / UNITS
@@ -127,13 +132,17 @@ def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Any:
 def _session_toml(
     session: Session, fit: KinematicFit, rig: Rig, place: int, robot_file: str, *, stated: bool
 ) -> bytes:
-    """The session of poses with the corrected arm, its base and its target where they were found."""
+    """The session of poses with the corrected arm, base and target where they were found."""
     tree = tomllib.loads((session.folder / "session.toml").read_text(encoding="utf-8"))
     tree.pop("robot_frames", None)
     tool, instrument = fit.state.tool[place], session.instrument
     assert instrument is not None
     body = tool if instrument.positions_alone else tool @ instrument.flange_T_body
-    poses = {**tree["poses"], "point_mm": encode_numbers(body[:3, 3], 1 / MM), "frame": "instrument"}
+    poses = {
+        **tree["poses"],
+        "point_mm": encode_numbers(body[:3, 3], 1 / MM),
+        "frame": "instrument",
+    }
     if not instrument.positions_alone:
         poses["rotation"] = encode_numbers(body[:3, :3])
     if not stated:

@@ -188,7 +188,9 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
             determined=tuple(known for one in sessions for known in one.comparison.determined),
         )
     return CombinedPoses(
-        poses=replace(rows, base=bases[source], tool=tools[source], recording=recording[source], block=block),
+        poses=replace(
+            rows, base=bases[source], tool=tools[source], recording=recording[source], block=block
+        ),
         sessions=tuple(sessions),
         source=source,
         frame=np.concatenate([one.frame for one in sessions]),

@@ -12,14 +12,28 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.calibration.kinematics.fit import FitState, KinematicFit, minimise, pose_residuals
-from verify.calibration.kinematics.fit import tolerances
+from verify.calibration.kinematics.fit import (
+    FitState,
+    KinematicFit,
+    minimise,
+    pose_residuals,
+    tolerances,
+)
 from verify.calibration.kinematics.noise import NoiseScale
 from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
 from verify.core.records import Array
 
 MAX_CHI2 = 25.0  # that a row may bring: noise brings a full pose's beyond it in 3 of 10,000
 MIN_GAIN_SIGMA = 1.0  # standard deviations by which a larger model must predict better
+
+
+@dataclass(frozen=True, slots=True)
+class HoldOut:
+    """How poses are held out."""
+
+    splits: int = 10  # 0: none
+    share: float = 0.3  # of the rows
+    seed: int = 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,10 +70,7 @@ def hold_out(
     fit: KinematicFit,
     poses: IdentificationPoses,
     noise: NoiseScale,
-    *,
-    splits: int,
-    share: float,
-    seed: int,
+    options: HoldOut,
 ) -> CrossValidation | None:
     """Fit on one part and evaluate on the other, several times; None: too few rows.
 
@@ -67,16 +78,14 @@ def hold_out(
         fit: of all rows; each fit starts there, and leaves its outlying rows out.
         poses: n rows.
         noise: that distances are measured by.
-        splits: how often.
-        share: of the rows held out.
-        seed: of the splits.
+        options: how much is held out, and how often.
     """
-    generator = np.random.default_rng(seed)
+    generator = np.random.default_rng(options.seed)
     start = FitState(fit.state, fit.change / tolerances(fit.parameters))
     positions, turns, counts = [], [], []
     total, times = np.zeros(len(poses)), np.zeros(len(poses))
-    for _ in range(splits):
-        held = split(poses, share, generator)
+    for _ in range(options.splits):
+        held = split(poses, options.share, generator)
         training = select_rows(poses, ~held & fit.used)
         if int(training.dimensions.sum()) < len(fit.parameters) or not held.any():
             return None
@@ -92,7 +101,7 @@ def hold_out(
         return None
     blind = np.full(3, np.nan)
     return CrossValidation(
-        splits=splits,
+        splits=options.splits,
         rows=round(float(np.mean(counts))),
         position=np.mean(positions, axis=0),
         orientation=blind if poses.position_only else np.mean(turns, axis=0),

@@ -204,15 +204,16 @@ def test_noise_of_visits_is_what_a_model_of_all_causes_leaves(
     true = q - np.deg2rad([0, 0.5, 0, 0, 0, 0])
     poses = robots.forward(watched.session.arm, true)
     poses[:, :3, 3] += rng.normal(0, 0.2e-3, (count, 3))
-    poses[:, :3, :3] = Rotation.from_rotvec(rng.normal(0, 5e-4, (count, 3))).as_matrix() @ (
-        poses[:, :3, :3]
+    poses[:, :3, :3] = (
+        Rotation.from_rotvec(rng.normal(0, 5e-4, (count, 3))).as_matrix() @ (poses[:, :3, :3])
     )
     t = np.arange(count, dtype=np.float64) * 10
     results = analyse_own(tmp_path / "posed", t, q, poses)
     named = any("the instrument's noise" in warning for warning in results.summary["warnings"])
     assert named is (count == 8)
     if count == 40:
-        more = "position_standard_uncertainty_mm = 0.2\norientation_standard_uncertainty_deg = 0.0286\n"
+        more = "position_standard_uncertainty_mm = 0.2\n"
+        more += "orientation_standard_uncertainty_deg = 0.0286\n"
         known = analyse_own(tmp_path / "stated", t, q, poses, more)
         for j in range(1, 7):
             ratio = results.tables["frames"][f"q{j}_u_deg"] / known.tables["frames"][f"q{j}_u_deg"]
