@@ -81,7 +81,7 @@ def identification_results(
         "levels": [_level(level) for level in found.levels],
         "identified": len(chosen.support.supported) - len(chosen.weak),
         "coverage_factor": fitted.coverage_factor,
-        "recordings": {"count": len(origin.names), "scatter": fitted.scatter},
+        "recordings": {"count": len(np.unique(poses.recording)), "scatter": fitted.scatter},
         "rank": found.level("geometry").support.rank,
         "candidates": found.level("geometry").support.candidates,
         "parameters": parameters,

@@ -112,14 +112,16 @@ def split_targets(session: Session) -> list[Session]:
     return found
 
 
-def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
-    """Measure a session and compare its poses with the readings.
+def session_to_poses(
+    session: Session, progress: Progress, *, registered: bool = True
+) -> SessionPoses:
+    """Measure a session and compare its poses with the readings; `measure_session` says how.
 
     Raises:
         InputError: no pair could be measured, or none has a reading.
     """
     readings = Readings(session.encoders.t, session.encoders.q)
-    measured, clock = measure_session(session, readings, progress, measure)
+    measured, clock = measure_session(session, readings, progress, measure, registered=registered)
     track, systematics = measured.track, measured.systematics
     compared = compare(
         track, session.arm, readings, clock.offset,
@@ -196,7 +198,7 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
         frame=np.concatenate([one.frame for one in sessions]),
         tools=mounted,
         free_base=any(one.session.rig.base_source == "motion" for one in sessions),
-        free_tool=any(_tool_open(one.session) for one in sessions),
+        free_tool=any(tool_open(one.session) for one in sessions),
     )
 
 
@@ -222,7 +224,7 @@ def _point_rows(
     )
 
 
-def _tool_open(session: Session) -> bool:
+def tool_open(session: Session) -> bool:
     """The target's place was found through the encoders, or nobody says where it is."""
     instrument = session.instrument
     return session.marker.source == "motion" or (instrument is not None and not instrument.placed)

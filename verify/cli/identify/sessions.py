@@ -19,6 +19,7 @@ from verify.calibration.kinematics.identify import (
     identify_arm,
     register,
 )
+from verify.calibration.kinematics.mistakes import refuse_mistaken_readings
 from verify.calibration.kinematics.placements import session_files
 from verify.calibration.kinematics.results import (
     IdentificationProvenance,
@@ -33,6 +34,7 @@ from verify.calibration.kinematics.sessions import (
     require_one_arm,
     session_to_poses,
     split_targets,
+    tool_open,
 )
 from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
@@ -73,7 +75,9 @@ def identify_sessions(
     require_one_arm([*opened, *others])
     target = out if out is not None else Path(f"{opened[0].name}-identification")
     refuse_existing(target, force=force)
-    gathered, judging = _combine_poses(opened), _combine_poses(others) if others else None
+    registered = not free_base and not free_tool and not any(map(tool_open, opened))
+    gathered = _combine_poses(opened, registered=registered)
+    judging = _combine_poses(others, registered=registered) if others else None
     if judging is not None and judging.poses.position_only != gathered.poses.position_only:
         raise InputError(
             others[0].folder, "does not hold what the arm is identified from",
@@ -104,11 +108,11 @@ def identify_sessions(
     _print_summary(made, target)
 
 
-def _combine_poses(sessions: Sequence[Session]) -> CombinedPoses:
+def _combine_poses(sessions: Sequence[Session], *, registered: bool) -> CombinedPoses:
     measured = []
     for session in (part for whole in sessions for part in split_targets(whole)):
         with terminal.progress(f"pairs of {session.name}") as progress:
-            measured.append(session_to_poses(session, progress))
+            measured.append(session_to_poses(session, progress, registered=registered))
     gathered = gather_sessions(measured)
     places = gathered.poses.base * (int(gathered.poses.tool.max()) + 1) + gathered.poses.tool
     count = np.bincount(places)[np.unique(places)]
@@ -118,6 +122,9 @@ def _combine_poses(sessions: Sequence[Session]) -> CombinedPoses:
             f"{MIN_POSES} or more are needed of each placing of robot and LEDs",
             "Record a longer session.",
         )  # fmt: skip
+    if not registered:
+        files = sessions[0].folder / "encoders.csv"
+        refuse_mistaken_readings(files, chain_of(sessions[0].arm), gathered.poses)
     return gathered
 
 
