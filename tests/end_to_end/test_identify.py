@@ -48,10 +48,10 @@ def test_a_laser_tracker_s_poses_need_no_registration(
     positions_alone: bool, rank: int, tmp_path: Path
 ) -> None:
     """A real UR10; where its base and the tracker's target are, nobody says."""
-    session = write_session(tmp_path / "b", series("B", 5), positions_alone=positions_alone)
-    out = tmp_path / "out"
+    at_rest = {"positions_alone": positions_alone, "period": 10.0}
+    session, out = write_session(tmp_path / "b", series("B", 5), **at_rest), tmp_path / "out"
     # months before, with robot, tracker and target elsewhere
-    other = write_session(tmp_path / "a", series("A", 40), positions_alone=positions_alone)
+    other = write_session(tmp_path / "a", series("A", 40), **at_rest)
     free = ("--base", "free", "--leds", "free", "--splits", "2", "--judge", other)
     done = verify("identify", session, "-o", out, *free)
     assert done.status == 0, done.err

@@ -67,12 +67,17 @@ class LevelResult:
     held_out: CrossValidation | None
 
     @property
+    def known(self) -> Array:
+        """`information_root` of the supported parameters, scaled by tolerance."""
+        own = [self.fit.parameters.index(p) for p in self.support.supported]
+        return self.fit.information[:, own]
+
+    @property
     def weak(self) -> tuple[UnidentifiableParameter, ...]:
         """The arm's own parameters that rest on their priors more than on the poses."""
-        known, own = self.fit.information, self.support.supported
-        columns = [self.fit.parameters.index(p) for p in own]
+        own, known = self.support.supported, self.known
         found = [
-            unsupported(own, known[:, columns], k, [i for i in range(len(own)) if i != k])
+            unsupported(own, known, k, [i for i in range(len(own)) if i != k])
             for k in range(len(own))
         ]
         return tuple(
@@ -146,7 +151,7 @@ def identify_arm(
         levels,
         richest,
         chosen,
-        observability_indices(chosen.fit.information, int(chosen.fit.used.sum())),
+        observability_indices(chosen.known, int(chosen.fit.used.sum())),
         pose_residuals(levels[0].fit.state, poses),
         pose_residuals(chosen.fit.state, poses),
     )
