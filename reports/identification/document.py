@@ -8,19 +8,24 @@ The summary's keys, units in their names; what is not known is null or missing:
     poses                 used, outlying (source, frame, squared_distance), position_only
     base_free, tool_free  found with the arm, or held as rig and marker have them
     level                 "registration", "offsets" or "geometry": the model that was chosen
-    levels                each: name, identified, rank, candidates, criterion, noise_position and
-                          noise_orientation (of what is left, over what was stated), outlying,
-                          held_out (splits, rows, mean_mm, rms_mm, max_mm, mean_deg, …)
-    identified, rank, candidates   of the chosen model; of all parameters together
-    parameters            name, kind, joint, unit, nominal, identified, change,
-                          standard_uncertainty, expanded_uncertainty (k = 2); a base's and a
+    levels                each: name, identified, rank, candidates, criterion (mean χ² a number
+                          of poses held out, by the noise of the richest model), noise_position and
+                          noise_orientation (of what is left, over what was stated; m and rad where
+                          nothing was), outlying, held_out (splits, rows, mean_mm, rms_mm, …)
+    identified, rank, candidates   told by the poses, of the chosen model; of all parameters
+    coverage_factor       2, or Student's where the noise is known from few poses or recordings
+    recordings            count; scatter of parameters between them, over u; null: there is one
+    parameters            name, kind, joint, unit, nominal, identified, change, prior (standard
+                          deviation), standard_uncertainty, expanded_uncertainty; a base's and a
                           tool's own numbers are null
+    placements            each base and tool found: kind, number, position_mm, rotation_vector_deg,
+                          standard_uncertainty (x_mm … rz_deg)
     offsets               joint, error_deg (encoder less measured), add_to_reading_deg,
-                          standard_uncertainty_deg; the same with alone_ in front: by the model of
-                          offsets alone
+                          standard_uncertainty_deg, expanded_uncertainty_deg; the same with alone_
+                          in front: by the model of offsets alone
     judged                null, or path and poses of sessions that it was not identified from, with
                           before and after (mean_mm, rms_mm, max_mm, mean_deg, …)
-    held                  name, unit, reason (gauge, not_supported, not_called_for),
+    held                  name, unit, reason (gauge, prior, not_called_for),
                           confounded_with (name, share), standard_uncertainty_if_free
     observability         O1 … O5
     parameter_correlation parameters, correlation
@@ -76,7 +81,7 @@ LEVELS = {
 }
 REASONS = {
     "gauge": "gauge",
-    "not_supported": "not supported",
+    "prior": "rests on its prior",
     "not_called_for": "not called for",
 }
 
@@ -86,7 +91,7 @@ class IdentificationNotes:
 
     SIGN = (
         "Error: encoder less measured. A correction is its negative: it is to be added to the "
-        "reading. ± is the standard uncertainty (k = 1)."
+        "reading. ± is the expanded uncertainty (k = 2; Student's where few poses told the noise)."
     )
     ALONE = (
         "The offsets alone hold for an arm whose lengths and twists stay as they are: enter these "
@@ -95,18 +100,21 @@ class IdentificationNotes:
     NOT_TOLD = "Not identified: what it is confounded with stands further below."
     HOLD_OUT = (
         "Fitted on the other poses, means over the splits; every pose counts that was held out, "
-        "outlying or not. The criterion is the Bayesian one: a larger model is taken where it "
-        "falls by 10 or more."
+        "outlying or not. Criterion: mean χ² a number held out, by the noise that the richest "
+        "model leaves, each pose's at most 25; a larger model is taken where it predicts clearly "
+        "better."
     )
     JUDGED = "The arm was not identified from these."
     PLACES = (
         "Base and tool are found anew with every model; only changes of the arm's own numbers are "
-        "shown. U is the expanded uncertainty (k = 2)."
+        "shown. All are adjusted together, the arm's held by weak priors: standard deviations of "
+        "3 mm and 3° about its file. ± is the expanded uncertainty."
     )
     GAUGE = (
-        "A gauge is told apart by no motion: the others make it up, whatever the arm does. What is "
-        "not supported could be told by another motion; what is not called for could be freed, but "
-        "the data fit as well without. u: standard uncertainty beside all that is supported."
+        "A gauge is told apart by no motion: the others make it up, whatever the arm does; where "
+        "others of the arm do, its prior shares the change out. What rests on its prior could be "
+        "told by another motion; what is not called for could be freed, but poses held out are "
+        "predicted as well without. u: standard uncertainty by the poses alone."
     )
     INDEXES = (
         "From the singular values of the whitened columns, scaled by 1 mm and 1°: O1 their "
@@ -116,7 +124,7 @@ class IdentificationNotes:
     )
     OUTLYING = (
         "These poses do not belong to the others: noise reaches their distance once in a thousand "
-        "recordings. They were left out of the fit, not of the residuals."
+        "recordings. They were left out of the fit, not of the residuals; never more than a tenth."
     )
     SAME = "No parameter of the arm was changed: the data call for no correction."
 
@@ -182,6 +190,7 @@ def verdict(results: Results) -> Section:
         sentences.append(IdentificationNotes.SAME)
     blind = [j.get("joint") for j in summary.get("offsets") or [] if _is_hidden(j)]
     remarks = [f"The offset of {name_joints(blind)} was not identified."] if blind else []
+    remarks.append(_recordings_remark(summary.get("recordings") or {}))
     block = Verdict(
         tone="conform" if better or not changed else "undecided",
         label="The arm is identified" if changed else "The arm stays as it is",
@@ -201,6 +210,19 @@ def verdict(results: Results) -> Section:
     return Section("verdict", "Verdict", (block, Facts(tuple(facts))))
 
 
+def _recordings_remark(recordings: dict[str, Any]) -> str:
+    scatter = finite(recordings.get("scatter"))
+    if scatter is None:
+        return (
+            "From one recording: what the arm's parameters differ from one recording to the next "
+            "is not in the uncertainties."
+        )
+    return (
+        f"The {count(recordings.get('count'))} recordings differ by {number(scatter, 1)} times "
+        "what each by itself would leave: the uncertainties hold that."
+    )
+
+
 def _is_hidden(joint: dict[str, Any]) -> bool:
     return all(finite(joint.get(key)) is None for key in ("error_deg", "alone_error_deg"))
 
@@ -216,7 +238,7 @@ def offsets(results: Results) -> Section:
     """Give each joint's offset with its sign, as error and as what to add."""
     summary = results.summary
     geometry = summary.get("level") == "geometry"
-    u = "standard_uncertainty_deg"
+    u = "expanded_uncertainty_deg"
     columns = [
         Column("Joint", "c", field("joint")),
         Column("Encoder less measured [°]", "r", uncertain_field("error_deg", u)),
@@ -249,8 +271,7 @@ def parameters(results: Results) -> Section:
         Column("Unit", "l", lambda e: UNITS.get(str(e.get("unit")), text_or_dash(e.get("unit")))),
         Column("Before", "r", field("nominal", number, 4)),
         Column("Identified", "r", field("identified", number, 4)),
-        Column("Change ± u", "r", uncertain_field("change", "standard_uncertainty")),
-        Column("U", "r", field("expanded_uncertainty", significant)),
+        Column("Change ± U", "r", uncertain_field("change", "expanded_uncertainty")),
     )
     title = "Parameters of the arm: as its file has them, and identified."
     table = tabulate(title, columns, entries, IdentificationNotes.PLACES)
@@ -267,7 +288,7 @@ def residuals(results: Results) -> Section:
             Column("Model", "l", lambda e: lookup_label(LEVELS, e.get("name")), wide=True),
             Column("Parameters", "r", field("identified", count)),
             *_residual_columns("held_out"),
-            Column("Criterion", "r", field("criterion", number, 0)),
+            Column("Criterion", "r", field("criterion", significant, 3)),
         ),
         summary.get("levels") or [],
         IdentificationNotes.HOLD_OUT,
@@ -327,11 +348,11 @@ def unidentifiable_parameters(results: Results) -> Section:
         return Section("held", "What these poses cannot tell", (text,))
     columns = (
         Column("Parameter", "l", field("name")),
-        Column("Why it is held", "l", lambda e: lookup_label(REASONS, e.get("reason"))),
+        Column("Why", "l", lambda e: lookup_label(REASONS, e.get("reason"))),
         Column("Confounded with", "l", _confounding_text, wide=True),
         Column("u if free", "r", _uncertainty_if_free),
     )
-    title = "Parameters that were held, and what makes them up."
+    title = "Parameters that the poses do not tell, and what makes them up."
     table = tabulate(title, columns, entries, IdentificationNotes.GAUGE)
     return Section("held", "What these poses cannot tell", (table,))
 

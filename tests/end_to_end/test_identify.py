@@ -10,6 +10,7 @@ import robots
 from tests.support.beside import shared
 from tests.support.command import SAMPLES, read_summary, verify
 from tests.support.published import series, write_session
+from tests.support.true_arm import faulty_arm, recorded
 
 
 @pytest.mark.shared
@@ -42,15 +43,18 @@ def test_a_session_gives_a_corrected_arm_with_its_sign_spelled_out(tmp_path: Pat
 
 @pytest.mark.slow
 @pytest.mark.shared
-@pytest.mark.parametrize(("positions_alone", "rank"), [(False, 30), (True, 27)])
+@pytest.mark.parametrize(("positions_alone", "rank", "every"), [(False, 30, 5), (True, 27, 1)])
 def test_a_laser_tracker_s_poses_need_no_registration(
-    positions_alone: bool, rank: int, tmp_path: Path
+    positions_alone: bool, rank: int, every: int, tmp_path: Path
 ) -> None:
-    """A real UR10; where its base and the tracker's target are, nobody says."""
-    session = write_session(tmp_path / "b", series("B", 5), positions_alone=positions_alone)
-    out = tmp_path / "out"
+    """A real UR10; where its base and the tracker's target are, nobody says.
+
+    Of positions alone all of the series is taken: 299 of one recording serve it, and not another.
+    """
+    at_rest = {"positions_alone": positions_alone, "period": 10.0}
+    session, out = write_session(tmp_path / "b", series("B", every), **at_rest), tmp_path / "out"
     # months before, with robot, tracker and target elsewhere
-    other = write_session(tmp_path / "a", series("A", 40), positions_alone=positions_alone)
+    other = write_session(tmp_path / "a", series("A", 40), **at_rest)
     free = ("--base", "free", "--leds", "free", "--splits", "2", "--judge", other)
     done = verify("identify", session, "-o", out, *free)
     assert done.status == 0, done.err
@@ -63,6 +67,34 @@ def test_a_laser_tracker_s_poses_need_no_registration(
     assert judged["path"] == "a"
     assert judged["after"]["mean_mm"] < 0.75 * judged["before"]["mean_mm"]
     assert robots.load(str(out / "ur10_identified.urdf")).dof == 6
+
+
+def test_several_targets_are_columns_and_what_was_found_is_measured_with(tmp_path: Path) -> None:
+    """Three targets a pose, placed nowhere; then one target's poses: run takes what was found."""
+    truth = faulty_arm("rv_3sd_melfa", 3)
+    folder, out = tmp_path / "targets", tmp_path / "out"
+    rows = recorded(truth, "points", 80, 5e-5, 5, stated=False)
+    write_session(folder, rows, robot="rv_3sd_melfa", period=10.0, positions_alone=True)
+    free = ("--base", "free", "--splits", "2")
+    done = verify("identify", folder, "-o", out, *free)
+    assert done.status == 0, done.err
+    summary = read_summary(out)
+    assert (summary["rank"], len(summary["placements"])) == (33, 4)
+    assert summary["recordings"] == {"count": 1, "scatter": None}
+    for joint, true in enumerate(np.degrees(truth.correction)):
+        found = summary["offsets"][joint]
+        if found["add_to_reading_deg"] is not None:
+            error = abs(found["add_to_reading_deg"] - true)
+            assert error < 1.5 * found["expanded_uncertainty_deg"] < 0.05
+    assert "column target" in verify("run", folder, "-o", tmp_path / "no").refusal
+    rows = recorded(truth, "poses", 60, 5e-5, 6, stated=False)
+    one = write_session(tmp_path / "one", rows, robot="rv_3sd_melfa", period=10.0)
+    assert verify("identify", one, "-o", tmp_path / "two", *free).status == 0
+    measured = verify("run", tmp_path / "two" / "sessions" / "one", "-o", tmp_path / "report")
+    assert measured.status == 0, measured.err
+    errors = [joint["mean_error_deg"] for joint in read_summary(tmp_path / "report")["joints"]]
+    assert errors[0] is errors[5] is None  # hidden by base and tool, which are said to be "motion"
+    assert np.abs(errors[1:5]).max() < 0.01
 
 
 def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:

@@ -1,5 +1,6 @@
 """A real UR10 before a laser tracker: poses of Landgraf and others (2021), read as published."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,18 @@ def series(name: str, every: int = 1) -> IdentificationPoses:
     return _read(shared("data", "robot_ur10_lasertracker") / SERIES[name], every)
 
 
+def concatenate(recordings: list[IdentificationPoses]) -> IdentificationPoses:
+    """Recordings of one arm, base and target anew in each, as one set of rows."""
+    each = np.repeat(np.arange(len(recordings)), [len(one) for one in recordings])
+    values = {
+        f.name: np.concatenate(parts) if isinstance(parts[0], np.ndarray) else parts[0]
+        for f in fields(IdentificationPoses)
+        if (parts := [getattr(one, f.name) for one in recordings])
+    }
+    own = {"base": each, "tool": each, "recording": each, "block": np.arange(len(each))}
+    return IdentificationPoses(**{**values, **own})
+
+
 def _read(path: Path, every: int) -> IdentificationPoses:
     table = pd.read_csv(path, sep=";", decimal=",").iloc[::every]
     q = table[[f"{joint}_joint" for joint in JOINTS]].to_numpy(dtype=float)
@@ -37,16 +50,23 @@ def _read(path: Path, every: int) -> IdentificationPoses:
 
 
 def write_session(
-    folder: Path, rows: IdentificationPoses, *, positions_alone: bool = False, period: float = 0.1
+    folder: Path,
+    rows: IdentificationPoses,
+    *,
+    positions_alone: bool = False,
+    period: float = 0.1,
+    robot: str = "ur10",
 ) -> Path:
-    """Write a series as a session of poses, one each `period`, s; base and target not stated."""
+    """Write rows as a session of poses, one each `period`, s; base and target not stated."""
     folder.mkdir()
-    t = period * np.arange(len(rows))
-    poses = poses_csv(t, rows.world_T_target, positions_alone=positions_alone)
+    t = period * rows.block
+    more = {"target": rows.tool + 1.0} if rows.tool.any() else None
+    poses = poses_csv(t, rows.world_T_target, positions_alone=positions_alone, more=more)
     (folder / "poses.csv").write_text(poses)
-    (folder / "encoders.csv").write_text(encoders_csv(t, rows.q))
+    first = rows.tool == 0
+    (folder / "encoders.csv").write_text(encoders_csv(t[first], rows.q[first]))
     (folder / "session.toml").write_text(
-        'format = 1\nrobot = "ur10"\nencoders = "encoders.csv"\n'
+        f'format = 1\nrobot = "{robot}"\nencoders = "encoders.csv"\n'
         "[clock]\nencoder_offset_s = 0.0\n"
         '[poses]\nfile = "poses.csv"\ninstrument = "a laser tracker"\nframe = "robot_base"\n'
     )

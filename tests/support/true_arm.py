@@ -1,11 +1,12 @@
 """An arm with known errors, built of pinocchio's motions and of nothing under test."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio
 
 import robots
+from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 from verify.core.records import Array
 
 POSITION, ORIENTATION = 1e-4, np.radians(0.05)  # m, rad: noise of each measured pose
@@ -56,6 +57,19 @@ def true_arm(name: str, seed: int, *, geometry: float = 1.0, offsets: float = 1.
     )
 
 
+def faulty_arm(name: str, seed: int) -> TrueArm:
+    """Offsets to 2°, lengths to 2 mm, twists to 0.5°, alike likely; base and tool anywhere."""
+    draw = np.random.default_rng(seed)
+    scale = {"correction": np.radians(2.0), "d": 2e-3, "a": 2e-3}
+    begun = true_arm(name, seed)
+    errors = {
+        key: scale.get(key, np.radians(0.5)) * draw.uniform(-1, 1, 6)
+        for key in ("correction", "d", "a", "alpha", "beta")
+    }
+    parallel = np.abs(np.sin(begun.arm.alpha)) < 0.1  # axes that DH's d cannot lean
+    return replace(begun, **{**errors, "beta": errors["beta"] * parallel * (np.arange(6) < 5)})
+
+
 def readings(arm: robots.Arm, count: int, seed: int) -> Array:
     """Postures all over the joints' ranges."""
     draw = np.random.default_rng(seed)
@@ -71,6 +85,33 @@ def measured(truth: TrueArm, q: Array, seed: int) -> tuple[Array, Array]:
         pose[:3, :3] = pinocchio.exp3(draw.normal(0, ORIENTATION, 3)) @ pose[:3, :3]
     variance = np.diag([POSITION**2] * 3 + [ORIENTATION**2] * 3)
     return poses, np.tile(variance, (len(q), 1, 1))
+
+
+def recorded(
+    truth: TrueArm, kind: str, count: int, noise: float, seed: int, *, stated: bool
+) -> IdentificationPoses:
+    """What an instrument with noise (m) gives: "poses", "positions", or three "points" a pose."""
+    draw = np.random.default_rng(seed)
+    q = readings(truth.arm, count, seed)
+    poses = truth.pose(q)
+    targets = draw.uniform(-0.1, 0.1, (3, 3)) if kind == "points" else np.zeros((1, 3))
+    each = len(targets)
+    places = np.einsum("nij,kj->nki", poses[:, :3, :3], targets) + poses[:, None, :3, 3]
+    places = places.reshape(-1, 3) + draw.normal(0, noise, (each * count, 3))
+    variance, seen = noise**2 * np.eye(3), places
+    if kind == "poses":
+        turn = noise / 0.2  # rad, of points 0.2 m apart
+        variance, seen = np.diag([noise**2] * 3 + [turn**2] * 3), poses
+        seen[:, :3, 3] = places
+        for pose, by in zip(seen, draw.normal(0, turn, (count, 3)), strict=True):
+            pose[:3, :3] = pinocchio.exp3(by) @ pose[:3, :3]
+    return build_poses(
+        np.repeat(q, each, axis=0),
+        seen,
+        np.tile(variance, (len(places), 1, 1)) if stated else None,
+        tool=np.tile(np.arange(each), count),
+        block=np.repeat(np.arange(count), each),
+    )
 
 
 def _place(draw: np.random.Generator, reach: float) -> Array:

@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import cross_matrix
-from verify.analysis.comparison import ReadingUncertainty, compare
+from verify.analysis.comparison import Comparison, ReadingUncertainty, compare
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, Pose
 from verify.io.session.poses import Instrument
@@ -29,7 +29,7 @@ NOISE = "the instrument's noise"
 CALIBRATION_SOURCE = "the instrument's own calibration"
 BODY_SOURCE = "the body on the flange"
 WINDOW = 5  # poses in a row that a parabola is laid through: two are left over
-MIN_WINDOWS = 12  # for a scatter that is worth the name
+MIN_WINDOWS = 12  # for a scatter that is worth the name; else a fit tells
 MEDIAN_CHI2 = 5.348  # of six degrees of freedom: two that are left over, of three coordinates
 # a variance from a median of squares is less certain than one from their mean
 MEDIAN_VARIANCE_FACTOR = 1.3
@@ -256,7 +256,8 @@ def noise_from_scatter(
 
     How far the poses lie from where the readings put them changes slowly, whatever is wrong with
     the robot; a parabola through five in a row leaves the noise. The median over all windows keeps
-    single jumps out; the readings' own share is taken off.
+    single jumps out; the readings' own share is taken off. Of single visits the noise is what a
+    linear model of base, target and joints leaves (`_full_model_squares`).
 
     Args:
         session: whose robot was measured.
@@ -266,7 +267,7 @@ def noise_from_scatter(
         offset: s, of their clock.
 
     Returns:
-        All of the noise; None where poses are too few, or too far apart in time, to show it.
+        All of the noise; None where poses are too few to show it.
     """
     comparison = compare(
         track,
@@ -275,24 +276,25 @@ def noise_from_scatter(
         offset,
         stated=ReadingUncertainty(session.encoder_resolution),
     )
-    first = _windows(comparison.t)
-    if len(first) < MIN_WINDOWS:
-        return None
     # at the measured point: of positions alone, nothing else is known
     point = instrument.flange_T_body[:, 3]
     off = comparison.xi.copy()
     off[:, :3] = ((comparison.base_T_encoder - comparison.base_T_measured) @ point)[:, :3]
-    left = _residual_squares(comparison.t, off, first)
     of_readings = comparison.covariance - comparison.covariance_measured
-    doubt = MEDIAN_VARIANCE_FACTOR * np.sqrt(
-        2 / (2 * 3 * len(comparison) / WINDOW)
-    )  # of a variance, relative
+    first = _windows(comparison.t)
+    if len(first) >= MIN_WINDOWS:
+        squares = _residual_squares(comparison.t, off, first)
+        total = [float(np.median(squares[:, part].sum(axis=1))) / MEDIAN_CHI2 for part in PARTS]
+        doubt = MEDIAN_VARIANCE_FACTOR * np.sqrt(2 / (2 * 3 * len(comparison) / WINDOW))
+    elif (found := _full_model_variances(comparison, off, point)) is not None:
+        total, doubt = found
+    else:
+        return None
     sigma = []
-    for part, least in zip(PARTS, instrument.poses.rounding, strict=True):
+    for part, variance, least in zip(PARTS, total, instrument.poses.rounding, strict=True):
         share = np.trace(of_readings[:, part, part], axis1=1, axis2=2).mean() / 3
-        total = np.median(left[:, part].sum(axis=1)) / MEDIAN_CHI2
         # noise that drowns in the readings' own may be as large as the doubt of the difference
-        sigma.append(float(np.sqrt(max(total - share, doubt * total, least**2))))
+        sigma.append(float(np.sqrt(max(variance - share, doubt * variance, least**2))))
     noise = stated_noise(instrument)
     return InstrumentNoise(
         noise.position if noise.position_known else np.full_like(noise.position, sigma[0]),
@@ -300,6 +302,35 @@ def noise_from_scatter(
         position_known=True,
         orientation_known=True,
     )
+
+
+def _full_model_variances(
+    comparison: Comparison, off: Array, point: Array
+) -> tuple[list[float], float] | None:
+    """What a model of all causes leaves of places and turns (n, 6), and its relative doubt.
+
+    Its columns: base and target moved, and of each joint a constant, sine and cosine of its angle.
+    """
+    n, dof = comparison.q.shape
+    joints = comparison.jacobian.copy()
+    lever = (comparison.base_T_encoder[:, :3, :3] @ point[:3])[:, :, None]
+    joints[:, :3] += np.cross(joints[:, 3:], lever, axis=1)
+    waves = np.stack([np.ones_like(comparison.q), np.sin(comparison.q), np.cos(comparison.q)])
+    of_joints = np.concatenate([joints * wave[:, None] for wave in waves], axis=2)
+    turned = comparison.base_T_encoder[:, :3, :3]
+    place = comparison.base_T_encoder[:, :3, 3, None] + lever
+    still = np.tile(np.eye(3), (n, 1, 1))
+    swung = np.cross(still, place, axis=1)
+    total, freedom = [], 0
+    for part, placed in ((PARTS[0], [still, swung, turned]), (PARTS[1], [still, turned])):
+        design = np.concatenate([of_joints[:, part], *placed], axis=2).reshape(3 * n, -1)
+        wanted = off[:, part].reshape(-1)
+        freedom = 3 * n - int(np.linalg.matrix_rank(design))
+        if freedom < 3 * dof:
+            return None
+        left = wanted - design @ np.linalg.lstsq(design, wanted, rcond=None)[0]
+        total.append(float(left @ left) / freedom)
+    return total, float(np.sqrt(2 / freedom))
 
 
 def _windows(t: Array) -> NDArray[np.int64]:

@@ -135,7 +135,17 @@ def measure_instrument(
 
     Returns:
         The poses, and the readings' clock.
+
+    Raises:
+        InputError: the poses are of several targets.
     """
+    if instrument.poses.target is not None:
+        raise InputError(
+            session.left.path,
+            "has the column target",
+            "one target is compared with the readings",
+            "`verify identify` takes several; give one target a session here.",
+        )
     noise = stated_noise(instrument)
     seen = measure_poses(session, instrument, readings, noise)
     clock = session_clock(session, seen.track, readings)

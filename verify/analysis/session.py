@@ -127,7 +127,12 @@ def _spread_rivals(rivals: tuple[float, ...]) -> list[float]:
 
 
 def measure_session(
-    session: Session, readings: Readings, progress: Progress, chain: Chain
+    session: Session,
+    readings: Readings,
+    progress: Progress,
+    chain: Chain,
+    *,
+    registered: bool = True,
 ) -> tuple[MeasuredSession, ClockEstimate]:
     """Measure a session's pairs, or take its instrument's poses, and find the readings' clock.
 
@@ -136,6 +141,8 @@ def measure_session(
         readings: its readings.
         progress: called with pairs done and pairs in all.
         chain: what measures the pairs.
+        registered: base and body are where the session has them; else nothing can be laid side by
+            side, and readings are not compared with the poses.
 
     Raises:
         InputError: nothing was measured, or in units or axes that are not those of the readings.
@@ -152,7 +159,8 @@ def measure_session(
         progress(len(session), len(session))
         refuse_misread(session, instrument, measured.track, readings, clock)
     refuse_radians(session, measured.track, readings, clock)
-    refuse_other_motion(session, measured.track, readings, clock)
+    if registered:
+        refuse_other_motion(session, measured.track, readings, clock)
     return measured, clock
 
 

@@ -1,6 +1,6 @@
 """Read poses.csv: metres and rotation matrices from millimetres and unit quaternions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 
 import numpy as np
@@ -14,6 +14,7 @@ from verify.io.toml import MM
 POSITION = ("x_mm", "y_mm", "z_mm")
 QUATERNION = ("qw", "qx", "qy", "qz")
 POSITION_UNCERTAINTY = ("x_u_mm", "y_u_mm", "z_u_mm")
+TARGET = ("target",)
 ORIENTATION_UNCERTAINTY = ("rx_u_deg", "ry_u_deg", "rz_u_deg")
 
 TOL_NORM = 2e-3  # of a quaternion: three decimals in the file; more is another number
@@ -25,13 +26,34 @@ EXACT = (1e-8, 1e-8)  # m, rad: no instrument measures better; a covariance must
 class Poses:
     """Poses that an instrument measured, in its own frame: n poses, or n positions alone."""
 
-    t: Array  # (n,), s, the instrument's clock, strictly increasing; visit_times if not timed
+    # (n,), s, the instrument's clock, rising strictly for each target; visit_times if not timed
+    t: Array
     position: Array  # (n, 3), m
     rotation: Array | None  # (n, 3, 3); None: positions alone
     position_uncertainty: Array | None  # (n, 3), m, standard, along the file's axes; None: unstated
     orientation_uncertainty: Array | None  # (n, 3), rad, of a rotation vector applied on the left
     rounding: tuple[float, float]  # m, rad: standard uncertainty that the last decimal leaves
     timed: bool = True  # False: single visits in order, whose times nobody noted
+    target: Array | None = None  # (n,), number of the target that each row is of; None: one
+    of_several: bool = False  # of one target of several
+
+    def by_target(self) -> dict[int, "Poses"]:
+        """The poses of each target by itself, by its number."""
+        if self.target is None:
+            return {1: self}
+        values = {f.name: getattr(self, f.name) for f in fields(self)} | {
+            "target": None,
+            "of_several": True,
+        }
+        return {
+            int(number): Poses(
+                **{
+                    key: value[self.target == number] if isinstance(value, np.ndarray) else value
+                    for key, value in values.items()
+                }
+            )
+            for number in np.unique(self.target)
+        }
 
     def __len__(self) -> int:
         """Count the poses."""
@@ -39,7 +61,7 @@ class Poses:
 
 
 def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
-    """Read poses.csv: one row a pose.
+    """Read poses.csv: one row a pose, or a row for each target in each pose.
 
     The columns may stand in any order. A quaternion and its negative are the same turn.
 
@@ -55,7 +77,7 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
     """
     table, warnings = open_table(Path(path), torn)
     # one column of an optional group requires all of the group
-    optional = (QUATERNION, POSITION_UNCERTAINTY, ORIENTATION_UNCERTAINTY)
+    optional = (QUATERNION, POSITION_UNCERTAINTY, ORIENTATION_UNCERTAINTY, TARGET)
     present = [group for group in optional if any(name in table.header for name in group)]
     if ORIENTATION_UNCERTAINTY in present and QUATERNION not in present:
         found = f"has the column {ORIENTATION_UNCERTAINTY[0]} and no quaternion"
@@ -64,9 +86,10 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
     timed = "t_s" in table.header
     groups = [("t_s", *POSITION) if timed else POSITION, *present]
     columns = table.columns(tuple(name for group in groups for name in group))
-    t = columns["t_s"] if timed else visit_times(len(columns["x_mm"]))
-    table.require_rising("t_s", t)
-    for name in (n for group in present for n in group if group is not QUATERNION):
+    target = columns.get("target")
+    t = columns["t_s"] if timed else _visit_times(len(columns["x_mm"]), target)
+    _require_order(table, t, target)
+    for name in (n for group in present for n in group if group not in (QUATERNION, TARGET)):
         wrong = np.flatnonzero(columns[name] <= 0)
         if len(wrong):
             found = f"{name} is {columns[name][wrong[0]]:g}"
@@ -76,7 +99,7 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
     position = np.stack([columns[name] for name in POSITION], axis=1)
     quaternion, position_u, orientation_u = (
         np.stack([columns[name] for name in group], axis=1) if group in present else None
-        for group in optional
+        for group in optional[:3]
     )
     rotation, rounding = None, EXACT[1]
     if quaternion is not None:
@@ -92,7 +115,38 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
         position_uncertainty=None if position_u is None else position_u * MM,
         orientation_uncertainty=None if orientation_u is None else np.deg2rad(orientation_u),
         rounding=(max(_rounding(position) * MM, EXACT[0]), max(rounding, EXACT[1])),
+        target=target,
     ), warnings
+
+
+def _visit_times(count: int, target: Array | None) -> Array:
+    """Times of visits that nobody noted, counted for each target by itself."""
+    if target is None:
+        return visit_times(count)
+    t = np.zeros(count)
+    for number in np.unique(target):
+        own = target == number
+        t[own] = visit_times(int(own.sum()))
+    return t
+
+
+def _require_order(table: CsvTable, t: Array, target: Array | None) -> None:
+    """Refuse times that do not rise, of each target by itself, and targets that are no numbers."""
+    if target is None:
+        table.require_rising("t_s", t)
+        return
+    wrong = np.flatnonzero((target < 1) | (target != np.round(target)))
+    if len(wrong):
+        found = f"target is {target[wrong[0]]:g}"
+        raise table.fault(int(wrong[0]), found, "targets are numbered 1, 2, 3, …")
+    for number in np.unique(target):
+        own = np.flatnonzero(target == number)
+        stuck = np.flatnonzero(np.diff(t[own]) <= 0)
+        if len(stuck):
+            row = int(own[stuck[0] + 1])
+            found = f"t_s is {t[row]:.10g} after {t[own[stuck[0]]]:.10g} of target {number:g}"
+            remedy = "Sort the rows and delete repeats."
+            raise table.fault(row, found, "times of a target rise strictly", remedy)
 
 
 def _require_unit_length(table: CsvTable, quaternion: Array) -> None:

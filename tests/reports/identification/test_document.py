@@ -59,7 +59,8 @@ def test_the_verdict_is_first(every: dict[str, Results]) -> None:
     assert isinstance(first, Verdict)
     assert first.sentence.startswith("30 parameters were identified from 59 poses.")
     assert "On poses held out, the mean position residual goes from" in first.sentence
-    assert first.remarks == ("The offset of joints 1 and 6 was not identified.",)
+    assert first.remarks[0] == "The offset of joints 1 and 6 was not identified."
+    assert first.remarks[1].startswith("From one recording")
 
 
 def test_an_offset_is_given_with_either_sign(every: dict[str, Results]) -> None:

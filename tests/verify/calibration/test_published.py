@@ -18,14 +18,15 @@ import robots
 from reports import render_html
 from robots.transforms import difference, invert
 from tests.support.motions import track_of
-from tests.support.published import series, write_session
+from tests.support.published import concatenate, series, write_session
 from tests.support.recorded import require_shared
 from verify.analysis.clock.estimate import estimate_clock
 from verify.analysis.session import analyse
 from verify.calibration.handeye import solve_hand_eye
 from verify.calibration.kinematics.chain import chain_of
-from verify.calibration.kinematics.fit import hold_out, pose_residuals, statistics
+from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.identify import IdentificationOptions, identify_arm, register
+from verify.calibration.kinematics.validation import statistics
 from verify.calibration.registration.adjustment import AdjustmentSetup, adjust
 from verify.calibration.registration.model import (
     RegistrationParameters,
@@ -391,13 +392,11 @@ def test_registered_alone_the_arm_is_as_far_off_as_is_known(name: str) -> None:
 
 @pytest.mark.parametrize(("name", "every"), [("A", 10), ("B", 1)])
 def test_identified_on_70_percent_the_others_are_met(name: str, every: int) -> None:
-    """All of series A takes a minute: `python -m tests.bench.identification`."""
-    rows = series(name, every)
-    found = identify_arm(chain_of(robots.load("ur10")), rows, IdentificationOptions(splits=0))
+    """All of series A: `python -m tests.bench.identification`."""
+    found = identify_arm(chain_of(robots.load("ur10")), series(name, every))
     assert found.chosen.name == "geometry"
     assert found.chosen.support.rank == 30
-    fit = found.chosen.fit
-    held = hold_out(fit.state, rows, fit.parameters, splits=10, share=0.3, seed=1)
+    held = found.chosen.held_out
     assert held is not None
     assert held.position[0] * 1e3 <= IDENTIFIED_MM
 
@@ -415,6 +414,20 @@ def test_a_model_of_series_a_serves_series_b() -> None:
     )
     assert after < 0.7 * before
     assert np.isfinite(after)
+
+
+def test_each_of_two_recordings_lies_within_what_both_together_state() -> None:
+    """Series A less B is up to eleven times the uncertainty that either has by itself."""
+    arm, rows = chain_of(robots.load("ur10")), [series("A", 8), series("B")]
+    options = IdentificationOptions(level="geometry", splits=0)
+    both = identify_arm(arm, concatenate(rows), options).chosen.fit
+    assert both.scatter is not None
+    assert both.scatter > 3
+    for fit in (identify_arm(arm, one, options).chosen.fit for one in rows):
+        away = np.abs(fit.change - both.change[[both.parameters.index(p) for p in fit.parameters]])
+        arms = [k for k, p in enumerate(fit.parameters) if not p.axis]
+        u = both.standard_uncertainty[[both.parameters.index(fit.parameters[k]) for k in arms]]
+        assert np.mean(away[arms] < both.coverage_factor * u) >= 0.95
 
 
 def test_a_real_arm_before_a_laser_tracker_is_a_session(tmp_path: Path) -> None:

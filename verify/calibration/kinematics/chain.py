@@ -27,6 +27,10 @@ LINK_COLUMNS = ("correction", "d", "a", "alpha", "beta")  # columns of a chain, 
 # what a parameter is scaled by, so that millimetres and degrees can be set side by side
 LENGTH_UNIT = 1e-3  # m
 ANGLE_UNIT = float(np.radians(1.0))
+# standard deviations about the arm's own numbers, as far as is known before anything is measured
+LENGTH_PRIOR = 3e-3  # m
+ANGLE_PRIOR = float(np.radians(3.0))
+PLACEMENT_PRIOR = 1.0  # m or rad: of a free base or tool nothing is known
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,6 +161,13 @@ class Parameter:
     def tolerance(self) -> float:
         """1 mm or 1°, in m or rad."""
         return ANGLE_UNIT if self.angular else LENGTH_UNIT
+
+    @property
+    def prior(self) -> float:
+        """Standard deviation that is taken for granted, m or rad."""
+        if self.axis:
+            return PLACEMENT_PRIOR
+        return ANGLE_PRIOR if self.angular else LENGTH_PRIOR
 
     @property
     def name(self) -> str:

@@ -1,41 +1,45 @@
-"""Fit of chosen parameters to measured poses, robust to outlying rows, with cross-validation.
+"""Fit of chosen parameters to measured poses, with weak priors, robust to outlying rows.
 
-    minimise   sum over rows i of | W_i (ξ_i(p) - N_i z) |² + |z|²
+    minimise   sum over rows i of | W_i (ξ_i(p) - N_i z) |² + |p / σ|² + |z|²
 
     ξ_i   (6,)     measured pose less the chain's, m and rad
     W_i   (6, 6)   whitener of the row's noise
     N_i   (6, e)   effects of unit variance that do not average out
-    p     (L,)     chosen parameters (`chain.Parameter`), in units of 1 mm or 1°
+    p     (L,)     chosen parameters (`chain.Parameter`), since the arm's own numbers
+    σ     (L,)     `Parameter.prior`: 3 mm and 3° of the arm, 1 m and 1 rad of a free base or tool
     z     (e,)     nuisances, in standard deviations
 
 A row is outlying where its squared Mahalanobis distance exceeds what noise reaches once in a
-thousand data sets; such rows are left out and remain listed.
+thousand data sets. Such rows are left out and remain listed; never more than a tenth, the farthest:
+where more lie that far off, the noise is not what it was taken for, and grows.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from robots.transforms import difference
+from verify.analysis.least_squares import gauss_newton
 from verify.calibration.kinematics.chain import ArmState, Parameter, change_state
 from verify.calibration.kinematics.identifiability import information_root
 from verify.calibration.kinematics.model import predict_poses, predict_with_jacobian
-from verify.calibration.kinematics.poses import (
-    IdentificationPoses,
+from verify.calibration.kinematics.noise import (
     NoiseScale,
-    noise_scale,
-    select_rows,
+    initial_scale,
+    median_scale,
+    residual_scale,
 )
+from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
 from verify.core.records import Array
-from verify.core.statistics import chi2_isf
+from verify.core.statistics import chi2_isf, t_isf
 
 P_FALSE_ALARM = 1e-3  # over all rows: a row beyond it is outlying
-MAX_ROUNDS = 12  # of fit and outlying rows; two or three suffice
-MAX_RESTARTS = 3  # times at most that a fit starts anew where it ended
-MIN_TURN = 1e-4  # rad, of a base or tool: its columns are those of no turn at all
-TOL_FIT = 1e-9  # of scipy's three criteria: far below the data's own uncertainty
+MAX_OUTLYING = 0.1  # of the rows
+MAX_ROUNDS = 12  # of fit and outlying rows, and of fit and noise; two or three suffice
+MAX_ITERATIONS = 40  # of a fit: five from a closed-form start, two from a fit of other rows
+TOL_STEP = 1e-5  # of 1 mm or 1°
+TAIL = 0.0228  # beyond k = 2 on either side of a normal variable
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,132 +48,191 @@ class KinematicFit:
 
     parameters: tuple[Parameter, ...]
     change: Array  # (L,), m and rad, since the arm's own numbers or the closed-form start
-    covariance: Array  # (L, L)
-    information: Array  # (L, L), `information_root` scaled by tolerance
+    covariance: Array  # (L, L), m and rad
+    information: Array  # (., L), `information_root` of the rows alone, scaled by tolerance
     state: ArmState
     scale: NoiseScale
     distance: Array  # (n,), squared Mahalanobis length of what is left in each row
     used: NDArray[np.bool_]  # (n,)
+    scatter: float | None = None  # of parameters between recordings, over u; None: one recording
 
     @property
     def standard_uncertainty(self) -> Array:
         """Of the parameters, (L,), m and rad."""
         return np.sqrt(np.diag(self.covariance))
 
+    @property
+    def coverage_factor(self) -> float:
+        """Of 95.4 %: 2 where the noise is known, Student's where these rows showed it."""
+        return max(2.0, float(t_isf(TAIL, max(self.scale.degrees_of_freedom, 1.0))))
+
+
+@dataclass(frozen=True, slots=True)
+class FitState:
+    """An arm on the way of a fit."""
+
+    state: ArmState
+    change: Array  # (L,), in tolerances, since where the priors are about
+
 
 def pose_residuals(state: ArmState, poses: IdentificationPoses) -> Array:
     """Measured pose less the model's, (n, 6), m and rad."""
     predicted = predict_poses(state, poses.q, poses.base, poses.tool)
+    return _residuals(predicted, poses)
+
+
+def _residuals(predicted: Array, poses: IdentificationPoses) -> Array:
     found = difference(poses.world_T_target, predicted)
     if poses.position_only:
         found[:, 3:] = 0.0
     return found
 
 
-def whitened_columns(
+def scaled_columns(
+    state: ArmState, poses: IdentificationPoses, parameters: tuple[Parameter, ...]
+) -> tuple[Array, Array]:
+    """Residuals (n, 6), m and rad, and the change a tolerance of each parameter, (n, 6, L)."""
+    predicted, jacobian = predict_with_jacobian(state, poses.q, poses.base, poses.tool, parameters)
+    jacobian *= tolerances(parameters)
+    return _residuals(predicted, poses), jacobian
+
+
+def information(
     state: ArmState,
     poses: IdentificationPoses,
     parameters: tuple[Parameter, ...],
     scale: NoiseScale,
-) -> tuple[Array, Array]:
-    """Whitened columns: of parameters by tolerance (6n, L), and of the nuisances (6n, p)."""
-    _, jacobian = predict_with_jacobian(state, poses.q, poses.base, poses.tool, parameters)
-    jacobian *= np.array([parameter.tolerance for parameter in parameters])
+) -> Array:
+    """`information_root` of parameters by tolerance, the nuisances taken out, (., L)."""
     white = scale.of(poses)
-    return _rows(white @ jacobian), _rows(white @ poses.nuisance)
+    design = _rows(white @ scaled_columns(state, poses, parameters)[1])
+    return information_root(design, _rows(white @ poses.nuisance))
 
 
 def fit_parameters(
-    state: ArmState, poses: IdentificationPoses, parameters: tuple[Parameter, ...]
+    state: ArmState,
+    poses: IdentificationPoses,
+    parameters: tuple[Parameter, ...],
+    richest: KinematicFit | None = None,
 ) -> KinematicFit:
     """Fit parameters to the rows that are not outlying.
 
     Args:
-        state: where to start.
+        state: where to start; priors are about it.
         poses: n rows.
         parameters: L of them.
+        richest: the fit of the largest model. Its outlying rows are left out here as well, and the
+            noise is no less than what it leaves: what a smaller model cannot follow is no noise.
     """
-    used = np.ones(len(poses), dtype=bool)
-    limit = chi2_isf(P_FALSE_ALARM / len(poses), np.maximum(poses.dimensions, 1))
-    known = NoiseScale(1.0, 1.0)
-    found, change = state, np.zeros(len(parameters))
+    if richest is None:
+        used, scale = _outlying_rows(state, poses, parameters)
+    else:
+        used, scale = richest.used, richest.scale
+    rows = select_rows(poses, used)
+    at = FitState(state, np.zeros(len(parameters)))
     for _ in range(MAX_ROUNDS):
-        step, found = _least_squares(found, select_rows(poses, used), parameters, known)
-        change = change + step
-        left = _residuals_without_nuisances(found, poses, used, known)
-        before, known = known, noise_scale(left, poses, used, len(parameters))
-        distance = np.sum(known.whiten(poses, left) ** 2, axis=1)
-        kept = distance <= limit
-        if (kept == used).all() and known.near(before):
+        at, covariance = minimise(at, rows, parameters, scale)
+        left, columns = scaled_columns(at.state, rows, parameters)
+        columns = np.concatenate([columns, rows.nuisance], axis=2)
+        left = _without_nuisances(left, rows, scale)
+        before, scale = scale, residual_scale(left, columns, covariance, rows, scale)
+        if richest is not None:
+            scale = scale.at_least(richest.scale)
+        if scale.near(before):
             break
-        used = kept
-    design, nuisance = whitened_columns(found, select_rows(poses, used), parameters, known)
-    information = information_root(design, nuisance)
+    known = information(at.state, rows, parameters, scale)
+    left = _without_nuisances(pose_residuals(at.state, poses), poses, scale, used)
     return KinematicFit(
-        parameters, change, _covariance(information, parameters), information, found, known,
-        distance, used,
+        parameters, at.change * tolerances(parameters), _covariance(known, parameters), known,
+        at.state, scale, np.sum(scale.whiten(poses, left) ** 2, axis=1), used,
     )  # fmt: skip
 
 
-def _least_squares(
-    state: ArmState,
+def minimise(
+    start: FitState,
     poses: IdentificationPoses,
     parameters: tuple[Parameter, ...],
     scale: NoiseScale,
-) -> tuple[Array, ArmState]:
-    """Fit once by scipy: parameters in units of tolerance, nuisances in standard deviations."""
-    length, extra = len(parameters), poses.nuisance.shape[2]
-    tolerance = np.array([parameter.tolerance for parameter in parameters])
+) -> tuple[FitState, Array]:
+    """Fit all rows by Gauss and Newton at a given noise.
+
+    Returns:
+        Where the fit ends, and the covariance (L + e, L + e) of parameters by tolerance and
+        nuisances.
+    """
+    length, tolerance = len(parameters), tolerances(parameters)
     white = scale.of(poses)
     held = _rows(white @ poses.nuisance)
-    total = np.zeros(length)
-    if not length:
-        return total, state
-    prior = np.hstack([np.zeros((extra, length)), np.eye(extra)])
+    weight = (tolerance / np.array([p.prior for p in parameters])) ** 2 if length else np.zeros(0)
+    prior = np.concatenate([weight, np.ones(held.shape[1])])
 
-    def left(x: Array, at: ArmState) -> Array:
-        xi = pose_residuals(change_state(at, parameters, x[:length] * tolerance), poses)
-        rows = (white @ xi[:, :, None]).reshape(-1) - held @ x[length:]
-        return np.concatenate([rows, x[length:]])
+    def solve_step(at: FitState) -> tuple[Array, Array]:
+        left, columns = scaled_columns(at.state, poses, parameters)
+        design = np.hstack([_rows(white @ columns), held])
+        normal = design.T @ design + np.diag(prior)
+        right = design.T @ (white @ left[:, :, None]).reshape(-1)
+        right[:length] -= weight * at.change
+        size = np.sqrt(np.diag(normal))
+        covariance = np.linalg.inv(normal / np.outer(size, size)) / np.outer(size, size)
+        return (covariance @ right)[:length], covariance
 
-    def slope(x: Array, at: ArmState) -> Array:
-        there = change_state(at, parameters, x[:length] * tolerance)
-        design, _ = whitened_columns(there, poses, parameters, scale)
-        return np.vstack([np.hstack([-design, -held]), prior])
+    def move(at: FitState, step: Array) -> FitState:
+        return FitState(change_state(at.state, parameters, step * tolerance), at.change + step)
 
-    for _ in range(MAX_RESTARTS):
-        solved = least_squares(
-            left, np.zeros(length + extra), slope, args=(state,), method="trf", x_scale="jac",
-            xtol=TOL_FIT, ftol=TOL_FIT, gtol=TOL_FIT,
-        )  # fmt: skip
-        step = solved.x[:length] * tolerance
-        total, state = total + step, change_state(state, parameters, step)
-        turns = [abs(v) for v, p in zip(step, parameters, strict=True) if p.axis and p.angular]
-        if max(turns, default=0.0) < MIN_TURN:
+    return gauss_newton(start, solve_step, move, max_iterations=MAX_ITERATIONS, tol_step=TOL_STEP)
+
+
+def _outlying_rows(
+    state: ArmState, poses: IdentificationPoses, parameters: tuple[Parameter, ...]
+) -> tuple[NDArray[np.bool_], NoiseScale]:
+    """Tell which rows belong together, (n,), by fits and the median of what they leave."""
+    used, scale = np.ones(len(poses), dtype=bool), initial_scale(poses)
+    limit = chi2_isf(P_FALSE_ALARM / len(poses), np.maximum(poses.dimensions, 1))
+    at = FitState(state, np.zeros(len(parameters)))
+    for _ in range(MAX_ROUNDS):
+        at, _ = minimise(at, select_rows(poses, used), parameters, scale)
+        left = _without_nuisances(pose_residuals(at.state, poses), poses, scale, used)
+        before, scale = scale, median_scale(left, poses, used)
+        excess = np.sum(scale.whiten(poses, left) ** 2, axis=1) - limit
+        farthest = np.argsort(-excess)[: int(MAX_OUTLYING * len(poses))]
+        kept = np.ones(len(poses), dtype=bool)
+        kept[farthest[excess[farthest] > 0]] = False
+        if (kept == used).all() and scale.near(before):
             break
-    return total, state
+        used = kept
+    return used, scale
 
 
-def _residuals_without_nuisances(
-    state: ArmState, poses: IdentificationPoses, used: NDArray[np.bool_], scale: NoiseScale
+def _without_nuisances(
+    left: Array,
+    poses: IdentificationPoses,
+    scale: NoiseScale,
+    used: NDArray[np.bool_] | None = None,
 ) -> Array:
-    """Residuals of each row less the most likely effect of the nuisances, (n, 6)."""
-    left = pose_residuals(state, poses)
+    """Residuals (n, 6) less the most likely effect of the nuisances on the used rows."""
     extra = poses.nuisance.shape[2]
     if not extra:
         return left
-    white = scale.of(poses)[used]
-    held = _rows(white @ poses.nuisance[used])
-    rows = (white @ left[used][:, :, None]).reshape(-1)
+    own = slice(None) if used is None else used
+    white = scale.of(poses)[own]
+    held = _rows(white @ poses.nuisance[own])
+    rows = (white @ left[own][:, :, None]).reshape(-1)
     taken = np.linalg.solve(held.T @ held + np.eye(extra), held.T @ rows)
     return left - poses.nuisance @ taken
 
 
-def _covariance(information: Array, parameters: tuple[Parameter, ...]) -> Array:
+def tolerances(parameters: tuple[Parameter, ...]) -> Array:
+    """1 mm or 1° of each, (L,), m and rad."""
+    return np.array([parameter.tolerance for parameter in parameters])
+
+
+def _covariance(known: Array, parameters: tuple[Parameter, ...]) -> Array:
+    """Covariance by the rows and the priors together, (L, L), m and rad."""
     if not parameters:
         return np.zeros((0, 0))
-    tolerance = np.array([parameter.tolerance for parameter in parameters])
-    _, size, vt = np.linalg.svd(information)
+    tolerance = tolerances(parameters)
+    prior = np.diag([p.tolerance / p.prior for p in parameters])
+    _, size, vt = np.linalg.svd(np.vstack([known, prior]), full_matrices=False)
     root = vt.T / size * tolerance[:, None]
     found: Array = root @ root.T
     return found
@@ -177,73 +240,3 @@ def _covariance(information: Array, parameters: tuple[Parameter, ...]) -> Array:
 
 def _rows(blocks: Array) -> Array:
     return blocks.reshape(blocks.shape[0] * blocks.shape[1], blocks.shape[2])
-
-
-@dataclass(frozen=True, slots=True)
-class CrossValidation:
-    """Residuals on rows held out, means over the splits, outlying rows included."""
-
-    splits: int
-    rows: int  # held out in each, about
-    position: Array  # (3,), m: mean, rms, greatest
-    orientation: Array  # (3,), rad; nan where only positions were measured
-
-
-def split(
-    poses: IdentificationPoses, share: float, generator: np.random.Generator
-) -> NDArray[np.bool_]:
-    """Hold out a share of the blocks of every base and tool; (n,), True where held out."""
-    held = np.zeros(len(poses), dtype=bool)
-    for base, tool in sorted(set(zip(poses.base.tolist(), poses.tool.tolist(), strict=True))):
-        own = (poses.base == base) & (poses.tool == tool)
-        blocks = np.unique(poses.block[own])
-        some_blocks = generator.permutation(blocks)[: max(1, round(share * len(blocks)))]
-        held |= own & np.isin(poses.block, some_blocks)
-    return held
-
-
-def statistics(left: Array) -> Array:
-    """Mean, rms and greatest length of vectors (n, 3)."""
-    length = np.linalg.norm(left, axis=1)
-    return np.array([length.mean(), np.sqrt(np.mean(length**2)), length.max()])
-
-
-def hold_out(
-    state: ArmState,
-    poses: IdentificationPoses,
-    parameters: tuple[Parameter, ...],
-    splits: int,
-    share: float,
-    seed: int,
-) -> CrossValidation | None:
-    """Fit on one part and evaluate on the other, several times; None: too few rows.
-
-    Args:
-        state: where each fit starts.
-        poses: n rows.
-        parameters: what is free.
-        splits: how often.
-        share: of the rows held out.
-        seed: of the splits.
-    """
-    generator = np.random.default_rng(seed)
-    positions, turns, counts = [], [], []
-    for _ in range(splits):
-        held = split(poses, share, generator)
-        training = select_rows(poses, ~held)
-        if int(training.dimensions.sum()) < 2 * len(parameters) or not held.any():
-            return None
-        found = fit_parameters(state, training, parameters)
-        left = pose_residuals(found.state, select_rows(poses, held))
-        positions.append(statistics(left[:, :3]))
-        turns.append(statistics(left[:, 3:]))
-        counts.append(int(held.sum()))
-    if not positions:
-        return None
-    blind = np.full(3, np.nan)
-    return CrossValidation(
-        splits=splits,
-        rows=round(float(np.mean(counts))),
-        position=np.mean(positions, axis=0),
-        orientation=blind if poses.position_only else np.mean(turns, axis=0),
-    )

@@ -6,8 +6,8 @@ out:
     R' R = D' D - D' N (1 + N' N)⁻¹ N' D        information on the parameters p (L,)
 
 In the order given, a parameter is supported while its column is not a combination of the chosen
-ones and the smallest singular value of R over them stays 1 or more: then every combination is known
-better than 1 mm or 1°.
+ones and the smallest singular value of R over them stays `least` or more: at 1 every combination is
+known better than 1 mm or 1°; at 0 gauges alone are held, and a prior what the data leave open.
 """
 
 from dataclasses import dataclass
@@ -59,12 +59,15 @@ def information_root(design: Array, nuisance: Array) -> Array:
     return np.asarray(np.linalg.qr(stacked, mode="r"))[p:, p:]
 
 
-def identifiability(candidates: tuple[Parameter, ...], information: Array) -> Identifiability:
+def identifiability(
+    candidates: tuple[Parameter, ...], information: Array, least: float = MIN_SINGULAR_VALUE
+) -> Identifiability:
     """Choose the parameters that the data support.
 
     Args:
         candidates: L of them, those to keep first.
         information: `information_root` of their columns, scaled by tolerance.
+        least: singular value of R over the supported ones.
     """
     chosen: list[int] = []
     held: list[tuple[int, bool]] = []
@@ -73,7 +76,7 @@ def identifiability(candidates: tuple[Parameter, ...], information: Array) -> Id
         left = _column_remainder(information[:, chosen], column)
         redundant = float(np.linalg.norm(left)) <= TOL_REDUNDANT * float(np.linalg.norm(column))
         smallest = np.linalg.svd(information[:, [*chosen, k]], compute_uv=False)[-1]
-        if redundant or len(chosen) == len(information) or smallest < MIN_SINGULAR_VALUE:
+        if redundant or len(chosen) == len(information) or smallest < least:
             held.append((k, redundant))
         else:
             chosen.append(k)
@@ -83,7 +86,8 @@ def identifiability(candidates: tuple[Parameter, ...], information: Array) -> Id
     return Identifiability(
         supported=tuple(candidates[k] for k in chosen),
         held=tuple(
-            _unsupported(candidates, information, k, redundant, chosen) for k, redundant in held
+            unsupported(candidates, information, k, chosen, redundant=redundant)
+            for k, redundant in held
         ),
         rank=rank,
         candidates=len(candidates),
@@ -98,13 +102,15 @@ def _column_remainder(columns: Array, column: Array) -> Array:
     return left - basis @ (basis.T @ left)
 
 
-def _unsupported(
+def unsupported(
     candidates: tuple[Parameter, ...],
     information: Array,
     k: int,
-    redundant: bool,
     chosen: list[int],
+    *,
+    redundant: bool = False,
 ) -> UnidentifiableParameter:
+    """Say with which of the chosen candidates number k is confounded, and how sure it would be."""
     column = information[:, k]
     size = float(np.linalg.norm(column))
     mix = np.linalg.lstsq(information[:, chosen], column, rcond=None)[0]

@@ -1,16 +1,14 @@
 """Identify an arm: registration, joint offsets, geometry, and which of them the data call for.
 
 Three models are fitted, each within the next: base and tool alone; with the joints' offsets; with
-all of the arm's geometry. Which parameters are supported is decided at the arm's nominal numbers,
-where parallel axes are parallel. A larger model m is chosen where the Bayesian information
-criterion falls by 10 or more, all with the noise that the largest model leaves:
-
-    criterion(m) = sum of min(chi²_i, 25) + L_m ln(measured numbers)
+all of the arm's geometry. All are adjusted together, the arm's own numbers held by weak priors
+(`Parameter.prior`); gauges alone are held. Rank and gauges are stated at the arm's nominal
+numbers, where parallel axes are parallel. The largest model that the data can judge is fitted
+first: noise and outlying rows are what it leaves. The model that predicts held-out poses best is
+chosen.
 """
 
 from dataclasses import dataclass, replace
-
-import numpy as np
 
 from verify.calibration.kinematics.chain import (
     ArmState,
@@ -21,39 +19,42 @@ from verify.calibration.kinematics.chain import (
     registration_parameters,
 )
 from verify.calibration.kinematics.fit import (
-    CrossValidation,
     KinematicFit,
     fit_parameters,
-    hold_out,
+    information,
     pose_residuals,
-    whitened_columns,
 )
 from verify.calibration.kinematics.identifiability import (
     Identifiability,
+    UnidentifiableParameter,
     identifiability,
-    information_root,
     observability_indices,
+    unsupported,
 )
 from verify.calibration.kinematics.model import start_state
-from verify.calibration.kinematics.poses import IdentificationPoses, NoiseScale
+from verify.calibration.kinematics.noise import initial_scale
+from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.calibration.kinematics.recordings import with_scatter
+from verify.calibration.kinematics.validation import (
+    CrossValidation,
+    HoldOut,
+    best_model,
+    hold_out,
+)
 from verify.core.records import Array
 
 LEVELS = ("registration", "offsets", "geometry")
-MAX_CHI2 = 25.0  # χ² that a row may bring: noise brings a full pose's beyond it in 3 of 10,000
-MIN_NUMBERS_PER_PARAMETER = 2  # measured: with fewer, residuals do not judge a model
-MIN_CRITERION_DROP = 10.0  # by which the information criterion must fall for a larger model
+MIN_PRIOR_SHARE = 0.5  # of a prior's standard deviation: what is left of it where poses say little
+MIN_NUMBERS_PER_PARAMETER = 1.5  # measured: with fewer, residuals do not judge a model
 
 
 @dataclass(frozen=True, slots=True)
-class IdentificationOptions:
+class IdentificationOptions(HoldOut):
     """What is free, which model to take, and how it is cross-validated."""
 
     free_base: bool = True
     free_tool: bool = True
-    level: str | None = None  # of `LEVELS`; None: the one that the data call for
-    splits: int = 10  # of the hold-out; 0: none
-    share: float = 0.3  # of the rows that are held out
-    seed: int = 1
+    level: str | None = None  # of `LEVELS`; None: the one that predicts best
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,8 +64,28 @@ class LevelResult:
     name: str
     support: Identifiability
     fit: KinematicFit
-    criterion: float  # Bayesian information criterion, less is better
     held_out: CrossValidation | None
+
+    @property
+    def known(self) -> Array:
+        """`information_root` of the supported parameters, scaled by tolerance."""
+        own = [self.fit.parameters.index(p) for p in self.support.supported]
+        return self.fit.information[:, own]
+
+    @property
+    def weak(self) -> tuple[UnidentifiableParameter, ...]:
+        """The arm's own parameters that rest on their priors more than on the poses."""
+        own, known = self.support.supported, self.known
+        found = [
+            unsupported(own, known, k, [i for i in range(len(own)) if i != k])
+            for k in range(len(own))
+        ]
+        return tuple(
+            one
+            for one in found
+            if not one.parameter.axis
+            and one.uncertainty_if_free > MIN_PRIOR_SHARE * one.parameter.prior
+        )
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +93,7 @@ class IdentificationResult:
     """All models and the chosen one."""
 
     levels: tuple[LevelResult, ...]  # smallest first
+    richest: KinematicFit  # of the largest model that the data can judge
     chosen: LevelResult
     observability: dict[str, float]
     before: Array  # (n, 6), m and rad: left by registration alone
@@ -106,28 +128,30 @@ def identify_arm(
     """
     options = options or IdentificationOptions()
     begun = replace(known, chain=chain) if known is not None else start_state(chain, poses)
-    placed = _registration(begun, poses, options)
-    registered = fit_parameters(begun, poses, placed)
-    with_offsets = (*placed, *offset_parameters(chain))
-    candidates = (placed, with_offsets, (*with_offsets, *geometry_parameters(chain)))
-    supports = [_identifiability(registered, poses, c) for c in candidates]
-    fits = [fit_parameters(registered.state, poses, s.supported) for s in supports]
-    levels = tuple(
-        LevelResult(
-            name,
-            support,
-            fit,
-            _criterion(fit, poses, fits[-1].scale),
-            hold_out(fit.state, poses, fit.parameters, options.splits, options.share, options.seed),
-        )
-        for name, support, fit in zip(LEVELS, supports, fits, strict=True)
-    )
-    best = options.level or _best({level.name: level.criterion for level in levels})
-    chosen = next(level for level in levels if level.name == best)
+    supports = _supports(begun, poses, _registration(begun, poses, options))
+    fitted = [_fitted(support) for support in supports]
+    numbers = int(poses.dimensions.sum()) / MIN_NUMBERS_PER_PARAMETER
+    judged = [len(support.supported) <= numbers for support in supports]
+    largest = [f for f, enough in zip(fitted, judged, strict=True) if enough] or fitted[:1]
+    richest = fit_parameters(begun, poses, largest[-1])
+
+    def level(name: str, free: tuple[Parameter, ...], support: Identifiability) -> LevelResult:
+        fit = richest
+        if free != largest[-1]:
+            fit = fit_parameters(begun, poses, free, richest)
+        held_out = None
+        if free in largest:
+            held_out = hold_out(fit, poses, richest.scale, options)
+        return LevelResult(name, support, with_scatter(fit, poses), held_out)
+
+    levels = tuple(map(level, LEVELS, fitted, supports))
+    best = best_model([level.held_out for level in levels], poses.block)
+    chosen = levels[best if options.level is None else LEVELS.index(options.level)]
     return IdentificationResult(
         levels,
+        richest,
         chosen,
-        observability_indices(chosen.fit.information, int(chosen.fit.used.sum())),
+        observability_indices(chosen.known, int(chosen.fit.used.sum())),
         pose_residuals(levels[0].fit.state, poses),
         pose_residuals(chosen.fit.state, poses),
     )
@@ -169,28 +193,25 @@ def _registration(
     return tuple(found)
 
 
-def _identifiability(
-    registered: KinematicFit, poses: IdentificationPoses, candidates: tuple[Parameter, ...]
-) -> Identifiability:
-    """Choose what the rows support, at the arm's nominal numbers and the stated noise."""
-    scale = registered.scale if not poses.stated else NoiseScale(1.0, 1.0)
-    design, nuisance = whitened_columns(registered.state, poses, candidates, scale)
-    return identifiability(candidates, information_root(design, nuisance))
+def _supports(
+    state: ArmState, poses: IdentificationPoses, placed: tuple[Parameter, ...]
+) -> list[Identifiability]:
+    """Which parameters of each model no others make up, at the arm's present numbers."""
+    offsets = (*placed, *offset_parameters(state.chain))
+    largest = (*offsets, *geometry_parameters(state.chain))
+    known = information(state, poses, largest, initial_scale(poses))
+    return [
+        identifiability(largest[:count], known[:, :count], 0.0)
+        for count in (len(placed), len(offsets), len(largest))
+    ]
 
 
-def _criterion(found: KinematicFit, poses: IdentificationPoses, scale: NoiseScale) -> float:
-    """χ² at one noise for all models, plus ln(numbers) a parameter; inf: too few numbers."""
-    by_row = np.sum(scale.whiten(poses, pose_residuals(found.state, poses)) ** 2, axis=1)
-    numbers = int(poses.dimensions.sum())
-    if numbers < MIN_NUMBERS_PER_PARAMETER * len(found.parameters):
-        return float("inf")
-    # an outlying row weighs the same in every model
-    return float(np.minimum(by_row, MAX_CHI2).sum() + len(found.parameters) * np.log(numbers))
+def _fitted(support: Identifiability) -> tuple[Parameter, ...]:
+    """Those supported, and those that others of the arm make up.
 
-
-def _best(criteria: dict[str, float]) -> str:
-    best = LEVELS[0]
-    for name in LEVELS[1:]:
-        if criteria[name] < criteria[best] - MIN_CRITERION_DROP:
-            best = name
-    return best
+    Of several d along axes that are parallel in the file, and not quite so in the arm, each moves
+    the offsets a little: all are fitted, held by their priors, and the offsets are as doubtful as
+    that makes them. What base and tool take in alone stays as it is.
+    """
+    shared = [h.parameter for h in support.held if any(not p.axis for p, _ in h.confounded_with)]
+    return (*support.supported, *shared)

@@ -1,19 +1,14 @@
-"""Measured poses with readings as arrays, and the noise of the poses.
-
-The noise is what was stated, or what a fit leaves, whichever is larger.
-"""
+"""Measured poses with readings as arrays."""
 
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import chi2
 
 from verify.core.records import Array
 
 Rows = NDArray[np.int64]
-MIN_EXCESS_SIGMA = 3.0  # standard deviations by which residuals must exceed what was stated
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +21,7 @@ class IdentificationPoses:
     stated: bool  # the covariances were stated; else only their proportions count
     base: Rows  # (n,), from 0: which placing of the robot in the world
     tool: Rows  # (n,), from 0: which mounting of the target
+    recording: Rows  # (n,), which of several the row is from
     block: Rows  # (n,): rows of one block are held out together, as they repeat each other
     nuisance: Array  # (n, 6, p), of unit variance: what does not average out
     position_only: bool
@@ -47,6 +43,8 @@ def build_poses(
     covariance: Array | None = None,
     *,
     base: Rows | None = None,
+    tool: Rows | None = None,
+    block: Rows | None = None,
     nuisance: Array | None = None,
     determined: tuple[Array, ...] | None = None,
 ) -> IdentificationPoses:
@@ -58,6 +56,8 @@ def build_poses(
         covariance: (n, 6, 6), or (n, 3, 3) of positions, m and rad; None: not known, and estimated
             from what is left, one variance for positions and one for turns.
         base: (n,), which placing of the robot each row belongs to; all the same where not given.
+        tool: (n,), which mounting or target, likewise.
+        block: (n,), rows that are held out together; each by itself where not given.
         nuisance: (n, 6, p), effects of unit variance that all rows share.
         determined: n of (6, d), functionals of a pose that were measured; all where not given.
 
@@ -81,8 +81,9 @@ def build_poses(
         whitener=_whitener(n, size, covariance, determined),
         stated=covariance is not None,
         base=none if base is None else base,
-        tool=none,
-        block=np.arange(n),
+        tool=none if tool is None else tool,
+        recording=none,
+        block=np.arange(n) if block is None else block,
         nuisance=np.zeros((n, 6, 0)) if nuisance is None else nuisance,
         position_only=position_only,
     )
@@ -108,78 +109,3 @@ def _whitener(
             own = np.linalg.cholesky(known.T @ covariance[i] @ known)
             whitener[i, : known.shape[1]] = np.linalg.solve(own, known.T)
     return whitener
-
-
-@dataclass(frozen=True, slots=True)
-class NoiseScale:
-    """Factors of the residuals over the stated standard uncertainties."""
-
-    position: float
-    orientation: float
-
-    def of(self, poses: IdentificationPoses) -> Array:
-        """Scale the whitener: (n, 6, 6)."""
-        factors = np.array([self.position] * 3 + [self.orientation] * 3)
-        scaled: Array = poses.whitener / factors
-        return scaled
-
-    def whiten(self, poses: IdentificationPoses, twists: Array) -> Array:
-        """Twists (n, 6) in units of their standard uncertainty, (n, 6)."""
-        white: Array = (self.of(poses) @ twists[:, :, None])[:, :, 0]
-        return white
-
-    def near(self, other: "NoiseScale") -> bool:
-        """Tell whether two differ by less than matters."""
-        return bool(
-            np.isclose(self.position, other.position, rtol=0.01)
-            and np.isclose(self.orientation, other.orientation, rtol=0.01)
-        )
-
-
-def noise_scale(
-    left: Array, poses: IdentificationPoses, used: NDArray[np.bool_], free: int
-) -> NoiseScale:
-    """Estimate the noise by the median of the residuals, which outlying rows do not move.
-
-    A stated uncertainty is never reduced, and enlarged only where the residuals exceed it by more
-    than their own scatter.
-
-    Args:
-        left: (n, 6), m and rad, residuals of a fit.
-        poses: n rows.
-        used: (n,), rows that belong.
-        free: parameters of the fit.
-    """
-    count = int(poses.dimensions[used].sum())
-    lost = count / max(count - free, 1)
-
-    def spread(part: slice) -> float:
-        return _relative_sigma(left[used], poses, used, part, lost)
-
-    if poses.position_only:
-        return NoiseScale(spread(slice(0, 3)), 1.0)
-    if (poses.dimensions[used] < 6).any():  # what is left open mixes places and turns
-        both = spread(slice(0, 6))
-        return NoiseScale(both, both)
-    return NoiseScale(spread(slice(0, 3)), spread(slice(3, 6)))
-
-
-def _relative_sigma(
-    left: Array, poses: IdentificationPoses, used: NDArray[np.bool_], part: slice, lost: float
-) -> float:
-    """Standard deviation in units of the stated one, of places or turns by themselves."""
-    white = poses.whitener[used]
-    if part.stop - part.start < 6:
-        size = 3 if poses.position_only else 6
-        information = (np.swapaxes(white, 1, 2) @ white)[:, :size, :size]
-        own = np.linalg.inv(information)[:, part, part]
-        white = np.linalg.inv(np.linalg.cholesky(own))
-    distance = np.sum((white @ left[:, part, None])[:, :, 0] ** 2, axis=1)
-    freedom = np.maximum(np.any(white != 0, axis=2).sum(axis=1), 1)
-    middle = chi2.median(freedom)
-    variance = float(np.median(distance / middle)) * lost
-    # of a median: half over the density there and the root of the number
-    scatter = float(np.mean(0.5 / (chi2.pdf(middle, freedom) * middle)) / np.sqrt(len(freedom)))
-    if poses.stated and variance < 1 + MIN_EXCESS_SIGMA * scatter:
-        return 1.0
-    return float(np.sqrt(variance))

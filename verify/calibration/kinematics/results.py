@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 import robots
 from reports import Results
 from verify.calibration.kinematics.chain import Parameter
-from verify.calibration.kinematics.fit import CrossValidation, statistics
 from verify.calibration.kinematics.identify import IdentificationResult, LevelResult
+from verify.calibration.kinematics.placements import placement_entries
 from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.calibration.kinematics.validation import CrossValidation, statistics
 from verify.calibration.origin import DEG, MM, ResultsOrigin
 from verify.core.records import Array
 
@@ -78,10 +79,13 @@ def identification_results(
         "tool_free": origin.free_tool,
         "level": chosen.name,
         "levels": [_level(level) for level in found.levels],
-        "identified": len(fitted.parameters),
+        "identified": len(chosen.support.supported) - len(chosen.weak),
+        "coverage_factor": fitted.coverage_factor,
+        "recordings": {"count": len(np.unique(poses.recording)), "scatter": fitted.scatter},
         "rank": found.level("geometry").support.rank,
         "candidates": found.level("geometry").support.candidates,
         "parameters": parameters,
+        "placements": placement_entries(fitted),
         "offsets": _offsets(found, origin.arm.dof),
         "judged": None if judged is None else _judged_entries(judged, poses.position_only),
         "held": _held(found),
@@ -126,7 +130,8 @@ def _parameters(level: LevelResult, found: IdentificationResult) -> list[dict[st
                 # a base or tool starts where a closed form put it: its change says nothing
                 "change": None if now is None else change * scale,
                 "standard_uncertainty": u * scale,
-                "expanded_uncertainty": 2 * u * scale,
+                "expanded_uncertainty": fit.coverage_factor * u * scale,
+                "prior": None if parameter.axis else parameter.prior * scale,
             }
         )
     return rows
@@ -145,6 +150,7 @@ def _offsets(found: IdentificationResult, joints: int) -> list[dict[str, Any]]:
             row[f"{head}error_deg"] = None if value is None else -value
             row[f"{head}add_to_reading_deg"] = value
             row[f"{head}standard_uncertainty_deg"] = u
+            row[f"{head}expanded_uncertainty_deg"] = None if u is None else fit.coverage_factor * u
         rows.append(row)
     return rows
 
@@ -155,11 +161,11 @@ def _held(found: IdentificationResult) -> list[dict[str, Any]]:
     rows = [
         _held_row(
             entry.parameter,
-            "gauge" if entry.redundant else "not_supported",
+            "gauge" if entry.redundant else "prior",
             None if entry.redundant else entry.uncertainty_if_free,
             entry.confounded_with,
         )
-        for entry in largest.support.held
+        for entry in (*largest.support.held, *found.chosen.weak)
     ]
     sigma = largest.fit.standard_uncertainty.tolist()
     for parameter, u in zip(largest.fit.parameters, sigma, strict=True):
@@ -187,10 +193,10 @@ def _held_row(
 def _level(level: LevelResult) -> dict[str, Any]:
     return {
         "name": level.name,
-        "identified": len(level.fit.parameters),
+        "identified": len(level.support.supported) - len(level.weak),
         "rank": level.support.rank,
         "candidates": level.support.candidates,
-        "criterion": level.criterion,
+        "criterion": None if level.held_out is None else float(np.nanmean(level.held_out.chi2)),
         "noise_position": level.fit.scale.position,
         "noise_orientation": level.fit.scale.orientation,
         "outlying": int((~level.fit.used).sum()),

@@ -14,11 +14,13 @@ from verify.analysis.model import add_pan_noise, clock_effect, prior_columns
 from verify.analysis.session import measure_session
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.kinematics.chain import ArmState, KinematicChain
+from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.identify import IdentificationResult
 from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
+from verify.io.series import FrameSeries
 from verify.io.session.session import Session
 from verify.measurement.chain import measure
 
@@ -91,14 +93,35 @@ def require_one_arm(sessions: Sequence[Session]) -> None:
             )
 
 
-def session_to_poses(session: Session, progress: Progress) -> SessionPoses:
-    """Measure a session and compare its poses with the readings.
+def split_targets(session: Session) -> list[Session]:
+    """The sessions of each target by itself, of an instrument that measured several."""
+    instrument = session.instrument
+    if instrument is None or instrument.poses.target is None:
+        return [session]
+    found = []
+    for number, poses in instrument.poses.by_target().items():
+        still = np.zeros(len(poses))
+        found.append(
+            replace(
+                session,
+                name=f"{session.name} (target {number})",
+                frames=FrameSeries(poses.t, poses.t, still, still),
+                instrument=replace(instrument, poses=poses),
+            )
+        )
+    return found
+
+
+def session_to_poses(
+    session: Session, progress: Progress, *, registered: bool = True
+) -> SessionPoses:
+    """Measure a session and compare its poses with the readings; `measure_session` says how.
 
     Raises:
         InputError: no pair could be measured, or none has a reading.
     """
     readings = Readings(session.encoders.t, session.encoders.q)
-    measured, clock = measure_session(session, readings, progress, measure)
+    measured, clock = measure_session(session, readings, progress, measure, registered=registered)
     track, systematics = measured.track, measured.systematics
     compared = compare(
         track, session.arm, readings, clock.offset,
@@ -137,8 +160,12 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
     bases = _groups(one.session.rig.rig_T_base.tobytes() for one in sessions)
     tools = _groups(_mounting(one) for one in sessions)
     source = np.repeat(np.arange(len(sessions)), sizes)
-    # parts of each session that are held out together
-    parts = [np.arange(n) * min(N_BLOCKS, n) // n + N_BLOCKS * i for i, n in enumerate(sizes)]
+    # the targets of one session are one recording, and its parts are held out together
+    recording = _groups(str(one.session.folder).encode() for one in sessions)
+    parts = [
+        np.arange(n) * min(N_BLOCKS, n) // n + N_BLOCKS * i
+        for i, n in zip(recording.tolist(), sizes, strict=True)
+    ]
     block = np.concatenate(parts)
     nuisance = _nuisances(sessions, bases, tools)
     points = [one.point for one in sessions if one.point is not None]
@@ -163,13 +190,15 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
             determined=tuple(known for one in sessions for known in one.comparison.determined),
         )
     return CombinedPoses(
-        poses=replace(rows, base=bases[source], tool=tools[source], block=block),
+        poses=replace(
+            rows, base=bases[source], tool=tools[source], recording=recording[source], block=block
+        ),
         sessions=tuple(sessions),
         source=source,
         frame=np.concatenate([one.frame for one in sessions]),
         tools=mounted,
         free_base=any(one.session.rig.base_source == "motion" for one in sessions),
-        free_tool=any(one.session.marker.source == "motion" for one in sessions),
+        free_tool=any(tool_open(one.session) for one in sessions),
     )
 
 
@@ -195,18 +224,26 @@ def _point_rows(
     )
 
 
+def tool_open(session: Session) -> bool:
+    """The target's place was found through the encoders, or nobody says where it is."""
+    instrument = session.instrument
+    return session.marker.source == "motion" or (instrument is not None and not instrument.placed)
+
+
 def _mounting(one: SessionPoses) -> bytes:
-    """Identify a mounting on the flange."""
+    """Identify a mounting on the flange; a target that nobody placed is its session's own."""
     instrument = one.session.instrument
-    body = b"" if instrument is None else instrument.flange_T_body.tobytes()
-    return one.session.marker.leds.tobytes() + body
+    if instrument is None:
+        return one.session.marker.leds.tobytes()
+    return instrument.flange_T_body.tobytes() if instrument.placed else one.session.name.encode()
 
 
 def deflate_repetition(gathered: CombinedPoses, found: IdentificationResult) -> CombinedPoses:
     """Reduce the weight of pairs that repeat each other's errors, by a first fit's residuals."""
     rows = gathered.poses
-    white = found.chosen.fit.scale.whiten(rows, found.after)
-    white[np.all(rows.whitener == 0, axis=2) | ~found.chosen.fit.used[:, None]] = np.nan
+    fit = found.richest
+    white = fit.scale.whiten(rows, pose_residuals(fit.state, rows))
+    white[np.all(rows.whitener == 0, axis=2) | ~fit.used[:, None]] = np.nan
     whitener = rows.whitener.copy()
     for i in range(len(gathered.sessions)):
         own = gathered.source == i

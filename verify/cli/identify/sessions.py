@@ -1,5 +1,6 @@
 """Identify an arm's own parameters from sessions; write the corrected arm and its report."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -7,15 +8,19 @@ from pathlib import Path
 import numpy as np
 
 from reports import Results
-from verify.analysis.instrument import BODY_SOURCE
+from verify.analysis.instrument import BODY_SOURCE, CALIBRATION_SOURCE
 from verify.calibration.kinematics.chain import chain_of
+from verify.calibration.kinematics.doubts import unstated_effects
 from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.identify import (
+    LEVELS,
     IdentificationOptions,
     IdentificationResult,
     identify_arm,
     register,
 )
+from verify.calibration.kinematics.mistakes import refuse_mistaken_readings
+from verify.calibration.kinematics.placements import session_files
 from verify.calibration.kinematics.results import (
     IdentificationProvenance,
     ValidationSessions,
@@ -24,11 +29,12 @@ from verify.calibration.kinematics.results import (
 from verify.calibration.kinematics.robot_file import CorrectionProvenance, encode_robot
 from verify.calibration.kinematics.sessions import (
     CombinedPoses,
-    SessionPoses,
     deflate_repetition,
     gather_sessions,
     require_one_arm,
     session_to_poses,
+    split_targets,
+    tool_open,
 )
 from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
@@ -69,7 +75,9 @@ def identify_sessions(
     require_one_arm([*opened, *others])
     target = out if out is not None else Path(f"{opened[0].name}-identification")
     refuse_existing(target, force=force)
-    gathered, judging = _combine_poses(opened), _combine_poses(others) if others else None
+    registered = not free_base and not free_tool and not any(map(tool_open, opened))
+    gathered = _combine_poses(opened, registered=registered)
+    judging = _combine_poses(others, registered=registered) if others else None
     if judging is not None and judging.poses.position_only != gathered.poses.position_only:
         raise InputError(
             others[0].folder, "does not hold what the arm is identified from",
@@ -81,7 +89,7 @@ def identify_sessions(
         free_tool=gathered.free_tool if free_tool is None else free_tool,
     )
     gathered, found = _identify_twice(gathered, options)
-    origin = _identification_provenance(gathered, options, found.chosen.name)
+    origin = _identification_provenance(gathered, options, found)
     name, content = encode_robot(
         origin.arm, found.chain, _correction_provenance(found, origin),
         offsets_only=found.chosen.name != "geometry",
@@ -93,15 +101,18 @@ def identify_sessions(
     with write_folder_whole(target, force) as folder:
         write_report_folder(made, folder, force=True)
         (folder / name).write_bytes(content)
+        for path, data in session_files(gathered, found.chosen.fit, name, content):
+            (folder / path).parent.mkdir(parents=True, exist_ok=True)
+            (folder / path).write_bytes(data)
         (folder / "parameters.csv").write_text(table, encoding="utf-8")
     _print_summary(made, target)
 
 
-def _combine_poses(sessions: Sequence[Session]) -> CombinedPoses:
+def _combine_poses(sessions: Sequence[Session], *, registered: bool) -> CombinedPoses:
     measured = []
-    for session in sessions:
+    for session in (part for whole in sessions for part in split_targets(whole)):
         with terminal.progress(f"pairs of {session.name}") as progress:
-            measured.append(session_to_poses(session, progress))
+            measured.append(session_to_poses(session, progress, registered=registered))
     gathered = gather_sessions(measured)
     places = gathered.poses.base * (int(gathered.poses.tool.max()) + 1) + gathered.poses.tool
     count = np.bincount(places)[np.unique(places)]
@@ -111,6 +122,9 @@ def _combine_poses(sessions: Sequence[Session]) -> CombinedPoses:
             f"{MIN_POSES} or more are needed of each placing of robot and LEDs",
             "Record a longer session.",
         )  # fmt: skip
+    if not registered:
+        files = sessions[0].folder / "encoders.csv"
+        refuse_mistaken_readings(files, chain_of(sessions[0].arm), gathered.poses)
     return gathered
 
 
@@ -133,13 +147,13 @@ def _identify_twice(
     chain = chain_of(gathered.sessions[0].session.arm)
     # with both free no start is needed
     known = None if options.free_base and options.free_tool else gathered.state(chain)
-    first = identify_arm(chain, gathered.poses, replace(options, splits=0), known)
+    first = identify_arm(chain, gathered.poses, replace(options, level=LEVELS[0], splits=0), known)
     fewer = deflate_repetition(gathered, first)
     return fewer, identify_arm(chain, fewer.poses, options, known)
 
 
 def _identification_provenance(
-    gathered: CombinedPoses, options: IdentificationOptions, level: str
+    gathered: CombinedPoses, options: IdentificationOptions, found: IdentificationResult
 ) -> IdentificationProvenance:
     sessions = [one.session for one in gathered.sessions]
     several = len(sessions) > 1
@@ -157,27 +171,43 @@ def _identification_provenance(
         free_tool=options.free_tool,
         description=sessions[0].description if not several else "",
         inputs=inputs,
-        warnings=tuple(dict.fromkeys(_warnings(gathered.sessions, options, level))),
+        warnings=tuple(dict.fromkeys(_warnings(gathered, options, found))),
     )
 
 
 def _warnings(
-    sessions: Sequence[SessionPoses], options: IdentificationOptions, level: str
+    gathered: CombinedPoses, options: IdentificationOptions, found: IdentificationResult
 ) -> list[str]:
-    warnings = [warning for one in sessions for warning in one.session.warnings]
+    warnings = [warning for one in gathered.sessions for warning in one.session.warnings]
     hidden = {
         "robot base": options.free_base,
         "LED body": options.free_tool,
         BODY_SOURCE: options.free_tool,
-        "robot table": level == "geometry",
+        "robot table": found.chosen.name == "geometry",
     }
-    exact = [
-        source for one in sessions for source in one.uncounted if not hidden.get(source, False)
-    ]
+    exact = dict.fromkeys(
+        source
+        for one in gathered.sessions
+        for source in one.uncounted
+        if not hidden.get(source, False)
+    )
     if exact:
+        held = {"robot base": "base", "LED body": "tool", BODY_SOURCE: "tool"}
+        effects = unstated_effects(
+            found.chosen.fit,
+            gathered.poses,
+            [source for source in exact if source in ("rig", CALIBRATION_SOURCE)],
+            {held[source]: source for source in exact if source in held},
+        )
+        said = "".join(f"; {effect.source}: {effect}" for effect in effects)
         warnings.append(
-            f"No uncertainty is stated for {', '.join(dict.fromkeys(exact))}: taken as exact; the "
-            "uncertainties hold on that condition."
+            f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the uncertainties "
+            f"hold on that condition{said}."
+        )
+    if found.chosen.fit.scatter is None:
+        warnings.append(
+            "From one recording: how this arm's parameters differ from one recording to the next "
+            "is not in the uncertainties. Give two or more sessions."
         )
     return warnings
 
@@ -224,10 +254,12 @@ def _print_summary(made: Results, target: Path) -> None:
 
 
 def _joint_line(joint: dict[str, float | None]) -> str:
-    add, u = joint["add_to_reading_deg"], joint["standard_uncertainty_deg"]
+    add, u = joint["add_to_reading_deg"], joint["expanded_uncertainty_deg"]
     if add is None or u is None:
         return f"  joint {joint['joint']}: offset not identified"
+    digits = max(3, 1 - math.floor(math.log10(u)))
     return (
-        f"  joint {joint['joint']}: encoder less measured {-add:+.3f}° ± {2 * u:.3f}° (k = 2); "
-        f"add {add:+.3f}° to the reading"
+        f"  joint {joint['joint']}: encoder less measured {-add:+.{digits}f}° ± {u:.{digits}f}° "
+        "(k = 2); "
+        f"add {add:+.{digits}f}° to the reading"
     )

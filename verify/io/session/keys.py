@@ -76,7 +76,7 @@ class PosesTable(msgspec.Struct, kw_only=True):
     frame: str
     position_standard_uncertainty_mm: float | None = None
     orientation_standard_uncertainty_deg: float | None = None
-    point_mm: Triple = (0.0, 0.0, 0.0)
+    point_mm: Triple | None = None  # None: nobody says where; the flange's origin is measured with
     rotation: Matrix | None = None
     source: str | None = None
     body_standard_uncertainty: BodyUncertaintyTable | None = None

@@ -41,6 +41,7 @@ class Instrument:
     flange_T_body: Array  # (4, 4): the measured point, or body, in the flange frame
     position_uncertainty: float | None  # m, of each coordinate, where poses.csv states none
     orientation_uncertainty: float | None  # rad, about each axis, where poses.csv states none
+    placed: bool = True  # session.toml says where the point is on the flange
 
     @property
     def positions_alone(self) -> bool:
@@ -144,13 +145,17 @@ def _body(path: Path, table: PosesTable) -> Marker:
 def _instrument(path: Path, table: PosesTable, poses: Poses) -> Instrument:
     """Combine [poses] of session.toml with poses.csv."""
     flange_T_body = np.eye(4)
-    flange_T_body[:3, 3] = np.array(table.point_mm) * MM
+    point_mm = (0.0, 0.0, 0.0) if table.point_mm is None else table.point_mm
+    flange_T_body[:3, 3] = np.array(point_mm) * MM
+    if poses.target is not None and table.point_mm is not None:
+        found, expected = "is given", f"{table.file} has the column target: each has its own place"
+        raise key_error(path, "poses.point_mm", found, expected, "Leave it out: it is identified.")
     for key in ("rotation", "orientation_standard_uncertainty_deg"):
         if poses.rotation is None and getattr(table, key) is not None:
             expected = f"{table.file} holds positions alone"
             raise key_error(path, f"poses.{key}", "is given", expected, "Leave it out.")
     if table.rotation is not None:
-        turned = io_rig.nearest_pose(path, "poses.rotation", table.rotation, table.point_mm)
+        turned = io_rig.nearest_pose(path, "poses.rotation", table.rotation, point_mm)
         flange_T_body[:3, :3] = turned[:3, :3]
     return Instrument(
         name=table.instrument,
@@ -158,4 +163,5 @@ def _instrument(path: Path, table: PosesTable, poses: Poses) -> Instrument:
         flange_T_body=flange_T_body,
         position_uncertainty=scaled(table.position_standard_uncertainty_mm, MM),
         orientation_uncertainty=keys.to_radians(table.orientation_standard_uncertainty_deg),
+        placed=table.point_mm is not None,
     )

@@ -1,5 +1,8 @@
 """A rendered session with a known fault, by its pictures: what comes back, and what cannot."""
 
+from dataclasses import replace
+from pathlib import Path
+
 import numpy as np
 import pytest
 
@@ -32,7 +35,7 @@ def seen() -> SessionPoses:
 
 def found(gathered: CombinedPoses, *, free: bool) -> IdentificationResult:
     chain = chain_of(gathered.sessions[0].session.arm)
-    wish = IdentificationOptions(free_base=free, free_tool=free, splits=0)
+    wish = IdentificationOptions(free_base=free, free_tool=free, splits=2)
     return identify_arm(chain, gathered.poses, wish, gathered.state(chain))
 
 
@@ -70,7 +73,8 @@ def test_through_its_own_encoders_joints_1_and_6_cannot_show(seen: SessionPoses)
 
 @pytest.mark.shared
 def test_sessions_with_one_rig_and_marker_share_what_these_state(seen: SessionPoses) -> None:
-    both = gather_sessions([seen, seen])
+    other = replace(seen, session=replace(seen.session, folder=Path("another")))
+    both = gather_sessions([seen, other])
     single = gather_sessions([seen]).poses.nuisance.shape[2]
     assert both.poses.base.max() == both.poses.tool.max() == 0
     assert both.poses.nuisance.shape[2] == single + seen.own.shape[2]

@@ -177,17 +177,30 @@ def test_scatter_that_is_not_stated_is_found_in_the_data(watched: Watched, tmp_p
     assert "the instrument's noise" not in known.summary["budget"]["uncounted"]
 
 
-def test_single_visits_leave_unstated_noise_uncounted(watched: Watched, tmp_path: Path) -> None:
-    arm = watched.session.arm
-    t = np.arange(20, dtype=np.float64) * 10
-    q = np.deg2rad(
-        np.random.default_rng(4).uniform(
-            [0, -80, 20, -20, -100, 0], [40, -40, 60, 20, -60, 40], (20, 6)
-        )
+@pytest.mark.parametrize("count", [8, 40])
+def test_noise_of_visits_is_what_a_model_of_all_causes_leaves(
+    count: int, watched: Watched, tmp_path: Path
+) -> None:
+    """The arm has an offset of 0.5°; of a handful of visits nothing tells the noise."""
+    rng, low = np.random.default_rng(4), np.array([0, -80, 20, -20, -100, 0])
+    q = np.deg2rad(rng.uniform(low, low + 40, (count, 6)))
+    true = q - np.deg2rad([0, 0.5, 0, 0, 0, 0])
+    poses = robots.forward(watched.session.arm, true)
+    poses[:, :3, 3] += rng.normal(0, 0.2e-3, (count, 3))
+    poses[:, :3, :3] = (
+        Rotation.from_rotvec(rng.normal(0, 5e-4, (count, 3))).as_matrix() @ (poses[:, :3, :3])
     )
-    summary = analyse_own(tmp_path / "posed", t, q, robots.forward(arm, q)).summary
-    assert "the instrument's noise" in summary["budget"]["uncounted"]
-    assert any("the instrument's noise" in warning for warning in summary["warnings"])
+    t = np.arange(count, dtype=np.float64) * 10
+    results = analyse_own(tmp_path / "posed", t, q, poses)
+    named = any("the instrument's noise" in warning for warning in results.summary["warnings"])
+    assert named is (count == 8)
+    if count == 40:
+        more = "position_standard_uncertainty_mm = 0.2\n"
+        more += "orientation_standard_uncertainty_deg = 0.0286\n"
+        known = analyse_own(tmp_path / "stated", t, q, poses, more)
+        for j in range(1, 7):
+            ratio = results.tables["frames"][f"q{j}_u_deg"] / known.tables["frames"][f"q{j}_u_deg"]
+            assert ratio.between(0.75, 1.3).all()
 
 
 def test_of_positions_alone_three_directions_are_determined(

@@ -1,0 +1,160 @@
+"""Where base and target were found, and the files in which `verify run` takes them.
+
+A session of pictures gets a rig.toml and a marker.toml, to be put in the place of its own; one of
+poses a whole folder, with the corrected arm. Both say source = "motion": through the encoders.
+"""
+
+import tomllib
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from scipy.linalg import block_diag
+from scipy.spatial.transform import Rotation
+
+from verify.calibration.kinematics.chain import AXES, Parameter
+from verify.calibration.kinematics.fit import KinematicFit
+from verify.calibration.kinematics.sessions import CombinedPoses
+from verify.calibration.origin import DEG, MM
+from verify.core.fiducials import Marker
+from verify.core.records import Array
+from verify.core.rig import Covariance, Rig
+from verify.io import rig as io_rig
+from verify.io.fiducials import encode_marker
+from verify.io.session.session import Session
+from verify.io.toml import encode, encode_numbers
+
+KEYS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
+UNITS = np.array([MM] * 3 + [DEG] * 3)
+
+
+def placement_entries(fit: KinematicFit) -> list[dict[str, Any]]:
+    """Every base and target that was fitted: its pose, and its standard uncertainties."""
+    return [
+        {
+            "kind": kind,
+            "number": place + 1,
+            "position_mm": (pose[:3, 3] * MM).tolist(),
+            "rotation_vector_deg": Rotation.from_matrix(pose[:3, :3]).as_rotvec(True).tolist(),
+            "standard_uncertainty": dict(zip(KEYS, sigma.tolist(), strict=True)),
+        }
+        for kind, poses in (("base", fit.state.base), ("tool", fit.state.tool))
+        for place, pose in enumerate(poses)
+        if (sigma := np.sqrt(np.diag(_covariance(fit, kind, place)))).any()
+    ]
+
+
+def session_files(
+    gathered: CombinedPoses, fit: KinematicFit, robot_file: str, robot: bytes
+) -> Iterator[tuple[str, bytes]]:
+    """Paths and contents of what `verify run` takes; nothing where base and target were held.
+
+    Args:
+        gathered: the sessions.
+        fit: of the chosen model.
+        robot_file: name of the corrected arm's file.
+        robot: its content.
+    """
+    kinds = {p.kind for p in fit.parameters if p.axis}
+    for i, one in enumerate(gathered.sessions):
+        row = int(np.argmax(gathered.source == i))
+        base, tool = int(gathered.poses.base[row]), int(gathered.poses.tool[row])
+        session, instrument = one.session, one.session.instrument
+        if not kinds or (instrument is not None and instrument.poses.of_several):
+            continue
+        rig = _moved_rig(session.rig, fit, base) if "base" in kinds else session.rig
+        folder = f"sessions/{session.name}"
+        if instrument is None:
+            yield f"{folder}/rig.toml", io_rig.encode(rig)
+            yield f"{folder}/{robot_file}", robot
+            if "tool" in kinds:
+                yield f"{folder}/marker.toml", encode_marker(_moved_marker(session, fit, tool))
+            continue
+        text = _session_toml(session, fit, rig, tool, robot_file, stated=gathered.poses.stated)
+        yield f"{folder}/session.toml", text
+        yield f"{folder}/{robot_file}", robot
+        for path in session.inputs:
+            if path.endswith(".csv"):
+                yield f"{folder}/{path}", (session.folder / path).read_bytes()
+
+
+def _covariance(fit: KinematicFit, kind: str, place: int) -> Array:
+    """Of a base's or tool's six numbers, (6, 6), mm and degrees; 0 where they were held."""
+    found = np.zeros((6, 6))
+    own = [
+        fit.parameters.index(p)
+        for axis in AXES
+        if (p := Parameter(kind, place, axis)) in fit.parameters
+    ]
+    axes = [AXES.index(fit.parameters[k].axis) for k in own]
+    found[np.ix_(axes, axes)] = fit.covariance[np.ix_(own, own)]
+    return found * np.outer(UNITS, UNITS)
+
+
+def _moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
+    """The rig with the robot where it was found: the rows are in the base as the rig had it."""
+    moved = rig.rig_T_base @ fit.state.base[place]
+    turn = block_diag(moved[:3, :3], moved[:3, :3])
+    found = turn @ _covariance(fit, "base", place) @ turn.T
+    sigma = np.sqrt(np.diag(found))
+    names, known = tuple(f"robot_base.{key}" for key in KEYS), rig.covariance
+    if known is not None:
+        kept = [i for i, n in enumerate(known.parameters) if not n.startswith("robot_base.")]
+        names = (*(known.parameters[i] for i in kept), *names)
+        sigma = np.concatenate([known.standard_uncertainty[kept], sigma])
+        correlation = block_diag(known.correlation[np.ix_(kept, kept)], _correlation(found))
+    else:
+        correlation = _correlation(found)
+    covariance = Covariance(names, sigma, correlation)
+    return replace(
+        rig, rig_T_base=moved, base_source="motion", registration=None, absorption=None,
+        covariance=covariance,
+    )  # fmt: skip
+
+
+def _correlation(covariance: Array) -> Array:
+    sigma = np.sqrt(np.diag(covariance))
+    found: Array = covariance / np.outer(sigma, sigma)
+    return found
+
+
+def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Marker:
+    """The LEDs where the flange has them: a session's LEDs are its target."""
+    tool, marker = fit.state.tool[place], session.marker
+    u = np.sqrt(np.diag(_covariance(fit, "tool", place))) / UNITS
+    leds = marker.leds @ tool[:3, :3].T + tool[:3, 3]
+    return replace(
+        marker, leds=leds, source="motion", registration=None, body_standard_uncertainty=u
+    )
+
+
+def _session_toml(
+    session: Session, fit: KinematicFit, rig: Rig, place: int, robot_file: str, *, stated: bool
+) -> bytes:
+    """The session of poses with the corrected arm, base and target where they were found."""
+    tree = tomllib.loads((session.folder / "session.toml").read_text(encoding="utf-8"))
+    tree.pop("robot_frames", None)
+    tool, instrument = fit.state.tool[place], session.instrument
+    assert instrument is not None
+    body = tool if instrument.positions_alone else tool @ instrument.flange_T_body
+    poses = {
+        **tree["poses"],
+        "point_mm": encode_numbers(body[:3, 3], 1 / MM),
+        "frame": "instrument",
+    }
+    if not instrument.positions_alone:
+        poses["rotation"] = encode_numbers(body[:3, :3])
+    if not stated:
+        poses["position_standard_uncertainty_mm"] = fit.scale.position * MM
+        if not instrument.positions_alone:
+            poses["orientation_standard_uncertainty_deg"] = fit.scale.orientation * DEG
+    sigma = np.sqrt(np.diag(_covariance(fit, "tool", place))).tolist()
+    if any(sigma):
+        uncertainty = dict(zip(KEYS, sigma, strict=True))
+        poses |= {"source": "motion", "body_standard_uncertainty": uncertainty}
+    whole = tomllib.loads(io_rig.encode(rig).decode())
+    tree |= {"robot": robot_file, "poses": poses, "robot_base": whole["robot_base"]}
+    tree.pop("rig", None)
+    tree["covariance"] = whole.get("covariance")
+    return encode(tree)
