@@ -184,7 +184,7 @@ def prior_columns(
     """Columns of unit variance for everything stated that does not average out, (n, 6, p)."""
     count = len(systematics.names)
     columns = [comparison.systematic[:, :, :count] @ covariance_root(systematics.covariance)]
-    if clock.source == "given" and clock.standard_uncertainty:
+    if clock.source in ("given", "arrival") and clock.standard_uncertainty:
         columns.append(clock_effect(comparison) * clock.standard_uncertainty)
     if comparison.alignment_error.any():
         columns.append(comparison.alignment_error[:, :, None])

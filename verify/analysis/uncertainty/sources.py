@@ -108,7 +108,7 @@ def systematic_sources(comparison: Comparison, compared: SessionComparison) -> S
     types = ["B"] * count
     columns, variances = [comparison.systematic[:, :, :count]], []
     u = clock.standard_uncertainty
-    if u and clock.source == "given":  # else it is a free column of the fit
+    if u and clock.source in ("given", "arrival"):  # else it is a free column of the fit
         names.append("clock_s")
         sources.append(CLOCK)
         types.append("B")
