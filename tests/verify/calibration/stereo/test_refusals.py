@@ -94,10 +94,14 @@ def test_boards_that_all_face_the_cameras_leave_the_focal_length_open(
     assert "tilted" in error.remedy
 
 
-def test_parallel_boards_leave_a_lens_open_even_where_they_are_tilted() -> None:
-    rng = np.random.default_rng(24)
-    error = refusal(make_pairs(fixed_rig(0.0), parallel((25.0, 15.0), (0.8, 1.0, 1.2)), rng))
-    assert "all boards are parallel" in error.found
+def test_parallel_boards_that_are_tilted_show_the_focal_length_poorly_and_say_so() -> None:
+    rng, rig = np.random.default_rng(24), fixed_rig(0.0)
+    found = calibrate(make_pairs(rig, parallel((25.0, 15.0), (0.8, 1.0, 1.2)), rng), BOARD, SIZE)
+    covariance = found.rig.covariance
+    assert covariance is not None
+    u = covariance.standard_uncertainty[covariance.parameters.index("left.fx_px")]
+    assert 4 < u < 10  # px
+    assert found.rig.left.matrix[0, 0] == pytest.approx(rig.left.matrix[0, 0], abs=2.5 * u)
 
 
 def test_boards_at_one_distance_do_where_their_tilts_are_many() -> None:
