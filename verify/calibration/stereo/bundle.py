@@ -135,23 +135,6 @@ def _cross(vectors: Array, rows: Array) -> Array:
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
-def derivatives(state: BundleState, corners: CornerStack) -> tuple[Array, Array]:
-    """Differentiate the predicted pixels by the shared parameters and by each board's own.
-
-    Returns:
-        (n, 2, 47), px a SI unit (or px) of the shared parameters; (n, 2, 11), px a SI unit of
-        the board's own unknowns.
-    """
-    by_shared = np.zeros((len(corners), 2, N_SHARED))
-    by_board = np.zeros((len(corners), 2, N_LOCAL))
-    for side, camera in enumerate(state.cameras):
-        own = np.flatnonzero(corners.camera == side)
-        columns = _columns(camera, side, _side_corners(camera, side, state, corners, own))
-        by_shared[own[:, None], :, _seen(side)] = columns[:, :N_SEEN].transpose(2, 1, 0)
-        by_board[own] = columns[:, LOCAL_COLUMNS].transpose(2, 0, 1)
-    return by_shared, by_board
-
-
 def _seen(side: int) -> Index:
     """Shared parameters that move one camera's pixels."""
     return np.arange(N_SHARED)[np.r_[camera_columns(side), BOW]]

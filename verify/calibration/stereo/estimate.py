@@ -105,22 +105,9 @@ def _inverse_root(matrix: Array) -> Array:
     return root
 
 
-def readjust(
-    found: Estimate,
-    corners: CornerStack,
-    model: AdjustmentModel | None = None,
-    iterations: int = bundle.MAX_ITERATIONS,
-) -> Estimate:
-    """Adjust again from an estimate's state with the corners that it used.
-
-    Args:
-        found: where to start.
-        corners: of all views.
-        model: what to adjust; None: the same as before.
-        iterations: at most so many.
-    """
-    model = model or found.model
-    state = bundle.adjust(found.state, corners, model, found.used.astype(float), iterations)
+def readjust(found: Estimate, corners: CornerStack, model: AdjustmentModel) -> Estimate:
+    """Adjust another model from an estimate's state with the corners that it used."""
+    state = bundle.adjust(found.state, corners, model, found.used.astype(float))
     return estimate_state(state, corners, model, found.used)
 
 

@@ -6,7 +6,14 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.bench.calibration import deviation, study
+from tests.bench.calibration import (
+    STEREO,
+    STEREO_SIZE,
+    deviation,
+    halves,
+    real_pairs,
+    study,
+)
 from tests.bench.cells import d2_ratio
 from tests.support.boards.calibrated import (
     departure,
@@ -20,24 +27,22 @@ from tests.support.boards.made_views import (
     SIGMA,
     SIZE,
     fixed_rig,
-    found_pairs,
     make_pairs,
     poses,
     turning_rig,
 )
-from tests.support.recorded import require_shared
 from tests.support.scene import project
 from verify.calibration.quality.advice import calibration_doubts
 from verify.calibration.quality.quality import judge_calibration
 from verify.calibration.stereo import bundle, projection
 from verify.calibration.stereo.calibrate import calibrate, stack_corners
+from verify.calibration.stereo.gauge import BASE_TURNING, AdjustmentModel
 from verify.calibration.stereo.parameters import PARAMETER_NAMES, BundleState
 from verify.calibration.stereo.records import Calibration, covariance_in_si
-from verify.core.fiducials import Board, BoardPair, BoardView
+from verify.core.fiducials import BoardPair, BoardView
 from verify.core.records import Array
 from verify.core.rig import Rig
 
-STEREO, STEREO_SIZE = Board(9, 6, 0.03), (640, 480)
 TOE_IN_DEG = np.array([6.0, -6.0])
 EXACT = 1e-5  # px, stated of corners that have no noise
 
@@ -64,40 +69,46 @@ def pixels(rig: Rig, boards: Array, pan: Array) -> Array:
     return np.concatenate(parts)
 
 
-def test_every_derivative_is_what_opencv_shows_with_the_parameter_moved() -> None:
+def test_the_gradient_is_what_opencv_shows_with_each_parameter_moved() -> None:
     rng = np.random.default_rng(1)
     rig, boards, pan = turning_rig(), poses(rng, 3, (1.2, 1.4)), readings(rng, 3, 3.0)
     boards[:, 0, 3] *= 0.3  # every corner in both pictures, so that the rows agree
-    pairs = make_pairs(rig, boards, None, pan)
-    corners = stack_corners(pairs, BOARD)
+    corners = stack_corners(make_pairs(rig, boards, rng, pan, sigma=20 * SIGMA), BOARD)
     assert len(corners) == 6 * len(BOARD)
-    by_rig, _ = bundle.derivatives(
-        BundleState(rig.left, rig.right, boards, np.zeros((3, 5))), corners
-    )
-    for i, name in enumerate(PARAMETER_NAMES):
-        step = 1e-6
-        ends = [pixels(moved(rig, name, s * step), boards, pan) for s in (1, -1)]
-        expected = (ends[0] - ends[1]) / (2 * step)
-        # rounding of 1e-12 px over the step; an axis' turn about itself moves nothing else
-        assert np.abs(by_rig[:, :, i] - expected).max() < 1e-6 * np.abs(expected).max() + 1e-3, name
+    state = BundleState(rig.left, rig.right, boards, np.zeros((3, 5)))
+    model = AdjustmentModel((BASE_TURNING, BASE_TURNING), bowed=True)
+    system = bundle.normal_equations(state, corners, model, np.ones(len(corners)))
+    found = system.gradient + np.einsum("bij,bi->bj", system.shared, system.own_gradient)
+
+    def squares(other: Rig) -> float:
+        return float(np.sum((corners.observed - pixels(other, boards, pan)) ** 2)) / SIGMA**2
+
+    step = 1e-5
+    for name, slope in zip(PARAMETER_NAMES, found.sum(axis=0), strict=False):
+        ends = [squares(moved(rig, name, s * step)) for s in (1, -1)]
+        # half the derivative, downhill; rounding of the squares over the step
+        assert slope == pytest.approx((ends[1] - ends[0]) / (4 * step), rel=1e-4, abs=1.0), name
 
 
 def test_a_step_that_the_boards_follow_is_the_straight_one_to_first_order() -> None:
     rng = np.random.default_rng(15)
     rig, boards, pan = turning_rig(), poses(rng, 6), readings(rng, 6)
-    corners = stack_corners(make_pairs(rig, boards, None, pan), BOARD)
+    corners = stack_corners(make_pairs(rig, boards, rng, pan, sigma=20 * SIGMA), BOARD)
     state = BundleState(rig.left, rig.right, boards, np.zeros((6, 5)))
-    by_rig, by_board = bundle.derivatives(state, corners)
-    change, own = rng.normal(0, 1e-3, 47), rng.normal(0, 1e-3, (6, 11))
-    straight = by_rig @ change + np.einsum("nij,nj->ni", by_board, own[corners.board])
-    start = bundle.predict(state, corners)
-    off = []
-    for share in (1e-2, 1e-3):
-        there = bundle.predict(
-            projection.step_state(state, corners, share * change, share * own), corners
-        )
-        off.append(np.abs(there - start - share * straight).max())
-    assert off[1] < 0.02 * off[0]  # a tenth of the step, a hundredth of what is left
+    precision = np.array([1.0, 1.0, 1.0, 1.0, 1.0])  # all of a pair's errors free
+    model = AdjustmentModel((BASE_TURNING, BASE_TURNING), precision, bowed=True)
+    weight = np.ones(len(corners))
+    system = bundle.normal_equations(state, corners, model, weight)
+    change, own = rng.normal(0, 1e-4, 47), rng.normal(0, 1e-4, (6, 11))
+    downhill = system.gradient + np.einsum("bij,bi->bj", system.shared, system.own_gradient)
+    straight = downhill.sum(axis=0) @ change + np.sum(system.own_gradient * own)
+
+    def cost_at(share: float) -> float:
+        there = projection.step_state(state, corners, share * change, share * own)
+        return bundle.cost(there, corners, model, weight)
+
+    step = 1e-3
+    assert (cost_at(-step) - cost_at(step)) / (4 * step) == pytest.approx(straight, rel=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["fixed", "turning"])
@@ -322,8 +333,7 @@ def test_stated_uncertainties_cover_the_truth(kind: str) -> None:
 
 @pytest.fixture(scope="module")
 def stereo_pairs() -> list[BoardPair]:
-    folder = require_shared().parent / "data" / "stereo_checkerboard_opencv"
-    return found_pairs(sorted(folder.glob("left*.jpg")), sorted(folder.glob("right*.jpg")), STEREO)
+    return real_pairs()
 
 
 @pytest.mark.shared
@@ -374,6 +384,15 @@ def opencv_rms(pairs: list[BoardPair]) -> float:
         points, *views, *lenses, STEREO_SIZE, flags=cv2.CALIB_USE_INTRINSIC_GUESS, criteria=stop
     )[0]
     return rms
+
+
+@pytest.mark.shared
+@pytest.mark.slow
+def test_halves_of_the_real_pairs_differ_as_stated(stereo_pairs: list[BoardPair]) -> None:
+    z = np.sqrt(np.mean(halves(stereo_pairs, 8, 5) ** 2, axis=0))
+    assert 0.8 < np.sqrt(np.mean(z**2)) < 1.3
+    assert z.max() < 2.0  # eight halves of the same 13 pairs
+    assert z[18] < 1.3  # the baseline, whose pairs were not taken together
 
 
 @pytest.mark.shared
