@@ -252,7 +252,7 @@ def _fixture(base_T_board: Array, rig_T_base: Array) -> BoardScenarioFixture:
 
 def _in_the_gauge(true: Rig, rig_T_base: Array) -> tuple[Rig, Array]:
     """The true rig and base in the frame that a calibration chooses."""
-    state = BundleState(true.left, true.right, rig_T_base[None], np.zeros((1, 2)))
+    state = BundleState(true.left, true.right, rig_T_base[None], np.zeros((1, 5)))
     same = apply_gauge(state, AdjustmentModel((BASE_TURNING, BASE_TURNING)), np.zeros(2))
     return replace(true, left=same.left, right=same.right), same.boards[0]
 

@@ -172,19 +172,24 @@ def test_folders_that_hold_no_pairs_are_refused(tmp_path: Path) -> None:
     assert "is a file" in refusal(tmp_path / "elsewhere.png", BOARD)
 
 
-@pytest.mark.parametrize(
-    ("lefts", "right", "message"),
-    [
-        (["0.png", "1.png"], "0.png", "left/1.png: has no partner"),
-        (["x.png", "y.png"], "u.png", "has 2 pictures"),
-    ],
-)
-def test_a_missing_partner_is_named(
-    tmp_path: Path, lefts: list[str], right: str, message: str
-) -> None:
-    put(tmp_path / "left", lefts, LEFT[:2])
-    put(tmp_path / "right", [right], RIGHT[:1])
-    assert message in refusal(tmp_path, BOARD)
+def test_a_picture_without_a_partner_is_named_and_counts_for_one_camera(tmp_path: Path) -> None:
+    put(tmp_path / "left", ["0.png", "1.png"], LEFT[:2])
+    put(tmp_path / "right", ["1.png"], RIGHT[:1])
+    boards = open_board_folder(tmp_path, BOARD)
+    assert (len(boards), boards.name(0), boards.name(1)) == (1, "1.png", "0.png")
+    assert "left/0.png: has no partner" in boards.warnings[0]
+    ((frame, side, image),) = boards.single_pictures()
+    assert (frame, side) == (1, "left")
+    assert_array_equal(image, LEFT[0])
+    put(tmp_path / "left", ["0.png"], [LEFT[0][:40]])
+    with pytest.raises(InputError, match=r"0\.png: is 64 x 40 px"):
+        list(open_board_folder(tmp_path, BOARD).single_pictures())
+
+
+def test_names_that_match_nowhere_are_refused_where_one_side_has_more(tmp_path: Path) -> None:
+    put(tmp_path / "left", ["x.png", "y.png"], LEFT[:2])
+    put(tmp_path / "right", ["u.png"], RIGHT[:1])
+    assert "has 2 pictures" in refusal(tmp_path, BOARD)
 
 
 def test_videos_of_different_lengths_are_refused(tmp_path: Path) -> None:

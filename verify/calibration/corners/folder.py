@@ -43,7 +43,8 @@ def find_boards(folder: BoardFolder, progress: Progress) -> list[BoardPair]:
         progress: called with pairs done and pairs in all.
 
     Returns:
-        As many pairs as the folder has; a view in which no board was found is None.
+        As many pairs as the folder has, then its pictures of one camera alone; a view in which no
+        board was found is None.
 
     Raises:
         InputError: no board in any picture; says which other pattern is there instead.
@@ -59,12 +60,17 @@ def find_boards(folder: BoardFolder, progress: Progress) -> list[BoardPair]:
         expected = f"{board_text(folder.board)} are asked for"
         raise InputError(folder.folder, "no board was found in any picture", expected, remedy)
     _refuse_sideways(folder, pairs)
+    for frame, side, image in folder.single_pictures():
+        view, pan = find_board(image, folder.board), (folder.pan_left, folder.pan_right)
+        views = (view, None) if side == "left" else (None, view)
+        pairs.append(BoardPair(frame, float(pan[0][frame]), float(pan[1][frame]), *views))
     return pairs
 
 
 def middle_pair(folder: BoardFolder, frames: Sequence[int]) -> BoardImages:
     """Read the images of the middle one of some pairs again, for a report."""
-    wanted = sorted(frames)[len(frames) // 2]
+    paired = sorted(f for f in frames if f < len(folder))
+    wanted = paired[len(paired) // 2]
     return next(p for p in folder.pairs() if p.frame == wanted)
 
 

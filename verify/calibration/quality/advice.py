@@ -1,6 +1,6 @@
 """Sentences on a calibration: doubts, gaps in the coverage, and what improves it most."""
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
@@ -23,6 +23,9 @@ MIN_DEPTH_RATIO = 1.4  # farthest over nearest board
 MIN_TILT = np.deg2rad(20)  # about either axis; below it focal length and distance are confounded
 MIN_TILT_OTHER_SIDE = np.deg2rad(8)  # in the other sense
 MIN_PAIRS = 10
+MAX_MOTION = 2.5  # standard deviations of all pairs' motions, in space: 1 in 10 by chance
+MAX_MOTION_POOR = 1.5  # likewise, where a view of the pair stands out: that much explains it
+MIN_MOTION = 1e-6  # m
 MAX_SQUARE_SIGMA = 3.0  # standard uncertainties between the triangulated and the stated square
 ROW_NAMES, COLUMN_NAMES = ("upper", "middle", "lower"), ("left", "middle", "right")
 ADVICE = {
@@ -54,7 +57,7 @@ def calibration_doubts(
         names: of the pairs' pictures, by frame, as the user knows them.
     """
     return (
-        *_views(quality.views, names or {}),
+        *_views(quality.views, calibration, names or {}),
         *(sentence for p in quality.principal_points for sentence in _principal_point(p)),
         *_square(calibration),
     )
@@ -73,9 +76,18 @@ def coverage_gaps(calibration: Calibration, quality: CalibrationQuality) -> tupl
     )
 
 
-def _views(views: Sequence[ViewQuality], names: Mapping[int, str]) -> Iterator[str]:
+def _views(
+    views: Sequence[ViewQuality], calibration: Calibration, names: Mapping[int, str]
+) -> Iterator[str]:
+    apart = pairs_apart(calibration, {view.frame for view in views if view.poor})
+    for frame in apart:
+        name = f" ({names[frame]})" if frame in names else ""
+        yield (
+            f"Pair {frame}{name} was not taken together: left and right are off opposite ways, as "
+            "the board moved between them. Leave it out or take it again with the board at rest."
+        )
     for view in views:
-        if view.poor:
+        if view.poor and view.frame not in apart:
             name = f" ({names[view.frame]})" if view.frame in names else ""
             usual = np.median([v.rms for v in views if v.camera == view.camera])
             yield (
@@ -83,6 +95,21 @@ def _views(views: Sequence[ViewQuality], names: Mapping[int, str]) -> Iterator[s
                 f"{view.rms:.2f} px, where {usual:.2f} px is usual. Look at its picture "
                 "for blur or a covered board; leave it out or take it again."
             )
+
+
+def pairs_apart(calibration: Calibration, poor: Collection[int]) -> list[int]:
+    """Frames of the pairs between whose pictures the board moved more than it usually did.
+
+    Args:
+        calibration: with the boards' motions, where they are visible.
+        poor: frames with a view that stands out.
+    """
+    motion = calibration.motion
+    if motion is None:
+        return []
+    scaled = np.linalg.norm(motion / np.maximum(motion.std(axis=0), MIN_MOTION), axis=1)
+    limits = [MAX_MOTION_POOR if f in poor else MAX_MOTION for f in calibration.frames.tolist()]
+    return [int(f) for f in calibration.frames[scaled > limits]]
 
 
 def _image(covered: ImageCoverage) -> Iterator[str]:

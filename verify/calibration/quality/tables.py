@@ -10,8 +10,7 @@ from verify.calibration.origin import DEG, MM, POSE_UNITS
 from verify.calibration.quality.accuracy import uncertainty_maps
 from verify.calibration.quality.coverage import view_frame
 from verify.calibration.quality.quality import CalibrationQuality
-from verify.calibration.stereo.gauge import FOCAL_TIE, LENS_KEYS
-from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES
+from verify.calibration.stereo.parameters import PAR_LENS, PARAMETER_KEYS, SIDES
 from verify.calibration.stereo.records import Calibration
 from verify.core.records import Array
 from verify.core.rig import Camera
@@ -59,19 +58,15 @@ def _parameters(calibration: Calibration) -> pd.DataFrame:
                     "unit": UNIT.get(key.rpartition("_")[2], ""),
                     "value": values[key],
                     "standard_uncertainty": u if u > 0 else np.nan,
-                    "state": _state(name, u, calibration),
+                    "state": "found" if u > 0 else _held(name, calibration),
                 }
             )
     return pd.DataFrame(rows)
 
 
-def _state(name: str, uncertainty: float, calibration: Calibration) -> str:
-    key = name.partition(".")[2]
-    if name in calibration.fixed and key in LENS_KEYS:
-        return "zero"  # it may keep an uncertainty
-    if name in calibration.fixed and key == FOCAL_TIE:
-        return "tied"
-    return "found" if uncertainty > 0 else "gauge"
+def _held(name: str, calibration: Calibration) -> str:
+    lens = name.partition(".")[2] in PARAMETER_KEYS[PAR_LENS]
+    return "zero" if lens and name in calibration.fixed else "gauge"
 
 
 def _values(camera: Camera) -> dict[str, float]:
@@ -81,7 +76,7 @@ def _values(camera: Camera) -> dict[str, float]:
     """
     k = camera.matrix
     values = {"fx_px": k[0, 0], "fy_px": k[1, 1], "cx_px": k[0, 2], "cy_px": k[1, 2]}
-    values |= dict(zip(LENS_KEYS, camera.distortion.tolist(), strict=True))
+    values |= dict(zip(PARAMETER_KEYS[PAR_LENS], camera.distortion.tolist(), strict=True))
     axis = np.cross([0.0, 1.0, 0.0], camera.pan_axis)
     sine = float(np.linalg.norm(axis))
     angle = np.arctan2(sine, camera.pan_axis[1])

@@ -1,19 +1,21 @@
-"""Bundle adjustment of both cameras, their bases and all board poses to the corners' pixels.
+"""Bundle adjustment of both cameras, their bases, the board's bow and poses to corners' pixels.
 
 Corner X of the board in pair b, in the camera of one side with pan reading p, is observed at
 
     x = project(K, k; camera_T_rig(p + e_b) rig_T_board_b X) + noise
     rig_T_camera(p) = Trans(pan_center) Rot(pan_axis, p + pan_zero) mount
 
-Unknowns: the rig's 44 parameters (table in `parameters`) and, behind them, each board's own:
+Unknowns: 47 that all pairs share (table in `parameters`) and, behind them, each pair's own:
 
     0 - 2   position of the board             m     rig axes
     3 - 5   rotation about its own origin     rad   rig axes, on the left
-    6, 7    pan errors e of left and right    rad   prior of variance 1 / pan_precision
+    6, 7    pan errors e of left and right    rad   prior of variance 1 / precision
+    8 - 10  motion from left to right         m     prior of variance 1 / precision, rig axes
 
-Minimised is the sum of squared residuals in the corners' stated covariance, by Gauss-Newton steps
+Minimised is the sum of squared residuals in the corners' stated covariance, and of what is known
+beforehand of pan readings and lenses, by Gauss-Newton steps
 with Levenberg-Marquardt damping and analytic derivatives. Each board's own unknowns are eliminated
-from its own corners (Schur complement), so the system to solve has the rig's parameters only.
+from its own corners (Schur complement), so the system to solve has the shared parameters only.
 """
 
 from dataclasses import dataclass
@@ -23,9 +25,12 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from verify.calibration.stereo import gauge, projection
-from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel
+from verify.calibration.stereo.gauge import AdjustmentModel
 from verify.calibration.stereo.parameters import (
+    BOW,
+    MOTION,
     N_CAMERA_PARAMETERS,
+    N_SHARED,
     PAR_AXIS,
     PAR_CENTER,
     PAR_FOCAL,
@@ -38,6 +43,7 @@ from verify.calibration.stereo.parameters import (
     CornerStack,
     base_rotations,
     camera_columns,
+    lens_values,
 )
 from verify.core.records import Array
 from verify.core.rig import Camera, distort_with_jacobian
@@ -45,8 +51,10 @@ from verify.core.rig import Camera, distort_with_jacobian
 MAX_ITERATIONS = 60
 TOL_COST = 1e-4  # chi² that a step still gains: a hundredth of an uncertainty
 Index = NDArray[np.int64]
-N_LOCAL = 8  # a board's own unknowns: its pose (6), both pan errors
-LOCAL_COLUMNS = slice(N_CAMERA_PARAMETERS, N_CAMERA_PARAMETERS + N_LOCAL)  # behind a camera's
+N_LOCAL = 11  # a board's own unknowns: its pose (6), its errors (5)
+ERRORS = slice(6, N_LOCAL)
+N_SEEN = N_CAMERA_PARAMETERS + 3  # shared parameters that move one camera's pixels
+LOCAL_COLUMNS = slice(N_SEEN, N_SEEN + N_LOCAL)  # behind them
 
 
 def predict(state: BundleState, corners: CornerStack) -> Array:
@@ -75,6 +83,8 @@ class _CameraCorners:
     turned: Array  # (b, 3, 3), rig axes from turntable axes, of each board
     board: Index  # (n,)
     arm: Array  # (3, n), corner from the board's origin, rig axes
+    normal: Array  # (3, n), into the board, rig axes
+    modes: Array  # (3, n), of the bow
     from_camera: Array  # (3, n), corner from the optical centre, rig axes
     from_pan_center: Array  # (3, n), corner from the pan centre, rig axes
 
@@ -87,9 +97,11 @@ def _side_corners(
     centre = camera.pan_center + turned @ camera.mount[:3, 3]
     rig_R_camera = _per_corner(turned @ camera.mount[:3, :3], board)
     pose = _per_corner(state.boards[:, :3], board)
+    modes = corners.modes[own].T
     x, y, z = corners.point[own].T
+    z = z + state.bow @ modes
     arm = pose[:, 0] * x + pose[:, 1] * y + pose[:, 2] * z
-    points_rig = arm + pose[:, 3]
+    points_rig = arm + pose[:, 3] + side * state.errors[board, MOTION].T
     from_camera = points_rig - centre[board].T
     return _CameraCorners(
         point=_rows_times_matrices(from_camera, rig_R_camera),
@@ -97,6 +109,8 @@ def _side_corners(
         turned=turned,
         board=board,
         arm=arm,
+        normal=pose[:, 2],
+        modes=modes,
         from_camera=from_camera,
         from_pan_center=points_rig - camera.pan_center[:, None],
     )
@@ -121,25 +135,13 @@ def _cross(vectors: Array, rows: Array) -> Array:
     return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
 
 
-def derivatives(state: BundleState, corners: CornerStack) -> tuple[Array, Array]:
-    """Differentiate the predicted pixels by the rig's parameters and by each board's own.
-
-    Returns:
-        (n, 2, 44), px a SI unit (or px) of the rig's parameters; (n, 2, 8), px a SI unit of the
-        board's own unknowns.
-    """
-    by_rig = np.zeros((len(corners), 2, 2 * N_CAMERA_PARAMETERS))
-    by_board = np.zeros((len(corners), 2, N_LOCAL))
-    for side, camera in enumerate(state.cameras):
-        own = np.flatnonzero(corners.camera == side)
-        columns = _columns(camera, side, _side_corners(camera, side, state, corners, own))
-        by_rig[own, :, camera_columns(side)] = columns[:, :N_CAMERA_PARAMETERS].transpose(2, 0, 1)
-        by_board[own] = columns[:, LOCAL_COLUMNS].transpose(2, 0, 1)
-    return by_rig, by_board
+def _seen(side: int) -> Index:
+    """Shared parameters that move one camera's pixels."""
+    return np.arange(N_SHARED)[np.r_[camera_columns(side), BOW]]
 
 
 def _columns(camera: Camera, side: int, at: _CameraCorners) -> Array:
-    """Derivatives by a camera's parameters and the boards' own, (2, 31, n); last column empty."""
+    """Derivatives by a camera, bow and the boards' own, (2, 37, n); the last column is empty."""
     depth, xy = at.point[2], at.point[:2] / at.point[2]
     x, y = xy
     distorted, by_xy = distort_with_jacobian(xy.T, camera.distortion)
@@ -148,7 +150,7 @@ def _columns(camera: Camera, side: int, at: _CameraCorners) -> Array:
     by_inside[:, :2] = by_xy.transpose(1, 2, 0) * focal[:, None, None] / depth
     by_inside[:, 2] = -(by_inside[:, 0] * x + by_inside[:, 1] * y)
     by_point = _rows_times_matrices(by_inside, at.rig_R_camera.transpose(1, 0, 2))
-    columns = np.zeros((2, N_CAMERA_PARAMETERS + N_LOCAL + 1, len(depth)))
+    columns = np.zeros((2, N_SEEN + N_LOCAL + 1, len(depth)))
     for axis in range(2):
         columns[axis, PAR_FOCAL.start + axis] = distorted[:, axis]
         columns[axis, PAR_PRINCIPAL.start + axis] = 1.0
@@ -161,9 +163,13 @@ def _columns(camera: Camera, side: int, at: _CameraCorners) -> Array:
     columns[:, PAR_ZERO] = camera.pan_axis @ about_center
     columns[:, PAR_TURN] = -_rows_times_matrices(_cross(at.from_camera, by_point), turned)
     columns[:, PAR_OFFSET] = -_rows_times_matrices(by_point, turned)
+    by_height = np.einsum("cin,in->cn", by_point, at.normal)
+    columns[:, N_CAMERA_PARAMETERS:N_SEEN] = by_height[:, None] * at.modes
     own = columns[:, LOCAL_COLUMNS]
     own[:, :3], own[:, 3:6] = by_point, _cross(at.arm, by_point)
     own[:, 6 + side] = columns[:, PAR_ZERO]
+    if side:
+        own[:, ERRORS][:, MOTION] = by_point
     return columns
 
 
@@ -185,12 +191,20 @@ def _lens_derivatives(x: Array, y: Array) -> Array:
 class NormalEquations:
     """The normal equations with the boards' own unknowns eliminated."""
 
-    information: Array  # (b, 44, 44), on the rig's parameters, from each board
-    gradient: Array  # (b, 44), negative half gradient of the cost
-    own: Array  # (b, 8, 8), inverse of each board's own information
-    own_gradient: Array  # (b, 8)
-    shared: Array  # (b, 8, 44), how a board's own optimum moves with the parameters, negated
-    diagonal: Array  # (44,), of the information before the elimination
+    information: Array  # (b, 47, 47), on the shared parameters, from each board
+    gradient: Array  # (b, 47), negative half gradient of the cost
+    own: Array  # (b, 11, 11), inverse of each board's own information
+    own_gradient: Array  # (b, 11)
+    shared: Array  # (b, 11, 47), how a board's own optimum moves with the parameters, negated
+    diagonal: Array  # (47,), of the information before the elimination
+    lens: Array  # (47, 47), information on the lenses beforehand
+    lens_gradient: Array  # (47,)
+
+    @property
+    def total(self) -> Array:
+        """All information on the shared parameters, (47, 47)."""
+        whole: Array = self.information.sum(axis=0) + self.lens
+        return whole
 
 
 def normal_equations(
@@ -209,39 +223,41 @@ def normal_equations(
         weight: (n,), of each corner beside its stated covariance; 0 leaves it out.
         damping: Marquardt's factor on the diagonal of the boards' own information.
     """
-    count, width = len(state.boards), 2 * N_CAMERA_PARAMETERS
+    count, width = len(state.boards), N_SHARED
     full, gradient = np.zeros((count, width, width)), np.zeros((count, width))
     prior, across = np.zeros(N_LOCAL), np.zeros((count, N_LOCAL, width))
-    if model.pan_errors:
-        prior[6:] = model.pan_precision
+    prior[ERRORS] = _finite(model.precision)
     block = np.tile(np.diag(prior), (count, 1, 1))
     pull = np.zeros((count, N_LOCAL))
-    pull[:, 6:] = -prior[6:] * state.pan_error
+    pull[:, ERRORS] = -prior[ERRORS] * state.errors
     for side in range(2):
         products = _products(side, state, corners, weight)
-        mine = camera_columns(side)
-        full[:, mine, mine] = products[:, :N_CAMERA_PARAMETERS, :N_CAMERA_PARAMETERS]
-        across[:, :, mine] = products[:, LOCAL_COLUMNS, :N_CAMERA_PARAMETERS]
+        mine = _seen(side)
+        full[:, mine[:, None], mine] += products[:, :N_SEEN, :N_SEEN]
+        across[:, :, mine] += products[:, LOCAL_COLUMNS, :N_SEEN]
         block += products[:, LOCAL_COLUMNS, LOCAL_COLUMNS]
-        gradient[:, mine] = products[:, :N_CAMERA_PARAMETERS, -1]
+        gradient[:, mine] += products[:, :N_SEEN, -1]
         pull += products[:, LOCAL_COLUMNS, -1]
     own = _invert_local(block, model, damping)
     shared = own @ across
     toward: Array = shared.transpose(0, 2, 1)
+    lens = np.zeros((1, width)) if model.lens is None else model.lens
     return NormalEquations(
         information=full - across.transpose(0, 2, 1) @ shared,
         gradient=gradient - (toward @ pull[:, :, None])[:, :, 0],
         own=own,
         own_gradient=pull,
         shared=shared,
-        diagonal=np.einsum("bii->i", full),
+        diagonal=np.einsum("bii->i", full) + np.sum(lens**2, axis=0),
+        lens=lens.T @ lens,
+        lens_gradient=-lens.T @ (lens @ lens_values(state)),
     )
 
 
 def _products(side: int, state: BundleState, corners: CornerStack, weight: Array) -> Array:
-    """Products of one camera's whitened columns over each board's corners, (b, 31, 31).
+    """Products of one camera's whitened columns over each board's corners, (b, 37, 37).
 
-    Columns: the camera's parameters (22), the board's own (8), the residual.
+    Columns: the camera's parameters (22), the bow (3), the board's own (11), the residual.
     """
     camera = state.cameras[side]
     rows = np.flatnonzero(corners.camera == side)
@@ -259,9 +275,8 @@ def _products(side: int, state: BundleState, corners: CornerStack, weight: Array
 
 
 def _invert_local(block: Array, model: AdjustmentModel, damping: float) -> Array:
-    """Invert the free part of each board's own information (b, 8, 8), damped; 0 elsewhere."""
-    turns = [model.pan_errors and base != BASE_FIXED for base in model.bases]
-    free = np.flatnonzero(np.concatenate([np.ones(6, dtype=bool), turns]))
+    """Invert the free part of each board's own information (b, 11, 11), damped; 0 elsewhere."""
+    free = np.flatnonzero(np.concatenate([np.ones(6), np.isfinite(model.precision)]))
     inner = block[:, free[:, None], free]
     diagonal = np.arange(len(free))
     inner[:, diagonal, diagonal] *= 1 + damping
@@ -276,9 +291,14 @@ def cost(state: BundleState, corners: CornerStack, model: AdjustmentModel, weigh
     if np.isnan(squares[weight > 0]).any():
         return float("inf")
     total = float(weight @ np.nan_to_num(squares))
-    if model.pan_errors:
-        total += model.pan_precision * float(np.sum(state.pan_error**2))
+    total += float(np.sum(_finite(model.precision) * state.errors**2))
+    if model.lens is not None:
+        total += float(np.sum((model.lens @ lens_values(state)) ** 2))
     return total
+
+
+def _finite(precision: Array) -> Array:
+    return np.where(np.isfinite(precision), precision, 0.0)
 
 
 def squared_distances(state: BundleState, corners: CornerStack) -> Array:
@@ -334,14 +354,15 @@ def _damped_step(
     """Take one damped step; with it, by how much it should lower the cost to first order."""
     pan = corners.pan[0]
     system = normal_equations(state, corners, model, weight, damping)
-    basis = gauge.free_directions(gauge.constraints(state, model, pan)[0])
-    matrix = basis.T @ (system.information.sum(axis=0) + damping * np.diag(system.diagonal)) @ basis
-    pull = basis.T @ system.gradient.sum(axis=0)
+    basis = gauge.free_directions(gauge.constraints(state, model, pan))
+    matrix = basis.T @ (system.total + damping * np.diag(system.diagonal)) @ basis
+    gradient = system.gradient.sum(axis=0) + system.lens_gradient
+    pull = basis.T @ gradient
     scale = 1 / np.sqrt(np.diag(matrix))
     factor = cho_factor(matrix * np.outer(scale, scale) + 1e-14 * np.eye(len(matrix)))
     step = basis @ (scale * cho_solve(factor, scale * pull))
     own_step = np.einsum("bij,bj->bi", system.own, system.own_gradient) - system.shared @ step
-    promised = float(system.gradient.sum(axis=0) @ step) + float(
+    promised = float(gradient @ step) + float(
         np.einsum("bi,bij,bj->", system.own_gradient, system.own, system.own_gradient)
     )
     return gauge.apply_gauge(

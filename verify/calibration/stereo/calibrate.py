@@ -1,43 +1,45 @@
 """Calibrate the stereo rig on its turning bases from corners in pairs of images.
 
-The stages: choose the usable pairs and start values, a robust adjustment with the fewest lens
-coefficients, one with all of them, the board's bow, the bases' axes and the readings' scatter, the
-lens coefficients that the pictures support, the final adjustment.
+The stages: choose the usable pairs and start values, a robust adjustment, the board's bow, the
+bases' axes and the readings' scatter, the final adjustment; what it leaves open is refused.
 """
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Literal
 
 import numpy as np
 
-from verify.calibration.stereo import model_selection, pan_bases, refusals, start
+from verify.calibration.stereo import bundle, pan_bases, refusals, start
 from verify.calibration.stereo.estimate import (
     Estimate,
     board_covariance,
     collect_residuals,
-    estimate_state,
     square_edges,
 )
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel, fixed_names
-from verify.calibration.stereo.model_selection import BoardBow, DroppedCoefficient
-from verify.calibration.stereo.pan_bases import PanScatter
 from verify.calibration.stereo.parameters import (
+    BOW,
+    MOTION,
     PARAMETER_NAMES,
     SIDES,
     BundleState,
     CornerStack,
     length_parameters,
 )
+from verify.calibration.stereo.prior import lens_rows, open_coefficients
 from verify.calibration.stereo.records import Calibration, state_covariance
-from verify.calibration.stereo.robust import adjust_cauchy, adjust_robust, good_corners
+from verify.calibration.stereo.robust import adjust_cauchy, adjust_robust, robust_scale
+from verify.calibration.stereo.scatter import ErrorScatter
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
+from verify.core.statistics import chi2_isf
 
 MIN_CORNERS = 6  # of a view: twelve coordinates for the six of a pose
 MIN_EXTENT = 0.5  # squares, second extent of a view's corners: on one line they fix no pose
 N_STAGES = 5
+MAX_MOTION_VARIANCE = 2.0  # of what is left without it: boards that move by more are adjusted so
+P_FALSE_BOW = 1e-3  # that a flat board seems bowed
 TOL_HELD = 1e-8  # of a unit step: a parameter that the free directions move by less is held
 Progress = Callable[[int, int], None]
 
@@ -61,10 +63,9 @@ class _AdjustedBundle:
     """The final estimate, and what was chosen on the way."""
 
     found: Estimate
+    moved: Estimate | None  # with boards that moved between left and right; None: none did
     corners: CornerStack
-    dropped: tuple[DroppedCoefficient, ...]
-    scatter: PanScatter | None  # of pan readings; None: no base turned
-    bow: BoardBow | None
+    scatter: ErrorScatter | None  # of pan readings; None: no base turned
     notes: tuple[str, ...]  # on bases that turned too little
 
 
@@ -73,7 +74,6 @@ def calibrate(
     board: Board,
     image_size: tuple[int, int],
     *,
-    lens: Literal["supported", "full"] = "supported",
     progress: Progress = no_progress,
 ) -> Calibration:
     """Find both cameras, their relation and how their bases turn.
@@ -86,8 +86,6 @@ def calibrate(
         pairs: the corners in both cameras, and the readings of their bases.
         board: the pattern.
         image_size: width and height, px.
-        lens: "supported": the distortion coefficients and the difference of focal lengths that
-            the pictures support; "full": fx, fy and all five coefficients in any case.
         progress: called with stages done and stages in all.
 
     Raises:
@@ -98,9 +96,9 @@ def calibrate(
     progress(0, N_STAGES)
     begin = gather_pairs(pairs, board, image_size)
     progress(1, N_STAGES)
-    adjusted = _adjust(begin, board, lens, progress)
+    adjusted = _adjust(begin, board, image_size, progress)
     found, corners = adjusted.found, adjusted.corners
-    full, boards = _covariances(adjusted, board)
+    full, boards = _covariances(found, board)
     sides = zip(found.state.cameras, found.model.bases, corners.pan.T, strict=True)
     left, right = (_with_reading(*side, adjusted.scatter) for side in sides)
     frames = np.array([p.frame for p in begin.pairs])
@@ -112,7 +110,7 @@ def calibrate(
             right=right,
             rig_T_base=np.full((4, 4), np.nan),
             base_source="",
-            covariance=_named_covariance(adjusted, full),
+            covariance=_named_covariance(found, full),
         ),
         board=board,
         frames=frames,
@@ -125,6 +123,7 @@ def calibrate(
         decisions=(*begin.notes, *_decisions(adjusted, board)),
         square_found=square_edges(found, corners, board),
         turning=begin.bases != (BASE_FIXED, BASE_FIXED),
+        motion=None if adjusted.moved is None else adjusted.moved.state.errors[:, MOTION],
     )
 
 
@@ -217,6 +216,7 @@ def stack_corners(pairs: Sequence[BoardPair], board: Board) -> CornerStack:
         board=np.concatenate([np.full(len(v), i) for i, _, v in views]),
         corner=corner,
         point=board.points[corner],
+        modes=_bow_modes(board)[corner],
         observed=np.concatenate([v.centre for _, _, v in views]),
         root=np.linalg.inv(np.linalg.cholesky(spread)),
         uncertainty=np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2),
@@ -224,49 +224,51 @@ def stack_corners(pairs: Sequence[BoardPair], board: Board) -> CornerStack:
     )
 
 
+def _bow_modes(board: Board) -> Array:
+    """Heights (corners of the board, 3) of a bow of 1: x², x y, y²."""
+    xy = board.points[:, :2] - board.points[:, :2].mean(axis=0)
+    x, y = (xy / (np.ptp(xy, axis=0).max() / 2)).T
+    return np.stack([x * x, x * y, y * y], axis=1)
+
+
 def _adjust(
-    begin: BundleStart, board: Board, lens: Literal["supported", "full"], progress: Progress
+    begin: BundleStart, board: Board, image_size: tuple[int, int], progress: Progress
 ) -> _AdjustedBundle:
-    """Adjust in stages, from the fewest parameters to those that the pictures support."""
+    """Adjust in stages, and refuse what the last one leaves open."""
     corners = stack_corners(begin.pairs, board)
-    model = AdjustmentModel(
-        begin.bases, model_selection.shortest_model(), pan_bases.start_precision(begin.bases)
-    )
-    state = adjust_cauchy(begin.state, corners, model)
-    rough = estimate_state(state, corners, model, good_corners(state, corners))
-    refusals.refuse_undetermined(rough)
+
+    def model_at(state: BundleState) -> AdjustmentModel:
+        noise = float(np.sqrt(robust_scale(bundle.squared_distances(state, corners))))
+        precision = pan_bases.start_precision(begin.bases, noise)
+        return AdjustmentModel(begin.bases, precision, lens_rows(state, image_size, noise**2))
+
+    state = adjust_cauchy(begin.state, corners, model_at(begin.state))
     progress(2, N_STAGES)
-    precision = pan_bases.start_precision(begin.bases, rough.noise)
-    model = replace(model, held=(), pan_precision=precision)
-    state = adjust_cauchy(rough.state, corners, model)
-    found = adjust_robust(state, corners, model)
+    found = adjust_robust(state, corners, model_at(state))
     progress(3, N_STAGES)
-    found, corners, bow = model_selection.fit_bow(found, corners, board)
-    if bow is not None:  # corners that were refused because of the bow come back
-        found = adjust_robust(found.state, corners, model)
-        found, corners, again = model_selection.fit_bow(found, corners, board)
-        bow = bow if again is None else again
+    bowed = adjust_robust(found.state, corners, replace(found.model, bowed=True))
+    own, height = bowed.covariance[BOW, BOW] / bowed.design_effect, bowed.state.bow
+    if height @ np.linalg.solve(own, height) > chi2_isf(P_FALSE_BOW, len(height)):
+        found = bowed
     found, scatter, notes = pan_bases.settle_bases(found, corners)
     if scatter is not None:
         refusals.refuse_wrong_readings(scatter.deviation)
-    dropped: tuple[DroppedCoefficient, ...] = ()
-    if lens == "supported":
-        found, dropped = model_selection.reduce_model(found, corners)
     progress(4, N_STAGES)
-    found = adjust_robust(found.state, corners, found.model)
-    if bow is not None:
-        bow = model_selection.restate_bow(bow, found, corners, board)
-    return _AdjustedBundle(found, corners, dropped, scatter, bow, tuple(notes))
+    model = replace(found.model, lens=lens_rows(found.state, image_size, found.variance))
+    found = adjust_robust(found.state, corners, model)
+    moved = pan_bases.boards_in_motion(found, corners)
+    if moved is not None:
+        if found.noise**2 > MAX_MOTION_VARIANCE * moved.noise**2:
+            found = moved = adjust_robust(moved.state, corners, moved.model)
+        else:
+            found = pan_bases.with_motion(found, moved)
+    refusals.refuse_undetermined(found)
+    return _AdjustedBundle(found, moved, corners, scatter, tuple(notes))
 
 
-def _covariances(adjusted: _AdjustedBundle, board: Board) -> tuple[Array, Array]:
-    """Covariance of the rig's parameters (44, 44) and of the boards' poses (b, 6, 6)."""
-    found, bow = adjusted.found, adjusted.bow
+def _covariances(found: Estimate, board: Board) -> tuple[Array, Array]:
+    """Covariance of the shared parameters (47, 47) and of the boards' poses (b, 6, 6)."""
     full = found.covariance
-    if adjusted.dropped:
-        full = full + model_selection.held_covariance(found, adjusted.dropped)
-    if bow is not None:  # fitted too, so not known exactly
-        full = full + found.design_effect * bow.response @ bow.covariance @ bow.response.T
     boards = board_covariance(found, full)
     if board.square_standard_uncertainty:  # all lengths scale with the squares, together
         share = board.square_standard_uncertainty / board.square
@@ -278,19 +280,18 @@ def _covariances(adjusted: _AdjustedBundle, board: Board) -> tuple[Array, Array]
     return full, boards
 
 
-def _named_covariance(adjusted: _AdjustedBundle, full: Array) -> Covariance:
+def _named_covariance(found: Estimate, full: Array) -> Covariance:
     """State the covariance of the parameters that are not held exactly, as rig.toml does."""
-    found = adjusted.found
-    moves = np.linalg.norm(found.basis, axis=1) > TOL_HELD
-    uncertain = {d.name for d in adjusted.dropped if d.remaining}
-    chosen = [i for i, n in enumerate(PARAMETER_NAMES) if moves[i] or n in uncertain]
+    chosen = np.flatnonzero(np.linalg.norm(found.basis[: len(PARAMETER_NAMES)], axis=1) > TOL_HELD)
     degrees = min(float(found.degrees_of_freedom), found.design_effect_degrees)
     return state_covariance(
         [PARAMETER_NAMES[i] for i in chosen], full[np.ix_(chosen, chosen)], degrees
     )
 
 
-def _with_reading(camera: Camera, base: str, readings: Array, scatter: PanScatter | None) -> Camera:
+def _with_reading(
+    camera: Camera, base: str, readings: Array, scatter: ErrorScatter | None
+) -> Camera:
     """State the reading of a base, and its standard uncertainty where the base turned."""
     if base == BASE_FIXED:
         return replace(camera, pan=float(readings[0]))
@@ -302,10 +303,20 @@ def _decisions(adjusted: _AdjustedBundle, board: Board) -> Iterator[str]:
     """Describe what was chosen of bases, lens and board, and what was refused."""
     found = adjusted.found
     yield from adjusted.notes
-    yield from (d.sentence for d in adjusted.dropped)
+    yield from open_coefficients(found)
     yield from pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan)
-    if adjusted.bow is not None:
-        yield adjusted.bow.sentence
+    if adjusted.moved is not None:
+        motion = 1e3 * np.linalg.norm(adjusted.moved.state.errors[:, MOTION], axis=1)
+        yield (
+            f"Left and right pictures were not taken together: between them the board moved by "
+            f"{np.median(motion):.2g} mm in half of the pairs, up to {motion.max():.2g} mm. The "
+            "uncertainties allow for it; better, let the board stand still or expose both at once."
+        )
+    if found.model.bowed:
+        yield (
+            f"the board is not flat: it bows by {1e3 * np.abs(found.state.bow).max():.2f} mm "
+            "between its middle and its rim, which was fitted along; a flat, stiff board is better."
+        )
     refused = int(np.sum(~found.used))
     if refused:
         yield (

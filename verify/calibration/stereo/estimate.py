@@ -1,13 +1,19 @@
 """The estimate after an adjustment: noise, covariance of all parameters, boards, edge lengths.
 
-The parameters p are those of `parameters`, with free directions B (44, q) that span what the
-constraints leave; N_b is the information of the corners of pair b on p, as stated:
+The parameters p are those of `parameters`, with free directions B (47, q) that span what the
+constraints leave; N_b is the information of the corners of pair b on p, as stated, N their sum with
+what is known beforehand, g_b each pair's gradient:
 
-    covariance(p) = noise² * effect * B (B' (sum of N_b) B)⁻¹ B'
+    covariance(p) = noise² B R' M R B'     R' R = (B' N B)⁻¹
     noise²        = chi² / degrees of freedom          what the stated uncertainty is multiplied by
-    effect        = sum of g_b' N⁻¹ g_b / its expectation, where significant, else 1
+    M             = 0.9 S + 0.1 effect, where the corners of a pair err together; else 1
+    effect        = sum of g_b' N⁻¹ g_b / its expectation
+    S             = sum of R B' g_b g_b' B R', each g_b for its leverage
 
-with each pair's gradient g_b: the corners of one pair may err together (see `design_effect`).
+S alone knows which parameters suffer.
+
+Source: the cluster-robust covariance of Liang and Zeger, Biometrika 73, 1986, with the leverage of
+Bell and McCaffrey, Survey Methodology 28, 2002; Rao and Scott's design effect.
 """
 
 from dataclasses import dataclass
@@ -27,6 +33,8 @@ from verify.measurement.triangulation import ray_midpoints, rays
 P_FALSE_CLUSTERING = 0.01  # that independent corners seem to err together
 MIN_SCATTER_PX = 1e-5  # corners that scatter by less were computed: rounding is left
 MIN_PAIRS = 5  # fewer do not show how pairs differ
+MEAN_SHARE = 0.1  # of the mean effect in the scatter: few pairs leave some directions without any
+MIN_LEFT = 0.01  # of a direction that one pair determines alone: what the others say of it
 
 
 @dataclass(frozen=True, slots=True)
@@ -37,30 +45,17 @@ class Estimate:
     model: AdjustmentModel
     used: NDArray[np.bool_]  # (n,), corners that were not refused
     system: bundle.NormalEquations
-    rows: Array  # (c, 44), constraints
-    held_row: dict[str, int]  # the constraint of each held coefficient
-    basis: Array  # (44, p), the free directions
+    basis: Array  # (47, p), the free directions
     noise: float  # factor on the corners' stated uncertainty
     degrees_of_freedom: int
-    design_effect: float  # factor on variances, as a pair's corners err together, >= 1
+    covariance: Array  # (47, 47), SI units and pixels; 0 for what is held
+    design_effect: float  # mean factor on variances, as a pair's corners err together, >= 1
     design_effect_degrees: float  # degrees of freedom of that factor
-
-    @property
-    def information(self) -> Array:
-        """Information on the free directions, (p, p), for corners as stated."""
-        full: Array = self.basis.T @ self.system.information.sum(axis=0) @ self.basis
-        return full
 
     @property
     def variance(self) -> float:
         """Factor on the inverse information."""
         return self.noise**2 * self.design_effect
-
-    @property
-    def covariance(self) -> Array:
-        """Covariance of all parameters, (44, 44), SI units and pixels; 0 for what is held."""
-        full: Array = self.variance * self.basis @ invert(self.information) @ self.basis.T
-        return full
 
 
 def invert(matrix: Array) -> Array:
@@ -84,32 +79,35 @@ def estimate_state(
     """
     weight = used.astype(float)
     system = bundle.normal_equations(state, corners, model, weight)
-    rows, held_row = gauge.constraints(state, model, corners.pan[0])
-    basis = gauge.free_directions(rows)
+    basis = gauge.free_directions(gauge.constraints(state, model, corners.pan[0]))
     degrees = 2 * int(used.sum()) - basis.shape[1] - 6 * len(state.boards)
     squares = bundle.cost(state, corners, model, weight)
     finest = MIN_SCATTER_PX / float(np.median(corners.uncertainty))
     noise = max(float(np.sqrt(squares / max(degrees, 1))), finest)
-    effect = design_effect(system, basis, noise)
-    return Estimate(state, model, used, system, rows, held_row, basis, noise, degrees, *effect)
+    root = _inverse_root(basis.T @ system.total @ basis)
+    share = root @ (basis.T @ system.information @ basis) @ root.T
+    pull = system.gradient @ basis @ root.T / noise
+    factor, factor_degrees = design_effect(share, pull)
+    scatter = np.eye(len(root)) if factor == 1 else pair_scatter(share, pull, factor)
+    half = noise * basis @ root.T
+    covariance = half @ scatter @ half.T
+    return Estimate(
+        state, model, used, system, basis, noise, degrees, covariance, factor, factor_degrees
+    )
 
 
-def readjust(
-    found: Estimate,
-    corners: CornerStack,
-    model: AdjustmentModel | None = None,
-    iterations: int = bundle.MAX_ITERATIONS,
-) -> Estimate:
-    """Adjust again from an estimate's state with the corners that it used.
+def _inverse_root(matrix: Array) -> Array:
+    """A root R of the inverse of a positive definite matrix, R' R, whose rows differ in unit."""
+    size = np.sqrt(np.diag(matrix))
+    values, directions = np.linalg.eigh(matrix / np.outer(size, size))
+    values = np.maximum(values, np.finfo(float).eps)
+    root: Array = (directions / np.sqrt(values)).T / size
+    return root
 
-    Args:
-        found: where to start.
-        corners: of all views.
-        model: what to adjust; None: the same as before.
-        iterations: at most so many.
-    """
-    model = model or found.model
-    state = bundle.adjust(found.state, corners, model, found.used.astype(float), iterations)
+
+def readjust(found: Estimate, corners: CornerStack, model: AdjustmentModel) -> Estimate:
+    """Adjust another model from an estimate's state with the corners that it used."""
+    state = bundle.adjust(found.state, corners, model, found.used.astype(float))
     return estimate_state(state, corners, model, found.used)
 
 
@@ -128,51 +126,48 @@ def collect_residuals(
     )
 
 
-def design_effect(
-    system: bundle.NormalEquations, basis: Array, noise: float
-) -> tuple[float, float]:
+def design_effect(share: Array, pull: Array) -> tuple[float, float]:
     """Test whether the corners of a pair err together, and by what factor variances then grow.
 
     A board that is not flat, or blur that shifts all corners of an image, makes the corners of a
-    pair err together, which single residuals do not show but each pair's gradient does: its square
-    in the metric of the parameters' information, summed over pairs, against its expectation for
-    independent corners. The factor counts where chance exceeds it once in a hundred.
+    pair err together, which single residuals do not show but each pair's gradient does. The factor
+    counts where chance exceeds it once in a hundred.
 
     Args:
-        system: the normal equations, a block a pair, at the adjusted state.
-        basis: (44, p), the free directions.
-        noise: factor on the corners' stated uncertainty.
+        share: (b, p, p), each pair's share of all information, whitened.
+        pull: (b, p), each pair's gradient at the adjusted state, whitened.
 
     Returns:
-        Factor on the variances, 1 or more, and its degrees of freedom.
-
-    Source: the cluster-robust covariance of Liang and Zeger, Biometrika 73, 1986, averaged over
-    the parameters, as there are too few pairs to fill a matrix; Rao and Scott's design effect.
+        Mean factor on the variances, 1 or more, and its degrees of freedom.
     """
-    count = len(system.information)
-    if count < MIN_PAIRS:
+    if len(pull) < MIN_PAIRS:
         return 1.0, np.inf
-    information = basis.T @ system.information @ basis
-    pull = system.gradient @ basis / noise
-    inverse = invert(information.sum(axis=0))
-    share = inverse @ information  # (b, p, p)
-    observed = float(np.einsum("bi,ij,bj->", pull, inverse, pull))
-    squared = np.einsum("bij,bji->b", share, share)
-    expected = len(inverse) - float(squared.sum())
     # the gradients of two pairs are correlated through the parameters that both determine
     own = share - share @ share
+    expected = float(np.einsum("bii->", own))
     spread = 2 * float(np.einsum("bij,bji->", own, own))
     if expected <= 0 or spread <= 0:
         return 1.0, np.inf
     degrees = 2 * expected**2 / spread
-    factor = observed / expected
+    factor = float(np.sum(pull**2)) / expected
     if factor <= 1 or factor * degrees <= chi2_ppf(1 - P_FALSE_CLUSTERING, degrees):
         return 1.0, np.inf
     return factor, float(degrees)
 
 
+def pair_scatter(share: Array, pull: Array, factor: float) -> Array:
+    """Scatter (p, p) of the whitened parameters by the pairs' gradients, a little to their mean."""
+    unit = np.eye(share.shape[1])
+    left, directions = np.linalg.eigh(unit - share)
+    along = np.einsum("bji,bj->bi", directions, pull) / np.sqrt(np.maximum(left, MIN_LEFT))
+    terms = np.einsum("bij,bj->bi", directions, along)
+    beforehand = factor * (unit - share.sum(axis=0))
+    scatter: Array = (1 - MEAN_SHARE) * (terms.T @ terms + beforehand) + MEAN_SHARE * factor * unit
+    return scatter
+
+
 def board_covariance(found: Estimate, covariance: Array) -> Array:
-    """Covariance of each board's pose, (b, 6, 6), m and rad; `covariance` (44, 44) is the rig's."""
+    """Covariance of each board's pose, (b, 6, 6), m and rad; `covariance` (47, 47): shared."""
     shared = found.system.shared[:, :6]
     own = found.variance * found.system.own[:, :6, :6]
     full: Array = own + shared @ covariance @ shared.transpose(0, 2, 1)

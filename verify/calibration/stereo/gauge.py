@@ -12,20 +12,20 @@ did not the camera's own y axis. Per kind of base (parameters of `parameters.PAR
     centred    mount's translation 0, and its rotation about the axis 0 (it is in the pan zero)
     turning    mount's translation along the axis 0, and its rotation about the axis 0
 
-A constraint is a row (44,) whose product with a parameter step must be 0; the adjustment moves in
+A constraint is a row (47,) whose product with a parameter step must be 0; the adjustment moves in
 the null space of all rows.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from scipy.linalg import null_space
 
 from verify.calibration.stereo.parameters import (
-    N_CAMERA_PARAMETERS,
+    BOW,
+    N_SHARED,
     PAR_AXIS,
     PAR_CENTER,
-    PAR_LENS,
     PAR_OFFSET,
     PAR_TURN,
     PAR_ZERO,
@@ -41,8 +41,6 @@ from verify.core.rig import Camera
 
 BASE_FIXED, BASE_TURNING, BASE_CENTRED = "fixed", "turning", "centred"
 # centred: turned too little to show where the axis passes; it is put through the optical centre
-LENS_KEYS = ("k1", "k2", "p1", "p2", "k3")
-FOCAL_TIE = "fy_px"  # held: fy equals fx
 HELD_PARAMETERS: dict[str, tuple[str, ...]] = {  # held of each kind of base
     BASE_FIXED: (*PARAMETER_KEYS[PAR_AXIS], PARAMETER_KEYS[PAR_ZERO], *PARAMETER_KEYS[PAR_OFFSET]),
     BASE_CENTRED: (*PARAMETER_KEYS[PAR_OFFSET],),
@@ -53,16 +51,13 @@ Y_AXIS = np.array([0.0, 1.0, 0.0])
 
 @dataclass(frozen=True, slots=True)
 class AdjustmentModel:
-    """Which parameters an adjustment holds, and how far it trusts pan readings."""
+    """Which parameters an adjustment holds, and how far it trusts what is known beforehand."""
 
     bases: tuple[str, str]  # left and right: BASE_FIXED, BASE_TURNING or BASE_CENTRED
-    held: tuple[str, ...] = ()  # left.k3: at 0; left.fy_px: fy equals fx
-    pan_precision: float = np.inf  # 1/rad², of a pan reading against corners' stated weights
-
-    @property
-    def pan_errors(self) -> bool:
-        """Pan errors are adjusted."""
-        return bool(np.isfinite(self.pan_precision)) and any(b != BASE_FIXED for b in self.bases)
+    precision: Array = field(default_factory=lambda: np.full(5, np.inf))  # (5,), 1/rad² and 1/m²,
+    # of a pair's errors against corners' stated weights; infinite: held at 0
+    lens: Array | None = None  # (k, 47), rows whose products with the values cost their squares
+    bowed: bool = False  # the board's bow is free
 
 
 def apply_gauge(state: BundleState, model: AdjustmentModel, pan: Array) -> BundleState:
@@ -74,8 +69,8 @@ def apply_gauge(state: BundleState, model: AdjustmentModel, pan: Array) -> Bundl
         pan: (2,), rad, the readings at which bases that never turned stand.
     """
     cameras = [
-        _choose_pan_centre(_apply_held(c, side, model), base, p)
-        for c, side, base, p in zip(state.cameras, SIDES, model.bases, pan, strict=True)
+        _choose_pan_centre(c, base, p)
+        for c, base, p in zip(state.cameras, model.bases, pan, strict=True)
     ]
     new_T_old = _rig_frame(cameras, model.bases, pan)
     turned = [_change_frame(c, new_T_old) for c in cameras]
@@ -83,17 +78,7 @@ def apply_gauge(state: BundleState, model: AdjustmentModel, pan: Array) -> Bundl
         _align_axis(c, p) if base == BASE_FIXED else _move_turn_to_zero(c)
         for c, base, p in zip(turned, model.bases, pan, strict=True)
     )
-    return BundleState(left, right, new_T_old @ state.boards, state.pan_error)
-
-
-def _apply_held(camera: Camera, side: str, model: AdjustmentModel) -> Camera:
-    matrix, distortion = camera.matrix.copy(), camera.distortion.copy()
-    for i, key in enumerate(LENS_KEYS):
-        if f"{side}.{key}" in model.held:
-            distortion[i] = 0.0
-    if f"{side}.{FOCAL_TIE}" in model.held:
-        matrix[[0, 1], [0, 1]] = (matrix[0, 0] + matrix[1, 1]) / 2
-    return replace(camera, matrix=matrix, distortion=distortion)
+    return replace(state, left=left, right=right, boards=new_T_old @ state.boards)
 
 
 def _choose_pan_centre(camera: Camera, base: str, pan: float) -> Camera:
@@ -161,36 +146,23 @@ def _move_turn_to_zero(camera: Camera) -> Camera:
     return replace(camera, mount=mount, pan_zero=zero)
 
 
-def constraints(
-    state: BundleState, model: AdjustmentModel, pan: Array
-) -> tuple[Array, dict[str, int]]:
-    """List the constraints on a parameter step: gauge, kinds of base, held coefficients.
-
-    Returns:
-        Rows (c, 44), and the row of each held coefficient.
-    """
-    rows: list[Array] = []
-    unit = np.eye(2 * N_CAMERA_PARAMETERS)
+def constraints(state: BundleState, model: AdjustmentModel, pan: Array) -> Array:
+    """List the constraints on a parameter step, (c, 47): gauge, kinds of base, a flat board."""
+    unit = np.eye(N_SHARED)
+    rows: list[Array] = [] if model.bowed else [*unit[BOW]]
     ends = [unit[camera_columns(side)] for side in (0, 1)]
     for axis in (1, 2):
         rows += [own[PAR_CENTER][axis] for own in ends]
     rows.append(ends[0][PAR_CENTER][0] + ends[1][PAR_CENTER][0])
-    level = np.zeros(2 * N_CAMERA_PARAMETERS)
+    level = np.zeros(N_SHARED)
     for own, camera, base, p in zip(ends, state.cameras, model.bases, pan, strict=True):
         level += _tilt_row(own, camera, base, p)
         rows += _base_rows(own, camera, base)
-    rows.append(level)
-    place: dict[str, int] = {}
-    for name in model.held:
-        side, _, key = name.partition(".")
-        own = ends[SIDES.index(side)]
-        place[name] = len(rows)
-        rows.append(own[1] - own[0] if key == FOCAL_TIE else own[PAR_LENS][LENS_KEYS.index(key)])
-    return np.array(rows), place
+    return np.array([*rows, level])
 
 
 def free_directions(rows: Array) -> Array:
-    """An orthonormal basis (44, p) of the steps that the constraints leave."""
+    """An orthonormal basis (47, p) of the steps that the constraints leave."""
     return np.asarray(null_space(rows), dtype=np.float64)
 
 
@@ -236,7 +208,6 @@ def _log_derivative(w: Array) -> Array:
 
 
 def fixed_names(model: AdjustmentModel) -> tuple[str, ...]:
-    """Name the parameters that the pictures do not determine and those that the model holds."""
+    """Name the parameters that the pictures do not determine."""
     bases = zip(SIDES, model.bases, strict=True)
-    gauge = [f"{side}.{key}" for side, base in bases for key in HELD_PARAMETERS[base]]
-    return (*gauge, *model.held)
+    return tuple(f"{side}.{key}" for side, base in bases for key in HELD_PARAMETERS[base])

@@ -1,6 +1,6 @@
-"""Parameters of the adjustment: both cameras, the boards' poses, the bases' pan errors.
+"""Parameters of the adjustment: both cameras, the board's bow and poses, the bases' pan errors.
 
-Rig parameters, 22 a camera, left then right, named as in rig.toml's [covariance]:
+Shared by all pairs: 22 a camera, left then right, named as in rig.toml's [covariance], and the bow:
 
     columns   name in rig.toml            unit   step
     0, 1      fx_px, fy_px                px     added
@@ -11,11 +11,13 @@ Rig parameters, 22 a camera, left then right, named as in rig.toml's [covariance
     15        pan_zero_deg                rad    added
     16 - 18   mount_r{x,y,z}_deg          rad    rotation of the mount, on the left
     19 - 21   mount_{x,y,z}_mm            m      added, turntable axes
+    44 - 46   bow h                       m      added; z = h_0 x² + h_1 x y + h_2 y²
 
-Each board adds its pose (6: m, rad, rig axes) and both bases' pan errors (2: rad).
+with x, y over half the board's larger side. Each pair adds its board's pose (6: m, rad, rig axes),
+both bases' pan errors (2: rad) and how the board moved from the left picture to the right (3: m).
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -38,6 +40,9 @@ N_CAMERA_PARAMETERS = len(PARAMETER_KEYS)
 PAR_FOCAL, PAR_PRINCIPAL, PAR_LENS = slice(0, 2), slice(2, 4), slice(4, 9)
 PAR_CENTER, PAR_AXIS, PAR_ZERO = slice(9, 12), slice(12, 15), 15
 PAR_TURN, PAR_OFFSET = slice(16, 19), slice(19, 22)
+BOW = slice(2 * N_CAMERA_PARAMETERS, 2 * N_CAMERA_PARAMETERS + 3)  # among the shared parameters
+N_SHARED = BOW.stop
+PAN_ERRORS, MOTION = slice(0, 2), slice(2, 5)  # of a pair's errors
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,12 +52,18 @@ class BundleState:
     left: Camera
     right: Camera
     boards: Array  # (b, 4, 4), rig_T_board
-    pan_error: Array  # (b, 2), rad, true pan angle less reading
+    errors: Array  # (b, 5): true pan angles less readings, rad; motion from left to right, m, rig
+    bow: Array = field(default_factory=lambda: np.zeros(3))  # (3,), m
 
     @property
     def cameras(self) -> tuple[Camera, Camera]:
         """Left and right."""
         return self.left, self.right
+
+    @property
+    def pan_error(self) -> Array:
+        """True pan angles less readings, (b, 2), rad."""
+        return self.errors[:, PAN_ERRORS]
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +73,8 @@ class CornerStack:
     camera: NDArray[np.int64]  # (n,), 0 left, 1 right
     board: NDArray[np.int64]  # (n,), which pair
     corner: NDArray[np.int64]  # (n,), index into board.points
-    point: Array  # (n, 3), m, board frame
+    point: Array  # (n, 3), m, on a flat board, its frame
+    modes: Array  # (n, 3), 1: x², x y, y² of the bow
     observed: Array  # (n, 2), px
     root: Array  # (n, 2, 2), turns a residual into one of unit variance
     uncertainty: Array  # (n,), px a coordinate, as stated
@@ -74,7 +86,7 @@ class CornerStack:
 
 
 def camera_columns(side: int) -> slice:
-    """Columns of a camera (0 left, 1 right) among the rig's parameters."""
+    """Columns of a camera (0 left, 1 right) among the shared parameters."""
     return slice(side * N_CAMERA_PARAMETERS, (side + 1) * N_CAMERA_PARAMETERS)
 
 
@@ -129,10 +141,35 @@ def step_poses(boards: Array, step: Array) -> Array:
 
 
 def length_parameters(state: BundleState) -> Array:
-    """The parameters (44,) that scale with the board's squares, m; the others are 0."""
-    lengths = np.zeros(2 * N_CAMERA_PARAMETERS)
+    """The parameters (47,) that scale with the board's squares, m; the others are 0."""
+    lengths = np.zeros(N_SHARED)
+    lengths[BOW] = state.bow
     for side, camera in enumerate(state.cameras):
         own = lengths[camera_columns(side)]
         own[PAR_CENTER] = camera.pan_center
         own[PAR_OFFSET] = camera.mount[:3, 3]
     return lengths
+
+
+def lens_values(state: BundleState) -> Array:
+    """Focal lengths, principal points and distortion among the shared parameters, (47,); else 0."""
+    values = np.zeros(N_SHARED)
+    for side, camera in enumerate(state.cameras):
+        own = values[camera_columns(side)]
+        own[PAR_FOCAL], own[PAR_PRINCIPAL] = camera.matrix[[0, 1], [0, 1]], camera.matrix[:2, 2]
+        own[PAR_LENS] = camera.distortion
+    return values
+
+
+def parameter_difference(one: BundleState, other: BundleState) -> Array:
+    """The step (47,) of the shared parameters from the other state to the one."""
+    step = lens_values(one) - lens_values(other)
+    step[BOW] = one.bow - other.bow
+    for side, (new, old) in enumerate(zip(one.cameras, other.cameras, strict=True)):
+        own = step[camera_columns(side)]
+        own[PAR_CENTER] = new.pan_center - old.pan_center
+        own[PAR_AXIS] = np.cross(old.pan_axis, new.pan_axis)
+        own[PAR_ZERO] = new.pan_zero - old.pan_zero
+        own[PAR_TURN] = rotation_vector(new.mount[:3, :3] @ old.mount[:3, :3].T)
+        own[PAR_OFFSET] = new.mount[:3, 3] - old.mount[:3, 3]
+    return step

@@ -15,6 +15,8 @@ from dataclasses import replace
 import numpy as np
 
 from verify.calibration.stereo.parameters import (
+    BOW,
+    PAN_ERRORS,
     PAR_AXIS,
     PAR_CENTER,
     PAR_OFFSET,
@@ -37,14 +39,14 @@ def step_state(state: BundleState, corners: CornerStack, change: Array, own: Arr
     Args:
         state: where to step from.
         corners: which camera saw each board, and the pan readings.
-        change: (44,), of the rig's parameters.
-        own: (b, 8), of each board's pose in rig axes and of both pan errors.
+        change: (47,), of the shared parameters.
+        own: (b, 11), of each board's pose in rig axes and of its errors.
 
     Returns:
         The new state; to first order that of a straight step.
     """
     changes = (change[camera_columns(0)], change[camera_columns(1)])
-    errors = state.pan_error + own[:, 6:]
+    errors = state.errors + own[:, 6:]
     cameras = _cameras(state, changes, corners.pan.mean(axis=0))
     boards, beyond = state.boards.copy(), own[:, :6].copy()
     host = np.ones(len(boards), dtype=np.int64)  # the camera that each board moves with
@@ -52,11 +54,11 @@ def step_state(state: BundleState, corners: CornerStack, change: Array, own: Arr
     for side, (old, new, d) in enumerate(zip(state.cameras, cameras, changes, strict=True)):
         mine = host == side
         before = corners.pan[mine, side] + state.pan_error[mine, side]
-        after = corners.pan[mine, side] + errors[mine, side]
+        after = corners.pan[mine, side] + errors[mine, PAN_ERRORS][:, side]
         carried = camera_poses(new, after) @ np.linalg.inv(camera_poses(old, before))
         beyond[mine] -= _motion(old, before, after - before, d, boards[mine, :3, 3])
         boards[mine] = carried @ boards[mine]
-    return BundleState(*cameras, step_poses(boards, beyond), errors)
+    return BundleState(*cameras, step_poses(boards, beyond), errors, state.bow + change[BOW])
 
 
 def _cameras(state: BundleState, changes: tuple[Array, Array], pan: Array) -> tuple[Camera, Camera]:

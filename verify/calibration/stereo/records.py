@@ -42,6 +42,7 @@ class Calibration:
     square_found: tuple[float, float, float]  # m: mean triangulated edge, its standard
     # uncertainty, standard deviation of single edges
     turning: bool  # the bases were turned between pairs
+    motion: Array | None = None  # (b, 3), m, rig axes, of boards from left to right; None: none
 
 
 def rms(residual: Array) -> float:

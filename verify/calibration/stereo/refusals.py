@@ -132,7 +132,7 @@ def refuse_undetermined(found: Estimate) -> None:
     The covariance decides; the boards' poses only word the remedy.
 
     Args:
-        found: an adjustment with the fewest lens coefficients.
+        found: the last adjustment.
 
     Raises:
         InputError: a focal length or principal point known worse than 1 % of the focal length.

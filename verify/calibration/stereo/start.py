@@ -266,4 +266,4 @@ def start_state(
     for i in pairs:
         side = 0 if i in lenses[0].poses else 1
         boards.append(cameras[side].rig_T_camera(pan[i, side]) @ lenses[side].poses[i])
-    return BundleState(cameras[0], cameras[1], np.array(boards), np.zeros((len(boards), 2)))
+    return BundleState(cameras[0], cameras[1], np.array(boards), np.zeros((len(boards), 5)))

@@ -44,16 +44,17 @@ class BoardFolder:
     folder: Path
     board: Board
     image_size: Size  # width, height, px, of both cameras
-    pan_left: Array  # (n,), rad, as read; 0 where frames.csv gives none
+    pan_left: Array  # (n,), rad, as read; 0 where frames.csv gives none; `alone`: the last
     pan_right: Array  # (n,)
     inputs: dict[str, str]  # what was read, by its path in the folder: "sha256:…"
     warnings: tuple[str, ...]
     left: Images
     right: Images
+    alone: tuple[tuple[str, Path], ...] = ()  # side and picture without a partner, after the pairs
 
     def __len__(self) -> int:
         """Count the pairs."""
-        return len(self.pan_left)
+        return len(self.pan_left) - len(self.alone)
 
     @property
     def turned(self) -> bool:
@@ -73,7 +74,9 @@ class BoardFolder:
         return np.arange(len(self))
 
     def name(self, frame: int) -> str:
-        """Name a pair by its picture files, or by its number in the videos."""
+        """Name a pair or a single picture by its files, or by its number in the videos."""
+        if frame >= len(self):
+            return self.alone[frame - len(self)][1].name
         if isinstance(self.left, PictureFiles) and isinstance(self.right, PictureFiles):
             left, right = self.left.files[frame].name, self.right.files[frame].name
             return left if left == right else f"{left} and {right}"
@@ -97,6 +100,17 @@ class BoardFolder:
                     right=right,
                 )
 
+    def single_pictures(self) -> Generator[tuple[int, str, Image]]:
+        """Stream the pictures without a partner: number, side and image.
+
+        Raises:
+            InputError: a picture cannot be decoded or is of another size than the first.
+        """
+        sides = PictureFiles(self.folder, [file for _, file in self.alone])
+        for i, image in enumerate(sides.images()):
+            _require_size(sides, i, image, self.image_size)
+            yield len(self) + i, self.alone[i][0], image
+
 
 def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFolder:
     """Open a folder of board pictures and check all but the pictures after the first.
@@ -119,19 +133,21 @@ def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFo
     folder = Path(folder)
     require_folder(folder, EXPECTED_LAYOUT, "Give the folder of the board pictures.")
     board, board_warnings = _choose_board(folder, board)
-    left, right = _sides(folder)
+    left, right, alone = _sides(folder)
     count = _count(left, right)
     pan, pan_warnings = _pan(folder / "frames.csv", count)
+    pan_left, pan_right = (np.pad(p, (0, len(alone)), mode="edge") for p in pan)
     return BoardFolder(
         folder=folder,
         board=board,
         image_size=_image_size(left, right),
-        pan_left=pan[0],
-        pan_right=pan[1],
-        inputs=_inputs(folder, left, right),
-        warnings=(*board_warnings, *pan_warnings),
+        pan_left=pan_left,
+        pan_right=pan_right,
+        inputs=_inputs(folder, left, right, alone),
+        warnings=(*board_warnings, *pan_warnings, *_warn_alone(alone)),
         left=left,
         right=right,
+        alone=alone,
     )
 
 
@@ -165,8 +181,9 @@ def _describe_board(board: Board) -> str:
     return " ".join(parts)
 
 
-def _sides(folder: Path) -> tuple[Images, Images]:
-    """Find both sides' pictures or videos; the n-th of both belong together."""
+def _sides(folder: Path) -> tuple[Images, Images, tuple[tuple[str, Path], ...]]:
+    """Find both sides' pictures or videos, whose n-th belong together, and pictures alone."""
+    alone: list[tuple[str, Path]] = []
     found = [_find_images(folder, side) for side in ("left", "right")]
     for side, images in zip(("left", "right"), found, strict=True):
         if images is None:
@@ -175,14 +192,23 @@ def _sides(folder: Path) -> tuple[Images, Images]:
     if left.path != folder and left.path.resolve() == right.path.resolve():
         raise InputError(right.path, "leads to the left pictures", "each camera has its own")
     if isinstance(left, PictureFiles) and isinstance(right, PictureFiles):
-        left.files, right.files = match_pictures(left.files, right.files)
+        left.files, right.files, alone = match_pictures(left.files, right.files)
     elif isinstance(left, PictureFiles) or isinstance(right, PictureFiles):
         kinds = [
             "pictures" if isinstance(side, PictureFiles) else "a video" for side in (left, right)
         ]
         differ = f"has {kinds[0]} on the left and {kinds[1]} on the right"
         raise InputError(folder, differ, EXPECTED_LAYOUT, "Bring both into one form.")
-    return left, right
+    return left, right, tuple(alone)
+
+
+def _warn_alone(alone: tuple[tuple[str, Path], ...]) -> Iterator[str]:
+    for side in ("left", "right"):
+        files = [file for own, file in alone if own == side]
+        if files:
+            more = f" (nor have {len(files) - 1} more)" if len(files) > 1 else ""
+            note = f"{files[0]}: has no partner{more}; it counts for the {side} lens alone."
+            yield one_line(note)
 
 
 def _find_images(folder: Path, side: str) -> Images | None:
@@ -279,11 +305,14 @@ def _require_size(side: Images, frame: int, image: Image, size: Size) -> None:
     raise InputError(place, found, expected, remedy)
 
 
-def _inputs(folder: Path, left: Images, right: Images) -> dict[str, str]:
+def _inputs(
+    folder: Path, left: Images, right: Images, alone: tuple[tuple[str, Path], ...]
+) -> dict[str, str]:
     """Take the digest of everything that was read."""
     beside = [folder / name for name in ("board.toml", "frames.csv")]
     read = [path for path in beside if path.exists()]
     for side in (left, right):
         flat = isinstance(side, PictureFiles) and side.path == folder
         read += side.files if isinstance(side, PictureFiles) and flat else [side.path]
+    read += [file for _, file in alone if file.parent == folder]
     return {str(path.relative_to(folder)): digest(path) for path in read}

@@ -54,36 +54,35 @@ def list_pictures(folder: Path, start: str = "") -> list[Path]:
     return sorted(files, key=_natural)
 
 
-def match_pictures(left: list[Path], right: list[Path]) -> tuple[list[Path], list[Path]]:
+def match_pictures(
+    left: list[Path], right: list[Path]
+) -> tuple[list[Path], list[Path], list[tuple[str, Path]]]:
     """Order the pictures of both sides so that the n-th of both belong together.
 
     Partners have equal names, or names that are equal without the words left and right, or the
     same last number; the first rule that fits any names is used for all. Where none fits, the
     given order counts.
 
+    Returns:
+        The pictures of left and right, and those without a partner, each with its side.
+
     Raises:
-        InputError: a picture without a partner; names it.
+        InputError: the names match nowhere, and one side has more.
     """
     for rule in (_stem, _name_without_side, _number):
         lefts, rights = _index_by(left, rule), _index_by(right, rule)
         if lefts is None or rights is None or not lefts.keys() & rights.keys():
             continue
-        for side, other in ((lefts, rights), (rights, lefts)):
-            alone = [file for key, file in side.items() if key not in other]
-            if alone:
-                more = f" (nor have {len(alone) - 1} more)" if len(alone) > 1 else ""
-                found = f"has no partner among {len(other)} pictures of the other side{more}"
-                key = next(key for key in lefts if key in rights)
-                example = f"{lefts[key].name} and {rights[key].name}"
-                expected = f"partners bear one name or number, like {example}"
-                raise InputError(alone[0], found, expected, "Add the missing one or delete it.")
-        return left, [rights[rule(file)] for file in left]
+        both = [key for key in lefts if key in rights]
+        alone = [("left", file) for key, file in lefts.items() if key not in rights]
+        alone += [("right", file) for key, file in rights.items() if key not in lefts]
+        return [lefts[key] for key in both], [rights[key] for key in both], alone
     if len(left) != len(right):
         found = f"has {len(left)} pictures, {right[0].parent} has {len(right)}"
         expected = "one is expected for each, and their names do not tell which is missing"
         remedy = "Give partners one number, as in left01.jpg and right01.jpg."
         raise InputError(left[0].parent, found, expected, remedy)
-    return left, right
+    return left, right, []
 
 
 def _index_by(files: list[Path], rule: Callable[[Path], str]) -> dict[str, Path] | None:

@@ -1,6 +1,7 @@
 """What a calibration is worth: against laws, Monte Carlo through the cameras, and real pictures."""
 
 import re
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -13,8 +14,10 @@ from scipy.spatial.transform import Rotation
 import reports
 from tests.support.recorded import require_shared
 from tests.support.reports import calibration as made
+from verify.calibration.corners.find import find_board
 from verify.calibration.origin import ResultsOrigin
 from verify.calibration.quality.advice import calibration_doubts, coverage_gaps
+from verify.calibration.quality.coverage import BoardOrientation
 from verify.calibration.quality.quality import (
     draw_rectified,
     judge_calibration,
@@ -27,7 +30,7 @@ from verify.calibration.registration.records import MotionRegistration, SpotResi
 from verify.calibration.registration.results import fixture_results, motion_results
 from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES
 from verify.calibration.stereo.records import Calibration, Residuals, rms
-from verify.core.fiducials import Marker
+from verify.core.fiducials import Board, Marker
 from verify.core.rig import Covariance, Rig
 from verify.measurement.systematics import BODY
 
@@ -79,20 +82,14 @@ def test_the_two_bad_pictures_of_the_lifecam_are_named() -> None:
 
 def _webcam(folder: Path, count: int, size: tuple[int, int]) -> Residuals:
     """OpenCV's own calibration of one camera."""
-    board = np.zeros((size[0] * size[1], 3), np.float32)
-    board[:, :2] = np.mgrid[: size[0], : size[1]].T.reshape(-1, 2)
-    corners = []
+    found = Board(*size, 1.0)
+    board, corners = found.points.astype(np.float32), []
     for number in range(count):
         picture = cv2.imread(str(folder / f"img{number}.png"), cv2.IMREAD_GRAYSCALE)
-        assert picture is not None
-        there, seen = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
-        if not there:
-            there, seen = cv2.findChessboardCorners(picture, size)
-        assert there
-        apart = np.linalg.norm(np.diff(seen.reshape(size[1], size[0], 2), axis=1), axis=2)
-        window = (max(2, int(0.35 * np.median(apart))),) * 2
-        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
-        corners.append(cv2.cornerSubPix(picture, seen.astype(np.float32), window, (-1, -1), stop))
+        view = find_board(np.asarray(picture, dtype=np.uint8), found)
+        assert view is not None
+        assert len(view) == len(found)
+        corners.append(view.centre.astype(np.float32))
     _, matrix, lens, turns, shifts = cv2.calibrateCamera(
         [board] * count, corners, (1280, 720), np.eye(3), np.zeros(5)
     )
@@ -119,27 +116,23 @@ def test_complete_coverage_gives_no_advice() -> None:
     assert calibration_doubts(found, quality) == ()
 
 
-def test_flat_boards_give_the_advice_to_tilt() -> None:
-    found = made.calibration(count=60, tilt_deg=8.0)
-    message = " ".join(coverage_gaps(found, judge_calibration(found)))
-    for axis in ("horizontal", "vertical"):
-        assert re.search(rf"never tilted about the {axis} axis by more than \d+°", message)
-
-
-def test_boards_tilted_one_way_give_the_advice_for_the_other() -> None:
-    found = made.calibration(count=60)
+@pytest.mark.parametrize(
+    ("tilt_deg", "kept", "words"),
+    [
+        (8.0, lambda _: True, r"never tilted about the horizontal axis by more than \d+°"),
+        (8.0, lambda _: True, r"never tilted about the vertical axis by more than \d+°"),
+        (35.0, lambda s: s.about_horizontal > 0, "horizontal axis with its lower edge nearer"),
+        (35.0, lambda s: s.distance < 0.8, "^All boards stood between"),
+    ],
+)
+def test_what_boards_never_did_is_advised(
+    tilt_deg: float, kept: Callable[[BoardOrientation], bool], words: str
+) -> None:
+    found = made.calibration(count=60, tilt_deg=tilt_deg)
     quality = judge_calibration(found)
-    one_way = tuple(s for s in quality.stances if s.about_horizontal > 0)
-    message = coverage_gaps(found, replace(quality, stances=one_way))
-    assert [s for s in message if "horizontal axis with its lower edge nearer" in s]
-
-
-def test_boards_at_one_distance_give_the_advice_to_move() -> None:
-    found = made.calibration(count=60)
-    quality = judge_calibration(found)
-    near = tuple(s for s in quality.stances if s.distance < 0.8)
-    message = coverage_gaps(found, replace(quality, stances=near))
-    assert [s for s in message if s.startswith("All boards stood between")]
+    stances = tuple(s for s in quality.stances if kept(s))
+    gaps = coverage_gaps(found, replace(quality, stances=stances))
+    assert [gap for gap in gaps if re.search(words, gap)]
 
 
 @pytest.mark.parametrize(

@@ -1,13 +1,19 @@
 """Rigs found again from corners that OpenCV projected, and from real and rendered pictures."""
 
 from dataclasses import replace
-from typing import Literal
 
 import cv2
 import numpy as np
 import pytest
 
-from tests.bench.calibration import deviation, study
+from tests.bench.calibration import (
+    STEREO,
+    STEREO_SIZE,
+    deviation,
+    halves,
+    real_pairs,
+    study,
+)
 from tests.bench.cells import d2_ratio
 from tests.support.boards.calibrated import (
     departure,
@@ -21,22 +27,22 @@ from tests.support.boards.made_views import (
     SIGMA,
     SIZE,
     fixed_rig,
-    found_pairs,
     make_pairs,
     poses,
     turning_rig,
 )
-from tests.support.recorded import require_shared
 from tests.support.scene import project
+from verify.calibration.quality.advice import calibration_doubts
+from verify.calibration.quality.quality import judge_calibration
 from verify.calibration.stereo import bundle, projection
 from verify.calibration.stereo.calibrate import calibrate, stack_corners
+from verify.calibration.stereo.gauge import BASE_TURNING, AdjustmentModel
 from verify.calibration.stereo.parameters import PARAMETER_NAMES, BundleState
 from verify.calibration.stereo.records import Calibration, covariance_in_si
-from verify.core.fiducials import Board, BoardPair, BoardView
+from verify.core.fiducials import BoardPair, BoardView
 from verify.core.records import Array
 from verify.core.rig import Rig
 
-STEREO, STEREO_SIZE = Board(9, 6, 0.03), (640, 480)
 TOE_IN_DEG = np.array([6.0, -6.0])
 EXACT = 1e-5  # px, stated of corners that have no noise
 
@@ -63,40 +69,46 @@ def pixels(rig: Rig, boards: Array, pan: Array) -> Array:
     return np.concatenate(parts)
 
 
-def test_every_derivative_is_what_opencv_shows_with_the_parameter_moved() -> None:
+def test_the_gradient_is_what_opencv_shows_with_each_parameter_moved() -> None:
     rng = np.random.default_rng(1)
     rig, boards, pan = turning_rig(), poses(rng, 3, (1.2, 1.4)), readings(rng, 3, 3.0)
     boards[:, 0, 3] *= 0.3  # every corner in both pictures, so that the rows agree
-    pairs = make_pairs(rig, boards, None, pan)
-    corners = stack_corners(pairs, BOARD)
+    corners = stack_corners(make_pairs(rig, boards, rng, pan, sigma=20 * SIGMA), BOARD)
     assert len(corners) == 6 * len(BOARD)
-    by_rig, _ = bundle.derivatives(
-        BundleState(rig.left, rig.right, boards, np.zeros((3, 2))), corners
-    )
-    for i, name in enumerate(PARAMETER_NAMES):
-        step = 1e-6
-        ends = [pixels(moved(rig, name, s * step), boards, pan) for s in (1, -1)]
-        expected = (ends[0] - ends[1]) / (2 * step)
-        # rounding of 1e-12 px over the step; an axis' turn about itself moves nothing else
-        assert np.abs(by_rig[:, :, i] - expected).max() < 1e-6 * np.abs(expected).max() + 1e-3, name
+    state = BundleState(rig.left, rig.right, boards, np.zeros((3, 5)))
+    model = AdjustmentModel((BASE_TURNING, BASE_TURNING), bowed=True)
+    system = bundle.normal_equations(state, corners, model, np.ones(len(corners)))
+    found = system.gradient + np.einsum("bij,bi->bj", system.shared, system.own_gradient)
+
+    def squares(other: Rig) -> float:
+        return float(np.sum((corners.observed - pixels(other, boards, pan)) ** 2)) / SIGMA**2
+
+    step = 1e-5
+    for name, slope in zip(PARAMETER_NAMES, found.sum(axis=0), strict=False):
+        ends = [squares(moved(rig, name, s * step)) for s in (1, -1)]
+        # half the derivative, downhill; rounding of the squares over the step
+        assert slope == pytest.approx((ends[1] - ends[0]) / (4 * step), rel=1e-4, abs=1.0), name
 
 
 def test_a_step_that_the_boards_follow_is_the_straight_one_to_first_order() -> None:
     rng = np.random.default_rng(15)
     rig, boards, pan = turning_rig(), poses(rng, 6), readings(rng, 6)
-    corners = stack_corners(make_pairs(rig, boards, None, pan), BOARD)
-    state = BundleState(rig.left, rig.right, boards, np.zeros((6, 2)))
-    by_rig, by_board = bundle.derivatives(state, corners)
-    change, own = rng.normal(0, 1e-3, 44), rng.normal(0, 1e-3, (6, 8))
-    straight = by_rig @ change + np.einsum("nij,nj->ni", by_board, own[corners.board])
-    start = bundle.predict(state, corners)
-    off = []
-    for share in (1e-2, 1e-3):
-        there = bundle.predict(
-            projection.step_state(state, corners, share * change, share * own), corners
-        )
-        off.append(np.abs(there - start - share * straight).max())
-    assert off[1] < 0.02 * off[0]  # a tenth of the step, a hundredth of what is left
+    corners = stack_corners(make_pairs(rig, boards, rng, pan, sigma=20 * SIGMA), BOARD)
+    state = BundleState(rig.left, rig.right, boards, np.zeros((6, 5)))
+    precision = np.array([1.0, 1.0, 1.0, 1.0, 1.0])  # all of a pair's errors free
+    model = AdjustmentModel((BASE_TURNING, BASE_TURNING), precision, bowed=True)
+    weight = np.ones(len(corners))
+    system = bundle.normal_equations(state, corners, model, weight)
+    change, own = rng.normal(0, 1e-4, 47), rng.normal(0, 1e-4, (6, 11))
+    downhill = system.gradient + np.einsum("bij,bi->bj", system.shared, system.own_gradient)
+    straight = downhill.sum(axis=0) @ change + np.sum(system.own_gradient * own)
+
+    def cost_at(share: float) -> float:
+        there = projection.step_state(state, corners, share * change, share * own)
+        return bundle.cost(there, corners, model, weight)
+
+    step = 1e-3
+    assert (cost_at(-step) - cost_at(step)) / (4 * step) == pytest.approx(straight, rel=1e-4)
 
 
 @pytest.mark.parametrize("kind", ["fixed", "turning"])
@@ -230,16 +242,50 @@ def test_noise_is_estimated_from_the_corners() -> None:
     assert found.residuals.uncertainty == pytest.approx(0.08, rel=0.05)
 
 
-def test_k3_is_kept_where_the_pictures_show_it_and_held_where_they_do_not() -> None:
+def test_what_pictures_leave_open_of_a_lens_is_doubt_and_not_zero() -> None:
     rng = np.random.default_rng(12)
     rig = fixed_rig()
     bent = replace(rig, left=replace(rig.left, distortion=np.array([-0.3, 0.1, 0, 0, -0.6])))
     found = calibrate(make_pairs(bent, poses(rng, 14), rng), BOARD, SIZE)
-    assert "left.k3" not in found.fixed
-    assert "right.k3" in found.fixed
-    assert any("k3 held at 0" in d for d in found.decisions)
-    full = calibrate(make_pairs(bent, poses(rng, 14), rng), BOARD, SIZE, lens="full")
-    assert "right.k3" not in full.fixed
+    u = named(found)
+    for name in ("left.k1", "left.k2", "left.k3", "right.k3"):
+        assert abs(deviation(name, found.rig, bent)) < 3 * u[name], name
+    assert u["left.k3"] < 0.1
+    middle = poses(rng, 30, (1.6, 2.2))
+    middle[:, :2, 3] *= 0.3  # far from the corners of the picture, where k3 shows
+    weak = calibrate(make_pairs(bent, middle, rng), BOARD, SIZE)
+    usual = 0.2 / (np.hypot(*SIZE) / 2 / weak.rig.left.matrix[0, 0]) ** 6
+    assert 0.7 * usual < named(weak)["left.k3"] < 1.01 * usual
+    assert abs(deviation("left.k1", weak.rig, bent)) < 3 * named(weak)["left.k1"]
+    assert any("the pictures hardly show" in d and "k3" in d for d in weak.decisions)
+
+
+def moved_pairs(
+    rig: Rig, boards: Array, motion: Array, rng: np.random.Generator
+) -> list[BoardPair]:
+    """Pairs whose boards move by so much (b, 3), m, from the left picture to the right."""
+    later = boards.copy()
+    later[:, :3, 3] += motion
+    both = zip(make_pairs(rig, boards, rng), make_pairs(rig, later, rng), strict=True)
+    return [replace(one, right=two.right) for one, two in both]
+
+
+def test_pairs_that_were_not_taken_together_are_named_and_the_baseline_doubts() -> None:
+    rig, z = fixed_rig(), []
+    for seed in range(12):
+        rng = np.random.default_rng(100 + seed)
+        found = calibrate(
+            moved_pairs(rig, poses(rng, 10), rng.normal(0, 5e-4, (10, 3)), rng), BOARD, SIZE
+        )
+        assert any("were not taken together" in d for d in found.decisions)
+        z.append(departure(found.rig, rig)[18] / np.sqrt(departure_covariance(found)[18, 18]))
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5  # twelve: ± 0.2 is one sigma
+    motion = np.zeros((10, 3))
+    motion[4] = [1e-3, -3e-4, 5e-4]
+    rng = np.random.default_rng(99)
+    one = calibrate(moved_pairs(rig, poses(rng, 10), motion, rng), BOARD, SIZE)
+    doubts = calibration_doubts(one, judge_calibration(one))
+    assert [d.split(":")[0] for d in doubts] == ["Pair 4 was not taken together"]
 
 
 def test_the_squares_uncertainty_enters_every_length_together() -> None:
@@ -287,17 +333,13 @@ def test_stated_uncertainties_cover_the_truth(kind: str) -> None:
 
 @pytest.fixture(scope="module")
 def stereo_pairs() -> list[BoardPair]:
-    folder = require_shared().parent / "data" / "stereo_checkerboard_opencv"
-    return found_pairs(sorted(folder.glob("left*.jpg")), sorted(folder.glob("right*.jpg")), STEREO)
+    return real_pairs()
 
 
 @pytest.mark.shared
 @pytest.mark.slow
-@pytest.mark.parametrize("lens", ["supported", "full"])
-def test_real_pairs_give_the_published_relation(
-    stereo_pairs: list[BoardPair], lens: Literal["supported", "full"]
-) -> None:
-    found = calibrate(stereo_pairs, STEREO, STEREO_SIZE, lens=lens)
+def test_real_pairs_give_the_published_relation(stereo_pairs: list[BoardPair]) -> None:
+    found = calibrate(stereo_pairs, STEREO, STEREO_SIZE)
     right_T_left = np.linalg.inv(left_T_right(found.rig))
     turn = cv2.Rodrigues(right_T_left[:3, :3])[0].ravel()
     shift = 1e3 * right_T_left[:3, 3]
@@ -316,7 +358,7 @@ def test_real_pairs_leave_no_larger_residuals_than_opencv_does(
     alike = [
         replace(p, left=weighted_alike(p.left), right=weighted_alike(p.right)) for p in stereo_pairs
     ]
-    found = calibrate(alike, STEREO, STEREO_SIZE, lens="full")
+    found = calibrate(alike, STEREO, STEREO_SIZE)
     assert found.residuals.used.all()
     rms = np.sqrt(np.mean(np.sum(found.residuals.residual**2, axis=1)))
     assert rms <= 1.01 * opencv_rms(stereo_pairs)
@@ -346,12 +388,20 @@ def opencv_rms(pairs: list[BoardPair]) -> float:
 
 @pytest.mark.shared
 @pytest.mark.slow
+def test_halves_of_the_real_pairs_differ_as_stated(stereo_pairs: list[BoardPair]) -> None:
+    z = np.sqrt(np.mean(halves(stereo_pairs, 8, 5) ** 2, axis=0))
+    assert 0.8 < np.sqrt(np.mean(z**2)) < 1.3
+    assert z.max() < 2.0  # eight halves of the same 13 pairs
+    assert z[18] < 1.3  # the baseline, whose pairs were not taken together
+
+
+@pytest.mark.shared
+@pytest.mark.slow
 def test_real_pairs_left_out_one_by_one_scatter_as_stated(stereo_pairs: list[BoardPair]) -> None:
     pairs = stereo_pairs
-    whole = calibrate(pairs, STEREO, STEREO_SIZE, lens="full")
+    whole = calibrate(pairs, STEREO, STEREO_SIZE)
     without = [
-        calibrate(pairs[:i] + pairs[i + 1 :], STEREO, STEREO_SIZE, lens="full")
-        for i in range(len(pairs))
+        calibrate(pairs[:i] + pairs[i + 1 :], STEREO, STEREO_SIZE) for i in range(len(pairs))
     ]
     moves = np.array([departure(one.rig, whole.rig) for one in without])
     count = len(pairs)
