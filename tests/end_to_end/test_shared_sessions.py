@@ -32,6 +32,7 @@ BOTH_FROM_MOTION = [0.0, 0.03, 0.03, 0.05, 0.06, 0.0]
 LEDS_FROM_MOTION = [0.30, 0.23, 0.24, 0.24, 0.29, 0.0]
 BASE_FROM_MOTION = [0.0, 0.05, 0.04, 0.06, 0.10, 0.86]
 TABLE = 0.02  # the table's two digits, and that its pixel noise was not ours
+FAULT_DEG = np.array([0, 0, 0.40, 0, 0, 0])  # of multi_joint_fault_6r
 
 
 def wrong(one: Run) -> Array:
@@ -59,12 +60,14 @@ def test_the_quarter_circle_is_measured_without_a_finding(quarter_circle: Run) -
     assert quarter_circle.summary["diagnosis"] == []
 
 
-def test_the_healthy_arms_mean_errors_together_hold_zero(quarter_circle: Run) -> None:
-    mean = quarter_circle.joints("mean_error_deg")
-    u = quarter_circle.joints("standard_uncertainty_deg")
-    correlation = np.array(quarter_circle.summary["joint_error_correlation"])
-    squared = mean @ np.linalg.solve(correlation * np.outer(u, u), mean)
-    assert squared < chi2.ppf(0.99, 6)
+def test_the_mean_errors_together_hold_the_truth(quarter_circle: Run, multi_joint: Run) -> None:
+    # six intervals of k = 2 hold together only 76 % of the time: the vector counts, not each joint
+    for one, truth in ((quarter_circle, np.zeros(6)), (multi_joint, FAULT_DEG)):
+        mean = one.joints("mean_error_deg") - truth
+        u = one.joints("standard_uncertainty_deg")
+        correlation = np.array(one.summary["joint_error_correlation"])
+        squared = mean @ np.linalg.solve(correlation * np.outer(u, u), mean)
+        assert squared < chi2.ppf(0.99, 6)
 
 
 def test_joints_scatter_at_most_twice_what_the_pixels_predict(
@@ -90,10 +93,7 @@ def test_the_one_joint_at_fault_is_named_with_its_offset(multi_joint: Run) -> No
     (cause,) = multi_joint.summary["diagnosis"]
     assert (cause["joint"], cause["kind"], cause["unit"]) == (3, "offset", "deg")
     assert abs(cause["value"] - 0.40) <= cause["expanded_uncertainty"] <= 0.10
-    mean = multi_joint.joints("mean_error_deg") - [0, 0, 0.40, 0, 0, 0]
-    u = multi_joint.joints("expanded_uncertainty_deg")
-    assert u.max() <= 0.10
-    assert np.all(np.abs(mean) <= u)  # six intervals of a session that was made to be easy
+    assert multi_joint.joints("expanded_uncertainty_deg").max() <= 0.10
 
 
 def test_the_faulty_joint_alone_does_not_conform(multi_joint: Run) -> None:
