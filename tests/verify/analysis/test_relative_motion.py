@@ -92,7 +92,6 @@ def test_how_a_base_moves_the_poses_cancels() -> None:
 def test_offsets_of_the_first_and_the_last_joint_do_not_show_and_the_others_do() -> None:
     """Joint 1's is a turned base, joint 6's a turned LED body: metrology.md section 4."""
     found = compare_relative_motions(model(4))
-    assert found is not None
     assert np.isinf(found.detectable[[0, 5]]).all()
     assert np.all(np.rad2deg(found.detectable[1:5]) < 1.0)
 
@@ -102,7 +101,6 @@ def test_healthy_arms_pass_at_the_stated_rate() -> None:
     p, inside, count = [], 0, 0
     for seed in range(60):
         found = compare_relative_motions(model(100 + seed))
-        assert found is not None
         p.append(found.p_value)
         inside += int(np.sum(np.abs(found.error) < 1.96 * found.uncertainty))
         count += found.error.size
@@ -113,15 +111,12 @@ def test_healthy_arms_pass_at_the_stated_rate() -> None:
 @pytest.mark.parametrize("joint", [1, 2, 3, 4])
 def test_twice_the_detectable_offset_is_found_but_not_at_joint_1(joint: int) -> None:
     healthy = compare_relative_motions(model(5))
-    assert healthy is not None
     error = np.zeros(ARM.dof)
     error[joint] = 2 * healthy.detectable[joint]
     faulty = compare_relative_motions(model(5, error))
-    assert faulty is not None
     # that noise of one degree of freedom: 2 * 4.13 sigma raise chi² by 68
     assert faulty.chi2 - healthy.chi2 > DETECTION_SIGMA**2
     hidden = compare_relative_motions(model(5, np.eye(ARM.dof)[0] * np.deg2rad(0.5)))
-    assert hidden is not None
     assert_allclose(hidden.chi2, healthy.chi2, rtol=5e-3)  # the readings' noise is weighed anew
 
 
@@ -132,8 +127,6 @@ def test_base_and_clock_uncertainty_are_counted_at_most_once() -> None:
         compare_relative_motions(base),
         compare_relative_motions(model_of(track, comparison, "fixture", "jig", ESTIMATED)),
     )
-    assert given is not None
-    assert estimated is not None
     assert np.all(estimated.uncertainty >= given.uncertainty * (1 - 1e-12))
 
 

@@ -69,7 +69,6 @@ def tracks(cell: Cell, cap: int) -> None:
     """The cap that really is followed is this one, within 3 mm."""
     cell.until(lambda: cell.grab.loop.aim.target is not None)
     known = cell.grab.loop.aim.target
-    assert known is not None
     assert np.linalg.norm(known.thing.position - cell.place(cap)) < 3e-3
 
 

@@ -89,7 +89,6 @@ def test_an_unknown_key_is_a_warning(tmp_path: Path) -> None:
 
 def test_the_melfa_s_speeds_are_the_published_ones() -> None:
     arm = robots.load("rv_3sd_melfa")
-    assert arm.speed is not None
     assert_allclose(np.degrees(arm.speed), [250, 187, 250, 412, 412, 660])
     # the public URDF's figures, in rad/s
     assert_allclose(arm.speed, [4.36332, 3.26377, 4.36332, 7.19076, 7.19076, 11.5192], rtol=1e-5)

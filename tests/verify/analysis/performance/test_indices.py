@@ -56,7 +56,6 @@ def test_distances_by_hand() -> None:
     far = np.array([9.0, 11.0, 9.0, 11.0, 9.0, 11.0])
     one, other = stands("one", 0.0, np.zeros(6), 0.0), stands("other", 0.5, far + 0.5, 10.0)
     found = assess_distance(one, other)
-    assert found is not None
     assert found.commanded == pytest.approx(10.0)
     assert found.accuracy.value == pytest.approx(0.5)
     assert found.repeatability.value == pytest.approx(3 * np.sqrt(6 / 5))

@@ -150,7 +150,6 @@ def test_a_pose_approached_from_two_sides_varies_by_the_backlash() -> None:
     came = (1, 2) * 15
     lash = np.where(np.array(came) == 1, 1e-4, -1e-4)[:, None] * [0.6, 0.0, 0.8]
     judged = assess_pose(stands(lash + rng.normal(0, 2e-5, (30, 3)), came), STILL, oriented=True)
-    assert judged.variation is not None
     assert judged.variation.ways == 2
     assert judged.variation.position.low <= 2e-4 <= judged.variation.position.high
     assert judged.variation.noise < 4e-5
@@ -164,7 +163,6 @@ def test_scatter_is_distinguished_from_a_variation() -> None:
         judged = assess_pose(
             stands(rng.normal(0, 2e-5, (20, 3)), (1, 2) * 10), STILL, oriented=False
         )
-        assert judged.variation is not None
         over.append(judged.variation.position.value > judged.variation.noise)
     assert 1 <= sum(over) <= 13  # 5 in 100: the 99.9 % binomial bounds
 
@@ -173,7 +171,6 @@ def test_a_step_half_way_is_drift() -> None:
     rng = np.random.default_rng(5)
     step = np.repeat([0.0, 3e-4], 15)[:, None] * [1.0, 0.0, 0.0]
     judged = assess_pose(stands(step + rng.normal(0, 5e-5, (30, 3))), STILL, oriented=False)
-    assert judged.drift is not None
     assert judged.drift.accuracy > judged.drift.noise[0]
     assert judged.drift.accuracy == pytest.approx(3e-4, abs=8e-5)
 

@@ -43,7 +43,6 @@ def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
     made = both[arm]
     rig, marker = made.session.rig, made.session.marker
     for seen in made.measurements:
-        assert seen.pose is not None
         assert seen.left is not None
         assert seen.right is not None
         spots = used_spots(seen, rig, marker)
@@ -103,7 +102,6 @@ def test_the_scatter_is_that_of_poses_drawn_and_fitted_by_the_chain_itself(
     found = exact.check(pairs=1, draws=3000)
     place = int(np.flatnonzero(found.pairs == 0)[0])
     seen, rng = made.measurements[0], np.random.default_rng(4)
-    assert seen.pose is not None
     assert seen.left is not None
     assert seen.right is not None
     q = []

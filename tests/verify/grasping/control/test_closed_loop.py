@@ -34,7 +34,6 @@ def grabbed(scene: CellScene, *, closed: bool = True) -> tuple[CellRun, GraspOut
 
 
 def hand(grab: CellRun) -> OffsetMeasurement:
-    assert grab.loop.aim.planned is not None
     found = grab.loop.aim.planned.thing.offset
     assert found is not None
     return found
@@ -52,8 +51,6 @@ def test_a_joint_that_is_off_leads_beside_the_object_until_it_is_corrected() -> 
     true = grab.world.closed_on
     plan, found = grab.loop.aim.plan, hand(grab).hand
     assert true is not None
-    assert plan is not None
-    assert found is not None
     left = true - SETUP.planner.workspace.grip(plan.posture.q_grip)[:3, 3] - found.off
     assert left @ np.linalg.solve(found.covariance, left) < 16.3  # chi², 3 degrees, 0.1 %
 

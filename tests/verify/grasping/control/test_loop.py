@@ -58,11 +58,9 @@ def test_a_cap_is_tracked_gripped_within_3_mm_and_lifted() -> None:
     world = grab.world
     assert ended.state is GraspState.LIFTED
     assert ended.released
-    assert world.held is not None
     assert world.held[0] == 0
     assert grip_error(grab) < 3e-3
     height = world.cap(0, world.t)
-    assert height is not None
     assert height[2, 3] > 0.1
     assert kept_limits(grab)
     assert [p.target for p in ended.passages] == [
@@ -216,7 +214,6 @@ def test_a_target_that_passes_behind_another_of_its_colour_is_the_one_that_is_li
     }
     assert before & {"lost", "occluded"}  # it was behind the other
     assert ended.state is GraspState.LIFTED
-    assert grab.world.held is not None
     assert grab.world.held[0] == 0
     assert kept_limits(grab)
 

@@ -10,12 +10,7 @@ from numpy.testing import assert_allclose
 import robots
 from tests.support.grasp.cells import melfa
 from verify.core.records import Array
-from verify.grasping.planning.approach import (
-    ApproachLine,
-    hand_poses,
-    line_path,
-    nearest_turn,
-)
+from verify.grasping.planning.approach import ApproachLine, hand_poses, line_path, nearest_turn
 
 DOWN = np.array([0.0, 0.0, -1.0])
 directions = (

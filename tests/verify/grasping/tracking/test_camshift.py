@@ -154,9 +154,7 @@ def cap_followed() -> CapFilm:
 
 
 @pytest.mark.shared
-def test_a_real_cap_is_found_within_3_px_in_99_percent_of_the_frames(
-    cap_followed: CapFilm,
-) -> None:
+def test_a_real_cap_is_found_within_3_px_in_99_percent_of_the_frames(cap_followed: CapFilm) -> None:
     seen, visible, centres = cap_followed
     frames = [i for i, state in enumerate(visible) if state == "in_sight"]
     near = [

@@ -12,11 +12,7 @@ from pymodbus.exceptions import ModbusException
 from tests.support.command import verify
 from tests.support.devices.bench import emulate_command, running
 from verify.simulation.emulators.gripper import SLAVE, GripperEngine, GripperOptions, add_crc
-from verify.simulation.emulators.hand import (
-    NO_CONTACT,
-    contact_positions,
-    speed_in_positions,
-)
+from verify.simulation.emulators.hand import NO_CONTACT, contact_positions, speed_in_positions
 from verify.simulation.emulators.server import EmulatorFaults
 
 PORTS = ["tcp:0", "pty"]

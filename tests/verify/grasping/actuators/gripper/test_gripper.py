@@ -297,12 +297,10 @@ def test_a_2014_gripper_is_distinguished_from_a_refusing_one() -> None:
 
 def test_recorded_inputs_are_read_as_in_the_manual() -> None:
     gripped = parse_inputs([0xB9EA, 0x00FF, 0xBC00, 0x00C1, 0x0000, 0xBD00, 0x0089, 0x0000])
-    assert gripped is not None
     assert (gripped.active, gripped.go, gripped.activation, gripped.fault) == (True, True, 3, 0)
     assert (gripped.mode, gripped.moving, gripped.contacts) == (GripMode.BASIC, False, 3)
     assert (gripped.echo, gripped.position) == (0xFF, 0xBC)
     moving = parse_inputs([0x39C0, 0x00FF, 0x080F, 0x0008, 0x1000, 0x080F, 0x0089, 0x0000])
-    assert moving is not None
     assert moving.moving
     assert moving.contacts == 0
     assert parse_inputs([0x39C0]) is None
@@ -318,8 +316,7 @@ class Stuck(GripperEngine):
 
 @pytest.mark.realtime
 @pytest.mark.parametrize(
-    ("activation", "words"),
-    [(60.0, "activating takes too long"), (0.2, "moving takes too long")],
+    ("activation", "words"), [(60.0, "activating takes too long"), (0.2, "moving takes too long")]
 )
 def test_what_never_ends_has_a_limit_and_is_stopped(activation: float, words: str) -> None:
     engine = Stuck(GripperOptions(activation=activation))

@@ -7,11 +7,7 @@ from pymodbus.pdu.register_message import (
     WriteMultipleRegistersRequest,
 )
 
-from verify.grasping.actuators.gripper.modbus import (
-    MAX_BUFFER_BYTES,
-    GripperSettings,
-    ModbusLine,
-)
+from verify.grasping.actuators.gripper.modbus import MAX_BUFFER_BYTES, GripperSettings, ModbusLine
 
 # frames of the manual, section 4.7
 READ = bytes.fromhex("09 03 07D0 0001 85 CF")
