@@ -19,7 +19,6 @@ def test_the_example_of_the_page_is_read_in_metres_and_radians(tmp_path: Path) -
     assert_allclose(read.gripper.flange_T_grip[:3, 3], [0, 0, 0.15])
     assert_allclose(read.gripper.flange_T_grip[:3, :3], np.eye(3))
     assert_allclose(read.approach.direction, [0, 0, -1])
-    assert read.moving.home is not None
     assert_allclose(np.degrees(read.moving.home), [0, 0, 90, 0, 90, 0])
     assert read.accuracy.robot == 5e-4
     assert read.still.speed == 0.01

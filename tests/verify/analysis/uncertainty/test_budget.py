@@ -205,19 +205,6 @@ def _mean_with(this: Made, moved: Array) -> Array:
     return mean_errors(model, errors, resolve_errors(model), None, this.systematics).mean
 
 
-def test_a_length_of_the_table_does_what_an_arm_with_another_length_does() -> None:
-    this = made()
-    table = this.found.parameters.set_index(["parameter", "joint"])["sensitivity_deg"]
-    for name, place in (("a2_mm", 1), ("a3_mm", 2)):
-        a = ARM.a.copy()
-        a[place] += 1e-6
-        other = replace(ARM, a=a)
-        q, reached = robots.nearest(other, this.plain.base_T_measured, this.plain.q)
-        assert reached.all()
-        shift = np.rad2deg(-(q - this.joints.q).mean(axis=0)) / 1e-6 * 1e-3
-        assert_allclose(table[name].to_numpy(), shift, rtol=1e-3, atol=1e-5)
-
-
 @pytest.mark.parametrize("robot", ["iust_6r", "rv_3sd", "rv_3sd_melfa"])
 def test_every_entry_of_the_table_moves_the_flange_as_another_table_does(robot: str) -> None:
     arm, h = robots.load(robot), 1e-6

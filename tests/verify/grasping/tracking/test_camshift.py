@@ -37,9 +37,7 @@ def picture(
 
 def found(image: Image, start: tuple[int, int, int, int] = WHOLE, **more: object) -> Blob:
     region = more.pop("region", WHOLE)
-    blob = camshift(image, start, region, named_colour("blue"), **more)  # type: ignore[arg-type]
-    assert blob is not None
-    return blob
+    return camshift(image, start, region, named_colour("blue"), **more)  # type: ignore[arg-type]
 
 
 def test_centre_and_ellipse_are_those_of_the_shape_that_was_drawn() -> None:

@@ -3,7 +3,6 @@ from collections import deque
 import pytest
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersRequest,
-    ReadHoldingRegistersResponse,
     WriteMultipleRegistersRequest,
 )
 
@@ -66,7 +65,6 @@ def test_an_answer_in_pieces_behind_noise_is_understood() -> None:
         assert made.step() is None
     port.to_come.append(READY[3:])
     answer = made.step()
-    assert isinstance(answer, ReadHoldingRegistersResponse)
     assert answer.registers == [0x3100]
 
 
