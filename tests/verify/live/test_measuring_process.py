@@ -1,7 +1,7 @@
 """A measurement in a process of its own gives what one here gives, and its loss costs no pair."""
 
 from collections.abc import Iterator
-from contextlib import closing, contextmanager
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -31,12 +31,6 @@ def pairs(session: SimulatedSession) -> Iterator[StereoPair]:
     return (session.pair(index) for index in range(PAIRS))
 
 
-@contextmanager
-def measuring(session: SimulatedSession, message: list[str]) -> Iterator[MeasuringProcess]:
-    with closing(MeasuringProcess(session.rig, session.marker, message.append)) as process:
-        yield process
-
-
 def nothing(_t: float) -> list[Array]:
     return []
 
@@ -53,7 +47,7 @@ def test_it_gives_the_same_figures_and_ends(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
     message: list[str] = []
-    with measuring(session, message) as process:
+    with closing(MeasuringProcess(session.rig, session.marker, message.append)) as process:
         alike(list(process.measure(pairs(session), nothing)), here)
     assert not message
     assert not process._process._process.is_alive()
@@ -72,7 +66,7 @@ def test_a_lost_process_costs_no_pair_and_is_reported(
                 process._process._process.join()
             yield pair
 
-    with measuring(session, message) as process:
+    with closing(MeasuringProcess(session.rig, session.marker, message.append)) as process:
         found = list(process.measure(given(process), nothing))
     assert [m.frame for m in found] == [m.frame for m in here]
     assert all(m.status == "measured" for m in found)
@@ -107,5 +101,5 @@ def test_a_prepared_pair_is_the_one_that_is_measured(
             process.prepare(pair)
             yield pair
 
-    with measuring(session, []) as process:
+    with closing(MeasuringProcess(session.rig, session.marker, [].append)) as process:
         alike(list(process.measure(prepared(process), nothing)), here)

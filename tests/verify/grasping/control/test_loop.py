@@ -22,7 +22,7 @@ def made(
     scene: CellScene, *, execute: bool = True, auto: bool = True, stepped: bool = False
 ) -> CellRun:
     right = ExecutePermission("test") if execute else None
-    return cell_grab(  # grasps with a look at the hand: test_loop_closed.py
+    return cell_grab(  # grasps with a look at the hand: test_closed_loop.py
         quick_cell(), scene, right=right, mode=CellMode(auto=auto, stepped=stepped, closed=False)
     )
 
