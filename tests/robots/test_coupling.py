@@ -39,13 +39,11 @@ def test_a_straight_wrist_couples_the_joints_on_record(
     name: str, label: str, joints: tuple[int, ...], theta5: float, sense: float
 ) -> None:
     coupling = found(ARMS[name], theta5=theta5)
-    assert coupling is not None
     assert (coupling.label, coupling.joints, coupling.factor) == (label, joints, "wrist")
     assert_allclose(coupling.value, abs(np.sin(theta5)))
     expected = np.zeros(6)
     expected[list(joints)] = 1.0
     expected[5] = sense
-    assert coupling.combination is not None
     assert_allclose(coupling.combination, expected)
 
 
@@ -85,7 +83,6 @@ def test_at_a_singularity_the_joints_are_those_that_its_self_motion_moves(
     q = arm.joint_angles(theta)
     coupling = robots.coupled(arm, q)
     still = self_motion(arm, q)
-    assert coupling is not None
     assert coupling.factor == factor
     assert len(still) == 1
     moving = np.flatnonzero(np.abs(still[0]) > 0.1 * np.abs(still[0]).max())
@@ -98,7 +95,6 @@ def test_at_a_singularity_the_joints_are_those_that_its_self_motion_moves(
 @EVERY_ARM
 def test_two_singularities_at_once_are_merged(arm: robots.DhArm) -> None:
     coupling = found(arm, theta5=0.05, theta3=stretched(arm) + 0.05)
-    assert coupling is not None
     assert coupling.factor == "wrist+elbow"
     alone = found(arm, theta5=0.05), found(arm, theta3=stretched(arm) + 0.05)
     wrist, elbow = (set(each.joints) for each in alone if each is not None)
@@ -129,11 +125,9 @@ def test_a_urdf_arms_coupled_sum_stays_put_where_its_joints_do_not(name: str) ->
 
 def test_the_ur5s_straight_wrist_couples_four_joints_and_seven_joints_always_are() -> None:
     coupling = robots.coupled(robots.load("ur5"), np.array([0.3, -1.2, 1.4, -0.9, 0.02, 0.4]))
-    assert coupling is not None
     assert coupling.label == "2+3+4+6"
     assert coupling.combination is not None
     coupling = robots.coupled(robots.load("panda"), np.array([0.1, 0.2, 0.3, -1.5, 0.5, 1.6, 0.7]))
-    assert coupling is not None
     assert coupling.factor == "redundancy"
     assert len(coupling.joints) >= 3
 

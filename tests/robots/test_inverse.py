@@ -251,15 +251,11 @@ def test_the_nearest_branch_is_the_one_that_made_the_pose(arm: robots.DhArm, lim
 
 
 def test_the_nearest_within_limits_may_be_a_turn_away() -> None:
-    arm = ARMS["rv_3sd"]
-    q = np.radians([10, 20, 30, 40, 50, 355])
-    pose = robots.forward(arm, q)
-    reading = q.copy()
-    reading[5] = np.radians(365)
-    found, _ = robots.nearest(arm, pose, reading)
+    arm, five = ARMS["rv_3sd"], [10, 20, 30, 40, 50]
+    q, reading = np.radians([[*five, 355], [*five, 365]])
+    found, _ = robots.nearest(arm, robots.forward(arm, q), reading)
     assert_allclose(np.degrees(found[5]), 355)
-    reading[5] = np.radians(-190)
-    q[5] = np.radians(-5)
+    q, reading = np.radians([[*five, -5], [*five, -190]])
     found, _ = robots.nearest(arm, robots.forward(arm, q), reading, limits=True)
     assert robots.within_limits(arm, found)
 

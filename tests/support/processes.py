@@ -8,8 +8,8 @@ from pathlib import Path
 TIMEOUT = 300.0  # s: a busy machine is slow to import
 
 
-def wait_until(happened: Callable[[], bool]) -> None:
-    limit = time.monotonic() + TIMEOUT
+def wait_until(happened: Callable[[], bool], timeout: float = TIMEOUT) -> None:
+    limit = time.monotonic() + timeout
     while not happened():
         assert time.monotonic() < limit
         signal.sigtimedwait([signal.SIGUSR2], 0.02)

@@ -7,7 +7,6 @@ of Table 2, multiplied here and nowhere else. Angles come as columns (6, m).
 from functools import reduce
 
 import numpy as np
-import pytest
 from numpy import arctan2, cos, hypot, sin, sqrt
 from numpy.testing import assert_allclose
 
@@ -47,27 +46,18 @@ def test_table_2_read_as_modified_dh_does_not_reproduce_the_printed_position() -
     assert np.median(np.abs(pose[:, :3, 3] - POSE[:, :3, 3])) > 10  # mm
 
 
-FORWARD = A1 + A2 * C2 + A3 * C23 + C234 * (A4 - D6 * S5)
+LEVER = A4 - D6 * S5
+RHO = A1 + A2 * C2 + A3 * C23 + C234 * LEVER
 T06 = [  # nx, ox, ax, px and so on
-    [
-        -C6 * S1 * S5 + C1 * (C234 * C5 * C6 - S234 * S6),
-        S1 * S5 * S6 - C1 * (C6 * S234 + C234 * C5 * S6),
-        -C5 * S1 - C1 * C234 * S5,
-        -D6 * C5 * S1 + C1 * FORWARD,
-    ],
-    [
-        C234 * C5 * C6 * S1 + C1 * C6 * S5 - S1 * S234 * S6,
-        -C6 * S1 * S234 - (C234 * C5 * S1 + C1 * S5) * S6,
-        C1 * C5 + C234 * S1 * S5,
-        D6 * C1 * C5 + S1 * FORWARD,
-    ],
-    [
-        -C5 * C6 * S234 - C234 * S6,
-        -C234 * C6 + C5 * S234 * S6,
-        S234 * S5,
-        D1 - A2 * S2 - A3 * S23 + S234 * (-A4 + D6 * S5),
-    ],
-]
+    [-C6 * S1 * S5 + C1 * (C234 * C5 * C6 - S234 * S6),
+     S1 * S5 * S6 - C1 * (C6 * S234 + C234 * C5 * S6),
+     -C5 * S1 - C1 * C234 * S5, -D6 * C5 * S1 + C1 * RHO],
+    [C234 * C5 * C6 * S1 + C1 * C6 * S5 - S1 * S234 * S6,
+     -C6 * S1 * S234 - (C234 * C5 * S1 + C1 * S5) * S6,
+     C1 * C5 + C234 * S1 * S5, D6 * C1 * C5 + S1 * RHO],
+    [-C5 * C6 * S234 - C234 * S6, -C234 * C6 + C5 * S234 * S6,
+     S234 * S5, D1 - A2 * S2 - A3 * S23 - S234 * LEVER],
+]  # fmt: skip
 
 
 def test_the_entries_of_t06_are_right_but_for_the_second_sign_of_ay() -> None:
@@ -152,38 +142,19 @@ def test_theta2_theta3_and_theta4_are_right_with_two_arguments() -> None:
     assert seen.all()
 
 
-LEVER = A4 - D6 * S5
-RHO = A1 + A2 * C2 + A3 * C23 + C234 * LEVER
+FORE = A3 * S23 + S234 * LEVER
 ZERO, ONE = np.zeros_like(C1), np.ones_like(C1)
 PRINTED_J = [
-    [
-        -D6 * C1 * C5 - S1 * RHO,
-        -C1 * (A2 * S2 + A3 * S23 + S234 * LEVER),
-        -C1 * (A3 * S23 + S234 * LEVER),
-        C1 * S234 * -LEVER,
-        -D6 * C1 * C234 * C5 + D6 * S1 * S5,
-        ZERO,
-    ],
-    [
-        -D6 * S1 * C5 + C1 * RHO,
-        -S1 * (A2 * S2 + A3 * S23 + S234 * LEVER),
-        -S1 * (A3 * S23 + S234 * LEVER),
-        S1 * S234 * -LEVER,
-        -D6 * (C234 * C5 * S1 + C1 * S5),
-        ZERO,
-    ],
-    [
-        ZERO,
-        -A2 * C2 - A3 * C23 - C234 * LEVER,
-        -A3 * C23 - C234 * LEVER,
-        -C234 * LEVER,
-        D6 * C5 * S234,
-        ZERO,
-    ],
+    [-D6 * C1 * C5 - S1 * RHO, -C1 * (A2 * S2 + FORE), -C1 * FORE, C1 * S234 * -LEVER,
+     -D6 * C1 * C234 * C5 + D6 * S1 * S5, ZERO],
+    [-D6 * S1 * C5 + C1 * RHO, -S1 * (A2 * S2 + FORE), -S1 * FORE, S1 * S234 * -LEVER,
+     -D6 * (C234 * C5 * S1 + C1 * S5), ZERO],
+    [ZERO, -A2 * C2 - A3 * C23 - C234 * LEVER, -A3 * C23 - C234 * LEVER, -C234 * LEVER,
+     D6 * C5 * S234, ZERO],
     [ZERO, -S1, -S1, -S1, C1 * S234, -C5 * S1 - C1 * C234 * S5],
     [ZERO, C1, C1, C1, S1 * S234, C1 * C5 - C234 * S1 * S5],
     [ONE, ZERO, ZERO, ZERO, C234, S234 * S5],
-]
+]  # fmt: skip
 
 
 def test_the_entries_of_j_are_right_and_ours() -> None:
@@ -194,49 +165,5 @@ def test_the_entries_of_j_are_right_and_ours() -> None:
 
 def test_det_j_is_the_product_on_record() -> None:
     wrist = A1 + A2 * C2 + A3 * C23 + A4 * C234
-    expected = -A2 * A3 * sin(THETA[2]) * S5 * wrist
-    assert_allclose(
-        np.linalg.det(np.moveaxis(np.array(PRINTED_J), -1, 0)), expected, rtol=1e-6, atol=1
-    )
-
-
-def printed_inverse(pose: Array, mended: bool) -> list[Array]:
-    """The paper's recipe step by step, with its single θ1; branches (6, m)."""
-    n, o, a, p = (pose[:, :3, i].T for i in range(4))
-    theta1 = arctan2(p[1] - D6 * a[1], p[0] - D6 * a[0])
-    c1, s1 = cos(theta1), sin(theta1)
-    along, across = a[0] * c1 + a[1] * s1, a[1] * c1 - a[0] * s1
-    branches = []
-    for wrist in (1, -1):
-        theta5 = arctan2(wrist * D6 * sqrt(np.maximum(1 - across**2, 0)), p[1] * c1 - p[0] * s1)
-        sum_234 = arctan2(a[2], -along) if mended else arctan2(-a[2], along)
-        theta6 = arctan2(o[0] * s1 - o[1] * c1, n[1] * c1 - n[0] * s1)
-        if wrist < 0:
-            sum_234, theta6 = sum_234 + np.pi, theta6 + np.pi
-        lever = A4 - D6 * sin(theta5)
-        t = c1 * p[0] + s1 * p[1] - lever * cos(sum_234) - (A1 if mended else 0)
-        u = D1 - p[2] - lever * sin(sum_234)
-        square = t**2 + u**2
-        ratio = (square + A2**2 - A3**2) / (2 * A2 * sqrt(square))
-        root = sqrt(np.where(np.abs(ratio) <= 1, 1 - ratio**2, np.nan))
-        for elbow in (1, -1):
-            theta2 = arctan2(elbow * root, ratio) + arctan2(u, t)
-            theta3 = arctan2(u - A2 * sin(theta2), t - A2 * cos(theta2)) - theta2
-            theta4 = sum_234 - theta2 - theta3
-            branches.append(np.array([theta1, theta2, theta3, theta4, theta5, theta6]))
-    return branches
-
-
-@pytest.mark.parametrize(
-    ("mended", "poses", "joints"), [(False, (0, 0), (0, 0)), (True, (0.97, 1), (0.5, 0.65))]
-)
-def test_taken_literally_the_inverse_never_works_and_half_mended_it_misses_a_branch(
-    mended: bool, poses: tuple[float, float], joints: tuple[float, float]
-) -> None:
-    reached = np.zeros(THETA.shape[1], dtype=bool)
-    same = reached.copy()
-    for branch in printed_inverse(POSE, mended):
-        reached |= np.abs(table_2(branch) - POSE).max(axis=(1, 2)) < 1e-4  # mm
-        same |= np.nan_to_num(turned_by(branch, THETA), nan=9).max(axis=0) < 1e-4
-    assert poses[0] <= reached.mean() <= poses[1]
-    assert joints[0] <= same.mean() <= joints[1]
+    found = np.linalg.det(np.moveaxis(np.array(PRINTED_J), -1, 0))
+    assert_allclose(found, -A2 * A3 * sin(THETA[2]) * S5 * wrist, rtol=1e-6, atol=1)

@@ -7,6 +7,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -101,6 +102,19 @@ class Browser:
             tab.call("Page.navigate", url=url)
             yield tab
         self.line.call("Target.disposeBrowserContext", browserContextId=context)
+
+
+def phone_sections(tab: Tab, scheme: str) -> list[tuple[float, float]]:
+    """Tops and bottoms of the page's sections, px: none beside the screen, none over another."""
+    assert tab.evaluate("document.documentElement.scrollWidth") <= 360
+    assert tab.evaluate("document.documentElement.dataset.theme") == scheme
+    boxes = tab.evaluate(
+        "[...document.querySelectorAll('main > section')].filter(s => !s.hidden)"
+        ".map(s => s.getBoundingClientRect()).map(b => [b.top, b.bottom])"
+    )
+    for above, below in pairwise(sorted(boxes)):
+        assert above[1] <= below[0]
+    return [(top, bottom) for top, bottom in boxes]
 
 
 @contextmanager

@@ -1,7 +1,6 @@
 """A mover before an emulated controller."""
 
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from functools import partial
 
@@ -112,11 +111,6 @@ def go_home(emulated: Emulated, home: Array) -> None:
 PORTS = ["tcp:0", "pty"]
 HOME = np.deg2rad(trajectory.HOME_DEG)
 NEXT = HOME + np.deg2rad([8.0, -5.0, 6.0, 10.0, -8.0, 12.0])
-
-
-def after(seconds: float) -> Callable[[MoverStatus], bool]:
-    end = time.monotonic() + seconds
-    return lambda _: time.monotonic() > end
 
 
 def under_way(arm: MelfaMover, q: Array) -> None:

@@ -20,28 +20,25 @@ from verify.simulation.scenario import (
 )
 
 FAULT_DEG = 0.5
-PANDA_HOME = [10.0, -20.0, 15.0, -110.0, 10.0, 100.0, 40.0]
+LEDS = [(60, 0, 10), (-45, 40, 15), (-10, -55, 25), (20, 45, -5)]
+FAULT = ScenarioFault(joint=4, offset_deg=FAULT_DEG)
+
+
+def scenario(robot: str, home_deg: list[float], pairs: int, *fault: ScenarioFault) -> Scenario:
+    leds = [ScenarioLed(name=n, position_mm=p) for n, p in zip("ABCD", LEDS, strict=True)]
+    return Scenario(
+        format=1, robot=robot, seed=4, clock=ScenarioClock(), fault=[*fault],
+        motion=MultiJoint(home_deg=home_deg, amplitude_deg=[8.0] * len(home_deg)),
+        recording=ScenarioRecording(pairs=pairs, rate_hz=5.0), marker=ScenarioMarker(led=leds),
+        encoders=ScenarioEncoders(noise_deg=0.002),
+    )  # fmt: skip
 
 
 @pytest.fixture(scope="module")
 def panda() -> tuple[InMemory, Results]:
     """Seven joints, the fourth encoder half a degree off."""
-    leds = [(60, 0, 10), (-45, 40, 15), (-10, -55, 25), (20, 45, -5)]
-    session = in_memory(
-        Scenario(
-            format=1,
-            robot="panda",
-            seed=4,
-            motion=MultiJoint(home_deg=PANDA_HOME, amplitude_deg=[8.0] * 7),
-            recording=ScenarioRecording(pairs=30, rate_hz=5.0),
-            marker=ScenarioMarker(
-                led=[ScenarioLed(name=n, position_mm=p) for n, p in zip("ABCD", leds, strict=True)]
-            ),
-            encoders=ScenarioEncoders(noise_deg=0.002),
-            fault=[ScenarioFault(joint=4, offset_deg=FAULT_DEG)],
-            clock=ScenarioClock(),
-        )
-    )
+    home_deg = [10.0, -20.0, 15.0, -110.0, 10.0, 100.0, 40.0]
+    session = in_memory(scenario("panda", home_deg, 30, FAULT))
     return session, analyse(session)
 
 
@@ -92,25 +89,7 @@ def test_the_report_lists_the_sums(panda: tuple[InMemory, Results]) -> None:
 
 @pytest.mark.slow
 def test_no_sums_of_self_motion_for_six_joints() -> None:
-    session = in_memory(
-        Scenario(
-            format=1,
-            robot="ur5",
-            seed=4,
-            motion=MultiJoint(
-                home_deg=[20.0, -70.0, 60.0, 20.0, 60.0, 10.0], amplitude_deg=[8.0] * 6
-            ),
-            recording=ScenarioRecording(pairs=12, rate_hz=5.0),
-            marker=ScenarioMarker(
-                led=[
-                    ScenarioLed(name="A", position_mm=(60, 0, 10)),
-                    ScenarioLed(name="B", position_mm=(-45, 40, 15)),
-                    ScenarioLed(name="C", position_mm=(-10, -55, 25)),
-                ]
-            ),
-            clock=ScenarioClock(),
-        )
-    )
-    results = analyse(session)
+    session = scenario("ur5", [20.0, -70.0, 60.0, 20.0, 60.0, 10.0], 12)
+    results = analyse(in_memory(session))
     assert not [c for c in results.summary["combinations"] if c["why"] == "self_motion"]
     assert_allclose([j["mean_error_deg"] for j in results.summary["joints"]], 0, atol=0.3)

@@ -13,10 +13,7 @@ OPTIONS = LabencOptions(arm="PANBASE", rate=50, greeting_after=0.05)
 
 @pytest.mark.parametrize(
     ("where", "angles"),
-    [
-        ("tcp:0", same_angles(2)),
-        ("pty", AngleMap(np.array([1.0, -1.0]), np.deg2rad([2.0, -3.0]))),
-    ],
+    [("tcp:0", same_angles(2)), ("pty", AngleMap(np.array([1.0, -1.0]), np.deg2rad([2.0, -3.0])))],
 )
 def test_bases_are_turned_and_their_way_is_marked_as_moving(where: str, angles: AngleMap) -> None:
     with running(PanEngine(OPTIONS), where) as emulated:

@@ -19,7 +19,6 @@ def test_the_example_of_the_page_is_read_in_metres_and_radians(tmp_path: Path) -
     assert_allclose(read.gripper.flange_T_grip[:3, 3], [0, 0, 0.15])
     assert_allclose(read.gripper.flange_T_grip[:3, :3], np.eye(3))
     assert_allclose(read.approach.direction, [0, 0, -1])
-    assert read.moving.home is not None
     assert_allclose(np.degrees(read.moving.home), [0, 0, 90, 0, 90, 0])
     assert read.accuracy.robot == 5e-4
     assert read.still.speed == 0.01
@@ -89,7 +88,6 @@ def test_an_unknown_key_is_a_warning(tmp_path: Path) -> None:
 
 def test_the_melfa_s_speeds_are_the_published_ones() -> None:
     arm = robots.load("rv_3sd_melfa")
-    assert arm.speed is not None
     assert_allclose(np.degrees(arm.speed), [250, 187, 250, 412, 412, 660])
     # the public URDF's figures, in rad/s
     assert_allclose(arm.speed, [4.36332, 3.26377, 4.36332, 7.19076, 7.19076, 11.5192], rtol=1e-5)

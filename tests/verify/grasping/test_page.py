@@ -112,7 +112,6 @@ def test_the_grab_counts_where_the_key_does_and_lifts() -> None:
         line.send(f"grab {row['passages']}")
         cell.until(lambda: cell.state is GraspState.LIFTED)
         held = cell.grab.world.held
-        assert held is not None
         assert held[0] == 0
         ended = latest(line, lambda row: row["finished"])
         assert ended["finished"] == "lifted: the object came along; the controls were given back"
@@ -192,7 +191,6 @@ def test_the_command_serves_it_and_names_in_the_report_what_was_selected(tmp_pat
         stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, text=True,
         env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
     ) as command:  # fmt: skip
-        assert command.stdout is not None
         url = json.loads(command.stdout.readline())["url"]
         host = url.removeprefix("http://").rstrip("/")
         with connect(f"ws://{host}/live", origin=f"http://{host}", max_queue=None) as line:

@@ -2,26 +2,35 @@
 
 import os
 import signal
+import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
+from rich.console import Console
 
-from tests.support.spot_level import READ_EVERY, SpotRun, facing_rig, without_pictures
+from tests.support.spot_level import READ_EVERY, SpotRun, facing_rig, picture, without_pictures
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, StereoPair
 from verify.devices.protocols import CameraFrame, CameraState, DeviceState, EncoderReading
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import estimate_offset
+from verify.live.intake import MAX_QUEUED_PAIRS, PairQueue, PollingThread, camera_step
 from verify.live.joint_row import JointRow
 from verify.live.loop import LiveLoop, LoopComputation, LoopSettings
+from verify.live.measuring_process import ParallelDetector
 from verify.live.outputs.listeners import AlarmCommand, JsonLines, ListenerThread
+from verify.live.outputs.terminal import render_snapshot
+from verify.live.pairing import Pairing
 from verify.live.protocols import Alarm, LiveDevices, MonitoredRobot
+from verify.live.state import DeviceStatus, LiveState
 from verify.measurement.chain import Setup, measure
+from verify.measurement.detection.detect import detect
 
 RATE = 10.0  # pairs a second: a machine that does other things keeps up
 WAIT = 0.02  # s
@@ -64,8 +73,6 @@ class PlayedCamera:
         spots = self._stage.run.spots(self._side, due)
         if self._stage.gone("leds"):
             spots = spots[:0]
-        from tests.support.spot_level import picture
-
         return CameraFrame(t, 0.0, picture(spots), None, self._number)
 
     def state(self) -> CameraState:
@@ -90,9 +97,8 @@ class PlayedEncoders:
             if self._stage.gone("encoders"):
                 continue
             t_host = self._stage.began + self._number * READ_EVERY
-            reset = self._stage.reset_at
-            segment = int(reading.t_host >= reset)
-            t = reading.t - 7.0 if segment else reading.t
+            segment = int(reading.t_host >= self._stage.reset_at)
+            t = reading.t - 7.0 * segment
             found.append(EncoderReading(t, t_host, 50e-6, segment, reading.q))
         if found:
             self._last = time.monotonic()
@@ -108,7 +114,7 @@ class PlayedEncoders:
 
 
 @dataclass(frozen=True)
-class Said:
+class RecorderStatus:
     recording: bool = False
     sentence: str = "kept by the test"
 
@@ -136,15 +142,15 @@ class Memory:
         self.readings.append(reading)
         return reading
 
-    def state(self) -> Said:
-        return Said()
+    def state(self) -> RecorderStatus:
+        return RecorderStatus()
 
     def close(self) -> None:
         self.closed = True
 
 
 @dataclass
-class Heard:
+class Listener:
     rows: list[JointRow] = field(default_factory=list)
     alarms: list[Alarm] = field(default_factory=list)
 
@@ -158,17 +164,17 @@ class Heard:
         pass
 
 
-def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Heard]:
+def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Listener]:
     run = stage.run
     devices = LiveDevices(PlayedCamera(stage, 0), PlayedCamera(stage, 1), PlayedEncoders(stage))
-    recorder, heard = Memory(), Heard()
+    recorder, listener = Memory(), Listener()
     subject = MonitoredRobot(run.arm, run.rig, run.marker, None)
     plan = LoopSettings(AlarmLimits(0.1, RATE, None), duration=seconds)
-    live = LiveLoop(subject, devices, recorder, plan, LoopComputation(estimate_offset), [heard])
+    live = LiveLoop(subject, devices, recorder, plan, LoopComputation(estimate_offset), [listener])
     with without_pictures():
         live.run(threading.Event())
     assert not live._troubles, "a defect is told and outlived by a run, but not by its test"
-    return live, recorder, heard
+    return live, recorder, listener
 
 
 def test_a_step_that_fails_raises_an_alarm_and_is_named_at_the_end() -> None:
@@ -179,7 +185,7 @@ def test_a_step_that_fails_raises_an_alarm_and_is_named_at_the_end() -> None:
 
     here = stage()
     devices = LiveDevices(PlayedCamera(here, 0), PlayedCamera(here, 1), PlayedEncoders(here))
-    subject, heard = MonitoredRobot(here.run.arm, here.run.rig, here.run.marker, None), Heard()
+    subject, heard = MonitoredRobot(here.run.arm, here.run.rig, here.run.marker, None), Listener()
     plan = LoopSettings(AlarmLimits(0.1, RATE, None), duration=60.0)
     computation = LoopComputation(estimate_offset, fail)
     live = LiveLoop(subject, devices, Memory(), plan, computation, [heard])
@@ -235,34 +241,32 @@ def test_settled_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -
 
 @pytest.mark.realtime
 def test_covered_leds_are_a_lost_target_and_never_no_error() -> None:
-    _, _, heard = watched(5.0, stage(away={"leds": (1.5, 3.2)}))
-    target = [a for a in heard.alarms if a.kind == "target"]
-    assert target
+    _, _, listener = watched(5.0, stage(away={"leds": (1.5, 3.2)}))
+    target = [a for a in listener.alarms if a.kind == "target"]
     assert "too few LEDs" in target[0].text
     assert target[-1].ended is not None
-    dark = [r for r in heard.rows if r.status == "too_few_leds"]
+    dark = [r for r in listener.rows if r.status == "too_few_leds"]
     assert dark
     assert all(np.isnan(r.error).all() for r in dark)
 
 
 @pytest.mark.realtime
 def test_silent_encoders_leave_pairs_without_error_and_are_named() -> None:
-    _, _, heard = watched(4.5, stage(away={"encoders": (1.0, 9.0)}))
-    assert "no_encoder" in {r.status for r in heard.rows}
-    assert [a.device for a in heard.alarms if a.kind == "device"] == ["encoders"]
-    late = [r for r in heard.rows if r.status == "no_encoder"]
+    _, _, listener = watched(4.5, stage(away={"encoders": (1.0, 9.0)}))
+    assert "no_encoder" in {r.status for r in listener.rows}
+    assert [a.device for a in listener.alarms if a.kind == "device"] == ["encoders"]
+    late = [r for r in listener.rows if r.status == "no_encoder"]
     assert all(np.isnan(r.error).all() for r in late)
 
 
 @pytest.mark.realtime
 def test_a_reset_controller_begins_a_new_clock_without_an_alarm() -> None:
-    _, _, heard = watched(5.0, stage(reset_at=2.5))
-    segments = [r.clock.segment for r in heard.rows if r.clock is not None]
+    _, _, listener = watched(5.0, stage(reset_at=2.5))
+    segments = [r.clock.segment for r in listener.rows if r.clock is not None]
     assert segments[0] == 0
     assert segments[-1] == 1
-    assert not [a for a in heard.alarms if a.kind == "change"]
-    late = [r for r in heard.rows[-5:] if r.status == "measured"]
-    assert late
+    assert not [a for a in listener.alarms if a.kind == "change"]
+    late = [r for r in listener.rows[-5:] if r.status == "measured"]
     assert np.nanmax(np.abs(np.rad2deg([r.error[0] for r in late]))) < 0.5
 
 
@@ -275,14 +279,14 @@ def test_the_run_ends_with_the_robot_s_program() -> None:
 
 @pytest.mark.realtime
 def test_a_hanging_listener_blocks_nothing_and_gets_its_alarms() -> None:
-    release, heard = threading.Event(), Heard()
+    release, listener = threading.Event(), Listener()
 
-    class Slow(Heard):
+    class Slow(Listener):
         def row(self, _row: JointRow, _statistic: Array) -> None:
             release.wait(30.0)
 
         def alarm(self, alarm: Alarm) -> None:
-            heard.alarm(alarm)
+            listener.alarm(alarm)
 
     posted = ListenerThread(Slow(), lambda _words: None)
     row = JointRow(0, 0.0, "measured", 4, *[np.zeros(6)] * 5, None)
@@ -293,7 +297,7 @@ def test_a_hanging_listener_blocks_nothing_and_gets_its_alarms() -> None:
     assert time.monotonic() - begin < 5.0
     release.set()
     posted.close()
-    assert [a.number for a in heard.alarms] == [1]
+    assert [a.number for a in listener.alarms] == [1]
 
 
 def test_json_lines_carry_units_the_clock_and_no_nan() -> None:
@@ -317,8 +321,6 @@ def test_the_command_gets_the_facts_and_no_shell_reads_them(tmp_path: Path) -> N
         "pathlib.Path(sys.argv[1]).write_text("
         "os.environ['VERIFY_ALARM_JOINT'] + '|' + sys.argv[2] + '|' + sys.stdin.read())\n"
     )
-    import sys
-
     command = AlarmCommand(f"{sys.executable} {script} {out} '$(touch nothing); *'")
     command.alarm(Alarm(7, "change", 0.0, 0.0, "text", (4,), 0.01, 0.001))
     joint, word, output = out.read_text().split("|")
@@ -330,26 +332,17 @@ def test_the_command_gets_the_facts_and_no_shell_reads_them(tmp_path: Path) -> N
 
 @pytest.mark.realtime
 def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None:
-    import cv2
-
-    from verify.live.measuring_process import ParallelDetector
-    from verify.measurement.detection.detect import detect
-
-    chance, message = np.random.default_rng(0), []
-    pictures = []
-    for x in (100.3, 140.8):
-        picture = np.zeros((240, 320), dtype=np.uint8)
-        cv2.circle(picture, (round(x), 120), 4, 200, -1, cv2.LINE_AA)
-        pictures.append(
-            cv2.GaussianBlur(picture, (0, 0), 1.2)
-            + chance.integers(0, 4, (240, 320)).astype(np.uint8)
-        )
+    message: list[str] = []
+    pictures = [np.zeros((240, 320), dtype=np.uint8) for _ in range(2)]
+    for image, x in zip(pictures, (100, 141), strict=True):
+        cv2.circle(image, (x, 120), 4, 200, -1, cv2.LINE_AA)
+        cv2.GaussianBlur(image, (0, 0), 1.2, dst=image)
     windows = np.array([[60.0, 80.0, 200.0, 160.0]])
     detector = ParallelDetector(message.append)
     for where in (None, windows):
         found = detector(pictures[0], pictures[1], where, where)
-        for picture, spots in zip(pictures, found, strict=True):
-            expected = detect(picture, where)
+        for image, spots in zip(pictures, found, strict=True):
+            expected = detect(image, where)
             np.testing.assert_array_equal(spots.centre, expected.centre)
             np.testing.assert_array_equal(spots.covariance, expected.covariance)
     process = detector._process
@@ -370,9 +363,6 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
 
 @pytest.mark.realtime
 def test_a_file_waits_until_its_pictures_are_measured() -> None:
-    from verify.live.intake import MAX_QUEUED_PAIRS, PairQueue, PollingThread, camera_step
-    from verify.live.pairing import Pairing
-
     class File:
         """Gives pictures as fast as they are read."""
 
@@ -387,18 +377,13 @@ def test_a_file_waits_until_its_pictures_are_measured() -> None:
             return CameraFrame(self.number / 30, 0.0, np.zeros((2, 2), np.uint8), None, 0)
 
     queue, failed = PairQueue(Pairing(1 / 30)), []
-    pumps = [
-        PollingThread(
-            str(side), camera_step(File(), side, queue, patient=True), lambda *e: failed.append(e)
-        )  # type: ignore[arg-type]  # what a camera step needs of one
-        for side in (0, 1)
-    ]
+    steps = [camera_step(File(), side, queue, patient=True) for side in (0, 1)]  # type: ignore[arg-type]
+    pumps = [PollingThread("camera", step, lambda *e: failed.append(e)) for step in steps]
     for pump in pumps:
         pump.start()
     times = []
     for _ in range(200):
-        pair = queue.take()
-        times.append(pair.left.t)
+        times.append(queue.take().left.t)
         time.sleep(0.001)
     for pump in pumps:
         pump.stop()
@@ -410,11 +395,6 @@ def test_a_file_waits_until_its_pictures_are_measured() -> None:
 
 
 def test_the_live_table_shows_the_current_state() -> None:
-    from rich.console import Console
-
-    from verify.live.outputs.terminal import render_snapshot
-    from verify.live.state import DeviceStatus, LiveState
-
     state = LiveState()
     error = np.deg2rad([0.01, -0.02, 0.5, np.nan, 0.0, 0.0])
     nothing = np.full(6, np.nan)
@@ -428,14 +408,7 @@ def test_the_live_table_shows_the_current_state() -> None:
     with console.capture() as capture:
         console.print(render_snapshot(state.snapshot(), [0.2] * 6))
     text = capture.get()
-    for part in (
-        "+0.500°",
-        "0.020°",
-        "left camera",
-        "gone",
-        "3 no partner in time",
-        "Lost.",
-        "[red]",
-    ):
+    table = ("+0.500°", "0.020°", "left camera", "gone", "3 no partner in time")
+    for part in (*table, "Lost.", "[red]"):
         assert part in text
     assert "\x1b" not in text

@@ -1,6 +1,7 @@
 """A measurement in a process of its own gives what one here gives, and its loss costs no pair."""
 
 from collections.abc import Iterator
+from contextlib import closing
 
 import numpy as np
 import pytest
@@ -46,11 +47,8 @@ def test_it_gives_the_same_figures_and_ends(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
     message: list[str] = []
-    process = MeasuringProcess(session.rig, session.marker, message.append)
-    try:
+    with closing(MeasuringProcess(session.rig, session.marker, message.append)) as process:
         alike(list(process.measure(pairs(session), nothing)), here)
-    finally:
-        process.close()
     assert not message
     assert not process._process._process.is_alive()
 
@@ -60,19 +58,16 @@ def test_a_lost_process_costs_no_pair_and_is_reported(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
     message: list[str] = []
-    process = MeasuringProcess(session.rig, session.marker, message.append)
 
-    def given() -> Iterator[StereoPair]:
+    def given(process: MeasuringProcess) -> Iterator[StereoPair]:
         for pair in pairs(session):
             if pair.frame == LOST_AFTER:
                 process._process._process.kill()
                 process._process._process.join()
             yield pair
 
-    try:
-        found = list(process.measure(given(), nothing))
-    finally:
-        process.close()
+    with closing(MeasuringProcess(session.rig, session.marker, message.append)) as process:
+        found = list(process.measure(given(process), nothing))
     assert [m.frame for m in found if not m.settled] == list(range(PAIRS))
     # the last pair before the loss has no successor to settle it
     assert [m.frame for m in found if m.settled] == [
@@ -84,23 +79,6 @@ def test_a_lost_process_costs_no_pair_and_is_reported(
     alike(found[:before], here[:before])
     assert len(message) == 1
     assert "measured by the main process from now on" in message[0]
-
-
-@pytest.mark.realtime
-def test_it_requests_the_predicted_flange_pose(session: SimulatedSession) -> None:
-    asked: list[float] = []
-
-    def expected(t: float) -> list[Array]:
-        asked.append(t)
-        return []
-
-    process = MeasuringProcess(session.rig, session.marker, [].append)
-    try:
-        first = list(process.measure(iter([session.pair(0)]), expected))
-    finally:
-        process.close()
-    assert [(m.frame, m.settled) for m in first] == [(0, False), (0, True)]
-    assert asked == [session.pair(0).t_left]  # nothing is predicted for the first pair
 
 
 def test_a_picture_that_is_shared_already_is_not_put_anywhere_again() -> None:
@@ -123,15 +101,11 @@ def test_a_picture_that_is_shared_already_is_not_put_anywhere_again() -> None:
 def test_a_prepared_pair_is_the_one_that_is_measured(
     session: SimulatedSession, here: list[Measurement]
 ) -> None:
-    process = MeasuringProcess(session.rig, session.marker, [].append)
-
-    def prepared() -> Iterator[StereoPair]:
+    def prepared(process: MeasuringProcess) -> Iterator[StereoPair]:
         for pair in pairs(session):
             process.prepare(session.pair(0))  # of which nothing came
             process.prepare(pair)
             yield pair
 
-    try:
-        alike(list(process.measure(prepared(), nothing)), here)
-    finally:
-        process.close()
+    with closing(MeasuringProcess(session.rig, session.marker, [].append)) as process:
+        alike(list(process.measure(prepared(process), nothing)), here)

@@ -1,5 +1,6 @@
 """Single-joint sweeps: faults put in come back, healthy joints stay so, no registration enters."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
 from types import SimpleNamespace
@@ -15,9 +16,8 @@ from scipy.stats import chi2, kstest
 import robots
 from tests.support.motions import ARM, ESTIMATED, GIVEN, HOME, make_track, model_of, swinging
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import ReadingUncertainty, compare, solve_joints
-from verify.analysis.model import JointErrorModel, SessionComparison
+from verify.analysis.model import SessionComparison
 from verify.analysis.sweeps.axis import SweepData, fit_axis, fit_circles
 from verify.analysis.sweeps.segments import comparison_segments
 from verify.analysis.sweeps.sweeps import JointSweep, judge_sweeps
@@ -25,15 +25,12 @@ from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.io.session.session import Session
 from verify.measurement.systematics import stated_systematics
-from verify.measurement.track import Track
 from verify.simulation.scenario import ScenarioFault
 from verify.simulation.session.simulate import reading_error
 from verify.simulation.world.motion import MotionProfile, SequentialSwings, StationaryPoses
 
 SLOT = 6.0  # s a joint
-SESSION = cast(
-    "Session", SimpleNamespace(encoder_resolution=None, encoder_time_standard_uncertainty=None)
-)
+T, LOG = np.arange(0.5, 0.5 + 6 * SLOT, 0.1), np.arange(0.0, 1.0 + 6 * SLOT, 0.02)
 FAULTS = (
     ScenarioFault(joint=2, backlash_deg=0.3),
     ScenarioFault(joint=3, gain=0.005),
@@ -52,42 +49,29 @@ def swept(
     *,
     clock_off: float | None = None,
     grain: float | None = None,
-    moved: Array | None = None,
+    moved: Callable[[Array], Array] = np.copy,
 ) -> list[JointSweep]:
-    """Sweeps of the arm; `moved` sees it from elsewhere, by LEDs mounted otherwise."""
+    """Sweeps of the arm; `moved` makes of its poses (n, 4, 4) those that are measured."""
     rng = np.random.default_rng(seed)
     path = one_by_one() if motion is None else motion
-    t, log = np.arange(0.5, 0.5 + 6 * SLOT, 0.1), np.arange(0.0, 1.0 + 6 * SLOT, 0.02)
-    track = make_track(t, path.angles(t), rng)
-    if moved is not None:
-        track = replace(track, base_T_flange=moved[0] @ track.base_T_flange @ moved[1])
-    q = path.angles(log)
-    read = q + reading_error(log, q, path.direction(log), faults)
+    track = make_track(T, path.angles(T), rng)
+    track = replace(track, base_T_flange=moved(track.base_T_flange))
+    q = path.angles(LOG)
+    read = q + reading_error(LOG, q, path.direction(LOG), faults)
     read = read + rng.normal(0, np.deg2rad(0.005), q.shape)
     read = read if grain is None else np.round(read / grain) * grain
     comparison = compare(
-        track, ARM, Readings(log, read), clock_off or 0.0, stated=ReadingUncertainty(grain)
+        track, ARM, Readings(LOG, read), clock_off or 0.0, stated=ReadingUncertainty(grain)
     )
     clock = GIVEN if clock_off is None else ESTIMATED
     model = model_of(track, comparison, "fixture", "jig", clock)
-    session = (
-        SESSION
-        if grain is None
-        else cast(
-            "Session",
-            SimpleNamespace(encoder_resolution=grain, encoder_time_standard_uncertainty=None),
-        )
-    )
-    return judged(model, session, track, clock)
-
-
-def judged(
-    model: JointErrorModel, session: Session, track: Track, clock: ClockEstimate
-) -> list[JointSweep]:
+    session = SimpleNamespace(encoder_resolution=grain, encoder_time_standard_uncertainty=None)
     systematics = stated_systematics(make_rig(), make_marker(), turning=False)
-    joints = solve_joints(model.comparison, ARM)
-    compared = SessionComparison(session, track, systematics, clock, model.comparison, joints)
-    return judge_sweeps(model, compared)
+    joints = solve_joints(comparison, ARM)
+    return judge_sweeps(
+        model,
+        SessionComparison(cast("Session", session), track, systematics, clock, comparison, joints),
+    )
 
 
 @cache
@@ -173,7 +157,8 @@ def test_results_do_not_depend_on_base_and_led_poses() -> None:
     elsewhere[:, :3, :3] = Rotation.random(2, random_state=rng).as_matrix()
     elsewhere[:, :3, 3] = rng.normal(0, 0.2, (2, 3))
     elsewhere[1, :3, 3] = 0.0  # what a lever does to the poses' noise is not the sweep's matter
-    for plain, other in zip(swept(7, FAULTS), swept(7, FAULTS, moved=elsewhere), strict=True):
+    moved = swept(7, FAULTS, moved=lambda poses: elsewhere[0] @ poses @ elsewhere[1])
+    for plain, other in zip(swept(7, FAULTS), moved, strict=True):
         assert_allclose(other.gain.value, plain.gain.value, atol=0.35 * plain.gain.uncertainty)
         u = plain.hysteresis.uncertainty
         assert_allclose(other.hysteresis.value, plain.hysteresis.value, atol=0.35 * u)
@@ -197,7 +182,6 @@ def test_readings_of_a_coarse_grain_flicker_and_still_rest() -> None:
 def test_the_axis_is_where_pinocchio_has_it(joint: int) -> None:
     """Noise-free poses of a UR5 by pinocchio, one joint turning through 60°."""
     arm = robots.load("ur5")
-    assert isinstance(arm, robots.UrdfArm)
     model, data = arm.model, arm.model.createData()
     q = np.tile([0.4, -1.1, 1.3, -0.7, 0.9, 0.2], (30, 1))
     q[:, joint] += np.linspace(0, np.deg2rad(60), 30)
@@ -226,34 +210,22 @@ def test_the_axis_is_where_pinocchio_has_it(joint: int) -> None:
 
 def test_a_base_that_gives_way_is_no_fixed_axis() -> None:
     """The flange leaves its circle by 0.3 mm, once there and back: no turn explains that."""
-    t = np.arange(0.5, 0.5 + 6 * SLOT, 0.1)
-    motion, rng = one_by_one(), np.random.default_rng(8)
-    track = make_track(t, motion.angles(t), rng)
-    soft = track.base_T_flange.copy()
-    soft[:, 2, 3] += 3e-4 * np.sin(2 * motion.angles(t)[:, 1] / np.deg2rad(25))
-    track = replace(track, base_T_flange=soft)
-    log = np.arange(0.0, 1.0 + 6 * SLOT, 0.02)
-    noise = rng.normal(0, np.deg2rad(0.005), (len(log), 6))
-    comparison = compare(track, ARM, Readings(log, motion.angles(log) + noise), 0.0)
-    found = judged(model_of(track, comparison, "fixture", "jig"), SESSION, track, GIVEN)
+
+    def soft(poses: Array) -> Array:
+        given = poses.copy()
+        given[:, 2, 3] += 3e-4 * np.sin(2 * one_by_one().angles(T)[:, 1] / np.deg2rad(25))
+        return given
+
+    found = swept(8, moved=soft)
     assert found[1].wobble_p < 1e-6
     assert min(s.wobble_p for s in found if s.joint != 1) > 1e-3
 
 
 def test_a_pair_off_the_circle_is_left_out_and_listed_and_a_tenth_of_them_are_not() -> None:
-    t = np.arange(0.5, 0.5 + 6 * SLOT, 0.1)
-    log = np.arange(0.0, 1.0 + 6 * SLOT, 0.02)
-    motion = one_by_one()
     for wrong in ([85], list(range(66, 116, 4))):
-        rng = np.random.default_rng(9)
-        track = make_track(t, motion.angles(t), rng)
-        bitten = track.base_T_flange.copy()
-        bitten[wrong, :3, 3] += 1.5e-3
-        track = replace(track, base_T_flange=bitten)
-        noise = rng.normal(0, np.deg2rad(0.005), (len(log), 6))
-        comparison = compare(track, ARM, Readings(log, motion.angles(log) + noise), 0.0)
-        model = model_of(track, comparison, "fixture", "jig")
-        second = judged(model, SESSION, track, GIVEN)[1]
+        off = np.zeros((len(T), 4, 4))
+        off[wrong, :3, 3] = 1.5e-3
+        second = swept(9, moved=off.__add__)[1]
         assert second.joint == 1
         if len(wrong) == 1:
             assert second.outlying.tolist() == wrong

@@ -191,23 +191,9 @@ def _mean_with(this: Made, moved: Array) -> Array:
     return resolve_errors(model).mean
 
 
-def test_a_length_of_the_table_does_what_an_arm_with_another_length_does() -> None:
-    this = made()
-    table = this.found.parameters.set_index(["parameter", "joint"])["sensitivity_deg"]
-    assert isinstance(ARM, robots.DhArm)
-    for name, place in (("a2_mm", 1), ("a3_mm", 2)):
-        a = ARM.a.copy()
-        a[place] += 1e-6
-        other = replace(ARM, a=a)
-        moved = difference(robots.forward(other, this.plain.q), robots.forward(ARM, this.plain.q))
-        shift = np.rad2deg(_mean_with(this, moved) - this.means.mean) / 1e-6 * 1e-3
-        assert_allclose(table[name].to_numpy(), shift, rtol=1e-3, atol=1e-5)
-
-
 @pytest.mark.parametrize("robot", ["iust_6r", "rv_3sd", "rv_3sd_melfa"])
 def test_every_entry_of_the_table_moves_the_flange_as_another_table_does(robot: str) -> None:
     arm, h = robots.load(robot), 1e-6
-    assert isinstance(arm, robots.DhArm)
     q = np.random.default_rng(6).uniform(-1.0, 1.0, (30, arm.dof))
     names, columns = robot_table_columns(arm, cast("Comparison", SimpleNamespace(q=q)))
     for name, column in zip(names, np.moveaxis(columns, 2, 0), strict=True):
@@ -262,11 +248,6 @@ def test_sensitivities_to_the_table_are_those_of_metrology_md() -> None:
     assert third["a2_mm"] == pytest.approx(0.76, rel=0.03)
     assert third["d1_mm"] == pytest.approx(0.60, rel=0.03)
     assert results.summary["budget"]["monte_carlo"]["fails"] == []
-    lines = results.tables["budget"].pivot_table(
-        index="source", columns="joint", values="standard_uncertainty_deg"
-    )
-    stated = [joint["standard_uncertainty_deg"] for joint in results.summary["joints"]]
-    np.testing.assert_allclose(np.sqrt((lines**2).sum()), stated, rtol=1e-9)
 
 
 @pytest.mark.slow

@@ -4,8 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose, assert_array_equal
+from numpy.testing import assert_allclose
 
+import robots
 from tests.support.spotted import HOMES, SPREAD, Spotted, spotted
 from verify.analysis.uncertainty.draws import (
     ViewDraws,
@@ -43,9 +44,6 @@ def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
     made = both[arm]
     rig, marker = made.session.rig, made.session.marker
     for seen in made.measurements:
-        assert seen.pose is not None
-        assert seen.left is not None
-        assert seen.right is not None
         spots = used_spots(seen, rig, marker)
         sides = [
             camera_draws(camera, name, {}, np.array([s.pan]))
@@ -73,53 +71,6 @@ def test_where_linear_propagation_holds_the_draws_agree_within_5_percent(
     assert away.max() < MAX_RATIO_ERROR + 3 / np.sqrt(2 * 4000)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("arm", list(HOMES))
-def test_the_scatter_is_that_of_poses_drawn_and_fitted_by_the_chain_itself(
-    arm: str, both: dict[str, Spotted]
-) -> None:
-    """Spots alone: drawn here, fitted by fit_pose one after the other."""
-    import robots
-    from verify.measurement.pose import fit_pose
-
-    made = both[arm]
-    exact = replace(
-        made,
-        systematics=replace(
-            made.systematics,
-            names=(),
-            sources=(),
-            covariance=np.zeros((0, 0)),
-            pan=np.full(2, np.nan),
-        ),
-        track=replace(made.track, systematic=np.zeros((len(made.track), 6, 2))),
-        comparison=replace(
-            made.comparison,
-            systematic=np.zeros((len(made.comparison), 6, 2)),
-            rate_variance=np.zeros(6),
-        ),
-        clock=replace(made.clock, standard_uncertainty=None),
-    )
-    found = exact.check(pairs=1, draws=3000)
-    place = int(np.flatnonzero(found.pairs == 0)[0])
-    seen, rng = made.measurements[0], np.random.default_rng(4)
-    assert seen.pose is not None
-    assert seen.left is not None
-    assert seen.right is not None
-    q = []
-    for _ in range(600):
-        sides = [
-            replace(s, centre=s.centre + rng.normal(0, 0.03, s.centre.shape))
-            for s in (seen.left, seen.right)
-        ]
-        rig = made.session.rig
-        pose = fit_pose(sides[0], sides[1], rig, made.session.marker, seen.pose.rig_T_flange)
-        flange = np.linalg.inv(rig.rig_T_base) @ pose.rig_T_flange
-        q.append(robots.nearest(made.session.arm, flange, made.comparison.q[0])[0])
-    # a standard deviation of 600 is known to 2.9 %
-    assert_allclose(found.scatter[place] / np.std(q, axis=0), 1, atol=4 * 0.032)
-
-
 def test_next_to_a_singularity_linear_propagation_is_reported_to_fail() -> None:
     # so near that the doubt of joint 5 reaches the singularity
     made = spotted("iust_6r", at("iust_6r", -0.4), 3, larger=2.0)
@@ -136,26 +87,13 @@ def test_next_to_a_singularity_linear_propagation_is_reported_to_fail() -> None:
 
 def test_an_arm_at_full_stretch_that_cannot_reach_what_is_drawn_is_named() -> None:
     q = visits("rv_3sd_melfa", 1)
-    arm = spotted("rv_3sd_melfa", q, 2).session.arm
-    low, high = np.deg2rad([-60.0, 179.9])
-    elbow = np.linspace(low, high, 2000)
     tried = np.tile(HOMES["rv_3sd_melfa"], (2000, 1))
-    tried[:, 2] = elbow
-    import robots
-
-    shoulder = robots.forward(arm, tried)[:, :3, 3]
-    stretched = int(np.argmax(np.linalg.norm(shoulder, axis=1)))
-    q[-1] = tried[stretched]
+    tried[:, 2] = np.linspace(*np.deg2rad([-60.0, 179.9]), 2000)
+    places = robots.forward(robots.load("rv_3sd_melfa"), tried)[:, :3, 3]
+    q[-1] = tried[int(np.argmax(np.linalg.norm(places, axis=1)))]
     found = spotted("rv_3sd_melfa", q, 5).check()
-    last = int(np.flatnonzero(found.pairs == 7)[0]) if 7 in found.pairs else -1
-    assert last >= 0
-    assert not found.holds[last].all()
-
-
-def test_the_same_seed_gives_the_same_figures(both: dict[str, Spotted]) -> None:
-    one, two = both["iust_6r"].check(), both["iust_6r"].check()
-    assert_array_equal(one.ratio, two.ratio)
-    assert_array_equal(one.scatter, two.scatter)
+    assert 7 in found.pairs
+    assert not found.holds[found.pairs == 7].all()
 
 
 def test_without_a_wholly_known_pose_there_is_no_check(both: dict[str, Spotted]) -> None:

@@ -3,7 +3,7 @@
 import math
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +13,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.devices.camera_server import CameraServer, jpeg, picture
+from tests.support.processes import wait_until
 from tests.support.recorded import images, write_folder, write_video
 from verify.devices.cameras.capture import MAX_QUEUED, CameraCapture, open_camera
 from verify.devices.cameras.opencv import JpegDecoder, OpenCvSource
@@ -40,13 +41,6 @@ def drain(camera: CameraDevice) -> None:
     """Take what a camera that gives nothing new still has."""
     for _ in range(MAX_QUEUED + 2):
         camera.read()
-
-
-def wait_for(condition: Callable[[], bool], patience: float = 10.0) -> bool:
-    deadline = time.monotonic() + patience
-    while not condition() and time.monotonic() < deadline:
-        time.sleep(0.01)
-    return condition()
 
 
 class FakeCapture:
@@ -139,12 +133,10 @@ def test_the_kernels_stamp_is_taken_where_it_is_of_the_hosts_clock() -> None:
     capture = FakeCapture()
     capture.stamped = time.monotonic() - 0.03
     shot = source(capture).grab()
-    assert shot is not None
     assert shot.t == pytest.approx(capture.stamped, abs=1e-6)
     assert shot.t_uncertainty == pytest.approx(0.02)  # half a period at 25 Hz
     capture.stamped = 12345678.0  # another clock
     shot = source(capture, delay=0.01).grab()
-    assert shot is not None
     assert shot.t == pytest.approx(time.monotonic() - 0.01, abs=0.05)
     assert shot.t_uncertainty == pytest.approx(0.04)
 
@@ -153,12 +145,10 @@ def test_jpegs_of_a_camera_are_kept_as_they_come() -> None:
     capture, data = FakeCapture(), jpeg(9)
     capture.picture = np.frombuffer(data, np.uint8)[None]
     shot = source(capture, format="MJPG").grab()
-    assert shot is not None
     assert (cv2.CAP_PROP_CONVERT_RGB, 0) in capture.asked
     assert shot.raw == data
     assert_array_equal(shot.image, JpegDecoder().decode(data))
     grey = source(FakeCapture(), format="MJPG", grey=True).grab()  # one channel on request
-    assert grey is not None
     assert (grey.image.shape, grey.raw) == ((48, 64), None)
 
 
@@ -215,9 +205,9 @@ def test_a_camera_that_vanishes_is_named_and_taken_up_again(
 ) -> None:
     flaky, camera = eye
     flaky.there.clear()
-    assert wait_for(lambda: not camera.state().connected)
+    wait_until(lambda: not camera.state().connected, 10.0)
     assert camera.state().sentence == "left eye: not connected: it was unplugged"
-    assert wait_for(lambda: "no such device" in camera.state().sentence)
+    wait_until(lambda: "no such device" in camera.state().sentence, 10.0)
     drain(camera)
     flaky.there.set()
     assert len(take(camera, 3)) == 3
@@ -231,7 +221,7 @@ def test_unread_pictures_are_dropped_and_a_hanging_camera_blocks_nothing(
 ) -> None:
     flaky, camera = eye
     first = take(camera, 1)[0]
-    assert wait_for(lambda: camera.state().lost > 5)
+    wait_until(lambda: camera.state().lost > 5, 10.0)
     lost = camera.state().lost
     numbers = [frame.sequence for frame in take(camera, MAX_QUEUED)]
     assert numbers[0] - first.sequence - 1 >= lost
@@ -259,7 +249,7 @@ def test_a_network_camera_gives_its_jpegs_and_is_found_again() -> None:
     numbers = [next(n for n in range(99) if jpeg(n) == frame.raw) for frame in frames]
     assert numbers == list(range(numbers[0], numbers[0] + 5))
     server.close()
-    assert wait_for(lambda: not camera.state().connected)
+    wait_until(lambda: not camera.state().connected, 10.0)
     assert "not connected" in camera.state().sentence
     drain(camera)
     again = CameraServer(server.port)
@@ -273,7 +263,7 @@ def test_pictures_of_another_size_than_the_rigs_are_never_given_out(tmp_path: Pa
     flaky = Flaky()
     camera = CameraCapture("left eye", flaky.open, (1280, 720))
     message = "left eye: gives pictures of 64 x 48 px; 1280 x 720 are needed"
-    assert wait_for(lambda: camera.state().sentence == message)
+    wait_until(lambda: camera.state().sentence == message, 10.0)
     assert camera.read() is None
     camera.close()
     write_video(tmp_path / "left.mkv", images(3))
@@ -300,7 +290,7 @@ def test_a_damaged_picture_is_counted_and_the_next_one_taken() -> None:
 )
 def test_a_missing_network_camera_is_reported(url: str) -> None:
     camera = open_camera(CameraSettings(url))
-    assert wait_for(lambda: "being opened" not in camera.state().sentence)
+    wait_until(lambda: "being opened" not in camera.state().sentence, 10.0)
     assert camera.state().sentence.startswith(f"{url}: not connected: ")
     assert camera.read() is None
     camera.close()

@@ -131,7 +131,6 @@ def test_a_clock_set_back_during_a_silence_is_found_out() -> None:
     times(clock, [(100 + 0.01 * i, 0.01 * i) for i in range(100)])
     found = times(clock, [(101.5 + 0.01 * i, 601.0 + 0.01 * i) for i in range(300)])
     assert found[0] == TOO_LATE
-    assert isinstance(found[-1], ControllerInstant)
     assert found[-1].segment == 1
     assert {instant.segment for instant in accepted(found)} == {1}
 

@@ -36,8 +36,6 @@ def test_every_reading_command_has_the_bytes_of_the_manual() -> None:
 
 def test_positions_of_the_traces_are_read() -> None:
     rest, moving = r3.parse_joints(AT_REST, 6), r3.parse_joints(MOVING, 6)
-    assert rest is not None
-    assert moving is not None
     assert rest.joints_deg == (-7.42, 38.21, 77.74, 7.08, 61.72, -9.75)
     assert (rest.override, rest.speed) == (100, 0.0)
     assert moving.joints_deg == (10.9, 70.76, 64.16, -160.0, 40.06, -183.4)
@@ -92,9 +90,6 @@ def test_status_and_errors_are_distinguished() -> None:
 
 def test_run_states_of_the_traces_are_read() -> None:
     idle, running, alarm = map(r3.parse_state, (IDLE, RUNNING, ALARM))
-    assert idle is not None
-    assert running is not None
-    assert alarm is not None
     assert (idle.running, idle.servo_on, idle.error) == (False, False, 0)
     assert (running.program, running.running, running.servo_on) == ("SHOWOF.MB4", True, True)
     assert (alarm.running, alarm.servo_on, alarm.error) == (False, True, 4220)

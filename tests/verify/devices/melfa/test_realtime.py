@@ -33,7 +33,6 @@ def test_the_two_packets_that_a_reader_sends() -> None:
 def test_a_packet_of_the_sheet_is_read_wherever_the_joints_stand() -> None:
     for place in (4, 64, 108, 152):
         packet = packets.parse_packet(answer(place=place), 6)
-        assert isinstance(packet, packets.RealtimePacket)
         assert (packet.cycle, packet.missed) == (70000, 3)
         np.testing.assert_allclose(packet.joints, np.deg2rad([0, 30, 0, 0, 0, 0]), atol=1e-7)
 

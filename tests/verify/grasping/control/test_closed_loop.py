@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 
 from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
-from verify.core.records import StereoPair
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspState
@@ -34,10 +33,7 @@ def grabbed(scene: CellScene, *, closed: bool = True) -> tuple[CellRun, GraspOut
 
 
 def hand(grab: CellRun) -> OffsetMeasurement:
-    assert grab.loop.aim.planned is not None
-    found = grab.loop.aim.planned.thing.offset
-    assert found is not None
-    return found
+    return grab.loop.aim.planned.thing.offset
 
 
 @pytest.mark.slow
@@ -49,11 +45,7 @@ def test_a_joint_that_is_off_leads_beside_the_object_until_it_is_corrected() -> 
     assert grip_error(without) > 2.3e-3
     assert grip_error(grab) < 1e-3
     assert kept_limits(grab)
-    true = grab.world.closed_on
-    plan, found = grab.loop.aim.plan, hand(grab).hand
-    assert true is not None
-    assert plan is not None
-    assert found is not None
+    true, plan, found = grab.world.closed_on, grab.loop.aim.plan, hand(grab).hand
     left = true - SETUP.planner.workspace.grip(plan.posture.q_grip)[:3, 3] - found.off
     assert left @ np.linalg.solve(found.covariance, left) < 16.3  # chi², 3 degrees, 0.1 %
 
@@ -97,12 +89,6 @@ def test_the_hand_is_measured_where_it_was_hidden_before(far: tuple[float, float
     assert kept_limits(grab)
 
 
-def pair_of(world: CellWorld) -> StereoPair:
-    pair = world.pair()
-    assert pair is not None
-    return pair
-
-
 def test_no_pairs_are_taken_before_rest_or_during_motion() -> None:
     world = CellWorld(SETUP, STANDS)
     waiting: list[object] = []
@@ -115,11 +101,11 @@ def test_no_pairs_are_taken_before_rest_or_during_motion() -> None:
     q = SETUP.home
     for now in (0.0, 0.1, 0.2):
         world.t = now
-        watch.update(pair_of(world), None)
+        watch.update(world.pair(), None)
         assert watch.gather(now, q) is None
     assert not waiting
     world.t = 0.4
-    watch.update(pair_of(world), None)
+    watch.update(world.pair(), None)
     assert watch.gather(0.4, q) is None
     assert len(waiting) == 1
     assert watch.gather(0.5, q) is None  # nobody waits for what is being measured
@@ -133,13 +119,12 @@ def test_moving_encoders_end_the_measurement() -> None:
     gathered = None
     for turn in range(100):
         world.t = turn / 30
-        watch.update(pair_of(world), None)
+        watch.update(world.pair(), None)
         reading = world.encoders()
         watch.update(None, replace(reading, q=reading.q + 1e-4 * turn * FIRST))
         gathered = watch.gather(world.t, SETUP.home)
         if gathered is not None:
             break
-    assert gathered is not None
     sights, read = gathered
     assert len(sights) == MAX_PICTURES  # at home the LEDs are out of sight
     assert {sight.status for sight in sights} <= {"too_few_leds", "ambiguous_leds"}

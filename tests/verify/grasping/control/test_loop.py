@@ -7,14 +7,12 @@ import numpy as np
 import pytest
 
 from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
-from tests.support.grasp.page import filled
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspEvent, GraspState
-from verify.grasping.tracking.target import BoxSelection
 from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
-from verify.simulation.cell.scene import Cap, CellScene, SceneEvent, draw_scene
+from verify.simulation.cell.scene import Cap, CellScene, SceneEvent
 
 ENDS = StopConditions(duration=20.0, patience=1.0)
 STANDS = CellScene((Cap("blue", (0.47, 0.03)), Cap("green", (0.47, -0.12))), seed=1)
@@ -24,7 +22,7 @@ def made(
     scene: CellScene, *, execute: bool = True, auto: bool = True, stepped: bool = False
 ) -> CellRun:
     right = ExecutePermission("test") if execute else None
-    return cell_grab(  # grasps with a look at the hand: test_loop_closed.py
+    return cell_grab(  # grasps with a look at the hand: test_closed_loop.py
         quick_cell(), scene, right=right, mode=CellMode(auto=auto, stepped=stepped, closed=False)
     )
 
@@ -58,11 +56,9 @@ def test_a_cap_is_tracked_gripped_within_3_mm_and_lifted() -> None:
     world = grab.world
     assert ended.state is GraspState.LIFTED
     assert ended.released
-    assert world.held is not None
     assert world.held[0] == 0
     assert grip_error(grab) < 3e-3
     height = world.cap(0, world.t)
-    assert height is not None
     assert height[2, 3] > 0.1
     assert kept_limits(grab)
     assert [p.target for p in ended.passages] == [
@@ -79,14 +75,6 @@ def test_nothing_moves_without_the_right() -> None:
     assert ended.state is GraspState.TRACKING
     assert grab.loop.aim.plan is not None
     assert np.array_equal(grab.world.arm.q(grab.world.t), home)
-
-
-@pytest.mark.slow
-def test_without_auto_it_waits_for_the_order() -> None:
-    grab = made(STANDS, auto=False)
-    ended = run(grab.loop, grab.source, StopConditions(3.0, 1.0), lambda _: None)
-    assert ended.state is GraspState.FOLLOWING
-    assert ended.released
 
 
 SLIDES = CellScene((Cap("blue", (0.46, -0.06), (0.02, 0.06), 2.0),), seed=2)
@@ -113,9 +101,8 @@ CAMERA_GONE = SceneEvent("camera_gone", near=0.09)
     ],
     ids=[
         "one move at a time", "it slides and stops", "the light halves", "hidden a while",
-        "no camera",
-        "no camera, one move at a time", "alarm", "taken at the last moment", "taken before",
-        "out of reach", "too wide",
+        "no camera", "no camera, one move at a time", "alarm", "taken at the last moment",
+        "taken before", "out of reach", "too wide",
     ],
 )  # fmt: skip
 def test_a_grasp_ends_in_the_state_that_fits(
@@ -137,14 +124,8 @@ def test_a_grasp_ends_in_the_state_that_fits(
 def test_a_target_that_leaves_both_pictures_and_returns_is_grasped_after_it() -> None:
     leaves = Cap("blue", (0.45, 0.0), (0.0, 1.2), 1.0, away=0.8)
     grab, ended, seen = grabbed(replace(STANDS, caps=(leaves,)))
-    gone = [
-        cycle.observation.status
-        for cycle in seen
-        if cycle.observation is not None and 1.0 < cycle.t < 1.8
-    ]
-    assert gone
-    assert set(gone) == {"lost"}
     away = [cycle for cycle in seen if 1.2 < cycle.t < 1.8]
+    assert {c.observation.status for c in away if c.observation is not None} == {"lost"}
     assert {cycle.state for cycle in away} == {GraspState.SEARCHING}
     assert rests(away)
     assert ended.state is GraspState.LIFTED
@@ -199,28 +180,3 @@ def test_ctrl_c_in_mid_approach_comes_to_rest_and_gives_the_controls_back() -> N
     assert ended.stopped
     assert ended.released
     assert kept_limits(grab)
-
-
-@pytest.mark.slow
-def test_a_target_that_passes_behind_another_of_its_colour_is_the_one_that_is_lifted() -> None:
-    passes = Cap("blue", (0.43, -0.10), (0.0, 0.13), 2.4)
-    scene = CellScene((passes, Cap("blue", (0.49, 0.0))), seed=4)
-    target, right = BoxSelection(filled(passes, passes.place(0.0))), ExecutePermission("test")
-    grab = cell_grab(quick_cell(), scene, target, right, mode=CellMode(auto=True, closed=False))
-    seen: list[LoopCycle] = []
-    ended = run(grab.loop, grab.source, ENDS, seen.append)
-    before = {
-        cycle.observation.status
-        for cycle in seen
-        if cycle.observation is not None and cycle.t < 1.5
-    }
-    assert before & {"lost", "occluded"}  # it was behind the other
-    assert ended.state is GraspState.LIFTED
-    assert grab.world.held is not None
-    assert grab.world.held[0] == 0
-    assert kept_limits(grab)
-
-
-def test_the_same_seed_draws_the_same_cell() -> None:
-    assert draw_scene(7) == draw_scene(7)
-    assert draw_scene(7) != draw_scene(8)

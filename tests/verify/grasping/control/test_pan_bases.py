@@ -56,7 +56,6 @@ def where(cycles: list[LoopCycle]) -> np.ndarray:
 def test_a_target_stays_where_it_is_when_the_cameras_turn() -> None:
     made, _, cycles = seen(PanTurn(0.6, np.deg2rad(3.0), 0.2), bases=PanBuffer())
     place = made.world.cap(0, 0.0)
-    assert place is not None
     assert np.linalg.norm(where(cycles) - place[:3, 3]) < 3e-3
     skipped = [c.t for c in cycles if c.pair is None]
     assert min(skipped) == pytest.approx(0.6, abs=0.04)
@@ -77,8 +76,6 @@ def test_the_arm_waits_while_the_bases_turn_and_grasps_with_the_new_angles() -> 
     assert ended.state is GraspState.LIFTED
     assert GraspState.HOLDING_STALE in {passage.target for passage in ended.passages}
     found = made.loop.aim.planned
-    assert found is not None
-    assert found.thing.offset is not None
     assert found.thing.offset.used  # the LEDs too were measured with the turned cameras
     assert grip_error(made) < 1e-3
     assert kept_limits(made)

@@ -7,6 +7,7 @@ import pytest
 from tests.support.grasp.cells import quick_cell
 from tests.support.grasp.page import filled
 from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.requests import OperatorRequests, select_target
 from verify.grasping.control.run import StopConditions, run
 from verify.grasping.control.states import MOVING_STATES, GraspEvent, GraspState
@@ -31,20 +32,23 @@ def started(*, execute: bool = True) -> CellRun:
     return grab
 
 
+def cycled(grab: CellRun) -> LoopCycle:
+    cycle = grab.loop.cycle(grab.source.pair())
+    grab.source.wait()
+    return cycle
+
+
 def turned(grab: CellRun, until: GraspState, limit: int = 400) -> None:
     """Let the loop turn until it is in a state."""
     for _ in range(limit):
         if grab.loop.machine.state is until:
             return
-        grab.loop.cycle(grab.source.pair())
-        grab.source.wait()
+        cycled(grab)
     raise AssertionError(grab.loop.machine.log)
 
 
 def chosen(grab: CellRun, drawn: BoxSelection) -> str:
-    pair = grab.source.pair()
-    assert pair is not None
-    return select_target(grab.loop, SETUP.rig, drawn, pair)
+    return select_target(grab.loop, SETUP.rig, drawn, grab.source.pair())
 
 
 def test_a_stop_discards_earlier_requests_and_a_late_order_is_refused() -> None:
@@ -79,8 +83,7 @@ def test_without_a_target_no_search_begins_until_one_is_selected() -> None:
     grab.loop.look_for(None)
     turned(grab, GraspState.SEARCHING)
     for _ in range(10):
-        assert grab.loop.cycle(grab.source.pair()).observation is None
-        grab.source.wait()
+        assert cycled(grab).observation is None
     assert grab.loop.machine.state is GraspState.SEARCHING
     assert chosen(grab, CAP) == ""
     turned(grab, GraspState.FOLLOWING)
@@ -115,23 +118,18 @@ def test_no_other_target_is_taken_while_anything_moves() -> None:
     ended = run(grab.loop, grab.source, StopConditions(20.0, 1.0), look, orders)
     assert ended.state is GraspState.LIFTED
     assert seen >= {
-        GraspState.FOLLOWING,
-        GraspState.APPROACHING,
-        GraspState.CLOSING,
-        GraspState.LIFTING,
-    }
+        GraspState.FOLLOWING, GraspState.APPROACHING, GraspState.CLOSING, GraspState.LIFTING,
+    }  # fmt: skip
 
 
 def test_no_plan_for_the_last_target_is_left_for_the_next() -> None:
     grab = started()
     turned(grab, GraspState.FOLLOWING)
     while not grab.loop.machine.planned:
-        grab.loop.cycle(grab.source.pair())
-        grab.source.wait()
+        cycled(grab)
     assert grab.loop.tell(GraspEvent.HOLD) == ""
     for _ in range(20):
-        grab.loop.cycle(grab.source.pair())
-        grab.source.wait()
+        cycled(grab)
     tracker = TargetTracker(SETUP.rig, ColourSelection("green"), TrackingOptions())
     grab.loop.look_for(tracker)
     grab.loop.tell(GraspEvent.RESUME)

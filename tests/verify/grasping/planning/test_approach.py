@@ -10,14 +10,8 @@ from numpy.testing import assert_allclose
 import robots
 from tests.support.grasp.cells import melfa
 from verify.core.records import Array
-from verify.grasping.planning.approach import (
-    ApproachLine,
-    hand_poses,
-    line_path,
-    nearest_turn,
-)
+from verify.grasping.planning.approach import ApproachLine, hand_poses, line_path, nearest_turn
 
-DOWN = np.array([0.0, 0.0, -1.0])
 directions = (
     st.integers(0, 2**32 - 1)
     .map(lambda seed: np.random.default_rng(seed).normal(size=3))

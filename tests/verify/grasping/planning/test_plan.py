@@ -30,7 +30,6 @@ from verify.grasping.planning.plan import (
     GraspPlan,
     GraspPlanner,
     HoverPlanner,
-    JointGoal,
     make_planner,
     plan_grasp,
 )
@@ -124,7 +123,6 @@ def test_a_grasp_is_refused_with_the_reason(
     assert len(found.branches) == (8 if kind == "reach" else 0)
     assert all(message for _, message in found.branches)
     outside = plan_grasp(made, cap(), np.radians([0, -80.0, 90, 0, 90, 0]))
-    assert isinstance(outside, GraspRefusal)
     assert outside.kind == "way"
     assert "cannot begin where it stands" in outside.reason
 
@@ -133,7 +131,6 @@ def test_a_way_that_is_not_clear_leads_through_home(made: GraspPlanner) -> None:
     """A camera on a stand in the middle: from one side to the other the arm must go around."""
     side = np.radians([-32.0, 25.0, 95.0, 0.0, 60.0, 0.0])
     direct = plan_grasp(made, cap(0.42, 0.25), side)
-    assert isinstance(direct, GraspPlan)
     assert len(direct.over) == 1
     path = direct.over[0].path
     middle = made.workspace.grip(path.q(0.5))[:3, 3]
@@ -141,13 +138,11 @@ def test_a_way_that_is_not_clear_leads_through_home(made: GraspPlanner) -> None:
     blocked = changed(made, camera[None])
     assert blocked.workspace.along(path) != ""
     found = plan_grasp(blocked, cap(0.42, 0.25), side)
-    assert isinstance(found, GraspPlan)
     assert len(found.over) == 2
     for part in found.over:
         assert blocked.workspace.along(part.path) == ""
     homeless = dataclasses.replace(made.cell.moving, home=None)
     stuck = plan_grasp(changed(blocked, moving=homeless), cap(0.42, 0.25), side)
-    assert isinstance(stuck, GraspRefusal)
     assert stuck.kind == "way"
     assert "camera 1" in stuck.reason
 
@@ -236,7 +231,6 @@ def test_the_arm_follows_a_moving_target_from_above_without_ever_leaving_limits_
         point = np.array([0.45 + 0.06 * np.sin(t), 0.1 * np.sin(0.7 * t), 0.05])
         velocity = np.array([0.06 * np.cos(t), 0.07 * np.cos(0.7 * t), 0.0])
         goal = hover.goal(point, velocity, follower.motion.q)
-        assert isinstance(goal, JointGoal)
         ordered = follower.step(goal.q, goal.velocity)
         assert limit_violation(setup_.limits, ordered.motion) == ""
         assert setup_.workspace.margins(ordered.motion.q[None]).min() >= -RESOLUTION
@@ -248,11 +242,9 @@ def test_the_arm_follows_a_moving_target_from_above_without_ever_leaving_limits_
 def test_a_target_out_of_reach_is_refused_with_the_reason(made: GraspPlanner) -> None:
     hover = HoverPlanner(made)
     found = hover.goal(np.array([0.9, 0.0, 0.05]), np.zeros(3), home(made))
-    assert isinstance(found, GraspRefusal)
     assert "out of reach" in found.reason
     assert isinstance(hover.goal(np.full(3, np.nan), np.zeros(3), home(made)), GraspRefusal)
     good = hover.goal(np.array([0.45, 0.0, 0.05]), np.array([0.0, 0.1, 0.0]), home(made))
-    assert isinstance(good, JointGoal)
     moved = robots.forward(melfa(), good.q + 1e-4 * good.velocity) - robots.forward(melfa(), good.q)
     assert_allclose(moved[:3, 3], [0, 1e-5, 0], atol=1e-8)
     assert_allclose(moved[:3, :3], 0, atol=1e-8)
@@ -267,9 +259,7 @@ def test_an_arm_without_a_closed_form_or_rates_is_not_put_into_a_cell(made: Gras
 def test_a_grasp_begins_where_the_arm_followed_to(made: GraspPlanner) -> None:
     thing = cap(z=0.010)  # so low that the grip point is raised
     followed = HoverPlanner(made).goal(thing.position, np.zeros(3), home(made))
-    assert isinstance(followed, JointGoal)
     found = plan_grasp(made, thing, followed.q)
-    assert isinstance(found, GraspPlan)
     assert_allclose(found.posture.q_above, followed.q, atol=1e-9)
     assert len(found.over) == 1
     assert found.over[0].duration < 0.05

@@ -1,7 +1,6 @@
 """Postures: every branch is offered or has a reason, and offered ones hold."""
 
 import dataclasses
-from itertools import accumulate
 from pathlib import Path
 
 import numpy as np
@@ -10,8 +9,6 @@ from numpy.testing import assert_allclose
 
 import robots
 from tests.support.grasp.cells import home, melfa, setup
-from tests.support.postures import link
-from verify.core.records import Array
 from verify.grasping.planning.plan import GraspPlanner
 from verify.grasping.planning.postures import (
     MIN_SINGULAR_VALUE,
@@ -71,35 +68,6 @@ def test_among_equal_postures_the_nearer_is_better(made: GraspPlanner) -> None:
     same = next(p for p in there if np.allclose(p.q_above, good[3].q_above, atol=1e-6))
     assert same.nearness == pytest.approx(1, abs=1e-6)
     assert same.nearness > good[3].nearness
-
-
-def test_an_elbow_near_the_table_counts_against_its_branch(made: GraspPlanner) -> None:
-    """The finger tips come as near to the table in every posture; the elbow does not."""
-    turn = np.full(6, 2 * np.pi)
-    wide = dataclasses.replace(made.limits, lower=-turn, upper=turn)  # so that elbow − can be
-    good, _ = find_postures(made.workspace, wide, POINT, home(made))
-    table, radius = made.cell.table, made.cell.moving.link_radius
-    seen = {}
-    for posture in good:
-        lowest = min(z for q in (posture.q_above, posture.q_grip) for z in joint_heights(q)[:4])
-        seen[posture.branch] = lowest - radius - table.height - table.clearance
-        room = min(seen[posture.branch] / 0.1, 1.0)
-        assert posture.clearance == pytest.approx(room, abs=1e-9)
-    assert seen[2] < 0.05 < 0.1 < seen[0]  # m, as this cell has it
-    point = POINT + np.array([0, 0, 0.15])
-    higher, _ = find_postures(made.workspace, wide, point, home(made))
-    up = {posture.branch: posture.clearance for posture in higher}
-    down = {posture.branch: posture.clearance for posture in good}
-    assert down[0] == up[0] == 1
-    assert down[2] < up[2] < 1
-
-
-def joint_heights(q: Array) -> list[float]:
-    """Heights of the frames 1 to 6 over the base, m: the DH matrices multiplied out."""
-    arm = melfa()
-    rows = zip(arm.theta(q)[:, None], arm.a, arm.d, arm.alpha / (np.pi / 2), strict=True)
-    links = [link(theta, a, d, round(quarter)) for theta, a, d, quarter in rows]
-    return [float(pose[0, 2, 3]) for pose in accumulate(links, np.matmul)]
 
 
 @pytest.mark.parametrize(

@@ -60,7 +60,7 @@ def cycle(state: GraspState, q: Array, off: Array | None) -> LoopCycle:
     )
 
 
-def told(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
+def lift_fields(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
     facts = SessionFacts("arm", 6, {}, {}, turning=False)
     message = GraspContext("arm", "blue object", "simulated", True, datetime.now(UTC))
     record = GraspRecord(folder, facts, SPACE, message, 30.0)
@@ -81,7 +81,7 @@ def test_the_last_detection_in_the_lift_is_kept(tmp_path: Path) -> None:
         cycle(GraspState.LIFTING, top, None),
         cycle(GraspState.LIFTED, top, None),
     ]
-    far, expanded, up = told(tmp_path, cycles)
+    far, expanded, up = lift_fields(tmp_path, cycles)
     assert far == pytest.approx(5.0)
     robot = SPACE.cell.accuracy.robot
     assert expanded == pytest.approx(2e3 * np.hypot(3e-3, robot))
@@ -105,7 +105,7 @@ def test_other_detections_do_not_count(
         cycle(state, raised(0.0), None if off is None else np.full(3, off)) for state, off in seen
     ]
     last = cycle(GraspState.LIFTED, raised(0.2), None)
-    assert told(tmp_path, [*cycles, last]) == [None, None, None]
+    assert lift_fields(tmp_path, [*cycles, last]) == [None, None, None]
 
 
 Q = np.deg2rad([3.0, 35.0, 117.0, 0.0, 28.0, 3.0])
@@ -128,15 +128,15 @@ def seen() -> OffsetMeasurement:
 def test_commanded_read_and_measured_positions_are_in_millimetres(tmp_path: Path) -> None:
     workspace = setup(tmp_path).workspace
     fields = tool_offset_fields(seen(), workspace)
-    told = np.array(fields["told_mm"])
-    np.testing.assert_allclose(told, 1e3 * workspace.grip(Q)[:3, 3])
-    np.testing.assert_allclose(fields["seen_mm"], told + np.array([2.0, 0.0, 0.0]))
+    commanded = np.array(fields["told_mm"])
+    np.testing.assert_allclose(commanded, 1e3 * workspace.grip(Q)[:3, 3])
+    np.testing.assert_allclose(fields["seen_mm"], commanded + np.array([2.0, 0.0, 0.0]))
     np.testing.assert_allclose(fields["off_mm"], [2.1, 0.0, 0.0])
     np.testing.assert_allclose(fields["off_expanded_uncertainty_mm"], [0.2, 0.2, 0.2])
     assert (fields["used"], fields["pictures"], fields["measured"]) == (True, 2, 1)
     rows = tool_offset_table(seen(), workspace)
     assert rows["status"].tolist() == ["measured", "too_few_leds"]
-    np.testing.assert_allclose(rows["grip_x_mm"].iloc[0], told[0] + 2.0)
+    np.testing.assert_allclose(rows["grip_x_mm"].iloc[0], commanded[0] + 2.0)
     assert np.isnan(rows["grip_x_mm"].iloc[1])
     assert list(tool_offset_table(None, workspace)) == list(rows)
 
@@ -146,8 +146,8 @@ def test_what_is_not_known_stays_empty(tmp_path: Path) -> None:
     fields = tool_offset_fields(blind, setup(tmp_path).workspace)
     for key in ("read_mm", "seen_mm", "off_mm", "off_expanded_uncertainty_mm"):
         assert fields[key] is None
-    told = document(Results(ENDED | {"hand": fields}, {}, CYCLES))
-    assert not any("nan" in str(block) for section in told.sections for block in section.blocks)
+    page = document(Results(ENDED | {"hand": fields}, {}, CYCLES))
+    assert not any("nan" in str(block) for section in page.sections for block in section.blocks)
 
 
 def test_report_and_last_line_state_the_outcome(tmp_path: Path) -> None:

@@ -10,10 +10,9 @@ import robots
 from robots.transforms import difference, rotation_exp
 from tests.support.grasp.cells import cap, cell, melfa, setup
 from verify.core.records import Array
-from verify.grasping.planning.object import GraspRefusal, GripMargin, grip_margin
-from verify.grasping.planning.plan import GraspPlan, plan_grasp
+from verify.grasping.planning.object import GraspRefusal, grip_margin
+from verify.grasping.planning.plan import plan_grasp
 from verify.grasping.tool_offset.offset import (
-    MAX_OFFSET,
     MIN_AGREEING,
     FlangeMeasurement,
     OffsetMeasurement,
@@ -49,7 +48,6 @@ def grip(folder: Path, q: Array) -> Array:
 def measured(folder: Path, true: Array, seed: int, base: Array = NO_BASE) -> ToolOffset:
     """The offset at the object by pictures of a flange that is at `true`."""
     found = average_sights(sights(true, np.random.default_rng(seed)), TOLD)
-    assert not isinstance(found, str)
     return tool_offset(found, ARM, cell(folder), base, Q, below(folder, Q))
 
 
@@ -90,9 +88,7 @@ def test_the_stated_uncertainty_holds_over_many_arms(tmp_path: Path) -> None:
         true = grip(tmp_path, end + fault) - grip(tmp_path, end)
         # the mean keeps one picture's uncertainty, so one picture's error is what it is to bear
         one = sights(robots.forward(ARM, Q + fault), rng, 1) * MIN_AGREEING
-        found = average_sights(one, TOLD)
-        assert not isinstance(found, str)
-        hand = tool_offset(found, ARM, made, NO_BASE, Q, end)
+        hand = tool_offset(average_sights(one, TOLD), ARM, made, NO_BASE, Q, end)
         left = hand.off - true
         far.append(left @ np.linalg.solve(hand.covariance, left))
         worse += np.linalg.norm(left) > np.linalg.norm(true)
@@ -105,14 +101,10 @@ def test_pictures_that_agree_no_better_than_noise_leave_a_healthy_arm_where_it_i
 ) -> None:
     """Depth known to 5 mm only: the claim of half a millimetre counts for more."""
     rough = np.diag(np.square([5e-3, 5e-3, 5e-3, 0.05, 0.05, 0.05]))
-    step = np.array([4e-3, -3e-3, 5e-3])
-    one = [
-        FlangeMeasurement(
-            0.0, "measured", TOLD + np.pad(step[:, None], ((0, 1), (3, 0))), rough, None
-        )
-    ]
-    found = average_sights(one * MIN_AGREEING, TOLD)
-    assert not isinstance(found, str)
+    moved = TOLD.copy()
+    moved[:3, 3] += [4e-3, -3e-3, 5e-3]
+    one = FlangeMeasurement(0.0, "measured", moved, rough, None)
+    found = average_sights([one] * MIN_AGREEING, TOLD)
     hand = tool_offset(found, ARM, cell(tmp_path), NO_BASE, Q, below(tmp_path, Q))
     assert np.linalg.norm(hand.off) < 0.2e-3
 
@@ -122,13 +114,6 @@ def test_a_base_error_is_measured_as_a_shift(tmp_path: Path) -> None:
     moved[:3, 3] += [1.2e-3, -0.8e-3, 0.5e-3]
     hand = measured(tmp_path, moved, 2, base=np.eye(3) * (1e-3) ** 2)
     np.testing.assert_allclose(hand.off, [1.2e-3, -0.8e-3, 0.5e-3], atol=0.4e-3)
-
-
-def test_what_is_farther_off_than_the_bound_is_not_corrected(tmp_path: Path) -> None:
-    fault = np.deg2rad(1.6) * np.eye(6)[0]
-    hand = measured(tmp_path, robots.forward(ARM, Q + fault), 3)
-    assert np.linalg.norm(hand.off) > MAX_OFFSET
-    assert not hand.used
 
 
 def test_too_few_or_contradicting_pictures_are_refused() -> None:
@@ -142,7 +127,6 @@ def test_too_few_or_contradicting_pictures_are_refused() -> None:
     halves = [*sights(TOLD, rng, 5), *sights(elsewhere, rng, 5)]
     assert average_sights(halves, TOLD) == "pictures of its LEDs contradict each other"
     outvoted = average_sights([*sights(TOLD, rng, 8), *sights(elsewhere, rng, 1)], TOLD)
-    assert not isinstance(outvoted, str)
     assert outvoted.count == 8
     assert np.abs(difference(outvoted.pose, TOLD)[:3]).max() < 1e-3
 
@@ -157,16 +141,12 @@ def test_a_corrected_target_moves_and_a_refused_one_needs_margin(tmp_path: Path)
     plain = grip_margin(thing, made)
     corrected = grip_margin(replace(thing, offset=seen([2.0, -1.0, -0.5], used=True)), made)
     refused = grip_margin(replace(thing, offset=seen([12.0, 0.0, 3.0], used=False)), made)
-    assert isinstance(plain, GripMargin)
-    assert isinstance(corrected, GripMargin)
-    assert isinstance(refused, GripMargin)
     np.testing.assert_allclose(corrected.grip - plain.grip, [-2e-3, 1e-3, 0.5e-3])
     assert corrected.across_needed > plain.across_needed  # its own uncertainty comes on top
     np.testing.assert_allclose(refused.grip, plain.grip)
     assert refused.across_needed == pytest.approx(plain.across_needed + 12e-3, abs=1e-4)
     wide = replace(thing, width=0.095, offset=seen([12.0, 0.0, 0.0], used=False))
     answer = grip_margin(wide, made)
-    assert isinstance(answer, GraspRefusal)
     assert answer.kind == "uncertainty"
 
 
@@ -174,7 +154,6 @@ def test_no_correction_leads_the_tips_into_the_table(tmp_path: Path) -> None:
     """An arm that is too high is told lower, but not below what the tips must keep."""
     made, low = cell(tmp_path), cap(z=0.018)
     margin = grip_margin(replace(low, offset=seen([0.0, 0.0, 4.0], used=True)), made)
-    assert isinstance(margin, GripMargin)
     least = made.table.height + made.table.finger_clearance + made.gripper.tips
     assert margin.grip[2] >= least - 1e-9
     assert margin.grip[2] + 4e-3 == pytest.approx(low.position[2] + margin.raised)
@@ -183,10 +162,8 @@ def test_no_correction_leads_the_tips_into_the_table(tmp_path: Path) -> None:
 def test_a_corrected_plan_keeps_its_posture_and_passes_the_same_checks(tmp_path: Path) -> None:
     made = setup(tmp_path)
     first = plan_grasp(made, cap(), np.deg2rad([0.0, 0.0, 90.0, 0.0, 90.0, 0.0]))
-    assert isinstance(first, GraspPlan)
     above = first.posture.q_above
     found = plan_grasp(made, cap(offset=seen([3.0, -3.0, -1.0], used=True)), above)
-    assert isinstance(found, GraspPlan)
     assert found.posture.branch == first.posture.branch
     assert np.abs(found.posture.q_above - above).max() < 0.1
     off = made.workspace.grip(found.posture.q_grip) - made.workspace.grip(first.posture.q_grip)
@@ -195,7 +172,6 @@ def test_a_corrected_plan_keeps_its_posture_and_passes_the_same_checks(tmp_path:
         assert made.workspace.along(way.path) == ""
     edge = cap(x=float(made.cell.upper[0]) - 1e-3)
     standing = plan_grasp(made, edge, above)
-    assert isinstance(standing, GraspPlan)
     beyond = plan_grasp(
         made, replace(edge, offset=seen([-5.0, 0.0, 0.0], used=True)), standing.posture.q_above
     )

@@ -104,12 +104,6 @@ def test_a_part_in_view_is_occluded_and_its_size_is_not_learned() -> None:
     assert film.target().area == pytest.approx(AREA)
 
 
-def test_the_pieces_of_a_half_hidden_target_are_no_other_objects() -> None:
-    film = watched()
-    film.show(seen(0.015, 0.0, 0.7, area=0.05 * AREA), times=30)
-    assert film.identity._others == []
-
-
 def test_a_jump_is_accepted_after_a_few_pairs_only() -> None:
     film = watched()
     assert film.show(seen(0.05, 0.0, 0.7)).status == "lost"

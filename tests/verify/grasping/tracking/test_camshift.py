@@ -37,9 +37,7 @@ def picture(
 
 def found(image: Image, start: tuple[int, int, int, int] = WHOLE, **more: object) -> Blob:
     region = more.pop("region", WHOLE)
-    blob = camshift(image, start, region, named_colour("blue"), **more)  # type: ignore[arg-type]
-    assert blob is not None
-    return blob
+    return camshift(image, start, region, named_colour("blue"), **more)  # type: ignore[arg-type]
 
 
 def test_centre_and_ellipse_are_those_of_the_shape_that_was_drawn() -> None:
@@ -154,9 +152,7 @@ def cap_followed() -> CapFilm:
 
 
 @pytest.mark.shared
-def test_a_real_cap_is_found_within_3_px_in_99_percent_of_the_frames(
-    cap_followed: CapFilm,
-) -> None:
+def test_a_real_cap_is_found_within_3_px_in_99_percent_of_the_frames(cap_followed: CapFilm) -> None:
     seen, visible, centres = cap_followed
     frames = [i for i, state in enumerate(visible) if state == "in_sight"]
     near = [

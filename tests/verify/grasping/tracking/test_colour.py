@@ -6,12 +6,7 @@ import pytest
 from tests.support.grasp.caps import BLUE, GREEN, RED, YELLOW
 from verify.core.records import Array, Image
 from verify.errors import InputError
-from verify.grasping.tracking.colour import (
-    NAMED_HUES_DEG,
-    learn_colour,
-    named_colour,
-    to_hsv,
-)
+from verify.grasping.tracking.colour import NAMED_HUES_DEG, learn_colour, named_colour, to_hsv
 from verify.grasping.tracking.selection import model_from_box
 
 PLAIN = {"blue": BLUE, "green": GREEN, "red": RED, "yellow": YELLOW, "orange": (20, 130, 240)}

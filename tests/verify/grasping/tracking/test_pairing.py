@@ -54,14 +54,11 @@ def test_a_moving_object_is_placed_at_the_left_pictures_instant() -> None:
     pair, lefts, rights = blobs(Cap(BLUE, lambda t: (0.8 * t, 0.02, 0.7)))
     moving = join_blobs(lefts[0], rights[0], pair, RIG, ObjectMotion(velocity, np.zeros((3, 3))))
     taken_still = join_blobs(lefts[0], rights[0], pair, RIG, STILL)
-    assert moving is not None
-    assert taken_still is not None
     assert abs(moving.place.point[2] - 0.7) < 0.002
     assert abs(taken_still.place.point[2] - 0.7) > 0.01  # 3 mm of motion in the 4 ms between
     unknown = join_blobs(
         lefts[0], rights[0], pair, RIG, ObjectMotion(np.zeros(3), np.eye(3) * 0.5**2)
     )
-    assert unknown is not None
     assert math.sqrt(unknown.place.covariance[2, 2]) > 0.5 * abs(unknown.place.point[2] - 0.7)
 
 

@@ -57,7 +57,6 @@ def test_the_target_is_found_in_the_other_picture(side: str, other: tuple[int, i
     others = [Cap(other, still(x, 0.02, 0.7)) for x in (-0.1, 0.1)]
     pair = film(Cap(BLUE, still(*HERE)), *others)
     _, thing = counterpart(pair, RIG, box(HERE, side), TrackingOptions())
-    assert thing is not None
     np.testing.assert_allclose(thing.place.point, HERE, atol=0.002)
 
 

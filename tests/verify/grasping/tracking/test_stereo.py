@@ -41,9 +41,7 @@ def pixels(rig: Rig, point: Array = POINT) -> tuple[Array, Array]:
 
 def located(rig: Rig, left: Array, right: Array, extent: float = 0.0) -> StereoPoint:
     seen = sights(rig, left, right, extent)
-    place = locate(*seen, rig, ray_midpoint(*seen))
-    assert place is not None
-    return place
+    return locate(*seen, rig, ray_midpoint(*seen))
 
 
 def test_the_point_is_where_it_was_projected_from() -> None:
@@ -87,13 +85,9 @@ def test_rays_that_do_not_meet_before_the_cameras_are_a_mismatch_or_no_point() -
 
 
 STATED = {
-    "left.fx_px": 1.0,
-    "left.cx_px": 0.8,
-    "left.k1": 0.002,
-    "right.cy_px": 0.5,
-    "right.pan_center_x_mm": 0.3,
-    "right.mount_ry_deg": 0.02,
-}
+    "left.fx_px": 1.0, "left.cx_px": 0.8, "left.k1": 0.002, "right.cy_px": 0.5,
+    "right.pan_center_x_mm": 0.3, "right.mount_ry_deg": 0.02,
+}  # fmt: skip
 
 
 def with_covariance(rig: Rig) -> Rig:

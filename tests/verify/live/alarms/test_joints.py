@@ -66,7 +66,6 @@ def test_the_same_bias_alarms_where_it_is_not_stated() -> None:
     rows = [
         replace(r, evidence=replace(r.evidence, prior=r.evidence.prior[:, :0]))
         for r in made_rows(10.0, 5, bias=1.5)
-        if r.evidence is not None
     ]
     assert alarms(rows)
 
@@ -75,14 +74,11 @@ def test_the_same_bias_alarms_where_it_is_not_stated() -> None:
 def test_a_jump_of_half_a_degree_names_its_joint_within_a_second(joint: int) -> None:
     size = math.radians(0.5)
     found = alarms(made_rows(25.0, 7, jump=(20.0, joint, size)))
-    assert found
     first, last = found[0], found[-1]
     assert 20.0 <= first.t <= 20.0 + 4 / RATE
     assert first.joints[0] == joint
     assert last.joints == (joint,)
     assert last.t < 21.5
-    assert last.error is not None
-    assert last.standard_uncertainty is not None
     assert abs(last.error - size) < 5 * last.standard_uncertainty < size
     assert {a.number for a in found} == {1}  # one alarm, told again as more is known of it
 

@@ -13,7 +13,7 @@ import pytest
 
 from tests.support.boards.station import SMALL, STATION
 from tests.support.command import verify
-from tests.support.devices.chromium import Browser, launched
+from tests.support.devices.chromium import Browser
 from verify.calibration.corners.find import find_board
 from verify.calibration.corners.folder import find_boards
 from verify.cli.calibrate.live import BoardRunOptions, board_of, take_pictures
@@ -310,15 +310,12 @@ def test_simulated_cameras_take_their_pictures_together() -> None:
     clock = SimClock(1.0, lambda: now[0], sleep)
     cameras = BoardCameras(SimSettings("boards_turning"), turning=True, clock=clock)
     left, right = (cameras.camera(side, CameraSettings("sim")) for side in range(2))
-    pan = cameras.pan()
-    times: list[float] = []
-    while len(times) < 2:
+    taken = 0
+    while taken < 2:
         one, other = left.read(), right.read()
         if one is not None and other is not None:
             assert abs(one.t - other.t) < 0.25
-            times.append(one.t)
-    readings = pan.read()
-    assert {reading.moving for reading in readings} <= {True, False}
+            taken += 1
     left.close()
 
 
@@ -348,12 +345,6 @@ def test_a_board_must_be_named_once(tmp_path: Path) -> None:
 
 
 # in the browser
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with launched(tmp_path_factory.mktemp("chromium")) as started:
-        yield started
 
 
 @contextmanager

@@ -4,10 +4,9 @@ import http.client
 import json
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -16,7 +15,8 @@ from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 import robots
-from tests.support.devices.chromium import Browser, Tab, launched
+from tests.support.devices.chromium import Browser, Tab, phone_sections
+from tests.support.processes import wait_until
 from tests.support.spot_level import HOME, facing_rig
 from verify.core.records import Measurement, Sighting, StereoPair
 from verify.errors import InputError
@@ -104,24 +104,15 @@ class Answer:
     text: str
 
 
-def get(page: Page, path: str = "/", **headers: str) -> Answer:
-    line = http.client.HTTPConnection("127.0.0.1", port(page), timeout=20)
-    with closing(line):
+def get(page: Page | int, path: str = "/", **headers: str) -> Answer:
+    number = page if isinstance(page, int) else port(page)
+    with closing(http.client.HTTPConnection("127.0.0.1", number, timeout=20)) as line:
         line.putrequest("GET", path, skip_host="Host" in headers)
         for name, value in headers.items():
             line.putheader(name, value)
         line.endheaders()
         answer = line.getresponse()
         return Answer(answer.status, answer.headers, answer.read().decode())
-
-
-def until(condition: Callable[[], bool], limit: float = 30.0) -> bool:
-    end = time.monotonic() + limit
-    while not condition():
-        if time.monotonic() > end:
-            return False
-        time.sleep(0.05)
-    return True
 
 
 def test_the_page_comes_with_a_policy_that_runs_no_foreign_script(served: Page) -> None:
@@ -188,19 +179,19 @@ def test_pictures_are_encoded_once_and_only_for_viewers() -> None:
         assert not calls
         with ExitStack() as stack:
             lines = [stack.enter_context(own(page)) for _ in range(20)]
-            assert until(lambda: page.viewers == 20)
+            wait_until(lambda: page.viewers == 20, 30.0)
             begin = len(calls)
             for line in lines:
                 line.recv(timeout=20)
             time.sleep(1.0)
             assert len(calls) - begin <= 30  # ten a second, whoever looks
-        assert until(lambda: page.viewers == 0)
+        wait_until(lambda: page.viewers == 0, 30.0)
         page.close()
 
 
 @pytest.mark.realtime
 def test_metrics_are_prometheus_text(served: Page) -> None:
-    assert until(lambda: "verify_joint_error_degrees" in get(served, "/metrics").text)
+    wait_until(lambda: "verify_joint_error_degrees" in get(served, "/metrics").text, 30.0)
     text = get(served, "/metrics").text
     assert "# TYPE verify_joint_error_degrees gauge" in text
     assert 'verify_joint_error_degrees{joint="6"}' in text
@@ -252,27 +243,16 @@ def test_metrics_have_an_address_of_their_own_where_no_page_is_wanted() -> None:
     with pytest.raises(InputError, match="HOST:PORT"):
         MetricsServer("nowhere", str)
     server = MetricsServer("127.0.0.1:0", lambda: "verify_pairs_total 1\n")
+    text = "verify_pairs_total 1\n"
     for path, origin, status in (
-        ("/metrics", "", 200),
-        ("/", "", 404),
-        ("/metrics", "http://x", 403),
-    ):
-        line = http.client.HTTPConnection("127.0.0.1", server.port, timeout=20)
-        with closing(line):
-            line.request("GET", path, headers={"Origin": origin} if origin else {})
-            answer = line.getresponse()
-            assert answer.status == status
-            assert answer.read() == (b"verify_pairs_total 1\n" if status == 200 else b"")
+        ("/metrics", {}, 200), ("/", {}, 404), ("/metrics", {"Origin": "http://x"}, 403),
+    ):  # fmt: skip
+        answer = get(server.port, path, **origin)
+        assert (answer.status, answer.text) == (status, text if status == 200 else "")
     server.close()
 
 
 # in the browser
-
-
-@pytest.fixture(scope="module")
-def browser(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Browser]:
-    with launched(tmp_path_factory.mktemp("chromium")) as started:
-        yield started
 
 
 LIVE = "document.querySelector('#connection')?.textContent === 'live'"
@@ -374,12 +354,5 @@ def test_keys_do_what_the_pointer_does(browser: Browser, served: Page) -> None:
 def test_a_phone_scrolls_down_only(browser: Browser, served: Page, scheme: str) -> None:
     with looking(browser, served, 360, 740, scheme=scheme) as tab:
         tab.until("document.querySelector('#devices li')")
-        assert tab.evaluate("document.documentElement.scrollWidth") <= 360
-        assert tab.evaluate("document.documentElement.dataset.theme") == scheme
-        boxes = tab.evaluate(
-            "[...document.querySelectorAll('main > section')].filter(s => !s.hidden)"
-            ".map(s => s.getBoundingClientRect()).map(b => [b.top, b.bottom])"
-        )
-        for above, below in pairwise(sorted(boxes)):
-            assert above[1] <= below[0]
+        phone_sections(tab, scheme)
         assert tab.complaints == []

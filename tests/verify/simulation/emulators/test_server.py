@@ -16,7 +16,7 @@ from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 LIMITS = np.tile([-3.0, 3.0], (6, 1))
 
 
-def said(engine: MelfaEngine, command: str, t: float = 1.0) -> str:
+def reply(engine: MelfaEngine, command: str, t: float = 1.0) -> str:
     """One command's answer at t; the engine waits a while for a terminator."""
     (message,) = engine.step(t, f"1;1;{command}\r".encode())
     return message.data.decode().strip()
@@ -26,7 +26,7 @@ def controller(opened: bool = True) -> MelfaEngine:
     hold = trajectory.load("hold", 6)
     engine = MelfaEngine(MelfaArm(hold, 6, LIMITS), ControllerOptions())
     if opened:
-        said(engine, "OPEN=test", 0.5)
+        reply(engine, "OPEN=test", 0.5)
     return engine
 
 
@@ -40,27 +40,27 @@ def controller(opened: bool = True) -> MelfaEngine:
     ],
 )  # fmt: skip
 def test_a_controller_refuses_as_in_the_manual(command: str, answer: str) -> None:
-    assert said(controller(), command) == answer
+    assert reply(controller(), command) == answer
 
 
 def test_a_controller_before_open_with_right_without_servo_in_alarm() -> None:
     engine = controller(opened=False)
-    assert said(engine, "STATE") == "QeR6500"
-    assert said(engine, "OPEN=a").startswith("QoK3F;3F;")
-    assert said(engine, "CNTLON") == "QoK"
-    assert said(engine, "SRVOFF") == "QoK"
-    assert said(engine, "EXECMOV P1") == "QeR2000"
-    assert said(engine, "OVRD=10") == "QoK"
-    assert said(engine, "OVRD") == "QoK10"
-    assert said(engine, "SRVON", 2.0) == "QoK"
-    state = protocol.parse_state(said(engine, "STATE", 2.1).removeprefix("QoK"))
+    assert reply(engine, "STATE") == "QeR6500"
+    assert reply(engine, "OPEN=a").startswith("QoK3F;3F;")
+    assert reply(engine, "CNTLON") == "QoK"
+    assert reply(engine, "SRVOFF") == "QoK"
+    assert reply(engine, "EXECMOV P1") == "QeR2000"
+    assert reply(engine, "OVRD=10") == "QoK"
+    assert reply(engine, "OVRD") == "QoK10"
+    assert reply(engine, "SRVON", 2.0) == "QoK"
+    state = protocol.parse_state(reply(engine, "STATE", 2.1).removeprefix("QoK"))
     assert not state.servo_on
-    state = protocol.parse_state(said(engine, "STATE", 4.0).removeprefix("QoK"))
+    state = protocol.parse_state(reply(engine, "STATE", 4.0).removeprefix("QoK"))
     assert state.servo_on
     engine.afflict("alarm", 4140)
-    assert said(engine, "ERROR") == "Qok4140;2"
-    assert said(engine, "RUN") == "Qer5600"
-    assert said(engine, "RSTALRM") == "QoK"
+    assert reply(engine, "ERROR") == "Qok4140;2"
+    assert reply(engine, "RUN") == "Qer5600"
+    assert reply(engine, "RSTALRM") == "QoK"
 
 
 def test_robot_and_slot_may_be_left_out() -> None:

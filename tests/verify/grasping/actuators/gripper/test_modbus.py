@@ -3,15 +3,10 @@ from collections import deque
 import pytest
 from pymodbus.pdu.register_message import (
     ReadHoldingRegistersRequest,
-    ReadHoldingRegistersResponse,
     WriteMultipleRegistersRequest,
 )
 
-from verify.grasping.actuators.gripper.modbus import (
-    MAX_BUFFER_BYTES,
-    GripperSettings,
-    ModbusLine,
-)
+from verify.grasping.actuators.gripper.modbus import MAX_BUFFER_BYTES, GripperSettings, ModbusLine
 
 # frames of the manual, section 4.7
 READ = bytes.fromhex("09 03 07D0 0001 85 CF")
@@ -70,7 +65,6 @@ def test_an_answer_in_pieces_behind_noise_is_understood() -> None:
         assert made.step() is None
     port.to_come.append(READY[3:])
     answer = made.step()
-    assert isinstance(answer, ReadHoldingRegistersResponse)
     assert answer.registers == [0x3100]
 
 

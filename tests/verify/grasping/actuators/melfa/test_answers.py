@@ -3,11 +3,10 @@ from pathlib import Path
 
 import pytest
 
-from tests.support.devices.bench import running
+from tests.support.devices.bench import for_seconds, running
 from tests.support.devices.melfa_mover import (
     NEXT,
     PORTS,
-    after,
     controller,
     failure,
     given_back,
@@ -96,7 +95,7 @@ def test_a_reset_controller_is_not_taken_again_without_a_request() -> None:
     engine = controller()
     with moving(engine, faults=EmulatorFaults(reset=(1.2, 1.2))) as arm:
         assert "error 6500" in failure(arm)
-        stepped(arm, after(0.2))
+        stepped(arm, for_seconds(0.2))
     assert names(engine).count("CNTLON") == 1
 
 
@@ -126,7 +125,7 @@ def test_a_line_that_another_program_has_is_waited_for() -> None:
     with running(controller()) as emulated, mover(emulated) as first, mover(emulated) as second:
         ready(first)
         second.take_controls()
-        stepped(second, after(0.3))
+        stepped(second, for_seconds(0.3))
         assert second.step().state is MoverState.CONNECTING
         first.close()
         settled(second, MoverState.READY)

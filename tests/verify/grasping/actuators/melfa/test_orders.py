@@ -1,12 +1,11 @@
 import numpy as np
 import pytest
 
-from tests.support.devices.bench import running, same_angles
+from tests.support.devices.bench import for_seconds, running, same_angles
 from tests.support.devices.melfa_mover import (
     HOME,
     LIMITS,
     NEXT,
-    after,
     controller,
     limits,
     mover,
@@ -105,7 +104,7 @@ def test_the_pause_is_kept_while_moving_and_a_stop_does_not_wait() -> None:
     with running(engine) as emulated, mover(emulated, limits(override=3), pause=0.1) as arm:
         ready(arm)
         under_way(arm, NEXT)
-        times = np.unique([status.t for status in stepped(arm, after(0.4))])
+        times = np.unique([status.t for status in stepped(arm, for_seconds(0.4))])
         assert np.all(np.diff(times) > 0.1)
         arm.hold()
         settled(arm, MoverState.HELD)
