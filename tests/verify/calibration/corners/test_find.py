@@ -69,19 +69,6 @@ def test_without_noise_a_thousandth_of_a_pixel_is_left(distortion: tuple[float, 
         assert np.sqrt(np.mean(error**2)) < 0.001
 
 
-def test_it_beats_opencv_several_times() -> None:
-    rng = np.random.default_rng(6)
-    camera_T_board = random_pose(PLAIN, rng)
-    image, truth = (
-        picture(PLAIN, CAMERA, camera_T_board, rng),
-        corners(PLAIN, CAMERA, camera_T_board),
-    )
-    own = np.sqrt(np.mean((found(image, PLAIN).centre - truth) ** 2))
-    start, until = truth.astype(np.float32).reshape(-1, 1, 2), (3, 100, 1e-4)
-    refined = cv2.cornerSubPix(image, start.copy(), (11, 11), (-1, -1), until).reshape(-1, 2)
-    assert own < np.sqrt(np.mean((refined - truth) ** 2)) / 3
-
-
 @pytest.mark.slow
 def test_corners_of_neighbours_share_no_error() -> None:
     rng = np.random.default_rng(7)

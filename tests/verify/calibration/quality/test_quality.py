@@ -32,11 +32,6 @@ from verify.core.rig import Covariance, Rig
 from verify.measurement.systematics import BODY
 
 
-def test_rms_is_the_root_mean_square_distance() -> None:
-    assert rms(np.array([[3.0, 4.0], [0.0, 0.0]])) == pytest.approx(np.sqrt(12.5))
-    assert np.isnan(rms(np.zeros((0, 2))))
-
-
 def test_every_view_is_summed_up_and_a_bad_one_is_named() -> None:
     found = made.with_poor_view(made.calibration(), frame=4, camera=1)
     table = view_residuals(found.residuals)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from tests.support.leds.scene import (
     BLUE,
@@ -31,7 +30,6 @@ from tests.support.leds.scene import (
 from tests.support.scene import project
 from verify.core.records import Array
 from verify.measurement.correspondence.assign import PosePrediction
-from verify.measurement.correspondence.refinement import select_likely
 
 SEES = 0.005  # m, the least difference between two triangles of LEDs that counts as asymmetric
 
@@ -327,14 +325,6 @@ def test_a_marker_file_more_than_half_a_millimetre_off_still_serves() -> None:
         scene = make_scene(rng, leds + 6e-4 * off / np.linalg.norm(off, axis=1, keepdims=True))
         scene.marker = make_marker(leds)
         assert scene.outcome(scene.identify()) == "complete"
-
-
-@pytest.mark.parametrize(("seen_leds", "freedom"), [(1, 1), (2, 3), (3, 6), (4, 10)])
-def test_a_fit_worse_than_one_in_ten_thousand_is_refused(seen_leds: int, freedom: int) -> None:
-    limit = chi2.isf(1e-4, freedom)
-    spot = np.full((2, 2, 4), -1, dtype=np.int64)
-    spot[:, :, :seen_leds] = np.arange(seen_leds)
-    assert_array_equal(select_likely(spot, np.array([0.99, 1.01]) * limit), [0])
 
 
 def test_a_clean_spot_is_taken_before_a_merged_one() -> None:
