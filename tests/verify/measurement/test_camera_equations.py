@@ -74,10 +74,6 @@ def pair(request: pytest.FixtureRequest) -> Pair:
     return Pair(one, two, rng.uniform([-80, -80, 500], [80, 80, 900], (20, 3)))
 
 
-def local(station: Station, points: Array) -> Array:
-    return (points - station.C) @ station.rotation
-
-
 def printed_eq4(beta: float) -> Array:
     return np.array([[np.cos(beta), 0, np.sin(beta)], [0, 1, 0], [np.sin(beta), 0, np.cos(beta)]])
 

@@ -8,11 +8,13 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import reports
 from tests.support.recorded import require_shared
 from tests.support.reports import calibration as made
+from verify.calibration.corners.find import find_board
 from verify.calibration.origin import ResultsOrigin
 from verify.calibration.quality.advice import calibration_doubts, coverage_gaps
 from verify.calibration.quality.quality import (
@@ -27,7 +29,7 @@ from verify.calibration.registration.records import MotionRegistration, SpotResi
 from verify.calibration.registration.results import fixture_results, motion_results
 from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES
 from verify.calibration.stereo.records import Calibration, Residuals, rms
-from verify.core.fiducials import Marker
+from verify.core.fiducials import Board, Marker
 from verify.core.rig import Covariance, Rig
 from verify.measurement.systematics import BODY
 
@@ -67,34 +69,27 @@ def test_few_views_cannot_outvote_each_other() -> None:
 @pytest.mark.slow
 def test_the_two_bad_pictures_of_the_lifecam_are_named() -> None:
     folder = require_shared().parent / "data" / "camera_1280x720_photonvision" / "lifecam_1280x720"
-    residuals = _webcam(folder, 14, (10, 10))
+    residuals = _webcam(folder)
     assert rms(residuals.residual) < 0.6
     assert [v.frame for v in view_residuals(residuals) if v.poor] == [6, 7]
 
 
-def _webcam(folder: Path, count: int, size: tuple[int, int]) -> Residuals:
+def _webcam(folder: Path) -> Residuals:
     """OpenCV's own calibration of one camera."""
-    board = np.zeros((size[0] * size[1], 3), np.float32)
-    board[:, :2] = np.mgrid[: size[0], : size[1]].T.reshape(-1, 2)
+    board, count = Board(10, 10, 1.0), 14
+    points = board.points.astype(np.float32)
     corners = []
     for number in range(count):
         picture = cv2.imread(str(folder / f"img{number}.png"), cv2.IMREAD_GRAYSCALE)
-        assert picture is not None
-        there, seen = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
-        if not there:
-            there, seen = cv2.findChessboardCorners(picture, size)
-        assert there
-        apart = np.linalg.norm(np.diff(seen.reshape(size[1], size[0], 2), axis=1), axis=2)
-        window = (max(2, int(0.35 * np.median(apart))),) * 2
-        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
-        corners.append(cv2.cornerSubPix(picture, seen.astype(np.float32), window, (-1, -1), stop))
+        view = find_board(np.asarray(picture, dtype=np.uint8), board)
+        assert view is not None
+        corners.append(view.centre.astype(np.float32))
     _, matrix, lens, turns, shifts = cv2.calibrateCamera(
-        [board] * count, corners, (1280, 720), np.eye(3), np.zeros(5)
+        [points] * count, corners, (1280, 720), np.eye(3), np.zeros(5)
     )
-    put = [
-        cv2.projectPoints(board, r, t, matrix, lens)[0] for r, t in zip(turns, shifts, strict=True)
-    ]
-    seen = np.concatenate(corners).reshape(-1, 2).astype(float)
+    placed = zip(turns, shifts, strict=True)
+    put = [cv2.projectPoints(points, r, t, matrix, lens)[0] for r, t in placed]
+    seen = np.concatenate(corners).astype(float)
     n = len(board)
     return Residuals(
         camera=np.zeros(n * count, dtype=np.int64),
@@ -107,56 +102,58 @@ def _webcam(folder: Path, count: int, size: tuple[int, int]) -> Residuals:
     )
 
 
-def test_complete_coverage_gives_no_advice() -> None:
-    found = made.calibration(count=60)
-    quality = judge_calibration(found)
-    assert coverage_gaps(found, quality) == ()
-    assert calibration_doubts(found, quality) == ()
+@pytest.fixture(scope="module")
+def covered() -> Calibration:
+    return made.calibration(count=60)
+
+
+def gaps(found: Calibration, **changes: object) -> tuple[str, ...]:
+    """Advice on a calibration whose quality is changed."""
+    return coverage_gaps(found, replace(judge_calibration(found), **changes))
+
+
+def without(found: Calibration, away: NDArray[np.bool_]) -> Calibration:
+    own = found.residuals
+    return replace(found, residuals=replace(own, used=own.used & ~away))
+
+
+def test_complete_coverage_gives_no_advice(covered: Calibration) -> None:
+    assert gaps(covered) == ()
+    assert calibration_doubts(covered, judge_calibration(covered)) == ()
 
 
 def test_flat_boards_give_the_advice_to_tilt() -> None:
-    found = made.calibration(count=60, tilt_deg=8.0)
-    message = " ".join(coverage_gaps(found, judge_calibration(found)))
+    message = " ".join(gaps(made.calibration(count=60, tilt_deg=8.0)))
     for axis in ("horizontal", "vertical"):
         assert re.search(rf"never tilted about the {axis} axis by more than \d+°", message)
 
 
-def test_boards_tilted_one_way_give_the_advice_for_the_other() -> None:
-    found = made.calibration(count=60)
-    quality = judge_calibration(found)
-    one_way = tuple(s for s in quality.stances if s.about_horizontal > 0)
-    message = coverage_gaps(found, replace(quality, stances=one_way))
-    assert [s for s in message if "horizontal axis with its lower edge nearer" in s]
-
-
-def test_boards_at_one_distance_give_the_advice_to_move() -> None:
-    found = made.calibration(count=60)
-    quality = judge_calibration(found)
-    near = tuple(s for s in quality.stances if s.distance < 0.8)
-    message = coverage_gaps(found, replace(quality, stances=near))
-    assert [s for s in message if s.startswith("All boards stood between")]
+def test_boards_tilted_one_way_or_at_one_distance_give_the_advice_for_the_other(
+    covered: Calibration,
+) -> None:
+    stances = judge_calibration(covered).stances
+    one_way = gaps(covered, stances=tuple(s for s in stances if s.about_horizontal > 0))
+    assert [s for s in one_way if "horizontal axis with its lower edge nearer" in s]
+    near = gaps(covered, stances=tuple(s for s in stances if s.distance < 0.8))
+    assert [s for s in near if s.startswith("All boards stood between")]
 
 
 @pytest.mark.parametrize(
     ("column", "row", "words"),
     [(2, 0, "upper right"), (0, 1, "left edge"), (1, 1, "middle"), (0, 2, "lower left")],
 )
-def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, words: str) -> None:
-    found = made.calibration(count=60)
-    own = found.residuals
+def test_a_part_of_the_image_without_corners_is_named(
+    covered: Calibration, column: int, row: int, words: str
+) -> None:
+    own = covered.residuals
     at = np.floor((own.observed + 0.5) / [1280 / 3, 720 / 3])
-    away = (own.camera == 0) & (at == [column, row]).all(axis=1)
-    cleared = replace(found, residuals=replace(own, used=own.used & ~away))
-    message = coverage_gaps(cleared, judge_calibration(cleared))
+    message = gaps(without(covered, (own.camera == 0) & (at == [column, row]).all(axis=1)))
     assert f"No corner lies in the {words} of the left image: hold the board there." in message
 
 
-def test_corners_missing_at_an_edge_give_the_advice_to_reach_it() -> None:
-    found = made.calibration(count=60)
-    own = found.residuals
-    away = (own.camera == 1) & (own.observed[:, 0] > 1000)
-    cleared = replace(found, residuals=replace(own, used=own.used & ~away))
-    message = coverage_gaps(cleared, judge_calibration(cleared))
+def test_corners_missing_at_an_edge_give_the_advice_to_reach_it(covered: Calibration) -> None:
+    own = covered.residuals
+    message = gaps(without(covered, (own.camera == 1) & (own.observed[:, 0] > 1000)))
     assert [s for s in message if re.search(r"near the right \(2\d %\) edge of the right image", s)]
 
 
@@ -195,12 +192,18 @@ def test_a_rectified_pair_has_its_corners_on_level_lines() -> None:
     assert_allclose(corners[0][:, 1], corners[1][:, 1], atol=1.5)  # px of a picture half as large
 
 
+PLAIN = {"camera", "frame", "corner", "corners", "refused", "poor", "used", "kind", "name", "group",
+         "parameter", "unit", "value", "standard_uncertainty", "state"}  # fmt: skip
+
+
 def _results(found: Calibration) -> reports.Results:
     origin = ResultsOrigin("boards", inputs=made.INPUTS)
     return calibration_results(found, picture=made.pictures(found), origin=origin)
 
 
-def test_results_come_back_from_their_folder_and_are_the_same_each_time(tmp_path: Path) -> None:
+def test_results_come_back_are_the_same_each_time_and_every_column_has_a_unit(
+    tmp_path: Path,
+) -> None:
     first = _results(made.calibration())
     reports.write(first, tmp_path / "one")
     reports.write(_results(made.calibration()), tmp_path / "two")
@@ -209,14 +212,7 @@ def test_results_come_back_from_their_folder_and_are_the_same_each_time(tmp_path
     again = reports.read(tmp_path / "one")
     assert again.summary["kind"] == "calibration"
     assert again.tables.keys() == first.tables.keys()
-
-
-PLAIN = {"camera", "frame", "corner", "corners", "refused", "poor", "used", "kind", "name", "group",
-         "parameter", "unit", "value", "standard_uncertainty", "state"}  # fmt: skip
-
-
-def test_every_column_has_a_unit() -> None:
-    for table in _results(made.calibration()).tables.values():
+    for table in first.tables.values():
         for name in table.columns:
             assert name in PLAIN or re.search(r"_(px|mm|deg)$", name), name
 
@@ -250,14 +246,12 @@ def _registered() -> Rig:
 
 
 def _moved_robot() -> MotionRegistration:
+    each = np.array([0, 1])
     spots = SpotResiduals(
-        frame=np.array([0, 1]),
-        camera=np.array([0, 1]),
-        led=np.array([0, 1]),
+        frame=each, camera=each, led=each, used=np.array([True, False]),
         observed=np.array([[10.0, 20.0], [30.0, 40.0]]),
         residual=np.array([[0.1, 0.0], [0.0, -0.2]]),
-        used=np.array([True, False]),
-    )
+    )  # fmt: skip
     leds = np.array([[0.06, 0.0, 0.01], [0.0, 0.05, 0.02]])
     return MotionRegistration(
         rig=_registered(), marker=Marker(("A", "B"), leds, ("", "red"), 5e-3),

@@ -10,6 +10,7 @@ from scipy.stats import chi2
 
 import robots
 from robots.transforms import difference
+from tests.support.moved_rig import turned
 from tests.support.recorded import PAIRS, require_shared, write_session
 from tests.support.simulated import InMemory, in_memory
 from verify.calibration.registration import register
@@ -163,14 +164,10 @@ def test_what_the_rig_states_of_itself_reaches_base_and_leds_with_its_correlatio
     assert given.parameters[:3] == ("right.mount_ry_deg", "left.fx_px", "robot_base.x_mm")
     assert given.standard_uncertainty[2] < 2.0  # the old base's 5 mm is gone with the old base
     # brute force: register again in a rig whose right camera is turned by u about its own y
-    turn = np.eye(4)
-    turn[:3, :3] = robots.transforms.rotation_exp(np.deg2rad([0.0, u, 0.0]))
-    mount = recording.rig.right.mount.copy()
-    mount[:3, :3] = turn[:3, :3] @ mount[:3, :3]
-    other = replace(recording.rig, right=replace(recording.rig.right, mount=mount))
+    other = replace(recording.rig, right=turned(recording.rig.right, 1, u))
     plain = register_motion(recording)
-    turned = register_motion(replace(recording, rig=other))
-    moved = difference(turned.rig.rig_T_base[None], plain.rig.rig_T_base[None])[0]
+    by_other = register_motion(replace(recording, rig=other))
+    moved = difference(by_other.rig.rig_T_base[None], plain.rig.rig_T_base[None])[0]
     z = given.parameters.index("robot_base.z_mm")
     by_turn = given.correlation[0, z] * given.standard_uncertainty[z]
     assert by_turn == pytest.approx(moved[2] * 1e3, rel=0.05, abs=0.01)

@@ -14,11 +14,10 @@ from scipy.signal import savgol_filter
 from scipy.special import log_ndtr
 from scipy.stats import norm
 
-from verify.core.records import Array, Image
+from verify.core.records import Image
 from verify.measurement.detection.kernels.candidates import find_blobs, flood_fill, top_hat
 from verify.measurement.detection.kernels.noise import stencils, variance_line
 from verify.measurement.detection.kernels.occlusion import depth_profile, log_normal_cdf
-from verify.measurement.detection.kernels.patches import measure_half_height
 from verify.measurement.detection.kernels.pixels import (
     CLIP_REACH,
     MIN_Z,
@@ -27,46 +26,12 @@ from verify.measurement.detection.kernels.pixels import (
     normal_law,
 )
 
-ANY_SHAPE = (1e9, 0.0)  # axis ratio and fill that everything has
-
 
 def cloud(seed: int, blur: float) -> Image:
     """Bright islands, some with holes, some at the border."""
     noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(40, 50)), (0, 0), blur)
     stretched = 255 * (noise - noise.min()) / np.ptp(noise)
     return np.asarray(np.clip(1.5 * stretched - 120, 0, 255), np.uint8)
-
-
-def blob_by_opencv(part: Image) -> Array:
-    """Centre, half width and height of the island about the peak, what its rim encloses counted."""
-    _, peak, _, (x, y) = cv2.minMaxLoc(part)
-    above = np.asarray(part > peak / 2, np.uint8)
-    outlines, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    rim = next(o for o in outlines if cv2.pointPolygonTest(o, (x, y), measureDist=False) >= 0)
-    island = cv2.drawContours(np.zeros_like(above), [rim], -1, 1, cv2.FILLED) & above
-    moments = cv2.moments(island, binaryImage=True)
-    area = moments["m00"]
-    centre = moments["m10"] / area, moments["m01"] / area
-    return np.array([*centre, np.sqrt(area / np.pi), peak])
-
-
-@pytest.mark.parametrize("blur", [0.7, 1.5, 3.0])
-@pytest.mark.parametrize("seed", range(5))
-def test_a_blob_at_half_its_height_is_that_of_opencv(seed: int, blur: float) -> None:
-    part, output = cloud(seed, blur), np.empty(4)
-    assert measure_half_height(part, *ANY_SHAPE, output)
-    np.testing.assert_allclose(output, blob_by_opencv(part), rtol=1e-12)
-
-
-def test_a_streak_and_a_hook_are_no_blobs_and_a_disc_is_one() -> None:
-    output = np.empty(4)
-    for thing, compact in [
-        (cv2.circle(np.zeros((40, 40), np.uint8), (20, 20), 8, 200, cv2.FILLED), True),
-        (cv2.line(np.zeros((40, 40), np.uint8), (5, 5), (35, 30), 200, 2), False),
-        (cv2.ellipse(np.zeros((40, 40), np.uint8), (20, 20), (12, 12), 0, 0, 200, 200, 3), False),
-        (np.full((40, 40), 200, np.uint8), False),
-    ]:
-        assert measure_half_height(np.asarray(thing, np.uint8), 2.5, 0.6, output) == compact
 
 
 def test_a_bites_bump_is_the_exponential_to_what_it_promises() -> None:
