@@ -1,14 +1,15 @@
 """The interim check of healthy and of moved rigs, by LEDs, a bar and a board."""
 
 from dataclasses import replace
+from functools import partial
 
-import cv2
 import msgspec
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
 from tests.support.boards.fixture import BOARD, STATED, board_pairs, doubtful_rig
+from tests.support.boards.made_views import found_pairs
 from tests.support.drawn_rig import believed, drawn
 from tests.support.moved_rig import bumped, seen_by, stretched, turned
 from tests.support.recorded import require_shared
@@ -21,8 +22,7 @@ from verify.calibration.check.check import (
     check_rig,
     check_session,
 )
-from verify.calibration.corners.find import find_board
-from verify.core.fiducials import Board, BoardPair
+from verify.core.fiducials import Board
 from verify.core.records import Measurement
 from verify.errors import InputError
 from verify.io import rig as io_rig
@@ -103,9 +103,8 @@ def test_a_bar_of_two_leds_brings_its_own_length() -> None:
     assert_allclose(np.linalg.norm(known.leds[1] - known.leds[0]), length)
     rig = make_rig()
     assert check_rig(seen_by((rig, two), (rig, known), 0), rig, known).holds
-    off = check_rig(
-        seen_by((rig, two), (stretched(rig, 1.01), known), 0), stretched(rig, 1.01), known
-    )
+    file = stretched(rig, 1.01), known
+    off = check_rig(seen_by((rig, two), file, 0), *file)
     assert off.verdict == "not_held"
     assert_allclose(off.found.by_source["LED positions"][0], 1e-5 / length, rtol=0.02)
 
@@ -163,17 +162,13 @@ def test_a_session_of_a_symmetric_bar_is_checked() -> None:
         )
     )
     length = float(np.linalg.norm(session.marker.leds[1] - session.marker.leds[0]))
+    check = partial(check_session, session, length_standard_uncertainty=1e-5)
     output: list[int] = []
-    result = check_session(
-        session,
-        length=length,
-        length_standard_uncertainty=1e-5,
-        progress=lambda done, _: output.append(done),
-    )
+    result = check(length=length, progress=lambda done, _: output.append(done))
     assert result.holds
     assert output == list(range(1, 9))
     assert result.lengths.pairs.tolist() == [8]
-    assert not check_session(session, length=length * 1.004, length_standard_uncertainty=1e-5).holds
+    assert not check(length=length * 1.004).holds
 
 
 @pytest.mark.shared
@@ -182,11 +177,7 @@ def test_one_ray_traced_board_holds_the_true_rig_and_shows_a_yaw_of_a_twentieth_
     rig, _ = io_rig.read(folder / "rig.toml")
     board = Board(columns=9, rows=7, square=0.04)
     yawed = replace(rig, right=turned(rig.right, 1, 0.05))
-    for i in (0, 7, 14):
-        views = [
-            find_board(cv2.imread(str(folder / side / f"{i:06d}.png"), 0), board)
-            for side in ("left", "right")
-        ]
-        seen = BoardPair(i, rig.left.pan, rig.right.pan, *views)
-        assert check_board(rig, [seen], board).holds
-        assert not check_board(yawed, [seen], board).holds
+    left, right = ([folder / s / f"{i:06d}.png" for i in (0, 7, 14)] for s in ("left", "right"))
+    for pair in found_pairs(left, right, board, (rig.left.pan, rig.right.pan)):
+        assert check_board(rig, [pair], board).holds
+        assert not check_board(yawed, [pair], board).holds
