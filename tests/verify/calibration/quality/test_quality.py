@@ -8,13 +8,11 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import reports
 from tests.support.recorded import require_shared
 from tests.support.reports import calibration as made
-from verify.calibration.corners.find import find_board
 from verify.calibration.origin import ResultsOrigin
 from verify.calibration.quality.advice import calibration_doubts, coverage_gaps
 from verify.calibration.quality.quality import (
@@ -29,7 +27,7 @@ from verify.calibration.registration.records import MotionRegistration, SpotResi
 from verify.calibration.registration.results import fixture_results, motion_results
 from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES
 from verify.calibration.stereo.records import Calibration, Residuals, rms
-from verify.core.fiducials import Board, Marker
+from verify.core.fiducials import Marker
 from verify.core.rig import Covariance, Rig
 from verify.measurement.systematics import BODY
 
@@ -69,27 +67,34 @@ def test_few_views_cannot_outvote_each_other() -> None:
 @pytest.mark.slow
 def test_the_two_bad_pictures_of_the_lifecam_are_named() -> None:
     folder = require_shared().parent / "data" / "camera_1280x720_photonvision" / "lifecam_1280x720"
-    residuals = _webcam(folder)
+    residuals = _webcam(folder, 14, (10, 10))
     assert rms(residuals.residual) < 0.6
     assert [v.frame for v in view_residuals(residuals) if v.poor] == [6, 7]
 
 
-def _webcam(folder: Path) -> Residuals:
+def _webcam(folder: Path, count: int, size: tuple[int, int]) -> Residuals:
     """OpenCV's own calibration of one camera."""
-    board, count = Board(10, 10, 1.0), 14
-    points = board.points.astype(np.float32)
+    board = np.zeros((size[0] * size[1], 3), np.float32)
+    board[:, :2] = np.mgrid[: size[0], : size[1]].T.reshape(-1, 2)
     corners = []
     for number in range(count):
         picture = cv2.imread(str(folder / f"img{number}.png"), cv2.IMREAD_GRAYSCALE)
-        view = find_board(np.asarray(picture, dtype=np.uint8), board)
-        assert view is not None
-        corners.append(view.centre.astype(np.float32))
+        assert picture is not None
+        there, seen = cv2.findChessboardCornersSB(picture, size, flags=cv2.CALIB_CB_EXHAUSTIVE)
+        if not there:
+            there, seen = cv2.findChessboardCorners(picture, size)
+        assert there
+        apart = np.linalg.norm(np.diff(seen.reshape(size[1], size[0], 2), axis=1), axis=2)
+        window = (max(2, int(0.35 * np.median(apart))),) * 2
+        stop = (cv2.TERM_CRITERIA_EPS + cv2.TERM_CRITERIA_MAX_ITER, 100, 1e-4)
+        corners.append(cv2.cornerSubPix(picture, seen.astype(np.float32), window, (-1, -1), stop))
     _, matrix, lens, turns, shifts = cv2.calibrateCamera(
-        [points] * count, corners, (1280, 720), np.eye(3), np.zeros(5)
+        [board] * count, corners, (1280, 720), np.eye(3), np.zeros(5)
     )
-    placed = zip(turns, shifts, strict=True)
-    put = [cv2.projectPoints(points, r, t, matrix, lens)[0] for r, t in placed]
-    seen = np.concatenate(corners).astype(float)
+    put = [
+        cv2.projectPoints(board, r, t, matrix, lens)[0] for r, t in zip(turns, shifts, strict=True)
+    ]
+    seen = np.concatenate(corners).reshape(-1, 2).astype(float)
     n = len(board)
     return Residuals(
         camera=np.zeros(n * count, dtype=np.int64),
@@ -102,58 +107,56 @@ def _webcam(folder: Path) -> Residuals:
     )
 
 
-@pytest.fixture(scope="module")
-def covered() -> Calibration:
-    return made.calibration(count=60)
-
-
-def gaps(found: Calibration, **changes: object) -> tuple[str, ...]:
-    """Advice on a calibration whose quality is changed."""
-    return coverage_gaps(found, replace(judge_calibration(found), **changes))
-
-
-def without(found: Calibration, away: NDArray[np.bool_]) -> Calibration:
-    own = found.residuals
-    return replace(found, residuals=replace(own, used=own.used & ~away))
-
-
-def test_complete_coverage_gives_no_advice(covered: Calibration) -> None:
-    assert gaps(covered) == ()
-    assert calibration_doubts(covered, judge_calibration(covered)) == ()
+def test_complete_coverage_gives_no_advice() -> None:
+    found = made.calibration(count=60)
+    quality = judge_calibration(found)
+    assert coverage_gaps(found, quality) == ()
+    assert calibration_doubts(found, quality) == ()
 
 
 def test_flat_boards_give_the_advice_to_tilt() -> None:
-    message = " ".join(gaps(made.calibration(count=60, tilt_deg=8.0)))
+    found = made.calibration(count=60, tilt_deg=8.0)
+    message = " ".join(coverage_gaps(found, judge_calibration(found)))
     for axis in ("horizontal", "vertical"):
         assert re.search(rf"never tilted about the {axis} axis by more than \d+°", message)
 
 
-def test_boards_tilted_one_way_or_at_one_distance_give_the_advice_for_the_other(
-    covered: Calibration,
-) -> None:
-    stances = judge_calibration(covered).stances
-    one_way = gaps(covered, stances=tuple(s for s in stances if s.about_horizontal > 0))
-    assert [s for s in one_way if "horizontal axis with its lower edge nearer" in s]
-    near = gaps(covered, stances=tuple(s for s in stances if s.distance < 0.8))
-    assert [s for s in near if s.startswith("All boards stood between")]
+def test_boards_tilted_one_way_give_the_advice_for_the_other() -> None:
+    found = made.calibration(count=60)
+    quality = judge_calibration(found)
+    one_way = tuple(s for s in quality.stances if s.about_horizontal > 0)
+    message = coverage_gaps(found, replace(quality, stances=one_way))
+    assert [s for s in message if "horizontal axis with its lower edge nearer" in s]
+
+
+def test_boards_at_one_distance_give_the_advice_to_move() -> None:
+    found = made.calibration(count=60)
+    quality = judge_calibration(found)
+    near = tuple(s for s in quality.stances if s.distance < 0.8)
+    message = coverage_gaps(found, replace(quality, stances=near))
+    assert [s for s in message if s.startswith("All boards stood between")]
 
 
 @pytest.mark.parametrize(
     ("column", "row", "words"),
     [(2, 0, "upper right"), (0, 1, "left edge"), (1, 1, "middle"), (0, 2, "lower left")],
 )
-def test_a_part_of_the_image_without_corners_is_named(
-    covered: Calibration, column: int, row: int, words: str
-) -> None:
-    own = covered.residuals
+def test_a_part_of_the_image_without_corners_is_named(column: int, row: int, words: str) -> None:
+    found = made.calibration(count=60)
+    own = found.residuals
     at = np.floor((own.observed + 0.5) / [1280 / 3, 720 / 3])
-    message = gaps(without(covered, (own.camera == 0) & (at == [column, row]).all(axis=1)))
+    away = (own.camera == 0) & (at == [column, row]).all(axis=1)
+    cleared = replace(found, residuals=replace(own, used=own.used & ~away))
+    message = coverage_gaps(cleared, judge_calibration(cleared))
     assert f"No corner lies in the {words} of the left image: hold the board there." in message
 
 
-def test_corners_missing_at_an_edge_give_the_advice_to_reach_it(covered: Calibration) -> None:
-    own = covered.residuals
-    message = gaps(without(covered, (own.camera == 1) & (own.observed[:, 0] > 1000)))
+def test_corners_missing_at_an_edge_give_the_advice_to_reach_it() -> None:
+    found = made.calibration(count=60)
+    own = found.residuals
+    away = (own.camera == 1) & (own.observed[:, 0] > 1000)
+    cleared = replace(found, residuals=replace(own, used=own.used & ~away))
+    message = coverage_gaps(cleared, judge_calibration(cleared))
     assert [s for s in message if re.search(r"near the right \(2\d %\) edge of the right image", s)]
 
 
