@@ -12,6 +12,7 @@ from collections.abc import Iterator
 import numpy as np
 from scipy.stats import chi2
 
+from robots.transforms import difference
 from tests.bench.cells import Checked, d2_ratio, seeds
 from tests.support.random_scenarios import random_scenario
 from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
@@ -22,7 +23,6 @@ from verify.calibration.registration.model import (
 )
 from verify.core.readings import Readings
 from verify.core.records import Array
-from verify.core.rig import Camera
 from verify.simulation.session.simulate import SimulatedSession, simulate_session
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
@@ -40,7 +40,8 @@ def spot_level(session: SimulatedSession, sigma: float, rng: np.random.Generator
         pair, led = np.nonzero(np.isfinite(spots[:, :, 0]))
         centre = spots[pair, led] + sigma * rng.standard_normal((len(pair), 2))
         t, pan = session.t[pair, side], session.pan[pair, side]
-        parts.append((pair, np.full(len(pair), side), led, centre, t, pan, _placed(camera, pan)))
+        camera_T_rig = np.array([camera.camera_T_rig(float(p)) for p in pan])
+        parts.append((pair, np.full(len(pair), side), led, centre, t, pan, camera_T_rig))
     pair, side, led, centre, t, pan, camera_T_rig = (
         np.concatenate(p) for p in zip(*parts, strict=True)
     )
@@ -61,10 +62,6 @@ def spot_level(session: SimulatedSession, sigma: float, rng: np.random.Generator
     )
 
 
-def _placed(camera: Camera, pan: Array) -> Array:
-    return np.array([np.linalg.inv(camera.rig_T_camera(float(p))) for p in pan])
-
-
 def adjusted(
     session: SimulatedSession, spotted: SpotStack, error: Array | float = 0.0
 ) -> AdjustedRegistration:
@@ -72,14 +69,8 @@ def adjusted(
     readings = Readings(session.encoder_t, session.encoder_q + error)
     offset = session.scenario.encoders.clock_offset_s
     start = RegistrationParameters(session.rig.rig_T_base, session.marker.leds, offset, 0.0)
-    setup = AdjustmentSetup(
-        rig=session.rig,
-        arm=session.world.arm,
-        readings=readings,
-        variance=reading_variance(readings, None),
-        time_variance=0.0,
-        clock=None,
-    )
+    variance = reading_variance(readings, None)
+    setup = AdjustmentSetup(session.rig, session.world.arm, readings, variance, 0.0, None)
     return adjust(spotted, setup, start, np.ones(start.size, dtype=bool))
 
 
@@ -88,12 +79,9 @@ def squared(arm: str, seed: int) -> tuple[Checked, float]:
     rng = np.random.default_rng(seed)
     session = simulate_session(random_scenario(rng, arm, pairs=PAIRS))
     found = adjusted(session, spot_level(session, SIGMA_PX, rng))
-    base = found.at.rig_T_base
-    true = session.world.bench.rig_T_base
-    turn = base[:3, :3] @ true[:3, :3].T
-    vector = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
-    leds = (found.at.leds - session.world.bench.leds).ravel()
-    error = np.concatenate([base[:3, 3] - true[:3, 3], vector / 2, leds])
+    bench = session.world.bench
+    leds = (found.at.leds - bench.leds).ravel()
+    error = np.concatenate([difference(found.at.rig_T_base, bench.rig_T_base), leds])
     n = len(error)
     d2 = float(error @ np.linalg.solve(found.covariance[:n, :n], error))
     return Checked((), np.zeros(0), d2, n), found.chi2 / found.degrees_of_freedom

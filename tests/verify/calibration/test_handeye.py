@@ -1,13 +1,8 @@
-from pathlib import Path
-
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation, Slerp
+from scipy.spatial.transform import Rotation
 
-from tests.support.recorded import require_shared
 from verify.calibration.handeye import solve_hand_eye, solve_robustly
-from verify.calibration.registration.start import clock_candidates
-from verify.core.readings import Readings
 from verify.core.records import Array
 
 
@@ -26,7 +21,9 @@ def rng() -> np.random.Generator:
     return np.random.default_rng(3)
 
 
-def test_a_closed_loop_is_solved_exactly(rng: np.random.Generator) -> None:
+def test_a_closed_loop_is_solved_exactly_and_a_mirrored_body_is_recognised(
+    rng: np.random.Generator,
+) -> None:
     x, y = random_motions(2, rng)
     b = random_motions(8, rng)
     solved = solve_hand_eye(y @ b @ np.linalg.inv(x), b)
@@ -35,6 +32,8 @@ def test_a_closed_loop_is_solved_exactly(rng: np.random.Generator) -> None:
     assert not solved.mirrored
     assert not solved.open
     assert np.abs(solved.residual).max() < 1e-12
+    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
+    assert solve_hand_eye(mirror @ y @ b @ np.linalg.inv(x) @ mirror, b).mirrored
 
 
 def test_turns_about_one_axis_are_called_open(rng: np.random.Generator) -> None:
@@ -42,13 +41,6 @@ def test_turns_about_one_axis_are_called_open(rng: np.random.Generator) -> None:
     about_z = Rotation.from_rotvec(np.outer(np.linspace(-1, 1, 9), [0, 0, 1]))
     b = motions(rng.normal(size=(9, 3)), about_z)
     assert solve_hand_eye(y @ b @ np.linalg.inv(x), b).open
-
-
-def test_a_mirrored_body_is_recognised(rng: np.random.Generator) -> None:
-    x, y = random_motions(2, rng)
-    b = random_motions(8, rng)
-    mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
-    assert solve_hand_eye(mirror @ y @ b @ np.linalg.inv(x) @ mirror, b).mirrored
 
 
 def test_a_wrong_pose_is_left_out(rng: np.random.Generator) -> None:
@@ -65,38 +57,3 @@ def test_a_wrong_pose_is_left_out(rng: np.random.Generator) -> None:
 def test_two_poses_are_too_few(rng: np.random.Generator) -> None:
     with pytest.raises(ValueError, match="3 poses or more"):
         solve_hand_eye(random_motions(2, rng), random_motions(2, rng))
-
-
-def data(*parts: str) -> Path:
-    return require_shared().parent.joinpath("data", *parts)
-
-
-@pytest.fixture(scope="module")
-def streams() -> tuple[Array, Array]:
-    stem = "robot_arm_complete_bag_color_and_ir_"
-    hand, eye = (
-        np.loadtxt(data("handeye_timeoffset_asl", f"{stem}{name}.csv"), delimiter=",")
-        for name in ("base_link_sr300_hinge", "target_ir")
-    )
-    return hand, eye[::6]
-
-
-def by_hand(hand: Array, t: Array) -> Array:
-    turns = Slerp(hand[:, 0], Rotation.from_quat(hand[:, 4:8]))
-    t = np.clip(t, hand[0, 0], hand[-1, 0])
-    places = np.stack([np.interp(t, hand[:, 0], hand[:, i]) for i in (1, 2, 3)], axis=1)
-    return motions(places, turns(t))
-
-
-@pytest.mark.shared
-@pytest.mark.parametrize("shift", [0.0, 0.35, -1.2])
-def test_the_clock_of_a_spiky_real_stream_is_found_by_turning(
-    streams: tuple[Array, Array], shift: float
-) -> None:
-    hand, eye = streams
-    readings = Readings(hand[:, 0] - shift, np.zeros((len(hand), 1)))
-    seen = Rotation.from_quat(eye[:, 4:8]).as_matrix()
-    best = clock_candidates(
-        eye[:, 0], seen, readings, lambda t: by_hand(hand, t + shift)[:, :3, :3]
-    )
-    assert best[0] == pytest.approx(shift, abs=0.03)  # 0.02 s steps, and 0 ± 0.02 s as delivered

@@ -67,10 +67,10 @@ def pose(place: Array, vector: Array) -> Array:
     return whole
 
 
-def apart(one: Array, other: Array) -> tuple[float, float]:
-    """How far two poses lie apart, mm and degrees."""
-    turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude()
-    return float(np.linalg.norm(one[:3, 3] - other[:3, 3])) * 1e3, float(np.rad2deg(turn))
+def lengths(residual: Array) -> tuple[Array, Array]:
+    """Length of residuals (…, 6): m and rad in, mm and degrees out."""
+    place, turn = residual[..., :3], residual[..., 3:]
+    return np.linalg.norm(place, axis=-1) * 1e3, np.rad2deg(np.linalg.norm(turn, axis=-1))
 
 
 @dataclass(frozen=True)
@@ -98,16 +98,8 @@ def cameras_about(middle: Array, size: float) -> Rig:
         mount = np.eye(4)
         mount[:3, :3] = rig_R_camera
         mount[:3, 3] = middle - DISTANCE * size * rig_R_camera[:, 2]
-        cameras.append(
-            Camera(
-                matrix=np.diag([FOCAL, FOCAL, 1.0]),
-                distortion=np.zeros(5),
-                pan_center=np.zeros(3),
-                pan_axis=np.array([0.0, 1.0, 0.0]),
-                pan_zero=0.0,
-                mount=mount,
-            )
-        )
+        matrix, axis = np.diag([FOCAL, FOCAL, 1.0]), np.array([0.0, 1.0, 0.0])
+        cameras.append(Camera(matrix, np.zeros(5), np.zeros(3), axis, 0.0, mount))
     return Rig((640, 480), *cameras, rig_T_base=np.full((4, 4), np.nan), base_source="")
 
 
@@ -255,8 +247,10 @@ def test_a_tag_on_a_franka_hand_is_registered_as_published() -> None:
     half = TAG_SIDE / 2
     corners = np.array([[-half, half, 0], [half, half, 0], [half, -half, 0], [-half, -half, 0]])
     found, camera_T_base = visits(*franka("data-eye-to-hand", tag_corners, corners), TAG)
-    place_mm, turn_deg = apart(invert(camera_T_base), pose(*map(np.array, BASE_T_CAMERA)))
-    place, turn = residuals(found)
+    place_mm, turn_deg = lengths(
+        difference(invert(camera_T_base), pose(*map(np.array, BASE_T_CAMERA)))
+    )
+    place, turn = lengths(found.residual)
     tag_mm = invert(found.body_T_flange)[:3, 3] * 1e3
     assert place_mm < 3.0
     assert turn_deg < 0.5
@@ -273,17 +267,13 @@ def test_a_camera_on_a_franka_hand_is_registered_as_published() -> None:
     seen, read = franka("data-eye-in-hand", board_corners, np.array(grid))
     # board_T_camera · camera_T_hand = board_T_base · base_T_hand
     found, _ = visits(invert(seen), read, BOARD)
-    place_mm, turn_deg = apart(invert(found.body_T_flange), pose(*map(np.array, HAND_T_CAMERA)))
-    place, _ = residuals(found)
+    place_mm, turn_deg = lengths(
+        difference(invert(found.body_T_flange), pose(*map(np.array, HAND_T_CAMERA)))
+    )
+    place, _ = lengths(found.residual)
     assert place_mm < 3.0
     assert turn_deg < 0.5
     assert 3.2 < place.mean() < 6.6  # published: 5.41 mm, 3.2 to 6.6
-
-
-def residuals(found: Fitted) -> tuple[Array, Array]:
-    """Length of each pose's residual, mm and degrees."""
-    place, turn = np.split(found.residual, 2, axis=1)
-    return np.linalg.norm(place, axis=1) * 1e3, np.rad2deg(np.linalg.norm(turn, axis=1))
 
 
 @dataclass(frozen=True)
@@ -329,39 +319,28 @@ def plain(streams: Streams) -> Fitted:
     return register_hand_eye(streams, 0.0)
 
 
-@pytest.fixture(scope="module")
-def shifted(streams: Streams) -> Fitted:
-    return register_hand_eye(streams, SHIFT)
-
-
 def test_a_camera_on_an_unsynchronised_arm_is_registered_as_noted(plain: Fitted) -> None:
     # SOURCE.md: the camera in the mount, by A X = Y B with another solver
     noted_mm = np.array([-15.0, 2.0, 11.0])
-    place, turn = residuals(plain)
+    place, turn = lengths(plain.residual)
     assert np.linalg.norm(plain.body_T_flange[:3, 3] * 1e3 - noted_mm) < 10.0
     assert abs(plain.clock) < 0.02  # as delivered: 0 ± 0.02 s
     assert np.median(place) == pytest.approx(6.9, abs=0.3)
     assert np.median(turn) == pytest.approx(0.44, abs=0.03)
 
 
-def test_a_shift_of_the_clock_comes_back(plain: Fitted, shifted: Fitted) -> None:
+def test_a_shift_of_the_clock_comes_back(streams: Streams, plain: Fitted) -> None:
+    """From registration, and by what `verify run` calls from the registered poses alone."""
+    shifted = register_hand_eye(streams, SHIFT)
     assert shifted.clock - plain.clock == pytest.approx(SHIFT, abs=0.001)
-
-
-@pytest.mark.parametrize("shift", [0.0, SHIFT])
-def test_the_clock_of_a_session_is_found_in_real_poses(
-    streams: Streams, shift: float, request: pytest.FixtureRequest
-) -> None:
-    """By what `verify run` calls, from the registered poses alone."""
-    plain: Fitted = request.getfixturevalue("plain")
-    found: Fitted = request.getfixturevalue("shifted") if shift else plain
-    readings = streams.readings(shift)
-    known = readings.available(streams.seen_t - found.clock)
-    poses = invert(found.rig_T_base) @ streams.seen[known] @ found.body_T_flange
-    track = track_of(streams.seen_t[known], poses, STREAM.place, STREAM.turn)
-    clock = estimate_clock(track, streams.arm, readings)
-    assert clock.source == "estimated"
-    assert clock.offset - plain.clock == pytest.approx(shift, abs=0.005)
+    for shift, found in ((0.0, plain), (SHIFT, shifted)):
+        readings = streams.readings(shift)
+        known = readings.available(streams.seen_t - found.clock)
+        poses = invert(found.rig_T_base) @ streams.seen[known] @ found.body_T_flange
+        track = track_of(streams.seen_t[known], poses, STREAM.place, STREAM.turn)
+        clock = estimate_clock(track, streams.arm, readings)
+        assert clock.source == "estimated"
+        assert clock.offset - plain.clock == pytest.approx(shift, abs=0.005)
 
 
 def test_other_pictures_find_the_same_clock(streams: Streams, plain: Fitted) -> None:

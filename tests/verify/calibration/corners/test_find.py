@@ -1,17 +1,15 @@
 """Boards found in pictures, and their corners against cv2.projectPoints."""
 
-from pathlib import Path
-
 import cv2
 import numpy as np
 import pytest
 
+from tests.bench.corners import recorded
 from tests.support.boards.board_images import Look, camera, corners, picture, placed, random_pose
 from tests.support.recorded import require_shared
 from verify.calibration.corners.find import find_board, find_other_board, is_ambiguous
 from verify.core.fiducials import Board, BoardView
 from verify.core.records import Array, Image
-from verify.io import rig as io_rig
 
 PLAIN = Board(9, 7, 0.040)
 UNIQUE = Board(9, 6, 0.040)
@@ -53,7 +51,6 @@ def test_errors_scatter_as_their_covariance_states(board: Board, look: Look) -> 
         d2.append(squared(view, error))
     ratio = np.sqrt(np.mean(d2) / 2)
     rms = np.sqrt(np.mean(np.square(errors)))
-    print(f"rms {rms:.5f} px, ratio {ratio:.3f}")
     assert 0.9 < ratio < 1.1  # 432 errors or more: 3.4 % is one sigma
     # 432 errors or more: their mean is within 4 sigma of nought
     assert np.abs(np.mean(errors, axis=(0, 1))).max() < 4 * rms / np.sqrt(216)
@@ -67,19 +64,6 @@ def test_without_noise_a_thousandth_of_a_pixel_is_left(distortion: tuple[float, 
         seen = found(picture(PLAIN, view, camera_T_board, None), PLAIN)
         error = seen.centre - corners(PLAIN, view, camera_T_board)
         assert np.sqrt(np.mean(error**2)) < 0.001
-
-
-def test_it_beats_opencv_several_times() -> None:
-    rng = np.random.default_rng(6)
-    camera_T_board = random_pose(PLAIN, rng)
-    image, truth = (
-        picture(PLAIN, CAMERA, camera_T_board, rng),
-        corners(PLAIN, CAMERA, camera_T_board),
-    )
-    own = np.sqrt(np.mean((found(image, PLAIN).centre - truth) ** 2))
-    start, until = truth.astype(np.float32).reshape(-1, 1, 2), (3, 100, 1e-4)
-    refined = cv2.cornerSubPix(image, start.copy(), (11, 11), (-1, -1), until).reshape(-1, 2)
-    assert own < np.sqrt(np.mean((refined - truth) ** 2)) / 3
 
 
 @pytest.mark.slow
@@ -180,32 +164,17 @@ def test_where_no_board_is_none_is_found() -> None:
         assert find_other_board(image, PLAIN) is None
 
 
-def shared_views(session: Path) -> list[tuple[Image, Array]]:
-    """Every other image of the recorded boards, with its true corners."""
-    rig, _ = io_rig.read(session / "rig.toml")
-    views = []
-    for row in np.loadtxt(session / "board_poses.csv", delimiter=",", skiprows=1)[::2]:
-        rig_T_board = np.eye(4)
-        rig_T_board[:3, :3], rig_T_board[:3, 3] = cv2.Rodrigues(row[1:4])[0], row[4:] / 1000
-        for side, view in (("left", rig.left), ("right", rig.right)):
-            image = cv2.imread(str(session / side / f"{int(row[0]):06d}.png"), cv2.IMREAD_GRAYSCALE)
-            assert image is not None
-            camera_T_board = np.linalg.inv(view.rig_T_camera(view.pan)) @ rig_T_board
-            views.append((np.asarray(image, dtype=np.uint8), corners(PLAIN, view, camera_T_board)))
-    return views
-
-
 @pytest.mark.shared
 @pytest.mark.slow
 def test_recorded_boards_are_measured_to_a_hundredth_of_a_pixel() -> None:
     errors, d2 = [], []
-    for image, truth in shared_views(require_shared() / "calibration_boards"):
+    scenes = enumerate(recorded(require_shared() / "calibration_boards"))
+    for image, truth in (scene for i, scene in scenes if i // 2 % 2 == 0):  # every other pair
         view = found(image, PLAIN)
         assert len(view) == len(PLAIN)
         errors.append(view.centre - truth)
         d2.append(squared(view, errors[-1]))
     rms, ratio = np.sqrt(np.mean(np.square(errors))), np.sqrt(np.mean(d2) / 2)
-    print(f"rms {rms:.5f} px a coordinate, ratio {ratio:.3f}")
     assert rms < 0.0266 / 3  # a coordinate; 0.0266 px: cornerSubPix on the same images
     assert 0.9 < ratio < 1.1
 

@@ -1,34 +1,30 @@
 from dataclasses import replace
+from functools import reduce
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
+from tests.support.boards.calibrated import moved
 from tests.support.reports import calibration as made
 from verify.calibration.quality.accuracy import (
     SPOT_SIGMA,
     TEST_LENGTH,
     length_uncertainty,
     uncertainty_field,
-    uncertainty_parts,
 )
 from verify.calibration.quality.advice import calibration_doubts, main_advice
 from verify.calibration.quality.coverage import board_stances, view_frame
 from verify.calibration.quality.quality import NOISE_GROUP, judge_calibration
 from verify.calibration.quality.results import pan_axes_angle, stereo_geometry
-from verify.calibration.stereo.parameters import PARAMETER_KEYS, step_camera
 from verify.calibration.stereo.records import covariance_in_si, state_covariance
 from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
 from verify.measurement.triangulation import triangulate
 
 STILL = np.zeros(2)  # rad, the pan readings of a rig whose bases stand still
-
-
 DRAWS = 1500  # of a Monte Carlo: a standard deviation is then known to 1.8 %
-
-
 CLOSE = 0.08  # relative, over four standard deviations of that
 
 
@@ -42,18 +38,11 @@ def drawn_rigs(rig: Rig, count: int = DRAWS) -> list[Rig]:
         count,
         method="eigh",
     )
-    return [_stepped(rig, step) for step in steps]
-
-
-def _stepped(rig: Rig, step: Array) -> Rig:
-    assert rig.covariance is not None
-    sides = {"left": np.zeros(len(PARAMETER_KEYS)), "right": np.zeros(len(PARAMETER_KEYS))}
-    for name, amount in zip(rig.covariance.parameters, step.tolist(), strict=True):
-        side, _, key = name.partition(".")
-        sides[side][PARAMETER_KEYS.index(key)] = amount
-    return replace(
-        rig, left=step_camera(rig.left, sides["left"]), right=step_camera(rig.right, sides["right"])
-    )
+    names = rig.covariance.parameters
+    return [
+        reduce(lambda at, change: moved(at, *change), zip(names, step.tolist(), strict=True), rig)
+        for step in steps
+    ]
 
 
 def in_pixels(camera: Camera, point: Array) -> Array:
@@ -146,16 +135,27 @@ def test_points_are_mapped_only_where_both_cameras_see_them() -> None:
             assert np.isfinite(found.random[i, j]).all() == seen
 
 
-def test_the_rig_s_share_is_what_rigs_drawn_from_its_covariance_show() -> None:
+def test_points_lengths_and_baseline_scatter_as_in_rigs_drawn_from_the_covariance() -> None:
     rig = made.calibration().rig
-    rig_T_view = view_frame(rig, STILL)
+    rigs, rig_T_view = drawn_rigs(rig), view_frame(rig, STILL)
     found = uncertainty_field(rig, STILL, 1.0, turning=False)
     places = [(2, 4), (1, 1), (3, 7)]
-    points = np.array([[found.x[j], found.y[i], 1.0] for i, j in places])
-    shown = spread(drawn_rigs(rig), points @ rig_T_view[:3, :3].T + rig_T_view[:3, 3], rig)
+    points = [[found.x[j], found.y[i], 1.0] for i, j in places]
+    points += [[-TEST_LENGTH / 2, 0, 1.0], [TEST_LENGTH / 2, 0, 1.0]]
+    shown = spread(rigs, np.array(points) @ rig_T_view[:3, :3].T + rig_T_view[:3, 3], rig)
     for k, (i, j) in enumerate(places):
         there = np.cov(shown[:, k] @ rig_T_view[:3, :3], rowvar=False)
         assert_allclose(np.diag(there), np.diag(found.systematic[i, j]), rtol=2 * CLOSE)
+    length = np.linalg.norm(shown[:, 4] - shown[:, 3], axis=1)
+    stated = length_uncertainty(rig, STILL, 1.0, 0, turning=False)[1]
+    assert stated == pytest.approx(length.std(), rel=CLOSE)
+    entry = stereo_geometry(rig, STILL)
+    assert_allclose(entry["position_mm"], [168.5, 1.2, 22.4], atol=1e-9)
+    assert_allclose(entry["rotation_vector_deg"], [0.4, -15.0, -0.3], atol=1e-9)
+    assert entry["convergence_deg"] == pytest.approx(15.0, abs=0.01)
+    baselines = [np.linalg.norm(r.right.mount[:3, 3] - r.left.mount[:3, 3]) for r in rigs]
+    u = entry["baseline_standard_uncertainty_mm"]
+    assert u == pytest.approx(1e3 * np.std(baselines), rel=CLOSE)
 
 
 def test_the_spots_share_is_what_noisy_spots_show() -> None:
@@ -172,38 +172,6 @@ def test_the_spots_share_is_what_noisy_spots_show() -> None:
     there = np.diag(np.cov(shown, rowvar=False))
     # the midpoint of two rays is a little worse than the point of least error in the images
     assert_allclose(there, np.diag(found.random[3, 1]), rtol=3 * CLOSE)
-
-
-def test_across_depth_and_whole_are_one_covariance_s_parts() -> None:
-    found = uncertainty_field(made.calibration().rig, STILL, 1.0, turning=False)
-    lateral, depth, whole = uncertainty_parts(found, found.total)
-    seen = np.isfinite(whole)
-    assert (whole[seen] ** 2 <= 2 * lateral[seen] ** 2 + depth[seen] ** 2 + 1e-15).all()
-    assert (whole[seen] ** 2 >= lateral[seen] ** 2 + depth[seen] ** 2 - 1e-15).all()
-
-
-def test_a_length_s_uncertainty_is_what_drawn_rigs_show() -> None:
-    rig = made.calibration().rig
-    rig_T_view = view_frame(rig, STILL)
-    ends = np.array([[-TEST_LENGTH / 2, 0, 1.0], [TEST_LENGTH / 2, 0, 1.0]])
-    shown = spread(drawn_rigs(rig), ends @ rig_T_view[:3, :3].T + rig_T_view[:3, 3], rig)
-    apart = np.linalg.norm(shown[:, 1] - shown[:, 0], axis=1)
-    assert length_uncertainty(rig, STILL, 1.0, 0, turning=False)[1] == pytest.approx(
-        apart.std(), rel=CLOSE
-    )
-
-
-def test_stereo_relation_and_its_uncertainty_are_what_drawn_rigs_show() -> None:
-    rig = made.calibration().rig
-    entry = stereo_geometry(rig, STILL)
-    assert_allclose(entry["position_mm"], [168.5, 1.2, 22.4], atol=1e-9)
-    assert_allclose(entry["rotation_vector_deg"], [0.4, -15.0, -0.3], atol=1e-9)
-    assert entry["convergence_deg"] == pytest.approx(15.0, abs=0.01)
-    baselines = [
-        np.linalg.norm(r.right.mount[:3, 3] - r.left.mount[:3, 3]) for r in drawn_rigs(rig)
-    ]
-    u = entry["baseline_standard_uncertainty_mm"]
-    assert u == pytest.approx(1e3 * np.std(baselines), rel=CLOSE)
 
 
 def test_the_turning_axes_angle_is_found_with_its_uncertainty() -> None:

@@ -35,11 +35,6 @@ from verify.core.rig import Covariance, Rig
 from verify.measurement.systematics import BODY
 
 
-def test_rms_is_the_root_mean_square_distance() -> None:
-    assert rms(np.array([[3.0, 4.0], [0.0, 0.0]])) == pytest.approx(np.sqrt(12.5))
-    assert np.isnan(rms(np.zeros((0, 2))))
-
-
 def test_every_view_is_summed_up_and_a_bad_one_is_named() -> None:
     found = made.with_poor_view(made.calibration(), frame=4, camera=1)
     table = view_residuals(found.residuals)
@@ -193,12 +188,18 @@ def test_a_rectified_pair_has_its_corners_on_level_lines() -> None:
     assert_allclose(corners[0][:, 1], corners[1][:, 1], atol=1.5)  # px of a picture half as large
 
 
+PLAIN = {"camera", "frame", "corner", "corners", "refused", "poor", "used", "kind", "name", "group",
+         "parameter", "unit", "value", "standard_uncertainty", "state"}  # fmt: skip
+
+
 def _results(found: Calibration) -> reports.Results:
     origin = ResultsOrigin("boards", inputs=made.INPUTS)
     return calibration_results(found, picture=made.pictures(found), origin=origin)
 
 
-def test_results_come_back_from_their_folder_and_are_the_same_each_time(tmp_path: Path) -> None:
+def test_results_come_back_are_the_same_each_time_and_every_column_has_a_unit(
+    tmp_path: Path,
+) -> None:
     first = _results(made.calibration())
     reports.write(first, tmp_path / "one")
     reports.write(_results(made.calibration()), tmp_path / "two")
@@ -207,14 +208,7 @@ def test_results_come_back_from_their_folder_and_are_the_same_each_time(tmp_path
     again = reports.read(tmp_path / "one")
     assert again.summary["kind"] == "calibration"
     assert again.tables.keys() == first.tables.keys()
-
-
-PLAIN = {"camera", "frame", "corner", "corners", "refused", "poor", "used", "kind", "name", "group",
-         "parameter", "unit", "value", "standard_uncertainty", "state"}  # fmt: skip
-
-
-def test_every_column_has_a_unit() -> None:
-    for table in _results(made.calibration()).tables.values():
+    for table in first.tables.values():
         for name in table.columns:
             assert name in PLAIN or re.search(r"_(px|mm|deg)$", name), name
 
@@ -248,14 +242,12 @@ def _registered() -> Rig:
 
 
 def _moved_robot() -> MotionRegistration:
+    each = np.array([0, 1])
     spots = SpotResiduals(
-        frame=np.array([0, 1]),
-        camera=np.array([0, 1]),
-        led=np.array([0, 1]),
+        frame=each, camera=each, led=each, used=np.array([True, False]),
         observed=np.array([[10.0, 20.0], [30.0, 40.0]]),
         residual=np.array([[0.1, 0.0], [0.0, -0.2]]),
-        used=np.array([True, False]),
-    )
+    )  # fmt: skip
     leds = np.array([[0.06, 0.0, 0.01], [0.0, 0.05, 0.02]])
     return MotionRegistration(
         rig=_registered(), marker=Marker(("A", "B"), leds, ("", "red"), 5e-3),

@@ -6,12 +6,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from robots.transforms import difference, invert
+from tests.support.boards.calibrated import moved
 from tests.support.boards.fixture import BOARD, pair, placed
-from tests.support.drawn_rig import CAMERAS, TURN
+from tests.support.drawn_rig import CAMERAS, TURN, random_correlation
 from tests.support.scene import make_rig
 from verify.calibration.registration.fixture import BASE_NAMES, register_fixture
 from verify.calibration.stereo.records import covariance_in_si
@@ -24,44 +24,26 @@ from verify.measurement.pose import perturb
 
 FIXED = np.diag(np.square([2e-4] * 3 + [np.deg2rad(0.03)] * 3))
 REPLICATES = 60  # d²/6 is then known to 7 %
+RIG = make_rig()
+BASE_T_BOARD: Array = invert(RIG.rig_T_base) @ placed()
 
 
 def doubtful_rig() -> Rig:
     names = (*CAMERAS, *TURN, "left.pan_axis_rx_deg")
-    mixed = np.random.default_rng(3).normal(size=(len(names), len(names) + 20))
-    spread = mixed @ mixed.T
-    size = np.sqrt(np.diag(spread))
+    correlation = random_correlation(np.random.default_rng(3), len(names), len(names) + 20)
     sigma = np.array([0.3] * 8 + [0.01] * 3 + [0.02])
-    return replace(make_rig(), covariance=Covariance(names, sigma, spread / np.outer(size, size)))
-
-
-def true_rig(rig: Rig, draw: Array) -> Rig:
-    cameras = []
-    for camera, (fx, fy, cx, cy) in zip((rig.left, rig.right), draw[:8].reshape(2, 4), strict=True):
-        change = np.array([[fx, 0, cx], [0, fy, cy], [0, 0, 0]])
-        cameras.append(replace(camera, matrix=camera.matrix + change))
-    mount = rig.right.mount.copy()
-    mount[:3, :3] = Rotation.from_rotvec(draw[8:11]).as_matrix() @ mount[:3, :3]
-    axis = Rotation.from_rotvec([draw[11], 0, 0]).as_matrix() @ rig.left.pan_axis
-    left = replace(cameras[0], pan_axis=axis)
-    return replace(rig, left=left, right=replace(cameras[1], mount=mount))
+    return replace(RIG, covariance=Covariance(names, sigma, correlation))
 
 
 def test_without_noise_the_base_is_where_it_is() -> None:
-    rig, base = make_rig(), make_rig().rig_T_base
-    base_T_board: Array = invert(base) @ placed()
-    pairs = [pair(rig, placed(), frame=i, turn=0.05 * i) for i in range(3)]
-    found = register_fixture(rig, pairs, BOARD, base_T_board, np.zeros((6, 6)))
-    assert_allclose(found.rig.rig_T_base, base, atol=1e-9)
+    pairs = [pair(RIG, placed(), frame=i, turn=0.05 * i) for i in range(3)]
+    found = register_fixture(RIG, pairs, BOARD, BASE_T_BOARD, np.zeros((6, 6)))
+    assert_allclose(found.rig.rig_T_base, RIG.rig_T_base, atol=1e-9)
     assert found.residual_rms_px < 1e-6
     assert found.noise == 0.25  # no less is believed
-
-
-def test_one_camera_alone_places_the_board() -> None:
-    rig, base = make_rig(), make_rig().rig_T_base
-    seen = replace(pair(rig, placed()), left=None)
-    found = register_fixture(rig, [seen], BOARD, invert(base) @ placed(), np.zeros((6, 6)))
-    assert_allclose(found.rig.rig_T_base, base, atol=1e-7)
+    one_camera = replace(pairs[0], left=None)
+    found = register_fixture(RIG, [one_camera], BOARD, BASE_T_BOARD, np.zeros((6, 6)))
+    assert_allclose(found.rig.rig_T_base, RIG.rig_T_base, atol=1e-7)
 
 
 @pytest.mark.slow
@@ -76,20 +58,21 @@ def test_d_squared_of_base_and_cameras_together_is_chi_squared() -> None:
         left=replace(rig.left, pan_standard_uncertainty=pan_u),
         right=replace(rig.right, pan_standard_uncertainty=pan_u),
     )
-    base_T_board: Array = invert(rig.rig_T_base) @ placed()
     together, alone = [], []
     for seed in range(REPLICATES):
         rng = np.random.default_rng(seed)
         draw = root @ rng.normal(size=len(root))
-        truth = true_rig(rig, draw)
+        truth = rig
+        for name, step in zip(rig.covariance.parameters, draw.tolist(), strict=True):
+            truth = moved(truth, name, step)
         fixed = np.sqrt(np.diag(FIXED)) * rng.normal(size=6)
-        rig_T_board: Array = rig.rig_T_base @ perturb(base_T_board, fixed)
+        rig_T_board: Array = rig.rig_T_base @ perturb(BASE_T_BOARD, fixed)
         pairs = [
             pair(truth, rig_T_board, rng, frame=i, turn=0.08 * (i - 1),
                  error=tuple(pan_u * rng.normal(size=2)))
             for i in range(3)
         ]  # fmt: skip
-        found = register_fixture(rig, pairs, BOARD, base_T_board, FIXED)
+        found = register_fixture(rig, pairs, BOARD, BASE_T_BOARD, FIXED)
         assert found.rig.covariance is not None
         assert found.rig.covariance.parameters[-6:] == BASE_NAMES
         error = difference(found.rig.rig_T_base, rig.rig_T_base)
@@ -105,55 +88,48 @@ def test_d_squared_of_base_and_cameras_together_is_chi_squared() -> None:
 
 @pytest.mark.slow
 def test_repeats_do_not_average_the_fixture_out() -> None:
-    rig = make_rig()
-    base_T_board: Array = invert(rig.rig_T_base) @ placed()
     rng = np.random.default_rng(1)
-    pairs = [pair(rig, placed(), rng, frame=i) for i in range(12)]
-    one = register_fixture(rig, pairs[:1], BOARD, base_T_board, FIXED)
-    many = register_fixture(rig, pairs, BOARD, base_T_board, FIXED)
+    pairs = [pair(RIG, placed(), rng, frame=i) for i in range(12)]
+    one = register_fixture(RIG, pairs[:1], BOARD, BASE_T_BOARD, FIXED)
+    many = register_fixture(RIG, pairs, BOARD, BASE_T_BOARD, FIXED)
     assert np.trace(many.board_covariance) < np.trace(one.board_covariance) / 8
     floor = np.sqrt(FIXED[0, 0])
     assert np.sqrt(many.base_covariance[0, 0]) > 0.99 * floor
 
 
 def test_a_pair_in_which_the_board_had_moved_is_named_and_left_out() -> None:
-    rig = make_rig()
     rng = np.random.default_rng(2)
-    base_T_board: Array = invert(rig.rig_T_base) @ placed()
-    pairs = [pair(rig, placed(), rng, frame=i) for i in range(6)]
-    pairs[4] = pair(rig, placed(x=-0.0895), rng, frame=4)
-    found = register_fixture(rig, pairs, BOARD, base_T_board, FIXED)
+    pairs = [pair(RIG, placed(), rng, frame=i) for i in range(6)]
+    pairs[4] = pair(RIG, placed(x=-0.0895), rng, frame=4)
+    found = register_fixture(RIG, pairs, BOARD, BASE_T_BOARD, FIXED)
     assert found.frames.tolist() == [0, 1, 2, 3, 5]
     assert any("pair 4 puts the board 0.4" in w for w in found.warnings)
 
 
 def test_pairs_of_which_none_is_known_to_be_right_are_refused() -> None:
-    rig = make_rig()
     rng = np.random.default_rng(2)
-    base_T_board: Array = invert(rig.rig_T_base) @ placed()
-    pairs = [pair(rig, placed(), rng), pair(rig, placed(), rng, frame=1, error=(0.002, 0.0))]
+    pairs = [pair(RIG, placed(), rng), pair(RIG, placed(), rng, frame=1, error=(0.002, 0.0))]
     with pytest.raises(InputError, match=r"pair [01] puts the board"):
-        register_fixture(rig, pairs, BOARD, base_T_board, FIXED)
+        register_fixture(RIG, pairs, BOARD, BASE_T_BOARD, FIXED)
 
 
 def test_no_view_of_the_board_is_refused() -> None:
-    rig = make_rig()
-    blind = replace(pair(rig, placed()), left=None, right=None)
+    blind = replace(pair(RIG, placed()), left=None, right=None)
     with pytest.raises(InputError, match="is in no picture"):
-        register_fixture(rig, [blind], BOARD, np.eye(4), FIXED)
+        register_fixture(RIG, [blind], BOARD, np.eye(4), FIXED)
 
 
 def test_the_rig_that_is_found_survives_its_file(tmp_path: Path) -> None:
     rig = replace(doubtful_rig(), base_source="motion", absorption=np.ones((12, 6)))
     seen = [pair(rig, placed(), np.random.default_rng(1))]
-    found = register_fixture(rig, seen, BOARD, invert(rig.rig_T_base) @ placed(), FIXED)
+    found = register_fixture(rig, seen, BOARD, BASE_T_BOARD, FIXED)
     io_rig.write(tmp_path / "rig.toml", found.rig)
     back, _ = io_rig.read(tmp_path / "rig.toml")
     assert back.base_source == "fixture"
     assert back.absorption is None
     assert back.registration == found.registration
     assert_allclose(back.rig_T_base, found.rig.rig_T_base, atol=1e-9)
-    again = register_fixture(back, seen, BOARD, invert(rig.rig_T_base) @ placed(), FIXED)
+    again = register_fixture(back, seen, BOARD, BASE_T_BOARD, FIXED)
     assert again.rig.covariance is not None
     assert found.rig.covariance is not None
     assert again.rig.covariance.parameters == found.rig.covariance.parameters
@@ -176,10 +152,6 @@ def test_a_fixture_file_gives_place_and_uncertainty(tmp_path: Path) -> None:
     assert_allclose(fixture.base_T_board[:3], expected, atol=1e-15)
     sigma = [1e-4] * 3 + np.deg2rad([0.1, 0.2, 0.3]).tolist()
     assert_allclose(np.sqrt(np.diag(fixture.covariance)), sigma)
-
-
-def test_what_a_fixture_file_does_not_state_is_warned_of(tmp_path: Path) -> None:
-    path = tmp_path / "fixture.toml"
     path.write_text(FIXTURE)
     fixture, warnings = io_fixture.read(path)
     assert not fixture.covariance.any()

@@ -21,18 +21,15 @@ PAIRS = 14
 def session() -> InMemory:
     """A healthy arm before a mirror that shows every LED again, with two lamps beside it."""
     sample = library.load("multi_joint_fault_6r")
-    plain = in_memory(
-        msgspec.structs.replace(
-            sample, fault=[], recording=msgspec.structs.replace(sample.recording, pairs=PAIRS)
-        )
-    )
+    recording = msgspec.structs.replace(sample.recording, pairs=PAIRS)
+    healthy = msgspec.structs.replace(sample, fault=[], recording=recording)
+    plain = in_memory(healthy)
     middle = plain.simulated.world.led_points(plain.frames.t_left).reshape(-1, 3).mean(axis=0)
     x, y, z = (middle * 1e3).tolist()
     return in_memory(
         msgspec.structs.replace(
-            sample,
-            fault=[],
-            recording=msgspec.structs.replace(sample.recording, pairs=PAIRS, rate_hz=5.0),
+            healthy,
+            recording=msgspec.structs.replace(recording, rate_hz=5.0),
             distractor=[
                 Distractor(position_mm=(x - 110, y + 60, z + 50)),
                 Distractor(position_mm=(x + 120, y - 70, z + 20)),

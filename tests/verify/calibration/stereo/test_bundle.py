@@ -182,27 +182,20 @@ def test_a_turn_too_small_for_an_axis_is_held_and_reported() -> None:
     assert any("turned too little to show its axis" in d for d in found.decisions)
 
 
-def test_readings_that_scatter_are_fitted_and_their_deviation_stated() -> None:
+def test_readings_scatter_as_stated_and_without_scatter_a_bound_is_stated() -> None:
     rng = np.random.default_rng(7)
     rig, pan = turning_rig(), readings(rng, 30)
     error = np.deg2rad(rng.normal(0, 0.05, (30, 2)))
     found = calibrate(make_pairs(rig, poses(rng, 30), rng, pan, error), BOARD, SIZE)
-    stated = found.rig.left.pan_standard_uncertainty
+    exact = calibrate(make_pairs(rig, poses(rng, 20), rng, readings(rng, 20)), BOARD, SIZE)
+    stated, bound = (one.rig.left.pan_standard_uncertainty for one in (found, exact))
     assert stated is not None
     assert np.rad2deg(stated) == pytest.approx(0.05, rel=0.4)  # sixty readings: ± 10 % at best
     assert found.noise == pytest.approx(1.0, abs=0.05)
     assert found.residuals.used.all()
-
-
-def test_readings_without_scatter_are_exact_with_a_stated_bound() -> None:
-    rng = np.random.default_rng(8)
-    found = calibrate(
-        make_pairs(turning_rig(), poses(rng, 20), rng, readings(rng, 20)), BOARD, SIZE
-    )
-    stated = found.rig.left.pan_standard_uncertainty
-    assert stated is not None
-    assert np.rad2deg(stated) < 0.003
-    assert any("no scatter is visible" in d for d in found.decisions)
+    assert bound is not None
+    assert np.rad2deg(bound) < 0.003
+    assert any("no scatter is visible" in d for d in exact.decisions)
 
 
 def test_bad_corners_are_refused_and_no_others() -> None:

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from scipy.spatial.transform import Rotation
-from scipy.stats import chi2
 
 from tests.support.leds.scene import (
     BLUE,
@@ -31,15 +30,12 @@ from tests.support.leds.scene import (
 from tests.support.scene import project
 from verify.core.records import Array
 from verify.measurement.correspondence.assign import PosePrediction
-from verify.measurement.correspondence.refinement import select_likely
 
 SEES = 0.005  # m, the least difference between two triangles of LEDs that counts as asymmetric
 
 
 @pytest.mark.slow
 def test_every_asymmetric_marker_with_three_leds_in_both_images_is_identified() -> None:
-    outcomes: Counter[str] = Counter()
-    took = []
     for trial in range(240):
         rng = np.random.default_rng(trial)
         count = 3 + trial % 3
@@ -52,17 +48,12 @@ def test_every_asymmetric_marker_with_three_leds_in_both_images_is_identified() 
             skew_px=rng.uniform(0, 2),
             missing=hide(rng, count),
         )
-        begin = time.process_time()
         found = scene.identify()
-        took.append(1e3 * (time.process_time() - begin))
-        outcomes[scene.outcome(found)] += 1
-        assert found.choice == "geometry"
+        assert (scene.outcome(found), found.choice) == ("complete", "geometry")
         assert found.rig_T_flange is not None
         off = np.linalg.inv(scene.rig_T_flange) @ found.rig_T_flange
         assert np.linalg.norm(off[:3, 3]) < 0.015  # coarse: 2 px of skew are 4-10 mm of depth
         assert Rotation.from_matrix(off[:3, :3]).magnitude() < 0.1
-    print(f"identified: {dict(outcomes)}; {np.median(took):.1f} ms a pair, worst {max(took):.1f}")
-    assert outcomes["complete"] == 240
 
 
 def test_a_marker_of_any_shape_is_never_identified_wrongly() -> None:
@@ -72,7 +63,6 @@ def test_a_marker_of_any_shape_is_never_identified_wrongly() -> None:
         leds = random_leds(rng, 3 + trial % 4)
         scene = make_scene(rng, leds, clutter=20, lamps=2, skew_px=rng.uniform(0, 2))
         outcomes[scene.outcome(scene.identify())] += 1
-    print(f"any shape: {dict(outcomes)}")
     assert outcomes["wrong"] == 0
     assert outcomes["complete"] >= 110  # the others are nearly symmetric, and say so
 
@@ -235,7 +225,6 @@ def test_clutter_is_seldom_taken_for_leds(
         expected = (scene.rig_T_flange,) if hint == "encoders" else ()
         outcomes[scene.outcome(scene.identify(past, expected=expected))] += 1
     refused = outcomes["too_few_leds"] + outcomes["ambiguous_leds"]
-    print(f"clutter {lamps} {clutter} {hint}: {dict(outcomes)}")
     assert refused >= (1 - wrong) * 120
 
 
@@ -266,12 +255,12 @@ def test_a_prediction_that_picks_the_spots_found_is_followed_the_short_way_to_th
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     following = importlib.import_module("verify.measurement.correspondence.refinement")
-    asked: list[bool] = []
+    used: list[bool] = []
     short = following._is_complete
 
     def noted(*question: object) -> bool:
-        asked.append(short(*question))
-        return asked[-1]
+        used.append(short(*question))
+        return used[-1]
 
     for seed in range(12):
         rng = np.random.default_rng(seed)
@@ -286,16 +275,14 @@ def test_a_prediction_that_picks_the_spots_found_is_followed_the_short_way_to_th
         assert slow.rig_T_flange is not None
         assert np.abs(quick.rig_T_flange - slow.rig_T_flange).max() < 1e-12
         assert (quick.choice, quick.alternatives) == (slow.choice, slow.alternatives)
-    assert sum(asked) >= 10  # it is the usual way
+    assert sum(used) >= 10  # it is the usual way
 
 
 def test_a_mirror_image_of_the_marker_is_never_taken_whole() -> None:
     for seed in range(20):
         rng = np.random.default_rng(seed)
         leds = random_leds(rng, 4, SEES)
-        if (
-            abs(np.linalg.det(leds[1:] - leds[0])) < 2e-5
-        ):  # m³; flat ones are their own mirror image
+        if abs(np.linalg.det(leds[1:] - leds[0])) < 2e-5:  # m³; a flat one is its own mirror image
             continue
         scene = make_scene(rng, leds * [1, 1, -1])
         scene.marker = make_marker(leds)
@@ -327,14 +314,6 @@ def test_a_marker_file_more_than_half_a_millimetre_off_still_serves() -> None:
         scene = make_scene(rng, leds + 6e-4 * off / np.linalg.norm(off, axis=1, keepdims=True))
         scene.marker = make_marker(leds)
         assert scene.outcome(scene.identify()) == "complete"
-
-
-@pytest.mark.parametrize(("seen_leds", "freedom"), [(1, 1), (2, 3), (3, 6), (4, 10)])
-def test_a_fit_worse_than_one_in_ten_thousand_is_refused(seen_leds: int, freedom: int) -> None:
-    limit = chi2.isf(1e-4, freedom)
-    spot = np.full((2, 2, 4), -1, dtype=np.int64)
-    spot[:, :, :seen_leds] = np.arange(seen_leds)
-    assert_array_equal(select_likely(spot, np.array([0.99, 1.01]) * limit), [0])
 
 
 def test_a_clean_spot_is_taken_before_a_merged_one() -> None:
@@ -378,5 +357,4 @@ def test_a_scene_full_of_lamps_on_one_line_takes_bounded_time() -> None:
     begin = time.process_time()
     replace(scene, spots=(lamps[0], lamps[1])).identify(expected=(scene.rig_T_flange,))
     took = time.process_time() - begin
-    print(f"worst case: {1e3 * took:.0f} ms")
     assert took < 1.0  # s, several times what it takes on one slow core

@@ -14,11 +14,10 @@ from scipy.signal import savgol_filter
 from scipy.special import log_ndtr
 from scipy.stats import norm
 
-from verify.core.records import Array, Image
+from verify.core.records import Image
 from verify.measurement.detection.kernels.candidates import find_blobs, flood_fill, top_hat
 from verify.measurement.detection.kernels.noise import stencils, variance_line
 from verify.measurement.detection.kernels.occlusion import depth_profile, log_normal_cdf
-from verify.measurement.detection.kernels.patches import measure_half_height, read_grey
 from verify.measurement.detection.kernels.pixels import (
     CLIP_REACH,
     MIN_Z,
@@ -26,16 +25,6 @@ from verify.measurement.detection.kernels.pixels import (
     clip,
     normal_law,
 )
-from verify.measurement.detection.kernels.quality import (
-    COL_CENTRE_X,
-    COL_CENTRE_Y,
-    COL_DIAMETER,
-    COL_MISFIT,
-    N_COLUMNS,
-    mark_duplicates,
-)
-
-ANY_SHAPE = (1e9, 0.0)  # axis ratio and fill that everything has
 
 
 def cloud(seed: int, blur: float) -> Image:
@@ -45,67 +34,11 @@ def cloud(seed: int, blur: float) -> Image:
     return np.asarray(np.clip(1.5 * stretched - 120, 0, 255), np.uint8)
 
 
-def blob_by_opencv(part: Image) -> Array:
-    """Centre, half width and height of the island about the peak, what its rim encloses counted."""
-    _, peak, _, (x, y) = cv2.minMaxLoc(part)
-    above = np.asarray(part > peak / 2, np.uint8)
-    outlines, _ = cv2.findContours(above, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    rim = next(o for o in outlines if cv2.pointPolygonTest(o, (x, y), measureDist=False) >= 0)
-    island = cv2.drawContours(np.zeros_like(above), [rim], -1, 1, cv2.FILLED) & above
-    moments = cv2.moments(island, binaryImage=True)
-    area = moments["m00"]
-    centre = moments["m10"] / area, moments["m01"] / area
-    return np.array([*centre, np.sqrt(area / np.pi), peak])
-
-
-@pytest.mark.parametrize("blur", [0.7, 1.5, 3.0])
-@pytest.mark.parametrize("seed", range(5))
-def test_a_blob_at_half_its_height_is_that_of_opencv(seed: int, blur: float) -> None:
-    part, output = cloud(seed, blur), np.empty(4)
-    assert measure_half_height(part, *ANY_SHAPE, output)
-    np.testing.assert_allclose(output, blob_by_opencv(part), rtol=1e-12)
-
-
-def test_a_streak_and_a_hook_are_no_blobs_and_a_disc_is_one() -> None:
-    output = np.empty(4)
-    for thing, compact in [
-        (cv2.circle(np.zeros((40, 40), np.uint8), (20, 20), 8, 200, cv2.FILLED), True),
-        (cv2.line(np.zeros((40, 40), np.uint8), (5, 5), (35, 30), 200, 2), False),
-        (cv2.ellipse(np.zeros((40, 40), np.uint8), (20, 20), (12, 12), 0, 0, 200, 200, 3), False),
-        (np.full((40, 40), 200, np.uint8), False),
-    ]:
-        assert measure_half_height(np.asarray(thing, np.uint8), 2.5, 0.6, output) == compact
-
-
-@pytest.mark.parametrize("origin", [(30, 20), (2, 1), (49, 39)])
-def test_a_patch_holds_the_pixels_about_its_origin(origin: tuple[int, int]) -> None:
-    image = cloud(3, 1.0)
-    axis = np.arange(-6, 7)
-    column, row = (values.reshape(1, -1) for values in np.meshgrid(axis, axis))
-    pixels, contrast = np.empty((1, 4, column.size)), np.empty((1, 3))
-    read_grey(image, np.array([origin]), np.array([2.5]), column, row, pixels, contrast)
-    x, y = origin[0] + column[0], origin[1] + row[0]
-    value = image[np.clip(y, 0, 39), np.clip(x, 0, 49)].astype(float)
-    inside = (x >= 0) & (x < 50) & (y >= 0) & (y < 40)
-    np.testing.assert_array_equal(pixels[0], np.stack([value, inside, column[0], row[0]]))
-    core = column[0] ** 2 + row[0] ** 2 <= 2.5**2
-    third = value.size // 3
-    expected = value[core].mean() - np.partition(value, third)[third]
-    assert contrast[0] == pytest.approx([expected] * 3, abs=1e-12)
-
-
 def test_a_bites_bump_is_the_exponential_to_what_it_promises() -> None:
     angle, sharp = np.linspace(0, 2 * np.pi, 999), 1 / 0.3**2
     sunk = np.empty_like(angle)
     depth_profile(np.cos(angle), np.sin(angle), np.full_like(angle, 3.0), 1.0, 0.0, sharp, sunk)
     np.testing.assert_allclose(sunk, 3.0 * np.exp((np.cos(angle) - 1) * sharp), rtol=2e-9)
-
-
-def test_of_spots_on_one_place_the_better_fitting_stays_and_of_equals_the_first() -> None:
-    output = np.zeros((5, N_COLUMNS))
-    output[:, COL_CENTRE_X], output[:, COL_CENTRE_Y] = [10.0, 11.0, 30.0, 30.5, 50.0], 10.0
-    output[:, COL_DIAMETER], output[:, COL_MISFIT] = 8.0, [2.0, 1.0, 1.0, 1.0, 9.0]
-    assert mark_duplicates(output).tolist() == [True, False, False, True, False]
 
 
 @pytest.mark.parametrize("level", [60, 120, 200])
@@ -209,7 +142,7 @@ def clipped(mu: float, variance: float) -> tuple[float, float, float]:
 
 
 @pytest.mark.parametrize("sigma", [0.4, 1.5, 4.0])
-@pytest.mark.parametrize("z", [-7.0, -4.0, -1.1, -0.3, 0.0, 0.6, 2.0, 4.3])
+@pytest.mark.parametrize("z", [-100.0, -7.0, -4.0, -1.1, -0.3, 0.0, 0.6, 2.0, 4.3, 32.0])
 @pytest.mark.parametrize("top", [False, True], ids=["black", "full"])
 def test_moments_are_those_of_the_clipped_law(z: float, sigma: float, top: bool) -> None:
     mu = LIMIT - z * sigma if top else z * sigma
@@ -227,8 +160,3 @@ def test_the_normal_distribution_is_exact_over_its_range() -> None:
     assert np.abs(below - norm.cdf(z)).max() < 1e-9
     assert np.abs(here - norm.pdf(z)).max() < 1e-8
     assert math.isclose(below[-1], 0.5, abs_tol=1e-12)
-
-
-def test_limits_of_clipping_are_exact_far_outside_and_inside() -> None:
-    assert clipped(-400.0, 4.0) == pytest.approx((0.0, 1 / 12, 0.0), abs=1e-12)
-    assert clipped(128.0, 4.0) == (128.0, 4.0, 1.0)

@@ -1,16 +1,17 @@
 """Spot centres in the rendered sessions against the projection of the true LEDs."""
 
-import csv
-import tomllib
 from collections.abc import Iterator
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
 import robots
 from tests.support.beside import shared
+from tests.support.scene import project
 from verify.core.records import Array, Spots
+from verify.io.session.session import open_session
 from verify.measurement.detection.detect import detect
 
 FRAMES_USED = 3  # every third frame: enough for the figures, a third of the time
@@ -21,31 +22,15 @@ def left_frames(
 ) -> Iterator[tuple[int, Array, Spots]]:
     """Frame number, the LEDs' true image points (OpenCV's projection) and the spots found."""
     folder = shared("sessions", name)
-    rig = tomllib.loads((folder / "rig.toml").read_text())
-    marker = tomllib.loads((folder / "marker.toml").read_text())
-    camera, base = rig["left"], rig["robot_base"]
-    leds = np.array([led["position_mm"] for led in marker["led"]])
-    with (folder / "truth.csv").open() as truth, (folder / "frames.csv").open() as frames:
-        rows = list(zip(csv.DictReader(truth), csv.DictReader(frames), strict=True))
-    video = cv2.VideoCapture(str(folder / "left.mkv"))
-    for number, (joints, frame) in enumerate(rows):
-        image = np.asarray(video.read()[1], dtype=np.uint8)
-        if number not in only if only else number % every:
+    session = open_session(folder)
+    joints = pd.read_csv(folder / "truth.csv")[[f"q{k}_deg" for k in range(1, 7)]].to_numpy()
+    flanges = session.rig.rig_T_base @ robots.forward(session.arm, np.radians(joints))
+    for pair in session.pairs():
+        if pair.frame not in only if only else pair.frame % every:
             continue
-        angles = np.radians([float(joints[f"q{k}_deg"]) for k in range(1, 7)])
-        base_T_flange = robots.forward(robots.load("iust_6r"), angles)
-        points_base = leds @ base_T_flange[:3, :3].T + 1e3 * base_T_flange[:3, 3]
-        points_rig = points_base @ np.array(base["rotation"]).T + base["position_mm"]
-        pan = np.radians(float(frame.get("pan_left_deg", camera["pan_deg"])))
-        turn = cv2.Rodrigues(np.array([0.0, pan, 0.0]))[0]
-        seen, _ = cv2.projectPoints(
-            (points_rig - camera["pan_center_mm"]) @ turn,
-            np.zeros(3),
-            np.zeros(3),
-            np.array(camera["camera_matrix"]),
-            np.array(camera["distortion"]),
-        )
-        yield number, seen.reshape(-1, 2), detect(image)
+        flange = flanges[pair.frame]
+        leds = session.marker.leds @ flange[:3, :3].T + flange[:3, 3]
+        yield pair.frame, project(session.rig.left, pair.pan_left, leds), detect(pair.left)
 
 
 @pytest.mark.slow
