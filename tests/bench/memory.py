@@ -37,10 +37,8 @@ def lines(pairs: int = PAIRS) -> Iterator[str]:
     words = [sys.executable, "-m", "tests.bench.memory", "--here", str(pairs)]
     done = subprocess.run(words, check=True, capture_output=True, text=True)
     found = json.loads(done.stdout.splitlines()[-1])
-    yield (
-        f"{found['measured']} of {found['pairs']} pairs, rendered, measured, judged and reported "
-        f"in {found['seconds']:.0f} s"
-    )
+    measured = f"{found['measured']} of {found['recorded']} pairs"
+    yield f"{measured}, rendered, measured, judged and reported in {found['seconds']:.0f} s"
     stages = ", ".join(f"{name} {peak:.0f} MB" for name, peak in found["peak_mb"].items())
     peak = max(found["peak_mb"].values())
     held = "holds" if peak < MOST_MB else "FAILS"
@@ -54,13 +52,13 @@ def long_session(pairs: int) -> InMemory:
     would be the largest memory of all.
     """
     sample = library.load("multi_joint_fault_6r")
-    rig_T_base = simulate_session(sample).rig.rig_T_base
-    pan = simulate_session(sample).pan[0]
-    turn = np.degrees(Rotation.from_matrix(rig_T_base[:3, :3]).as_rotvec())
+    played = simulate_session(sample)
+    rig_T_base = played.rig.rig_T_base
+    turn = Rotation.from_matrix(rig_T_base[:3, :3]).as_rotvec(degrees=True)
     stand = ScenarioPlacement(
         base_rotation_deg=tuple(turn.tolist()),
         base_position_mm=tuple((rig_T_base[:3, 3] * 1000).tolist()),
-        pan_deg=tuple(np.degrees(pan).tolist()),
+        pan_deg=tuple(np.degrees(played.pan[0]).tolist()),
     )
     swings = [SHARE * a for a in getattr(sample.motion, "amplitude_deg", [])]
     long: Scenario = msgspec.structs.replace(
@@ -85,13 +83,8 @@ def _here(pairs: int) -> None:
     with tempfile.TemporaryDirectory() as folder:
         write_report_folder(results, Path(folder) / "out", force=False, frames=True)
     peaks["reported"] = _peak_mb()
-    found = {
-        "pairs": pairs,
-        "measured": results.summary["pairs"]["measured"],
-        "seconds": time.perf_counter() - start,
-        "peak_mb": peaks,
-    }
-    print(json.dumps(found))
+    seconds, counts = time.perf_counter() - start, results.summary["pairs"]
+    print(json.dumps({**counts, "seconds": seconds, "peak_mb": peaks}))
 
 
 if __name__ == "__main__":

@@ -73,13 +73,13 @@ def rate() -> Iterator[str]:
     with one_core():
         film = list(pairs([Cap(BLUE, path), Cap(GREEN, lambda _t: (-0.1, 0, 0.8))], rig, SECONDS))
         tracker = TargetTracker(rig, ColourSelection("blue"), TrackingOptions())
-        naive = _Naive()
+        naive = _FullFrame()
         for pair in film:
             begin = perf_counter()
-            seen = tracker.step(pair)
+            status = tracker.step(pair).status
             took = perf_counter() - begin
             spent = naive.step(pair)
-            if seen.status == "tracked":
+            if status == "tracked":
                 ours.append(took)
                 theirs.append(spent)
     yield from compared("pair to 3D target", ours, theirs, slowest=True)
@@ -91,7 +91,7 @@ def whole_loop() -> Iterator[str]:
     grab = cell_grab(cell_setup(FULL_SIZE), draw_scene(0), right=right, mode=mode)
     ours: list[float] = []
     theirs: list[float] = []
-    naive = _Naive()
+    naive = _FullFrame()
 
     def look(cycle: LoopCycle) -> None:
         if cycle.pair is not None:
@@ -105,7 +105,7 @@ def whole_loop() -> Iterator[str]:
     yield f"  {within:.1%} of {len(ours)} cycles within a picture's time; it ended {state}"
 
 
-class _Naive:
+class _FullFrame:
     """CamShift on the back projection of whole pictures, as in the usual demonstration."""
 
     def __init__(self) -> None:
@@ -128,8 +128,8 @@ class _Naive:
 @dataclass(frozen=True)
 class Scene:
     things: list[Cap | Slab]  # the target first
-    seconds: float
-    light: Callable[[float], float]
+    seconds: float = 3.5
+    light: Callable[[float], float] = lambda _t: 1.0
 
 
 def robustness(name: str, make: Callable[[np.random.Generator], Scene], scenes: int) -> str:
@@ -159,11 +159,11 @@ def _film(scene: Scene, rig: Rig, seed: int) -> tuple[bool, str, list[float]]:
     for pair in pairs(scene.things, rig, scene.seconds, light=scene.light, seed=seed):
         if tracker is None:
             tracker = TargetTracker(rig, drawn_around(target, rig, pair), TrackingOptions())
-        seen = tracker.step(pair)
-        status = seen.status
+        found = tracker.step(pair)
+        status = found.status
         if status == "tracked":
             places = [thing.path(pair.t_left) for thing in scene.things]
-            away = [float(np.linalg.norm(seen.centre - np.array(place))) for place in places]
+            away = [float(np.linalg.norm(found.centre - np.array(place))) for place in places]
             offs.append(away[0])
             wrong = wrong or away[0] > WRONG or away[0] > min(away)
     return wrong, status, offs
@@ -192,13 +192,13 @@ def _carried(rng: np.random.Generator) -> Scene:
     colour = _colour(rng)
     others = [c for c in (BLUE, GREEN, RED, YELLOW) if c != colour]
     middle = np.array([0.0, 0.03, 0.72])
-    things = [Cap(colour, _wander(rng, middle, 0.07, 3.0))]
+    things: list[Cap | Slab] = [Cap(colour, _wander(rng, middle, 0.07, 3.0))]
     things += [
         Cap(c, _wander(rng, middle + np.array([dx, 0.02, 0.1]), 0.03, 2.0))
         for c, dx in zip(others, (-0.1, 0.0, 0.1), strict=True)
     ]
     begins = rng.uniform(0.3, 1.5)
-    return Scene([*things], 3.0, lambda t: 1.0 - 0.5 * float(np.clip(t - begins, 0, 1)))
+    return Scene(things, 3.0, lambda t: 1.0 - 0.5 * float(np.clip(t - begins, 0, 1)))
 
 
 def _crossing(rng: np.random.Generator) -> Scene:
@@ -210,13 +210,9 @@ def _crossing(rng: np.random.Generator) -> Scene:
     gap = rng.choice([-1, 1]) * rng.uniform(0.05, 0.12)
     low = rng.uniform(-0.005, 0.02) * np.sign(-gap)
 
-    def own(t: float) -> Array:
-        return middle + np.array([pace * (t - 1.5), 0, 0])
-
-    def passing(t: float) -> Array:
-        return middle + np.array([other * (t - 1.5), low, gap])
-
-    return Scene([Cap(colour, own), Cap(colour, passing)], 3.5, lambda _t: 1.0)
+    own: Path = lambda t: middle + np.array([pace * (t - 1.5), 0, 0])  # noqa: E731
+    passing: Path = lambda t: middle + np.array([other * (t - 1.5), low, gap])  # noqa: E731
+    return Scene([Cap(colour, own), Cap(colour, passing)])
 
 
 def _hidden(rng: np.random.Generator) -> Scene:
@@ -228,11 +224,9 @@ def _hidden(rng: np.random.Generator) -> Scene:
     )
     pace = rng.choice([-1, 1]) * rng.uniform(0.2, 0.5)
 
-    def board(t: float) -> Array:
-        return middle + np.array([pace * (t - 1.6), 0.0, -0.2])
-
-    things = [Cap(colour, lambda _t: middle), Cap(colour, lambda _t: beside), Slab(board, 0.06)]
-    return Scene([*things], 3.5, lambda _t: 1.0)
+    board: Path = lambda t: middle + np.array([pace * (t - 1.6), 0.0, -0.2])  # noqa: E731
+    caps = [Cap(colour, lambda _t: middle), Cap(colour, lambda _t: beside)]
+    return Scene([*caps, Slab(board, 0.06)])
 
 
 def _leaving(rng: np.random.Generator) -> Scene:
@@ -246,7 +240,7 @@ def _leaving(rng: np.random.Generator) -> Scene:
         far = pace * min(max(t - begins, 0.0), max(begins + 1.6 - t, 0.0))
         return middle + np.array([side * far, 0, 0])
 
-    return Scene([Cap(colour, path), Cap(colour, lambda _t: stays)], 3.5, lambda _t: 1.0)
+    return Scene([Cap(colour, path), Cap(colour, lambda _t: stays)])
 
 
 SCENARIOS = {

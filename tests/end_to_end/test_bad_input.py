@@ -7,6 +7,7 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+import pandas as pd
 import pytest
 
 from tests.support.command import SAMPLES, verify
@@ -16,9 +17,7 @@ SAMPLE = "multi_joint_fault_6r"
 
 @pytest.fixture
 def session(tmp_path: Path) -> Path:
-    folder = tmp_path / "session"
-    shutil.copytree(SAMPLES / SAMPLE, folder)
-    return folder
+    return shutil.copytree(SAMPLES / SAMPLE, tmp_path / "session")
 
 
 def edit(name: str, old: str, new: str, count: int = 1) -> Callable[[Path], None]:
@@ -35,17 +34,14 @@ def remove(name: str) -> Callable[[Path], None]:
     return lambda folder: (folder / name).unlink()
 
 
-def cut(name: str) -> Callable[[Path], None]:
-    def change(folder: Path) -> None:
-        data = (folder / name).read_bytes()
-        (folder / name).write_bytes(data[: len(data) // 2])
-
-    return change
+def cut_short(folder: Path) -> None:
+    data = (folder / "right.mkv").read_bytes()
+    (folder / "right.mkv").write_bytes(data[: len(data) // 2])
 
 
 def five_joints(folder: Path) -> None:
-    path = folder / "encoders.csv"
-    path.write_text("\n".join(line.rsplit(",", 1)[0] for line in path.read_text().splitlines()))
+    readings = pd.read_csv(folder / "encoders.csv")
+    readings.iloc[:, :-1].to_csv(folder / "encoders.csv", index=False)
 
 
 def other_size(folder: Path) -> None:
@@ -55,31 +51,26 @@ def other_size(folder: Path) -> None:
 
 
 def in_radians(folder: Path) -> None:
-    lines = (folder / "encoders.csv").read_text().splitlines()
-    rows = [[float(c) for c in line.split(",")] for line in lines[1:]]
-    turned = [[r[0], *np.deg2rad(r[1:]).tolist()] for r in rows]
-    text = "\n".join([lines[0], *(",".join(f"{c:.6f}" for c in r) for r in turned)])
-    (folder / "encoders.csv").write_text(text)
+    readings = pd.read_csv(folder / "encoders.csv", index_col=0)
+    np.deg2rad(readings).to_csv(folder / "encoders.csv", float_format="%.6f")
 
 
 def without_leds(folder: Path) -> None:
-    rng = np.random.default_rng(1)
+    dark = np.random.default_rng(1).normal(6, 1.5, (720, 1280)).clip(0, 255).astype(np.uint8)
     for side in ("left", "right"):
         (folder / f"{side}.mkv").unlink()
         (folder / side).mkdir()
         for i in range(3):
-            dark = rng.normal(6, 1.5, (720, 1280)).clip(0, 255).astype(np.uint8)
             assert cv2.imwrite(str(folder / side / f"{i:06d}.png"), dark)
         edit("session.toml", rf'{side} = ".*"', f'{side} = "{side}"')(folder)
-    lines = (folder / "frames.csv").read_text().splitlines()
-    (folder / "frames.csv").write_text("\n".join(lines[:4]) + "\n")
+    pd.read_csv(folder / "frames.csv").head(3).to_csv(folder / "frames.csv", index=False)
 
 
 CASES = {
     "no folder": (shutil.rmtree, "session"),
     "no session.toml": (remove("session.toml"), "session.toml"),
     "a file is missing": (remove("encoders.csv"), "encoders.csv"),
-    "a truncated video": (cut("right.mkv"), "right.mkv"),
+    "a truncated video": (cut_short, "right.mkv"),
     "times that go back": (edit("frames.csv", r"^5,([\d.]+)", "5,0.001"), "line 7"),
     "five joints": (five_joints, "5 joint columns"),
     "an unknown robot": (edit("session.toml", "iust_6r", "iust6r"), 'did you mean "iust_6r"'),

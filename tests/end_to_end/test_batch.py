@@ -13,7 +13,7 @@ import pandas as pd
 import pytest
 
 import reports
-from tests.support.command import read_summary, verify
+from tests.support.command import ROOT, read_summary, verify
 from tests.support.fleets import record
 from tests.support.processes import TIMEOUT, running, wait_until
 from verify.simulation.scenario import ScenarioFault
@@ -23,7 +23,7 @@ REPORTS = ("fleet.html", "fleet.pdf")
 SESSIONS = 8
 REPAIRED = 5  # the first session after the encoder of joint 2 was knocked, from 1
 DASK = pytest.mark.filterwarnings("ignore")  # its own and tornado's, as workers come and go
-Start = Callable[[], tuple[subprocess.Popen[str], Path]]
+Start = Callable[..., subprocess.Popen[bytes]]
 
 
 @pytest.fixture(scope="module")
@@ -59,11 +59,6 @@ def assert_same(one: dict[str, bytes], other: dict[str, bytes]) -> None:
         assert bool(content == other[name]), name
 
 
-def test_the_output_folder_holds_exactly_the_documented_files(out: Path) -> None:
-    inside = {path.name for path in out.iterdir()}
-    assert inside == {*TABLES, *REPORTS, "sessions", "results"}
-
-
 def test_figures_are_those_of_verify_run(lab: Path, out: Path, tmp_path: Path) -> None:
     place = tmp_path / "run"
     verify("run", lab / "03", "-o", place, "--tolerance", "0.2", "--quiet")
@@ -93,6 +88,7 @@ def test_the_report_names_the_joint_and_dates_the_step_to_its_session(lab: Path,
 
 def test_started_again_nothing_is_measured_and_the_bytes_are_the_same(lab: Path, out: Path) -> None:
     before = tables(out)
+    assert {path.name for path in out.iterdir()} == {*before, "sessions", "results"}
     again = verify("batch", lab, "-o", out, "--workers", "1", "--tolerance", "0.2")
     assert again.status == 1
     assert f"0 sessions measured, {SESSIONS} kept from before, 0 failed" in again.out
@@ -211,72 +207,15 @@ def test_wrong_usage_takes_one_line(
 
 
 @pytest.fixture
-def started(lab: Path, tmp_path: Path) -> Iterator[Start]:
-    """Start a batch in a process of its own and wait until something has been kept."""
-    processes: list[subprocess.Popen[str]] = []
-
-    def start() -> tuple[subprocess.Popen[str], Path]:
-        place = tmp_path / "fleet"
-        command = [sys.executable, "-m", "verify", "batch", str(lab), "-o", str(place),
-                   "--workers", "2", "--tolerance", "0.2"]  # fmt: skip
-        process = subprocess.Popen(command, stderr=subprocess.PIPE, text=True)
-        processes.append(process)
-        wait_until(lambda: any((place / "sessions").glob("[!.]*/entry.json")))
-        return process, place
-
-    yield start
-    for process in processes:
-        if process.poll() is None:
-            process.kill()
-        process.communicate()
-
-
-def workers_of(pid: int) -> list[int]:
-    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    return [int(c) for c in children if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(sys.platform != "linux", reason="looks into /proc")
-def test_a_worker_that_is_killed_costs_nothing_but_time(out: Path, started: Start) -> None:
-    process, place = started()
-    os.kill(workers_of(process.pid)[0], signal.SIGKILL)
-    process.communicate(timeout=3 * TIMEOUT)
-    assert process.returncode == 1, process.communicate()
-    assert_same(tables(out), tables(place))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "kill"])
-def test_an_interrupted_batch_keeps_what_was_done_and_goes_on_from_there(
-    lab: Path, out: Path, started: Start, sent: signal.Signals
-) -> None:
-    process, place = started()
-    workers = workers_of(process.pid)
-    assert len(workers) == 2
-    for one in [process.pid, *(workers if sent == signal.SIGINT else [])]:
-        os.kill(one, sent)  # Ctrl-C reaches all that the terminal has started
-    _, message = process.communicate(timeout=TIMEOUT)
-    assert process.returncode == 130, message
-    assert message.splitlines()[-1] == "interrupted"
-    assert not any(running(worker) for worker in workers)
-    assert {path.name for path in place.iterdir()} == {"sessions"}
-    again = verify("batch", lab, "-o", place, "--workers", "2", "--tolerance", "0.2")
-    kept = int(again.out.split(" kept from before")[0].rsplit(" ", 1)[1])
-    assert kept >= 1
-    assert_same(tables(out), tables(place))
-
-
-@pytest.fixture
-def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
-    """Start a process of Dask's as by hand; all are ended after the test."""
-    pytest.importorskip("distributed")
+def start(tmp_path: Path) -> Iterator[Start]:
+    """Start a Python module as by hand; all are ended after the test."""
     processes: list[subprocess.Popen[bytes]] = []
+    here = {**os.environ, "PYTHONPATH": str(ROOT)}
 
-    def started(*words: str) -> subprocess.Popen[bytes]:
-        command = [sys.executable, "-m", "distributed.cli.dask_" + words[0], *words[1:]]
+    def started(module: str, *words: str | Path) -> subprocess.Popen[bytes]:
+        command = [sys.executable, "-m", module, *map(str, words)]
         with (tmp_path / f"log-{len(processes)}").open("wb") as log:
-            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=tmp_path)
+            process = subprocess.Popen(command, stdout=log, stderr=log, cwd=tmp_path, env=here)
         processes.append(process)
         return process
 
@@ -291,25 +230,55 @@ def start(tmp_path: Path) -> Iterator[Callable[..., subprocess.Popen[bytes]]]:
             process.wait()
 
 
+def wait_for_a_session(place: Path) -> None:
+    wait_until(lambda: any((place / "sessions").glob("[!.]*/entry.json")))
+
+
+def workers_of(pid: int) -> list[int]:
+    children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    return [int(c) for c in children if b"spawn_main" in Path(f"/proc/{c}/cmdline").read_bytes()]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "kill"])
+def test_an_interrupted_batch_keeps_what_was_done_and_goes_on_from_there(
+    lab: Path, out: Path, tmp_path: Path, start: Start, sent: signal.Signals
+) -> None:
+    place = tmp_path / "fleet"
+    words = (lab, "-o", place, "--workers", "2", "--tolerance", "0.2")
+    process = start("verify", "batch", *words)
+    wait_for_a_session(place)
+    workers = workers_of(process.pid)
+    assert len(workers) == 2
+    for one in [process.pid, *(workers if sent == signal.SIGINT else [])]:
+        os.kill(one, sent)  # Ctrl-C reaches all that the terminal has started
+    assert process.wait(TIMEOUT) == 130
+    message = (tmp_path / "log-0").read_text()
+    assert message.splitlines()[-1] == "interrupted"
+    assert not any(running(worker) for worker in workers)
+    assert {path.name for path in place.iterdir()} == {"sessions"}
+    again = verify("batch", *words)
+    kept = int(again.out.split(" kept from before")[0].rsplit(" ", 1)[1])
+    assert kept >= 1
+    assert_same(tables(out), tables(place))
+
+
 @pytest.mark.slow
 @DASK
 def test_a_cluster_gives_the_same_bytes_though_a_worker_is_killed(
-    lab: Path, out: Path, tmp_path: Path, start: Callable[..., subprocess.Popen[bytes]]
+    lab: Path, out: Path, tmp_path: Path, start: Start
 ) -> None:
+    pytest.importorskip("distributed")
     output, place = tmp_path / "scheduler.json", tmp_path / "fleet"
-    start("scheduler", "--host", "127.0.0.1", "--port", "0", "--no-dashboard",
-          "--scheduler-file", str(output))  # fmt: skip
-    workers = [
-        start("worker", "--scheduler-file", str(output), "--nthreads", "1", "--no-dashboard",
-              "--host", "127.0.0.1", "--no-nanny", "--local-directory", str(tmp_path / "dask"))
-        for _ in range(2)
-    ]  # fmt: skip
+    here = ("--host", "127.0.0.1", "--no-dashboard", "--scheduler-file", output)
+    start("distributed.cli.dask_scheduler", "--port", "0", *here)
+    own = ("--nthreads", "1", "--no-nanny", "--local-directory", tmp_path / "dask")
+    workers = [start("distributed.cli.dask_worker", *here, *own) for _ in range(2)]
     wait_until(output.exists)
     address = str(json.loads(output.read_text())["address"])
-    command = [sys.executable, "-m", "verify", "batch", str(lab), "-o", str(place),
-               "--tolerance", "0.2", "--scheduler", address, "--quiet"]  # fmt: skip
-    batch = subprocess.Popen(command)
-    wait_until(lambda: any((place / "sessions").glob("[!.]*/entry.json")))
+    words = (lab, "-o", place, "--tolerance", "0.2", "--scheduler", address, "--quiet")
+    batch = start("verify", "batch", *words)
+    wait_for_a_session(place)
     os.kill(workers[0].pid, signal.SIGKILL)
     assert batch.wait(3 * TIMEOUT) == 1
     assert_same(tables(out), tables(place))

@@ -11,6 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.support import recorded
 from tests.support.beside import shared
 from tests.support.command import SAMPLES, Outcome, read_summary, verify
 from verify.io import results
@@ -58,6 +59,12 @@ def calibrate_boards(folder: Path, place: Path, *options: str) -> Outcome:
     """Calibrate from pictures; rig.toml and the report go to a place."""
     out = ("-o", place / "rig.toml", "--report", place / "report")
     return verify("calibrate", "boards", folder, *out, *options)
+
+
+def register_motion(session: Path, place: Path) -> Outcome:
+    """Register base and LEDs from a session; rig.toml, marker.toml and the report go to a place."""
+    out = ("-o", place / "rig.toml", "--marker", place / "marker.toml")
+    return verify("calibrate", "register", session, *out, "--report", place / "report")
 
 
 def matrices(rig: Path) -> np.ndarray:
@@ -124,12 +131,8 @@ def test_the_same_pictures_give_the_same_figures(
 ) -> None:
     rig, report, _ = calibrated
     assert calibrate_boards(pictures, tmp_path).status == 0
-    again = tmp_path / "rig.toml"
     # sums of thousands of corners repeat to their rounding
-    np.testing.assert_allclose(matrices(rig), matrices(again), rtol=1e-9)
-    stated = [io_rig.read(path, registered=False)[0].covariance for path in (rig, again)]
-    u = [np.array(one.standard_uncertainty) for one in stated if one is not None]
-    np.testing.assert_allclose(u[0], u[1], rtol=1e-6)
+    np.testing.assert_allclose(matrices(rig), matrices(tmp_path / "rig.toml"), rtol=1e-9)
     one, other = read_summary(report), read_summary(tmp_path / "report")
     assert (one["pairs"], one["decisions"]) == (other["pairs"], other["decisions"])
 
@@ -137,8 +140,7 @@ def test_the_same_pictures_give_the_same_figures(
 def test_an_unregistered_rig_is_refused_by_a_run(
     calibrated: tuple[Path, Path, Outcome], tmp_path: Path
 ) -> None:
-    session = tmp_path / "session"
-    shutil.copytree(SAMPLES / "quarter_circle_6r", session)
+    session = shutil.copytree(SAMPLES / "quarter_circle_6r", tmp_path / "session")
     shutil.copy(calibrated[0], session / "rig.toml")
     refusal = verify("run", session, "-o", tmp_path / "out").refusal
     assert "robot_base: is missing" in refusal
@@ -168,7 +170,7 @@ def test_a_board_on_the_base_registers_the_robot_and_the_check_holds(
 
 
 @pytest.mark.slow
-def test_a_bumped_camera_fails_the_check(
+def test_a_bumped_camera_fails_the_check_and_its_report_is_written(
     calibrated: tuple[Path, Path, Outcome], tmp_path: Path, pictures: Path
 ) -> None:
     rig, _ = io_rig.read(calibrated[0], registered=False)
@@ -176,53 +178,35 @@ def test_a_bumped_camera_fails_the_check(
     mount[:3, :3] = cv2.Rodrigues(np.deg2rad([0.0, 0.3, 0.0]))[0] @ mount[:3, :3]
     bumped = tmp_path / "bumped.toml"
     io_rig.write(bumped, replace(rig, right=replace(rig.right, mount=mount)))
-    message = verify("calibrate", "check", pictures, "--rig", bumped)
+    out = tmp_path / "check"
+    message = verify("calibrate", "check", pictures, "--rig", bumped, "-o", out)
     assert message.status == 1
     assert "does not hold" in message.out
-
-
-@pytest.mark.slow
-def test_a_check_writes_its_report(
-    calibrated: tuple[Path, Path, Outcome], pictures: Path, tmp_path: Path
-) -> None:
-    out = tmp_path / "check"
-    plain = verify("calibrate", "check", pictures, "--rig", calibrated[0])
-    message = verify("calibrate", "check", pictures, "--rig", calibrated[0], "-o", out)
-    assert message.status == plain.status == 0
-    assert message.out == f"{plain.out}Report: {out / 'report.html'} and {out / 'report.pdf'}\n"
+    assert message.out.endswith(f"Report: {out / 'report.html'} and {out / 'report.pdf'}\n")
     assert {path.name for path in out.iterdir()} == WRITTEN
-    assert read_summary(out)["verdict"] == "held"
-    again = verify("calibrate", "check", pictures, "--rig", calibrated[0], "-o", out)
+    assert read_summary(out)["verdict"] == "not_held"
+    again = verify("calibrate", "check", pictures, "--rig", bumped, "-o", out)
     assert "--force" in again.refusal
 
 
 @pytest.mark.slow
 def test_another_robots_readings_are_the_first_cause_named(tmp_path: Path) -> None:
-    session = tmp_path / "session"
-    shutil.copytree(SAMPLES / "multi_joint_rv_3sd", session)
-    text = (session / "session.toml").read_text()
-    (session / "session.toml").write_text(text.replace('"rv_3sd_melfa"', '"iust_6r"'))
-    message = verify(
-        "calibrate", "register", session, "-o", tmp_path / "rig.toml",
-        "--marker", tmp_path / "marker.toml", "--report", tmp_path / "report",
-    )  # fmt: skip
+    session = shutil.copytree(SAMPLES / "multi_joint_rv_3sd", tmp_path / "session")
+    recorded.replace(session / "session.toml", '"rv_3sd_melfa"', '"iust_6r"')
+    message = register_motion(session, tmp_path)
     assert '"iust_6r" is the robot that moved' in message.refusal
     assert "mirror" not in message.err
 
 
 def test_a_motion_registers_base_and_leds(tmp_path: Path) -> None:
     session = SAMPLES / "multi_joint_rv_3sd"
-    out, marker, report = tmp_path / "rig.toml", tmp_path / "marker.toml", tmp_path / "report"
-    message = verify(
-        "calibrate", "register", session, "-o", out, "--marker", marker, "--report", report
-    )
+    message = register_motion(session, tmp_path)
     assert message.status == 0, message.err
     assert "A constant offset of joints 1 and 6 that was there already is hidden" in message.out
-    assert {path.name for path in report.iterdir()} == WRITTEN
-    again = tmp_path / "session"
-    shutil.copytree(session, again)
-    shutil.copy(out, again / "rig.toml")
-    shutil.copy(marker, again / "marker.toml")
+    assert {path.name for path in (tmp_path / "report").iterdir()} == WRITTEN
+    again = shutil.copytree(session, tmp_path / "session")
+    for name in ("rig.toml", "marker.toml"):
+        shutil.copy(tmp_path / name, again)
     run = verify("run", again, "-o", tmp_path / "run")
     assert run.status == 3, run.err  # joints 1 and 6 cannot be told: its tolerance is undecided
     summary = read_summary(tmp_path / "run")
@@ -285,9 +269,8 @@ def test_a_disk_that_fills_up_leaves_neither_rig_nor_report(
 
 
 def test_options_of_the_other_way_of_registering_are_refused(pictures: Path) -> None:
-    out = ("-o", "/nowhere/rig.toml")
-    message = verify("calibrate", "register", pictures, "--corners", "9x6", *out)
-    assert "--corners" in message.refusal
+    words = ("register", pictures, "--corners", "9x6", "-o", "/nowhere/rig.toml")
+    assert "--corners" in verify("calibrate", *words).refusal
 
 
 @pytest.mark.slow
@@ -300,9 +283,8 @@ def test_the_recorded_boards_calibrate_as_typed(tmp_path: Path) -> None:
     rig = tmp_path / "rig.toml"
     assert np.allclose(matrices(rig), matrices(folder / "rig.toml"), atol=0.3)
     found, _ = io_rig.read(rig, registered=False)
-    assert 1e3 * np.linalg.norm(found.right.pan_center - found.left.pan_center) == pytest.approx(
-        170.0, abs=0.1
-    )
+    baseline = 1e3 * np.linalg.norm(found.right.pan_center - found.left.pan_center)
+    assert baseline == pytest.approx(170.0, abs=0.1)
 
 
 def test_a_board_ambiguous_by_a_quarter_turn_is_warned_of(tmp_path: Path) -> None:

@@ -13,6 +13,7 @@ import pytest
 import reports
 from reports.results import to_json_value
 from tests.support.command import SAMPLES, sample_results
+from tests.support.recorded import replace
 from verify import analyse, open_session
 
 DOCS = Path(__file__).parents[2] / "docs" / "results.md"
@@ -31,12 +32,11 @@ def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """What a checker reads of OUT; the reports themselves are no part of it."""
-    out: Path = tmp_path_factory.mktemp("result")
-    return written(sample_results("multi_joint_fault_6r"), out)
+    return written(sample_results("multi_joint_fault_6r"), tmp_path_factory.mktemp("result"))
 
 
 def written(results: reports.Results, out: Path) -> Path:
+    """What a checker reads of OUT; the reports themselves are no part of it."""
     reports.write(results, out / "results")
     (out / "summary.json").write_text(json.dumps(to_json_value(results.summary), allow_nan=False))
     return out
@@ -47,8 +47,7 @@ def hiding(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Path]:
     """The same session with its base found through the encoders, and its result."""
     folder = tmp_path_factory.mktemp("hiding")
     session = shutil.copytree(FAULTY, folder / "session")
-    rig = session / "rig.toml"
-    rig.write_text(rig.read_text().replace('source = "fixture"', 'source = "motion"'))
+    replace(session / "rig.toml", 'source = "fixture"', 'source = "motion"')
     return session, written(analyse(open_session(session)), folder / "out")
 
 
@@ -62,9 +61,8 @@ def changed(out: Path, to: Path, change: dict[str, Any], part: str = "joint 2") 
     shutil.copytree(out, to)
     path = to / "summary.json"
     summary = json.loads(path.read_text())
-    (summary["joints"][int(part[-1]) - 1] if part.startswith("joint") else summary[part]).update(
-        change
-    )
+    entry = summary["joints"][int(part[-1]) - 1] if part.startswith("joint") else summary[part]
+    entry.update(change)
     path.write_text(json.dumps(summary))
     return to
 
@@ -73,6 +71,11 @@ def test_a_result_passes_the_recipe_of_the_documentation(recipe: Path, result: P
     answer = checked(recipe, FAULTY, result)
     assert answer.returncode == 0, answer.stderr
     assert "inputs, verdicts and budget are as stated" in answer.stdout
+    summary = json.loads((result / "summary.json").read_text())
+    assert set(summary["software"]) == {"python", "numpy", "scipy", "numba", "opencv"}
+    assert re.fullmatch(r"sha256:[0-9a-f]{64}", summary["session"]["robot_fingerprint"])
+    assert summary["decision"]["tolerance_from"] == "session.toml"
+    assert all(re.fullmatch(r"sha256:[0-9a-f]{64}", d) for d in summary["inputs"].values())
 
 
 def test_a_session_that_was_changed_since_does_not(
@@ -118,11 +121,3 @@ def test_a_result_with_hidden_joints_passes_too(
     assert [hidden["verdict"], summary["position"]["verdict"]] == ["undecided", "undecided"]
     swinging = changed(out, tmp_path / "out", {"half_range_deg": [9.0] * 6}, "decision")
     assert "joint 1: nonconform" in checked(recipe, session, swinging).stderr
-
-
-def test_the_certificate_names_versions_rule_and_arm(result: Path) -> None:
-    summary = json.loads((result / "summary.json").read_text())
-    assert set(summary["software"]) == {"python", "numpy", "scipy", "numba", "opencv"}
-    assert re.fullmatch(r"sha256:[0-9a-f]{64}", summary["session"]["robot_fingerprint"])
-    assert summary["decision"]["tolerance_from"] == "session.toml"
-    assert all(re.fullmatch(r"sha256:[0-9a-f]{64}", d) for d in summary["inputs"].values())

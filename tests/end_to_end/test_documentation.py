@@ -1,6 +1,5 @@
 """The documents are true: commands run, files exist, options and keys are known."""
 
-import csv
 import json
 import os
 import re
@@ -12,13 +11,13 @@ from collections.abc import Iterator
 from functools import cache
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 import robots
 from tests.support.command import ROOT, verify
 from verify.cli.main import app
 from verify.io import fiducials, fixture, rig
-from verify.io import fiducials as io_fiducials
 from verify.io.session import keys as session_keys
 from verify.simulation import library
 
@@ -82,8 +81,7 @@ def test_the_readme_runs_as_written_and_its_output_is_explained(
     """One test: processes that share the tests would each run the commands, which takes minutes."""
     every_command_runs(outcomes)
     every_python_example_runs(clone)
-    every_key_and_column_is_explained(clone)
-    every_file_is_named(clone)
+    every_key_column_and_file_is_explained(clone)
 
 
 def every_command_runs(outcomes: dict[str, subprocess.CompletedProcess[str]]) -> None:
@@ -107,8 +105,8 @@ def test_installation_names_every_target_and_existing_files_and_extras() -> None
     assert phony is not None
     targets = phony[1].split()
     assert [name for name in targets if f"make {name}" not in README.read_text()] == []
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
-    extras = extras["optional-dependencies"]
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
+    extras = project["optional-dependencies"]
     for document in DOCUMENTS:
         named = re.findall(r"(?:^|`)make ([a-z-]+)", document.read_text(), flags=re.MULTILINE)
         assert set(named) <= set(targets), document.name
@@ -182,7 +180,7 @@ def test_every_file_shown_is_read_without_a_warning(document: Path, tmp_path: Pa
     readers = {
         "session": lambda path: session_keys.read(path, session_keys.SessionTable),
         "rig": rig.read,
-        "marker": io_fiducials.read_marker,
+        "marker": fiducials.read_marker,
         "board": fiducials.read_board,
         "fixture": fixture.read,
     }
@@ -200,23 +198,14 @@ def test_every_file_shown_is_read_without_a_warning(document: Path, tmp_path: Pa
             assert tomllib.loads(text)
 
 
-def every_key_and_column_is_explained(clone: Path) -> None:
+def every_key_column_and_file_is_explained(clone: Path) -> None:
     explained = (ROOT / "docs" / "results.md").read_text()
     summary = json.loads((clone / "demo-report" / "summary.json").read_text())
-    tables = [
-        summary,
-        summary["clock"],
-        summary["pairs"],
-        summary["joints"][0],
-        summary["position"],
-    ]
-    keys = [key for table in tables for key in table] + [k for c in summary["diagnosis"] for k in c]
-    with (clone / "demo-report" / "frames.csv").open(newline="") as file:
-        header = next(csv.reader(file))
+    tables = [summary, summary["joints"][0], *summary["diagnosis"]]
+    tables += [summary[key] for key in ("clock", "pairs", "position")]
+    keys = [key for table in tables for key in table]
+    header = pd.read_csv(clone / "demo-report" / "frames.csv", nrows=0)
     keys += [re.sub(r"^q\d+_", "qN_", column) for column in header]
     assert [key for key in keys if f"`{key}`" not in explained] == []
-
-
-def every_file_is_named(clone: Path) -> None:
     written = {path.name + "/" * path.is_dir() for path in (clone / "demo-report").iterdir()}
     assert [name for name in written if f"`{name}`" not in README.read_text()] == []

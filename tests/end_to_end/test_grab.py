@@ -12,7 +12,6 @@ import re
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import replace
 from datetime import UTC, datetime
 from importlib import resources
 from pathlib import Path
@@ -176,10 +175,8 @@ def film(folder: Path, seconds: float) -> None:
     assert pair is not None
     rows = (pair.left, pair.right)
     raws = tuple(bytes(cv2.imencode(".jpg", image)[1]) for image in rows)
-    files = {
-        "rig.toml": rig.encode(setup.rig),
-        "marker.toml": fiducials.encode_marker(setup.marker),
-    }
+    files = {"rig.toml": rig.encode(setup.rig)}
+    files["marker.toml"] = fiducials.encode_marker(setup.marker)
     facts = SessionFacts(ROBOT, 6, files, {}, turning=False)
     pans = (pair.pan_left, pair.pan_right)
     pairs = [
@@ -223,25 +220,24 @@ def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
 
 
 @pytest.mark.realtime
-def test_a_cap_is_grasped_through_the_real_drivers(
+def test_a_cap_is_grasped_through_the_real_drivers_and_emulators_need_no_confirmation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.setattr(grab_station, "_read_line", lambda: pytest.fail("nobody is to be asked"))
     with cell(tmp_path, 25.0) as (station, _, gripper):
         typed(monkeypatch, "")
         assert grasp(station, gripper, GRABS)
     summary = read_summary(tmp_path / "out")
+    assert summary["execute"]
     assert (summary["state"], summary["released"]) == ("lifted", True)
 
 
 @pytest.mark.realtime
-def test_a_wrong_confirmation_moves_nothing_and_writes_nothing(
+def test_a_grasp_that_lacks_something_moves_nothing_and_writes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(grab_station, "is_emulated_melfa", lambda *_, **__: False)
     with cell(tmp_path, 0.5) as (station, _, gripper):
-        typed(monkeypatch, "yes\n")
-        with pytest.raises(InputError, match='"yes" was typed'):
-            grasp(station, gripper, GRABS)
         with pytest.raises(InputError, match="--gripper"):
             grasp(station, None, GRABS)
         other = station.with_name("other.toml")
@@ -261,9 +257,6 @@ def test_without_execute_a_station_is_planned_for(tmp_path: Path) -> None:
     assert summary["state"] == "tracking"
 
 
-SHORT = replace(GRABS, duration=1.0)
-
-
 OTHER = '[encoders]\ndriver = "labenc"\nport = "/dev/null"\nresolution_deg = 0.01\n'
 
 
@@ -271,14 +264,11 @@ OTHER = '[encoders]\ndriver = "labenc"\nport = "/dev/null"\nresolution_deg = 0.0
     ("station", "cell", "message"),
     [
         (STATION, re.sub(r"(?ms)^\[gripper\].*?(?=^\[)", "", CELL), "gripper"),
-        (
-            STATION.split("[encoders]")[0] + OTHER,
-            CELL,
-            'station.toml, encoders.driver: is "labenc"; only a MELFA controller can be',
-        ),
+        (STATION.split("[encoders]")[0] + OTHER, CELL,
+         'station.toml, encoders.driver: is "labenc"; only a MELFA controller can be'),
     ],
     ids=["no gripper", "no MELFA"],
-)
+)  # fmt: skip
 def test_a_cell_that_cannot_grasp_is_refused(
     station: str, cell: str, message: str, tmp_path: Path
 ) -> None:
@@ -291,32 +281,20 @@ def test_a_cell_that_cannot_grasp_is_refused(
 
 
 @pytest.mark.realtime
-def test_emulators_need_execute_alone(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(grab_station, "_read_line", lambda: pytest.fail("nobody is to be asked"))
-    typed(monkeypatch, "")
-    with cell(tmp_path, 2.5) as (station, _, gripper):
-        grasp(station, gripper, SHORT)
-    summary = read_summary(tmp_path / "out")
-    assert summary["execute"]
-    assert summary["state"] in ("following", "tracking", "approaching", "searching", "idle")
-    assert summary["released"]
-
-
-@pytest.mark.realtime
 @pytest.mark.parametrize("real", ["controller", "gripper"])
 def test_one_real_device_requires_confirmation(
     real: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(emulator_check, "TIMEOUT", 0.3)
-    asked: list[bytes] = []
+    requests: list[bytes] = []
     carry_out = GripperEngine._carry_out
 
-    def known(self: GripperEngine, body: bytes, t: float) -> bytes:
-        asked.append(body)
+    def answer(self: GripperEngine, body: bytes, t: float) -> bytes:
+        requests.append(body)
         unknown = b"\x63" + body[1:] if real == "gripper" and body[0] == 43 else body
         return carry_out(self, unknown, t)
 
-    monkeypatch.setattr(GripperEngine, "_carry_out", known)
+    monkeypatch.setattr(GripperEngine, "_carry_out", answer)
     if real == "controller":
         identity = (
             "3F;3F;7,0;3,5,A,1E,32,46,64;MB5;PRM;RV-3SD;CRn-7xx;MELFA;09-01-20;N8a;ENG;;1;1;8;"
@@ -325,9 +303,9 @@ def test_one_real_device_requires_confirmation(
     typed(monkeypatch, "yes\n")
     with (
         cell(tmp_path, 0.5) as (station, controller, gripper),
-        pytest.raises(InputError, match=f'"RV-3SD {controller}" is expected'),
+        pytest.raises(InputError, match=f'"yes" was typed.*"RV-3SD {controller}" is expected'),
     ):
-        grasp(station, gripper, SHORT)
+        grasp(station, gripper, GRABS)
     # beside a real controller the gripper is asked nothing before somebody has confirmed
-    assert asked == ([] if real == "controller" else asked[:1])
+    assert requests == ([] if real == "controller" else requests[:1])
     assert not (tmp_path / "out").exists()

@@ -19,13 +19,10 @@ from reports.document.charts import (
 )
 
 
-def test_a_line_breaks_where_a_pair_was_not_measured() -> None:
+def test_a_line_breaks_where_a_pair_was_not_measured_or_has_no_row() -> None:
     x, y = trace(np.arange(5.0), np.array([1, 2, np.nan, 4, 5]))
     assert_allclose(y, [1, 2, np.nan, 4, 5])
     assert np.isnan(x[2])
-
-
-def test_a_line_breaks_where_pairs_were_dropped_without_a_row() -> None:
     t = np.array([0.0, 0.1, 0.2, 0.9, 1.0])
     assert_allclose(trace(t, np.arange(5.0))[1], [0, 1, 2, np.nan, 3, 4])
 
@@ -73,15 +70,12 @@ def test_pieces_are_what_lies_between_breaks() -> None:
     assert pieces(np.empty(0)) == []
 
 
-def test_a_rotation_vector_is_followed_through_half_and_whole_turns() -> None:
+def test_a_rotation_vector_is_followed_through_whole_turns_and_lost_pairs() -> None:
     axis = np.array([0.6, 0.0, 0.8])
     angle = np.linspace(10.0, 700.0, 200)
     turns = Rotation.from_rotvec(angle[:, None] * axis, degrees=True)
     followed = unwrap_rotation(turns.as_rotvec(degrees=True))
     assert_allclose(followed, angle[:, None] * axis, atol=1e-6)
-
-
-def test_a_followed_rotation_is_still_the_same_rotation_across_lost_pairs() -> None:
     random = np.random.default_rng(2)
     vectors = Rotation.from_rotvec(random.standard_normal((60, 3)) * 2).as_rotvec(degrees=True)
     vectors[10:14] = np.nan
@@ -103,10 +97,7 @@ def test_a_clock_that_counts_from_long_ago_is_shown_from_the_first_pair() -> Non
     assert label == "time [s]"
 
 
-def test_a_missing_column_is_all_unknown() -> None:
+def test_a_missing_column_is_all_unknown_and_runs_gather_equal_neighbours() -> None:
     assert np.isnan(column(pd.DataFrame({"a": [1, 2]}), "b")).all()
     assert column(pd.DataFrame(), "b").size == 0
-
-
-def test_runs_gather_equal_neighbours() -> None:
     assert runs(["a", "a", "b", "a"]) == [("a", 0, 1), ("b", 2, 2), ("a", 3, 3)]

@@ -10,6 +10,7 @@ from reports.document.formatting import (
     exact_number,
     join_words,
     joint_names,
+    lookup_label,
     number,
     percent,
     probability,
@@ -17,6 +18,7 @@ from reports.document.formatting import (
     significant,
     with_uncertainty,
 )
+from reports.session import phrases
 
 UNKNOWN = [None, math.nan, math.inf, "0.4", True, np.nan]
 
@@ -47,10 +49,12 @@ def test_a_value_is_rounded_with_its_uncertainty_to_two_digits_of_it(
     assert with_uncertainty(value, uncertainty) == text
 
 
-def test_units_follow_as_the_si_brochure_sets_them() -> None:
+def test_units_follow_as_the_si_brochure_sets_them_and_labels_as_they_are() -> None:
     assert with_uncertainty(0.4, 0.015, "°") == "+0.400° ± 0.015°"
     assert with_uncertainty(1.2, 0.1, "mm", signed=False) == "1.20 ± 0.10 mm"
     assert quantity(0.05, "°") == "0.050°"
+    assert lookup_label(phrases.STATUSES, "lens_cap_on") == "lens cap on"
+    assert lookup_label(phrases.STATUSES, None) == "–"
 
 
 @pytest.mark.parametrize("uncertainty", [1e-12, 1e9, 0.0, None])
@@ -67,13 +71,9 @@ def test_a_share_is_never_rounded_up_to_all_or_down_to_nothing(value: float, tex
     assert percent(value) == text
 
 
-def test_a_probability_is_never_rounded_to_certainty() -> None:
-    assert probability(0.99999) == "> 0.999"
-    assert probability(0.0) == "< 0.001"
-    assert probability(0.95) == "0.950"
-
-
-def test_a_tolerance_is_shown_as_it_was_given() -> None:
+def test_a_probability_is_never_rounded_to_certainty_and_a_tolerance_not_at_all() -> None:
+    probabilities = [probability(v) for v in (0.99999, 0.0, 0.95)]
+    assert probabilities == ["> 0.999", "< 0.001", "0.950"]
     assert [exact_number(v) for v in (0.2, 0.125, 0.015, 1.0)] == ["0.2", "0.125", "0.015", "1"]
 
 

@@ -9,56 +9,59 @@ from typing import Any
 import pytest
 
 from reports import render_html, render_pdf
-from reports.document.blocks import Document, Verdict
+from reports.document.blocks import Verdict
 from reports.document.charts import Level, Points
 from reports.document.formatting import with_uncertainty
-from reports.fleet import document as fleet_document
 from reports.fleet.charts import MAX_TICKS, arm_chart, format_day, month_ticks
+from reports.fleet.document import document
+from reports.results import Results
 from tests.support.reports import fleet as made_fleet
 
 HOSTILE = '</script><b>x</b>&"\n, y'
 
 
-def blocks(document: Document, kind: type) -> list[Any]:
-    return [b for section in document.sections for b in section.blocks if isinstance(b, kind)]
+def verdict_of(results: Results) -> Verdict:
+    blocks = [b for section in document(results).sections for b in section.blocks]
+    return next(b for b in blocks if isinstance(b, Verdict))
 
 
-def section(document: Document, name: str) -> list[Any]:
-    return [b for s in document.sections if s.name == name for b in s.blocks]
+def section(results: Results, name: str) -> list[Any]:
+    return [b for s in document(results).sections if s.name == name for b in s.blocks]
 
 
 def test_it_opens_with_what_changed_and_since_when() -> None:
-    document = fleet_document.document(made_fleet.changed())
-    verdict = blocks(document, Verdict)[0]
+    verdict = verdict_of(made_fleet.changed())
     assert verdict.tone == "nonconform"
     assert verdict.label == "2 of 18 joints changed"
     step = format_day(made_fleet.changed().table("changes")["t_days"].iloc[1])
     amount = r"[+−]0\.\d+ ± 0\.\d+°"
-    drifts = rf"The reading of joint 3 of arm_a drifts by {amount} a month \(k = 2\)"
-    changed = rf"the reading of joint 5 of arm_b changed by {amount} \(k = 2\) on {step}"
-    assert re.search(drifts, verdict.sentence)
-    assert re.search(changed, verdict.sentence)
+    for words in (
+        rf"The reading of joint 3 of arm_a drifts by {amount} a month \(k = 2\)",
+        rf"the reading of joint 5 of arm_b changed by {amount} \(k = 2\) on {step}",
+    ):
+        assert re.search(words, verdict.sentence)
     assert "The other 16 joints show no change" in verdict.sentence
     assert "at most 1 %" in verdict.remarks[0]
 
 
 def test_a_quiet_fleet_is_called_that_and_one_too_young_is_not() -> None:
-    quiet = blocks(fleet_document.document(made_fleet.quiet()), Verdict)[0]
+    quiet, young = verdict_of(made_fleet.quiet()), verdict_of(made_fleet.young())
     assert (quiet.tone, quiet.label) == ("conform", "No change")
-    young = blocks(fleet_document.document(made_fleet.young()), Verdict)[0]
     assert young.tone == "undecided"
     assert "6 dated sessions" in young.sentence
+    assert not section(made_fleet.young(), "charts")
+    assert render_pdf(made_fleet.young()).startswith(b"%PDF-")
 
 
 def test_changed_joints_stand_first_and_every_joint_has_a_row() -> None:
-    (table,) = (b for b in section(fleet_document.document(made_fleet.changed()), "joints"))
+    (table,) = section(made_fleet.changed(), "joints")
     assert [(r[0].text, r[1].text) for r in table.rows[:2]] == [("arm_a", "3"), ("arm_b", "5")]
     assert "getting worse" in table.rows[0][2].text
     assert len(table.rows) == 18
 
 
 def test_a_change_has_its_session_its_range_and_its_size() -> None:
-    table = section(fleet_document.document(made_fleet.changed()), "changes")[0]
+    table = section(made_fleet.changed(), "changes")[0]
     rows = [cell.text for cells in table.rows for cell in cells]
     found = made_fleet.changed().table("changes")
     at, before = (format_day(found[key][1]) for key in ("t_days", "before_t_days"))
@@ -68,12 +71,16 @@ def test_a_change_has_its_session_its_range_and_its_size() -> None:
     assert f"{with_uncertainty(found['size'][1], 2 * found['size_u'][1])}°" in rows
 
 
-def test_a_step_on_a_new_calibration_carries_a_warning() -> None:
+def test_a_step_on_a_new_calibration_and_undetectable_offsets_are_stated() -> None:
     results = made_fleet.changed()
     found = results.table("changes").assign(recalibrated=[False, True])
-    results = replace(results, tables={**results.tables, "changes": found})
-    (warning,) = section(fleet_document.document(results), "changes")[1:]
+    joints = results.table("joints").copy()
+    joints.loc[0, "visible"] = 0.0
+    results = replace(results, tables={**results.tables, "changes": found, "joints": joints})
+    (warning,) = section(results, "changes")[1:]
     assert warning.tone == "warning"
+    message = " ".join(section(results, "unseen")[0].items)
+    assert "arm_a: an offset of joint 1 that was there at registration shows in none" in message
 
 
 def test_every_joint_has_a_strip_with_its_sessions_and_its_step() -> None:
@@ -99,30 +106,21 @@ def test_the_time_axis_has_a_few_marks_inside_its_range(days: float) -> None:
     assert all(first <= place <= first + days for place, _ in marks)
 
 
-def test_links_lead_to_sessions_that_have_a_report() -> None:
+def test_links_lead_to_sessions_that_have_a_report_and_tables_sort_and_filter() -> None:
     results = made_fleet.changed()
     page = render_html(results)
     assert f'href="{results.table("worst")["kept_in"][0]}/report.html"' in page
     assert page.count("/report.html") == 1
-    quiet = section(fleet_document.document(made_fleet.quiet()), "worst")[0]
-    assert "--reports" in quiet.notes[-1]
+    assert "aria-sort" in page
+    assert 'type = "search"' in page
+    assert "--reports" in section(made_fleet.quiet(), "worst")[0].notes[-1]
 
 
 def test_before_and_after_is_shown_on_request() -> None:
-    assert not section(fleet_document.document(made_fleet.quiet()), "contrasts")
-    results = made_fleet.changed(since=date(2025, 6, 12))
-    (table,) = section(fleet_document.document(results), "contrasts")
+    assert not section(made_fleet.quiet(), "contrasts")
+    (table,) = section(made_fleet.changed(since=date(2025, 6, 12)), "contrasts")
     assert "before 2025-06-12, since 2025-06-12" in table.caption
     assert table.rows[0][-1].text == "changed"
-
-
-def test_undetectable_offsets_are_listed() -> None:
-    results = made_fleet.changed()
-    joints = results.table("joints").copy()
-    joints.loc[0, "visible"] = 0.0
-    results = replace(results, tables={**results.tables, "joints": joints})
-    message = " ".join(section(fleet_document.document(results), "unseen")[0].items)
-    assert "arm_a: an offset of joint 1 that was there at registration shows in none" in message
 
 
 def test_markup_in_names_is_shown_and_never_run() -> None:
@@ -132,18 +130,4 @@ def test_markup_in_names_is_shown_and_never_run() -> None:
     plots = re.search(r'id="plots">(.*?)</script>', page, flags=re.DOTALL)
     assert plots is not None
     json.loads(plots[1])
-    assert render_pdf(results).startswith(b"%PDF-")
-
-
-def test_the_page_needs_no_network_and_its_tables_sort_and_filter() -> None:
-    page = render_html(made_fleet.quiet())
-    own = page.replace(re.search(r"<script>/\*\*.*?</script>", page, re.DOTALL)[0], "")  # type: ignore[index]
-    assert not re.search(r'(src|href)="https?:', own)
-    assert "aria-sort" in page
-    assert 'type = "search"' in page
-
-
-def test_a_fleet_without_any_date_has_no_charts_and_still_a_report() -> None:
-    results = made_fleet.young()
-    assert not section(fleet_document.document(results), "charts")
     assert render_pdf(results).startswith(b"%PDF-")

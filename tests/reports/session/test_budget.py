@@ -27,6 +27,10 @@ def texts(part: Section) -> str:
 
 def test_the_budget_adds_what_a_reader_checks_it_by() -> None:
     message = section(made_budget.holding(), "budget")
+    first = message.blocks[0]
+    assert isinstance(first, Paragraph)
+    assert first.text.startswith("Known worst is joint ")
+    assert "rig, 49 % of the variance" in first.text
     table = next(b for b in message.blocks if isinstance(b, Table) and "by source" in b.caption)
     rows = {row[0].text: [cell.text for cell in row[1:]] for row in table.rows}
     assert rows["rig"][:3] == ["systematic", "B", "40"]
@@ -39,30 +43,22 @@ def test_the_budget_adds_what_a_reader_checks_it_by() -> None:
     assert {"random, together", "systematic, together", "combined", "expanded"} <= set(rows)
 
 
-def test_the_worst_known_joint_and_its_largest_source_come_first() -> None:
-    first = section(made_budget.holding(), "budget").blocks[0]
-    assert isinstance(first, Paragraph)
-    assert first.text.startswith("Known worst is joint ")
-    assert "rig, 49 % of the variance" in first.text
-
-
 def test_monte_carlo_states_where_linear_propagation_holds() -> None:
     holds = texts(section(made_budget.holding(), "budget"))
     assert "22 pairs drawn anew 200 times" in holds
     assert "the largest difference is 2.4 %, where 5.0 % are allowed" in holds
+    for name in ("q2+q3+q4", "a member by itself", "known best of all", "known worst of all"):
+        assert name in holds  # well-known sums beside their members
     fails = texts(section(made_budget.failing(), "budget"))
     assert "It does not hold for joints 3, 4 and 6 at the poses below" in fails
     assert "q4 1.31, q6 1.22" in fails
     assert "the arm cannot stand in some of the drawn poses" in fails
-    assert "for joint 4 at" in texts(section(made_budget.failing_in_one_joint(), "budget"))
-    coupled = texts(section(made_budget.failing_where_coupled(), "budget"))
+    alone, coupled = (
+        texts(section(made_budget.failing_at(joints, coupled=len(joints) > 1), "budget"))
+        for joints in ([4], [4, 6])
+    )
+    assert "for joint 4 at" in alone
     assert "fails only for joints that a singularity couples" in coupled
-
-
-def test_well_known_sums_stand_beside_their_members_and_the_worst_known() -> None:
-    message = texts(section(made_budget.holding(), "budget"))
-    for name in ("q2+q3+q4", "a member by itself", "known best of all", "known worst of all"):
-        assert name in message
 
 
 def test_sweeps_report_only_significant_effects() -> None:

@@ -2,7 +2,6 @@
 
 import shutil
 from dataclasses import replace
-from functools import cache
 from typing import Any
 
 import pytest
@@ -12,6 +11,7 @@ from reports.document.blocks import Facts
 from reports.results import Results
 from reports.session.conditions import conditions
 from reports.session.headline import headline
+from tests.support import recorded
 from tests.support.command import SAMPLES
 from tests.support.reports import session as made
 from tests.support.reports.page import LIBRARY
@@ -26,12 +26,8 @@ UNSEEN = FOUND | {"reason": "not_observable"}
 @pytest.fixture(scope="module")
 def registered_by_motion(tmp_path_factory: pytest.TempPathFactory) -> Results:
     """The sample session, its base said to come from a motion: joint 1 is hidden, 2 fails."""
-    folder = tmp_path_factory.mktemp("hidden") / "session"
-    shutil.copytree(SAMPLE, folder)
-    rig = folder / "rig.toml"
-    text = rig.read_text(encoding="utf-8")
-    assert 'source = "fixture"' in text
-    rig.write_text(text.replace('source = "fixture"', 'source = "motion"'), encoding="utf-8")
+    folder = shutil.copytree(SAMPLE, tmp_path_factory.mktemp("hidden") / "session")
+    recorded.replace(folder / "rig.toml", 'source = "fixture"', 'source = "motion"')
     return analyse(open_session(folder))
 
 
@@ -46,18 +42,14 @@ def test_the_first_page_lists_what_a_registration_by_motion_hides(
     assert verdict < found < page.index("Without any registration", verdict)
 
 
-@cache
-def _base() -> Results:
-    return made.nonconforming()
-
-
 def _results(changes: dict[int, dict[str, Any]], **more: Any) -> Results:
     """Joints changed by number; `setup` names sources, the rest is of the summary."""
-    setup = dict(_base().setup)
+    base = made.nonconforming()
+    setup = dict(base.setup)
     for part, entry in more.pop("setup", {}).items():
         setup[part] = setup[part] | entry
-    rows = [row | changes.get(row["joint"], {}) for row in _base().summary["joints"]]
-    return replace(_base(), summary=_base().summary | {"joints": rows} | more, setup=setup)
+    rows = [row | changes.get(row["joint"], {}) for row in base.summary["joints"]]
+    return replace(base, summary=base.summary | {"joints": rows} | more, setup=setup)
 
 
 MOTION = {"rig": {"base_source": "motion"}, "marker": {"source": "motion"}}
@@ -123,20 +115,16 @@ def test_an_undecided_verdict_names_what_would_decide_it(name: str) -> None:
     assert "could not be seen" not in " ".join(message.remarks)  # said above, with its reason
 
 
-def test_a_joint_beyond_its_tolerance_may_hide_its_constant() -> None:
+def test_a_hidden_constant_is_stated_beyond_the_tolerance_too_and_only_where_it_is_hidden() -> None:
     message = headline(_results({3: FOUND}, setup={"rig": {"base_source": "motion"}}))
     assert any("offset of joint 3 cannot show here" in remark for remark in message.remarks)
-
-
-def test_nothing_is_stated_if_every_offset_is_detectable() -> None:
-    assert not any("cannot show" in remark for remark in headline(_base()).remarks)
+    assert not any("cannot show" in remark for remark in headline(made.nonconforming()).remarks)
 
 
 def test_an_undecided_joint_beside_a_failing_one_has_its_reason() -> None:
     row = {"verdict": "undecided", "reason": "uncertainty_too_large"}
-    assert (
-        "Joint 4: uncertainty too large for this tolerance." in headline(_results({4: row})).remarks
-    )
+    remarks = headline(_results({4: row})).remarks
+    assert "Joint 4: uncertainty too large for this tolerance." in remarks
 
 
 def _facts(results: Results) -> dict[str, str]:
@@ -144,18 +132,15 @@ def _facts(results: Results) -> dict[str, str]:
     return dict(item for block in blocks if isinstance(block, Facts) for item in block.items)
 
 
-NOBODY_SAYS = (
+MISSING = (
     "Registration", "LED positions", "Datum", "u of the body", "u of each LED",
     "u of the apparent centre",
 )  # fmt: skip
 
 
-def test_missing_statements_are_reported_as_not_stated(registered_by_motion: Results) -> None:
+def test_statements_are_shown_and_missing_ones_reported(registered_by_motion: Results) -> None:
     facts = _facts(registered_by_motion)
-    assert {facts[label] for label in NOBODY_SAYS} == {"not stated"}
-
-
-def test_stated_values_are_unchanged() -> None:
+    assert {facts[label] for label in MISSING} == {"not stated"}
     setup = {"rig": {"registration": "of monday"}, "marker": {"led_standard_uncertainty_mm": 0.05}}
     facts = _facts(_results({}, setup=setup))
     assert facts["Registration"] == "of monday"

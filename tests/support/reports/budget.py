@@ -52,17 +52,10 @@ def failing() -> Results:
     return _with(_check(fails), sweeps)
 
 
-def failing_in_one_joint() -> Results:
-    """As failing, one joint alone; and one joint alone was swept."""
-    fails = [{"frame": 12, "joints": [4], "ratio": [1.31], "coupled": False, "unreachable": 0.0}]
-    return _with(_check(fails), [_sweep(3)])
-
-
-def failing_where_coupled() -> Results:
-    """Linear propagation fails for joints alone that enter no single figure."""
-    fails = [{"frame": 4, "joints": [4, 6], "ratio": [2.4, 2.6], "coupled": True,
-              "unreachable": 0.0}]  # fmt: skip
-    return _with(_check(fails), [])
+def failing_at(joints: list[int], *, coupled: bool) -> Results:
+    """Linear propagation fails at one pair: for one joint, or for joints that enter no figure."""
+    fails = {"frame": 4, "joints": joints, "ratio": [2.4] * len(joints), "unreachable": 0.0}
+    return _with(_check([fails | {"coupled": coupled}]), [_sweep(3)])
 
 
 def _with(check: dict[str, Any], sweeps: list[dict[str, Any]]) -> Results:
@@ -92,32 +85,28 @@ def _with(check: dict[str, Any], sweeps: list[dict[str, Any]]) -> Results:
 
 
 def _lines(rows: list[dict[str, Any]]) -> pd.DataFrame:
-    made_rows = [
-        (row["joint"], source, kind, kind_of, share * row["standard_uncertainty_deg"], degrees,
-         share * abs(share))
-        for row in rows
-        for source, kind, kind_of, degrees, share in LINES
-    ]  # fmt: skip
-    names = ["joint", "source", "kind", "type", "standard_uncertainty_deg", "degrees_of_freedom"]
-    return pd.DataFrame(made_rows, columns=[*names, "share"])
+    names = ["source", "kind", "type", "degrees_of_freedom", "part"]
+    joints = pd.DataFrame(rows)[["joint", "standard_uncertainty_deg"]]
+    lines = joints.merge(pd.DataFrame(LINES, columns=names), how="cross")
+    lines["standard_uncertainty_deg"] *= lines["part"]
+    return lines.assign(share=lines["part"] * lines["part"].abs())
 
 
 def _parameters() -> pd.DataFrame:
-    rows = []
-    for source, name, unit, u in (
-        ("rig", "right.mount_ry_deg", "deg", 0.002),
-        ("robot base", "robot_base.x_mm", "mm", 0.05),
-        ("clock", "clock_s", "s", 0.0005),
-        ("alignment of the two instants", "alignment_1", "1", 1.0),
-        ("robot table", "a2_mm", "mm", np.nan),
-        ("robot table", "alpha2_deg", "deg", np.nan),
-    ):
-        for joint in range(1, 7):
-            each = 0.13 * joint
-            degrees = np.nan if np.isnan(u) else np.inf
-            rows.append((source, name, unit, u, "B", degrees, joint, each, each * u))
-    names = ["source", "parameter", "unit", "standard_uncertainty", "type", "degrees_of_freedom"]
-    return pd.DataFrame(rows, columns=[*names, "joint", "sensitivity_deg", "contribution_deg"])
+    sources = (
+        ("rig", "right.mount_ry_deg", "deg", 0.002, np.inf),
+        ("robot base", "robot_base.x_mm", "mm", 0.05, np.inf),
+        ("clock", "clock_s", "s", 0.0005, np.inf),
+        ("alignment of the two instants", "alignment_1", "1", 1.0, np.inf),
+        ("robot table", "a2_mm", "mm", np.nan, np.nan),
+        ("robot table", "alpha2_deg", "deg", np.nan, np.nan),
+    )
+    names = ["source", "parameter", "unit", "standard_uncertainty", "degrees_of_freedom"]
+    joints = pd.DataFrame({"joint": range(1, 7), "type": "B"})
+    rows = pd.DataFrame(sources, columns=names).merge(joints, how="cross")
+    rows["sensitivity_deg"] = 0.13 * rows["joint"]
+    contribution = rows["sensitivity_deg"] * rows["standard_uncertainty"]
+    return rows.assign(contribution_deg=contribution)
 
 
 def _check(fails: list[dict[str, Any]]) -> dict[str, Any]:
@@ -146,17 +135,14 @@ def _sweep(joint: int, **other: Any) -> dict[str, Any]:
 
 
 def _pairs(sweeps: list[dict[str, Any]]) -> pd.DataFrame:
-    rng, rows = np.random.default_rng(3), []
-    for number, sweep in enumerate(sweeps, start=1):
-        angle = 20 * np.sin(np.linspace(0, 2 * np.pi, 40))
-        direction = np.where(np.gradient(angle) >= 0, 1.0, -1.0)
-        curve = 0.05 * direction
-        error = curve + rng.normal(0, 0.01, 40)
-        rows += [
-            (number, sweep["joint"], frame, *values, 0.01, bent)
-            for frame, values, bent in zip(
-                range(40), zip(angle, direction, error, strict=True), curve, strict=True
-            )
-        ]
-    names = ["sweep", "joint", "frame", "angle_deg", "direction", "error_deg", "u_deg"]
-    return pd.DataFrame(rows, columns=[*names, "curve_deg"])
+    rng = np.random.default_rng(3)
+    angle = 20 * np.sin(np.linspace(0, 2 * np.pi, 40))
+    direction = np.where(np.gradient(angle) >= 0, 1.0, -1.0)
+    pairs = pd.DataFrame({"frame": range(40), "angle_deg": angle, "direction": direction})
+    parts = [
+        pairs.assign(
+            sweep=number, joint=sweep["joint"], error_deg=rng.normal(0.05 * direction, 0.01)
+        )
+        for number, sweep in enumerate(sweeps, start=1)
+    ]
+    return pd.concat(parts).assign(u_deg=0.01, curve_deg=lambda rows: 0.05 * rows["direction"])

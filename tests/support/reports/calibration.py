@@ -1,19 +1,20 @@
 """A rig calibrated on paper: boards placed by a recipe, corners from OpenCV's projection.
 
 Nothing is adjusted: the rig is the true one, the residuals are the noise, and the covariance is
-linear theory's for these boards, from OpenCV's own derivatives.
+linear theory's for these boards, from differences of OpenCV's projection.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import cache
 
-import cv2
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from robots.transforms import carry
 from tests.support.boards.board_images import picture
 from tests.support.leds.scene import moved
+from tests.support.scene import move_camera, project
 from verify.calibration.stereo.records import Calibration, Residuals, state_covariance
 from verify.core.fiducials import Board
 from verify.core.records import Array, Image
@@ -22,6 +23,7 @@ from verify.core.rig import Camera, Rig
 SIZE = (1280, 720)
 BOARD = Board(columns=9, rows=7, square=0.04)
 NOISE = 0.05  # px, each coordinate
+STEP = 1e-6  # SI units and pixels
 KEYS = ("fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2")
 MOUNT = ("mount_x_mm", "mount_y_mm", "mount_z_mm", "mount_rx_deg", "mount_ry_deg", "mount_rz_deg")
 GAUGE = tuple(
@@ -77,7 +79,7 @@ def calibration(seed: int = 3, count: int = 20, tilt_deg: float = 35.0) -> Calib
     parts: list[Array] = []
     for camera, own in enumerate((rig.left, rig.right)):
         for frame, board in enumerate(boards):
-            exact = _project(own, board)[0]
+            exact = _corners(own, board)
             seen = np.all((exact > 2) & (exact < np.array(SIZE) - 3), axis=1)
             corner = np.flatnonzero(seen)
             noise = random.normal(0, NOISE, (len(corner), 2))
@@ -111,57 +113,41 @@ def calibration(seed: int = 3, count: int = 20, tilt_deg: float = 35.0) -> Calib
     )
 
 
-def _project(camera: Camera, rig_T_board: Array) -> tuple[Array, Array]:
-    """Corners (n, 2), px, and OpenCV's derivatives (2n, 15+) at the board's pose in the camera."""
-    camera_T_board = np.linalg.inv(camera.mount) @ rig_T_board
-    turn, _ = cv2.Rodrigues(camera_T_board[:3, :3])
-    pixels, slopes = cv2.projectPoints(
-        BOARD.points, turn, camera_T_board[:3, 3], camera.matrix, camera.distortion
-    )
-    return pixels.reshape(-1, 2), np.asarray(slopes, dtype=float)
+def _corners(camera: Camera, rig_T_board: Array) -> Array:
+    """Corners by OpenCV, (n, 2), px."""
+    return project(camera, 0.0, carry(rig_T_board, BOARD.points))
 
 
 def _linear_theory(
     rig: Rig, boards: Array, residuals: Residuals
 ) -> tuple[tuple[str, ...], Array, Array]:
     """Names and covariance of the cameras' parameters, SI, and (b, 6, 6) of the boards'."""
-    sides = (("left", rig.left), ("right", rig.right))
-    names = (*(f"{s}.{k}" for s, _ in sides for k in KEYS), *(f"right.{k}" for k in MOUNT))
+    own_keys = (("left", rig.left, KEYS), ("right", rig.right, (*KEYS, *MOUNT)))
+    names = tuple(f"{side}.{key}" for side, _, keys in own_keys for key in keys)
     p = len(names)
     normal = np.zeros((p + 6 * len(boards),) * 2)
-    for i, (_, camera) in enumerate(sides):
+    for i, (_, camera, keys) in enumerate(own_keys):
+        cameras = [[move_camera(camera, key, s) for s in (STEP, -STEP)] for key in keys]
+        place = i * len(KEYS)
         for frame, board in enumerate(boards):
-            own = (residuals.camera == i) & (residuals.frame == frame)
-            rows = np.zeros((2 * int(own.sum()), p + 6 * len(boards)))
-            pick = np.stack([2 * residuals.corner[own], 2 * residuals.corner[own] + 1], 1).ravel()
-            slopes = _project(camera, board)[1][pick]
-            rows[:, 8 * i : 8 * i + 8] = slopes[:, 6:14]  # fx fy cx cy k1 k2 p1 p2
-            rows[:, p + 6 * frame : p + 6 * frame + 6] = _by_motion(camera, board)[pick]
-            if i == 1:
-                rows[:, 16:22] = _by_mount(camera, board)[pick]
+            moves = STEP * np.eye(6)
+            moved_boards = [[moved(board, s * m[:3], s * m[3:]) for s in (1, -1)] for m in moves]
+            corner = residuals.corner[(residuals.camera == i) & (residuals.frame == frame)]
+            by_camera = [[_corners(c, board)[corner] for c in each] for each in cameras]
+            by_board = [[_corners(camera, b)[corner] for b in each] for each in moved_boards]
+            rows = np.zeros((2 * len(corner), len(normal)))
+            rows[:, place : place + len(keys)] = _slopes(by_camera)
+            rows[:, p + 6 * frame : p + 6 * frame + 6] = _slopes(by_board)
             normal += rows.T @ rows / NOISE**2
     full = np.linalg.inv(normal)
-    blocks = [
-        full[p + 6 * b : p + 6 * b + 6, p + 6 * b : p + 6 * b + 6] for b in range(len(boards))
-    ]
-    return names, full[:p, :p], np.array(blocks)
+    starts = range(p, len(full), 6)
+    return names, full[:p, :p], np.array([full[s : s + 6, s : s + 6] for s in starts])
 
 
-def _by_motion(camera: Camera, rig_T_board: Array) -> Array:
-    """Corners by the board's motion in rig axes (shift, turn on the left), (2n, 6)."""
-    return _differences(lambda d: _project(camera, moved(rig_T_board, d[:3], d[3:]))[0])
-
-
-def _by_mount(camera: Camera, rig_T_board: Array) -> Array:
-    return _differences(
-        lambda d: _project(replace(camera, mount=moved(camera.mount, d[:3], d[3:])), rig_T_board)[0]
-    )
-
-
-def _differences(function: Callable[[Array], Array]) -> Array:
-    step = 1e-6
-    columns = [(function(d) - function(-d)).ravel() / (2 * step) for d in step * np.eye(6)]
-    return np.stack(columns, axis=1)
+def _slopes(ends: list[list[Array]]) -> Array:
+    """Derivatives (2n, k) from corners (k, 2, n, 2) a step on and a step back."""
+    forth, back = np.moveaxis(np.array(ends), 1, 0).reshape(2, len(ends), -1)
+    return (forth - back).T / (2 * STEP)
 
 
 def with_poor_view(found: Calibration, frame: int = 4, camera: int = 1) -> Calibration:

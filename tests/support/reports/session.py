@@ -1,15 +1,14 @@
 """Results made by hand, from a small recipe of sines and noise: nothing here measures anything."""
 
-import io
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from typing import Any
 
-import matplotlib.image
+import cv2
 import numpy as np
 import pandas as pd
+from scipy.spatial.transform import Rotation
 
 from reports.results import Results
 
@@ -79,14 +78,23 @@ def every_cause() -> Results:
     results = nonconforming()
     causes: list[dict[str, Any]] = [
         *results.summary["diagnosis"],
-        _cause(2, "gain", 0.0052, 0.0004, "ratio"),
-        _cause(4, "backlash", 0.31, 0.04, "deg"),
-        _cause(5, "eccentricity", 0.12, 0.02, "deg") | {"phase_deg": 41.3, "per_turn": 1},
-        _cause(None, "clock", -0.0123, 0.0006, "s"),
-        _cause(2, "dh", 0.84, 0.2, "mm") | {"parameter": "a2"},
-        _cause(1, "novel_kind", 0.5, 0.1, "furlong"),
+        cause(2, "gain", 0.0052, 0.0004, "ratio"),
+        cause(4, "backlash", 0.31, 0.04, "deg"),
+        cause(5, "eccentricity", 0.12, 0.02, "deg") | {"phase_deg": 41.3, "per_turn": 1},
+        cause(None, "clock", -0.0123, 0.0006, "s"),
+        cause(2, "dh", 0.84, 0.2, "mm") | {"parameter": "a2"},
+        cause(4, "compliance", 0.52, 0.05, "deg/m"),
+        cause(5, "drift", -12.0, 1.2, "deg/h"),
+        cause(None, "clock_drift", 140.0, 14.0, "ppm"),
+        cause(None, "camera_skew", 0.0031, 0.00031, "s"),
+        cause(None, "camera_turned", 0.05, 0.005, "deg"),
+        cause(None, "base_moved", 1.2, 0.12, "mm") | {"turn_deg": 0.081},
+        cause(None, "led_body_slipped", 0.4, 0.04, "mm") | {"turn_deg": 0.12},
+        dict.fromkeys(cause(None, "", 0, 0, "")) | {"kind": "geometry", "explains": 0.4},
+        cause(4, "step", 0.8, 0.08, "deg") | {"t_s": 7.04},
+        cause(1, "novel_kind", 0.5, 0.1, "furlong"),
         {"joint": None, "kind": "ambiguous", "explains": 0.2,
-         "candidates": ["something said in words", _cause(6, "offset", 0.1, None, "deg")]},
+         "candidates": ["something said in words", cause(6, "offset", 0.1, None, "deg")]},
     ]  # fmt: skip
     return replace(results, summary=results.summary | {"diagnosis": causes})
 
@@ -103,11 +111,6 @@ def nulls() -> Results:
     return Results(summary, setup, tables, {})
 
 
-def nothing() -> Results:
-    """Not even the keys are there."""
-    return Results({}, {}, {}, {})
-
-
 def seven_joints() -> Results:
     """An arm from a URDF with one joint more than six."""
     results = nonconforming(joints=7)
@@ -117,11 +120,6 @@ def seven_joints() -> Results:
         for row in robot["joints"]
     ]
     return replace(results, setup=results.setup | {"robot": robot})
-
-
-def one_joint() -> Results:
-    """A single rotary axis."""
-    return nonconforming(joints=1, pairs=20)
 
 
 def one_pair() -> Results:
@@ -160,11 +158,13 @@ def hostile() -> Results:
     return Results(summary, setup, tables | {"spots": spots, "budget": budget}, results.images)
 
 
-KINDS = (
-    nonconforming, conforming, no_tolerance, undecided, every_cause, nulls, nothing, seven_joints,
-    one_joint, one_pair, visits, hostile,
-)  # fmt: skip
-EVERY = {one.__name__: one for one in KINDS}
+nothing = partial(Results, {}, {}, {}, {})  # not even the keys are there
+EVERY: dict[str, Callable[[], Results]] = {
+    "nonconforming": nonconforming, "conforming": conforming, "no_tolerance": no_tolerance,
+    "undecided": undecided, "every_cause": every_cause, "nulls": nulls, "nothing": nothing,
+    "seven_joints": seven_joints, "one_joint": partial(nonconforming, joints=1, pairs=20),
+    "one_pair": one_pair, "visits": visits, "hostile": hostile,
+}  # fmt: skip
 
 
 @cache
@@ -209,16 +209,22 @@ def _made(
         resolved[f"{name}_resolved_{unit}"] = wave[seen]
         resolved[f"{name}_resolved_u_{unit}"] = 0.05 * size
     frames["ambiguous_joints"] = ""
+    offset = np.linspace(-0.5, 0.5, 201)
+    curve = {"offset_s": offset, "cost": 3 + 40 * np.tanh(6 * (offset - 0.137)) ** 2}
+    motions = {"turn_deg": random.uniform(15, 80, 12), "turn_u_deg": 0.02, "advance_u_mm": 0.08}
+    motions |= {"turn_error_deg": random.normal(0, 0.04, 12)}
+    motions |= {"advance_error_mm": random.normal(0, 0.15, 12)}
     tables = {
         "frames": frames,
         "resolved": resolved,
         "spots": _spots(t, seen, random),
-        "clock_curve": _clock_curve(),
-        "relative": _relative(),
+        "clock_curve": pd.DataFrame(curve),
+        "relative": pd.DataFrame(motions),
         "budget": _budget(rows),
     }
+    picture = bytes(cv2.imencode(".png", np.full((180, 640), 18, np.uint8))[1])
     summary = _summary(frames, rows, faults, tolerance)
-    return Results(summary, _setup(joints), tables, {"pair": _picture(random)})
+    return Results(summary, _setup(joints), tables, {"pair": picture})
 
 
 def _known(values: np.ndarray, seen: np.ndarray) -> np.ndarray:
@@ -238,16 +244,13 @@ def _add_pose(
         frames[name] = _known(values + 0.15 * random.standard_normal(len(t)), seen)
         frames[name.replace("_mm", "_encoder_mm")] = values + 1.1
     turned = np.stack([12 * np.sin(angle), 8 * np.cos(2 * angle), np.degrees(angle) * 2 + 100], 1)
-    measured = _wrapped(turned + 0.04 * random.standard_normal((len(t), 3)))
+    measured, encoder = (  # no longer than half a turn
+        Rotation.from_rotvec(each, degrees=True).as_rotvec(degrees=True)
+        for each in (turned + 0.04 * random.standard_normal((len(t), 3)), turned + 0.3)
+    )
     for i, name in enumerate(("rx", "ry", "rz")):
         frames[f"{name}_deg"] = _known(measured[:, i], seen)
-        frames[f"{name}_encoder_deg"] = _wrapped(turned + 0.3)[:, i]
-
-
-def _wrapped(rotation_deg: np.ndarray) -> np.ndarray:
-    """The same turns by rotation vectors no longer than half a turn."""
-    angle = np.linalg.norm(rotation_deg, axis=1, keepdims=True)
-    return np.where(angle > 180, rotation_deg * (1 - 360 / angle), rotation_deg)
+        frames[f"{name}_encoder_deg"] = encoder[:, i]
 
 
 def _joint(
@@ -261,39 +264,24 @@ def _joint(
         verdict = "nonconform" if fails else "conform"
         reason = "exceeds_tolerance" if fails else "within_tolerance"
     return {
-        "joint": joint,
-        "pairs": len(known),
-        "mean_error_deg": float(known.mean()),
-        "rms_error_deg": math.sqrt(float(np.mean(known**2))),
-        "max_abs_error_deg": float(np.abs(known).max()),
-        "standard_uncertainty_deg": u,
-        "expanded_uncertainty_deg": 2 * u,
-        "coverage_factor": 2.0,
-        "worst_error_deg": worst,
-        "worst_error_standard_uncertainty_deg": 1.2 * u,
-        "tolerance_deg": tolerance,
+        "joint": joint, "pairs": len(known), "mean_error_deg": float(known.mean()),
+        "rms_error_deg": float(np.sqrt(np.mean(known**2))),
+        "max_abs_error_deg": float(np.abs(known).max()), "standard_uncertainty_deg": u,
+        "expanded_uncertainty_deg": 2 * u, "coverage_factor": 2.0, "worst_error_deg": worst,
+        "worst_error_standard_uncertainty_deg": 1.2 * u, "tolerance_deg": tolerance,
         "conformance_probability": {"conform": 0.99312, "nonconform": 0.0}.get(str(verdict)),
-        "verdict": verdict,
-        "reason": reason,
-        "visible_fraction": 0.998 if joint != 2 else 0.41,
-        "visible_fraction_since_registration": 1.0,
-        "minimum_detectable_error_deg": 4.13 * u,
+        "verdict": verdict, "reason": reason, "visible_fraction": 0.998 if joint != 2 else 0.41,
+        "visible_fraction_since_registration": 1.0, "minimum_detectable_error_deg": 4.13 * u,
         "minimum_separable_error_deg": 16.0 * u,
-    }
+    }  # fmt: skip
 
 
-def _cause(
+def cause(
     joint: int | None, kind: str, value: float, expanded: float | None, unit: str
 ) -> dict[str, Any]:
-    return {
-        "joint": joint,
-        "kind": kind,
-        "value": value,
-        "unit": unit,
-        "standard_uncertainty": None if expanded is None else expanded / 2,
-        "expanded_uncertainty": expanded,
-        "explains": 0.97,
-    }
+    u = None if expanded is None else expanded / 2
+    return {"joint": joint, "kind": kind, "value": value, "unit": unit, "standard_uncertainty": u,
+            "expanded_uncertainty": expanded, "explains": 0.97}  # fmt: skip
 
 
 def _summary(
@@ -327,14 +315,10 @@ def _summary(
                                     ).tolist(),
         "position": pose,
         "orientation": {k.replace("_mm", "_deg"): v for k, v in pose.items()},
-        "diagnosis": [_cause(j, "offset", v, 0.015, "deg") for j, v in faults.items()],
-        "relative_motions": {
-            "motions": 12,
-            "turn_rms_error_deg": 0.041,
-            "advance_rms_error_mm": 0.152,
-            "p_value": 5.1e-8,
-            "detectable_offset_deg": [None, 0.101, 0.16, 0.093, 0.067, None],
-        },
+        "diagnosis": [cause(j, "offset", v, 0.015, "deg") for j, v in faults.items()],
+        "relative_motions": {"motions": 12, "turn_rms_error_deg": 0.041,
+                             "advance_rms_error_mm": 0.152, "p_value": 5.1e-8,
+                             "detectable_offset_deg": [None, 0.101, 0.16, 0.093, 0.067, None]},
         "combinations": [
             {"label": "q4+q6", "joints": [4, 6], "mean_error_deg": 0.0123,
              "standard_uncertainty_deg": 0.0041, "pairs": 7, "why": "singularity"},
@@ -398,42 +382,12 @@ def _spots(t: np.ndarray, seen: np.ndarray, random: np.random.Generator) -> pd.D
     })  # fmt: skip
 
 
-def _relative() -> pd.DataFrame:
-    rng, count = np.random.default_rng(8), 12
-    return pd.DataFrame(
-        {
-            "turn_deg": rng.uniform(15, 80, count),
-            "turn_error_deg": rng.normal(0, 0.04, count),
-            "turn_u_deg": np.full(count, 0.02),
-            "advance_error_mm": rng.normal(0, 0.15, count),
-            "advance_u_mm": np.full(count, 0.08),
-        }
-    )
-
-
-def _clock_curve() -> pd.DataFrame:
-    offset = np.linspace(-0.5, 0.5, 201)
-    return pd.DataFrame({"offset_s": offset, "cost": 3 + 40 * np.tanh(6 * (offset - 0.137)) ** 2})
-
-
 def _budget(rows: list[dict[str, Any]]) -> pd.DataFrame:
     return pd.DataFrame(
         [(row["joint"], source, kind, share * row["standard_uncertainty_deg"])
          for row in rows for source, kind, share in SOURCES],
         columns=["joint", "source", "kind", "standard_uncertainty_deg"],
     )  # fmt: skip
-
-
-def _picture(random: np.random.Generator) -> bytes:
-    image = 18 + 4 * random.standard_normal((180, 640))
-    y, x = np.mgrid[:180, :640]
-    for cx, cy in ((100, 60), (140, 110), (190, 80), (420, 60), (455, 112), (508, 80)):
-        image += 200 * np.exp(-((x - cx) ** 2 + (y - cy) ** 2) / 8)
-    image[:, 319:321] = 90
-    buffer = io.BytesIO()
-    grey = np.repeat(np.clip(image, 0, 255).astype(np.uint8)[:, :, None], 3, axis=2)
-    matplotlib.image.imsave(buffer, grey, format="png")
-    return buffer.getvalue()
 
 
 def _changed(value: Any, kept: set[str], change: Callable[[Any], Any]) -> Any:

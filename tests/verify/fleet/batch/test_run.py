@@ -17,7 +17,7 @@ from verify.cli.options import ToleranceOptions
 from verify.fleet.batch import tasks
 from verify.fleet.batch.finding import find_sessions
 from verify.fleet.batch.records import DEFECT, KILLED, BatchOptions, Task, WorkerDied
-from verify.fleet.batch.run import BatchProgress, BatchResult, measure_all
+from verify.fleet.batch.run import BatchResult, measure_all
 from verify.io.results import read_results
 from verify.io.session.session import open_session
 
@@ -62,14 +62,11 @@ def batch(
     root: Path | str, out: Path, crew: Inline, options: BatchOptions = OPTIONS
 ) -> BatchResult:
     found, failures = find_sessions([str(root)], out)
-    seen: list[int] = []
-
-    def watch(progress: BatchProgress) -> None:
-        seen.append(progress.done)
-
+    counts: list[int] = []
+    watch = lambda progress: counts.append(progress.done)  # noqa: E731
     done = measure_all(found, failures, out, options, crew, watch)
-    assert seen == sorted(seen)
-    assert seen[-1] == len(found) + len(failures)
+    assert counts == sorted(counts)
+    assert counts[-1] == len(found) + len(failures)
     return done
 
 
@@ -104,17 +101,14 @@ def test_a_second_run_measures_only_changed_sessions(lab: Path, tmp_path: Path) 
     assert all("other options" in line for line in redone.progress.again)
 
 
-def test_a_session_whose_worker_dies_each_time_is_reported(lab: Path, tmp_path: Path) -> None:
-    done = batch(lab, tmp_path / "out", Inline(lost="MeasureTask"))
+def test_dead_workers_are_reported_and_a_program_error_does_not_stop_the_others(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    done = batch(lab, tmp_path / "lost", Inline(lost="MeasureTask"))
     assert not done.kept
     (failure,) = done.failures
     assert failure.kind == KILLED
     assert "killed 3 times" in failure.why
-
-
-def test_a_program_error_in_one_session_does_not_stop_the_others(
-    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
     shutil.copytree(lab / "one", lab / "two")
     plain = tasks.analyse
 

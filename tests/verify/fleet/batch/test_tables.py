@@ -1,12 +1,14 @@
 """The tables: typed, the same bytes for the same sessions, and what was kept is trusted or not."""
 
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import pandas as pd
 import pyarrow.parquet as pq
 import pytest
 
+from reports.results import Results
 from tests.support.command import ROOT
 from tests.support.reports import session as made
 from verify.cli.options import ToleranceOptions
@@ -21,20 +23,23 @@ OPTIONS = BatchOptions(ToleranceOptions(None, None, None), "1.0")
 SESSIONS = ("lab/a", 'lab/b,"c"\n<b>d</b>')
 
 
-@pytest.fixture
-def store(tmp_path: Path) -> ResultStore:
-    require_writable(tmp_path)
-    store = ResultStore(tmp_path)
-    for name, results in zip(SESSIONS, (made.nonconforming(), made.conforming()), strict=True):
-        results.summary.setdefault("known_dof", 6)
-        results.summary.setdefault("combinations", [])
-        store.keep(pack_results(name, rename_session(results, "nowhere", name), None), OPTIONS)
+def keep(folder: Path, results: dict[str, Results]) -> ResultStore:
+    require_writable(folder)
+    store = ResultStore(folder)
+    for name, one in results.items():
+        store.keep(pack_results(name, rename_session(one, "nowhere", name), None), OPTIONS)
     return store
 
 
-def written(store: ResultStore, folder: Path) -> Path:
+@pytest.fixture
+def store(tmp_path: Path) -> ResultStore:
+    results = (made.nonconforming(), made.conforming())
+    return keep(tmp_path, dict(zip(SESSIONS, results, strict=True)))
+
+
+def written(store: ResultStore, folder: Path, names: Sequence[str]) -> Path:
     folder.mkdir()
-    kept = [(name, store.place(name)) for name in sorted(SESSIONS)]
+    kept = [(name, store.place(name)) for name in sorted(names)]
     tables.write(folder, kept, [SessionFailure('x,"y"\nz', "refused", "why")])
     return folder
 
@@ -42,7 +47,7 @@ def written(store: ResultStore, folder: Path) -> Path:
 def test_the_tables_have_the_documented_types_and_one_row_a_session(
     store: ResultStore, tmp_path: Path
 ) -> None:
-    out = written(store, tmp_path / "one")
+    out = written(store, tmp_path / "one", SESSIONS)
     sessions, frames = (pq.read_table(out / f"{n}.parquet") for n in ("sessions", "frames"))
     assert sessions.schema == tables.sessions_schema(6)
     assert frames.schema == tables.frames_schema(6)
@@ -56,14 +61,8 @@ def test_the_tables_have_the_documented_types_and_one_row_a_session(
 
 
 def test_a_shorter_arm_leaves_the_further_columns_empty(tmp_path: Path) -> None:
-    store = ResultStore(tmp_path)
-    for name, joints in (("four", 4), ("six", 6)):
-        results = made._made(joints, 20, (), tolerance=None)
-        results.summary.setdefault("known_dof", 6)
-        store.keep(pack_results(name, rename_session(results, "nowhere", name), None), OPTIONS)
-    folder = tmp_path / "out"
-    folder.mkdir()
-    tables.write(folder, [(n, store.place(n)) for n in ("four", "six")], [])
+    results = {"four": made.nonconforming(4, 20), "six": made.nonconforming(6, 20)}
+    folder = written(keep(tmp_path, results), tmp_path / "out", ["four", "six"])
     table = pd.read_parquet(folder / "sessions.parquet")
     assert table["joints"].tolist() == [4, 6]
     assert table["q5_mean_error_deg"].isna().tolist() == [True, False]
@@ -84,14 +83,11 @@ def test_kept_results_are_trusted_only_while_they_are_whole(store: ResultStore) 
     assert store.kept(SESSIONS[1]) is None
 
 
-def test_a_name_of_a_session_cannot_leave_the_folder_of_what_is_kept(tmp_path: Path) -> None:
+def test_a_sessions_name_cannot_leave_the_store_and_a_file_is_no_store(tmp_path: Path) -> None:
     store = ResultStore(tmp_path)
     for name in ("../../etc", "a/..", "/", "x" * 500, "n\n", "s3://b/ü"):
         assert store.place(name).parent == tmp_path / "sessions"
         assert len(store.place(name).name) < 60
-
-
-def test_an_out_that_is_a_file_is_refused(tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="is a file"):
         require_writable(tmp_path / "file")

@@ -49,17 +49,6 @@ class Dies:
         return f"alive after {before}"
 
 
-@dataclass(frozen=True)
-class Mark:
-    """Leaves a file behind."""
-
-    file: str
-
-    def perform(self) -> str:
-        Path(self.file).touch()
-        return self.file
-
-
 @pytest.fixture
 def pool() -> Iterator[ProcessPool]:
     pool = ProcessPool(2)
@@ -78,12 +67,12 @@ def test_every_task_is_done_once_and_tasks_may_be_added(pool: ProcessPool) -> No
 
 
 def test_workers_continue_while_results_are_stored(tmp_path: Path) -> None:
-    marks = [Mark(str(tmp_path / name)) for name in "ab"]
+    tasks = [Dies(f"{tmp_path}/{name}", 0) for name in "ab"]
     with closing(ProcessPool(1)) as pool:
-        outcomes = pool.run(deque(marks))
-        assert next(outcomes) == (marks[0], marks[0].file)
-        wait_until(Path(marks[1].file).exists)  # though nobody has asked for it yet
-        assert next(outcomes) == (marks[1], marks[1].file)
+        outcomes = pool.run(deque(tasks))
+        assert next(outcomes) == (tasks[0], "alive after 0")
+        wait_until((tmp_path / "b").exists)  # though nobody has asked for it yet
+        assert next(outcomes) == (tasks[1], "alive after 0")
 
 
 def test_a_worker_loads_nothing_that_it_may_never_need() -> None:
