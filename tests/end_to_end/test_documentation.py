@@ -50,10 +50,11 @@ def lines(document: Path) -> Iterator[str]:
         yield from (line for line in block.splitlines() if line.strip())
 
 
-@pytest.fixture(scope="module")
-def clone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+@pytest.fixture
+def clone(tmp_path: Path) -> Path:
     """A folder that looks like a fresh clone with its environment; what commands write stays."""
-    folder = tmp_path_factory.mktemp("clone")
+    folder = tmp_path / "clone"
+    folder.mkdir()
     for name in ("sample_sessions", ".ci", "docs", "pyproject.toml", "Makefile"):
         (folder / name).symlink_to(ROOT / name)
     (folder / ".venv").mkdir()
@@ -67,28 +68,22 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
     return subprocess.run(words, cwd=folder, env=here, capture_output=True, text=True, check=False)
 
 
-@pytest.fixture(scope="module")
-def outcomes(clone: Path) -> dict[str, subprocess.CompletedProcess[str]]:
-    """Every command of the README but those that set up, as written, in its order."""
-    typed = [line for line in lines(README) if not line.startswith(SETS_UP)]
-    return {line: run(["bash", "-c", line], clone) for line in typed}
-
-
 @pytest.mark.slow
-def test_the_readme_runs_as_written_and_its_output_is_explained(
-    clone: Path, outcomes: dict[str, subprocess.CompletedProcess[str]]
-) -> None:
+def test_the_readme_runs_as_written_and_its_output_is_explained(clone: Path) -> None:
     """One test: processes that share the tests would each run the commands, which takes minutes."""
-    every_command_runs(outcomes)
+    every_command_runs(clone)
     every_python_example_runs(clone)
     every_key_column_and_file_is_explained(clone)
 
 
-def every_command_runs(outcomes: dict[str, subprocess.CompletedProcess[str]]) -> None:
-    assert len(outcomes) >= len(COMMANDS)
-    for line, done in outcomes.items():
-        message = re.search(r"# status (\d+)", line)
-        assert done.returncode == (int(message[1]) if message else 0), f"{line}\n{done.stderr}"
+def every_command_runs(clone: Path) -> None:
+    """All but those that set up, as written, in their order."""
+    typed = [line for line in lines(README) if not line.startswith(SETS_UP)]
+    assert len(typed) >= len(COMMANDS)
+    for line in typed:
+        done = run(["bash", "-c", line], clone)
+        status = re.search(r"# status (\d+)", line)
+        assert done.returncode == (int(status[1]) if status else 0), f"{line}\n{done.stderr}"
 
 
 def every_python_example_runs(clone: Path) -> None:

@@ -283,11 +283,9 @@ def test_a_wrong_scenario_is_refused_and_leaves_nothing_behind(
 
 def test_a_board_that_is_partly_out_of_sight_is_drawn_to_the_edge() -> None:
     """Rays that miss the lens's sane field or the plane leave room, not garbage."""
-    boards = simulate_boards(scene(1))
+    camera = simulate_boards(scene(1)).cameras[0]
     paper = PrintedBoard(Board(40, 30, 0.04), 0.02, CLEAN)
     tilted = moved(np.eye(4), np.array([-0.3, -0.6, 0.4]), np.array([0.0, 1.45, 0.0]))
-    light = paper.light(boards.cameras[0], 0.0, tilted)
-    assert np.all(np.isfinite(light))
-    assert light.min() >= CLEAN.black_dn - 0.5
-    assert light.max() <= CLEAN.white_dn + 0.5
+    light = paper.light(camera, 0.0, tilted)
+    assert np.all((light >= CLEAN.black_dn - 0.5) & (light <= CLEAN.white_dn + 0.5))
     assert len(np.unique(light.round())) > 10
