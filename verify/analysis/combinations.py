@@ -163,10 +163,7 @@ def _pose_sums(
 
 
 def _uncertainty(
-    weights: Array,
-    errors: JointErrors,
-    places: NDArray[np.intp],
-    clock_uncertainty: float | None,
+    weights: Array, errors: JointErrors, places: NDArray[np.intp], clock_uncertainty: float | None
 ) -> float:
     """Standard uncertainty of a sum's mean over some pairs; (n, j) weights, rad."""
     n = len(places)

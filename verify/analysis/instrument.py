@@ -270,11 +270,7 @@ def noise_from_scatter(
         All of the noise; None where poses are too few to show it.
     """
     comparison = compare(
-        track,
-        session.arm,
-        readings,
-        offset,
-        stated=ReadingUncertainty(session.encoder_resolution),
+        track, session.arm, readings, offset, stated=ReadingUncertainty(session.encoder_resolution)
     )
     # at the measured point: of positions alone, nothing else is known
     point = instrument.flange_T_body[:, 3]

@@ -52,11 +52,7 @@ def refuse_radians(
 
 
 def refuse_misread(
-    session: Session,
-    instrument: Instrument,
-    track: Track,
-    readings: Readings,
-    clock: ClockEstimate,
+    session: Session, instrument: Instrument, track: Track, readings: Readings, clock: ClockEstimate
 ) -> None:
     """Refuse poses that agree with the readings in another unit or order, and not as written.
 

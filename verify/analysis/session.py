@@ -196,9 +196,7 @@ def compare_session(
     return SessionComparison(session, track, systematics, clock, comparison, joints), unreachable
 
 
-def session_model(
-    compared: SessionComparison,
-) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
+def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Linearise a session about the errors that are there, find their causes, resolve them.
 
     Pairs that repeat each other's errors count for fewer. What a cause leaves in every pair from

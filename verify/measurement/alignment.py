@@ -72,9 +72,7 @@ def align(
     sighting = now.sighting
     views = [_view(other, sighting.pan, camera) for other in around]
     matched, centre, covariance, velocity, lever = carry_to_instant(
-        _view(now, sighting.pan, camera),
-        (views[0], views[1], views[2]),
-        t,
+        _view(now, sighting.pan, camera), (views[0], views[1], views[2]), t
     )
     if matched:
         moved = replace(sighting, centre=centre, covariance=covariance, t=t)

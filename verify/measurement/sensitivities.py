@@ -105,12 +105,7 @@ def _group_parameters(names: tuple[str, ...], leds: tuple[str, ...]) -> _Paramet
 
 
 def camera_derivatives(
-    keys: tuple[str, ...],
-    camera: Camera,
-    pan: float,
-    inside: Array,
-    points: Array,
-    by_point: Array,
+    keys: tuple[str, ...], camera: Camera, pan: float, inside: Array, points: Array, by_point: Array
 ) -> Array:
     """Derivative of one camera's pixels by some of its parameters, (k, m, 2).
 

@@ -23,12 +23,7 @@ TOL_COLLINEAR = 1e-6  # second over first singular value: below, points lie on o
 
 
 def triangulate(
-    left: Camera,
-    right: Camera,
-    pan_left: float,
-    pan_right: float,
-    left_px: Array,
-    right_px: Array,
+    left: Camera, right: Camera, pan_left: float, pan_right: float, left_px: Array, right_px: Array
 ) -> tuple[Array, Array]:
     """Find the points midway between pairs of rays, for any mounts and pan axes.
 

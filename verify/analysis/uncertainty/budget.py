@@ -71,10 +71,7 @@ class _BudgetLine:
 
 
 def budget(
-    model: JointErrorModel,
-    compared: SessionComparison,
-    means: MeanErrors,
-    resolved: ResolvedErrors,
+    model: JointErrorModel, compared: SessionComparison, means: MeanErrors, resolved: ResolvedErrors
 ) -> Budget:
     """Take the mean errors' uncertainties apart.
 

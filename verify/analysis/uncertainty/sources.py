@@ -8,12 +8,7 @@ import numpy as np
 import robots
 from verify.analysis.comparison import Comparison, alignment_scale, twist_transport
 from verify.analysis.diagnosis.link_faults import rotation_twist, translation_twist
-from verify.analysis.model import (
-    JointErrorModel,
-    SessionComparison,
-    clock_effect,
-    pan_columns,
-)
+from verify.analysis.model import JointErrorModel, SessionComparison, clock_effect, pan_columns
 from verify.core.records import Array
 
 PIXELS, INSTRUMENT, SKEW = "pixels", "instrument", "camera skew"

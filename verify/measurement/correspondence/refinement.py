@@ -10,11 +10,7 @@ from numpy.typing import NDArray
 
 from verify.core.records import Array
 from verify.core.statistics import chi2_isf
-from verify.measurement.correspondence.hypotheses import (
-    POSE_SLICE,
-    Hypotheses,
-    start_hypotheses,
-)
+from verify.measurement.correspondence.hypotheses import POSE_SLICE, Hypotheses, start_hypotheses
 from verify.measurement.correspondence.kernels import spots as kernel
 from verify.measurement.correspondence.kernels.fit import fit_all, predict_all
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index

@@ -125,11 +125,7 @@ def expected_priors(patches: Patches) -> Priors:
 
 
 def solve_patches(
-    patches: Patches,
-    start: Array,
-    priors: Priors,
-    steps: int = 0,
-    settled: float = 0.0,
+    patches: Patches, start: Array, priors: Priors, steps: int = 0, settled: float = 0.0
 ) -> SpotFit:
     """Fit every patch by Gauss-Newton.
 

@@ -187,10 +187,7 @@ def covariance_of(information: Array, inverse: Array, vectors: Array, known: Fla
 
 @compiled
 def twist_from_velocities(
-    design: Array,
-    velocity: Array,
-    rows: NDArray[np.int64],
-    twist: Array,
+    design: Array, velocity: Array, rows: NDArray[np.int64], twist: Array
 ) -> tuple[float, float]:
     """Fill in how the flange moves, from the spots' velocities.
 

@@ -18,11 +18,7 @@ Index = NDArray[np.int64]
 
 @compiled
 def place_leds(
-    leds: Array,
-    led: Index,
-    rig_T_flange: Array,
-    placed: tuple[Array, Array],
-    left: int,
+    leds: Array, led: Index, rig_T_flange: Array, placed: tuple[Array, Array], left: int
 ) -> tuple[Array, Array, Array]:
     """Place spots' LEDs, (s, 3) each, m: LED from flange, rig axes; in the rig; in the camera.
 
@@ -102,12 +98,7 @@ def by_camera(
 
 @compiled
 def fill_by_body(
-    kinds: Index,
-    led: Index,
-    rig_R_flange: Array,
-    offset: Array,
-    by_point: Array,
-    moved: Array,
+    kinds: Index, led: Index, rig_R_flange: Array, offset: Array, by_point: Array, moved: Array
 ) -> None:
     """Fill in how LEDs, and the body that holds them, move the spots.
 

@@ -162,10 +162,7 @@ def invert_symmetric(m: Array, inverse: Array) -> None:
 
 @compiled
 def locate_points(
-    cameras: tuple[Array, Array, Array],
-    spread: Array,
-    where: Array,
-    spot: Index,
+    cameras: tuple[Array, Array, Array], spread: Array, where: Array, spot: Index
 ) -> tuple[Array, Array]:
     """Place the points of c pairs of spots (c, 3), m, with their covariance (c, 3, 3), m².
 

@@ -31,11 +31,7 @@ def variance_along(covariance: Array, x: float, y: float, z: float) -> float:
 
 @compiled
 def join_nodes(
-    points: tuple[Index, Array, Array],
-    point: Index,
-    led: Index,
-    leds: Array,
-    play: float,
+    points: tuple[Index, Array, Array], point: Index, led: Index, leds: Array, play: float
 ) -> Array:
     """Measure how far every two nodes (m, m) are from the marker's distance, in deviations.
 

@@ -317,13 +317,7 @@ def value_at_rank(value: Array, rank: int) -> float:
 
 @compiled
 def floor_priors(
-    value: Array,
-    valid: Array,
-    column: Array,
-    row: Array,
-    scale: float,
-    floor: float,
-    weight: Array,
+    value: Array, valid: Array, column: Array, row: Array, scale: float, floor: float, weight: Array
 ) -> float:
     """Hold the slopes (10,) as firmly as the pixels about the spot have none; give its top, DN."""
     core, ring = (0.5 * scale + 0.5) ** 2, (2.3 * scale + 1.0) ** 2

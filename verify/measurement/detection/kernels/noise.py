@@ -114,11 +114,7 @@ def level_quantile(level: Array, share: float) -> float:
 
 
 @compiled
-def quietest_class(
-    level: Array,
-    difference: Array,
-    black: float,
-) -> tuple[float, float, float]:
+def quietest_class(level: Array, difference: Array, black: float) -> tuple[float, float, float]:
     """Find the class of brightness whose dark variance is least, its uncertainty included.
 
     Args:
@@ -160,11 +156,7 @@ def quietest_class(
 
 @compiled
 def gather_residuals(
-    pixels: Array,
-    model: Array,
-    shares: tuple[Array, Array],
-    own: Array,
-    number: NDArray[np.int64],
+    pixels: Array, model: Array, shares: tuple[Array, Array], own: Array, number: NDArray[np.int64]
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """Squared residuals (k,), DN², signals, DN, and spot numbers of spots' unclipped pixels.
 
@@ -206,11 +198,7 @@ def least_misfit(misfit: Array, count: Array) -> float:
 
 @compiled
 def variance_line(
-    residual2: Array,
-    signal: Array,
-    spot: NDArray[np.int64],
-    line: Array,
-    usual: Array,
+    residual2: Array, signal: Array, spot: NDArray[np.int64], line: Array, usual: Array
 ) -> None:
     """Regress squared residuals on signal, misfitting spots left out; `line` is changed.
 
