@@ -56,12 +56,7 @@ def refuse_misread(
 ) -> None:
     """Refuse poses that agree with the readings in another unit or order, and not as written.
 
-    Args:
-        session: whose robot was measured.
-        instrument: its poses as written.
-        track: the same, as taken.
-        readings: the robot's own.
-        clock: theirs, as the poses as written show it.
+    The track is of the poses as written, and the clock as these show it.
 
     Raises:
         InputError: positions in metres, or quaternions whose scalar comes last.
