@@ -59,9 +59,7 @@ def prepare_views(
 def spot_derivatives(views: SpotGeometry, names: tuple[str, ...]) -> Array:
     """Derivative of the predicted spots by parameters, (p, s, 2), px a SI unit.
 
-    Args:
-        views: the spots.
-        names: of the parameters; the robot's base moves no spot.
+    The robot's base moves no spot.
     """
     plan = _group_parameters(names, views.names)
     moved = np.zeros((len(names), len(views.led), 2))
@@ -109,13 +107,8 @@ def camera_derivatives(
 ) -> Array:
     """Derivative of one camera's pixels by some of its parameters, (k, m, 2).
 
-    Args:
-        keys: k parameters, by their names in rig.toml.
-        camera: theirs.
-        pan: rad, as read.
-        inside: (m, 3), m, the points in the camera.
-        points: (m, 3), m, the same in the rig.
-        by_point: (m, 2, 3), d px / d point in the rig.
+    `keys` are their names in rig.toml; `pan`, rad, as read; `inside` and `points` (m, 3), m, the
+    points in the camera and the same in the rig; `by_point` (m, 2, 3), d px / d point in the rig.
     """
     places = [np.ascontiguousarray(part) for part in (inside, points, by_point)]
     optics = camera.matrix, camera.distortion
