@@ -208,8 +208,9 @@ def effective_degrees(
     """Welch-Satterthwaite degrees of freedom of each mean, (j,); inf: without bound. GUM G.4.1.
 
     Of the variance `total` (j,), the part `noise` (j,) that the session itself shows is one
-    estimate, with `own` (j,) degrees of freedom, and so is the part `calibrated` (j,) that one
-    calibration found together, with `stated` ones, maybe inf; what is stated without has no bound.
+    estimate, of `own` (j,) degrees of freedom, and so is the part `calibrated` (j,) that one
+    calibration found together, of `stated` ones (may be inf). What is stated without degrees of
+    freedom has no bound.
     """
     below = np.asarray(noise**2 / own + calibrated**2 / stated)
     degrees: Array = np.divide(total**2, below, out=np.full(len(total), np.inf), where=below > 0)

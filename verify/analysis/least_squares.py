@@ -119,8 +119,8 @@ def gauss_newton(
     """Minimise a sum of squares by solving it linearised, again and again.
 
     `solve_step` gives the step (p,) of the problem linearised at some parameters, and what else of
-    it is of use, returned as the last one left it; `move` takes the step. One with no entry larger
-    than `tol_step` is the last.
+    it is of use; the last one is returned beside the parameters. `move` takes a step; one with no
+    entry larger than `tol_step` is the last.
     """
     state = start
     for _ in range(max_iterations):

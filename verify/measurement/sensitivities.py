@@ -34,16 +34,7 @@ class SpotGeometry:
 def prepare_views(
     rig_T_flange: Array, left: Sighting, right: Sighting, by_point: Array, rig: Rig, marker: Marker
 ) -> SpotGeometry:
-    """Prepare the spots of a pose.
-
-    Args:
-        rig_T_flange: (4, 4), the pose.
-        left: LEDs in the left image.
-        right: LEDs in the right image.
-        by_point: (s, 2, 3), d px / d point in the rig, left spots first.
-        rig: the cameras.
-        marker: the LEDs.
-    """
+    """Prepare a pose's spots, left ones first; `by_point` (s, 2, 3), d px / d point in the rig."""
     led = np.concatenate([left.led, right.led])
     placed = np.array(rig.left.camera_T_rig(left.pan)), np.array(rig.right.camera_T_rig(right.pan))
     offset, points, inside = kernel.place_leds(marker.leds, led, rig_T_flange, placed, len(left))

@@ -24,9 +24,10 @@ MAX_OFF_PLANE = 0.02  # of the poses' extent: off one plane by less is in it
 def condition_deviations(
     found: Performance, *, temperature_c: float | None, through_encoders: bool
 ) -> list[dict[str, Any]]:
-    """List what is other than the standard's conditions, or not known: its `kind`, and figures.
+    """List what is other than the standard's conditions, or not known.
 
-    `through_encoders`: base or LEDs were registered through the robot's own encoders.
+    One entry a deviation: its `kind`, and figures that belong to it. `through_encoders`: base or
+    LEDs were registered through the robot's own encoders.
     """
     listed: list[dict[str, Any]] = []
     if found.poses:
@@ -89,7 +90,7 @@ def _uncertain_poses(poses: tuple[PoseIndices, ...]) -> list[dict[str, Any]]:
 def session_performance(
     session: Session, model: JointErrorModel, offset: float
 ) -> tuple[dict[str, Any], dict[str, pd.DataFrame]]:
-    """Find and judge what a session repeats; poses and paths that it does not name are recognised.
+    """Find and judge the poses and paths that a session names or, where it names none, repeats.
 
     `offset`, s, is added to the readings' time to get the cameras' clock. Gives `performance` (null
     where nothing is repeated) and `performance_reason` (why, else null) of summary.json; and the

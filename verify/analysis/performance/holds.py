@@ -43,9 +43,9 @@ def at_rest(comparison: Comparison) -> NDArray[np.bool_]:
 def find_holds(comparison: Comparison, readings: Readings, offset: float) -> list[Rows]:
     """Gather pairs that were taken in one stand: rows of each hold, in time's order.
 
-    The readings, `offset` s behind the cameras' clock, tell whether the arm left in between. One
-    pair is a hold where its neighbours are far off in time (single visits); else a hold lasts 0.2 s
-    or more.
+    The readings tell whether the arm left in between; `offset`, s, is added to their time to get
+    the cameras' clock. One pair is a hold where its neighbours are far off in time (single visits);
+    else a hold lasts 0.2 s or more.
     """
     found: list[list[int]] = []
     for row in np.flatnonzero(at_rest(comparison)).tolist():
@@ -102,7 +102,7 @@ def named_visits(
 ) -> tuple[list[Visit], tuple[str, ...], list[TimeInterval]]:
     """Take the stands that session.toml names: visits in time's order, the poses' names by number.
 
-    And stretches in which no pair was measured while the arm stood.
+    Also gives the stretches in which no pair was measured while the arm stood.
     """
     still = at_rest(comparison)
     names = tuple(dict.fromkeys(one.name for one in named))

@@ -91,8 +91,8 @@ def performance(
 
     `offset`, s, is added to the readings' time to get the cameras' clock. Where visits of poses are
     named, others do not count, and so with passages of paths. `point` (3,), m, flange frame: where
-    positions alone were measured, of this point. Else why there are no indices: `no_holds`,
-    `no_repeats`, `poses_not_determined`.
+    positions alone were measured, of this point. Gives the indices, or why there are none:
+    `no_holds`, `no_repeats`, `poses_not_determined`.
     """
     comparison = model.comparison
     measured = _at_point(model, arm, readings, offset, point)

@@ -78,7 +78,7 @@ class RigConsistency:
 def consistency(
     measurements: Sequence[Measurement], rig: Rig, marker: Marker, parameters: Systematics
 ) -> RigConsistency | None:
-    """Fit the figures over measured pairs, whose parameters are those of `systematics.stated`.
+    """Fit the figures over measured pairs; `parameters` as `stated_systematics` collects them.
 
     Of a pair that no pose explains (status `outlier`: in a bumped rig that may be all of them)
     every spot counts, else those that the fit kept. Where the robot stands is not used. None where

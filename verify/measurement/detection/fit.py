@@ -127,10 +127,10 @@ def expected_priors(patches: Patches) -> Priors:
 def solve_patches(
     patches: Patches, start: Array, priors: Priors, steps: int = 0, settled: float = 0.0
 ) -> SpotFit:
-    """Fit every patch by Gauss-Newton, from `start` (n, 10).
+    """Fit every patch by Gauss-Newton, from `start` (n, 10), held by the priors.
 
-    Priors say how firmly the parameters are held; 0 `steps` evaluates the pixels at the start, else
-    it is the most; `settled` of chi² is what a step may still gain at the end.
+    `steps`: at most; 0 evaluates the pixels at the start. `settled`: of chi² that a step may still
+    gain.
     """
     n, _, size = patches.pixels.shape
     fit = SpotFit(

@@ -97,10 +97,7 @@ def predict_spots(
 
 @compiled
 def move_pose(pose: Array, step: Array) -> None:
-    """Move a pose (4, 4) in place by a translation and a rotation vector, `step` (6,).
-
-    Source: Rodrigues' formula.
-    """
+    """Move a pose (4, 4) in place by translation and rotation vector (6,): Rodrigues' formula."""
     x, y, z = step[3], step[4], step[5]
     angle = math.sqrt(x * x + y * y + z * z)
     half = 0.5 * angle
@@ -286,10 +283,10 @@ def fit_spots(
 
     Returns:
         Residual (s, 2) px, and the derivatives of the spots by the point (s, 2, 3) and by the pose
-        (s, 2, 6), before the last step; those of `spot_covariance`, (2 s, 2 s) each; the gain (6, 2
-        s), d pose / d spot, 0 for spots that do not count; the directions of `covariance_of`, (6,
-        6) and (6,); the twist (6,), m/s and rad/s; the acceleration assumed, a component, m/s² and
-        rad/s².
+        (s, 2, 6), before the last step; those of `spot_covariance`, (2 s, 2 s) each; the gain
+        (6, 2 s), d pose / d spot, 0 for spots that do not count; the directions of `covariance_of`,
+        (6, 6) and (6,); the twist (6,), m/s and rad/s; the acceleration assumed, a component, m/s²
+        and rad/s².
     """
     count = len(centre)
     residual, by_point = np.empty((count, 2)), np.empty((count, 2, 3))

@@ -74,8 +74,9 @@ def join_nodes(
 def list_triangles(deviation: Array, edges: Index, led: Index, leds: Array, most: int) -> Index:
     """List triples of nodes (t, 3) every two of which agree, best first; no slender triangles.
 
-    At most `most`, by the sum of squares of the three deviations, (m, m), of `join_nodes`. `edges`
-    (e, 2), best first; `led` (m,), of each node; `leds` (n, 3), m, flange frame.
+    `deviation` (m, m), of `join_nodes`; `edges` (e, 2), best first; `led` (m,), of each node;
+    `leds` (n, 3), m, flange frame. At most `most` are listed, by the sum of squares of the three
+    deviations.
     """
     count, costs, triples = np.int64(0), np.empty(most), np.empty((most, 3), np.int64)
     side, other, across = np.empty(3), np.empty(3), np.empty(3)

@@ -50,8 +50,7 @@ MAX_MISFIT_RATIO = 1.7  # times the best misfit: more is a shape that the profil
 def stencils(rows: Image) -> tuple[Array, Array]:
     """Local cubic's value and size of the fourth difference (k,), DN, wherever nothing is clipped.
 
-    Args:
-        rows: (r, w), DN.
+    `rows` (r, w), DN.
     """
     count, places = 0, rows.shape[1] - 4
     level, difference = np.empty(rows.size), np.empty(rows.size)

@@ -190,9 +190,9 @@ def eliminate_parameters(
 def depth_posterior(gradient: Array, information: Array) -> tuple[Array, Array, Array]:
     """Suppose a bite of unknown depth in each direction of each spot, (n, d) throughout.
 
-    From gradient of the log-likelihood at depth 0 and information on the depth. The half-normal
-    prior and the Gaussian likelihood make a normal law cut off at 0. Gives the log-likelihood ratio
-    of a bite to none; the depth's posterior mean and mean square.
+    From the gradient of the log-likelihood at depth 0 and the information on the depth: the
+    half-normal prior and the Gaussian likelihood make a normal law cut off at 0. Gives the
+    log-likelihood ratio of a bite to none; the depth's posterior mean and mean square.
     """
     spots, directions = gradient.shape
     evidence, mean = np.empty((spots, directions)), np.empty((spots, directions))

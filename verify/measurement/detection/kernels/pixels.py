@@ -117,9 +117,10 @@ def expect_pixels(p: Array, pixels: Array, noise: Array, model: Array, rows: Arr
 
 @compiled
 def whiten_rows(p: Array, pixels: Array, scale: float, model: Array, rows: Array) -> float:
-    """Leave out neighbours' pixels, tell how many valid ones; put rows over their pixels' sigmas.
+    """Leave out neighbours' pixels, and put every row over its pixels' sigmas.
 
-    On entry `rows` hold, beside the profile's derivatives, the unclipped variances.
+    On entry `rows` hold, beside the profile's derivatives, the unclipped variances. Gives how many
+    valid pixels are left out.
     """
     peak, lever, count = p[PAR_PEAK], -2.0 * p[PAR_PEAK] / scale, pixels.shape[1]
     for k in range(count):

@@ -108,9 +108,9 @@ def assess_all(
 ) -> Array:
     """Assess n fits, (n, 14).
 
-    `parameters` (n, 10); `information` (n, 10, 10); `pixels` (n, 4, p), as fitted; `model` (n, 10,
-    p), of the pixels at the parameters; `scale` (n,), px; `origin` (n, 2), px, of each patch's
-    centre pixel; `size`: width and height of the picture, px.
+    `parameters` (n, 10); `information` (n, 10, 10); `pixels` (n, 4, p), as fitted; `model`
+    (n, 10, p), of the pixels at the parameters; `scale` (n,), px; `origin` (n, 2), px, of each
+    patch's centre pixel; `size`: width and height of the picture, px.
     """
     assessed = np.empty((len(parameters), N_COLUMNS))
     counted = core_counts(pixels, model)
