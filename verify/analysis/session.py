@@ -157,7 +157,9 @@ def measure_session(
 def compare_session(
     session: Session, measured: MeasuredSession, readings: Readings, clock: ClockEstimate
 ) -> tuple[SessionComparison, set[int]]:
-    """Compare pairs that have a reading and that the arm can stand in; and name the other rows.
+    """Compare every pair that has a reading and that the arm can stand in.
+
+    Also gives the rows of the track that the arm cannot stand in.
 
     Raises:
         InputError: no pair is left.

@@ -31,8 +31,9 @@ TEXTURE_SHARE = 0.1  # relative: what unseen texture may add to the dark varianc
 def background_noise(image: Image) -> tuple[Noise, float]:
     """Noise of the quietest part of an image, with the relative uncertainty of its dark variance.
 
-    The shot-noise gain is a usual one. Texture only ever adds to differences, so the quietest class
-    of brightness is believed; of a colour image the green channel stands for all.
+    The image is (h, w) grey or (h, w, 3) BGR, where the green channel stands for all. The
+    shot-noise gain is a usual one. Texture only ever adds to differences, so the quietest class of
+    brightness is believed.
     """
     grey = image if image.ndim == 2 else image[..., 1]
     rows = np.ascontiguousarray(grey[:: max(len(grey) // N_SAMPLE_ROWS, 1)])
