@@ -51,14 +51,8 @@ def combinations(
 ) -> list[Combination]:
     """Collect sums of joint errors that are known better than their parts.
 
-    Errors of single pairs count only where base and LEDs were registered without the encoders:
-    else they are residuals.
-
-    Args:
-        compared: the session, for the arm, the clock and what a singularity couples.
-        model: its linear model.
-        errors: joint errors a pair with their covariance.
-        means: mean errors of the single joints.
+    Errors of single pairs count only where base and LEDs were registered without the encoders: else
+    they are residuals.
     """
     arm, joints, clock = compared.session.arm, compared.joints, compared.clock_uncertainty
     found: list[Combination] = []
@@ -163,10 +157,7 @@ def _pose_sums(
 
 
 def _uncertainty(
-    weights: Array,
-    errors: JointErrors,
-    places: NDArray[np.intp],
-    clock_uncertainty: float | None,
+    weights: Array, errors: JointErrors, places: NDArray[np.intp], clock_uncertainty: float | None
 ) -> float:
     """Standard uncertainty of a sum's mean over some pairs; (n, j) weights, rad."""
     n = len(places)

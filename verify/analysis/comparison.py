@@ -88,16 +88,9 @@ def compare(
 ) -> Comparison:
     """Set the readings at each pair's instant against its measured pose.
 
-    Args:
-        track: measured poses.
-        arm: the robot.
-        readings: its joint readings, on the controller's clock.
-        offset: s, added to the readings' time to get the cameras' clock; or one a pair (n,).
-        stated: of the readings; arrays have a row a pair of the track.
-        known: (n,), which pairs to take; those with a reading where not given.
-
-    Returns:
-        One row a pair that has a reading.
+    One row a pair that has a reading, of those that `known` (n,) takes. `offset`, s, is added to
+    the readings' time to get the cameras' clock, or is one a pair (n,). Arrays of `stated` have a
+    row a pair of the track.
     """
     there = track.t - offset
     if known is None:
@@ -173,9 +166,7 @@ def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Compar
 def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:
     """Let pairs that repeat each other's errors count for fewer.
 
-    Args:
-        comparison: the compared pairs.
-        factors: (6,), by which the variance of a mean grows in each whitened direction.
+    `factors` (6,): by which the variance of a mean grows in each whitened direction.
     """
     covariance = comparison.covariance.copy()
     for i, known in enumerate(comparison.determined):

@@ -114,14 +114,9 @@ def measure_poses(
 ) -> MeasuredSession:
     """Take an instrument's poses as measured; each carries this noise.
 
-    Args:
-        session: whose robot was measured, and where it stands.
-        instrument: the session's, or one with other poses.
-        readings: the robot's own.
-        noise: of the poses.
-        offset: s, of the readings' clock as far as it is known; None: as session.toml has it.
-            Where positions alone were measured the orientation follows the readings, a gauge that
-            no statistic sees; the nearer, the sooner it settles.
+    The poses are the session's, or others. `offset`, s, is that of the readings' clock as far as it
+    is known; None: as session.toml has it. Where positions alone were measured the orientation
+    follows the readings, a gauge that no statistic sees; the nearer, the sooner it settles.
     """
     if offset is None:
         offset = 0.0 if session.clock is None else session.clock.encoder_offset
@@ -166,13 +161,9 @@ def _measurements(
 def _point_to_flange(lever: Array, *, alone: bool) -> tuple[Array, Array]:
     """How the flange moves with what was measured, and what of it is determined.
 
-    Args:
-        lever: (3,), m, from the flange to the measured point, in the instrument's axes.
-        alone: the position alone was measured, else the pose.
-
-    Returns:
-        (6, 3 or 6), the flange's twist by the point's shift (and the body's turn); and (6, d),
-        orthonormal.
+    `lever` (3,), m, from the flange to the measured point, in the instrument's axes; `alone`: the
+    position alone was measured, else the pose. Gives (6, 3 or 6), the flange's twist by the point's
+    shift (and the body's turn); and (6, d), orthonormal.
     """
     across = cross_matrix(lever)
     if not alone:
@@ -252,29 +243,16 @@ def _sensitivities(parameters: Systematics, rig_T_flange: Array, rig_T_base: Arr
 def noise_from_scatter(
     session: Session, instrument: Instrument, track: Track, readings: Readings, offset: float
 ) -> InstrumentNoise | None:
-    """Noise that is not stated, from the data's own scatter about the readings.
+    """Noise that is not (or not all) stated, from the data's own scatter about the readings.
 
     How far the poses lie from where the readings put them changes slowly, whatever is wrong with
     the robot; a parabola through five in a row leaves the noise. The median over all windows keeps
     single jumps out; the readings' own share is taken off. Of single visits the noise is what a
-    linear model of base, target and joints leaves (`_full_model_squares`).
-
-    Args:
-        session: whose robot was measured.
-        instrument: with noise that is not, or not all, stated.
-        track: its poses.
-        readings: the robot's own.
-        offset: s, of their clock.
-
-    Returns:
-        All of the noise; None where poses are too few to show it.
+    linear model of base, target and joints leaves (`_full_model_squares`). `offset`, s, is that of
+    the readings' clock; None where poses are too few to show the noise.
     """
     comparison = compare(
-        track,
-        session.arm,
-        readings,
-        offset,
-        stated=ReadingUncertainty(session.encoder_resolution),
+        track, session.arm, readings, offset, stated=ReadingUncertainty(session.encoder_resolution)
     )
     # at the measured point: of positions alone, nothing else is known
     point = instrument.flange_T_body[:, 3]

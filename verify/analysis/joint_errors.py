@@ -92,10 +92,8 @@ def _is_new(shape: Array, terms: Array) -> bool:
 def resolve_errors(model: JointErrorModel, causes: Sequence[Fault] = ()) -> ResolvedErrors:
     """Fit the resolved errors of all joints together, with what was registered.
 
-    Args:
-        model: the session.
-        causes: faults that were found. A joint's is a term of its error; a common one, or a link's,
-            is no error of a joint, and takes off them what it explains.
+    Of the causes, a joint's is a term of its error; a common one, or a link's, is no error of a
+    joint, and takes off them what it explains.
     """
     names, columns = error_terms(model.comparison, causes)
     design, carried = resolved_design(model, causes)
@@ -136,9 +134,8 @@ def predict_errors(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
 def resolved_design(model: JointErrorModel, causes: Sequence[Fault] = ()) -> tuple[Array, Array]:
     """Lay out the regression of the resolved errors.
 
-    Returns:
-        The whitened columns of all joints' terms and of what is fitted beside them, (r, k + f);
-        and what a unit of each term is to each joint's error at each pair, (n, j, k).
+    The whitened columns of all joints' terms and of what is fitted beside them, (r, k + f); and
+    what a unit of each term is to each joint's error at each pair, (n, j, k).
     """
     _, columns = error_terms(model.comparison, causes)
     places = _column_offsets(columns)
@@ -210,15 +207,10 @@ def effective_degrees(
 ) -> Array:
     """Welch-Satterthwaite degrees of freedom of each mean, (j,); inf: without bound. GUM G.4.1.
 
-    The session's own noise is one estimate, and so is what one calibration found together; what
-    is stated without degrees of freedom has no bound.
-
-    Args:
-        total: (j,), variance.
-        noise: (j,), the part of it that the session itself shows.
-        own: (j,), its degrees of freedom.
-        calibrated: (j,), the part that one calibration found.
-        stated: its degrees of freedom; may be inf.
+    Of the variance `total` (j,), the part `noise` (j,) that the session itself shows is one
+    estimate, of `own` (j,) degrees of freedom, and so is the part `calibrated` (j,) that one
+    calibration found together, of `stated` ones (may be inf). What is stated without degrees of
+    freedom has no bound.
     """
     below = np.asarray(noise**2 / own + calibrated**2 / stated)
     degrees: Array = np.divide(total**2, below, out=np.full(len(total), np.inf), where=below > 0)
@@ -237,10 +229,7 @@ def mean_errors(
 ) -> MeanErrors:
     """Means over the pairs of the resolved errors, on which verdict and causes rest.
 
-    Args:
-        model: the session's linear model.
-        resolved: the fit of all joints' errors.
-        systematics: for the degrees of freedom that the calibration states.
+    `systematics` has the degrees of freedom that the calibration states.
     """
     by_row = mean_sensitivities(model, resolved)
     random = np.sum(by_row**2, axis=1)  # whitened rows have unit variance
@@ -278,13 +267,9 @@ def mean_sensitivities(model: JointErrorModel, resolved: ResolvedErrors) -> Arra
 def _calibration_variance(moved: Array, systematics: Systematics) -> Array:
     """Variance (j,) of the plain means from all that one calibration found.
 
-    A session's budget knows the rig file and counts its parameters; here, where a plan has no
-    budget yet, their names tell: LED positions are the calibration's where no LED body is stated
-    beside them.
-
-    Args:
-        moved: (j, p), of columns of unit variance, those of the stated parameters first.
-        systematics: stated parameters.
+    `moved` (j, p): of columns of unit variance, those of the stated parameters first. A session's
+    budget knows the rig file and counts its parameters; here, where a plan has no budget yet, their
+    names tell: LED positions are the calibration's where no LED body is stated beside them.
     """
     body = "LED body" in systematics.sources
     own = {"rig", "robot base"} if body else {"rig", "robot base", "LED positions"}

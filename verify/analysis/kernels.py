@@ -36,16 +36,12 @@ def motion_misfits(
     most: float,
     cost: Array,
 ) -> None:
-    """Fill in how badly the motions that were read fit the measured ones, at some offsets.
+    """Fill in `cost` (o,): mean squared misfit of the motions read to those measured, at o offsets.
 
-    Args:
-        instants: (o, 2, n), s, beginning and end of each of n motions, on the readings' clock.
-        known: (o, n), which of them have readings.
-        grid: instants in order (g,), s, a step apart, and the flange then (g, 4, 4).
-        step: s.
-        measured: the motions' angle and distance, and the variance of each, (n, 2) both.
-        most: of a squared misfit: a wild pair has one vote.
-        cost: (o,), filled: mean squared misfit of the known ones.
+    `instants` (o, 2, n), s: beginning and end of each of n motions, on the readings' clock; `known`
+    (o, n): those with readings. `grid`: instants in order (g,), `step` s apart, and the flange then
+    (g, 4, 4). `measured`: the motions' angle and distance, and the variance of each, (n, 2) both. A
+    squared misfit counts for `most` at most: a wild pair has one vote.
     """
     times, poses = grid
     figures, variance = measured
@@ -93,13 +89,10 @@ def fit_poses(
 ) -> None:
     """Fit each draw's pose to its spots, until it has settled.
 
-    Args:
-        poses: (d, 4, 4), rig_T_flange, where to start; moved in place.
-        spots: LEDs on the flange (d, s, 3), m, and their spots (d, s, 2), px.
-        cameras: the left one and the right one.
-        lefts: how many of the spots are the left camera's; they come first.
-        weight: (2 s, 2 s), 1/px², symmetric.
-        limits: steps at most, and the step (m and rad) that ends them.
+    `poses` (d, 4, 4), rig_T_flange, are the start and moved in place; `spots`: LEDs on the flange
+    (d, s, 3), m, and their spots (d, s, 2), px, those of the left camera, `lefts` of them, first;
+    `cameras`: left, right; `weight` (2 s, 2 s), 1/px², symmetric; `limits`: steps at most, and the
+    step (m and rad) that ends them.
     """
     points, centre = spots
     count = points.shape[1]
@@ -149,12 +142,9 @@ def normal_equations(
 ) -> None:
     """Fill in the normal equations of a pose's step.
 
-    Args:
-        design: (6, 2 s), derivative of the spots by the pose.
-        off: (2 s,), px, spots less their prediction.
-        weight: (2 s, 2 s), 1/px², symmetric.
-        weighted: (6, 2 s), filled: the design times the weight.
-        normal: (7, 6), filled: the lower half of the information (6, 6), the right side below.
+    From `design` (6, 2 s), the spots by the pose, `off` (2 s,), px, spots less their prediction,
+    and `weight` (2 s, 2 s), 1/px², symmetric: `weighted` (6, 2 s), design times weight, and
+    `normal` (7, 6), the lower half of the information (6, 6), the right side below.
     """
     count = len(off)
     weighted[:] = 0.0

@@ -118,16 +118,9 @@ def gauss_newton(
 ) -> tuple[State, Solution]:
     """Minimise a sum of squares by solving it linearised, again and again.
 
-    Args:
-        start: the parameters to begin with.
-        solve_step: gives the step (p,) of the problem linearised at some parameters, and whatever
-            else of that problem is of use.
-        move: takes a step from some parameters.
-        max_iterations: at most so many steps.
-        tol_step: a step with no larger entry is the last.
-
-    Returns:
-        The parameters, and what the last linearisation gave beside its step.
+    `solve_step` gives the step (p,) of the problem linearised at some parameters, and what else of
+    it is of use; the last one is returned beside the parameters. `move` takes a step; one with no
+    entry larger than `tol_step` is the last.
     """
     state = start
     for _ in range(max_iterations):
@@ -180,12 +173,9 @@ def _append_prior(triangle: Array, free: int, held: int) -> Array:
 def autocorrelation(by_pair: Array) -> Array:
     """By how much correlation from pair to pair inflates the variance of a mean, (6,), >= 1.
 
-    One factor a whitened direction, as alignment correlates depth and leaves the rest alone:
-    (1 + rho) / (1 - rho) with the lag-one correlation rho, corrected for its bias, where it is
-    significant.
-
-    Args:
-        by_pair: (n, 6) whitened residuals in time order, nan where missing.
+    `by_pair` (n, 6): whitened residuals in time order, nan where missing. One factor a whitened
+    direction, as alignment correlates depth and leaves the rest alone: (1 + rho) / (1 - rho) with
+    the lag-one correlation rho, corrected for its bias, where it is significant.
     """
     factors = np.ones(by_pair.shape[1])
     for i, column in enumerate(by_pair.T):

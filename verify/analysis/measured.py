@@ -96,12 +96,9 @@ def setup_of(session: Session) -> Setup:
 
 
 def measure_pictures(session: Session, progress: Progress, chain: Chain) -> MeasuredSession:
-    """Stream the pictures through the chain; only numbers are kept.
+    """Stream a session's pictures through the chain; only numbers are kept.
 
-    Args:
-        session: with pictures.
-        progress: called with pairs done and pairs in all.
-        chain: what measures the pairs.
+    `progress` is called with pairs done and pairs in all.
     """
     setup = setup_of(session)
     turning = bool(np.ptp(session.frames.pan_left) or np.ptp(session.frames.pan_right))
@@ -126,15 +123,7 @@ def measure_pictures(session: Session, progress: Progress, chain: Chain) -> Meas
 def measure_instrument(
     session: Session, instrument: Instrument, readings: Readings
 ) -> tuple[MeasuredSession, ClockEstimate]:
-    """Take an instrument's poses; noise that it does not state is sought in the data.
-
-    Args:
-        session: whose robot was measured.
-        instrument: the session's.
-        readings: the robot's own.
-
-    Returns:
-        The poses, and the readings' clock.
+    """Take an instrument's poses, and the readings' clock; noise not stated is sought in the data.
 
     Raises:
         InputError: the poses are of several targets.

@@ -113,11 +113,8 @@ def _refuse_by_joints(
 ) -> None:
     """Refuse where a mistake brings every joint closer than a fault does.
 
-    Args:
-        session: the recording.
-        mistakes: that are tried.
-        offsets: s, the clock's with each of them.
-        found: each joint's typical error, rad, the joints that are off, what faults leave, rad.
+    `offsets`, s: the clock's with each mistake; `found`: each joint's typical error, rad, the
+    joints that are off, what faults leave, rad.
     """
     typical, off, left = found
     scores = [pose_misfit(m, offset) for m, offset in zip(mistakes, offsets, strict=True)]

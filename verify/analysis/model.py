@@ -277,8 +277,7 @@ def _share(fitted: Array, columns: Array, whole: Array) -> Array:
 def _separability_factor(gram: Array) -> Array:
     """The largest over rivals of what an offset must reach to be told from theirs, (j,).
 
-    Args:
-        gram: (j, j), products of what everything fitted and stated leaves of the joints' columns.
+    `gram` (j, j): products of what everything fitted and stated leaves of the joints' columns.
     """
     joints = len(gram)
     separable = np.full(joints, np.nan)

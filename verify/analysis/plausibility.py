@@ -52,20 +52,11 @@ def refuse_radians(
 
 
 def refuse_misread(
-    session: Session,
-    instrument: Instrument,
-    track: Track,
-    readings: Readings,
-    clock: ClockEstimate,
+    session: Session, instrument: Instrument, track: Track, readings: Readings, clock: ClockEstimate
 ) -> None:
     """Refuse poses that agree with the readings in another unit or order, and not as written.
 
-    Args:
-        session: whose robot was measured.
-        instrument: its poses as written.
-        track: the same, as taken.
-        readings: the robot's own.
-        clock: theirs, as the poses as written show it.
+    The track is of the poses as written, and the clock as these show it.
 
     Raises:
         InputError: positions in metres, or quaternions whose scalar comes last.

@@ -41,13 +41,9 @@ class RelativeMotion:
 
 
 def compare_relative_motions(model: JointErrorModel) -> RelativeMotion | None:
-    """Compare the relative motions of a session.
+    """Compare a session's relative motions; None where too few turn far enough.
 
-    Args:
-        model: the session; pairs whose pose is not wholly determined are left out.
-
-    Returns:
-        The comparison; None where there are too few motions that turn far enough.
+    Pairs whose pose is not wholly determined are left out.
     """
     comparison = model.comparison
     whole = np.flatnonzero([known.shape[1] == 6 for known in comparison.determined])

@@ -91,16 +91,10 @@ def analyse(
     progress: Progress = _no_progress,
     chain: Chain | None = None,
 ) -> Results:
-    """Measure a recorded session and judge the robot by it.
+    """Measure a recorded session and judge the robot by it; `reports` renders and writes it.
 
-    Args:
-        session: an opened session.
-        tolerance: replaces what session.toml says, entry by entry.
-        progress: called with pairs done and pairs in all.
-        chain: what measures the pairs, `measure` unless another gives the same.
-
-    Returns:
-        Results, ready for `reports.render_html`, `render_pdf` and `write`.
+    `tolerance` replaces what session.toml says, entry by entry; `progress` is called with pairs
+    done and pairs in all; `chain` measures the pairs, `measure` unless another gives the same.
 
     Raises:
         InputError: the session cannot be measured; nothing is returned in part.
@@ -136,13 +130,9 @@ def measure_session(
 ) -> tuple[MeasuredSession, ClockEstimate]:
     """Measure a session's pairs, or take its instrument's poses, and find the readings' clock.
 
-    Args:
-        session: an opened session.
-        readings: its readings.
-        progress: called with pairs done and pairs in all.
-        chain: what measures the pairs.
-        registered: base and body are where the session has them; else nothing can be laid side by
-            side, and readings are not compared with the poses.
+    `progress` is called with pairs done and pairs in all. `registered`: base and body are where the
+    session has them; else nothing can be laid side by side, and readings are not compared with the
+    poses.
 
     Raises:
         InputError: nothing was measured, or in units or axes that are not those of the readings.
@@ -169,8 +159,7 @@ def compare_session(
 ) -> tuple[SessionComparison, set[int]]:
     """Compare every pair that has a reading and that the arm can stand in.
 
-    Returns:
-        The comparison, and the rows of the track that the arm cannot stand in.
+    Also gives the rows of the track that the arm cannot stand in.
 
     Raises:
         InputError: no pair is left.
@@ -196,9 +185,7 @@ def compare_session(
     return SessionComparison(session, track, systematics, clock, comparison, joints), unreachable
 
 
-def session_model(
-    compared: SessionComparison,
-) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
+def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Linearise a session about the errors that are there, find their causes, resolve them.
 
     Pairs that repeat each other's errors count for fewer. What a cause leaves in every pair from

@@ -58,12 +58,7 @@ def judge_norm(
 
 
 def _judge(
-    error: Array,
-    u: Array,
-    z: float,
-    tolerance: float | None,
-    detectable: float,
-    lack_of_fit: bool,
+    error: Array, u: Array, z: float, tolerance: float | None, detectable: float, lack_of_fit: bool
 ) -> Verdict:
     nan = float("nan")
     if not len(error) or np.isnan(error).any() or np.isnan(u).any():

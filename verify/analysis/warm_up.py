@@ -27,8 +27,7 @@ N_READINGS = 20
 def warm_up(detector: Detector = detect_in_turn) -> None:
     """Measure a few small pictures of four LEDs; takes a moment, after an installation longer.
 
-    Args:
-        detector: what will look for spots; in another process too.
+    The detector is what will look for spots; in another process too.
     """
     rig, marker = _rig(), _marker()
     pictures = [_render(camera) for camera in (rig.left, rig.right)]

@@ -54,27 +54,19 @@ def align(
     *,
     alone: bool = False,
 ) -> Sighting | None:
-    """Carry one camera's spots to the instant `t`.
+    """Carry one camera's spots, as sighted `now`, to the instant `t`, s, of the pair.
 
-    Args:
-        now: the sighting to carry.
-        around: the same camera's sightings in the pairs before, after, and before the one before;
-            None where there is none.
-        t: s, the pair's instant.
-        camera: the camera that saw them.
-        alone: the pair is a single visit, far in time from its neighbours: taken as standing still.
-
-    Returns:
-        The sighting at `t`, or None where it has to be moved and no neighbour shows how.
+    `around`: the same camera's sightings in the pairs before, after, and before the one before;
+    None where there is none. `alone`: the pair is a single visit, far in time from its neighbours:
+    taken as standing still. Gives None where the sighting has to be moved and no neighbour shows
+    how.
     """
     if alone:
         return replace(now.sighting, t=t)
     sighting = now.sighting
     views = [_view(other, sighting.pan, camera) for other in around]
     matched, centre, covariance, velocity, lever = carry_to_instant(
-        _view(now, sighting.pan, camera),
-        (views[0], views[1], views[2]),
-        t,
+        _view(now, sighting.pan, camera), (views[0], views[1], views[2]), t
     )
     if matched:
         moved = replace(sighting, centre=centre, covariance=covariance, t=t)

@@ -47,12 +47,8 @@ def led_windows(
 ) -> Array:
     """Windows round the predicted LEDs, (n, 4) px: x0, y0, x1, y1, overlapping ones merged.
 
-    Args:
-        marker: the LEDs.
-        camera: the camera.
-        pan: rad, reading of its base.
-        prediction: of the flange's pose in the rig.
-        image: the picture to be searched.
+    `pan`, rad, is the reading of the camera's base; the prediction, of the flange's pose in the
+    rig; `image`, the picture to be searched.
     """
     off = 2 * prediction.position_uncertainty, 2 * prediction.rotation_uncertainty
     return led_boxes(
@@ -135,10 +131,8 @@ def measure(
 ) -> Iterator[Measurement]:
     """Measure the flange's pose in each stereo pair.
 
-    Args:
-        pairs: stereo pairs in time order, streamed; two are held at most.
-        setup: rig, marker, and what the encoders suggest.
-        causal: give each pair by those before it too, at once (`settled` is False).
+    Pairs are streamed in time order; two are held at most. `causal`: give each pair by those before
+    it too, at once (`settled` is False).
 
     Yields:
         One settled measurement a pair, in order, once its successor is there: both neighbours show

@@ -100,21 +100,12 @@ def fit_pose(
     start: Array,
     parameter_columns: ParameterColumns | None = None,
 ) -> Pose:
-    """Find the pose under which both images are most likely.
+    """Find the pose under which both images, aligned to the same instant, are most likely.
 
-    Args:
-        left: LEDs in the left image, aligned.
-        right: LEDs in the right image, at the same instant.
-        rig: the cameras.
-        marker: the LEDs in the flange frame.
-        start: rig_T_flange to begin with, (4, 4). Directions that the LEDs do not determine
-            keep its value.
-        parameter_columns: gives the stated uncertainty of rig and marker as columns of the spots,
-            which must not make an outlier of a good spot; called where a spot looks like one.
-            None: a rough bound alone.
-
-    Returns:
-        The pose with its covariance; spots that no pose explains with the rest are rejected.
+    From `start`, rig_T_flange (4, 4): directions that the LEDs do not determine keep its value.
+    `parameter_columns` gives the stated uncertainty of rig and marker as columns of the spots,
+    which must not make an outlier of a good spot; called where a spot looks like one. None: a rough
+    bound alone. Spots that no pose explains with the rest are rejected.
     """
     views = stack_sightings(left, right, rig, marker.leds)
     keep = np.ones(len(views.centre), dtype=np.bool_)
@@ -140,11 +131,10 @@ def fit_pose(
 
 
 def predict(views: SightingStack, rig_T_flange: Array) -> tuple[Array, Array, Array]:
-    """Predict the spots from a pose, with the derivatives.
+    """Predict the spots from a pose: pixels (s, 2), with the derivatives.
 
-    Returns:
-        pixels (s, 2); their derivative by the point in the rig (s, 2, 3), px/m; and by the pose
-        (s, 2, 6), a translation and a rotation vector in rig axes.
+    By the point in the rig (s, 2, 3), px/m; and by the pose (s, 2, 6), a translation and a rotation
+    vector in rig axes.
     """
     count = len(views.points)
     pixels, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
@@ -156,10 +146,8 @@ def predict(views: SightingStack, rig_T_flange: Array) -> tuple[Array, Array, Ar
 def motion_columns(by_pose: Array, lever: Array, prior: tuple[float, float]) -> Array:
     """What motion that is not known does to spots, columns of unit variance, (s, 2, 18), px.
 
-    Args:
-        by_pose: (s, 2, 6), derivative of the spots by the pose.
-        lever: (s, 3), s², s³, s⁴.
-        prior: of the acceleration, m/s² and rad/s² a component.
+    `by_pose` (s, 2, 6), derivative of the spots by the pose; `lever` (s, 3), s², s³, s⁴; `prior` of
+    the acceleration, m/s² and rad/s² a component.
     """
     moved = by_pose * np.repeat(prior, 3)
     levers = lever * MOTION_RATE ** np.arange(lever.shape[1])

@@ -34,16 +34,7 @@ class SpotGeometry:
 def prepare_views(
     rig_T_flange: Array, left: Sighting, right: Sighting, by_point: Array, rig: Rig, marker: Marker
 ) -> SpotGeometry:
-    """Prepare the spots of a pose.
-
-    Args:
-        rig_T_flange: (4, 4), the pose.
-        left: LEDs in the left image.
-        right: LEDs in the right image.
-        by_point: (s, 2, 3), d px / d point in the rig, left spots first.
-        rig: the cameras.
-        marker: the LEDs.
-    """
+    """Prepare a pose's spots, left ones first; `by_point` (s, 2, 3), d px / d point in the rig."""
     led = np.concatenate([left.led, right.led])
     placed = np.array(rig.left.camera_T_rig(left.pan)), np.array(rig.right.camera_T_rig(right.pan))
     offset, points, inside = kernel.place_leds(marker.leds, led, rig_T_flange, placed, len(left))
@@ -59,9 +50,7 @@ def prepare_views(
 def spot_derivatives(views: SpotGeometry, names: tuple[str, ...]) -> Array:
     """Derivative of the predicted spots by parameters, (p, s, 2), px a SI unit.
 
-    Args:
-        views: the spots.
-        names: of the parameters; the robot's base moves no spot.
+    The robot's base moves no spot.
     """
     plan = _group_parameters(names, views.names)
     moved = np.zeros((len(names), len(views.led), 2))
@@ -105,22 +94,12 @@ def _group_parameters(names: tuple[str, ...], leds: tuple[str, ...]) -> _Paramet
 
 
 def camera_derivatives(
-    keys: tuple[str, ...],
-    camera: Camera,
-    pan: float,
-    inside: Array,
-    points: Array,
-    by_point: Array,
+    keys: tuple[str, ...], camera: Camera, pan: float, inside: Array, points: Array, by_point: Array
 ) -> Array:
     """Derivative of one camera's pixels by some of its parameters, (k, m, 2).
 
-    Args:
-        keys: k parameters, by their names in rig.toml.
-        camera: theirs.
-        pan: rad, as read.
-        inside: (m, 3), m, the points in the camera.
-        points: (m, 3), m, the same in the rig.
-        by_point: (m, 2, 3), d px / d point in the rig.
+    `keys` are their names in rig.toml; `pan`, rad, as read; `inside` and `points` (m, 3), m, the
+    points in the camera and the same in the rig; `by_point` (m, 2, 3), d px / d point in the rig.
     """
     places = [np.ascontiguousarray(part) for part in (inside, points, by_point)]
     optics = camera.matrix, camera.distortion

@@ -64,12 +64,9 @@ class Systematics:
 
 
 def stated_systematics(rig: Rig, marker: Marker, turning: bool) -> Systematics:
-    """Collect the uncertainties that rig.toml and marker.toml state.
+    """Collect the uncertainties that rig.toml and marker.toml state; both are optional.
 
-    Args:
-        rig: the rig with its optional covariance.
-        marker: the LEDs with their optional uncertainties.
-        turning: pan readings vary or carry an uncertainty, so that they are a source at all.
+    `turning`: pan readings vary or carry an uncertainty, so that they are a source at all.
     """
     names, blocks, unknown, degrees = _from_rig(rig, marker)
     placed = any(n.startswith("led.") for n in names)  # in the flange frame: body included
@@ -169,14 +166,7 @@ def sensitivities(
 def pixel_sensitivities(
     names: tuple[str, ...], measurement: Measurement, rig: Rig, marker: Marker
 ) -> Array:
-    """How the spots of a measured pair move with parameters, (2 s, p), px a SI unit.
-
-    Args:
-        names: of the parameters; the robot's base moves no spot.
-        measurement: of the pair.
-        rig: the cameras.
-        marker: the LEDs.
-    """
+    """How a pair's spots move with parameters, (2 s, p), px a SI unit; a robot base moves none."""
     pose, left, right = measurement.pose, measurement.left, measurement.right
     if pose is None or left is None or right is None:
         raise ValueError("only a measured pair has spots that a pose predicts")
@@ -193,19 +183,9 @@ def spot_columns(
     rig_T_flange: Array,
     by_point: Array,
 ) -> Array:
-    """Columns of unit variance: predicted spots by the stated uncertainties.
+    """Columns of unit variance (2 s, p), px, left spots first, by the stated uncertainties.
 
-    Args:
-        parameters: stated; a robot base moves no spot.
-        rig: the cameras.
-        marker: the LEDs.
-        left: LEDs in the left image.
-        right: LEDs in the right image.
-        rig_T_flange: (4, 4), the pose.
-        by_point: (s, 2, 3), d px / d point in the rig, left spots first.
-
-    Returns:
-        (2 s, p), px, left spots first.
+    A robot base moves no spot. `by_point` (s, 2, 3), d px / d point in the rig.
     """
     views = prepare_views(rig_T_flange, left, right, by_point, rig, marker)
     names = tuple(n for n in parameters.names if not n.startswith("robot_base."))

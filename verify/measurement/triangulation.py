@@ -23,26 +23,14 @@ TOL_COLLINEAR = 1e-6  # second over first singular value: below, points lie on o
 
 
 def triangulate(
-    left: Camera,
-    right: Camera,
-    pan_left: float,
-    pan_right: float,
-    left_px: Array,
-    right_px: Array,
+    left: Camera, right: Camera, pan_left: float, pan_right: float, left_px: Array, right_px: Array
 ) -> tuple[Array, Array]:
     """Find the points midway between pairs of rays, for any mounts and pan axes.
 
-    Args:
-        left: the left camera.
-        right: the right camera.
-        pan_left: rad, reading of the left base.
-        pan_right: rad, reading of the right base.
-        left_px: (..., 2), px in the left image, distortion included.
-        right_px: (..., 2), the same points in the right image; the shapes broadcast.
-
-    Returns:
-        points_rig (..., 3), m, and the distance between the two rays (...,), m. Both are NaN where
-        the rays are parallel or meet behind a camera.
+    Pans are readings of the bases, rad; `left_px` and `right_px` (..., 2), px, distortion included,
+    are of the same points; the shapes broadcast. Gives points_rig (..., 3), m, and the distance
+    between the two rays (...,), m; both are NaN where the rays are parallel or meet behind a
+    camera.
 
     Source: the point nearest two skew lines, by Cramer's rule on their common perpendicular.
     """
@@ -50,15 +38,10 @@ def triangulate(
 
 
 def rays(camera: Camera, pan: float, pixels: Array) -> tuple[Array, Array]:
-    """Place a camera's lines of sight in the rig.
+    """Place a camera's lines of sight through pixels (..., 2), px, distortion included, in the rig.
 
-    Args:
-        camera: the camera.
-        pan: rad, reading of its base.
-        pixels: (..., 2), px, distortion included.
-
-    Returns:
-        The optical centre (3,), m, and directions (..., 3), of unit depth in the camera.
+    `pan`, rad, is its base's reading. Gives the optical centre (3,), m, and directions (..., 3), of
+    unit depth in the camera.
     """
     rig_T_camera = camera.rig_T_camera(pan)
     xy = camera.normalise(np.asarray(pixels, dtype=float))
@@ -71,9 +54,8 @@ def ray_midpoints(
 ) -> tuple[Array, Array]:
     """Find the points midway between rays (..., 3) from two centres (3,), and the gaps.
 
-    Returns:
-        Points (..., 3) and distances between the rays (...,); NaN where the rays are parallel or
-        where either would have to run backwards.
+    Points (..., 3) and distances between the rays (...,) are NaN where the rays are parallel or
+    where either would have to run backwards.
     """
     normal = np.cross(ray_a, ray_b)
     square = np.sum(normal * normal, axis=-1)
@@ -92,19 +74,13 @@ def ray_midpoints(
 
 
 def fit_rigid(points_a: Array, points_b: Array) -> Array:
-    """Find the rigid motion that best carries `points_b` onto `points_a`.
+    """Find the rigid motion a_T_b (4, 4) that best carries `points_b` (n, 3), m, onto `points_a`.
 
-    Args:
-        points_a: (n, 3), m, in frame a.
-        points_b: (n, 3), m, the same points in frame b, in the same order.
-
-    Returns:
-        a_T_b, (4, 4), the least-squares motion; a proper rotation even for a mirrored set.
+    The same points in the same order; by least squares, a proper rotation even for a mirrored set.
+    Source: Umeyama, IEEE TPAMI 13(4), 1991, eqs. 38-43, without the scale.
 
     Raises:
         ValueError: fewer than three points, all on one line, or not finite.
-
-    Source: Umeyama, IEEE TPAMI 13(4), 1991, eqs. 38-43, without the scale.
     """
     if points_a.shape != points_b.shape or points_a.ndim != 2 or len(points_a) < 3:
         raise ValueError(f"needs three points or more, twice; got {len(points_a)}")

@@ -32,12 +32,7 @@ class ArrivalClock:
 
 
 def clock_from_arrival_times(t: Array, t_host: Array) -> ArrivalClock:
-    """The offset that arrival times suggest.
-
-    Args:
-        t: (m,), s, the readings' own time.
-        t_host: (m,), s, when each arrived, on the cameras' clock.
-    """
+    """The offset that arrival times suggest: readings' own times t and arrivals t_host, (m,), s."""
     delay = t_host - t
     quickest = float(delay.min())
     spread = MIN_SPREAD_SHARE * (float(np.median(delay)) - quickest)

@@ -43,11 +43,7 @@ def coarse_costs(
 ) -> Array:
     """Cost of the offsets that give enough pairs a reading, (m, 2): offset s, cost.
 
-    Args:
-        track: measured poses.
-        arm: the robot.
-        readings: its joint readings.
-        guess: s, about which to search where there are more than MAX_OFFSETS to try.
+    About `guess`, s, where there are more than MAX_OFFSETS to try.
     """
     offsets = _offsets_to_try(track, readings, guess)
     if not are_visits(track.t) and not are_visits(readings.t):

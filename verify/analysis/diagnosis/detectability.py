@@ -29,16 +29,12 @@ DETECTABILITY_COLUMNS = [
 def detectable(products: FaultProducts) -> pd.DataFrame:
     """One row a fault that was tried: its smallest size that is listed, and that is named.
 
-    Args:
-        products: of a diagnosis.
-
-    Returns:
-        `joint` (none of a common fault), `kind`, `parameter` (of a link; the axis of a
-        displacement), `per_turn` (waves of an eccentricity), `unit`; `detectable` and `separable`,
-        in that unit, nan where no size would do; `rival_joint`, `rival_kind`: from which it is
-        told last. A step's are those of one in the middle of the session, an eccentricity's those
-        of its least favourable phase, a displacement's those of one along or about one axis alone,
-        from the beginning.
+    Columns: `joint` (none of a common fault), `kind`, `parameter` (of a link; the axis of a
+    displacement), `per_turn` (waves of an eccentricity), `unit`; `detectable` and `separable`, in
+    that unit, nan where no size would do; `rival_joint`, `rival_kind`: from which it is told last.
+    A step's are those of one in the middle of the session, an eccentricity's those of its least
+    favourable phase, a displacement's those of one along or about one axis alone, from the
+    beginning.
     """
     ways = _fault_directions(products)
     listed, named, rival = _sizes(products, ways)

@@ -43,12 +43,7 @@ TOL_MISFIT = 0.01  # of the misfit
 
 
 def thin_model(model: JointErrorModel, chosen: NDArray[np.int64]) -> JointErrorModel:
-    """The model of some pairs alone.
-
-    Args:
-        model: n pairs.
-        chosen: their places, increasing.
-    """
+    """The model of some pairs alone, `chosen` by their places, increasing."""
     rows = np.isin(model.white.pair, chosen)
     factors = tuple(model.white.factors[i] for i in chosen)
     pair = np.repeat(np.arange(len(factors)), [len(f) for f in factors])
@@ -90,11 +85,7 @@ class Diagnosis:
     products: FaultProducts
 
     def straddling(self, t: Array) -> NDArray[np.int64]:
-        """Pairs that lie out beside the instant of a change: readings of before and after meet.
-
-        Args:
-            t: (n,), s, of all pairs.
-        """
+        """Pairs of t (n,), s, that lie out beside a change: readings of before and after meet."""
         begins = [c.fault.begin for c in self.causes if c.fault.begin is not None]
         beside = {k + i for k in np.searchsorted(t, begins).tolist() for i in (-1, 0)}
         return np.array([i for i in self.outlying.tolist() if i in beside], dtype=np.int64)
@@ -108,14 +99,9 @@ def find_causes(
 ) -> Diagnosis:
     """Find the set of causes that the data ask for, and say where they cannot tell which.
 
-    Args:
-        model: the session's linear model; everything stated counts through its prior.
-        resolved: its smooth fit, from which pairs that lie outside are first told.
-        arm: gives the link parameters that are tried.
-        rig: says where the cameras stand, for the skew of their instants.
-
-    Returns:
-        Causes, pairs that lie outside, and the products that `detectable` takes.
+    Everything stated counts through the model's prior; from `resolved`, the smooth fit, pairs that
+    lie outside are first told. The arm gives the link parameters that are tried; the rig says where
+    the cameras stand, for the skew of their instants.
     """
     residual = model.xi - predict_errors(model, resolved)
     chosen = np.arange(len(model.comparison))

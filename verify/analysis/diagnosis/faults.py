@@ -93,17 +93,11 @@ class Fault:
 def fault_figures(
     fault: Fault, values: Array, covariance: Array
 ) -> tuple[float, float, dict[str, float]]:
-    """A fault's size, its standard uncertainty, and what else there is to say of it.
+    """A fault's size, its standard uncertainty, and what else there is to say of it, all SI.
 
-    Args:
-        fault: with p coefficients.
-        values: (p,), SI.
-        covariance: (p, p).
-
-    Returns:
-        Value and standard uncertainty, SI: of several coefficients the length (of a displacement
-        its shift alone; nan of what no single figure tells); and, rad: the phase of an
-        eccentricity, the turn of a displacement.
+    From the p coefficients' values (p,) and covariance (p, p). Of several coefficients the size is
+    the length (of a displacement its shift alone; nan of what no single figure tells); the rest,
+    rad: the phase of an eccentricity, the turn of a displacement.
     """
     if not fault.unit:
         return float("nan"), float("nan"), {}

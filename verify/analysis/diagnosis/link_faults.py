@@ -14,11 +14,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.diagnosis.faults import (
-    Fault,
-    common_faults,
-    joint_faults,
-)
+from verify.analysis.diagnosis.faults import Fault, common_faults, joint_faults
 from verify.analysis.model import JointErrorModel, base_motion, body_motion
 from verify.core.records import Array
 from verify.core.rig import Rig
@@ -127,10 +123,8 @@ def fault_dictionary(
 ) -> list[Fault]:
     """Every fault that this session's motion can show at all.
 
-    Args:
-        model: the session.
-        arm: gives the links; without one none are tried, and single ones need a DH table.
-        rig: says where the cameras stand; without it their skew is not tried.
+    Without an arm no links are tried, and single ones need a DH table; without a rig, which says
+    where the cameras stand, their skew is not tried.
     """
     faults = [f for j in range(model.joints.shape[1]) for f in joint_faults(model, j)]
     faults += common_faults(model, rig)

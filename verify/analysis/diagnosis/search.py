@@ -47,13 +47,7 @@ class FaultProducts:
     def of(
         cls, model: JointErrorModel, faults: list[Fault], kept: NDArray[np.bool_]
     ) -> "FaultProducts":
-        """Project out what was fitted and stated.
-
-        Args:
-            model: the session.
-            faults: what is tried.
-            kept: (r,), rows to take.
-        """
+        """Project out what was fitted and stated; `kept` (r,) are the rows to take."""
         target = np.concatenate([*(f.columns for f in faults), model.xi[:, None]], axis=1)[kept]
         whole = np.linalg.norm(target[:, :-1], axis=0)
         scale = np.where(whole > 0, whole, 1.0)

@@ -39,12 +39,7 @@ def instants(model: JointErrorModel) -> NDArray[np.int64]:
 
 
 def beginning_faults(model: JointErrorModel, faults: Iterable[Fault]) -> list[Fault]:
-    """Faults that may begin in the session, as if they began before it.
-
-    Args:
-        model: the session.
-        faults: the dictionary of those that were there before.
-    """
+    """Those of the dictionary that may begin in the session, as if they began before it."""
     joints = np.flatnonzero(np.linalg.norm(model.joints, axis=0)).tolist()
     shape = np.ones((len(model.comparison), 1))
     steps = [Fault("step", j + 1, "deg", model.joints[:, [j]], shape=shape) for j in joints]
@@ -75,26 +70,17 @@ def stated_steps(model: JointErrorModel, moving: list[Fault]) -> list[Fault]:
 
 @dataclass(frozen=True)
 class StepScan:
-    """Finds the likeliest instants of faults that may begin in a session of n pairs.
-
-    Attributes:
-        model: the session, r rows.
-        kept: (r,), rows to take.
-    """
+    """The likeliest instants of faults that may begin in a session; `kept` (r,): rows to take."""
 
     model: JointErrorModel
     kept: NDArray[np.bool_]
 
     def likeliest(self, moving: list[Fault], found: list[Fault]) -> list[Fault]:
-        """The likeliest instants of each fault beside those of a set.
+        """The likeliest instants of each of `moving` (`beginning_faults`) beside those of a set.
 
-        Once beside the set without the fault itself; once without anything else of its joint but
-        an offset (of a common one: but the same from the beginning), as what is taken for a drift
-        may be a step.
-
-        Args:
-            moving: `beginning_faults`.
-            found: the set.
+        Once beside the set without the fault itself; once without anything else of its joint but an
+        offset (of a common one: but the same from the beginning), as what is taken for a drift may
+        be a step.
         """
         chosen: list[Fault] = []
         at = instants(self.model)

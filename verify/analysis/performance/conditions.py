@@ -26,13 +26,8 @@ def condition_deviations(
 ) -> list[dict[str, Any]]:
     """List what is other than the standard's conditions, or not known.
 
-    Args:
-        found: the indices.
-        temperature_c: of the session, where it is stated.
-        through_encoders: base or LEDs were registered through the robot's own encoders.
-
-    Returns:
-        One entry a deviation: its `kind`, and figures that belong to it.
+    One entry a deviation: its `kind`, and figures that belong to it. `through_encoders`: base or
+    LEDs were registered through the robot's own encoders.
     """
     listed: list[dict[str, Any]] = []
     if found.poses:
@@ -95,16 +90,11 @@ def _uncertain_poses(poses: tuple[PoseIndices, ...]) -> list[dict[str, Any]]:
 def session_performance(
     session: Session, model: JointErrorModel, offset: float
 ) -> tuple[dict[str, Any], dict[str, pd.DataFrame]]:
-    """Find and judge what a session repeats.
+    """Find and judge the poses and paths that a session names or, where it names none, repeats.
 
-    Args:
-        session: names poses and paths, or leaves them to be recognised.
-        model: what was compared in it.
-        offset: s, added to the readings' time to get the cameras' clock.
-
-    Returns:
-        `performance` (null where nothing is repeated) and `performance_reason` (why, else null) of
-        summary.json; and the tables.
+    `offset`, s, is added to the readings' time to get the cameras' clock. Gives `performance` (null
+    where nothing is repeated) and `performance_reason` (why, else null) of summary.json; and the
+    tables.
     """
     file = session.folder / "session.toml"
     poses, paths = (

@@ -41,16 +41,11 @@ def at_rest(comparison: Comparison) -> NDArray[np.bool_]:
 
 
 def find_holds(comparison: Comparison, readings: Readings, offset: float) -> list[Rows]:
-    """Gather pairs that were taken in one stand.
+    """Gather pairs that were taken in one stand: rows of each hold, in time's order.
 
-    Args:
-        comparison: the session's pairs.
-        readings: what tells whether the arm left in between.
-        offset: s, added to the readings' time to get the cameras' clock.
-
-    Returns:
-        Rows of each hold, in time's order. One pair is a hold where its neighbours are far off in
-        time (single visits); else a hold lasts 0.2 s or more.
+    The readings tell whether the arm left in between; `offset`, s, is added to their time to get
+    the cameras' clock. One pair is a hold where its neighbours are far off in time (single visits);
+    else a hold lasts 0.2 s or more.
     """
     found: list[list[int]] = []
     for row in np.flatnonzero(at_rest(comparison)).tolist():
@@ -105,11 +100,9 @@ def number_visits(comparison: Comparison, holds: Sequence[Rows]) -> list[Visit]:
 def named_visits(
     comparison: Comparison, named: Sequence[TimeInterval]
 ) -> tuple[list[Visit], tuple[str, ...], list[TimeInterval]]:
-    """Take the stands that session.toml names.
+    """Take the stands that session.toml names: visits in time's order, the poses' names by number.
 
-    Returns:
-        The visits in time's order, the names of the poses by their number, and stretches in which
-        no pair was measured while the arm stood.
+    Also gives the stretches in which no pair was measured while the arm stood.
     """
     still = at_rest(comparison)
     names = tuple(dict.fromkeys(one.name for one in named))
@@ -145,13 +138,10 @@ class HoldNoise:
 def static_noise(
     holds: Sequence[Rows], positions: Array, turns: Array, stated: tuple[Array, Array]
 ) -> HoldNoise:
-    """Pool the scatter within the holds.
+    """Pool the scatter within the holds, of positions (n, 3), m, and turns (n, 3), rad.
 
-    Args:
-        holds: rows of each.
-        positions: (n, 3), m, measured less read.
-        turns: (n, 3), rad, likewise.
-        stated: (3, 3) each, what the poses state, where too few holds have several pairs.
+    Both are measured less read; `stated`, (3, 3) each: by the poses, where too few holds have
+    several pairs.
     """
     freedom = sum(len(rows) - 1 for rows in holds)
     if freedom < MIN_DOF:

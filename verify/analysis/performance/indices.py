@@ -39,11 +39,7 @@ def barycentre_distances(attained: Array) -> Array:
 def repeatability(attained: Array) -> Array:
     """RP (m): mean distance from the barycentre and three standard deviations of the distances.
 
-    Args:
-        attained: (..., n, 3), n of two or more.
-
-    Returns:
-        One radius (...) a set of n.
+    One radius (...) a set of n of two or more, `attained` (..., n, 3).
     """
     length = barycentre_distances(attained)
     radius: Array = length.mean(axis=-1) + REPEATABILITY_SIGMAS * length.std(axis=-1, ddof=1)
@@ -82,10 +78,8 @@ def barycentre_spread(barycentres: Array) -> tuple[float, tuple[int, int]]:
 def path_accuracy(attained: Array, commanded: Array) -> tuple[float, int]:
     """AT (m): largest distance of a station's barycentre from the commanded path, and where.
 
-    Args:
-        attained: (m, n, 3), where each of n passages crosses the plane normal to the commanded
-            path at each of m stations.
-        commanded: (m, 3).
+    `attained` (m, n, 3): where each of n passages crosses the plane normal to the commanded path
+    (m, 3) at each of m stations.
     """
     off = np.linalg.norm(attained.mean(axis=1) - commanded, axis=1)
     worst = int(np.argmax(off))
@@ -100,15 +94,10 @@ def path_repeatability(attained: Array) -> tuple[float, int]:
 
 
 def drift(attained: Array, commanded: Array, starts: NDArray[np.int64]) -> Array:
-    """Largest change of AP and of RP from the first block of visits to any other: dAP and dRP, m.
+    """Largest change of AP and of RP from the first block of visits to any other: (..., 2), m.
 
-    Args:
-        attained: (..., n, 3), in time's order.
-        commanded: (3,).
-        starts: (b,), the first visit of each block of two or more visits.
-
-    Returns:
-        (..., 2), m.
+    dAP and dRP, of `attained` (..., n, 3), in time's order, `commanded` (3,); `starts` (b,): the
+    first visit of each block of two or more visits.
     """
     blocks = np.split(attained, starts[1:], axis=-2)
     found = np.array(
@@ -165,16 +154,11 @@ def repeatability_interval(attained: Array) -> Interval:
 def length_interval(mean: Array, random: Array, freedom: int, systematic: Array) -> Interval:
     """Length (m or rad) of a mean vector (3,) with its interval.
 
-    Lengths are those of the vectors whose distance from the mean, in standard deviations along the
-    line between them, is within Student's limit (profile likelihood). A length is never negative
-    and noise makes it longer: where noise alone gives such a length in 2.5 % of cases or more, the
-    interval reaches down to 0.
-
-    Args:
-        mean: (3,).
-        random: (3, 3), covariance of the mean, estimated with `freedom` degrees of freedom.
-        freedom: degrees of freedom.
-        systematic: (3, 3), covariance of what does not average out, stated.
+    `random` (3, 3): covariance of the mean, estimated with `freedom` degrees of freedom;
+    `systematic` (3, 3): of what does not average out, stated. Lengths are those of the vectors
+    whose distance from the mean, in standard deviations along the line between them, is within
+    Student's limit (profile likelihood). A length is never negative and noise makes it longer:
+    where noise alone gives such a length in 2.5 % of cases or more, the interval reaches down to 0.
     """
     value = float(np.linalg.norm(mean))
     total = random + systematic

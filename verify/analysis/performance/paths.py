@@ -69,11 +69,7 @@ class PathIndices:
 
 
 def crossings(passages: Sequence[PathRun]) -> Crossings | None:
-    """Find where passages cross the planes normal to their mean path.
-
-    Returns:
-        None where the path is shorter than 20 mm.
-    """
+    """Where passages cross the planes normal to their mean path; None of one shorter than 20 mm."""
     ways = [_path_length(p.read) for p in passages]
     if min(way[-1] for way in ways) < MIN_LENGTH:
         return None
@@ -141,14 +137,10 @@ def _orientation_deviations(passages: Sequence[PathRun], t: Array) -> Array:
 def assess_path(
     name: str, found: Crossings, floor: float, systematic: Array, *, oriented: bool
 ) -> PathIndices:
-    """Judge the crossings of a path.
+    """Judge the crossings of a path by five passages or more.
 
-    Args:
-        name: of the path.
-        found: five passages or more.
-        floor: m, repeatability that the instrument's noise alone would show.
-        systematic: (m, 3, p), m, what does not average out at each station.
-        oriented: whether the orientation was measured.
+    `floor`, m: repeatability that the instrument's noise alone would show; `systematic` (m, 3, p),
+    m: what does not average out at each station; `oriented`: the orientation was measured.
     """
     off = found.attained - found.commanded[:, None]
     # as of AP: what arm and readings do alike is no doubt of the mean

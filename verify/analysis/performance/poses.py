@@ -103,12 +103,9 @@ class PoseIndices:
 
 
 def assess_pose(stands: PoseVisits, noise: HoldNoise, *, oriented: bool) -> PoseIndices:
-    """Judge the visits of one pose.
+    """Judge five visits or more of one pose.
 
-    Args:
-        stands: five visits or more.
-        noise: of one pair at rest.
-        oriented: whether the orientation was measured.
+    `noise` is that of one pair at rest; `oriented`: the orientation was measured.
     """
     commanded = np.eye(4)
     commanded[:3, 3] = stands.read[:, :3, 3].mean(axis=0)
@@ -147,11 +144,9 @@ def assess_pose(stands: PoseVisits, noise: HoldNoise, *, oriented: bool) -> Pose
 
 
 def mean_deviation(deviations: Array, systematic: Array) -> PoseAccuracy:
-    """How far the mean of deviations (n, 3), m, lies off.
+    """How far the mean of deviations (n, 3), m, attained less read, visit by visit, lies off.
 
-    Args:
-        deviations: attained less read, visit by visit.
-        systematic: (3, p), m, what does not average out.
+    `systematic` (3, p), m: what does not average out.
     """
     n = len(deviations)
     mean = deviations.mean(axis=0)
@@ -233,8 +228,7 @@ class DistanceIndices:
 def assess_distance(one: PoseVisits, other: PoseVisits) -> DistanceIndices | None:
     """Judge the distance of two poses, a visit of one with the next of the other.
 
-    Returns:
-        None where fewer than five visits of one are followed by one of the other.
+    None where fewer than five visits of one are followed by one of the other.
     """
     after = np.searchsorted(other.t, one.t)
     inside = after < len(other.t)

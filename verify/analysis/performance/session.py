@@ -89,17 +89,10 @@ def performance(
 ) -> Performance | str:
     """Find repeated poses and paths in a session and judge them.
 
-    Args:
-        model: the session.
-        arm: the robot.
-        readings: its joint readings.
-        offset: s, added to the readings' time to get the cameras' clock.
-        named_poses: visits of poses; where any are named, others do not count.
-        named_paths: passages of paths; where any are named, others do not count.
-        point: (3,), m, in the flange frame, where positions alone were measured, of this point.
-
-    Returns:
-        The indices, or why there are none: `no_holds`, `no_repeats`, `poses_not_determined`.
+    `offset`, s, is added to the readings' time to get the cameras' clock. Where visits of poses are
+    named, others do not count, and so with passages of paths. `point` (3,), m, flange frame: where
+    positions alone were measured, of this point. Gives the indices, or why there are none:
+    `no_holds`, `no_repeats`, `poses_not_determined`.
     """
     comparison = model.comparison
     measured = _at_point(model, arm, readings, offset, point)

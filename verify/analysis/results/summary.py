@@ -123,8 +123,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "outlying_pairs": [int(f) for f in judged.frame[judged.diagnosis.outlying]],
         "budget": {
             **budget_entry(
-                judged.sources,
-                unstated_sources(judged.compared.systematics, judged.compared.clock),
+                judged.sources, unstated_sources(judged.compared.systematics, judged.compared.clock)
             ),
             "monte_carlo": monte_carlo_entry(judged.drawn, judged.frame),
         },

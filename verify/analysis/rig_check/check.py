@@ -78,17 +78,11 @@ class RigConsistency:
 def consistency(
     measurements: Sequence[Measurement], rig: Rig, marker: Marker, parameters: Systematics
 ) -> RigConsistency | None:
-    """Fit the figures over measured pairs.
+    """Fit the figures over measured pairs; `parameters` as `stated_systematics` collects them.
 
-    Args:
-        measurements: pairs with a pose. Of a pair that no pose explains (status `outlier`: in a
-            bumped rig that may be all of them) every spot counts, else those that the fit kept.
-        rig: the cameras as calibrated; where the robot stands is not used.
-        marker: the body's shape.
-        parameters: what is stated of both, from `systematics.stated`.
-
-    Returns:
-        The figures, or None where no pair shows them: a single LED, or no LED in both images.
+    Of a pair that no pose explains (status `outlier`: in a bumped rig that may be all of them)
+    every spot counts, else those that the fit kept. Where the robot stands is not used. None where
+    no pair shows the figures: a single LED, or no LED in both images.
     """
     posed = [m for m in measurements if m.pose is not None]
     spread = np.linspace(0, len(posed) - 1, min(len(posed), MAX_PAIRS)).astype(int)
@@ -130,11 +124,8 @@ def consistency(
 def moved_warning(found: RigConsistency, uncounted: Sequence[str]) -> str | None:
     """Say that the rig has moved since it was calibrated; None where nothing shows it.
 
-    Of healthy sessions one in a thousand is accused.
-
-    Args:
-        found: what the session shows.
-        uncounted: sources that state no uncertainty, from `Systematics.uncounted`.
+    Of healthy sessions one in a thousand is accused. `uncounted` as `Systematics.uncounted`:
+    sources that state no uncertainty.
     """
     z = np.abs(np.nan_to_num(found.z))
     if not np.any(z > FALSE_ALARM_Z):
@@ -208,9 +199,8 @@ def _responses(
 ) -> tuple[Array, list[str]]:
     """How each pair moves the figures with each parameter stated and each of CHANGES.
 
-    Returns:
-        (n, 3, p + 2), d figure / d value in the file, the last two of them the pan readings; and
-        the names of the first p.
+    (n, 3, p + 2), d figure / d value in the file, the last two of them the pan readings; and the
+    names of the first p.
     """
     more = {n for weights, _ in CHANGES.values() for n in weights if n not in known.names}
     names = [*known.names, *sorted(more)]

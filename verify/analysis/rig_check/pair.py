@@ -38,9 +38,7 @@ class PairEquations:
 def rows_of(pairs: Sequence[Measurement], marker: Marker) -> list[PairEquations]:
     """Fit the figures to what the poses left over of pairs, one by one; those without a body drop.
 
-    Args:
-        pairs: measured, or refused for what their poses left over.
-        marker: the body's shape.
+    The pairs are measured, or refused for what their poses left over.
     """
     groups: dict[tuple[int, bytes], list[tuple[int, PosedPair]]] = {}
     for number, seen in enumerate(pairs):

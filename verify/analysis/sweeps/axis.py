@@ -105,13 +105,8 @@ class EncoderTerms:
 def fit_axis(swept: SweepData, terms: Array) -> AxisFit:
     """Fit axis, start pose and the encoder's error together.
 
-    Args:
-        swept: the pairs.
-        terms: (n, k), what a unit of each term adds to the reading.
-
-    Returns:
-        The fit; its covariance holds what is stated of the poses, and pairs that repeat each
-        other's errors count for fewer.
+    `terms` (n, k): what a unit of each adds to the reading. The fit's covariance holds what is
+    stated of the poses, and pairs that repeat each other's errors count for fewer.
     """
     first = fit_circles(swept, terms)
     inflation = autocorrelation(first.residual)
@@ -121,13 +116,10 @@ def fit_axis(swept: SweepData, terms: Array) -> AxisFit:
 def fit_circles(
     swept: SweepData, terms: Array, start: AxisState | None = None, inflation: Array | None = None
 ) -> CircleFit:
-    """Fit axis, start pose and terms by weighted least squares.
+    """Fit axis, start pose and terms by weighted least squares, from `start` or in closed form.
 
-    Args:
-        swept: the pairs.
-        terms: (n, k), what a unit of each term adds to the reading.
-        start: where to begin; in closed form where not given.
-        inflation: (6,), by which the variance of each whitened direction grows; 1 where not given.
+    `terms` (n, k): what a unit of each adds to the reading; `inflation` (6,), 1 where not given: by
+    which the variance of each whitened direction grows.
     """
     factor = np.ones(6) if inflation is None else np.sqrt(inflation)
 

@@ -60,14 +60,9 @@ def comparison_segments(
 ) -> list[tuple[SweepSegment, Array]]:
     """Find where one joint turns by MIN_SPAN or more while the others stay within their noise.
 
-    Args:
-        comparison: readings at the compared pairs; those whose pose is not wholly known, or whose
-            joint has not moved yet, are left out.
-        resolution: rad, the readings' last digit; None: not known.
-
-    Returns:
-        Segments in order of time, none of which overlaps another of its joint, each with its
-        directions of travel (n,), +1 or -1.
+    Pairs whose pose is not wholly known, or whose joint has not moved yet, are left out.
+    `resolution`, rad, is the readings' last digit; None: not known. Segments in order of time, none
+    of which overlaps another of its joint, each with its directions of travel (n,), +1 or -1.
     """
     whole = np.flatnonzero([known.shape[1] == 6 for known in comparison.determined])
     band = rest_bands(comparison, resolution)
@@ -87,14 +82,9 @@ def find_sweeps(
 ) -> tuple[list[SweepSegment], list[str]]:
     """Find where one joint moves alone, however little, and name joints that move together.
 
-    Args:
-        readings: the encoders.
-        t: (n,), s, the pairs' instants on the readings' clock.
-        frame: (n,), the pairs' numbers, for the notes.
-
-    Returns:
-        The segments in order of time, from the joint's first motion to its last, and what was left
-        out and why, in sentences.
+    t (n,), s: the pairs' instants on the readings' clock; `frame` (n,): their numbers, for the
+    notes. Gives the segments in order of time, from the joint's first motion to its last, and what
+    was left out and why, in sentences.
     """
     known = np.flatnonzero(readings.available(t))
     q = readings.at(t)[known]

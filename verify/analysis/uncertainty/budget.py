@@ -71,18 +71,11 @@ class _BudgetLine:
 
 
 def budget(
-    model: JointErrorModel,
-    compared: SessionComparison,
-    means: MeanErrors,
-    resolved: ResolvedErrors,
+    model: JointErrorModel, compared: SessionComparison, means: MeanErrors, resolved: ResolvedErrors
 ) -> Budget:
-    """Take the mean errors' uncertainties apart.
+    """Take apart the uncertainties of the means that `resolved`, the fit, gave.
 
-    Args:
-        model: the session's linear model.
-        compared: the session, before pairs that repeat each other were counted for fewer.
-        means: what the sources add up to.
-        resolved: the fit that means come from.
+    `compared` is the session before pairs that repeat each other were counted for fewer.
     """
     by_pair = _by_pair(model, mean_sensitivities(model, resolved))
     varying = random_sources(model, compared)

@@ -108,13 +108,10 @@ def _predict_spots(
 
 
 def camera_draws(camera: Camera, side: str, values: Values, pan: Array) -> CameraDraws:
-    """One camera moved by what was drawn.
+    """One camera moved by what was drawn; parameters that are missing stay.
 
-    Args:
-        camera: as calibrated.
-        side: left or right, the head of its parameters' names.
-        values: drawn departures; parameters that are missing stay.
-        pan: (d,), rad, the reading with its drawn error.
+    `side` left or right heads its parameters' names; `pan` (d,), rad: the reading with its drawn
+    error.
     """
     zero = np.zeros(len(pan))
 
@@ -159,17 +156,9 @@ def led_draws(marker: Marker, values: Values, draws: int) -> Array:
 
 
 def refit_pose(start: Array, points: Array, seen: Array, views: ViewDraws, weight: Array) -> Array:
-    """The pose that spots ask for, in every draw.
+    """The pose that spots ask for, in every draw: rig_T_flange (d, 4, 4), from `start` (4, 4).
 
-    Args:
-        start: (4, 4), rig_T_flange.
-        points: (d, s, 3), m, LEDs on the flange.
-        seen: (d, s, 2), px.
-        views: the cameras.
-        weight: (2 s, 2 s), 1/px².
-
-    Returns:
-        rig_T_flange, (d, 4, 4).
+    `points` (d, s, 3), m: LEDs on the flange; `seen` (d, s, 2), px; `weight` (2 s, 2 s), 1/px².
     """
     poses = np.tile(start, (len(points), 1, 1))
     fit_poses(

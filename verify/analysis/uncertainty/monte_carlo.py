@@ -62,15 +62,9 @@ def monte_carlo(
 ) -> MonteCarlo | None:
     """Draw the session's inputs and compare what comes out with linear propagation.
 
-    Args:
-        compared: the session, before pairs that repeat each other were counted for fewer.
-        measurements: the measured pairs, one a row of the track.
-        pairs: how many to spread over the session.
-        draws: how many worlds.
-        seed: of the draws.
-
-    Returns:
-        The comparison; None for an arm of other than six joints, or without a wholly known pose.
+    `compared` is the session before pairs that repeat each other were counted for fewer, with one
+    of the measurements a row of its track; `pairs` of them are spread over the session, each in so
+    many drawn worlds. None for an arm of other than six joints, or without a wholly known pose.
     """
     session, track = compared.session, compared.track
     comparison, joints = compared.comparison, compared.joints

@@ -8,12 +8,7 @@ import numpy as np
 import robots
 from verify.analysis.comparison import Comparison, alignment_scale, twist_transport
 from verify.analysis.diagnosis.link_faults import rotation_twist, translation_twist
-from verify.analysis.model import (
-    JointErrorModel,
-    SessionComparison,
-    clock_effect,
-    pan_columns,
-)
+from verify.analysis.model import JointErrorModel, SessionComparison, clock_effect, pan_columns
 from verify.core.records import Array
 
 PIXELS, INSTRUMENT, SKEW = "pixels", "instrument", "camera skew"
@@ -49,9 +44,8 @@ class SystematicSources:
 def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[RandomSource]:
     """Take apart what varies from pair to pair; the parts add up to the model's covariance.
 
-    Args:
-        model: the session's linear model, pairs that repeat each other's errors counted for fewer.
-        compared: the session before that, its Jacobian taken at the readings.
+    In the model pairs that repeat each other's errors count for fewer; `compared` is the session
+    before that, its Jacobian taken at the readings.
     """
     session, track, plain = compared.session, compared.track, compared.comparison
     moved = plain.base_T_measured[:, :3, 3] - track.base_T_flange[plain.index, :3, 3]
@@ -95,10 +89,8 @@ def pan_reading_covariance(comparison: Comparison, compared: SessionComparison) 
 def systematic_sources(comparison: Comparison, compared: SessionComparison) -> SystematicSources:
     """List everything stated or estimated once for the session, parameter by parameter.
 
-    Args:
-        comparison: of the model.
-        compared: the session; its rig tells which parameters share the calibration's degrees of
-            freedom.
+    The comparison is the model's; the session's rig tells which parameters share the calibration's
+    degrees of freedom.
     """
     rig, clock, systematics = compared.session.rig, compared.clock, compared.systematics
     count = len(systematics.names)

@@ -62,10 +62,8 @@ ENCODERS_ROTATION = 0.2  # rad, of the same; marker symmetries lie above 1 rad
 def search_assignments(views: SpotViews, rig_R_flange: Array, *, single: bool) -> Hypotheses:
     """Find the assignments with the most LEDs: from three in both images, else two, else one.
 
-    Args:
-        views: the two images.
-        rig_R_flange: (3, 3), what fills the turns that one or two LEDs leave open.
-        single: try one LED of several; of use only where a prediction places it.
+    `rig_R_flange` (3, 3) fills the turns that one or two LEDs leave open. `single`: try one LED of
+    several; of use only where a prediction places it.
     """
     points = find_points(views)
     graph = build_graph(views, points)

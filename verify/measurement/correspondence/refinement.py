@@ -10,11 +10,7 @@ from numpy.typing import NDArray
 
 from verify.core.records import Array
 from verify.core.statistics import chi2_isf
-from verify.measurement.correspondence.hypotheses import (
-    POSE_SLICE,
-    Hypotheses,
-    start_hypotheses,
-)
+from verify.measurement.correspondence.hypotheses import POSE_SLICE, Hypotheses, start_hypotheses
 from verify.measurement.correspondence.kernels import spots as kernel
 from verify.measurement.correspondence.kernels.fit import fit_all, predict_all
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
@@ -44,14 +40,10 @@ def refine(views: SpotViews, hypotheses: Hypotheses) -> Hypotheses:
 def follow_prediction(
     views: SpotViews, found: Hypotheses, rig_T_flange: Array, position: float, rotation: float
 ) -> Hypotheses:
-    """Take the spots nearest to a predicted pose, alone and from what the search found.
+    """Take the spots nearest to a predicted pose (4, 4), alone and from what the search found.
 
-    Args:
-        views: the two images.
-        found: what the search found there; LEDs that one camera alone sees are looked for anew.
-        rig_T_flange: (4, 4), the prediction.
-        position: m, its standard uncertainty.
-        rotation: rad, its standard uncertainty.
+    LEDs that one camera alone sees are looked for anew. `position`, m, and `rotation`, rad: the
+    pose's standard uncertainty.
     """
     place = np.repeat([position, rotation], 3)
     none = np.full((1, 2, len(views.leds)), -1, dtype=np.int64)
@@ -112,9 +104,7 @@ def unique(hypotheses: Hypotheses) -> Hypotheses:
 def select_likely(spot: Index, chi2: Array) -> Index:
     """Number the hypotheses that see an LED in both images and fit within their noise.
 
-    Args:
-        spot: (h, 2, n).
-        chi2: (h,).
+    `spot` (h, 2, n); `chi2` (h,).
     """
     used, leds, both = kernel.count_all(spot)
     freedom = np.maximum(2 * used - DOF_BY_LEDS[np.minimum(leds, 3)], 1)

@@ -51,12 +51,8 @@ def prepare_views(
 ) -> SpotViews:
     """Bring spots, cameras and marker into the form that the search works on.
 
-    Args:
-        spots: left and right, brightest first; those past the first 48 are left out.
-        rig: the calibrated cameras.
-        pans: rad, readings of the left and the right base.
-        marker: the LEDs.
-        skew: px, how far LEDs may have moved in the image between the two exposures.
+    Spots come brightest first; those past the first 48 are left out. `pans`, rad, are readings of
+    the bases; `skew`, px: how far LEDs may have moved in the image between the two exposures.
     """
     most = min(max(map(len, spots)), MAX_SPOTS)
     pixels, covariance = np.empty((2, most, 2)), np.empty((2, most, 2, 2))

@@ -53,10 +53,9 @@ def find_candidates(
 ) -> Candidates:
     """List compact bright blobs of an image, inside the windows only if there are any.
 
-    Args:
-        image: (h, w) grey or (h, w, 3) BGR, searched by its brightest channel.
-        windows: (m, 4), x0, y0, x1, y1, inside the image, upper bounds exclusive; None is all.
-        diameter_px: least and largest full width; None is anything an LED may be.
+    (h, w) grey or (h, w, 3) BGR is searched by its brightest channel. `windows` (m, 4): x0, y0, x1,
+    y1, inside the image, upper bounds exclusive; None is all. `diameter_px`: least and largest full
+    width; None is anything an LED may be.
     """
     smallest, largest = diameter_px or DEFAULT_DIAMETER
     if windows is None:
@@ -80,10 +79,8 @@ def find_candidates(
 def select_highest(found: Array, tolerance: NDArray[np.intp], across: tuple[float, float]) -> Array:
     """List the blobs of a width, highest contrast first, at most MAX_CANDIDATES; (m, 4) as found.
 
-    Args:
-        found: (n, 4), as `compact_blobs` fills it.
-        tolerance: (n,), px, error of a blob's width.
-        across: px, least and largest width.
+    `found` (n, 4), as `compact_blobs` fills it; `tolerance` (n,), px, error of a blob's width;
+    `across`, px, least and largest width.
     """
     width = 2.0 * found[:, 2]
     chosen = found[(width + tolerance >= across[0]) & (width - tolerance <= across[1])]

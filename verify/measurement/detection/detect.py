@@ -63,12 +63,10 @@ def detect(
 ) -> Spots:
     """Find the LED-like spots of an image and measure their centres.
 
-    Args:
-        image: (h, w) grey or (h, w, 3) BGR, uint8.
-        windows: (m, 4), x0, y0, x1, y1, px: search there only; None searches the whole image.
-        noise: of a pixel of one channel; None estimates it on this image.
-        diameter_px: plausible least and largest full width at half height; None where unknown.
-        limit: how many spots to return at most, the most LED-like ones.
+    `image`: (h, w) grey or (h, w, 3) BGR, uint8. `windows` (m, 4), x0, y0, x1, y1, px: search there
+    only. `noise` is of a pixel of one channel; None estimates it on this image. `diameter_px`:
+    plausible least and largest full width at half height. At most `limit` spots are returned, the
+    most LED-like ones.
 
     Returns:
         Spots by falling peak. Those whose shape no single LED has are flagged `merged` and their

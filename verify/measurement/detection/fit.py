@@ -125,20 +125,12 @@ def expected_priors(patches: Patches) -> Priors:
 
 
 def solve_patches(
-    patches: Patches,
-    start: Array,
-    priors: Priors,
-    steps: int = 0,
-    settled: float = 0.0,
+    patches: Patches, start: Array, priors: Priors, steps: int = 0, settled: float = 0.0
 ) -> SpotFit:
-    """Fit every patch by Gauss-Newton.
+    """Fit every patch by Gauss-Newton, from `start` (n, 10), held by the priors.
 
-    Args:
-        patches: n of them.
-        start: (n, 10), parameters to begin with.
-        priors: how firmly they are held.
-        steps: at most; 0 evaluates the pixels at the start.
-        settled: of chi² that a step may still gain.
+    `steps`: at most; 0 evaluates the pixels at the start. `settled`: of chi² that a step may still
+    gain.
     """
     n, _, size = patches.pixels.shape
     fit = SpotFit(

@@ -29,15 +29,11 @@ TEXTURE_SHARE = 0.1  # relative: what unseen texture may add to the dark varianc
 
 
 def background_noise(image: Image) -> tuple[Noise, float]:
-    """Noise of the quietest part of an image, with a usual shot-noise gain.
+    """Noise of the quietest part of an image, with the relative uncertainty of its dark variance.
 
-    Texture only ever adds to differences, so the quietest class of brightness is believed.
-
-    Args:
-        image: (h, w) grey or (h, w, 3) BGR; of a colour image the green channel stands for all.
-
-    Returns:
-        The noise, and the relative standard uncertainty of its dark variance.
+    The image is (h, w) grey or (h, w, 3) BGR, where the green channel stands for all. The
+    shot-noise gain is a usual one. Texture only ever adds to differences, so the quietest class of
+    brightness is believed.
     """
     grey = image if image.ndim == 2 else image[..., 1]
     rows = np.ascontiguousarray(grey[:: max(len(grey) // N_SAMPLE_ROWS, 1)])
@@ -59,16 +55,11 @@ def refine_noise(
 ) -> Noise:
     """Noise that also explains the residuals of clean spots: bright pixels show the gain.
 
-    Args:
-        noise: of the background.
-        dark_spread: relative standard uncertainty of its dark variance.
-        residual2: (k,), DN², squared residuals of the profile fits at unclipped pixels of spots
-            and around them, enlarged by what the fits' own parameters took.
-        signal: (k,), fitted DN above black.
-        spot: (k,), which spot each pixel belongs to, from 0 without gaps.
-
-    Returns:
-        Variance line by weighted regression of residual² on signal; misfitting spots left out.
+    `noise` is that of the background, `dark_spread` the relative standard uncertainty of its dark
+    variance. `residual2` (k,), DN²: squared residuals of the profile fits at unclipped pixels of
+    spots and around them, enlarged by what the fits' own parameters took; `signal` (k,), fitted DN
+    above black; `spot` (k,), which spot each pixel belongs to, from 0 without gaps. Variance line
+    by weighted regression of residual² on signal; misfitting spots left out.
     """
     if not len(spot):
         return noise

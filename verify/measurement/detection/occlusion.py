@@ -46,11 +46,9 @@ class RimScore:
 def score_rims(fits: Sequence[SpotFit], numbers: NDArray[np.int64], assessed: Array) -> RimScore:
     """Compute the rim scores of n spots from residuals; 0 for spots without one LED's shape.
 
-    Args:
-        fits: of spots, numbered on from fit to fit.
-        numbers: (n,), of the spots to score.
-        assessed: (n, 14), columns as in kernels/quality.py. Where the reduced chi² is above 1,
-            unmodelled errors make the pixels worth less.
+    `fits` are of spots numbered on from fit to fit, `numbers` (n,) those to score; columns of
+    `assessed` (n, 14) as in kernels/quality.py. Where the reduced chi² is above 1, unmodelled
+    errors make the pixels worth less.
     """
     shape = len(numbers), N_DIRECTIONS
     score, begin = (np.zeros(shape), np.zeros(shape), np.zeros((*shape, 2))), 0
@@ -66,9 +64,8 @@ def score_rims(fits: Sequence[SpotFit], numbers: NDArray[np.int64], assessed: Ar
 def unoccluded_centres(score: RimScore) -> tuple[Array, Array]:
     """Average over all bites that an image's spots may have.
 
-    Returns:
-        What to add to the centres for those of the whole discs, (n, 2) px, and to their
-        covariances, (n, 2, 2) px².
+    Gives what to add to the centres for those of the whole discs, (n, 2) px, and to their
+    covariances, (n, 2, 2) px².
     """
     evidence, depth, depth2 = kernel.depth_posterior(score.gradient, score.information)
     probability = kernel.occlusion_probability(evidence)

@@ -26,19 +26,14 @@ SpotView = tuple[Index, Array, Array, Array]
 def carry_to_instant(
     now: SpotView, around: tuple[SpotView, SpotView, SpotView], t: float
 ) -> tuple[int, Array, Array, Array, Array]:
-    """Carry m spots to an instant, by what neighbouring pictures show of their LEDs.
+    """Carry m spots to an instant t, s, by what neighbouring pictures show of their LEDs.
 
-    LEDs that no neighbour shows move like the others, with their spread as uncertainty.
+    LEDs that no neighbour shows move like the others, with their spread as uncertainty. `around`:
+    the spots of the pictures before, after, and before the one before, which counts only beside
+    both others; empty where there is none.
 
-    Args:
-        now: the spots.
-        around: those of the pictures before, after, and before the one before, which counts only
-            beside both others; empty where there is none.
-        t: s, to where.
-
-    Returns:
-        How many LEDs a neighbour shows too, without which nothing else is of use; centre (m, 2);
-        covariance (m, 2, 2); velocity (m, 2), px/s; levers (m, 3), s², s³, s⁴.
+    Gives how many LEDs a neighbour shows too, without which nothing else is of use; centre (m, 2);
+    covariance (m, 2, 2); velocity (m, 2), px/s; levers (m, 3), s², s³, s⁴.
     """
     led, centre, covariance, taken = now
     m, count = len(led), 0
@@ -145,12 +140,9 @@ def led_boxes(
 ) -> Array:
     """Boxes about the LEDs in the image, (n, 4), px: x0, y0, x1, y1; those that overlap become one.
 
-    Args:
-        camera_T_flange: (4, 4).
-        leds: (n, 3), m, flange frame.
-        camera: its matrix (3, 3), px, and k1, k2, p1, p2, k3.
-        half: half a box: px; and at the LED's depth, m, m, and rad that the whole has turned.
-        size: px, width and height of the image.
+    `camera_T_flange` (4, 4); `leds` (n, 3), m, flange frame; `camera`: its matrix (3, 3), px, and
+    k1, k2, p1, p2, k3; `half`: half a box: px; and at the LED's depth, m, m, and rad that the whole
+    has turned; `size`, px, width and height of the image.
     """
     boxes, (matrix, lens) = np.empty((len(leds), 4)), camera
     width, height = float(size[0]), float(size[1])

@@ -55,17 +55,11 @@ def predict_spots(
 ) -> None:
     """Fill in s spots' images and how they change with the point and with the pose.
 
-    Args:
-        rig_T_flange: (4, 4).
-        points: (s, 3), m, LEDs in the flange frame.
-        camera_R_rig: (s, 3, 3), of each spot's camera.
-        origin: (s, 3), m, of the rig in the camera.
-        lens: (5, s), k1, k2, p1, p2, k3.
-        focal: (s, 2, 2), px, of the camera's matrix.
-        middle: (s, 2), px, principal points.
-        pixels: (s, 2), filled.
-        by_point: (s, 2, 3), px/m, filled: by the point in the rig.
-        by_pose: (s, 2, 6), filled: by a translation and a rotation vector in rig axes.
+    `rig_T_flange` (4, 4); `points` (s, 3), m, LEDs in the flange frame; of each spot's camera
+    `camera_R_rig` (s, 3, 3), `origin` (s, 3), m, of the rig in the camera, `lens` (5, s), k1, k2,
+    p1, p2, k3, `focal` (s, 2, 2), px, and `middle` (s, 2), px, principal points. Filled: `pixels`
+    (s, 2); `by_point` (s, 2, 3), px/m, by the point in the rig; `by_pose` (s, 2, 6), by a
+    translation and a rotation vector in rig axes.
     """
     for s in range(len(points)):
         px, py, pz = points[s, 0], points[s, 1], points[s, 2]
@@ -103,10 +97,7 @@ def predict_spots(
 
 @compiled
 def move_pose(pose: Array, step: Array) -> None:
-    """Move a pose (4, 4) in place by a translation and a rotation vector, `step` (6,).
-
-    Source: Rodrigues' formula.
-    """
+    """Move a pose (4, 4) in place by translation and rotation vector (6,): Rodrigues' formula."""
     x, y, z = step[3], step[4], step[5]
     angle = math.sqrt(x * x + y * y + z * z)
     half = 0.5 * angle
@@ -124,15 +115,11 @@ def move_pose(pose: Array, step: Array) -> None:
 
 @compiled
 def image_acceleration(places: SpotPlaces, pose: Array, twist: Array) -> Array:
-    """Image acceleration of spots (s, 2), px/s², under a steady twist of the pose.
+    """Image acceleration of spots (s, 2), px/s², at a pose under a steady twist (6,), m/s, rad/s.
 
-    LEDs that turn about the flange, and points that come nearer, do not cross the image at a
-    steady rate even then. It points one way, so it would not average out.
-
-    Args:
-        places: of the spots, as `predict_spots` takes them.
-        pose: (4, 4).
-        twist: (6,), m/s and rad/s.
+    LEDs that turn about the flange, and points that come nearer, do not cross the image at a steady
+    rate even then. It points one way, so it would not average out. `places` as `predict_spots`
+    takes them.
     """
     count = len(places[0])
     pixels, second = np.empty((count, 2)), np.zeros((count, 2))
@@ -151,15 +138,10 @@ def image_acceleration(places: SpotPlaces, pose: Array, twist: Array) -> Array:
 def covariance_of(information: Array, inverse: Array, vectors: Array, known: Flags) -> None:
     """Fill in the covariance in the directions that an information matrix (6, 6) determines.
 
-    The information matrix of one or two LEDs (or of LEDs on one line) is singular; its null
-    vectors are the motions that no picture shows.
-
-    Args:
-        information: (6, 6), 1/m² and 1/rad².
-        inverse: (6, 6), filled.
-        vectors: (6, 6), filled: columns, directions in units of SCALE; only where one of
-            them is not known.
-        known: (6,), filled.
+    The information matrix, 1/m² and 1/rad², of one or two LEDs (or of LEDs on one line) is
+    singular; its null vectors are the motions that no picture shows. Filled: `inverse` (6, 6);
+    `vectors` (6, 6), columns, directions in units of SCALE, only where one of them is not known;
+    `known` (6,).
     """
     scaled, root, trace = np.empty((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE)), 0.0
     for i in range(N_FREE):
@@ -187,21 +169,13 @@ def covariance_of(information: Array, inverse: Array, vectors: Array, known: Fla
 
 @compiled
 def twist_from_velocities(
-    design: Array,
-    velocity: Array,
-    rows: NDArray[np.int64],
-    twist: Array,
+    design: Array, velocity: Array, rows: NDArray[np.int64], twist: Array
 ) -> tuple[float, float]:
-    """Fill in how the flange moves, from the spots' velocities.
+    """Fill in how the flange moves, `twist` (6,), m/s and rad/s, from the spots' velocities.
 
-    Args:
-        design: (2 s, 6), derivative of the spots by the pose.
-        velocity: (2 s,), px/s.
-        rows: (2 k,), those of the kept spots.
-        twist: (6,), m/s and rad/s, filled.
-
-    Returns:
-        The acceleration that this suggests, a component, m/s² and rad/s².
+    `design` (2 s, 6), derivative of the spots by the pose; `velocity` (2 s,), px/s; `rows` (2 k,),
+    those of the kept spots. Gives the acceleration that this suggests, a component, m/s² and
+    rad/s².
     """
     linear, angular = MIN_ACCELERATION
     twist[:] = 0.0
@@ -237,13 +211,10 @@ def spot_covariance(
 ) -> None:
     """Fill in the covariance of the spots (2 s, 2 s), px², by its sources, and its inverse.
 
-    Args:
-        design: (2 s, 6), derivative of the spots by the pose.
-        spots: covariance (s, 2, 2) px², velocity, and levers (s, 3) of acceleration, jerk, snap.
-        rows: (2 k,), those of the kept spots.
-        prior: acceleration, m/s² and rad/s² a component.
-        spread: from the pixels, from motion that is not known, and the inverse of their sum: that
-            of the kept spots, 0 for the others.
+    `design` (2 s, 6), derivative of the spots by the pose; `spots`: covariance (s, 2, 2) px²,
+    velocity, and levers (s, 3) of acceleration, jerk, snap; `rows` (2 k,), those of the kept spots;
+    `prior`: acceleration, m/s² and rad/s² a component. `spread`: from the pixels, from motion that
+    is not known, and the inverse of their sum: that of the kept spots, 0 for the others.
     """
     covariance, _, lever = spots
     noise, acceleration, weight = spread
@@ -304,15 +275,11 @@ def fit_spots(
     Array,
     tuple[float, float],
 ]:
-    """Fit a pose to s spots by Gauss-Newton.
+    """Fit a pose (4, 4), rig_T_flange, to s spots by Gauss-Newton; it is changed.
 
-    Args:
-        places: what `predict_spots` needs after the pose.
-        centre: (s, 2), px, as measured.
-        spots: covariance (s, 2, 2) px², velocity (s, 2) px/s and the levers (s, 3) of acceleration,
-            jerk and snap, s², s³, s⁴.
-        rows: (2 k,), those of the spots that count.
-        pose: (4, 4), rig_T_flange, changed.
+    `places`: what `predict_spots` needs after the pose; `centre` (s, 2), px, as measured; `spots`:
+    covariance (s, 2, 2) px², velocity (s, 2) px/s and the levers (s, 3) of acceleration, jerk and
+    snap, s², s³, s⁴; `rows` (2 k,), those of the spots that count.
 
     Returns:
         Residual (s, 2) px, and the derivatives of the spots by the point (s, 2, 3) and by the pose
@@ -365,12 +332,8 @@ def worst_spot(
 ) -> tuple[int, float]:
     """Find the kept spot that fits worst, and its residual in its own uncertainty, squared.
 
-    Args:
-        predicted: those of `fit_spots`.
-        spread: those of `fit_spots`.
-        gain: (6, 2 s).
-        rows: (2 k,), those of the kept spots.
-        tolerance: (2 s, 2 s), px²: what spots may be off beside their noise.
+    `predicted`, `spread` and `gain` (6, 2 s) are those of `fit_spots`; `rows` (2 k,), those of the
+    kept spots; `tolerance` (2 s, 2 s), px²: what spots may be off beside their noise.
     """
     residual, _, by_pose = predicted
     noise, acceleration, _ = spread

@@ -18,20 +18,12 @@ Index = NDArray[np.int64]
 
 @compiled
 def place_leds(
-    leds: Array,
-    led: Index,
-    rig_T_flange: Array,
-    placed: tuple[Array, Array],
-    left: int,
+    leds: Array, led: Index, rig_T_flange: Array, placed: tuple[Array, Array], left: int
 ) -> tuple[Array, Array, Array]:
     """Place spots' LEDs, (s, 3) each, m: LED from flange, rig axes; in the rig; in the camera.
 
-    Args:
-        leds: (n, 3), m, flange frame.
-        led: (s,), of each spot.
-        rig_T_flange: (4, 4).
-        placed: camera_T_rig (4, 4) of the left camera and of the right one.
-        left: how many spots, the first ones, are the left camera's.
+    `leds` (n, 3), m, flange frame; `led` (s,), of each spot; `placed`: camera_T_rig (4, 4) of the
+    left camera, whose spots are the first `left` ones, and of the right one.
     """
     offset, points = np.empty((len(led), 3)), np.empty((len(led), 3))
     inside = np.empty((len(led), 3))
@@ -56,13 +48,10 @@ def by_camera(
 ) -> Array:
     """Derivative of one camera's spots by its parameters, (k, s, 2), px a SI unit.
 
-    Args:
-        kinds: (k, 2), what each parameter is, and which one of its kind.
-        twists: (k, 6), how it moves the camera: translation at the rig's origin (m) and turn.
-        camera: its matrix (3, 3), px, and k1, k2, p1, p2, k3.
-        inside: (s, 3), m, points in the camera.
-        points: (s, 3), m, the same in the rig.
-        by_point: (s, 2, 3), d px / d point in the rig.
+    `kinds` (k, 2): what each parameter is, and which one of its kind; `twists` (k, 6), how it moves
+    the camera: translation at the rig's origin (m) and turn; `camera`: its matrix (3, 3), px, and
+    k1, k2, p1, p2, k3; `inside` and `points` (s, 3), m, points in the camera and the same in the
+    rig; `by_point` (s, 2, 3), d px / d point in the rig.
     """
     matrix, lens = camera
     moved, lenses, ideal = np.zeros((len(kinds), len(points), 2)), np.empty((5, 2)), np.empty(2)
@@ -102,22 +91,13 @@ def by_camera(
 
 @compiled
 def fill_by_body(
-    kinds: Index,
-    led: Index,
-    rig_R_flange: Array,
-    offset: Array,
-    by_point: Array,
-    moved: Array,
+    kinds: Index, led: Index, rig_R_flange: Array, offset: Array, by_point: Array, moved: Array
 ) -> None:
     """Fill in how LEDs, and the body that holds them, move the spots.
 
-    Args:
-        kinds: (k, 4), the parameter's column, what it is, its LED, its axis of the flange.
-        led: (s,), of each spot.
-        rig_R_flange: (3, 3).
-        offset: (s, 3), m, LED from flange, rig axes.
-        by_point: (s, 2, 3), d px / d point in the rig.
-        moved: (p, s, 2), px a SI unit, its columns filled.
+    `kinds` (k, 4): the parameter's column, what it is, its LED, its axis of the flange; `led` (s,),
+    of each spot; `rig_R_flange` (3, 3); `offset` (s, 3), m, LED from flange, rig axes; `by_point`
+    (s, 2, 3), d px / d point in the rig; `moved` (p, s, 2), px a SI unit, its columns filled.
     """
     for column, kind, which, axis in kinds:
         x, y, z = rig_R_flange[0, axis], rig_R_flange[1, axis], rig_R_flange[2, axis]

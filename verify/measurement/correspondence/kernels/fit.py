@@ -58,21 +58,12 @@ def predict_image(
     pixel: Array,
     derivative: Array,
 ) -> float:
-    """Predict one LED's image in one camera, without the shift.
+    """Predict one LED's image in one camera, without the shift; gives the depth, m.
 
-    Args:
-        led: (3,), m, flange frame.
-        rotation: (3, 3), rig_R_flange.
-        position: (3,), m.
-        camera_R_rig: (3, 3).
-        center: (3,), m, rig frame.
-        focal: (2,), px.
-        nearest: m, depth below which nothing is imaged.
-        pixel: (2,), filled.
-        derivative: (2, 8), its first six columns filled: by position and rotation vector.
-
-    Returns:
-        The depth, m.
+    `led` (3,), m, flange frame; `rotation` (3, 3), rig_R_flange, and `position` (3,), m;
+    `camera_R_rig` (3, 3); `center` (3,), m, rig frame; `focal` (2,), px; `nearest`, m: depth below
+    which nothing is imaged. Filled: `pixel` (2,), and of `derivative` (2, 8) the first six columns,
+    by position and rotation vector.
     """
     arm, local = np.empty(3), np.empty(3)
     for i in range(3):
@@ -118,14 +109,11 @@ def fit_all(
 ) -> None:
     """Fit h hypotheses in place by Gauss-Newton, their spots held.
 
-    Args:
-        cameras: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px.
-        spots: (2, s, 2) px and their covariance (2, s, 2, 2) px².
-        limits: nearest depth (m), an LED's play times the focal length (m px), and the inverse
-            variance of the shift.
-        leds: (n, 3), m, flange frame.
-        hypotheses: all but `spot` and `hold` are changed; chi² includes the shift's share.
-        steps: of Gauss-Newton; 0 computes covariance and chi² alone.
+    `cameras`: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px. `spots`: (2, s, 2)
+    px and their covariance (2, s, 2, 2) px². `limits`: nearest depth (m), an LED's play times the
+    focal length (m px), and the inverse variance of the shift. `leds` (n, 3), m, flange frame. Of
+    `hypotheses` all but `spot` and `hold` are changed; chi² includes the shift's share. 0 `steps`
+    compute covariance and chi² alone.
     """
     camera_R_rig, center, focal = cameras
     pixels, noise = spots

@@ -28,14 +28,9 @@ MIN_MARKER_PX = 8.0  # px, a marker that looks smaller than this cannot be read
 def insert_cost(cost: float, costs: Array, rows: Index, count: np.int64) -> np.int64 | int:
     """Open a place among the least costs, in rising order, equal ones as they came.
 
-    Args:
-        cost: of what is to be placed.
-        costs: (m,), the first `count` of them taken; the greatest is lost where all are.
-        rows: (m, k), what costs so much.
-        count: how many are taken.
-
-    Returns:
-        The place; its row is for the caller to fill. -1 where m others cost no more.
+    Of `costs` (m,) and `rows` (m, k), what costs so much, the first `count` are taken; the greatest
+    is lost where all are. Gives the place; its row is for the caller to fill. -1 where m others
+    cost no more.
     """
     place = count
     if count == len(costs):
@@ -55,10 +50,8 @@ def insert_cost(cost: float, costs: Array, rows: Index, count: np.int64) -> np.i
 def ray_midpoint(center: Array, a: Array, b: Array, point: Array) -> float:
     """Fill in the point (3,) midway between rays a and b (3,) from two centres (2, 3).
 
-    Returns:
-        The gap between the rays, m; NaN where they are parallel or meet behind a camera.
-
-    Source: verify.measurement.triangulation.ray_midpoints.
+    Gives the gap between the rays, m; NaN where they are parallel or meet behind a camera. Source:
+    verify.measurement.triangulation.ray_midpoints.
     """
     nx, ny, nz = a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
     square = nx * nx + ny * ny + nz * nz
@@ -90,19 +83,13 @@ def pair_spots(
     skew: float,
     limit: int,
 ) -> tuple[Index, Array]:
-    """List pairs of spots on each other's epipolar line (c, 2), best first, and their points.
+    """List pairs of spots on each other's epipolar line (c, 2), left and right, best first.
 
-    Args:
-        cameras: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px.
-        spots: (2, s, 2) px, NaN where there is none, and their covariance (2, s, 2, 2) px².
-        allowed: (2, n, s), this spot may be that LED.
-        leds: (n, 3), m, flange frame.
-        mean_focal: px.
-        skew: px, by how much the marker may have moved between the images.
-        limit: how many pairs are listed, by mismatch over its noise.
-
-    Returns:
-        Left and right spot of each pair, and the points of all spots, (s, s, 3), m, left by right.
+    `cameras`: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px. `spots`: (2, s, 2)
+    px, NaN where there is none, and their covariance (2, s, 2, 2) px². `allowed` (2, n, s): this
+    spot may be that LED. `leds` (n, 3), m, flange frame. `mean_focal`, px; `skew`, px, by how much
+    the marker may have moved between the images. At most `limit` pairs are listed, by mismatch over
+    its noise. Gives the points of all spots too, (s, s, 3), m, left by right.
     """
     camera_R_rig, center, focal = cameras
     pixels, covariance = spots
@@ -162,18 +149,12 @@ def invert_symmetric(m: Array, inverse: Array) -> None:
 
 @compiled
 def locate_points(
-    cameras: tuple[Array, Array, Array],
-    spread: Array,
-    where: Array,
-    spot: Index,
+    cameras: tuple[Array, Array, Array], spread: Array, where: Array, spot: Index
 ) -> tuple[Array, Array]:
     """Place the points of c pairs of spots (c, 3), m, with their covariance (c, 3, 3), m².
 
-    Args:
-        cameras: those of `pair_spots`.
-        spread: (2, s, 2, 2), px², covariance of the spots.
-        where: (s, s, 3), m, those of `pair_spots`.
-        spot: (c, 2), left and right spot.
+    `cameras` and `where` (s, s, 3), m, are those of `pair_spots`; `spread` (2, s, 2, 2), px²,
+    covariance of the spots; `spot` (c, 2), left and right.
     """
     camera_R_rig, center, focal = cameras
     rig, covariance = np.empty((len(spot), 3)), np.empty((len(spot), 3, 3))

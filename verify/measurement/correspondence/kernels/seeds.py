@@ -31,22 +31,13 @@ def variance_along(covariance: Array, x: float, y: float, z: float) -> float:
 
 @compiled
 def join_nodes(
-    points: tuple[Index, Array, Array],
-    point: Index,
-    led: Index,
-    leds: Array,
-    play: float,
+    points: tuple[Index, Array, Array], point: Index, led: Index, leds: Array, play: float
 ) -> Array:
     """Measure how far every two nodes (m, m) are from the marker's distance, in deviations.
 
-    Infinitely far are nodes that share a spot or an LED.
-
-    Args:
-        points: spots (c, 2), places (c, 3) m, covariance (c, 3, 3) m².
-        point: (m,), of each node.
-        led: (m,), of each node.
-        leds: (n, 3), m, flange frame.
-        play: m, how far an LED's light may be from where the marker has it.
+    Infinitely far are nodes that share a spot or an LED. `points`: spots (c, 2), places (c, 3) m,
+    covariance (c, 3, 3) m²; `point` and `led` (m,), of each node; `leds` (n, 3), m, flange frame;
+    `play`, m: how far an LED's light may be from where the marker has it.
     """
     spot, rig, covariance = points
     count, deviation = len(spot), np.empty((len(led), len(led)))
@@ -83,12 +74,9 @@ def join_nodes(
 def list_triangles(deviation: Array, edges: Index, led: Index, leds: Array, most: int) -> Index:
     """List triples of nodes (t, 3) every two of which agree, best first; no slender triangles.
 
-    Args:
-        deviation: (m, m), of `join_nodes`.
-        edges: (e, 2), best first.
-        led: (m,), of each node.
-        leds: (n, 3), m, flange frame.
-        most: how many are listed, by the sum of squares of the three deviations.
+    `deviation` (m, m), of `join_nodes`; `edges` (e, 2), best first; `led` (m,), of each node;
+    `leds` (n, 3), m, flange frame. At most `most` are listed, by the sum of squares of the three
+    deviations.
     """
     count, costs, triples = np.int64(0), np.empty(most), np.empty((most, 3), np.int64)
     side, other, across = np.empty(3), np.empty(3), np.empty(3)
@@ -134,12 +122,9 @@ def begin_poses(
 ) -> tuple[Array, Index]:
     """Begin a pose at each set of nodes: the position (h, 3), m, and spots (h, 2, n), -1 for none.
 
-    Args:
-        points: spots (c, 2) and places (c, 3) m.
-        graph: point and LED of each node, (m,) both.
-        nodes: (h, 1), (h, 2) or (h, 3).
-        leds: (n, 3), m, flange frame.
-        rotation: (h, 3, 3), filled where there are three nodes.
+    `points`: spots (c, 2) and places (c, 3) m; `graph`: point and LED of each node, (m,) both;
+    `nodes` (h, 1), (h, 2) or (h, 3); `leds` (n, 3), m, flange frame; `rotation` (h, 3, 3), filled
+    where there are three nodes.
     """
     spots, rig = points
     point, led = graph

@@ -49,14 +49,11 @@ def gather_all(
 ) -> Index:
     """Give the spot (h, 2, n) that each LED gets in each image, -1 for none.
 
-    Args:
-        spots: (2, s, 2) px, their covariance (2, s, 2, 2) px², and which are merged (2, s).
-        allowed: (2, n, s), this spot may be that LED.
-        limits: nearest depth (m), an LED's play times the focal length (m px), the gate in
-            standard deviations, the largest uncertainty (px) of an LED worth looking for, and
-            what a merged spot costs.
-        predicted: LED images (h, 2, n, 2) px, their derivative (h, 2, n, 2, 8), depths (h, 2, n) m.
-        covariance: (h, 8, 8), of pose and shift.
+    `spots`: (2, s, 2) px, their covariance (2, s, 2, 2) px², and which are merged (2, s). `allowed`
+    (2, n, s): this spot may be that LED. `limits`: nearest depth (m), an LED's play times the focal
+    length (m px), the gate in standard deviations, the largest uncertainty (px) of an LED worth
+    looking for, and what a merged spot costs. `predicted`: LED images (h, 2, n, 2) px, their
+    derivative (h, 2, n, 2, 8), depths (h, 2, n) m. `covariance` (h, 8, 8), of pose and shift.
     """
     pixels, noise, merged = spots
     nearest, play, gate, largest, merged_cost = limits
@@ -117,12 +114,9 @@ def departures_of_all(
 ) -> Array:
     """Measure how far the LEDs of each hypothesis (h,) are from where a reference pose has them.
 
-    Args:
-        leds: (n, 3), m, flange frame.
-        spot: (h, 2, n), -1 for none.
-        poses: rotations (h, 3, 3) and positions (h, 3) m of the hypotheses.
-        rig_T_flange: (4, 4), the reference.
-        scales: position (m), rotation (rad), and how well a coarse pose places an LED (m).
+    `leds` (n, 3), m, flange frame; `spot` (h, 2, n), -1 for none; `poses`: rotations (h, 3, 3) and
+    positions (h, 3) m of the hypotheses; `rig_T_flange` (4, 4), the reference; `scales`: position
+    (m), rotation (rad), and how well a coarse pose places an LED (m).
     """
     rotation, position = poses
     along, about, coarse = scales

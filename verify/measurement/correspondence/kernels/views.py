@@ -58,18 +58,15 @@ def prepare_image(
 ) -> None:
     """Fill in one image's spots, the first s of them, or fewer where there are no more.
 
-    Args:
-        spots: centres (m, 2) px, covariance (m, 2, 2) px², merged (m,), saturated (m,) and
-            colour (m, 3).
-        camera: matrix (3, 3), px, and lens (5,).
-        model: px², variance beside the noise, and that of a merged spot in addition.
-        light: (n,), of each LED: BLUE to ANY.
-        pixels: (s, 2), filled, ideal px; NaN where there is no spot.
-        covariance: (s, 2, 2), px², filled.
-        merged: (s,), filled.
-        allowed: (n, s), filled: this spot may be that LED. Only clear contradictions count. A
-            spot with no clear hue may be white, infrared (cameras show it whitish or violet) or,
-            where saturated, any overexposed LED; in a grey image every spot may be any LED.
+    `spots`: centres (m, 2) px, covariance (m, 2, 2) px², merged (m,), saturated (m,) and colour
+    (m, 3). `camera`: matrix (3, 3), px, and lens (5,). `model`: px², variance beside the noise, and
+    that of a merged spot in addition. `light` (n,), of each LED: BLUE to ANY. Filled: `pixels`
+    (s, 2), ideal px, NaN where there is no spot; `covariance` (s, 2, 2), px²; `merged` (s,);
+    `allowed` (n, s): this spot may be that LED.
+
+    Only clear contradictions count. A spot with no clear hue may be white, infrared (cameras show
+    it whitish or violet) or, where saturated, any overexposed LED; in a grey image every spot may
+    be any LED.
     """
     centre, noise, dragged, saturated, colour = spots
     matrix, lens = camera

@@ -20,12 +20,9 @@ Labels = NDArray[np.int32]
 
 @compiled
 def top_hat(image: Image, reach: int, contrast: Image) -> None:
-    """Fill in an image less its opening by a square of 2 reach + 1 px; borders hold nothing.
+    """Fill in `contrast`, an image (h, w) less its opening by a square of 2 reach + 1 px.
 
-    Args:
-        image: (h, w).
-        reach: px.
-        contrast: (h, w), filled.
+    Borders hold nothing.
     """
     height, width = image.shape
     low, turned = np.empty((height, width), np.uint8), np.empty((width, height), np.uint8)
@@ -108,13 +105,9 @@ def find_blobs(
 ) -> Array:
     """List compact bright blobs in windows of a grey picture, (m, 4), as `compact_blobs` does.
 
-    Args:
-        image: (h, w).
-        windows: (n, 4), x0, y0, x1, y1, upper bounds exclusive.
-        reach: px: what has brightness at that distance all around is background.
-        levels: as for `compact_blobs`.
-        shape: as for `compact_blobs`.
-        most: how many are listed at most.
+    `windows` (n, 4): x0, y0, x1, y1, upper bounds exclusive. `reach`, px: what has brightness at
+    that distance all around is background. `levels` and `shape` as for `compact_blobs`. At most
+    `most` are listed.
     """
     found, count = np.empty((most, 4)), 0
     for window in windows:
@@ -136,17 +129,12 @@ def find_blobs(
 def compact_blobs(
     contrast: Image, levels: tuple[int, ...], shape: tuple[float, float, float], found: Array
 ) -> int:
-    """List compact blobs by their contrast; a bright one's own foot is no further one.
+    """List compact blobs by their contrast, and count them; a bright one's foot is no further one.
 
-    Args:
-        contrast: (h, w), DN above the surroundings.
-        levels: DN, falling.
-        shape: longest side of a blob's box, px; longest axis ratio; least area over its ellipse's.
-        found: (m, 4), filled from the first row with as many as it holds: column and row of the
-            centre, px; half width, px; height, DN.
-
-    Returns:
-        How many.
+    `contrast` (h, w), DN above the surroundings; `levels`, DN, falling; `shape`: longest side of a
+    blob's box, px; longest axis ratio; least area over its ellipse's. `found` (m, 4) is filled from
+    the first row with as many as it holds: column and row of the centre, px; half width, px;
+    height, DN.
     """
     label = np.zeros(contrast.shape, np.int32)
     stack = np.empty((contrast.size, 2), np.int32)

@@ -102,11 +102,7 @@ def normal_equations(
 
 @compiled
 def limit_step(step: NDArray[np.floating], p: Array) -> bool:
-    """Shorten a step that leaves the region in which the linearisation means anything.
-
-    Returns:
-        Whether it did.
-    """
+    """Shorten a step where the linearisation no longer means anything; tells whether it did."""
     least = min(p[PAR_XX], p[PAR_YY])
     ratio = max(abs(step[PAR_X]), abs(step[PAR_Y])) / 1.5  # px
     ratio = max(ratio, abs(step[PAR_PEAK]) / (0.7 * p[PAR_PEAK]))
@@ -170,19 +166,15 @@ def fit_patches(
 ) -> None:
     """Fit n patches by Gauss-Newton with Levenberg's damping, each until it settles.
 
-    Args:
-        p: (n, 10), start; afterwards the best.
-        pixels: (n, 4, p), as for `weigh_pixels`.
-        scale: (n,), px.
-        shares: (n,) and (n,), by which patches' read variance and gain are those of one channel.
-        noise: read variance, gain and black of one channel.
-        table: of the profiles.
-        prior: (n, 10) and (n, 10), mean and inverse variance.
-        limits: steps at most, 0 weighs the pixels at p; of chi² that a step may still gain: it is
-            taken, and the pixels are not weighed again.
-        state: filled: `model` and `rows` as by `weigh_pixels`, where the last step but such a one
-            ended, the means alone where that one does; information (n, 10, 10), gradient (n, 10)
-            and chi² (n,).
+    p (n, 10): start; afterwards the best. `pixels` (n, 4, p), as for `weigh_pixels`; `scale` (n,),
+    px. `shares` (n,) and (n,): by which patches' read variance and gain are those of one channel.
+    `noise`: read variance, gain and black of one channel. `table`: of the profiles. `prior` (n, 10)
+    and (n, 10): mean and inverse variance. `limits`: steps at most, 0 weighs the pixels at p; of
+    chi² that a step may still gain: it is taken, and the pixels are not weighed again.
+
+    `state`, filled: `model` and `rows` as by `weigh_pixels`, where the last step but such a one
+    ended, the means alone where that one does; information (n, 10, 10), gradient (n, 10) and chi²
+    (n,).
     """
     tried_information = np.empty((N_PARAMETERS, N_PARAMETERS))
     root, tried_gradient = np.empty_like(tried_information), np.empty(N_PARAMETERS)
@@ -260,15 +252,10 @@ def priors_from_pixels(
 ) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
     """Say what is expected of each spot's parameters, and where its fit may start.
 
-    Args:
-        pixels: (n, 4, p): value, 1 where valid, column, row.
-        scale: (n,), px, half-width that the fit starts from.
-        read: DN, standard deviation of a dark pixel.
-        usual: (10,) and (10,), mean and inverse variance of any spot's parameters.
-
-    Returns:
-        Mean and inverse variance of these ones', start, (n, 10) each; whether pixels on the spot
-        are at the sensor's limit, (n,).
+    `pixels` (n, 4, p): value, 1 where valid, column, row; `scale` (n,), px, half-width that the fit
+    starts from; `read`, DN, standard deviation of a dark pixel; `usual` (10,) and (10,), mean and
+    inverse variance of any spot's parameters. Gives mean and inverse variance of these ones',
+    start, (n, 10) each; whether pixels on the spot are at the sensor's limit, (n,).
     """
     shape = len(pixels), N_PARAMETERS
     mean, weight, start = np.empty(shape), np.empty(shape), np.empty(shape)
@@ -317,13 +304,7 @@ def value_at_rank(value: Array, rank: int) -> float:
 
 @compiled
 def floor_priors(
-    value: Array,
-    valid: Array,
-    column: Array,
-    row: Array,
-    scale: float,
-    floor: float,
-    weight: Array,
+    value: Array, valid: Array, column: Array, row: Array, scale: float, floor: float, weight: Array
 ) -> float:
     """Hold the slopes (10,) as firmly as the pixels about the spot have none; give its top, DN."""
     core, ring = (0.5 * scale + 0.5) ** 2, (2.3 * scale + 1.0) ** 2
@@ -365,14 +346,8 @@ def start_values(
 ) -> None:
     """Guess a spot's place from its pixels over 1/4 of its height, its steepness from how many.
 
-    Args:
-        value: (p,), DN.
-        column: (p,), px.
-        row: (p,), px.
-        scale: px, half-width that the fit starts from.
-        floor: DN.
-        top: DN.
-        start: (10,), changed where the pixels show it.
+    `value` (p,), `floor` and `top`, DN; `column` and `row` (p,), px; `scale`, px, half-width that
+    the fit starts from; `start` (10,), changed where the pixels show it.
     """
     height, wide, narrow = top - floor, 0.0, 0.0
     light, right, down = 0.0, 0.0, 0.0

@@ -50,8 +50,7 @@ MAX_MISFIT_RATIO = 1.7  # times the best misfit: more is a shape that the profil
 def stencils(rows: Image) -> tuple[Array, Array]:
     """Local cubic's value and size of the fourth difference (k,), DN, wherever nothing is clipped.
 
-    Args:
-        rows: (r, w), DN.
+    `rows` (r, w), DN.
     """
     count, places = 0, rows.shape[1] - 4
     level, difference = np.empty(rows.size), np.empty(rows.size)
@@ -82,10 +81,8 @@ def stencils(rows: Image) -> tuple[Array, Array]:
 def counts_quantile(counts: NDArray[np.int64], number: int, share: float) -> tuple[int, int, float]:
     """Where a quantile of counted whole numbers lies: two of them, and how far in between.
 
-    Args:
-        counts: how often each number occurs, from 0 on.
-        number: how many were counted, one at least.
-        share: 0.5 is the median; interpolated as numpy does.
+    `counts`: how often each occurs, from 0 on; `number` (one at least): in all. A `share` of 0.5 is
+    the median; interpolated as numpy does.
     """
     place = share * (number - 1)
     low = int(place)
@@ -114,20 +111,12 @@ def level_quantile(level: Array, share: float) -> float:
 
 
 @compiled
-def quietest_class(
-    level: Array,
-    difference: Array,
-    black: float,
-) -> tuple[float, float, float]:
+def quietest_class(level: Array, difference: Array, black: float) -> tuple[float, float, float]:
     """Find the class of brightness whose dark variance is least, its uncertainty included.
 
-    Args:
-        level: (k,), DN, as `stencils` gives them.
-        difference: (k,), DN: whole numbers.
-        black: DN.
-
-    Returns:
-        The least (inf where no class has members enough), its relative spread, its dark variance.
+    `level` (k,), DN, and `difference` (k,), DN, whole numbers, as `stencils` gives them; `black`,
+    DN. Gives the least (inf where no class has members enough), its relative spread, its dark
+    variance.
     """
     number = math.ceil((256.0 + CLASS_WIDTH - MIN_ABOVE_BLACK) / CLASS_WIDTH)
     best, spread, at = np.inf, 0.0, 0.0
@@ -160,21 +149,14 @@ def quietest_class(
 
 @compiled
 def gather_residuals(
-    pixels: Array,
-    model: Array,
-    shares: tuple[Array, Array],
-    own: Array,
-    number: NDArray[np.int64],
+    pixels: Array, model: Array, shares: tuple[Array, Array], own: Array, number: NDArray[np.int64]
 ) -> tuple[Array, Array, NDArray[np.int64]]:
     """Squared residuals (k,), DN², signals, DN, and spot numbers of spots' unclipped pixels.
 
-    Args:
-        pixels: (n, 4, p), as fitted.
-        model: (n, 10, p), of the pixels.
-        shares: (n,) and (n,), read share and gain share of the patches.
-        own: (n,), how many of each spot's own pixels clipping leaves alone: more than N_FITTED of
-            a numbered one.
-        number: (n,), of the spots to gather, -1 for the others.
+    `pixels` (n, 4, p), as fitted, and their `model` (n, 10, p); `shares` (n,) and (n,), read share
+    and gain share of the patches; `own` (n,), how many of each spot's own pixels clipping leaves
+    alone: more than N_FITTED of a numbered one; `number` (n,), of the spots to gather, -1 for the
+    others.
     """
     room, at = pixels.shape[0] * pixels.shape[2], 0
     square, signal, spot = np.empty(room), np.empty(room), np.empty(room, np.int64)
@@ -206,20 +188,12 @@ def least_misfit(misfit: Array, count: Array) -> float:
 
 @compiled
 def variance_line(
-    residual2: Array,
-    signal: Array,
-    spot: NDArray[np.int64],
-    line: Array,
-    usual: Array,
+    residual2: Array, signal: Array, spot: NDArray[np.int64], line: Array, usual: Array
 ) -> None:
-    """Regress squared residuals on signal, misfitting spots left out; `line` is changed.
+    """Regress squared residuals (k,), DN², on signal (k,), DN, misfitting spots left out.
 
-    Args:
-        residual2: (k,), DN².
-        signal: (k,), DN.
-        spot: (k,), which spot each pixel belongs to, from 0 without gaps.
-        line: (2,), dark variance and gain, the start; changed.
-        usual: (2,), one over their standard uncertainties.
+    `spot` (k,): which one each pixel belongs to, from 0 without gaps; `line` (2,), changed: dark
+    variance and gain, the start; `usual` (2,): one over their standard uncertainties.
     """
     first0, first1 = line[0], line[1]
     spots = 0

@@ -50,12 +50,8 @@ def occlusion_change(
 ) -> None:
     """Change of pixels by a bite in each direction, per depth and over each pixel's sigma.
 
-    Args:
-        peak: DN.
-        model: (10, p), of the pixels.
-        near: (m,), the pixels meant.
-        sides: (d, 2), unit vectors, of bites as wide as von Mises' bump, a Gaussian round a circle.
-        sunk: (d, m), filled.
+    `peak`, DN; `model` (10, p), of the pixels; `near` (m,), the pixels meant; `sides` (d, 2), unit
+    vectors, of bites as wide as von Mises' bump, a Gaussian round a circle; `sunk` (d, m), filled.
     """
     u, w, depth = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
     for at in range(len(near)):
@@ -131,16 +127,11 @@ def score_all(
 ) -> None:
     """Score bites in d directions by the residuals of some of n fits.
 
-    Args:
-        numbers: (m,), of the fits to score; others belong to no fit here.
-        assessed: (m, 14), by `assess_all`: saturated and merged ones show no bites.
-        parameters: (n, 10).
-        information: (n, 10, 10).
-        gradient: (n, 10).
-        model: (n, 10, p).
-        whitened: (n, 11, p).
-        sides: (d, 2), unit vectors.
-        score: (m, d), (m, d), (m, d, 2): gradient, information, pull; filled where enough is left.
+    `numbers` (m,), of the fits to score; others belong to no fit here. `assessed` (m, 14), by
+    `assess_all`: saturated and merged ones show no bites. Of the fits: `parameters` and `gradient`
+    (n, 10), `information` (n, 10, 10), `model` (n, 10, p), `whitened` (n, 11, p). `sides` (d, 2),
+    unit vectors. `score` (m, d), (m, d), (m, d, 2): gradient, information, pull; filled where
+    enough is left.
     """
     directions = len(sides)
     found = np.empty(model.shape[2], np.int64)
@@ -182,13 +173,9 @@ def eliminate_parameters(
 ) -> None:
     """Fill in each bite's information and slope (d,) once a spot's parameters give way to it.
 
-    Args:
-        cross: (11, d), products of derivatives and residual with each bite.
-        whole: (d,), of each bite with itself.
-        follow: (10, d), how the parameters give way.
-        gradient: (10,), of the spot's fit.
-        left: filled.
-        slope: filled.
+    `cross` (11, d), products of derivatives and residual with each bite; `whole` (d,), of each bite
+    with itself; `follow` (10, d), how the parameters give way; `gradient` (10,), of the spot's fit;
+    `left` and `slope`, filled.
     """
     for b in range(len(left)):
         left[b], slope[b] = whole[b], cross[ROW_RESIDUAL, b]
@@ -203,14 +190,9 @@ def eliminate_parameters(
 def depth_posterior(gradient: Array, information: Array) -> tuple[Array, Array, Array]:
     """Suppose a bite of unknown depth in each direction of each spot, (n, d) throughout.
 
-    The half-normal prior and the Gaussian likelihood make a normal law cut off at 0.
-
-    Args:
-        gradient: of the log-likelihood at depth 0.
-        information: on the depth.
-
-    Returns:
-        Log-likelihood ratio of a bite to none; the depth's posterior mean and mean square.
+    From the gradient of the log-likelihood at depth 0 and the information on the depth: the
+    half-normal prior and the Gaussian likelihood make a normal law cut off at 0. Gives the
+    log-likelihood ratio of a bite to none; the depth's posterior mean and mean square.
     """
     spots, directions = gradient.shape
     evidence, mean = np.empty((spots, directions)), np.empty((spots, directions))
@@ -244,11 +226,7 @@ def average_shifts(
 ) -> tuple[Array, Array]:
     """Average each spot's shift (n, 2), px, over its bites; with its covariance (n, 2, 2), px².
 
-    Args:
-        probability: (n, d), of a bite.
-        depth: (n, d), its mean.
-        depth2: (n, d), its mean square.
-        pull: (n, d, 2), px a depth.
+    (n, d): probability of a bite, its mean depth and mean square; `pull` (n, d, 2), px a depth.
     """
     spots, directions = probability.shape
     shift, covariance = np.empty((spots, 2)), np.empty((spots, 2, 2))
@@ -270,10 +248,8 @@ def average_shifts(
 def occlusion_probability(evidence: Array) -> Array:
     """Posterior probability of each spot's bite in each direction, (n, d).
 
-    Shared out among no bite, one of each spot's own, and bites on one side of all spots.
-
-    Args:
-        evidence: (n, d), log-likelihood ratio of each spot's bite in each direction to none.
+    Shared out among no bite, one of each spot's own, and bites on one side of all spots. `evidence`
+    (n, d): log-likelihood ratio of each spot's bite in each direction to none.
     """
     spots, directions = evidence.shape
     probability = np.empty((spots, directions))

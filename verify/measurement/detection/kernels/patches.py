@@ -20,16 +20,10 @@ Labels = NDArray[np.uint8]
 
 @compiled
 def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -> bool:
-    """Measure the brightest blob of a picture at half its height.
+    """Measure the brightest blob of a picture at half its height; False: none, or not compact.
 
-    Args:
-        part: (h, w), DN above the surroundings.
-        longest: axis ratio.
-        fill: least area over its ellipse's.
-        blob: (4,), filled: centre's column and row, px; half width, px; height, DN.
-
-    Returns:
-        Whether there is one, and compact.
+    `part` (h, w), DN above the surroundings; `longest` axis ratio; `fill`, least area over its
+    ellipse's; `blob` (4,), filled: centre's column and row, px; half width, px; height, DN.
     """
     height, width = part.shape
     at_y, at_x, peak = 0, 0, np.int64(-1)
@@ -108,17 +102,12 @@ def read_grey(
     pixels: Array,
     contrast: Array,
 ) -> None:
-    """Read n patches of p pixels each.
+    """Read n patches of p pixels each from an image (h, w).
 
-    Args:
-        image: (h, w).
-        origin: (n, 2), px, column and row of each patch's centre pixel.
-        scale: (n,), px: within, a pixel is the spot's.
-        column: (n, p) or, the same for all, (1, p): px from the origin.
-        row: of the same shape, px from the origin.
-        pixels: (n, 4, p), filled: value, the nearest pixel's outside the image; 1 inside of it;
-            column and row.
-        contrast: (n, 3), filled: mean of the spot's pixels less the value that a third are below.
+    `origin` (n, 2), px, column and row of each patch's centre pixel; `scale` (n,), px: within, a
+    pixel is the spot's; `column` and `row` (n, p) or, the same for all, (1, p): px from the origin.
+    Filled: `pixels` (n, 4, p): value, the nearest pixel's outside the image; 1 inside of it; column
+    and row; and `contrast` (n, 3): mean of the spot's pixels less the value that a third are below.
     """
     height, width = image.shape
     for n in range(len(origin)):

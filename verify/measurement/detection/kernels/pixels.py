@@ -48,11 +48,8 @@ NORMAL = np.column_stack([ndtr(_NODES), np.exp(-_NODES * _NODES / 2.0) / math.sq
 def clip(mean: Array, variance: Array, visible: Array, free: Array) -> None:
     """Clip normal variables to the sensor's range.
 
-    Args:
-        mean: (p,), mu, DN; of the clipped variables, afterwards.
-        variance: (p,), DN²; of the clipped variables, afterwards.
-        visible: (p,), filled with d mean / d mu.
-        free: (6, p), written over.
+    `mean` (p,), mu, DN, and `variance` (p,), DN², are those of the clipped variables afterwards;
+    `visible` (p,) is filled with d mean / d mu; `free` (6, p) is written over.
     """
     room, count, near = free[0], len(mean), 0
     for k in range(count):  # the farther limit is always out of reach
@@ -122,10 +119,8 @@ def expect_pixels(p: Array, pixels: Array, noise: Array, model: Array, rows: Arr
 def whiten_rows(p: Array, pixels: Array, scale: float, model: Array, rows: Array) -> float:
     """Leave out neighbours' pixels, and put every row over its pixels' sigmas.
 
-    On entry `rows` hold, beside the profile's derivatives, the unclipped variances.
-
-    Returns:
-        How many valid pixels are left out.
+    On entry `rows` hold, beside the profile's derivatives, the unclipped variances. Gives how many
+    valid pixels are left out.
     """
     peak, lever, count = p[PAR_PEAK], -2.0 * p[PAR_PEAK] / scale, pixels.shape[1]
     for k in range(count):
@@ -180,17 +175,10 @@ def weigh_pixels(
 ) -> float:
     """Place one patch's pixels on the spot that p (10,) describes, and weigh them.
 
-    Args:
-        p: the parameters.
-        pixels: (4, p): value, 1 where valid, column, row.
-        scale: px, half-width that the fit starts from.
-        noise: (3,): read variance, gain, black.
-        table: (4, rows, samples), of the profiles.
-        model: (10, p), filled but for ROW_CORE.
-        rows: (11, p), filled: derivatives and residual, over each pixel's sigma.
-
-    Returns:
-        What the pixels that are left out add to chi².
+    `pixels` (4, p): value, 1 where valid, column, row; `scale`, px, half-width that the fit starts
+    from; `noise` (3,): read variance, gain, black; `table` (4, rows, samples), of the profiles.
+    Filled: `model` (10, p) but for ROW_CORE; `rows` (11, p): derivatives and residual, over each
+    pixel's sigma. Gives what the pixels that are left out add to chi².
     """
     x, y, xx, xy, yy = p[PAR_X], p[PAR_Y], p[PAR_XX], p[PAR_XY], p[PAR_YY]
     inverse, count, samples = 1.0 / scale, pixels.shape[1], table.shape[2]

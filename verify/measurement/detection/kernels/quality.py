@@ -80,10 +80,7 @@ def centre_covariance(information: Array, row: Array) -> None:
 def assess_shape(counted: Array, peak: float, row: Array) -> None:
     """Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
 
-    Args:
-        counted: (4,), of `core_counts`.
-        peak: DN.
-        row: (14,), changed.
+    `counted` (4,), of `core_counts`; `peak`, DN; `row` (14,), changed.
     """
     count, squares, square_dn, full = counted[0], counted[1], counted[2], counted[3]
     freedom = count - N_FITTED
@@ -111,14 +108,9 @@ def assess_all(
 ) -> Array:
     """Assess n fits, (n, 14).
 
-    Args:
-        parameters: (n, 10).
-        information: (n, 10, 10).
-        pixels: (n, 4, p), as fitted.
-        model: (n, 10, p), of the pixels at the parameters.
-        scale: (n,), px.
-        origin: (n, 2), px, of each patch's centre pixel.
-        size: width and height of the picture, px.
+    `parameters` (n, 10); `information` (n, 10, 10); `pixels` (n, 4, p), as fitted; `model`
+    (n, 10, p), of the pixels at the parameters; `scale` (n,), px; `origin` (n, 2), px, of each
+    patch's centre pixel; `size`: width and height of the picture, px.
     """
     assessed = np.empty((len(parameters), N_COLUMNS))
     counted = core_counts(pixels, model)
