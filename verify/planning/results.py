@@ -270,10 +270,7 @@ def _geometry(found: PredictedIdentifiability) -> dict[str, Any]:
             for parameter, u in zip(found.parameters, found.standard_uncertainty, strict=True)
         ],
         "held": [
-            {
-                "name": held.parameter.name,
-                "reason": "gauge" if held.redundant else "not_supported",
-            }
+            {"name": held.parameter.name, "reason": "gauge" if held.redundant else "not_supported"}
             for held in found.support.held
         ],
         "observability": found.indexes,

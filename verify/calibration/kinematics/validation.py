@@ -67,10 +67,7 @@ def statistics(left: Array) -> Array:
 
 
 def hold_out(
-    fit: KinematicFit,
-    poses: IdentificationPoses,
-    noise: NoiseScale,
-    options: HoldOut,
+    fit: KinematicFit, poses: IdentificationPoses, noise: NoiseScale, options: HoldOut
 ) -> CrossValidation | None:
     """Fit on one part and evaluate on the other, several times; None: too few rows.
 

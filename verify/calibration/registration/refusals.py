@@ -126,11 +126,7 @@ def _axis(arm: robots.Arm, q: Array, direction: Array) -> str:
 
 
 def refuse_other_robot(
-    start: RegistrationStart,
-    folder: Path,
-    robot: str,
-    readings: Readings,
-    restart: Restart,
+    start: RegistrationStart, folder: Path, robot: str, readings: Readings, restart: Restart
 ) -> None:
     """Refuse readings by which the flange turns otherwise than its LEDs, or mirrored.
 

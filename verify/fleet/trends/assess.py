@@ -247,10 +247,7 @@ def _day(moment: Any) -> str | None:
 
 
 def _summary(
-    sessions: pd.DataFrame,
-    failures: pd.DataFrame,
-    request: TrendRequest,
-    every: list[JointSeries],
+    sessions: pd.DataFrame, failures: pd.DataFrame, request: TrendRequest, every: list[JointSeries]
 ) -> dict[str, Any]:
     dated = sessions["started"].dropna()
     verdicts = sessions["verdict"].value_counts()
