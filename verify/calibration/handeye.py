@@ -38,14 +38,10 @@ class HandEye:
 
 
 def solve_hand_eye(a: Array, b: Array) -> HandEye:
-    """Solve A X = Y B for X and Y.
+    """Solve A X = Y B for X = body_T_flange and Y = rig_T_base.
 
-    Args:
-        a: (n, 4, 4), the body in a fixed camera (rig_T_body), m.
-        b: (n, 4, 4), the flange by the encoders (base_T_flange), at the same instants.
-
-    Returns:
-        x (body_T_flange) and y (rig_T_base) with each pose's residual.
+    At n same instants a (n, 4, 4) is the body in a fixed camera, rig_T_body, m, and b (n, 4, 4) the
+    flange by the encoders, base_T_flange.
 
     Raises:
         ValueError: fewer than three poses, or not as many of one as of the other.
@@ -76,8 +72,7 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
 def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[np.bool_]]:
     """Solve again without poses whose residual is `worst` times the median, until none is.
 
-    Returns:
-        The solution, its residuals for all n poses, and which poses it rests on, (n,).
+    The solution has residuals for all n poses; the mask (n,) tells on which it rests.
     """
     good = np.ones(len(a), dtype=bool)
     while True:

@@ -129,15 +129,7 @@ class PlanProvenance:
 
 
 def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
-    """Turn a plan into results.
-
-    Args:
-        made: the plan.
-        origin: what it was made for.
-
-    Returns:
-        Summary and tables as docs/plan.md lists them.
-    """
+    """Turn a plan into summary and tables as docs/plan.md lists them."""
     predicted, timed = made.prediction, made.timed
     session = predicted.session
     summary: dict[str, Any] = {

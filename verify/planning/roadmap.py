@@ -186,16 +186,10 @@ class MotionStop:
 def plan_tour(
     constraints: PostureConstraints, roadmap: Roadmap, chosen: list[int], *, back: bool
 ) -> list[MotionStop]:
-    """Order the chosen postures and connect them.
+    """Order the chosen postures and connect them, directly where the constraints allow.
 
-    Args:
-        constraints: kept by the direct legs.
-        roadmap: postures and paths between them.
-        chosen: of its postures, the poses.
-        back: the same path back as well, so that every pose is approached from either side.
-
-    Returns:
-        The stops, the first pose first.
+    `back`: the same path back as well, so that every pose is approached from either side. The first
+    pose stands first.
     """
     places = np.array(chosen, dtype=np.int64)
     q = roadmap.q[places]

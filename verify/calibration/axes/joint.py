@@ -150,11 +150,7 @@ def fit_joint(
 ) -> JointSweepResult:
     """Fit the axis of one sweep and compare its turn with the encoder.
 
-    Args:
-        session: rig and marker with what is stated of them; the readings' grain.
-        measured: the pairs that the sweep counts in, all six degrees of freedom known.
-        readings: the encoders, for their noise.
-        sweep: which joint moved, when.
+    The measured pairs have all six degrees of freedom known.
     """
     count = min(len(sweep.rows), MAX_PAIRS)
     chosen = np.linspace(0, len(sweep.rows) - 1, count).astype(int)

@@ -55,14 +55,9 @@ class PageLayout:
 
 
 def lay_out(board: Board, paper: str | None = None) -> PageLayout:
-    """Place a board on paper.
+    """Place a board on paper, a key of `PAPERS_MM`; None: the smallest that holds it.
 
-    Args:
-        board: what to print.
-        paper: a key of `PAPERS_MM`; None: the smallest that holds it.
-
-    Returns:
-        The layout, upright or sideways, that leaves most white around the pattern.
+    Of upright and sideways the one that leaves most white around the pattern.
 
     Raises:
         InputError: no such paper, or the board does not fit.

@@ -61,13 +61,9 @@ class KinematicChain:
 
 
 def chain_of(arm: robots.Arm) -> KinematicChain:
-    """Describe an arm as a chain that gives the same poses.
+    """Describe an arm as a chain of the same poses, all corrections 0.
 
-    Args:
-        arm: a DH table is taken as it is; a URDF's axes at q = 0 are turned into one.
-
-    Returns:
-        The chain, all corrections 0.
+    A DH table is taken as it is; a URDF's axes at q = 0 are turned into one.
     """
     if isinstance(arm, robots.DhArm):
         return KinematicChain(
@@ -216,13 +212,10 @@ def geometry_parameters(chain: KinematicChain) -> list[Parameter]:
 
 
 def change_state(state: ArmState, parameters: tuple[Parameter, ...], change: Array) -> ArmState:
-    """Change parameters of a state.
+    """Change L parameters of a state by (L,), m and rad.
 
-    Args:
-        state: what to start from.
-        parameters: L of them.
-        change: (L,), m and rad. A base moves along and about its own axes, a tool along the
-            flange's and about those through the target.
+    A base moves along and about its own axes, a tool along the flange's and about those through the
+    target.
     """
     columns = {key: getattr(state.chain, key).copy() for key in LINK_COLUMNS}
     steps = {"base": np.zeros((len(state.base), 6)), "tool": np.zeros((len(state.tool), 6))}

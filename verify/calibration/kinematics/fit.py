@@ -115,14 +115,10 @@ def fit_parameters(
     parameters: tuple[Parameter, ...],
     richest: KinematicFit | None = None,
 ) -> KinematicFit:
-    """Fit parameters to the rows that are not outlying.
+    """Fit L parameters to the rows that are not outlying; priors are about the state at the start.
 
-    Args:
-        state: where to start; priors are about it.
-        poses: n rows.
-        parameters: L of them.
-        richest: the fit of the largest model. Its outlying rows are left out here as well, and the
-            noise is no less than what it leaves: what a smaller model cannot follow is no noise.
+    Outlying rows of the largest model's fit `richest` are left out here as well, and the noise is
+    no less than what it leaves: what a smaller model cannot follow is no noise.
     """
     if richest is None:
         used, scale = _outlying_rows(state, poses, parameters)
@@ -156,9 +152,7 @@ def minimise(
 ) -> tuple[FitState, Array]:
     """Fit all rows by Gauss and Newton at a given noise.
 
-    Returns:
-        Where the fit ends, and the covariance (L + e, L + e) of parameters by tolerance and
-        nuisances.
+    The covariance (L + e, L + e) is of parameters by tolerance and of nuisances.
     """
     length, tolerance = len(parameters), tolerances(parameters)
     white = scale.of(poses)

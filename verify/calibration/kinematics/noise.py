@@ -64,14 +64,10 @@ def initial_scale(poses: IdentificationPoses) -> NoiseScale:
 def residual_scale(
     left: Array, columns: Array, covariance: Array, poses: IdentificationPoses, at: NoiseScale
 ) -> NoiseScale:
-    """Estimate the noise from what a fit leaves.
+    """Estimate the noise from the residuals (n, 6), m and rad, that a fit leaves.
 
-    Args:
-        left: (n, 6), m and rad, residuals of the fit.
-        columns: (n, 6, c), the pose's change with each of c fitted numbers.
-        covariance: (c, c), of these, by the noise `at`.
-        poses: the n rows of the fit.
-        at: the noise that the fit took for granted.
+    Columns (n, 6, c) are the pose's change with each of c fitted numbers, the covariance (c, c)
+    theirs by the noise `at`, which the fit took for granted.
     """
 
     def estimate(part: slice, factor: float) -> tuple[float, float]:

@@ -121,9 +121,7 @@ class CalibrationQuality:
 def judge_calibration(calibration: Calibration, pan: Array | None = None) -> CalibrationQuality:
     """Judge a calibration: fit, coverage, accuracy, sources of uncertainty.
 
-    Args:
-        calibration: with the rig's covariance.
-        pan: (b, 2), rad, readings of the bases at its pairs; None: the rig's own fixed ones.
+    Pan (b, 2), rad, are readings of the bases at its pairs; None: the rig's own fixed ones.
 
     Raises:
         ValueError: the rig states no covariance, or `pan` does not fit the pairs.
@@ -256,16 +254,10 @@ def outlying_views(values: Array) -> NDArray[np.bool_]:
 
 
 def draw_rectified(rig: Rig, left: Image, right: Image, pan: Array | None = None) -> bytes:
-    """Rectify a pair and draw level lines across both images.
+    """Rectify a pair and draw level lines across both images: PNG, side by side.
 
-    Args:
-        rig: the rig.
-        left: (h, w) grey or (h, w, 3) BGR, as taken.
-        right: (h, w) grey or (h, w, 3) BGR, as taken.
-        pan: (2,), rad, readings of the bases at that pair; None: the rig's own fixed ones.
-
-    Returns:
-        PNG bytes, both pictures side by side; the same input gives the same bytes.
+    Images are (h, w) grey or (h, w, 3) BGR, as taken, pan (2,), rad, the readings of the bases at
+    that pair; None: the rig's own fixed ones. The same input gives the same bytes.
 
     Source: the rectification is OpenCV's stereoRectify (Bouguet's).
     """

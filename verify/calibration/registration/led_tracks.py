@@ -120,16 +120,10 @@ def _select_spots(spots: Spots, keep: NDArray[np.bool_]) -> Spots:
 
 
 def find_leds(pairs: Sequence[PairSpots], rig: Rig, leds: int | None, place: str) -> Array:
-    """Find the LEDs as the rigid body that moves.
+    """Find the LEDs, (n, 3), m, as the rigid body that moves; spots that stand still are left out.
 
-    Args:
-        pairs: the spots of every pair, those that stand still left out.
-        rig: the cameras.
-        leds: how many there are; None: as many as move together.
-        place: the recording, for complaints.
-
-    Returns:
-        (n, 3), m, in a frame of their own, about their centroid; good to about a millimetre.
+    They are in a frame of their own, about their centroid, good to about a millimetre. As many as
+    `leds`, or as move together; `place` is the recording, for complaints.
 
     Raises:
         InputError: nothing moves as one rigid body, or another number of LEDs does.
@@ -175,9 +169,7 @@ def candidate_points(pair: PairSpots, rig: Rig) -> PointCloud:
 def find_rigid_body(clouds: Sequence[PointCloud], most: int) -> Array | None:
     """Find the moving points whose mutual distances stay: (n, 3) about their centroid, or None.
 
-    Args:
-        clouds: the points of each pair.
-        most: how many of them to take, the most frequent ones.
+    At most so many, the most frequent ones in the pairs' clouds.
     """
     if len(clouds) < 3:
         return None

@@ -31,13 +31,10 @@ MAX_RMS_PX = 10.0  # a degree of joint error makes a few; these are another robo
 
 
 def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], place: str) -> None:
-    """Refuse a motion that leaves the base and the LEDs open against each other.
+    """Refuse a motion q (n, j), rad, that leaves the base and the LEDs open against each other.
 
-    Args:
-        arm: the robot.
-        q: (n, j), rad, its readings at the pairs.
-        noise: m, rad: standard uncertainty of the body's pose in one pair, readings included.
-        place: the recording, for the complaint.
+    The noise, m and rad, is the standard uncertainty of the body's pose in one pair, readings
+    included.
 
     Raises:
         InputError: names what is undetermined and the movement to add.
@@ -130,16 +127,12 @@ def refuse_other_robot(
 ) -> None:
     """Refuse readings by which the flange turns otherwise than its LEDs, or mirrored.
 
-    Args:
-        start: base and LEDs in closed form, neither of them held.
-        folder: the recording's.
-        robot: as session.toml names it.
-        readings: of the joints.
-        restart: gives the closed form with other readings.
+    The start is in closed form with neither base nor LEDs held; `restart` gives it with other
+    readings.
 
     Raises:
-        InputError: the turns of readings and pictures differ by more than joint errors explain,
-            or agree only with those of a mirror image.
+        InputError: the turns of readings and pictures differ by more than joint errors explain, or
+            agree only with those of a mirror image.
     """
     off = _turn_difference(start)
     check = (
@@ -186,14 +179,7 @@ def refuse_misfit(
     readings: Readings,
     restart: Restart,
 ) -> None:
-    """Refuse readings that do not belong to the images.
-
-    Args:
-        adjusted: base and LEDs.
-        folder: the recording's.
-        start: from which they were adjusted.
-        readings: of the joints.
-        restart: gives the closed form with other readings.
+    """Refuse readings that do not belong to the images; `restart` gives the start with other ones.
 
     Raises:
         InputError: the LEDs are farther from their predicted pixels than joint errors explain.

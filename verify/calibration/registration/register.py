@@ -73,23 +73,19 @@ def register_motion(
     keep_leds: bool = False,
     progress: Progress = _no_progress,
 ) -> MotionRegistration:
-    """Register a robot from its own motion.
+    """Register a robot from its own motion; the rig's robot base and the marker are not needed.
 
-    Args:
-        recording: a session; its rig's robot base and its marker are not needed.
-        leds: how many there are; None: as many as move together.
-        marker: gives the LEDs their names and colours; their positions count only if kept.
-        keep_base: the rig's robot base stands as it is (from a fixture): fit the LEDs alone.
-        keep_leds: the marker's positions stand as they are: fit the base alone.
-        progress: called with pairs done and pairs in all.
+    There are so many LEDs, or as many as move together; the marker gives them names and colours,
+    its positions count only if kept. `keep_base`: the rig's base stands as it is (from a fixture),
+    the LEDs alone are fitted; `keep_leds`: the base alone. `progress` is called with pairs done and
+    pairs in all.
 
-    Returns:
-        The registration. Rig and marker carry its id and, in the rig's covariance, all that is
-        known of their uncertainty.
+    Rig and marker of the registration carry its id and, in the rig's covariance, all that is known
+    of their uncertainty.
 
     Raises:
-        InputError: no LEDs, no readings, or a motion that leaves something undetermined: says
-            what, and which movement to add.
+        InputError: no LEDs, no readings, or a motion that leaves something undetermined: says what,
+            and which movement to add.
     """
     place = str(recording.folder)
     held = _check_held(recording, marker, keep_base, keep_leds)

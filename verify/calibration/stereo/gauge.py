@@ -63,10 +63,7 @@ class AdjustmentModel:
 def apply_gauge(state: BundleState, model: AdjustmentModel, pan: Array) -> BundleState:
     """Bring a state into the gauge exactly; no picture of a board changes.
 
-    Args:
-        state: any state.
-        model: which bases turned, and what is held.
-        pan: (2,), rad, the readings at which bases that never turned stand.
+    Bases that never turned stand at the readings pan (2,), rad.
     """
     cameras = [
         _choose_pan_centre(c, base, p)

@@ -34,16 +34,9 @@ from verify.core.rig import Camera
 
 
 def step_state(state: BundleState, corners: CornerStack, change: Array, own: Array) -> BundleState:
-    """Step all unknowns at once.
+    """Step all unknowns at once: the shared parameters (47,), and each board's own, (b, 11).
 
-    Args:
-        state: where to step from.
-        corners: which camera saw each board, and the pan readings.
-        change: (47,), of the shared parameters.
-        own: (b, 11), of each board's pose in rig axes and of its errors.
-
-    Returns:
-        The new state; to first order that of a straight step.
+    The latter are its pose in rig axes and its errors. To first order a straight step.
     """
     changes = (change[camera_columns(0)], change[camera_columns(1)])
     errors = state.errors + own[:, 6:]

@@ -149,14 +149,10 @@ class CameraRelation:
 def relate_cameras(
     left: dict[int, Array], right: dict[int, Array], board: Board, pan: Array, bases: Sequence[str]
 ) -> CameraRelation:
-    """Find the relation of the cameras on which most pairs agree.
+    """Find the relation of the cameras on which most pairs agree, by left and right_T_board (4, 4).
 
-    Args:
-        left: left_T_board by pair, (4, 4).
-        right: right_T_board by pair, (4, 4).
-        board: the pattern.
-        pan: (b, 2), rad, readings.
-        bases: left and right; one that never turned counts as standing at zero.
+    Of the two bases with readings pan (b, 2), rad, one that never turned counts as standing at
+    zero.
     """
     both = sorted(set(left) & set(right))
     lefts = np.array([left[i] for i in both])
