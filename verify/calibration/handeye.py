@@ -82,8 +82,7 @@ def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[n
         limit = worst * np.median(size[:, good], axis=1, keepdims=True)
         kept = good & (size <= limit).all(axis=0)
         if kept.sum() in (good.sum(), *range(MIN_POSES)):
-            whole = HandEye(solved.x, solved.y, off, solved.mirrored, solved.open)
-            return whole, good
+            return HandEye(solved.x, solved.y, off, solved.mirrored, solved.open), good
         good = kept
 
 
@@ -96,8 +95,7 @@ def nearest_rotation(matrix: Array) -> Array:
 
 def _translations(a: Array, b: Array, y_rotation: Array) -> tuple[Array, float]:
     """Least squares of R_A t_X - t_Y = R_Y t_B - t_A: both (6,), and the residual's size."""
-    n = len(a)
-    rows = np.concatenate([a[:, :3, :3], np.tile(-np.eye(3), (n, 1, 1))], axis=2)
+    rows = np.concatenate([a[:, :3, :3], np.tile(-np.eye(3), (len(a), 1, 1))], axis=2)
     wanted = b[:, :3, 3] @ y_rotation.T - a[:, :3, 3]
     design, target = rows.reshape(-1, 6), wanted.reshape(-1)
     solution = np.linalg.lstsq(design, target, rcond=None)[0]
@@ -108,8 +106,7 @@ def cross_matrices(vectors: Array) -> Array:
     """Matrices of v × ., (n, 3, 3), of vectors (n, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
-    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
-    return matrix.reshape(-1, 3, 3)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
 
 
 def rigid_columns(points: Array) -> Array:

@@ -144,8 +144,7 @@ def log_information(information: DesignInformation, chosen: list[int], times: fl
     rows = np.concatenate([information.requested[chosen], information.others[chosen]], axis=2)
     flat = rows.reshape(-1, rows.shape[2])
     whole = np.diag(information.prior) + times * flat.T @ flat
-    found = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(whole[a:, a:])[1]
-    return float(found)
+    return float(np.linalg.slogdet(whole)[1] - np.linalg.slogdet(whole[a:, a:])[1])
 
 
 def choose_poses(information: DesignInformation, count: int) -> list[int]:
@@ -156,8 +155,7 @@ def choose_poses(information: DesignInformation, count: int) -> list[int]:
     for _ in range(MAX_ROUNDS):
         changed = False
         for place in range(len(chosen)):
-            rest = chosen[:place] + chosen[place + 1 :]
-            better = _best(information, rest, chosen[place])
+            better = _best(information, chosen[:place] + chosen[place + 1 :], chosen[place])
             changed |= better != chosen[place]
             chosen[place] = better
         if not changed:

@@ -271,8 +271,7 @@ def _geometry(found: PredictedIdentifiability) -> dict[str, Any]:
 
 def _correlation(covariance: Array) -> list[list[float | None]]:
     sigma = np.sqrt(np.diag(covariance))
-    rows = covariance / np.outer(sigma, sigma)
-    return [[_number(value) for value in row] for row in rows]
+    return [[_number(value) for value in row] for row in covariance / np.outer(sigma, sigma)]
 
 
 def _deg(value: float) -> float | None:

@@ -259,8 +259,7 @@ def _rulers(layout: PageLayout) -> tuple[list[Any], list[Any]]:
     lines += [((x + at, y), (x + at, y + long)) for at, long in ticks(length)]
     labels = [(x + at, y + RULER_MM - 2.2, f"{at:g}") for at in np.arange(10, length + 1, 10)]
     x, foot, length = layout.up
-    top = foot - length
-    lines += [((x, top), (x, foot))]
+    lines += [((x, foot - length), (x, foot))]
     lines += [((x, foot - at), (x - long, foot - at)) for at, long in ticks(length)]
     labels += [(x - RULER_MM + 1.8, foot - at, f"{at:g}") for at in np.arange(10, length + 1, 10)]
     return lines, [*labels, (x - 4, foot + 2.5, "0 mm")]

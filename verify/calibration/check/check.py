@@ -187,8 +187,7 @@ def figure_limit(found: RigConsistency) -> float:
 
 
 def _turning(measurements: Sequence[Measurement]) -> bool:
-    pans = {(m.left.pan, m.right.pan) for m in measurements if m.left and m.right}
-    return len(pans) > 1
+    return len({(m.left.pan, m.right.pan) for m in measurements if m.left and m.right}) > 1
 
 
 def _result(

@@ -56,8 +56,7 @@ class KinematicChain:
     def hayati(self) -> tuple[int, ...]:
         """Joints, from 0, whose axis is nearly parallel to the next one's."""
         lean = np.abs(np.sin(np.hypot(self.alpha, self.beta)))
-        near = lean[:-1] < np.sin(MIN_AXIS_ANGLE)
-        return tuple(np.flatnonzero(near).tolist())
+        return tuple(np.flatnonzero(lean[:-1] < np.sin(MIN_AXIS_ANGLE)).tolist())
 
 
 def chain_of(arm: robots.Arm) -> KinematicChain:
@@ -236,6 +235,5 @@ def _small_motion(steps: Array) -> Array:
     step = np.tile(np.eye(4), (len(steps), 1, 1))
     step[:, :3, 3] = steps[:, :3]
     for axis in range(3):
-        turn = rotation_exp(np.eye(3)[axis] * steps[:, 3 + axis, None])
-        step[:, :3, :3] = step[:, :3, :3] @ turn
+        step[:, :3, :3] = step[:, :3, :3] @ rotation_exp(np.eye(3)[axis] * steps[:, 3 + axis, None])
     return step

@@ -77,8 +77,7 @@ class FitState:
 
 def pose_residuals(state: ArmState, poses: IdentificationPoses) -> Array:
     """Measured pose less the model's, (n, 6), m and rad."""
-    predicted = predict_poses(state, poses.q, poses.base, poses.tool)
-    return _residuals(predicted, poses)
+    return _residuals(predict_poses(state, poses.q, poses.base, poses.tool), poses)
 
 
 def _residuals(predicted: Array, poses: IdentificationPoses) -> Array:

@@ -73,8 +73,7 @@ def residual_scale(
     def estimate(part: slice, factor: float) -> tuple[float, float]:
         white = _marginal_whitener(poses, part)
         taken = np.einsum("nac,cd,nad->", design := white @ columns[:, part], covariance, design)
-        count = np.count_nonzero(np.any(white != 0, axis=2))
-        freedom = max(count - float(taken) / factor**2, 1.0)
+        freedom = max(np.count_nonzero(np.any(white != 0, axis=2)) - float(taken) / factor**2, 1.0)
         variance = float(np.sum((white @ left[:, part, None]) ** 2)) / freedom
         if poses.stated and variance < 1 + MIN_EXCESS_SIGMA * np.sqrt(2 / freedom):
             return 1.0, np.inf

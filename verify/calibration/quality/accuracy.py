@@ -210,8 +210,7 @@ def length_uncertainty(
     """
     names, covariance = systematic_parameters(rig, turning)
     middle, half = np.array([0.0, 0.0, distance]), TEST_LENGTH / 2 * np.eye(3)[axis]
-    ends = np.stack([middle - half, middle + half])
-    found = point_sensitivities(rig, pan, ends, names)
+    found = point_sensitivities(rig, pan, np.stack([middle - half, middle + half]), names)
     apart = found.by_rig[:, 1, axis] - found.by_rig[:, 0, axis]
     random = SPOT_SIGMA * np.linalg.norm(found.by_pixels[:, axis])
     return float(random), float(np.sqrt(apart @ covariance @ apart))

@@ -158,8 +158,7 @@ def judge_calibration(calibration: Calibration, pan: Array | None = None) -> Cal
 
 def _distances(boards: list[float]) -> tuple[float, float, float]:
     """Nearest, median and farthest distance of the boards, rounded; some may coincide."""
-    wanted = np.quantile(boards, [0.0, 0.5, 1.0])
-    steps = np.maximum(np.round(wanted / DISTANCE_STEP), 1).tolist()
+    steps = np.maximum(np.round(np.quantile(boards, [0.0, 0.5, 1.0]) / DISTANCE_STEP), 1).tolist()
     near, median, far = (round(step * DISTANCE_STEP, 6) for step in steps)
     return near, median, far
 

@@ -191,8 +191,7 @@ def _chi2_with_rig(
     taken = pose.gain @ moved
     free = moved.T @ weighted - taken.T @ np.linalg.solve(pose.covariance_pixels, taken)
     along = weighted.T @ pose.residual.reshape(-1)
-    explained = along @ np.linalg.solve(np.eye(len(free)) + free, along)
-    return pose.chi2 - float(explained)
+    return pose.chi2 - float(along @ np.linalg.solve(np.eye(len(free)) + free, along))
 
 
 def _consistent_pairs(

@@ -176,8 +176,7 @@ def find_rigid_body(clouds: Sequence[PointCloud], most: int) -> Array | None:
     few = sorted(range(len(clouds)), key=lambda i: (len(clouds[i].points), i))
     references = [clouds[i] for i in few[: max(len(few) // 2, 3)]]
     references = _spread([c for c in references if len(c.points) <= MAX_POINTS], N_REFERENCES)
-    tests = _spread(clouds, N_TESTS)
-    triangles = _triangles(references, tests)
+    triangles = _triangles(references, _spread(clouds, N_TESTS))
     grown = [g for g in (_grow(t, clouds, most) for t in triangles) if g is not None]
     if not grown:
         return None

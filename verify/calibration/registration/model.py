@@ -52,8 +52,7 @@ def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int6
     index = np.repeat(np.where(early, before, after)[:, None], 4, axis=1)
     weight = np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))
     start = np.searchsorted(readings.t, t, side="right") - 1
-    inner = (start >= 1) & (start + 2 <= last)
-    rows = np.flatnonzero(inner)
+    rows = np.flatnonzero((start >= 1) & (start + 2 <= last))
     around = start[rows][:, None] + np.arange(-1, 3)
     times = readings.t[around]
     whole = (np.diff(times, axis=1) <= MAX_GAP).all(axis=1)
@@ -149,8 +148,7 @@ def stack_spots(poses: Sequence[BodyPose], rig: Rig) -> SpotStack:
             parts["cov"].append(raw.sighting.covariance)
             parts["t"].append(raw.taken)
             parts["pan"].append(np.full(m, raw.sighting.pan))
-            camera_T_rig = camera.camera_T_rig(raw.sighting.pan)
-            parts["T"].append(np.tile(camera_T_rig, (m, 1, 1)))
+            parts["T"].append(np.tile(camera.camera_T_rig(raw.sighting.pan), (m, 1, 1)))
             parts["led"].append(raw.sighting.led.astype(float))
     return SpotStack(
         pair=np.array(pair, dtype=np.int64),

@@ -43,8 +43,7 @@ def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], p
     open_ones = _open_directions(information)
     if not open_ones.shape[1]:
         return
-    joints = _joints_to_move(arm, q, noise, information)
-    more = " and ".join(f"joint {j + 1}" for j in joints)
+    more = " and ".join(f"joint {j + 1}" for j in _joints_to_move(arm, q, noise, information))
     raise InputError(
         place,
         f"the motion leaves {_open_motions_text(arm, q, open_ones)} undetermined, as the LEDs on "

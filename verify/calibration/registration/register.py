@@ -103,8 +103,7 @@ def register_motion(
     free = np.ones(at.size, dtype=bool)
     free[:6], free[6:-2] = not held.base, held.leds is None
     free[-2] = setup.clock is not None or recording.clock is None
-    spotted = stack_spots(poses, recording.rig)
-    adjusted = _adjust_observable(spotted, setup, at, free)
+    adjusted = _adjust_observable(stack_spots(poses, recording.rig), setup, at, free)
     adjusted, wild = _reject_pairs(adjusted, setup)
     refuse_misfit(adjusted, recording.folder, start, setup.readings, restart)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
@@ -250,5 +249,4 @@ def _reject_pairs(
     if not wild.any():
         return adjusted, []
     spotted = replace(spotted, used=spotted.used & ~wild[spotted.pair])
-    again = adjust(spotted, setup, adjusted.at, adjusted.free)
-    return again, spotted.frame[wild].tolist()
+    return adjust(spotted, setup, adjusted.at, adjusted.free), spotted.frame[wild].tolist()

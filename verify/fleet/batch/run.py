@@ -97,8 +97,7 @@ def measure_all(
     for task, outcome in pool.run(work.waiting):
         work.take(task, outcome)
         watch(work.progress)
-    sessions = sorted(work.done)
-    kept = [(session, work.store.place(session)) for session in sessions]
+    kept = [(session, work.store.place(session)) for session in sorted(work.done)]
     return BatchResult(kept, sorted(work.progress.failures), work.progress)
 
 

@@ -79,8 +79,7 @@ class ProcessPool:
 
     def _start(self) -> Worker:
         threads = 1 if self._workers >= available_cpus() else available_cpus()
-        load = partial(_load, threads)
-        return ChildProcess(answer_requests, perform, load, name="batch worker")
+        return ChildProcess(answer_requests, perform, partial(_load, threads), name="batch worker")
 
 
 def _load(threads: int) -> None:

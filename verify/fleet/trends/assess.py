@@ -148,8 +148,7 @@ def _contrasts(
     if request.since is not None:
         day = pd.Timestamp(request.since, tz="UTC").value / DAY_NS
         names = f"before {request.since}", f"since {request.since}"
-        sides = [(one, one.t >= day) for one in every]
-        rows += _contrast_rows("since", names, sides)
+        rows += _contrast_rows("since", names, [(one, one.t >= day) for one in every])
     if request.compare is not None:
         first, second = (_sessions_below(sessions["session"], folder) for folder in request.compare)
         chosen = []

@@ -197,8 +197,7 @@ def _change(
     every: list[TrendTerm],
 ) -> TrendChange:
     term = terms[index]
-    others = [t for t in terms if t != term]
-    gain = _candidate_gains(series, others, every)
+    gain = _candidate_gains(series, [t for t in terms if t != term], every)
     worth = gain - np.array([_bic_penalty(series, t) for t in every])
     kind = np.array([t.kind == term.kind for t in every])
     place = np.array([t.place for t in every])

@@ -89,8 +89,7 @@ def _with_excess(series: JointSeries) -> JointSeries:
     other = np.diff(series.group) != 0
     between = np.where(other, series.shared[1:] ** 2 + series.shared[:-1] ** 2, 0.0)
     step = np.diff(series.error) / np.sqrt(variance[1:] + variance[:-1] + between)
-    factor = float(np.median(np.abs(step))) / NORMAL_MEDIAN
-    return replace(series, excess=max(factor, 1.0))
+    return replace(series, excess=max(float(np.median(np.abs(step))) / NORMAL_MEDIAN, 1.0))
 
 
 def _numbers(rows: pd.DataFrame, name: str) -> Array:
@@ -231,8 +230,7 @@ def contrast(series: JointSeries, second: NDArray[np.bool_], false_alarm: float)
     `false_alarm` is the chance that a difference is shown where there is none.
     """
     counts = int((~second).sum()), int(second.sum())
-    design = np.column_stack([np.ones(len(series)), second.astype(float)])
-    found = fit(series, design)
+    found = fit(series, np.column_stack([np.ones(len(series)), second.astype(float)]))
     first, difference = found.coefficients.tolist()
     u = float(np.sqrt(found.covariance[1, 1]))
     limit = float(t_isf(false_alarm / 2, series.degrees_of_freedom)) * u
