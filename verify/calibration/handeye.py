@@ -40,8 +40,8 @@ class HandEye:
 def solve_hand_eye(a: Array, b: Array) -> HandEye:
     """Solve A X = Y B for X = body_T_flange and Y = rig_T_base.
 
-    At n same instants a (n, 4, 4) is the body in a fixed camera, rig_T_body, m, and b (n, 4, 4) the
-    flange by the encoders, base_T_flange.
+    At the same n instants, a (n, 4, 4) is rig_T_body, the body in a fixed camera, m, and b (n, 4,
+    4) base_T_flange, the flange by the encoders.
 
     Raises:
         ValueError: fewer than three poses, or not as many of one as of the other.
@@ -72,7 +72,7 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
 def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[np.bool_]]:
     """Solve again without poses whose residual is `worst` times the median, until none is.
 
-    The solution has residuals for all n poses; the mask (n,) tells on which it rests.
+    Returns the solution with residuals for all n poses, and which poses it rests on, (n,).
     """
     good = np.ones(len(a), dtype=bool)
     while True:

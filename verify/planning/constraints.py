@@ -138,9 +138,10 @@ class PostureConstraints:
         return np.array([(base_T_rig @ one)[:3, 3] for one in placed])
 
     def reason(self, q: Array, *, passing: bool = False) -> Rows:
-        """The first of REASONS that excludes a posture (m, j), rad, in joint limits; -1: none.
+        """Find the first of REASONS that excludes each posture q (m, j), rad: (m,), -1 for none.
 
-        Between two poses, `passing`, the rim and singularities may be nearer.
+        Postures are within the joints' limits; `passing` between two poses, the rim and
+        singularities may be nearer.
         """
         parts = [
             self._reason(q[i : i + CHUNK_POSTURES], passing)

@@ -104,8 +104,8 @@ def design_information(
 ) -> DesignInformation:
     """Split the analysis' model of one pair at each candidate pose by pose.
 
-    Of the kinds to observe, the offsets stand for those that only the motion decides. The weight is
-    the pairs that will be taken about each pose.
+    Offsets stand for those of the kinds to observe that only the motion decides; the weight is the
+    pairs that will be taken about each pose.
     """
     names = [name for name in observe if name in POSE_KINDS] or ["offsets"]
     columns = []

@@ -56,9 +56,9 @@ def simulate_clock(
 ) -> ClockEstimate:
     """Estimate the clock in worlds drawn about the stated errors, from poses without noise.
 
-    Readings are on the cameras' clock. The offset of the perfect world, 0 but for the readings'
-    noise, with the median uncertainty of all; the perfect world's alone where the LEDs leave a turn
-    open.
+    Readings are on the cameras' clock. Returns the offset of the perfect world, 0 but for the
+    readings' noise, with the median uncertainty of all; the perfect world's alone where the LEDs
+    leave a turn open.
     """
     perfect = estimate_clock(track, arm, readings)
     full = bool((track.known_dof == 6).all())

@@ -90,7 +90,7 @@ def predict_session(
 ) -> SessionPrediction:
     """Predict what any motion, (n,) s to (n, j) rad, would show, planned or not.
 
-    The left camera takes its pictures at t (n,), s; of the request count the kinds of fault and the
+    The left camera takes its pictures at t (n,), s. The request gives the kinds of fault and the
     LEDs' angle of view.
 
     Raises:

@@ -147,7 +147,7 @@ def fit_joint(
 ) -> JointSweepResult:
     """Fit the axis of one sweep and compare its turn with the encoder.
 
-    The measured pairs have all six degrees of freedom known.
+    Pairs that the sweep counts in have all six degrees of freedom known.
     """
     chosen = np.linspace(0, len(sweep.rows) - 1, min(len(sweep.rows), MAX_PAIRS)).astype(int)
     seen = [measured[i] for i in sweep.rows[chosen]]

@@ -57,7 +57,7 @@ class PageLayout:
 def lay_out(board: Board, paper: str | None = None) -> PageLayout:
     """Place a board on paper, a key of `PAPERS_MM`; None: the smallest that holds it.
 
-    Of upright and sideways the one that leaves most white around the pattern.
+    Returns the layout, upright or sideways, that leaves most white around the pattern.
 
     Raises:
         InputError: no such paper, or the board does not fit.

@@ -41,8 +41,8 @@ def board_poses(
 ) -> list[Measurement]:
     """Measure the board's pose in each pair; `rig_T_flange` is rig_T_board here.
 
-    One measurement a usable pair, by maximum likelihood on the corners of both images; `reject`
-    leaves out single corners that the others contradict. The rig's robot base is not used.
+    Returns one measurement a usable pair, by maximum likelihood on the corners of both images;
+    `reject` leaves out single corners that the others contradict. The robot's place is not used.
     """
     points = board.points
     return [

@@ -72,8 +72,8 @@ def fit_corner(
     """Measure one corner in an image (h, w), DN; other threads run meanwhile.
 
     The place is good to a tenth of a square; `parameters` are of an earlier fit, whose centre it
-    is. None where there is no crossing: too few pixels, no convergence, or a place outside the
-    window.
+    is. Returns None where there is no crossing: too few pixels, no convergence, or a place outside
+    the window.
     """
     found = np.zeros(N_PARAMETERS) if parameters is None else parameters.copy()
     result = np.empty(N_COLUMNS)
@@ -130,8 +130,8 @@ def is_ambiguous(board: Board) -> bool:
 def find_other_board(image: Image, board: Board) -> tuple[int, int] | None:
     """Find which chessboard an image shows when the stated one was not found in it.
 
-    The image is (h, w) grey or (h, w, 3) BGR. Inner corners of the plain board, the direction that
-    runs more across the image first; None where no whole chessboard is in view.
+    The image is (h, w) grey or (h, w, 3) BGR. Returns inner corners of the plain board, the
+    direction that runs more across the image first; None where no whole chessboard is in view.
     """
     grey = to_grey(image)
     grid = find_by_growing(grey)

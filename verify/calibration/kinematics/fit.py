@@ -151,7 +151,8 @@ def minimise(
 ) -> tuple[FitState, Array]:
     """Fit all rows by Gauss and Newton at a given noise.
 
-    The covariance (L + e, L + e) is of parameters by tolerance and of nuisances.
+    Returns where it ends, and the covariance (L + e, L + e) of parameters by tolerance and
+    nuisances.
     """
     length, tolerance = len(parameters), tolerances(parameters)
     white = scale.of(poses)

@@ -58,10 +58,10 @@ def information_root(design: Array, nuisance: Array) -> Array:
 def identifiability(
     candidates: tuple[Parameter, ...], information: Array, least: float = MIN_SINGULAR_VALUE
 ) -> Identifiability:
-    """Choose the parameters that the data support, those to keep first.
+    """Choose the parameters that the data support, of L candidates, those to keep first.
 
-    Of L candidates, by `information_root` of their columns scaled by tolerance; `least` is the
-    singular value of R over the supported ones.
+    The information is `information_root` of their columns, scaled by tolerance; `least` is the
+    smallest singular value of R over the supported ones.
     """
     chosen: list[int] = []
     held: list[tuple[int, bool]] = []

@@ -61,7 +61,7 @@ def predict_poses(
 ) -> Array:
     """Place the target at readings q (n, j), rad: world_T_target (n, 4, 4), m.
 
-    Base (n,) and tool (n,) tell which of the state's each row belongs to.
+    `base` (n,) and `tool` (n,) tell which of the state's each row belongs to.
     """
     return _walk(state, q, base, tool).pose()
 
@@ -73,10 +73,10 @@ def predict_with_jacobian(
     tool: NDArray[np.int64],
     parameters: tuple[Parameter, ...],
 ) -> tuple[Array, Array]:
-    """Place the target, (n, 4, 4), and differentiate its pose by L parameters, (n, 6, L).
+    """Place the target and differentiate its pose by L parameters.
 
-    World_T_target, and the twist at the target's origin in world axes a unit of each parameter, m
-    and rad.
+    Returns world_T_target (n, 4, 4) and (n, 6, L): twist at the target's origin in world axes a
+    unit of each parameter, m and rad.
     """
     walk = _walk(state, q, base, tool)
     columns = np.zeros((len(q), 6, len(parameters)))

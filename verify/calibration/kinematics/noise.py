@@ -66,7 +66,7 @@ def residual_scale(
 ) -> NoiseScale:
     """Estimate the noise from the residuals (n, 6), m and rad, that a fit leaves.
 
-    Columns (n, 6, c) are the pose's change with each of c fitted numbers, the covariance (c, c)
+    `columns` (n, 6, c) are the pose's change with each of c fitted numbers, `covariance` (c, c) is
     theirs by the noise `at`, which the fit took for granted.
     """
 

@@ -50,12 +50,12 @@ def build_poses(
 ) -> IdentificationPoses:
     """Gather poses or positions of one point with the readings q (n, j), rad, at their instants.
 
-    Measured are (n, 4, 4) or (n, 3), m, in any fixed frame, with covariance (n, 6, 6) or (n, 3, 3),
+    `measured` is (n, 4, 4) or (n, 3), m, in any fixed frame, its covariance (n, 6, 6) or (n, 3, 3),
     m and rad; None: not known, and estimated from what is left, one variance for positions and one
-    for turns. Base (n,) and tool (n,) number each row's placing of the robot and mounting or
-    target, all the same where not given; rows of one block (n,) are held out together, each by
-    itself where not given. The nuisance (n, 6, p) holds effects of unit variance that all rows
-    share, `determined` n functionals (6, d) of a pose that were measured, all where not given.
+    for turns. `base` (n,) and `tool` (n,) number each row's placing of the robot and its mounting
+    or target, all the same where not given; rows of one `block` (n,) are held out together, each by
+    itself where not given. `nuisance` (n, 6, p) holds effects of unit variance that all rows share,
+    `determined` n functionals (6, d) of a pose that were measured, all where not given.
 
     Raises:
         ValueError: shapes that do not fit together.

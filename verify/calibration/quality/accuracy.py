@@ -31,9 +31,9 @@ TEST_LENGTH = 0.1  # m, of the distance whose uncertainty is stated
 def parameter_derivatives(
     function: Callable[[Rig], Array], rig: Rig, names: Sequence[str]
 ) -> Array:
-    """Differentiate an array by p of a rig's parameters, named as in [covariance]: (p, ...).
+    """Differentiate an array by p of a rig's parameters, named as in rig.toml's [covariance].
 
-    Each is a SI unit (or pixel, or one) of the parameter.
+    Returns (p, ...), a SI unit (or pixel, or one) of the parameter.
     """
     rows = [
         (function(move_parameter(rig, name, STEP)) - function(move_parameter(rig, name, -STEP)))
@@ -155,10 +155,10 @@ def systematic_parameters(rig: Rig, turning: bool) -> tuple[tuple[str, ...], Arr
 
 
 def uncertainty_field(rig: Rig, pan: Array, distance: float, turning: bool) -> AccuracyField:
-    """Map the uncertainty by a rig's covariance across the view, `distance` m before the middle.
+    """Map the expected uncertainty across the view at one distance, m, by the rig's covariance.
 
-    The middle is between the cameras, the pan (2,), rad, the readings of the bases; `turning`: they
-    vary, and so their own uncertainty counts.
+    The distance is before the middle between the cameras, `pan` (2,), rad, the readings of the
+    bases; `turning`: they vary, and so their own uncertainty counts.
     """
     names, covariance = systematic_parameters(rig, turning)
     x, y = _grid(rig, pan, distance)

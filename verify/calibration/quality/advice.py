@@ -97,7 +97,7 @@ def _views(
 def pairs_apart(calibration: Calibration, poor: Collection[int]) -> list[int]:
     """Frames of the pairs between whose pictures the board moved more than it usually did.
 
-    Frames of `poor` have a view that stands out, and a limit of their own.
+    Pairs in `poor` have a view that stands out: less motion counts there.
     """
     motion = calibration.motion
     if motion is None:

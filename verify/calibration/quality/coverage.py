@@ -46,9 +46,10 @@ class BoardOrientation:
 
 
 def view_frame(rig: Rig, pan: Array) -> Array:
-    """Rig_T_view (4, 4), midway between the cameras: x along the baseline, z along the mean axis.
+    """The frame midway between the cameras: x along the baseline, z along the mean axis; (4, 4).
 
-    The mean of the optical axes is made square to the baseline; pan (2,), rad, reads either base.
+    It is rig_T_view; the mean of the optical axes is made square to the baseline. `pan` (2,), rad,
+    is the reading of either base.
     """
     left, right = rig.left.rig_T_camera(float(pan[0])), rig.right.rig_T_camera(float(pan[1]))
     x = right[:3, 3] - left[:3, 3]

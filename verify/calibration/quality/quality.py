@@ -121,7 +121,7 @@ class CalibrationQuality:
 def judge_calibration(calibration: Calibration, pan: Array | None = None) -> CalibrationQuality:
     """Judge a calibration: fit, coverage, accuracy, sources of uncertainty.
 
-    Pan (b, 2), rad, are readings of the bases at its pairs; None: the rig's own fixed ones.
+    `pan` (b, 2), rad, holds readings of the bases at its pairs; None: the rig's own fixed ones.
 
     Raises:
         ValueError: the rig states no covariance, or `pan` does not fit the pairs.

@@ -53,8 +53,8 @@ def body_poses(
 ) -> tuple[Array, list[BodyPose]]:
     """Assign spots to LEDs in every pair, and refine the LEDs' places in the body.
 
-    LEDs (n, 3), m, are known to about a millimetre, their diameter in m. The LEDs, refined, and the
-    pairs in which three or more are assigned and give a pose.
+    LEDs (n, 3), m, are known to about a millimetre, their diameter in m. Returns the LEDs, refined,
+    and the pairs in which three or more are assigned and give a pose.
     """
     rough = leds
     assigned = _assign_leds(pairs, rig, body_marker(leds, diameter, START_LED_SIGMA))

@@ -122,8 +122,8 @@ def _select_spots(spots: Spots, keep: NDArray[np.bool_]) -> Spots:
 def find_leds(pairs: Sequence[PairSpots], rig: Rig, leds: int | None, place: str) -> Array:
     """Find the LEDs, (n, 3), m, as the rigid body that moves; spots that stand still are left out.
 
-    They are in a frame of their own, about their centroid, good to about a millimetre. As many as
-    `leds`, or as move together; `place` is the recording, for complaints.
+    They are in a frame of their own, about their centroid, good to about a millimetre. `leds` says
+    how many there are; None: as many as move together. `place` is the recording, for complaints.
 
     Raises:
         InputError: nothing moves as one rigid body, or another number of LEDs does.
@@ -169,7 +169,7 @@ def candidate_points(pair: PairSpots, rig: Rig) -> PointCloud:
 def find_rigid_body(clouds: Sequence[PointCloud], most: int) -> Array | None:
     """Find the moving points whose mutual distances stay: (n, 3) about their centroid, or None.
 
-    At most so many, the most frequent ones in the pairs' clouds.
+    Of the points of the pairs' clouds it takes at most `most`, the most frequent ones.
     """
     if len(clouds) < 3:
         return None

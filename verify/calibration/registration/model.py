@@ -40,10 +40,10 @@ def reading_variance(readings: Readings, resolution: float | None) -> Array:
 
 
 def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int64], Array]:
-    """Readings at t (n,), s, their clock, as weighted sums: indices (n, 4), weights (n, 4).
+    """Express readings interpolated at t (n,), s, controller's clock, as weighted sums of readings.
 
-    `readings.at(t)` = sum of weight · q[index]. Where there are no four about an instant, the
-    nearest alone.
+    Returns indices (n, 4) and weights (n, 4) with readings.at(t) = sum of weight · q[index]. Where
+    there are no four about an instant, the nearest alone.
     """
     last = len(readings.t) - 1
     after = np.clip(np.searchsorted(readings.t, t), min(1, last), last)

@@ -75,10 +75,10 @@ def register_motion(
 ) -> MotionRegistration:
     """Register a robot from its own motion; the rig's robot base and the marker are not needed.
 
-    There are so many LEDs, or as many as move together; the marker gives them names and colours,
-    its positions count only if kept. `keep_base`: the rig's base stands as it is (from a fixture),
-    the LEDs alone are fitted; `keep_leds`: the base alone. `progress` is called with pairs done and
-    pairs in all.
+    `leds` says how many there are; None: as many as move together. The marker gives them names and
+    colours; its positions count only if kept. `keep_base`: the rig's base stands as it is (from a
+    fixture), the LEDs alone are fitted; `keep_leds`: the base alone. `progress` is called with
+    pairs done and pairs in all.
 
     Rig and marker of the registration carry its id and, in the rig's covariance, all that is known
     of their uncertainty.

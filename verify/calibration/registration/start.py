@@ -122,9 +122,9 @@ def clock_candidates(
 ) -> list[float]:
     """Find clock offsets at which the readings turn by the angles that the images show.
 
-    Measured are rotations (n, 3, 3) in any one frame at t (n,), s, on the cameras' clock; `turns`
-    are they by the readings (controller's clock), in any other frame. Offsets stand best first, at
-    most eight, to within 20 ms; none where no offset gives half of the pairs a reading.
+    `measured` holds rotations (n, 3, 3) in any one frame at t (n,), s, on the cameras' clock;
+    `turns` the same by the readings (controller's clock), in any other frame. Returns offsets, best
+    first, at most eight, to within 20 ms; none where no offset gives half of the pairs a reading.
     """
     early, late = _angle_pairs(len(t))
     angle = _angles(measured[early], measured[late])

@@ -127,8 +127,8 @@ def design_effect(share: Array, pull: Array) -> tuple[float, float]:
     counts where chance exceeds it once in a hundred.
 
     Whitened, `share` (b, p, p) is each pair's share of all information and `pull` (b, p) its
-    gradient at the adjusted state. Mean factor on the variances, 1 or more, and its degrees of
-    freedom.
+    gradient at the adjusted state. Returns the mean factor on variances, 1 or more, and its degrees
+    of freedom.
     """
     if len(pull) < MIN_PAIRS:
         return 1.0, np.inf
@@ -167,8 +167,8 @@ def board_covariance(found: Estimate, covariance: Array) -> Array:
 def square_edges(found: Estimate, corners: CornerStack, board: Board) -> tuple[float, float, float]:
     """Measure the squares' edges by triangulating corners that both cameras observed, m.
 
-    Mean edge, its standard uncertainty from the scatter of the pairs' means, and the standard
-    deviation of single edges; NaN where no pair shows two neighbouring corners twice.
+    Returns the mean edge, its standard uncertainty from the scatter of the pairs' means, and the
+    standard deviation of single edges; NaN where no pair shows two neighbouring corners twice.
     """
     edges = []
     for pair in range(len(found.state.boards)):

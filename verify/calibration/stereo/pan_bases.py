@@ -47,7 +47,7 @@ def settle_bases(
 ) -> tuple[Estimate, ErrorScatter | None, list[str]]:
     """Find how the readings scatter, then hold what the bases' turns do not determine.
 
-    The scatter is None where no base turned; there is a sentence a base that is held.
+    Returns the scatter, None where no base turned, and a sentence for each base that is held.
     """
     if found.model.bases == (BASE_FIXED, BASE_FIXED):
         return found, None, []

@@ -34,9 +34,9 @@ from verify.core.rig import Camera
 
 
 def step_state(state: BundleState, corners: CornerStack, change: Array, own: Array) -> BundleState:
-    """Step all unknowns at once: the shared parameters (47,), and each board's own, (b, 11).
+    """Step the shared parameters by (47,) and each board's own by (b, 11), all at once.
 
-    The latter are its pose in rig axes and its errors. To first order a straight step.
+    Its own are the board's pose in rig axes and its errors. To first order the step is straight.
     """
     changes = (change[camera_columns(0)], change[camera_columns(1)])
     errors = state.errors + own[:, 6:]

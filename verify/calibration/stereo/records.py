@@ -100,7 +100,7 @@ def extend_covariance(
     """Add parameters that were found through those already stated, with their correlation.
 
     A base found through a rig shares the rig's errors, which cancel in part when the rig measures
-    again. By_given (m, p) is d new / d given, `own` (m, m) the covariance from the new ones' own
+    again. `by_given` (m, p) is d new / d given, `own` (m, m) the covariance from the new ones' own
     data, SI units and pixels; the m names are as in rig.toml.
     """
     if given is None:

@@ -86,7 +86,8 @@ def refuse_inconsistent(
 ) -> None:
     """Refuse where most pairs do not agree on how the cameras stand to each other.
 
-    Four-fold: a quarter turn leaves the board's pattern as it is.
+    `turned`: the bases were, between pairs; `four_fold`: a quarter turn leaves the pattern as it
+    is.
 
     Raises:
         InputError: half of the pairs or more disagree with the others.

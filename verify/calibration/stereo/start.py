@@ -149,10 +149,10 @@ class CameraRelation:
 def relate_cameras(
     left: dict[int, Array], right: dict[int, Array], board: Board, pan: Array, bases: Sequence[str]
 ) -> CameraRelation:
-    """Find the relation of the cameras on which most pairs agree, by left and right_T_board (4, 4).
+    """Find the relation of the cameras on which most pairs agree.
 
-    Of the two bases with readings pan (b, 2), rad, one that never turned counts as standing at
-    zero.
+    `left` and `right` hold left_T_board and right_T_board (4, 4) by pair, `pan` (b, 2), rad, the
+    readings; a base that never turned counts as standing at zero.
     """
     both = sorted(set(left) & set(right))
     lefts = np.array([left[i] for i in both])

@@ -81,7 +81,7 @@ def measure_all(
 ) -> BatchResult:
     """Measure every session that is not done yet; each is kept in `out` as soon as it is done.
 
-    Failures could not even be looked into; `watch` is called after every session.
+    `failures` are what could not even be looked into; `watch` is called after every session.
 
     Raises:
         InputError: `out` cannot be written.

@@ -237,8 +237,7 @@ def write(
 ) -> None:
     """Write the three tables into a folder that holds none of them.
 
-    Measured sessions have their name and where their results are kept; they and failures are by
-    name.
+    `kept` has each measured session's name and where its results are; both lists are by name.
 
     Raises:
         ReportError: results that were kept are damaged.

@@ -60,7 +60,7 @@ class JointSeries:
 
 
 def series_of(sessions: pd.DataFrame, arm: str, joint: int) -> JointSeries:
-    """Take one joint's series, from 1, from an arm's dated sessions that have a figure."""
+    """Take the series of one joint (from 1) from an arm's dated sessions that have a figure."""
     name = f"q{joint}"
     valid = sessions["started"].notna() & sessions[f"{name}_mean_error_deg"].notna()
     valid &= sessions[f"{name}_standard_uncertainty_deg"].fillna(0) > 0
@@ -162,8 +162,8 @@ def scan(series: JointSeries, months: Array, design: Array, found: SeriesFit) ->
     """Try a step and a drift at every session, in one pass of sums from the end.
 
     A step at k is 1 from session k on; a drift at k is the time since session k, from there on. All
-    products of such columns with V⁻¹ are sums over the sessions from k on. Months (n,) are the
-    sessions' time, in order, the design (n, p) holds the columns of the fit.
+    products of such columns with V⁻¹ are sums over the sessions from k on. `months` (n,) is the
+    sessions' time, in order, `design` (n, p) holds the columns of the fit.
     """
     by_weight = apply_inverse_covariance(series, design)
     step_signal, drift_signal = _tail_sums(months, found.residual_weighted)

@@ -63,7 +63,7 @@ def fit_crossing(
     p: Array,
     result: Array,
 ) -> bool:
-    """Fit a corner in an image (h, w), DN; whether there is one.
+    """Fit a corner in an image (h, w), DN; returns whether there is one.
 
     `at` is centre, jacobian and bend of `find.CornerPrediction`, `markers` as for `window_pixels`,
     `steps` the table of F. The parameters p (13,), see model.py, are filled, and so is result (6,)
@@ -118,7 +118,7 @@ def converge(pixels: Array, edges: Array, steps: Array, p: Array) -> tuple[bool,
     """Find the parameters by Gauss-Newton with Levenberg's damping.
 
     Pixels (4, p), edges (5,), `steps` the table of F; p (13,) holds the start, and the best met
-    afterwards. Whether it settled, and the model's rows (14, p) there.
+    afterwards. Returns whether it settled, and the model's rows (14, p) there.
     """
     count = pixels.shape[1]
     known, rows = np.empty((N_KNOWN_ROWS, count)), np.empty((N_ROWS, count))
