@@ -38,14 +38,10 @@ class HandEye:
 
 
 def solve_hand_eye(a: Array, b: Array) -> HandEye:
-    """Solve A X = Y B for X and Y.
+    """Solve A X = Y B for X = body_T_flange and Y = rig_T_base.
 
-    Args:
-        a: (n, 4, 4), the body in a fixed camera (rig_T_body), m.
-        b: (n, 4, 4), the flange by the encoders (base_T_flange), at the same instants.
-
-    Returns:
-        x (body_T_flange) and y (rig_T_base) with each pose's residual.
+    At the same n instants, a (n, 4, 4) is rig_T_body, the body in a fixed camera, m, and b (n, 4,
+    4) base_T_flange, the flange by the encoders.
 
     Raises:
         ValueError: fewer than three poses, or not as many of one as of the other.
@@ -76,8 +72,7 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
 def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[np.bool_]]:
     """Solve again without poses whose residual is `worst` times the median, until none is.
 
-    Returns:
-        The solution, its residuals for all n poses, and which poses it rests on, (n,).
+    Returns the solution with residuals for all n poses, and which poses it rests on, (n,).
     """
     good = np.ones(len(a), dtype=bool)
     while True:
@@ -87,8 +82,7 @@ def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[n
         limit = worst * np.median(size[:, good], axis=1, keepdims=True)
         kept = good & (size <= limit).all(axis=0)
         if kept.sum() in (good.sum(), *range(MIN_POSES)):
-            whole = HandEye(solved.x, solved.y, off, solved.mirrored, solved.open)
-            return whole, good
+            return HandEye(solved.x, solved.y, off, solved.mirrored, solved.open), good
         good = kept
 
 
@@ -101,8 +95,7 @@ def nearest_rotation(matrix: Array) -> Array:
 
 def _translations(a: Array, b: Array, y_rotation: Array) -> tuple[Array, float]:
     """Least squares of R_A t_X - t_Y = R_Y t_B - t_A: both (6,), and the residual's size."""
-    n = len(a)
-    rows = np.concatenate([a[:, :3, :3], np.tile(-np.eye(3), (n, 1, 1))], axis=2)
+    rows = np.concatenate([a[:, :3, :3], np.tile(-np.eye(3), (len(a), 1, 1))], axis=2)
     wanted = b[:, :3, 3] @ y_rotation.T - a[:, :3, 3]
     design, target = rows.reshape(-1, 6), wanted.reshape(-1)
     solution = np.linalg.lstsq(design, target, rcond=None)[0]
@@ -113,8 +106,7 @@ def cross_matrices(vectors: Array) -> Array:
     """Matrices of v × ., (n, 3, 3), of vectors (n, 3)."""
     x, y, z = vectors.T
     zero = np.zeros_like(x)
-    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
-    return matrix.reshape(-1, 3, 3)
+    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
 
 
 def rigid_columns(points: Array) -> Array:

@@ -61,13 +61,10 @@ class PredictedView:
 def visible_leds(
     setup: PlanningSetup, base_T_flange: Array, margin: float, angle: float
 ) -> tuple[PredictedView, PredictedView]:
-    """Predict the LED images of flange poses in both cameras.
+    """Predict the LED images of flange poses (m, 4, 4), m, in both cameras at the rig's own pan.
 
-    Args:
-        setup: rig and marker; the bases stand at the rig's own pan.
-        base_T_flange: (m, 4, 4), m.
-        margin: px between an LED's centre and the picture's rim.
-        angle: rad from the flange's z within which LEDs are seen.
+    The margin is px between an LED's centre and the picture's rim, the angle rad from the flange's
+    z within which LEDs are seen.
     """
     rig_T_flange = setup.rig.rig_T_base @ base_T_flange
     points = setup.marker.leds @ np.swapaxes(rig_T_flange[:, :3, :3], 1, 2)
@@ -141,14 +138,10 @@ class PostureConstraints:
         return np.array([(base_T_rig @ one)[:3, 3] for one in placed])
 
     def reason(self, q: Array, *, passing: bool = False) -> Rows:
-        """Find the constraint that excludes each posture.
+        """Find the first of REASONS that excludes each posture q (m, j), rad: (m,), -1 for none.
 
-        Args:
-            q: (m, j), rad, within the joints' limits.
-            passing: between two poses the rim and singularities may be nearer.
-
-        Returns:
-            (m,), the first of REASONS that does; -1 where none does.
+        Postures are within the joints' limits; `passing` between two poses, the rim and
+        singularities may be nearer.
         """
         parts = [
             self._reason(q[i : i + CHUNK_POSTURES], passing)

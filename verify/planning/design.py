@@ -76,10 +76,9 @@ def _joint_columns(model: JointErrorModel, shapes: Array) -> Array:
 def geometry_columns(
     setup: PlanningSetup, model: JointErrorModel
 ) -> tuple[tuple[Parameter, ...], Array]:
-    """The arm's parameters that may be identified, and their columns.
+    """The arm's L parameters that may be identified, and their columns (r, L).
 
-    Returns:
-        L parameters, and (r, L), whitened, a unit of each parameter's tolerance (1 mm, 1°).
+    These are whitened, a unit of each parameter's tolerance (1 mm, 1°).
     """
     chain = chain_of(setup.arm)
     parameters = (*offset_parameters(chain), *geometry_parameters(chain))
@@ -103,13 +102,10 @@ class DesignInformation:
 def design_information(
     setup: PlanningSetup, model: JointErrorModel, observe: tuple[str, ...], weight: float
 ) -> DesignInformation:
-    """Split the analysis' model of single visits by pose.
+    """Split the analysis' model of one pair at each candidate pose by pose.
 
-    Args:
-        setup: for the arm's geometry.
-        model: of one pair at each candidate pose.
-        observe: kinds; of those that only the motion decides the offsets stand for.
-        weight: pairs that will be taken about each pose.
+    Offsets stand for those of the kinds to observe that only the motion decides; the weight is the
+    pairs that will be taken about each pose.
     """
     names = [name for name in observe if name in POSE_KINDS] or ["offsets"]
     columns = []
@@ -142,17 +138,13 @@ def design_information(
 def log_information(information: DesignInformation, chosen: list[int], times: float = 1.0) -> float:
     """Ln det of the information on the requested parameters, everything else held open.
 
-    Args:
-        information: the candidates.
-        chosen: which are visited.
-        times: pairs of each pose, over those that the rows were weighted for.
+    `times` is the pairs of each chosen pose, over those that the rows were weighted for.
     """
     a = information.requested.shape[2]
     rows = np.concatenate([information.requested[chosen], information.others[chosen]], axis=2)
     flat = rows.reshape(-1, rows.shape[2])
     whole = np.diag(information.prior) + times * flat.T @ flat
-    found = np.linalg.slogdet(whole)[1] - np.linalg.slogdet(whole[a:, a:])[1]
-    return float(found)
+    return float(np.linalg.slogdet(whole)[1] - np.linalg.slogdet(whole[a:, a:])[1])
 
 
 def choose_poses(information: DesignInformation, count: int) -> list[int]:
@@ -163,8 +155,7 @@ def choose_poses(information: DesignInformation, count: int) -> list[int]:
     for _ in range(MAX_ROUNDS):
         changed = False
         for place in range(len(chosen)):
-            rest = chosen[:place] + chosen[place + 1 :]
-            better = _best(information, rest, chosen[place])
+            better = _best(information, chosen[:place] + chosen[place + 1 :], chosen[place])
             changed |= better != chosen[place]
             chosen[place] = better
         if not changed:

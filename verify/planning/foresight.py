@@ -54,18 +54,11 @@ def simulate_clock(
     systematics: Systematics,
     rng: np.random.Generator,
 ) -> ClockEstimate:
-    """Estimate the clock in worlds drawn about the stated errors.
+    """Estimate the clock in worlds drawn about the stated errors, from poses without noise.
 
-    Args:
-        track: poses without noise.
-        arm: the robot.
-        readings: on the cameras' clock.
-        systematics: stated by rig and marker.
-        rng: draws the worlds.
-
-    Returns:
-        The offset of the perfect world, 0 but for the readings' noise, with the median uncertainty
-        of all; the perfect world's alone where the LEDs leave a turn open.
+    Readings are on the cameras' clock. Returns the offset of the perfect world, 0 but for the
+    readings' noise, with the median uncertainty of all; the perfect world's alone where the LEDs
+    leave a turn open.
     """
     perfect = estimate_clock(track, arm, readings)
     full = bool((track.known_dof == 6).all())
@@ -128,18 +121,10 @@ def simulate_session(
     view_angle: float,
     rng: np.random.Generator,
 ) -> PredictedSession | None:
-    """Simulate a session without errors.
+    """Simulate a session without errors; None where no pair could be measured.
 
-    Args:
-        setup: arm, rig, marker.
-        motion: joint angles over time.
-        t: (n,), s, when the left camera takes its pictures.
-        conditions: of cameras and encoders.
-        view_angle: rad from the flange's z within which LEDs are seen.
-        rng: for the readings' noise, whose size the analysis takes from the readings.
-
-    Returns:
-        None where no pair could be measured.
+    The left camera takes its pictures at t (n,), s; LEDs are seen within `view_angle`, rad, from
+    the flange's z. The readings are noisy: the analysis takes the noise's size from them.
     """
     pairs = _SyntheticPairs(setup, motion, conditions, view_angle)
     measurements = list(measure(pairs.pairs(t), pairs.setup()))

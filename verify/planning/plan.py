@@ -54,13 +54,9 @@ class SessionPlan:
 def plan_motion(
     setup: PlanningSetup, request: PlanRequest, conditions: SessionConditions, progress: Progress
 ) -> SessionPlan:
-    """Choose poses, order and pace.
+    """Choose poses, order and pace; the conditions are assumed of the session.
 
-    Args:
-        setup: arm, rig, marker.
-        request: what is to be shown, and within which bounds.
-        conditions: assumed of the session.
-        progress: called with stages done, stages in all, and the stage that begins.
+    `progress` is called with stages done, stages in all, and the stage that begins.
 
     Raises:
         InputError: no posture is in view and allowed; too few, or too little time, for a plan.
@@ -92,15 +88,10 @@ def predict_session(
     conditions: SessionConditions,
     rng: np.random.Generator,
 ) -> SessionPrediction:
-    """Predict what any motion would show, planned or not.
+    """Predict what any motion, (n,) s to (n, j) rad, would show, planned or not.
 
-    Args:
-        setup: arm, rig, marker.
-        motion: (n,) s to (n, j) rad.
-        t: (n,), s, when the left camera takes its pictures.
-        request: the requested kinds of fault, and the LEDs' angle of view.
-        conditions: assumed of the session.
-        rng: of the readings' noise.
+    The left camera takes its pictures at t (n,), s. The request gives the kinds of fault and the
+    LEDs' angle of view.
 
     Raises:
         InputError: no pair of it could be measured.

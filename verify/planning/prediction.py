@@ -136,12 +136,7 @@ class UncertaintyShare:
 def uncertainty_sources(
     session: PredictedSession, analysis: PredictedAnalysis
 ) -> list[UncertaintyShare]:
-    """Split the mean errors' uncertainties by source: the squares add up where all are stated.
-
-    Args:
-        session: the session.
-        analysis: its means.
-    """
+    """Split the mean errors' uncertainties by source: the squares add up where all are stated."""
     found = [UncertaintyShare(RANDOM_SOURCE, analysis.means.random)]
     by_row = mean_sensitivities(session.model, resolve_errors(session.model))
     for name, columns in _columns(session):

@@ -129,15 +129,7 @@ class PlanProvenance:
 
 
 def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
-    """Turn a plan into results.
-
-    Args:
-        made: the plan.
-        origin: what it was made for.
-
-    Returns:
-        Summary and tables as docs/plan.md lists them.
-    """
+    """Turn a plan into summary and tables as docs/plan.md lists them."""
     predicted, timed = made.prediction, made.timed
     session = predicted.session
     summary: dict[str, Any] = {
@@ -270,10 +262,7 @@ def _geometry(found: PredictedIdentifiability) -> dict[str, Any]:
             for parameter, u in zip(found.parameters, found.standard_uncertainty, strict=True)
         ],
         "held": [
-            {
-                "name": held.parameter.name,
-                "reason": "gauge" if held.redundant else "not_supported",
-            }
+            {"name": held.parameter.name, "reason": "gauge" if held.redundant else "not_supported"}
             for held in found.support.held
         ],
         "observability": found.indexes,
@@ -282,8 +271,7 @@ def _geometry(found: PredictedIdentifiability) -> dict[str, Any]:
 
 def _correlation(covariance: Array) -> list[list[float | None]]:
     sigma = np.sqrt(np.diag(covariance))
-    rows = covariance / np.outer(sigma, sigma)
-    return [[_number(value) for value in row] for row in rows]
+    return [[_number(value) for value in row] for row in covariance / np.outer(sigma, sigma)]
 
 
 def _deg(value: float) -> float | None:

@@ -155,8 +155,7 @@ def _largest_component(q: Array, legs: Array, tried: int, excluded: dict[str, in
     graph = csr_array((length, (legs[:, 0], legs[:, 1])), shape=(n, n))
     _, label = connected_components(graph, directed=False)
     kept = np.flatnonzero(label == np.argmax(np.bincount(label)))
-    part = graph[kept][:, kept]
-    time, before = dijkstra(part, directed=False, return_predecessors=True)
+    time, before = dijkstra(graph[kept][:, kept], directed=False, return_predecessors=True)
     return Roadmap(q[kept], time, before.astype(np.int64), tried, excluded)
 
 
@@ -186,16 +185,10 @@ class MotionStop:
 def plan_tour(
     constraints: PostureConstraints, roadmap: Roadmap, chosen: list[int], *, back: bool
 ) -> list[MotionStop]:
-    """Order the chosen postures and connect them.
+    """Order the chosen postures and connect them, directly where the constraints allow.
 
-    Args:
-        constraints: kept by the direct legs.
-        roadmap: postures and paths between them.
-        chosen: of its postures, the poses.
-        back: the same path back as well, so that every pose is approached from either side.
-
-    Returns:
-        The stops, the first pose first.
+    `back`: the same path back as well, so that every pose is approached from either side. The first
+    pose stands first.
     """
     places = np.array(chosen, dtype=np.int64)
     q = roadmap.q[places]
@@ -213,8 +206,7 @@ def plan_tour(
     for number, (a, b) in enumerate(pairwise(order), start=1):
         if not straight[a, b]:
             between = roadmap.q[roadmap.path(int(places[a]), int(places[b]))[:-1]]
-            passed = _shortcut(constraints, q[a], between, q[b])
-            stops += [MotionStop(row, None) for row in passed]
+            stops += [MotionStop(row, None) for row in _shortcut(constraints, q[a], between, q[b])]
         stops.append(MotionStop(q[b], number))
     return stops + stops[-2::-1] if back else stops
 

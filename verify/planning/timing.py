@@ -72,13 +72,7 @@ def joint_limits(arm: Arm, speed: float) -> JointLimits:
 
 
 def schedule(stops: Sequence[MotionStop], greatest: JointLimits, hold: float) -> TimedMotion:
-    """Give each leg its speed and each pose its rest.
-
-    Args:
-        stops: in order.
-        greatest: of each joint.
-        hold: s of rest at each pose; stops that are only passed have none.
-    """
+    """Give each leg its speed and each pose `hold` s of rest; stops only passed have none."""
     now, arrive, leave, legs, paces = 0.0, [], [], [], []
     for k, stop in enumerate(stops):
         if k:

@@ -47,13 +47,11 @@ class SweepAxis:
 
 
 def fit_axis(poses: Array, covariance: Array, q: Array) -> SweepAxis:
-    """Find the line about which poses turn.
+    """Find the line about which n >= 6 poses (n, 4, 4), rig_T_flange, turn.
 
-    Args:
-        poses: (n, 4, 4), rig_T_flange, n >= 6.
-        covariance: (n, 6, 6), m and rad, perturbation on the left in rig axes.
-        q: (n,), rad, the joint's encoder; starts the fit, orients the axis, and its mean is the
-            zero that the angles need.
+    The covariance (n, 6, 6) is in m and rad, its perturbation on the left in rig axes. The joint's
+    encoder q (n,), rad, starts the fit and orients the axis; its mean is the zero that the angles
+    need.
 
     Raises:
         ValueError: fewer than six poses.

@@ -36,8 +36,7 @@ def line_in_base(arm: robots.Arm, joint: int, q: Array) -> AxisLine:
     the direction z and z × (p − o) for the flange p and any point o of the axis.
     """
     column = robots.jacobian(arm, q)[:, joint]
-    flange = robots.forward(arm, q)[:3, 3]
-    return AxisLine(column[3:], flange + np.cross(column[3:], column[:3]))
+    return AxisLine(column[3:], robots.forward(arm, q)[:3, 3] + np.cross(column[3:], column[:3]))
 
 
 def are_parallel(one: AxisLine, other: AxisLine) -> bool:
@@ -63,8 +62,7 @@ def distance_between(one: AxisLine, other: AxisLine) -> float:
     if not are_parallel(one, other):
         normal = np.cross(one.direction, other.direction)
         return float(apart @ normal / np.linalg.norm(normal))
-    sense = np.sign(one.direction @ other.direction)
-    mean = one.direction + sense * other.direction
+    mean = one.direction + np.sign(one.direction @ other.direction) * other.direction
     mean = mean / np.linalg.norm(mean)
     return float(np.linalg.norm(apart - mean * (mean @ apart)))
 
@@ -110,8 +108,7 @@ def line_derivative(
         )
         return np.asarray(function(one, other), dtype=np.float64)
 
-    columns = [(at(row) - at(-row)) / (2 * STEP) for row in STEP * np.eye(8)]
-    return np.stack(columns, axis=-1)
+    return np.stack([(at(row) - at(-row)) / (2 * STEP) for row in STEP * np.eye(8)], axis=-1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,14 +147,9 @@ def fit_joint(
 ) -> JointSweepResult:
     """Fit the axis of one sweep and compare its turn with the encoder.
 
-    Args:
-        session: rig and marker with what is stated of them; the readings' grain.
-        measured: the pairs that the sweep counts in, all six degrees of freedom known.
-        readings: the encoders, for their noise.
-        sweep: which joint moved, when.
+    Pairs that the sweep counts in have all six degrees of freedom known.
     """
-    count = min(len(sweep.rows), MAX_PAIRS)
-    chosen = np.linspace(0, len(sweep.rows) - 1, count).astype(int)
+    chosen = np.linspace(0, len(sweep.rows) - 1, min(len(sweep.rows), MAX_PAIRS)).astype(int)
     seen = [measured[i] for i in sweep.rows[chosen]]
     q = sweep.q[chosen]
     poses = [m.pose for m in seen if m.pose is not None]
@@ -199,8 +191,7 @@ def _effects(session: Session, seen: list[Measurement]) -> Array:
 
 def _reading_uncertainty(session: Session, readings: Readings, joint: int) -> float:
     """Standard uncertainty of one reading: its noise, or its grain where that hides it."""
-    grain = (session.encoder_resolution or 0.0) / 12**0.5
-    return max(float(readings.noise[joint]), grain)
+    return max(float(readings.noise[joint]), (session.encoder_resolution or 0.0) / 12**0.5)
 
 
 def _gear_ratio(

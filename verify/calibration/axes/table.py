@@ -136,12 +136,9 @@ def _joint_covariance(one: JointSweepResult, other: JointSweepResult) -> Array:
 def base_from_axes(
     arm: robots.Arm, joints: tuple[JointSweepResult, ...], registered: Array | None
 ) -> BaseFromAxes | None:
-    """The base by joints 1 and 2: its z is axis 1, its turn about that rests on joint 1's zero.
+    """The base by joints 1 and 2, None unless both were swept, beside rig_T_base (4, 4) if known.
 
-    Args:
-        arm: its table holds where the two axes lie in the base.
-        joints: what was swept; None is returned where 1 and 2 are not both among them.
-        registered: rig_T_base to compare with, (4, 4); None: none.
+    Its z is axis 1, its turn about that rests on joint 1's zero.
     """
     first, second = (next((j for j in joints if j.joint == n), None) for n in (1, 2))
     if first is None or second is None:
@@ -177,11 +174,7 @@ class SweepResult:
 
 
 def axes_from_sweeps(session: Session, measurements: Sequence[Measurement]) -> SweepResult:
-    """Find each swept joint's axis and compare the arm with its table.
-
-    Args:
-        session: joint after joint moves, the others still.
-        measurements: what `measure` gave for its pairs.
+    """Find the axis of each joint that moved alone and compare the arm with its table.
 
     Raises:
         InputError: no joint was swept alone through a useful span.

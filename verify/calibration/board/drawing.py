@@ -55,14 +55,9 @@ class PageLayout:
 
 
 def lay_out(board: Board, paper: str | None = None) -> PageLayout:
-    """Place a board on paper.
+    """Place a board on paper, a key of `PAPERS_MM`; None: the smallest that holds it.
 
-    Args:
-        board: what to print.
-        paper: a key of `PAPERS_MM`; None: the smallest that holds it.
-
-    Returns:
-        The layout, upright or sideways, that leaves most white around the pattern.
+    Returns the layout, upright or sideways, that leaves most white around the pattern.
 
     Raises:
         InputError: no such paper, or the board does not fit.
@@ -264,8 +259,7 @@ def _rulers(layout: PageLayout) -> tuple[list[Any], list[Any]]:
     lines += [((x + at, y), (x + at, y + long)) for at, long in ticks(length)]
     labels = [(x + at, y + RULER_MM - 2.2, f"{at:g}") for at in np.arange(10, length + 1, 10)]
     x, foot, length = layout.up
-    top = foot - length
-    lines += [((x, top), (x, foot))]
+    lines += [((x, foot - length), (x, foot))]
     lines += [((x, foot - at), (x - long, foot - at)) for at, long in ticks(length)]
     labels += [(x - RULER_MM + 1.8, foot - at, f"{at:g}") for at in np.arange(10, length + 1, 10)]
     return lines, [*labels, (x - 4, foot + 2.5, "0 mm")]

@@ -41,14 +41,8 @@ def board_poses(
 ) -> list[Measurement]:
     """Measure the board's pose in each pair; `rig_T_flange` is rig_T_board here.
 
-    Args:
-        rig: the calibrated cameras; the robot's place is not used.
-        pairs: what was seen. A pair that neither camera saw enough of is left out.
-        board: the pattern.
-        reject: leave out single corners that the others contradict.
-
-    Returns:
-        One measurement a usable pair, by maximum likelihood on the corners of both images.
+    Returns one measurement a usable pair, by maximum likelihood on the corners of both images;
+    `reject` leaves out single corners that the others contradict. The robot's place is not used.
     """
     points = board.points
     return [

@@ -85,11 +85,8 @@ def check_session(
 ) -> CheckResult:
     """Check a rig by a session's pictures; its encoders are not used.
 
-    Args:
-        session: an opened session.
-        length: m, known distance of a bar's two LEDs; None: marker.toml's own distances.
-        length_standard_uncertainty: m; None: not stated.
-        progress: called with pairs done and pairs in all.
+    The length of a bar's two LEDs and its uncertainty are in m; None: marker.toml's own distances,
+    and not stated. `progress` is called with pairs done and pairs in all.
 
     Raises:
         InputError: a bar of other than two LEDs, or no pair that shows a known length.
@@ -111,12 +108,7 @@ def check_session(
 
 
 def bar_marker(marker: Marker, length: float, standard_uncertainty: float | None = None) -> Marker:
-    """Give a marker of two LEDs its known length.
-
-    Args:
-        marker: two LEDs.
-        length: m, between them.
-        standard_uncertainty: m, of that length; None: not stated.
+    """Give a marker of two LEDs its known length, m, with its standard uncertainty, m, if stated.
 
     Raises:
         InputError: the marker has more LEDs or fewer.
@@ -134,12 +126,7 @@ def bar_marker(marker: Marker, length: float, standard_uncertainty: float | None
 
 
 def check_rig(measurements: Sequence[Measurement], rig: Rig, marker: Marker) -> CheckResult:
-    """Check a rig by measured LEDs.
-
-    Args:
-        measurements: what `measure` gave, all statuses.
-        rig: the cameras as calibrated.
-        marker: the known distances, with what is stated of them.
+    """Check a rig by what `measure` gave, all statuses, and the marker's known distances.
 
     Raises:
         InputError: too few pairs show two LEDs in both images where the rig would have them.
@@ -164,12 +151,7 @@ def check_rig(measurements: Sequence[Measurement], rig: Rig, marker: Marker) -> 
 
 
 def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResult:
-    """Check a rig by a board; one pair is enough.
-
-    Args:
-        rig: the cameras as calibrated.
-        pairs: the board's corners, wherever it was held.
-        board: the pattern, with the stated uncertainty of its squares.
+    """Check a rig by a board, wherever it was held; one pair is enough.
 
     Raises:
         InputError: no pair shows the board in both images.
@@ -205,8 +187,7 @@ def figure_limit(found: RigConsistency) -> float:
 
 
 def _turning(measurements: Sequence[Measurement]) -> bool:
-    pans = {(m.left.pan, m.right.pan) for m in measurements if m.left and m.right}
-    return len(pans) > 1
+    return len({(m.left.pan, m.right.pan) for m in measurements if m.left and m.right}) > 1
 
 
 def _result(

@@ -49,13 +49,9 @@ class _PairLength:
 def measured_lengths(
     measurements: Sequence[Measurement], rig: Rig, marker: Marker, parameters: Systematics
 ) -> Lengths:
-    """Triangulate the marker's own distances.
+    """Triangulate the marker's own distances; the robot's base is not used.
 
-    Args:
-        measurements: pairs with a pose; spots that it refused are left out where it settled.
-        rig: the cameras; where the robot stands is not used.
-        marker: the known distances.
-        parameters: what is stated of rig and marker.
+    Spots that a pair's pose refused are left out where the pose settled.
     """
     shown: dict[tuple[int, int], list[_PairLength]] = defaultdict(list)
     for m in measurements:
@@ -127,8 +123,7 @@ def _pair_lengths(
 
 def _point_by_pixels(pose: Pose, spots: Array) -> Array:
     """How a triangulated point moves with its two images, (3, 4)."""
-    by_point = pose.sensitivity[spots].reshape(4, 3)
-    moved: Array = np.linalg.pinv(by_point)
+    moved: Array = np.linalg.pinv(pose.sensitivity[spots].reshape(4, 3))
     return moved
 
 

@@ -69,16 +69,11 @@ class Corner:
 def fit_corner(
     grey: Array, place: CornerPrediction, parameters: Array | None = None
 ) -> Corner | None:
-    """Measure one corner; other threads run meanwhile.
+    """Measure one corner in an image (h, w), DN; other threads run meanwhile.
 
-    Args:
-        grey: (h, w), DN.
-        place: where it is expected, to a tenth of a square.
-        parameters: of an earlier fit, whose centre is the expected one.
-
-    Returns:
-        None where there is no crossing: too few pixels, no convergence, or a place outside the
-        window.
+    The place is good to a tenth of a square; `parameters` are of an earlier fit, whose centre it
+    is. Returns None where there is no crossing: too few pixels, no convergence, or a place outside
+    the window.
     """
     found = np.zeros(N_PARAMETERS) if parameters is None else parameters.copy()
     result = np.empty(N_COLUMNS)
@@ -99,21 +94,16 @@ def fit_corner(
 
 
 def find_board(image: Image, board: Board) -> BoardView | None:
-    """Find a board and measure its corners.
+    """Find a board in an image, (h, w) grey or (h, w, 3) BGR, and measure its corners.
 
     The first corner is the one whose outer square is black, as on the boards that `verify board`
     and OpenCV draw. Where the pattern looks alike in several orders (see `is_ambiguous`), it is the
     one that is nearest the image's top left when the board is held upright; it changes when the
     board is turned past 90° in its plane. The order is never mirrored.
 
-    Args:
-        image: (h, w) grey or (h, w, 3) BGR, uint8.
-        board: the pattern.
-
-    Returns:
-        The corners by rising index; None where the board is not found. A plain chessboard must be
-        in view with all its inner corners, a ChArUco board in part. Corners in whose place no
-        crossing of edges can be fitted (covered, in glare) are left out.
+    Corners stand by rising index; None where the board is not found. A plain chessboard must be in
+    view with all its inner corners, a ChArUco board in part. Corners in whose place no crossing of
+    edges can be fitted (covered, in glare) are left out.
     """
     grey = to_grey(image)
     if board.markers is None:
@@ -140,13 +130,8 @@ def is_ambiguous(board: Board) -> bool:
 def find_other_board(image: Image, board: Board) -> tuple[int, int] | None:
     """Find which chessboard an image shows when the stated one was not found in it.
 
-    Args:
-        image: (h, w) grey or (h, w, 3) BGR, uint8.
-        board: the pattern that was expected.
-
-    Returns:
-        Inner corners of the plain board, the direction that runs more across the image first; None
-        where no whole chessboard is in view.
+    The image is (h, w) grey or (h, w, 3) BGR. Returns inner corners of the plain board, the
+    direction that runs more across the image first; None where no whole chessboard is in view.
     """
     grey = to_grey(image)
     grid = find_by_growing(grey)

@@ -38,13 +38,8 @@ Progress = Callable[[int, int], None]
 def find_boards(folder: BoardFolder, progress: Progress) -> list[BoardPair]:
     """Find the board in both pictures of every pair.
 
-    Args:
-        folder: the opened pictures.
-        progress: called with pairs done and pairs in all.
-
-    Returns:
-        As many pairs as the folder has, then its pictures of one camera alone; a view in which no
-        board was found is None.
+    Returns as many pairs as the folder has, then its pictures of one camera alone; a view in which
+    no board was found is None. `progress` is called with pairs done and pairs in all.
 
     Raises:
         InputError: no board in any picture; says which other pattern is there instead.

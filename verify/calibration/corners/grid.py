@@ -57,12 +57,9 @@ class CornerMap:
 
 
 def fit_map(squares: Array, pixels: Array, shape: tuple[int, ...]) -> CornerMap | None:
-    """Fit the map to corners; None where they determine no homography.
+    """Fit the map of squares (n, 2) to pixels (n, 2); None where they determine no homography.
 
-    Args:
-        squares: (n, 2), at least four, not three on a line.
-        pixels: (n, 2).
-        shape: of the image.
+    At least four corners, not three on a line; the shape is the image's.
     """
     middle = np.array([(shape[1] - 1) / 2, (shape[0] - 1) / 2])
     scale = max(shape[:2]) / 2
@@ -103,17 +100,11 @@ def fit_grid_map(grey: Image, grid: Array) -> CornerMap | None:
 
 
 def crossings(grey: Image, grid_map: CornerMap, squares: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Contrast of the crossings at given places of a board, and whether each is one.
+    """Contrast of the crossings at places (n, 2) of a board, in squares, and whether each is one.
 
-    Args:
-        grey: (h, w).
-        grid_map: the board's plane in the image.
-        squares: (n, 2), board coordinates in squares.
-
-    Returns:
-        Half the difference of both diagonals (n,), DN, positive where the square with lower x and
-        y is the brighter, nan outside the image; and whether opposite squares agree so well that
-        it must be a crossing.
+    Contrast is half the difference of both diagonals (n,), DN, positive where the square with lower
+    x and y is the brighter, nan outside the image (h, w). It must be a crossing where opposite
+    squares agree well enough.
     """
     around = np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]]) * SAMPLE_OFFSET
     places = grid_map((squares[:, None] + around).reshape(-1, 2)).reshape(-1, 4, 2)
@@ -163,19 +154,11 @@ def has_crossings(grey: Image, grid_map: CornerMap, block: Block) -> bool:
 
 
 def orient_grid(grey: Image, grid: Array, columns: int, rows: int) -> Array | None:
-    """Put a found grid into the board's order.
+    """Put a found grid (r, c, 2), px, in any order, into the board's: (rows * columns, 2), x first.
 
-    Of the orders that are not mirrored, those whose first square is black come before the others;
-    where the pattern looks alike in several, the one that stands most nearly upright is taken.
-
-    Args:
-        grey: (h, w).
-        grid: (r, c, 2), px, in any order.
-        columns: inner corners along the board's x.
-        rows: along its y.
-
-    Returns:
-        (rows * columns, 2), px, along x first; None where the grid has other counts.
+    Columns are inner corners along the board's x. Of the orders that are not mirrored, those whose
+    first square is black come before the others; where the pattern looks alike in several, the one
+    that stands most nearly upright is taken. None where the grid has other counts.
     """
     orders = [np.rot90(side, k) for side in (grid, grid[:, ::-1]) for k in range(4)]
     orders = [o for o in orders if o.shape[:2] == (rows, columns) and is_right_handed(o)]

@@ -30,15 +30,9 @@ SECTOR_FLAGS = (cv2.CALIB_CB_EXHAUSTIVE, cv2.CALIB_CB_NORMALIZE_IMAGE)
 
 
 def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
-    """Find all inner corners of a plain chessboard.
+    """Find all inner corners of a plain chessboard in an image (h, w).
 
-    Args:
-        grey: (h, w).
-        columns: inner corners one way.
-        rows: the other way.
-
-    Returns:
-        (rows, columns, 2), px, in no certain order; None where this very board is not in view.
+    Returns (rows, columns, 2), px, in no certain order; None where this very board is not in view.
     """
     if min(columns, rows) < MIN_CORNERS:
         return None
@@ -64,18 +58,11 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
 def _find_whole(
     grey: Image, picture: Image, scale: float, counts: tuple[int, int], flags: int | None
 ) -> Array | None:
-    """Search a variant of an image for the whole of a board.
+    """Search a variant of an image, `scale` times its size, for the whole of a board.
 
-    Args:
-        grey: (h, w), the image, in which the answer is checked.
-        picture: the variant.
-        scale: its size over the image's.
-        counts: inner corners, columns and rows.
-        flags: of OpenCV's sector-based finder; None: its older finder by black quadrangles, which
-            finds boards cut by the image's border.
-
-    Returns:
-        (rows, columns, 2), px of the image; None: not found.
+    Returns (rows, columns, 2), px of the image `grey` (h, w), in which it is checked, or None.
+    Counts are columns and rows; flags are of OpenCV's sector-based finder, None for its older
+    finder by black quadrangles, which finds boards cut by the image's border.
     """
     if flags is None:
         found, corners = cv2.findChessboardCorners(picture, counts, flags=QUAD_FLAGS)
@@ -112,8 +99,7 @@ def undo_scale(corners: Array, scale: float) -> Array:
 def find_by_growing(grey: Image) -> Array | None:
     """Find a chessboard of whatever counts: part of one first, then line after line.
 
-    Returns:
-        (rows, columns, 2), px; None where no chessboard is in view.
+    Returns (rows, columns, 2), px; None where no chessboard is in view.
     """
     for flags in (0, cv2.CALIB_CB_EXHAUSTIVE, cv2.CALIB_CB_NORMALIZE_IMAGE):
         for seed in SEED_CORNERS:

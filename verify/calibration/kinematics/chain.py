@@ -56,18 +56,13 @@ class KinematicChain:
     def hayati(self) -> tuple[int, ...]:
         """Joints, from 0, whose axis is nearly parallel to the next one's."""
         lean = np.abs(np.sin(np.hypot(self.alpha, self.beta)))
-        near = lean[:-1] < np.sin(MIN_AXIS_ANGLE)
-        return tuple(np.flatnonzero(near).tolist())
+        return tuple(np.flatnonzero(lean[:-1] < np.sin(MIN_AXIS_ANGLE)).tolist())
 
 
 def chain_of(arm: robots.Arm) -> KinematicChain:
-    """Describe an arm as a chain that gives the same poses.
+    """Describe an arm as a chain of the same poses, all corrections 0.
 
-    Args:
-        arm: a DH table is taken as it is; a URDF's axes at q = 0 are turned into one.
-
-    Returns:
-        The chain, all corrections 0.
+    A DH table is taken as it is; a URDF's axes at q = 0 are turned into one.
     """
     if isinstance(arm, robots.DhArm):
         return KinematicChain(
@@ -216,13 +211,10 @@ def geometry_parameters(chain: KinematicChain) -> list[Parameter]:
 
 
 def change_state(state: ArmState, parameters: tuple[Parameter, ...], change: Array) -> ArmState:
-    """Change parameters of a state.
+    """Change L parameters of a state by (L,), m and rad.
 
-    Args:
-        state: what to start from.
-        parameters: L of them.
-        change: (L,), m and rad. A base moves along and about its own axes, a tool along the
-            flange's and about those through the target.
+    A base moves along and about its own axes, a tool along the flange's and about those through the
+    target.
     """
     columns = {key: getattr(state.chain, key).copy() for key in LINK_COLUMNS}
     steps = {"base": np.zeros((len(state.base), 6)), "tool": np.zeros((len(state.tool), 6))}
@@ -243,6 +235,5 @@ def _small_motion(steps: Array) -> Array:
     step = np.tile(np.eye(4), (len(steps), 1, 1))
     step[:, :3, 3] = steps[:, :3]
     for axis in range(3):
-        turn = rotation_exp(np.eye(3)[axis] * steps[:, 3 + axis, None])
-        step[:, :3, :3] = step[:, :3, :3] @ turn
+        step[:, :3, :3] = step[:, :3, :3] @ rotation_exp(np.eye(3)[axis] * steps[:, 3 + axis, None])
     return step

@@ -37,13 +37,10 @@ class UnstatedEffect:
 def unstated_effects(
     fit: KinematicFit, poses: IdentificationPoses, scales: Iterable[str], held: dict[str, str]
 ) -> list[UnstatedEffect]:
-    """What errors of 0.1 %, 1 mm or 0.1° would do to the offsets of a fit.
+    """What errors of 0.1 %, 1 mm or 0.1° would do to the offsets of the chosen model's fit.
 
-    Args:
-        fit: the chosen model's.
-        poses: its rows.
-        scales: sources of an unknown scale of all positions.
-        held: sources by "base" or "tool", where that is held as if exact.
+    `scales` are sources of an unknown scale of all positions; `held` sources by "base" or "tool",
+    where that is held as if exact.
     """
     offsets = [k for k, p in enumerate(fit.parameters) if p.kind == "correction"]
     if not offsets:

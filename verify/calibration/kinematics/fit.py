@@ -77,8 +77,7 @@ class FitState:
 
 def pose_residuals(state: ArmState, poses: IdentificationPoses) -> Array:
     """Measured pose less the model's, (n, 6), m and rad."""
-    predicted = predict_poses(state, poses.q, poses.base, poses.tool)
-    return _residuals(predicted, poses)
+    return _residuals(predict_poses(state, poses.q, poses.base, poses.tool), poses)
 
 
 def _residuals(predicted: Array, poses: IdentificationPoses) -> Array:
@@ -115,14 +114,10 @@ def fit_parameters(
     parameters: tuple[Parameter, ...],
     richest: KinematicFit | None = None,
 ) -> KinematicFit:
-    """Fit parameters to the rows that are not outlying.
+    """Fit L parameters to the rows that are not outlying; priors are about the state at the start.
 
-    Args:
-        state: where to start; priors are about it.
-        poses: n rows.
-        parameters: L of them.
-        richest: the fit of the largest model. Its outlying rows are left out here as well, and the
-            noise is no less than what it leaves: what a smaller model cannot follow is no noise.
+    Outlying rows of the largest model's fit `richest` are left out here as well, and the noise is
+    no less than what it leaves: what a smaller model cannot follow is no noise.
     """
     if richest is None:
         used, scale = _outlying_rows(state, poses, parameters)
@@ -156,9 +151,8 @@ def minimise(
 ) -> tuple[FitState, Array]:
     """Fit all rows by Gauss and Newton at a given noise.
 
-    Returns:
-        Where the fit ends, and the covariance (L + e, L + e) of parameters by tolerance and
-        nuisances.
+    Returns where it ends, and the covariance (L + e, L + e) of parameters by tolerance and
+    nuisances.
     """
     length, tolerance = len(parameters), tolerances(parameters)
     white = scale.of(poses)

@@ -43,14 +43,10 @@ class Identifiability:
 
 
 def information_root(design: Array, nuisance: Array) -> Array:
-    """Find R with R'R the information on the parameters, nuisances taken out.
+    """Find upper triangular R with R'R the information on L parameters, nuisances taken out.
 
-    Args:
-        design: (m, L), whitened and scaled.
-        nuisance: (m, p), whitened, of unit prior variance.
-
-    Returns:
-        (at most L, L), upper triangular.
+    The design (m, L) is whitened and scaled, the nuisance (m, p) whitened, of unit prior variance;
+    R has at most L rows.
     """
     p = nuisance.shape[1]
     if not p:
@@ -62,12 +58,10 @@ def information_root(design: Array, nuisance: Array) -> Array:
 def identifiability(
     candidates: tuple[Parameter, ...], information: Array, least: float = MIN_SINGULAR_VALUE
 ) -> Identifiability:
-    """Choose the parameters that the data support.
+    """Choose the parameters that the data support, of L candidates, those to keep first.
 
-    Args:
-        candidates: L of them, those to keep first.
-        information: `information_root` of their columns, scaled by tolerance.
-        least: singular value of R over the supported ones.
+    The information is `information_root` of their columns, scaled by tolerance; `least` is the
+    smallest singular value of R over the supported ones.
     """
     chosen: list[int] = []
     held: list[tuple[int, bool]] = []
@@ -129,17 +123,13 @@ def unsupported(
 
 
 def observability_indices(information: Array, poses: int) -> dict[str, float]:
-    """The observability indexes of identified parameters.
+    """The observability indexes of parameters by N poses, from their `information_root`.
 
-    Args:
-        information: `information_root` of their columns, whitened, scaled by tolerance (1 mm, 1°).
-        poses: N, how many poses they rest on.
-
-    Returns:
-        With singular values σ1 ≥ … ≥ σL: O1 = (σ1 … σL)^(1/L) / √N (Borm and Menq 1991: volume of
-        the uncertainty), O2 = σL / σ1 (Driels and Pathre 1990: inverse condition number), O3 = σL
-        (Nahvi, Hollerbach and Hayward 1994: the worst known combination), O4 = σL² / σ1 (Nahvi and
-        Hollerbach 1996: noise amplification), O5 = 1 / Σ 1/σi (Sun and Hollerbach 2008).
+    Its columns are whitened and scaled by tolerance (1 mm, 1°). With singular values σ1 ≥ … ≥ σL:
+    O1 = (σ1 … σL)^(1/L) / √N (Borm and Menq 1991: volume of the uncertainty), O2 = σL / σ1 (Driels
+    and Pathre 1990: inverse condition number), O3 = σL (Nahvi, Hollerbach and Hayward 1994: the
+    worst known combination), O4 = σL² / σ1 (Nahvi and Hollerbach 1996: noise amplification), O5 = 1
+    / Σ 1/σi (Sun and Hollerbach 2008).
     """
     size = np.linalg.svd(information, compute_uv=False)
     if not len(size):

@@ -35,12 +35,7 @@ from verify.calibration.kinematics.model import start_state
 from verify.calibration.kinematics.noise import initial_scale
 from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.recordings import with_scatter
-from verify.calibration.kinematics.validation import (
-    CrossValidation,
-    HoldOut,
-    best_model,
-    hold_out,
-)
+from verify.calibration.kinematics.validation import CrossValidation, HoldOut, best_model, hold_out
 from verify.core.records import Array
 
 LEVELS = ("registration", "offsets", "geometry")
@@ -115,13 +110,9 @@ def identify_arm(
     options: IdentificationOptions | None = None,
     known: ArmState | None = None,
 ) -> IdentificationResult:
-    """Identify the parameters that the data support.
+    """Identify the parameters of the arm that the data support.
 
-    Args:
-        chain: the arm as its file has it.
-        poses: n rows.
-        options: what is free, and what to choose.
-        known: bases and tools to start from, or to hold; found from the rows where not given.
+    Bases and tools start from `known`, or are held there; found from the rows where not given.
 
     Raises:
         ValueError: too few rows for what is free.
@@ -163,13 +154,10 @@ def register(
     options: IdentificationOptions | None = None,
     known: ArmState | None = None,
 ) -> KinematicFit:
-    """Fit base and tool alone: how a given arm fits other data.
+    """Fit base and tool alone: how a given arm, corrected or not, fits other data.
 
-    Args:
-        chain: the arm, corrected or not.
-        poses: n rows.
-        options: which of base and tool are free; both where not given.
-        known: bases and tools to start from, or to hold; found from the rows where not given.
+    Both are free where no options are given; they start from `known`, or are held there, and are
+    found from the rows where not given.
 
     Raises:
         ValueError: too few rows.

@@ -26,12 +26,7 @@ ZERO_ERRORS_DEG = (90, -90, 180)
 
 
 def refuse_mistaken_readings(file: Path, chain: KinematicChain, poses: IdentificationPoses) -> None:
-    """Refuse readings that fit far better once a usual mistake is taken back.
-
-    Args:
-        file: that holds the readings.
-        chain: the arm as its file has it.
-        poses: n rows.
+    """Refuse readings of a file that fit far better once a usual mistake is taken back.
 
     Raises:
         InputError: names the mistake and what remains without it.

@@ -59,16 +59,9 @@ class _JacobianBuilder:
 def predict_poses(
     state: ArmState, q: Array, base: NDArray[np.int64], tool: NDArray[np.int64]
 ) -> Array:
-    """Place the target at readings.
+    """Place the target at readings q (n, j), rad: world_T_target (n, 4, 4), m.
 
-    Args:
-        state: chain, bases and tools.
-        q: (n, j), rad, as read.
-        base: (n,), which base each row belongs to.
-        tool: (n,), which tool.
-
-    Returns:
-        world_T_target, (n, 4, 4), m.
+    `base` (n,) and `tool` (n,) tell which of the state's each row belongs to.
     """
     return _walk(state, q, base, tool).pose()
 
@@ -80,11 +73,10 @@ def predict_with_jacobian(
     tool: NDArray[np.int64],
     parameters: tuple[Parameter, ...],
 ) -> tuple[Array, Array]:
-    """Place the target and differentiate its pose by some parameters.
+    """Place the target and differentiate its pose by L parameters.
 
-    Returns:
-        world_T_target (n, 4, 4) and (n, 6, L): twist at the target's origin in world axes a unit of
-        each parameter, m and rad.
+    Returns world_T_target (n, 4, 4) and (n, 6, L): twist at the target's origin in world axes a
+    unit of each parameter, m and rad.
     """
     walk = _walk(state, q, base, tool)
     columns = np.zeros((len(q), 6, len(parameters)))

@@ -64,21 +64,16 @@ def initial_scale(poses: IdentificationPoses) -> NoiseScale:
 def residual_scale(
     left: Array, columns: Array, covariance: Array, poses: IdentificationPoses, at: NoiseScale
 ) -> NoiseScale:
-    """Estimate the noise from what a fit leaves.
+    """Estimate the noise from the residuals (n, 6), m and rad, that a fit leaves.
 
-    Args:
-        left: (n, 6), m and rad, residuals of the fit.
-        columns: (n, 6, c), the pose's change with each of c fitted numbers.
-        covariance: (c, c), of these, by the noise `at`.
-        poses: the n rows of the fit.
-        at: the noise that the fit took for granted.
+    `columns` (n, 6, c) are the pose's change with each of c fitted numbers, `covariance` (c, c) is
+    theirs by the noise `at`, which the fit took for granted.
     """
 
     def estimate(part: slice, factor: float) -> tuple[float, float]:
         white = _marginal_whitener(poses, part)
         taken = np.einsum("nac,cd,nad->", design := white @ columns[:, part], covariance, design)
-        count = np.count_nonzero(np.any(white != 0, axis=2))
-        freedom = max(count - float(taken) / factor**2, 1.0)
+        freedom = max(np.count_nonzero(np.any(white != 0, axis=2)) - float(taken) / factor**2, 1.0)
         variance = float(np.sum((white @ left[:, part, None]) ** 2)) / freedom
         if poses.stated and variance < 1 + MIN_EXCESS_SIGMA * np.sqrt(2 / freedom):
             return 1.0, np.inf

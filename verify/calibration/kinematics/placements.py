@@ -50,11 +50,7 @@ def session_files(
 ) -> Iterator[tuple[str, bytes]]:
     """Paths and contents of what `verify run` takes; nothing where base and target were held.
 
-    Args:
-        gathered: the sessions.
-        fit: of the chosen model.
-        robot_file: name of the corrected arm's file.
-        robot: its content.
+    The fit is the chosen model's, `robot` the content of the corrected arm's file.
     """
     kinds = {p.kind for p in fit.parameters if p.axis}
     for i, one in enumerate(gathered.sessions):

@@ -48,18 +48,14 @@ def build_poses(
     nuisance: Array | None = None,
     determined: tuple[Array, ...] | None = None,
 ) -> IdentificationPoses:
-    """Gather measured poses or positions with the readings at their instants.
+    """Gather poses or positions of one point with the readings q (n, j), rad, at their instants.
 
-    Args:
-        q: (n, j), rad.
-        measured: (n, 4, 4) poses, or (n, 3) positions of one point, m, in any fixed frame.
-        covariance: (n, 6, 6), or (n, 3, 3) of positions, m and rad; None: not known, and estimated
-            from what is left, one variance for positions and one for turns.
-        base: (n,), which placing of the robot each row belongs to; all the same where not given.
-        tool: (n,), which mounting or target, likewise.
-        block: (n,), rows that are held out together; each by itself where not given.
-        nuisance: (n, 6, p), effects of unit variance that all rows share.
-        determined: n of (6, d), functionals of a pose that were measured; all where not given.
+    `measured` is (n, 4, 4) or (n, 3), m, in any fixed frame, its covariance (n, 6, 6) or (n, 3, 3),
+    m and rad; None: not known, and estimated from what is left, one variance for positions and one
+    for turns. `base` (n,) and `tool` (n,) number each row's placing of the robot and its mounting
+    or target, all the same where not given; rows of one `block` (n,) are held out together, each by
+    itself where not given. `nuisance` (n, 6, p) holds effects of unit variance that all rows share,
+    `determined` n functionals (6, d) of a pose that were measured, all where not given.
 
     Raises:
         ValueError: shapes that do not fit together.

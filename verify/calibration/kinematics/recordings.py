@@ -25,12 +25,7 @@ SHARED = 2.0  # parameters of one arm hang together: that many count as one degr
 
 
 def with_scatter(fit: KinematicFit, poses: IdentificationPoses) -> KinematicFit:
-    """Enlarge a fit's covariance by what its recordings differ; unchanged where there is one.
-
-    Args:
-        fit: of all recordings together.
-        poses: its rows, with the recording of each.
-    """
+    """Enlarge a fit's covariance by what its recordings differ; unchanged where there is one."""
     recordings = np.unique(poses.recording)
     arm = [k for k, p in enumerate(fit.parameters) if not p.axis]
     if len(recordings) < 2 or not arm:

@@ -50,15 +50,7 @@ def identification_results(
     robot_file: str,
     judged: ValidationSessions | None = None,
 ) -> Results:
-    """Lay an identification out for the report.
-
-    Args:
-        found: the identification.
-        poses: its n rows.
-        origin: sessions and options.
-        robot_file: name of the corrected arm's file.
-        judged: other sessions that judge the arm.
-    """
+    """Lay an identification out for the report; `judged` are other sessions that judge the arm."""
     chosen = found.chosen
     fitted = chosen.fit
     outlying = np.flatnonzero(~fitted.used)

@@ -31,19 +31,11 @@ class CorrectionProvenance:
 def encode_robot(
     arm: robots.Arm, chain: KinematicChain, provenance: CorrectionProvenance, *, offsets_only: bool
 ) -> tuple[str, bytes]:
-    """Write the corrected arm.
+    """Write the corrected arm: its file's name and content.
 
-    A DH table of which only the offsets changed stays a table, with its closed form. Any other
-    correction leaves the family of arms that have one, so the arm becomes a URDF.
-
-    Args:
-        arm: as its file has it.
-        chain: corrected.
-        provenance: where the correction comes from.
-        offsets_only: no length and no twist was changed.
-
-    Returns:
-        The file's name and its content.
+    A DH table of which only the offsets changed, no length and no twist, stays a table with its
+    closed form. Any other correction leaves the family of arms that have one, so the arm becomes a
+    URDF.
     """
     name = f"{arm.name}_identified"
     if offsets_only and isinstance(arm, robots.DhArm):

@@ -67,18 +67,12 @@ def statistics(left: Array) -> Array:
 
 
 def hold_out(
-    fit: KinematicFit,
-    poses: IdentificationPoses,
-    noise: NoiseScale,
-    options: HoldOut,
+    fit: KinematicFit, poses: IdentificationPoses, noise: NoiseScale, options: HoldOut
 ) -> CrossValidation | None:
     """Fit on one part and evaluate on the other, several times; None: too few rows.
 
-    Args:
-        fit: of all rows; each fit starts there, and leaves its outlying rows out.
-        poses: n rows.
-        noise: that distances are measured by.
-        options: how much is held out, and how often.
+    Each fit starts at the one of all rows and leaves its outlying rows out; distances are measured
+    by the noise.
     """
     generator = np.random.default_rng(options.seed)
     start = FitState(fit.state, fit.change / tolerances(fit.parameters))
@@ -112,9 +106,8 @@ def hold_out(
 def best_model(found: Sequence[CrossValidation | None], block: NDArray[np.int64]) -> int:
     """Choose the model that predicts best, the smaller where that makes no clear difference.
 
-    Args:
-        found: of each model, the smallest first; one without is not chosen.
-        block: (n,), rows of one block repeat each other.
+    The smallest model stands first; one without is not chosen. Rows of one block (n,) repeat each
+    other.
     """
     best = 0
     for k, larger in enumerate(found[1:], start=1):

@@ -31,15 +31,9 @@ TEST_LENGTH = 0.1  # m, of the distance whose uncertainty is stated
 def parameter_derivatives(
     function: Callable[[Rig], Array], rig: Rig, names: Sequence[str]
 ) -> Array:
-    """Differentiate a function of a rig by the rig's named parameters.
+    """Differentiate an array by p of a rig's parameters, named as in rig.toml's [covariance].
 
-    Args:
-        function: a rig to an array of any shape.
-        rig: where the derivative is taken.
-        names: (p) parameters of the cameras, as in rig.toml's [covariance].
-
-    Returns:
-        (p, ...), a SI unit (or pixel, or one) of the parameter.
+    Returns (p, ...), a SI unit (or pixel, or one) of the parameter.
     """
     rows = [
         (function(move_parameter(rig, name, STEP)) - function(move_parameter(rig, name, -STEP)))
@@ -77,15 +71,10 @@ class AccuracyField:
 
 
 def uncertainty_parts(field: AccuracyField, covariance: Array) -> tuple[Array, Array, Array]:
-    """Standard uncertainties across the line of sight, along it (depth), and in total, m.
+    """Standard uncertainties across the line of sight, along it (depth), and in total, (r, c), m.
 
-    Args:
-        field: the points.
-        covariance: (r, c, 3, 3), m², one of the field's parts.
-
-    Returns:
-        (r, c) each. Across: in the direction in which it is largest. Total: the root of the sum
-        of the three squares.
+    The covariance (r, c, 3, 3), m², is one of the field's parts. Across: in the direction in which
+    it is largest. Total: the root of the sum of the three squares.
     """
     x, y = np.meshgrid(field.x, field.y)
     sights = np.stack([x, y, np.full_like(x, field.distance)], axis=-1)
@@ -122,13 +111,9 @@ class PointDerivatives:
 def point_sensitivities(
     rig: Rig, pan: Array, points: Array, names: Sequence[str]
 ) -> PointDerivatives:
-    """Differentiate the least-squares point by its pixels and by the rig's parameters.
+    """Differentiate least-squares points (n, 3), m, view frame, by pixels and p rig parameters.
 
-    Args:
-        rig: the rig.
-        pan: (2,), rad.
-        points: (n, 3), m, view frame.
-        names: (p) parameters.
+    The pan readings (2,) are in rad.
     """
     rig_T_view = view_frame(rig, pan)
     places = points @ rig_T_view[:3, :3].T + rig_T_view[:3, 3]
@@ -170,13 +155,10 @@ def systematic_parameters(rig: Rig, turning: bool) -> tuple[tuple[str, ...], Arr
 
 
 def uncertainty_field(rig: Rig, pan: Array, distance: float, turning: bool) -> AccuracyField:
-    """Map the expected uncertainty across the view at one distance.
+    """Map the expected uncertainty across the view at one distance, m, by the rig's covariance.
 
-    Args:
-        rig: with its covariance.
-        pan: (2,), rad, readings of the bases.
-        distance: m, before the middle between the cameras.
-        turning: pan readings vary, and so their own uncertainty counts.
+    The distance is before the middle between the cameras, `pan` (2,), rad, the readings of the
+    bases; `turning`: they vary, and so their own uncertainty counts.
     """
     names, covariance = systematic_parameters(rig, turning)
     x, y = _grid(rig, pan, distance)
@@ -222,19 +204,13 @@ def length_uncertainty(
 ) -> tuple[float, float]:
     """Standard uncertainty of a distance of TEST_LENGTH, m: random part, systematic part.
 
-    A motion common to all points cancels, as it does in a registered robot's pose.
-
-    Args:
-        rig: with its covariance.
-        pan: (2,), rad.
-        distance: m, of the middle of the two points, on the view's axis.
-        axis: along which the points lie: 0 across, 1 down, 2 in depth.
-        turning: pan readings vary, and so their own uncertainty counts.
+    A motion common to all points cancels, as it does in a registered robot's pose. The middle of
+    the two points lies on the view's axis at `distance`, m; they lie along axis 0 across, 1 down, 2
+    in depth. The pan (2,) is in rad; `turning`: readings vary, and so their own uncertainty counts.
     """
     names, covariance = systematic_parameters(rig, turning)
     middle, half = np.array([0.0, 0.0, distance]), TEST_LENGTH / 2 * np.eye(3)[axis]
-    ends = np.stack([middle - half, middle + half])
-    found = point_sensitivities(rig, pan, ends, names)
+    found = point_sensitivities(rig, pan, np.stack([middle - half, middle + half]), names)
     apart = found.by_rig[:, 1, axis] - found.by_rig[:, 0, axis]
     random = SPOT_SIGMA * np.linalg.norm(found.by_pixels[:, axis])
     return float(random), float(np.sqrt(apart @ covariance @ apart))

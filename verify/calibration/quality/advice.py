@@ -51,10 +51,7 @@ def calibration_doubts(
 ) -> tuple[str, ...]:
     """List what speaks against the calibration, a sentence each.
 
-    Args:
-        calibration: the calibration.
-        quality: its quality.
-        names: of the pairs' pictures, by frame, as the user knows them.
+    The names are of the pairs' pictures, by frame, as the user knows them.
     """
     return (
         *_views(quality.views, calibration, names or {}),
@@ -100,9 +97,7 @@ def _views(
 def pairs_apart(calibration: Calibration, poor: Collection[int]) -> list[int]:
     """Frames of the pairs between whose pictures the board moved more than it usually did.
 
-    Args:
-        calibration: with the boards' motions, where they are visible.
-        poor: frames with a view that stands out.
+    Pairs in `poor` have a view that stands out: less motion counts there.
     """
     motion = calibration.motion
     if motion is None:

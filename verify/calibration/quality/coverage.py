@@ -46,14 +46,10 @@ class BoardOrientation:
 
 
 def view_frame(rig: Rig, pan: Array) -> Array:
-    """Place a frame midway between the cameras: x along the baseline, z along the mean axis.
+    """The frame midway between the cameras: x along the baseline, z along the mean axis; (4, 4).
 
-    Args:
-        rig: the rig.
-        pan: (2,), rad, reading of either base.
-
-    Returns:
-        rig_T_view, (4, 4). z is the mean of the optical axes, made square to the baseline.
+    It is rig_T_view; the mean of the optical axes is made square to the baseline. `pan` (2,), rad,
+    is the reading of either base.
     """
     left, right = rig.left.rig_T_camera(float(pan[0])), rig.right.rig_T_camera(float(pan[1]))
     x = right[:3, 3] - left[:3, 3]
@@ -112,12 +108,7 @@ def _cell_counts(pixels: Array, width: int, height: int, across: int, down: int)
 
 
 def board_stances(calibration: Calibration, pan: Array) -> tuple[BoardOrientation, ...]:
-    """Find distance and tilts of each board.
-
-    Args:
-        calibration: with b pairs.
-        pan: (b, 2), rad, readings of the bases.
-    """
+    """Find distance and tilts of each of b boards; pan (b, 2), rad, are readings of the bases."""
     points = calibration.board.points
     middle = np.append((points[0] + points[-1]) / 2, 1.0)
     found = []

@@ -121,9 +121,7 @@ class CalibrationQuality:
 def judge_calibration(calibration: Calibration, pan: Array | None = None) -> CalibrationQuality:
     """Judge a calibration: fit, coverage, accuracy, sources of uncertainty.
 
-    Args:
-        calibration: with the rig's covariance.
-        pan: (b, 2), rad, readings of the bases at its pairs; None: the rig's own fixed ones.
+    `pan` (b, 2), rad, holds readings of the bases at its pairs; None: the rig's own fixed ones.
 
     Raises:
         ValueError: the rig states no covariance, or `pan` does not fit the pairs.
@@ -160,8 +158,7 @@ def judge_calibration(calibration: Calibration, pan: Array | None = None) -> Cal
 
 def _distances(boards: list[float]) -> tuple[float, float, float]:
     """Nearest, median and farthest distance of the boards, rounded; some may coincide."""
-    wanted = np.quantile(boards, [0.0, 0.5, 1.0])
-    steps = np.maximum(np.round(wanted / DISTANCE_STEP), 1).tolist()
+    steps = np.maximum(np.round(np.quantile(boards, [0.0, 0.5, 1.0]) / DISTANCE_STEP), 1).tolist()
     near, median, far = (round(step * DISTANCE_STEP, 6) for step in steps)
     return near, median, far
 
@@ -256,16 +253,10 @@ def outlying_views(values: Array) -> NDArray[np.bool_]:
 
 
 def draw_rectified(rig: Rig, left: Image, right: Image, pan: Array | None = None) -> bytes:
-    """Rectify a pair and draw level lines across both images.
+    """Rectify a pair and draw level lines across both images: PNG, side by side.
 
-    Args:
-        rig: the rig.
-        left: (h, w) grey or (h, w, 3) BGR, as taken.
-        right: (h, w) grey or (h, w, 3) BGR, as taken.
-        pan: (2,), rad, readings of the bases at that pair; None: the rig's own fixed ones.
-
-    Returns:
-        PNG bytes, both pictures side by side; the same input gives the same bytes.
+    Images are (h, w) grey or (h, w, 3) BGR, as taken, pan (2,), rad, the readings of the bases at
+    that pair; None: the rig's own fixed ones. The same input gives the same bytes.
 
     Source: the rectification is OpenCV's stereoRectify (Bouguet's).
     """

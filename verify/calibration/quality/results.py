@@ -108,13 +108,9 @@ def calibration_results(
 ) -> Results:
     """Judge a calibration and lay it out for the report.
 
-    Args:
-        calibration: with the rig's covariance.
-        pan: (b, 2), rad, readings of the bases at its pairs; None: the rig's own fixed ones.
-        picture: one pair as taken, to show rectified; None: no preview.
-        picture_pan: (2,), rad, readings at that pair; None: the rig's own fixed ones.
-        names: of the pairs' pictures, by frame, as the user knows them.
-        origin: the pictures.
+    Readings of the bases are pan (b, 2), rad, at its pairs, and picture_pan (2,) at the pair that
+    is shown rectified; None: the rig's own fixed ones. The names are of the pairs' pictures, by
+    frame, as the user knows them.
 
     Raises:
         ValueError: the rig states no covariance, or `pan` does not fit the pairs.

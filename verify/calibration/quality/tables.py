@@ -79,8 +79,7 @@ def _values(camera: Camera) -> dict[str, float]:
     values |= dict(zip(PARAMETER_KEYS[PAR_LENS], camera.distortion.tolist(), strict=True))
     axis = np.cross([0.0, 1.0, 0.0], camera.pan_axis)
     sine = float(np.linalg.norm(axis))
-    angle = np.arctan2(sine, camera.pan_axis[1])
-    turn = axis / sine * angle if sine > 0 else np.zeros(3)
+    turn = axis / sine * np.arctan2(sine, camera.pan_axis[1]) if sine > 0 else np.zeros(3)
     vectors = {
         "pan_center_{}_mm": camera.pan_center * MM,
         "pan_axis_r{}_deg": turn * DEG,
@@ -192,8 +191,7 @@ def _pyramid(camera: Camera, size: tuple[int, int]) -> Array:
     """One stroke along a pyramid from the optical centre to the image's corners, unit depth."""
     corners = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
     corners *= [size[0] - 1, size[1] - 1]
-    rays = np.column_stack([camera.normalise(corners), np.ones(4)])
-    a, b, c, d = rays
+    a, b, c, d = np.column_stack([camera.normalise(corners), np.ones(4)])
     tip = np.zeros(3)
     return np.array([tip, a, b, tip, c, d, tip, a, d, c, b])
 

@@ -81,14 +81,7 @@ def adjust(
     start: RegistrationParameters,
     free: NDArray[np.bool_],
 ) -> AdjustedRegistration:
-    """Adjust what is free to all spots, refusing those that the others contradict.
-
-    Args:
-        spotted: the spots of all pairs.
-        setup: rig, arm, readings and their noise.
-        start: where to begin.
-        free: (size,), which parameters to adjust.
-    """
+    """Adjust what is `free` (size,) to all spots, refusing those that the others contradict."""
     at = start
     for _ in range(MAX_ROUNDS):
         at = _fit_parameters(spotted, setup, at, free)

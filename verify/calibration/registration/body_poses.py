@@ -53,14 +53,8 @@ def body_poses(
 ) -> tuple[Array, list[BodyPose]]:
     """Assign spots to LEDs in every pair, and refine the LEDs' places in the body.
 
-    Args:
-        pairs: the spots of every pair.
-        rig: the cameras.
-        leds: (n, 3), m, the body's LEDs to about a millimetre.
-        diameter: m, of an LED.
-
-    Returns:
-        The LEDs, refined, and the pairs in which three or more are assigned and give a pose.
+    LEDs (n, 3), m, are known to about a millimetre, their diameter in m. Returns the LEDs, refined,
+    and the pairs in which three or more are assigned and give a pose.
     """
     rough = leds
     assigned = _assign_leds(pairs, rig, body_marker(leds, diameter, START_LED_SIGMA))

@@ -80,15 +80,11 @@ def register_fixture(
     base_T_board: Array,
     base_T_board_covariance: Array,
 ) -> FixtureRegistration:
-    """Find the robot's base in the rig by a board that is fixed to it.
+    """Find the robot's base in the rig by a board fixed to it at base_T_board (4, 4).
 
-    Args:
-        rig: calibrated cameras; a base that it may hold is replaced.
-        pairs: the board at its one place, at one or several pan angles.
-        board: the pattern.
-        base_T_board: (4, 4), where the board sits on the base.
-        base_T_board_covariance: (6, 6), m and rad; a translation and a small rotation on the
-            left, in base axes. All pairs share its error.
+    Its covariance (6, 6), m and rad, is of a translation and a small rotation on the left, in base
+    axes; all pairs share its error. The board keeps its one place at one or several pan angles. A
+    base that the rig may hold is replaced.
 
     Raises:
         InputError: no usable view of the board, or pairs that put it at different places.
@@ -195,8 +191,7 @@ def _chi2_with_rig(
     taken = pose.gain @ moved
     free = moved.T @ weighted - taken.T @ np.linalg.solve(pose.covariance_pixels, taken)
     along = weighted.T @ pose.residual.reshape(-1)
-    explained = along @ np.linalg.solve(np.eye(len(free)) + free, along)
-    return pose.chi2 - float(explained)
+    return pose.chi2 - float(along @ np.linalg.solve(np.eye(len(free)) + free, along))
 
 
 def _consistent_pairs(

@@ -120,16 +120,10 @@ def _select_spots(spots: Spots, keep: NDArray[np.bool_]) -> Spots:
 
 
 def find_leds(pairs: Sequence[PairSpots], rig: Rig, leds: int | None, place: str) -> Array:
-    """Find the LEDs as the rigid body that moves.
+    """Find the LEDs, (n, 3), m, as the rigid body that moves; spots that stand still are left out.
 
-    Args:
-        pairs: the spots of every pair, those that stand still left out.
-        rig: the cameras.
-        leds: how many there are; None: as many as move together.
-        place: the recording, for complaints.
-
-    Returns:
-        (n, 3), m, in a frame of their own, about their centroid; good to about a millimetre.
+    They are in a frame of their own, about their centroid, good to about a millimetre. `leds` says
+    how many there are; None: as many as move together. `place` is the recording, for complaints.
 
     Raises:
         InputError: nothing moves as one rigid body, or another number of LEDs does.
@@ -175,17 +169,14 @@ def candidate_points(pair: PairSpots, rig: Rig) -> PointCloud:
 def find_rigid_body(clouds: Sequence[PointCloud], most: int) -> Array | None:
     """Find the moving points whose mutual distances stay: (n, 3) about their centroid, or None.
 
-    Args:
-        clouds: the points of each pair.
-        most: how many of them to take, the most frequent ones.
+    Of the points of the pairs' clouds it takes at most `most`, the most frequent ones.
     """
     if len(clouds) < 3:
         return None
     few = sorted(range(len(clouds)), key=lambda i: (len(clouds[i].points), i))
     references = [clouds[i] for i in few[: max(len(few) // 2, 3)]]
     references = _spread([c for c in references if len(c.points) <= MAX_POINTS], N_REFERENCES)
-    tests = _spread(clouds, N_TESTS)
-    triangles = _triangles(references, tests)
+    triangles = _triangles(references, _spread(clouds, N_TESTS))
     grown = [g for g in (_grow(t, clouds, most) for t in triangles) if g is not None]
     if not grown:
         return None

@@ -40,15 +40,10 @@ def reading_variance(readings: Readings, resolution: float | None) -> Array:
 
 
 def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int64], Array]:
-    """Express interpolated readings as weighted sums of readings.
+    """Express readings interpolated at t (n,), s, controller's clock, as weighted sums of readings.
 
-    Args:
-        readings: on the controller's clock.
-        t: (n,), s.
-
-    Returns:
-        Indices (n, 4) and weights (n, 4) with readings.at(t) = sum of weight · q[index]. Where
-        there are no four about an instant, the nearest alone.
+    Returns indices (n, 4) and weights (n, 4) with readings.at(t) = sum of weight · q[index]. Where
+    there are no four about an instant, the nearest alone.
     """
     last = len(readings.t) - 1
     after = np.clip(np.searchsorted(readings.t, t), min(1, last), last)
@@ -57,8 +52,7 @@ def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int6
     index = np.repeat(np.where(early, before, after)[:, None], 4, axis=1)
     weight = np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))
     start = np.searchsorted(readings.t, t, side="right") - 1
-    inner = (start >= 1) & (start + 2 <= last)
-    rows = np.flatnonzero(inner)
+    rows = np.flatnonzero((start >= 1) & (start + 2 <= last))
     around = start[rows][:, None] + np.arange(-1, 3)
     times = readings.t[around]
     whole = (np.diff(times, axis=1) <= MAX_GAP).all(axis=1)
@@ -154,8 +148,7 @@ def stack_spots(poses: Sequence[BodyPose], rig: Rig) -> SpotStack:
             parts["cov"].append(raw.sighting.covariance)
             parts["t"].append(raw.taken)
             parts["pan"].append(np.full(m, raw.sighting.pan))
-            camera_T_rig = camera.camera_T_rig(raw.sighting.pan)
-            parts["T"].append(np.tile(camera_T_rig, (m, 1, 1)))
+            parts["T"].append(np.tile(camera.camera_T_rig(raw.sighting.pan), (m, 1, 1)))
             parts["led"].append(raw.sighting.led.astype(float))
     return SpotStack(
         pair=np.array(pair, dtype=np.int64),

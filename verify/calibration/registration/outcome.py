@@ -54,11 +54,7 @@ def registration_outcome(
 ) -> MotionRegistration:
     """Turn an adjustment into the contents of rig and marker file and of the report.
 
-    Args:
-        recording: what was registered.
-        named: the marker that gives the LEDs' names.
-        held: what was not adjusted.
-        found: the adjustment.
+    The marker gives the LEDs' names; what is held was not adjusted.
     """
     adjusted, setup, diameter = found.adjusted, found.setup, found.diameter
     spotted, at = adjusted.spotted, adjusted.at

@@ -31,13 +31,10 @@ MAX_RMS_PX = 10.0  # a degree of joint error makes a few; these are another robo
 
 
 def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], place: str) -> None:
-    """Refuse a motion that leaves the base and the LEDs open against each other.
+    """Refuse a motion q (n, j), rad, that leaves the base and the LEDs open against each other.
 
-    Args:
-        arm: the robot.
-        q: (n, j), rad, its readings at the pairs.
-        noise: m, rad: standard uncertainty of the body's pose in one pair, readings included.
-        place: the recording, for the complaint.
+    The noise, m and rad, is the standard uncertainty of the body's pose in one pair, readings
+    included.
 
     Raises:
         InputError: names what is undetermined and the movement to add.
@@ -46,8 +43,7 @@ def refuse_undetermined(arm: robots.Arm, q: Array, noise: tuple[float, float], p
     open_ones = _open_directions(information)
     if not open_ones.shape[1]:
         return
-    joints = _joints_to_move(arm, q, noise, information)
-    more = " and ".join(f"joint {j + 1}" for j in joints)
+    more = " and ".join(f"joint {j + 1}" for j in _joints_to_move(arm, q, noise, information))
     raise InputError(
         place,
         f"the motion leaves {_open_motions_text(arm, q, open_ones)} undetermined, as the LEDs on "
@@ -126,24 +122,16 @@ def _axis(arm: robots.Arm, q: Array, direction: Array) -> str:
 
 
 def refuse_other_robot(
-    start: RegistrationStart,
-    folder: Path,
-    robot: str,
-    readings: Readings,
-    restart: Restart,
+    start: RegistrationStart, folder: Path, robot: str, readings: Readings, restart: Restart
 ) -> None:
     """Refuse readings by which the flange turns otherwise than its LEDs, or mirrored.
 
-    Args:
-        start: base and LEDs in closed form, neither of them held.
-        folder: the recording's.
-        robot: as session.toml names it.
-        readings: of the joints.
-        restart: gives the closed form with other readings.
+    The start is in closed form with neither base nor LEDs held; `restart` gives it with other
+    readings.
 
     Raises:
-        InputError: the turns of readings and pictures differ by more than joint errors explain,
-            or agree only with those of a mirror image.
+        InputError: the turns of readings and pictures differ by more than joint errors explain, or
+            agree only with those of a mirror image.
     """
     off = _turn_difference(start)
     check = (
@@ -190,14 +178,7 @@ def refuse_misfit(
     readings: Readings,
     restart: Restart,
 ) -> None:
-    """Refuse readings that do not belong to the images.
-
-    Args:
-        adjusted: base and LEDs.
-        folder: the recording's.
-        start: from which they were adjusted.
-        readings: of the joints.
-        restart: gives the closed form with other readings.
+    """Refuse readings that do not belong to the images; `restart` gives the start with other ones.
 
     Raises:
         InputError: the LEDs are farther from their predicted pixels than joint errors explain.

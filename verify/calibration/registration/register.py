@@ -73,23 +73,19 @@ def register_motion(
     keep_leds: bool = False,
     progress: Progress = _no_progress,
 ) -> MotionRegistration:
-    """Register a robot from its own motion.
+    """Register a robot from its own motion; the rig's robot base and the marker are not needed.
 
-    Args:
-        recording: a session; its rig's robot base and its marker are not needed.
-        leds: how many there are; None: as many as move together.
-        marker: gives the LEDs their names and colours; their positions count only if kept.
-        keep_base: the rig's robot base stands as it is (from a fixture): fit the LEDs alone.
-        keep_leds: the marker's positions stand as they are: fit the base alone.
-        progress: called with pairs done and pairs in all.
+    `leds` says how many there are; None: as many as move together. The marker gives them names and
+    colours; its positions count only if kept. `keep_base`: the rig's base stands as it is (from a
+    fixture), the LEDs alone are fitted; `keep_leds`: the base alone. `progress` is called with
+    pairs done and pairs in all.
 
-    Returns:
-        The registration. Rig and marker carry its id and, in the rig's covariance, all that is
-        known of their uncertainty.
+    Rig and marker of the registration carry its id and, in the rig's covariance, all that is known
+    of their uncertainty.
 
     Raises:
-        InputError: no LEDs, no readings, or a motion that leaves something undetermined: says
-            what, and which movement to add.
+        InputError: no LEDs, no readings, or a motion that leaves something undetermined: says what,
+            and which movement to add.
     """
     place = str(recording.folder)
     held = _check_held(recording, marker, keep_base, keep_leds)
@@ -107,8 +103,7 @@ def register_motion(
     free = np.ones(at.size, dtype=bool)
     free[:6], free[6:-2] = not held.base, held.leds is None
     free[-2] = setup.clock is not None or recording.clock is None
-    spotted = stack_spots(poses, recording.rig)
-    adjusted = _adjust_observable(spotted, setup, at, free)
+    adjusted = _adjust_observable(stack_spots(poses, recording.rig), setup, at, free)
     adjusted, wild = _reject_pairs(adjusted, setup)
     refuse_misfit(adjusted, recording.folder, start, setup.readings, restart)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
@@ -254,5 +249,4 @@ def _reject_pairs(
     if not wild.any():
         return adjusted, []
     spotted = replace(spotted, used=spotted.used & ~wild[spotted.pair])
-    again = adjust(spotted, setup, adjusted.at, adjusted.free)
-    return again, spotted.frame[wild].tolist()
+    return adjust(spotted, setup, adjusted.at, adjusted.free), spotted.frame[wild].tolist()

@@ -31,16 +31,7 @@ def motion_results(
     base_held: bool = False,
     leds_held: bool = False,
 ) -> Results:
-    """Lay a registration from motion out for the report.
-
-    Args:
-        found: the registration.
-        robot: the arm's name.
-        origin: the session.
-        sweeps: axes of single joints, where the session has sweeps.
-        base_held: the base was kept as the rig had it.
-        leds_held: the LEDs were kept as the marker had them.
-    """
+    """Lay a registration from motion out for the report, with axes of single joints if swept."""
     given = found.rig.covariance
     stated: dict[str, float] = {}  # standard uncertainties in the units of the names
     if given is not None:
@@ -83,13 +74,7 @@ def motion_results(
 def fixture_results(
     found: FixtureRegistration, *, robot: str, origin: ResultsOrigin | None = None
 ) -> Results:
-    """Lay a registration by a board on the robot's base out for the report.
-
-    Args:
-        found: the registration.
-        robot: the arm's name.
-        origin: the pictures.
-    """
+    """Lay a registration by a board on the robot's base out for the report."""
     u = np.sqrt(np.diag(found.base_covariance)) * POSE_UNITS
     difference = dict(zip(BODY, (found.pair_difference * POSE_UNITS).T, strict=True))
     pairs = pd.DataFrame({"frame": found.frames, **difference, "chi2": found.pair_chi2})

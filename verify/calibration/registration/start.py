@@ -53,16 +53,10 @@ def start_registration(
     x: Array | None = None,
     y: Array | None = None,
 ) -> RegistrationStart:
-    """Find clock, base and body.
+    """Find clock, base and body by rig_T_body (n, 4, 4), m, at t (n,), s, on the cameras' clock.
 
-    Args:
-        t: (n,), s, cameras' clock.
-        rig_T_body: (n, 4, 4), m, the body as the cameras see it.
-        arm: the robot.
-        readings: on the controller's clock.
-        given: s, the clock offset where session.toml tells it.
-        x: body_T_flange where it is known, (4, 4).
-        y: rig_T_base where it is known, (4, 4).
+    Readings are on the controller's clock; `given`, s, is the clock offset where session.toml tells
+    it, x body_T_flange and y rig_T_base where they are known, (4, 4).
 
     Raises:
         ValueError: fewer than three poses have a reading.
@@ -128,15 +122,9 @@ def clock_candidates(
 ) -> list[float]:
     """Find clock offsets at which the readings turn by the angles that the images show.
 
-    Args:
-        t: (n,), s, cameras' clock.
-        measured: (n, 3, 3), rotations in any one frame.
-        readings: on the controller's clock.
-        turns: the same rotations by the readings, in any other frame.
-
-    Returns:
-        Offsets, best first, at most eight, to within 20 ms; none where no offset gives half of
-        the pairs a reading.
+    `measured` holds rotations (n, 3, 3) in any one frame at t (n,), s, on the cameras' clock;
+    `turns` the same by the readings (controller's clock), in any other frame. Returns offsets, best
+    first, at most eight, to within 20 ms; none where no offset gives half of the pairs a reading.
     """
     early, late = _angle_pairs(len(t))
     angle = _angles(measured[early], measured[late])

@@ -40,11 +40,7 @@ def rig_covariance(
 ) -> Covariance:
     """The rig's covariance with base and LEDs added, correlations with the rig kept.
 
-    Args:
-        rig: the rig that was registered in, with what it states of itself.
-        marker: the LEDs under their names; where they were held, with their own uncertainty.
-        adjusted: what was found.
-        held_marker: the LEDs were held, so their stated uncertainty is inherited too.
+    LEDs that were held keep their own stated uncertainty.
     """
     fitted = [*BASE_NAMES, *led_names(marker.names)]
     free = adjusted.free[:-2]
@@ -150,10 +146,7 @@ def _pan_covariance(rig: Rig, adjusted: AdjustedRegistration) -> Array:
 def inherited_absorption(rig: Rig, *, base: bool, leds: Marker | None) -> Array | None:
     """Joint errors that held parts absorbed in their own registration, (6 + 3 n, j); None: none.
 
-    Args:
-        rig: the rig that was registered in.
-        base: the base was held.
-        leds: the marker whose LEDs were held; None: they were adjusted.
+    Held are the base, and the LEDs of a marker if one is given.
 
     Raises:
         InputError: what is held was fitted through the encoders, and how is not known.

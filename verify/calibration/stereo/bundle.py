@@ -214,14 +214,10 @@ def normal_equations(
     weight: Array,
     damping: float = 0.0,
 ) -> NormalEquations:
-    """Set up the normal equations at a state.
+    """Set up the normal equations at a state, for what the model says is free.
 
-    Args:
-        state: where to linearise.
-        corners: of all views.
-        model: says which of the boards' own unknowns are free.
-        weight: (n,), of each corner beside its stated covariance; 0 leaves it out.
-        damping: Marquardt's factor on the diagonal of the boards' own information.
+    The weight (n,) is of each corner beside its stated covariance, 0 leaves it out; `damping` is
+    Marquardt's factor on the diagonal of the boards' own information.
     """
     count, width = len(state.boards), N_SHARED
     full, gradient = np.zeros((count, width, width)), np.zeros((count, width))
@@ -321,12 +317,7 @@ def adjust(
 ) -> BundleState:
     """Find the state of least squares by damped Gauss-Newton steps, always in the gauge.
 
-    Args:
-        state: start.
-        corners: of all views.
-        model: what is free.
-        weight: (n,), of each corner beside its stated covariance; 0 leaves it out.
-        iterations: at most so many.
+    The weight (n,) is of each corner beside its stated covariance; 0 leaves it out.
     """
     pan = corners.pan[0]
     state = gauge.apply_gauge(state, model, pan)

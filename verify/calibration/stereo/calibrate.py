@@ -80,18 +80,13 @@ def calibrate(
 
     All parameters are adjusted at once to the corners of all pairs, weighted by their stated
     covariance. Bases that turned between pairs are found with axis, centre, zero and mount, as far
-    as the readings' range determines them; the others are fixed by convention (see `gauge`).
-
-    Args:
-        pairs: the corners in both cameras, and the readings of their bases.
-        board: the pattern.
-        image_size: width and height, px.
-        progress: called with stages done and stages in all.
+    as the readings' range determines them; the others are fixed by convention (see `gauge`). The
+    image size is width and height, px; `progress` is called with stages done and stages in all.
 
     Raises:
         InputError: no board found, fewer than three pairs, a board turned by 180° in one camera,
-            left and right swapped, pairs that do not agree, or boards that leave a focal length
-            or principal point open. Its place is "left", "right" or "pairs".
+            left and right swapped, pairs that do not agree, or boards that leave a focal length or
+            principal point open. Its place is "left", "right" or "pairs".
     """
     progress(0, N_STAGES)
     begin = gather_pairs(pairs, board, image_size)

@@ -69,14 +69,7 @@ def invert(matrix: Array) -> Array:
 def estimate_state(
     state: BundleState, corners: CornerStack, model: AdjustmentModel, used: NDArray[np.bool_]
 ) -> Estimate:
-    """Find noise and covariance of an adjusted state.
-
-    Args:
-        state: adjusted.
-        corners: of all views.
-        model: what was adjusted.
-        used: (n,), corners that were not refused.
-    """
+    """Find noise and covariance of an adjusted state by the corners (n,) that were not refused."""
     weight = used.astype(float)
     system = bundle.normal_equations(state, corners, model, weight)
     basis = gauge.free_directions(gauge.constraints(state, model, corners.pan[0]))
@@ -133,12 +126,9 @@ def design_effect(share: Array, pull: Array) -> tuple[float, float]:
     pair err together, which single residuals do not show but each pair's gradient does. The factor
     counts where chance exceeds it once in a hundred.
 
-    Args:
-        share: (b, p, p), each pair's share of all information, whitened.
-        pull: (b, p), each pair's gradient at the adjusted state, whitened.
-
-    Returns:
-        Mean factor on the variances, 1 or more, and its degrees of freedom.
+    Whitened, `share` (b, p, p) is each pair's share of all information and `pull` (b, p) its
+    gradient at the adjusted state. Returns the mean factor on variances, 1 or more, and its degrees
+    of freedom.
     """
     if len(pull) < MIN_PAIRS:
         return 1.0, np.inf
@@ -175,11 +165,10 @@ def board_covariance(found: Estimate, covariance: Array) -> Array:
 
 
 def square_edges(found: Estimate, corners: CornerStack, board: Board) -> tuple[float, float, float]:
-    """Measure the squares' edges by triangulating corners that both cameras observed.
+    """Measure the squares' edges by triangulating corners that both cameras observed, m.
 
-    Returns:
-        Mean edge, its standard uncertainty from the scatter of the pairs' means, and the standard
-        deviation of single edges, m; NaN where no pair shows two neighbouring corners twice.
+    Returns the mean edge, its standard uncertainty from the scatter of the pairs' means, and the
+    standard deviation of single edges; NaN where no pair shows two neighbouring corners twice.
     """
     edges = []
     for pair in range(len(found.state.boards)):

@@ -63,10 +63,7 @@ class AdjustmentModel:
 def apply_gauge(state: BundleState, model: AdjustmentModel, pan: Array) -> BundleState:
     """Bring a state into the gauge exactly; no picture of a board changes.
 
-    Args:
-        state: any state.
-        model: which bases turned, and what is held.
-        pan: (2,), rad, the readings at which bases that never turned stand.
+    Bases that never turned stand at the readings pan (2,), rad.
     """
     cameras = [
         _choose_pan_centre(c, base, p)
@@ -128,8 +125,7 @@ def _change_frame(camera: Camera, new_T_old: Array) -> Camera:
 def _align_axis(camera: Camera, pan: float) -> Camera:
     """Give a base that never turned the axis +y; the orientation goes to the mount."""
     mount = np.eye(4)
-    turned_back = rotation_from_vector(-Y_AXIS * pan)
-    mount[:3, :3] = turned_back @ camera.rig_T_camera(pan)[:3, :3]
+    mount[:3, :3] = rotation_from_vector(-Y_AXIS * pan) @ camera.rig_T_camera(pan)[:3, :3]
     return replace(camera, pan_axis=Y_AXIS, pan_zero=0.0, mount=mount)
 
 
@@ -138,8 +134,7 @@ def _move_turn_to_zero(camera: Camera) -> Camera:
     axis, mount, zero = camera.pan_axis, camera.mount.copy(), camera.pan_zero
     for _ in range(20):  # converges as the mount's tilt squared
         spin = float(axis @ rotation_vector(mount[:3, :3]))
-        back = rotation_from_vector(-axis * spin)
-        mount[:3] = back @ mount[:3]
+        mount[:3] = rotation_from_vector(-axis * spin) @ mount[:3]
         zero += spin
         if abs(spin) < 1e-15:
             break
@@ -188,8 +183,7 @@ def _base_rows(own: Array, camera: Camera, base: str) -> list[Array]:
     ]
     if base == BASE_CENTRED:
         return [*rows, *own[PAR_OFFSET]]
-    offset = camera.mount[:3, 3]
-    return [*rows, np.cross(axis, offset) @ own[PAR_AXIS] + axis @ own[PAR_OFFSET]]
+    return [*rows, np.cross(axis, camera.mount[:3, 3]) @ own[PAR_AXIS] + axis @ own[PAR_OFFSET]]
 
 
 def _log_derivative(w: Array) -> Array:

@@ -47,9 +47,7 @@ def settle_bases(
 ) -> tuple[Estimate, ErrorScatter | None, list[str]]:
     """Find how the readings scatter, then hold what the bases' turns do not determine.
 
-    Returns:
-        The estimate, the readings' scatter (None where no base turned), and a sentence a base that
-        is held.
+    Returns the scatter, None where no base turned, and a sentence for each base that is held.
     """
     if found.model.bases == (BASE_FIXED, BASE_FIXED):
         return found, None, []

@@ -36,10 +36,8 @@ K2, P1, P2, K3 = (PAR_LENS.start + i for i in (1, 2, 3, 4))
 def lens_rows(state: BundleState, image_size: tuple[int, int], variance: float) -> Array:
     """Rows (10, 47) whose products with `lens_values` cost their squares.
 
-    Args:
-        state: for the focal lengths.
-        image_size: width and height, px.
-        variance: factor on the inverse information of the corners as stated.
+    The image size is width and height, px, the variance a factor on the inverse information of the
+    corners as stated.
     """
     rows = np.zeros((len(SIDES), 5, N_SHARED))
     for side, camera in enumerate(state.cameras):

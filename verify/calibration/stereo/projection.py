@@ -34,16 +34,9 @@ from verify.core.rig import Camera
 
 
 def step_state(state: BundleState, corners: CornerStack, change: Array, own: Array) -> BundleState:
-    """Step all unknowns at once.
+    """Step the shared parameters by (47,) and each board's own by (b, 11), all at once.
 
-    Args:
-        state: where to step from.
-        corners: which camera saw each board, and the pan readings.
-        change: (47,), of the shared parameters.
-        own: (b, 11), of each board's pose in rig axes and of its errors.
-
-    Returns:
-        The new state; to first order that of a straight step.
+    Its own are the board's pose in rig axes and its errors. To first order the step is straight.
     """
     changes = (change[camera_columns(0)], change[camera_columns(1)])
     errors = state.errors + own[:, 6:]

@@ -76,13 +76,10 @@ def state_covariance(
     degrees_of_freedom: float | None = None,
     temperature_c: float | None = None,
 ) -> Covariance:
-    """State a covariance matrix in SI units and pixels as rig.toml does.
+    """State a covariance (p, p) in SI units and pixels, which may be singular, as rig.toml does.
 
-    Args:
-        names: (p) parameters, named as in rig.toml; the suffix is the unit.
-        full: (p, p), SI units and pixels; may be singular.
-        degrees_of_freedom: of the estimate behind it.
-        temperature_c: of the rig while it was calibrated.
+    The p names are as in rig.toml, the suffix is the unit; the temperature is the rig's during
+    calibration.
     """
     sigma = np.sqrt(np.diag(full))
     safe = np.where(sigma > 0, sigma, 1.0)
@@ -103,13 +100,8 @@ def extend_covariance(
     """Add parameters that were found through those already stated, with their correlation.
 
     A base found through a rig shares the rig's errors, which cancel in part when the rig measures
-    again.
-
-    Args:
-        given: what rig.toml states; None: nothing.
-        names: (m) new parameters, named as in rig.toml.
-        by_given: (m, p), d new / d given, SI units and pixels.
-        own: (m, m), covariance from the new ones' own data, SI units.
+    again. `by_given` (m, p) is d new / d given, `own` (m, m) the covariance from the new ones' own
+    data, SI units and pixels; the m names are as in rig.toml.
     """
     if given is None:
         return state_covariance(names, own)

@@ -86,11 +86,8 @@ def refuse_inconsistent(
 ) -> None:
     """Refuse where most pairs do not agree on how the cameras stand to each other.
 
-    Args:
-        relation: on which most agree.
-        pairs: how many there are.
-        turned: the bases were turned between them.
-        four_fold: a quarter turn leaves the board's pattern as it is.
+    `turned`: the bases were, between pairs; `four_fold`: a quarter turn leaves the pattern as it
+    is.
 
     Raises:
         InputError: half of the pairs or more disagree with the others.
@@ -127,12 +124,9 @@ def refuse_wrong_readings(scatter: float) -> None:
 
 
 def refuse_undetermined(found: Estimate) -> None:
-    """Refuse boards that leave a focal length or a principal point open.
+    """Refuse boards that leave a focal length or a principal point open in the last adjustment.
 
     The covariance decides; the boards' poses only word the remedy.
-
-    Args:
-        found: the last adjustment.
 
     Raises:
         InputError: a focal length or principal point known worse than 1 % of the focal length.

@@ -44,10 +44,7 @@ def adjust_with_scatter(
 ) -> tuple[Estimate, list[ErrorScatter]]:
     """Find the scatter of each kind of error that is free, and adjust with it.
 
-    Args:
-        found: adjusted with all of them free.
-        corners: of all views.
-        kinds: columns of a pair's errors that share a scatter.
+    A kind is the columns of a pair's errors that share a scatter; all are free in `found`.
     """
     scatters: dict[int, ErrorScatter] = {}
     for _ in range(MAX_ROUNDS):

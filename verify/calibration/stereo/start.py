@@ -151,12 +151,8 @@ def relate_cameras(
 ) -> CameraRelation:
     """Find the relation of the cameras on which most pairs agree.
 
-    Args:
-        left: left_T_board by pair, (4, 4).
-        right: right_T_board by pair, (4, 4).
-        board: the pattern.
-        pan: (b, 2), rad, readings.
-        bases: left and right; one that never turned counts as standing at zero.
+    `left` and `right` hold left_T_board and right_T_board (4, 4) by pair, `pan` (b, 2), rad, the
+    readings; a base that never turned counts as standing at zero.
     """
     both = sorted(set(left) & set(right))
     lefts = np.array([left[i] for i in both])
@@ -235,8 +231,7 @@ def _consensus(
     left_T_right[:3, 3] = np.median(chosen[:, :3, 3], axis=0)
     half = tuple(i for i, t, a in zip(both, turned, agree, strict=True) if t and a)
     outliers = tuple(i for i, a in zip(both, agree, strict=True) if not a)
-    relation = CameraRelation(left_T_right, axes, half, outliers, ())
-    return relation, float(price[k])
+    return CameraRelation(left_T_right, axes, half, outliers, ()), float(price[k])
 
 
 def _angles(one: Array, other: Array) -> Array:
@@ -259,8 +254,7 @@ def start_state(
         mount = np.eye(4)
         place = relation.left_T_right if side else np.eye(4)
         angle = pan[0, side] if bases[side] == BASE_FIXED else 0.0  # a fixed base is at its reading
-        back = Rotation.from_rotvec(-axis * angle).as_matrix()
-        mount[:3, :3] = back @ place[:3, :3]
+        mount[:3, :3] = Rotation.from_rotvec(-axis * angle).as_matrix() @ place[:3, :3]
         cameras.append(Camera(lens.matrix, lens.distortion, place[:3, 3].copy(), axis, 0.0, mount))
     boards = []
     for i in pairs:

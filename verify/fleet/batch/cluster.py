@@ -13,10 +13,7 @@ TASKS_PER_THREAD = 2  # tasks under way a thread: the next is there when one is 
 
 
 class Cluster:
-    """Workers behind a scheduler.
-
-    Args:
-        address: of the scheduler, such as `tcp://10.0.0.1:8786`.
+    """Workers behind a scheduler at an address such as `tcp://10.0.0.1:8786`.
 
     Raises:
         InputError: nobody answers there, no worker has come, or one runs another version.

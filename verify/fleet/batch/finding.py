@@ -129,17 +129,10 @@ FolderIdentity = tuple[int, int]  # device and inode: the same folder by whateve
 def find_sessions(
     roots: Sequence[str], out: Path
 ) -> tuple[list[SessionLocation], list[SessionFailure]]:
-    """Find every session.
+    """Find every session below folders or URLs, and what could not be looked into, by name.
 
-    A folder that holds session.toml is one; nothing is looked for inside it. Symlinks are
-    followed, each folder is taken once, by the first name that leads to it.
-
-    Args:
-        roots: folders or URLs, as they were typed.
-        out: where the batch writes; it is passed over.
-
-    Returns:
-        Sessions and what could not be looked into, each by name.
+    A folder that holds session.toml is one; nothing is looked for inside it, nor in `out`. Symlinks
+    are followed, each folder is taken once, by the first name that leads to it.
 
     Raises:
         InputError: a root does not exist or is no folder; no session is there.

@@ -87,14 +87,11 @@ class WorkerPool(Protocol):
         """Wait until a worker can begin."""
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Perform tasks, taken from the left, until none is left or under way.
+        """Perform tasks, taken from the left; yield each with its outcome, as they finish.
 
-        The caller may append further ones meanwhile. As many are under way as there are
-        workers, or few more: memory follows the workers, not the tasks.
-
-        Yields:
-            Each task with its outcome, as they finish; `WorkerDied` where its worker died each
-            time.
+        It ends when none is left or under way; the caller may append further ones meanwhile. As
+        many are under way as there are workers, or few more: memory follows the workers, not the
+        tasks. The outcome is `WorkerDied` where its worker died each time.
         """
 
     def close(self) -> None:

@@ -81,13 +81,7 @@ def measure_all(
 ) -> BatchResult:
     """Measure every session that is not done yet; each is kept in `out` as soon as it is done.
 
-    Args:
-        found: sessions, by name.
-        failures: what could not even be looked into.
-        out: the batch's folder.
-        options: what the figures depend on beside the inputs.
-        pool: performs the tasks.
-        watch: called after every session.
+    `failures` are what could not even be looked into; `watch` is called after every session.
 
     Raises:
         InputError: `out` cannot be written.
@@ -103,18 +97,14 @@ def measure_all(
     for task, outcome in pool.run(work.waiting):
         work.take(task, outcome)
         watch(work.progress)
-    sessions = sorted(work.done)
-    kept = [(session, work.store.place(session)) for session in sessions]
+    kept = [(session, work.store.place(session)) for session in sorted(work.done)]
     return BatchResult(kept, sorted(work.progress.failures), work.progress)
 
 
 def report_all(batch: BatchResult, pool: WorkerPool, watch: Callable[[int, int], None]) -> None:
-    """Write the own report of each session that has none yet.
+    """Write the own report of each session that has none yet, by a pool on this machine.
 
-    Args:
-        batch: what was measured.
-        pool: on this machine.
-        watch: called with the number written and the number of all.
+    `watch` is called with the number written and the number of all.
     """
     missing = [place for _, place in batch.kept if not (place / "report.pdf").exists()]
     waiting: deque[Task] = deque(ReportTask(str(place)) for place in missing)

@@ -29,11 +29,7 @@ class StoredResults:
 
 
 class ResultStore:
-    """Finished sessions by name.
-
-    Args:
-        out: the batch's folder.
-    """
+    """Finished sessions by name, in the batch's folder."""
 
     def __init__(self, out: Path) -> None:
         self.folder = out / SESSIONS_FOLDER

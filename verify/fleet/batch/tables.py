@@ -151,14 +151,9 @@ _PAN_RANGE_KEYS = ("pan_min_deg", "pan_max_deg")  # of the session, not of the c
 
 
 def session_row(results: Results, kept_in: str) -> dict[str, Any]:
-    """Flatten a session's results.
+    """Flatten a session's results, kept in a place below OUT, to what `schema.sessions` names.
 
-    Args:
-        results: as they were kept.
-        kept_in: where, below OUT.
-
-    Returns:
-        What `schema.sessions` names; columns that are missing are null.
+    Columns that are missing are null.
     """
     summary, setup = results.summary, results.setup
     session, pairs, clock = summary["session"], summary["pairs"], summary["clock"]
@@ -240,12 +235,9 @@ FAILURE_COLUMNS = ("session", "kind", "why")
 def write(
     folder: Path, kept: Sequence[tuple[str, Path]], failures: Sequence[SessionFailure]
 ) -> None:
-    """Write the three tables into a folder.
+    """Write the three tables into a folder that holds none of them.
 
-    Args:
-        folder: exists, holds none of them.
-        kept: each measured session's name and where its results are kept, by name.
-        failures: by name.
+    `kept` has each measured session's name and where its results are; both lists are by name.
 
     Raises:
         ReportError: results that were kept are damaged.

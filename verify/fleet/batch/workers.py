@@ -22,11 +22,7 @@ Worker = ChildProcess[Task, Any]
 
 
 class ProcessPool:
-    """Worker processes on this machine; they start at once.
-
-    Args:
-        workers: how many.
-    """
+    """Worker processes on this machine; they start at once."""
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
@@ -83,16 +79,11 @@ class ProcessPool:
 
     def _start(self) -> Worker:
         threads = 1 if self._workers >= available_cpus() else available_cpus()
-        load = partial(_load, threads)
-        return ChildProcess(answer_requests, perform, load, name="batch worker")
+        return ChildProcess(answer_requests, perform, partial(_load, threads), name="batch worker")
 
 
 def _load(threads: int) -> None:
-    """Load all that measuring takes, in a worker.
-
-    Args:
-        threads: that decode; 1 where other workers have the other processors.
-    """
+    """Load all that measuring takes, in a worker; so many threads decode."""
     signal.signal(signal.SIGTERM, _exit)
     import cv2
 

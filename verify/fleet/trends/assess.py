@@ -41,16 +41,9 @@ class TrendRequest:
 def assess(
     sessions: pd.DataFrame, failures: pd.DataFrame, request: TrendRequest, reported: Sequence[str]
 ) -> Results:
-    """Judge a fleet.
+    """Judge a fleet by the rows of sessions.parquet and failures.csv: results of the kind "fleet".
 
-    Args:
-        sessions: the rows of sessions.parquet.
-        failures: the rows of failures.csv.
-        request: options of the report.
-        reported: names of the sessions that have reports of their own.
-
-    Returns:
-        Results of the kind "fleet".
+    The names `reported` are of sessions that have reports of their own.
     """
     sessions = sessions.assign(arm=_arms(sessions, request.by))
     every = _all_series(sessions)
@@ -155,8 +148,7 @@ def _contrasts(
     if request.since is not None:
         day = pd.Timestamp(request.since, tz="UTC").value / DAY_NS
         names = f"before {request.since}", f"since {request.since}"
-        sides = [(one, one.t >= day) for one in every]
-        rows += _contrast_rows("since", names, sides)
+        rows += _contrast_rows("since", names, [(one, one.t >= day) for one in every])
     if request.compare is not None:
         first, second = (_sessions_below(sessions["session"], folder) for folder in request.compare)
         chosen = []
@@ -183,10 +175,6 @@ def _contrast_rows(
 
 def require_folders(names: Sequence[str], request: TrendRequest) -> None:
     """Refuse folders to compare that hold none of the sessions, before hours of work.
-
-    Args:
-        names: of all sessions that were found.
-        request: names the folders to compare.
 
     Raises:
         InputError: a folder to compare holds no session.
@@ -247,10 +235,7 @@ def _day(moment: Any) -> str | None:
 
 
 def _summary(
-    sessions: pd.DataFrame,
-    failures: pd.DataFrame,
-    request: TrendRequest,
-    every: list[JointSeries],
+    sessions: pd.DataFrame, failures: pd.DataFrame, request: TrendRequest, every: list[JointSeries]
 ) -> dict[str, Any]:
     dated = sessions["started"].dropna()
     verdicts = sessions["verdict"].value_counts()

@@ -55,14 +55,9 @@ class JointTrend:
 
 
 def find_changes(series: JointSeries, false_alarm: float) -> JointTrend:
-    """Find the changes of one joint.
+    """Find the changes of one joint over three sessions or more: its level over time.
 
-    Args:
-        series: three sessions or more.
-        false_alarm: the chance that anything is found where nothing changed.
-
-    Returns:
-        The level over time.
+    `false_alarm` is the chance that anything is found where nothing changed.
     """
     every = candidates(series)
     chance = false_alarm / max(len(every), 1)
@@ -202,8 +197,7 @@ def _change(
     every: list[TrendTerm],
 ) -> TrendChange:
     term = terms[index]
-    others = [t for t in terms if t != term]
-    gain = _candidate_gains(series, others, every)
+    gain = _candidate_gains(series, [t for t in terms if t != term], every)
     worth = gain - np.array([_bic_penalty(series, t) for t in every])
     kind = np.array([t.kind == term.kind for t in every])
     place = np.array([t.place for t in every])

@@ -23,11 +23,9 @@ MEDIAN_VARIANCE = {1: 1.0, 2: 0.5, 3: 0.449}  # of so many, in that of one (norm
 
 
 def find_outliers(series: JointSeries, false_alarm: float) -> NDArray[np.bool_]:
-    """Tell which sessions stand apart from both sides, (n,).
+    """Tell which of a joint's sessions stand apart from both sides, (n,).
 
-    Args:
-        series: one joint over time.
-        false_alarm: the chance that any is named where all are alike.
+    `false_alarm` is the chance that any is named where all are alike.
     """
     n = len(series)
     apart = np.zeros(n, dtype=bool)
@@ -89,11 +87,9 @@ def change_kind(change: TrendChange) -> str:
 
 
 def assess_joint(series: JointSeries, false_alarm: float) -> JointAssessment:
-    """Judge a joint.
+    """Judge a joint by `MIN_SESSIONS_TO_ASSESS` sessions or more.
 
-    Args:
-        series: `MIN_SESSIONS_TO_ASSESS` sessions or more.
-        false_alarm: the chance of a false change, and that of a false odd session.
+    `false_alarm` is the chance of a false change, and that of a false odd session.
     """
     odd = find_outliers(series, false_alarm)
     course = find_changes(series.chosen(~odd), false_alarm)

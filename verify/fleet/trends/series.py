@@ -60,13 +60,7 @@ class JointSeries:
 
 
 def series_of(sessions: pd.DataFrame, arm: str, joint: int) -> JointSeries:
-    """Take one joint's series from an arm's dated sessions; those without a figure are left out.
-
-    Args:
-        sessions: the arm's rows of sessions.parquet.
-        arm: its name.
-        joint: from 1.
-    """
+    """Take the series of one joint (from 1) from an arm's dated sessions that have a figure."""
     name = f"q{joint}"
     valid = sessions["started"].notna() & sessions[f"{name}_mean_error_deg"].notna()
     valid &= sessions[f"{name}_standard_uncertainty_deg"].fillna(0) > 0
@@ -95,8 +89,7 @@ def _with_excess(series: JointSeries) -> JointSeries:
     other = np.diff(series.group) != 0
     between = np.where(other, series.shared[1:] ** 2 + series.shared[:-1] ** 2, 0.0)
     step = np.diff(series.error) / np.sqrt(variance[1:] + variance[:-1] + between)
-    factor = float(np.median(np.abs(step))) / NORMAL_MEDIAN
-    return replace(series, excess=max(factor, 1.0))
+    return replace(series, excess=max(float(np.median(np.abs(step))) / NORMAL_MEDIAN, 1.0))
 
 
 def _numbers(rows: pd.DataFrame, name: str) -> Array:
@@ -169,13 +162,8 @@ def scan(series: JointSeries, months: Array, design: Array, found: SeriesFit) ->
     """Try a step and a drift at every session, in one pass of sums from the end.
 
     A step at k is 1 from session k on; a drift at k is the time since session k, from there on. All
-    products of such columns with V⁻¹ are sums over the sessions from k on.
-
-    Args:
-        series: n sessions in order of time.
-        months: (n,), their time.
-        design: (n, p), the columns of the fit.
-        found: the fit.
+    products of such columns with V⁻¹ are sums over the sessions from k on. `months` (n,) is the
+    sessions' time, in order, `design` (n, p) holds the columns of the fit.
     """
     by_weight = apply_inverse_covariance(series, design)
     step_signal, drift_signal = _tail_sums(months, found.residual_weighted)
@@ -237,16 +225,12 @@ class Contrast:
 
 
 def contrast(series: JointSeries, second: NDArray[np.bool_], false_alarm: float) -> Contrast:
-    """Compare the sessions that are `second` with the others; neither set is empty.
+    """Compare the sessions that are `second` (n,) with the others; neither set is empty.
 
-    Args:
-        series: one joint of one arm.
-        second: (n,), which belong to the second set.
-        false_alarm: the chance that a difference is shown where there is none.
+    `false_alarm` is the chance that a difference is shown where there is none.
     """
     counts = int((~second).sum()), int(second.sum())
-    design = np.column_stack([np.ones(len(series)), second.astype(float)])
-    found = fit(series, design)
+    found = fit(series, np.column_stack([np.ones(len(series)), second.astype(float)]))
     first, difference = found.coefficients.tolist()
     u = float(np.sqrt(found.covariance[1, 1]))
     limit = float(t_isf(false_alarm / 2, series.degrees_of_freedom)) * u

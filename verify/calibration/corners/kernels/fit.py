@@ -63,19 +63,12 @@ def fit_crossing(
     p: Array,
     result: Array,
 ) -> bool:
-    """Fit a corner.
+    """Fit a corner in an image (h, w), DN; returns whether there is one.
 
-    Args:
-        grey: (h, w), DN.
-        at: centre, jacobian and bend, see `find.CornerPrediction`.
-        markers: as for `window_pixels`.
-        known_before: whether p is of an earlier fit, whose centre is the expected one.
-        steps: the table of F.
-        p: (13,), filled: the parameters, see model.py.
-        result: (6,), filled where there is a crossing.
-
-    Returns:
-        Whether there is one.
+    `at` is centre, jacobian and bend of `find.CornerPrediction`, `markers` as for `window_pixels`,
+    `steps` the table of F. The parameters p (13,), see model.py, are filled, and so is result (6,)
+    where there is a crossing; `known_before`: p is of an earlier fit, whose centre is the expected
+    one.
     """
     centre, jacobian, bend = at
     pixels, edges = window_pixels(grey, centre, jacobian, markers), np.empty(N_EDGE_VALUES)
@@ -124,14 +117,8 @@ def mark_strays(p: Array, rows: Array) -> NDArray[np.bool_]:
 def converge(pixels: Array, edges: Array, steps: Array, p: Array) -> tuple[bool, Array]:
     """Find the parameters by Gauss-Newton with Levenberg's damping.
 
-    Args:
-        pixels: (4, p).
-        edges: (5,).
-        steps: the table of F.
-        p: (13,), to begin with; the best met, afterwards.
-
-    Returns:
-        Whether it settled, and the model's rows (14, p) there.
+    Pixels (4, p), edges (5,), `steps` the table of F; p (13,) holds the start, and the best met
+    afterwards. Returns whether it settled, and the model's rows (14, p) there.
     """
     count = pixels.shape[1]
     known, rows = np.empty((N_KNOWN_ROWS, count)), np.empty((N_ROWS, count))

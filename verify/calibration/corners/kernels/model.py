@@ -64,15 +64,10 @@ def window_pixels(
 ) -> Array:
     """Pixels within half a square, near an edge, and outside ChArUco markers.
 
-    Args:
-        grey: (h, w), DN.
-        centre: (2,), px, the expected one.
-        jacobian: (2, 2), d px / d squares, columns along the board's x and y.
-        markers: squares between a marker and its square's edge; sign of u · v (from the corner,
-            board's axes) where the white squares are, 0 where none has a marker.
-
-    Returns:
-        (4, p): column, row, value, cell.
+    The image is (h, w), DN, the expected centre (2,), px, the jacobian (2, 2) d px / d squares,
+    columns along the board's x and y. `markers`: squares between a marker and its square's edge;
+    sign of u · v (from the corner, board's axes) where the white squares are, 0 where none has a
+    marker. Returns (4, p): column, row, value, cell.
     """
     determinant = jacobian[0, 0] * jacobian[1, 1] - jacobian[0, 1] * jacobian[1, 0]
     # A pixel's distance from the edge along the board's x is across it, hence its v, and so on.
@@ -226,15 +221,9 @@ def blurred_step(
 def predict_pixels(
     pixels: Array, edges: Array, p: Array, steps: Array, known: Array, rows: Array
 ) -> None:
-    """Expect a corner's pixels.
+    """Expect a corner's pixels (4, p) by its edges (5,), parameters p (13,) and F's table of steps.
 
-    Args:
-        pixels: (4, p), of `window_pixels`.
-        edges: (5,), of `fill_edges`.
-        p: (13,), the parameters.
-        steps: the table of F.
-        known: (15, p), filled.
-        rows: (14, p), filled: derivatives by the parameters, and pixels less model, DN.
+    Fills `known` (15, p) and `rows` (14, p): derivatives by parameters, and pixels less model, DN.
     """
     spread = p[PAR_SPREAD]
     for which in range(2):
