@@ -27,10 +27,7 @@ DOCUMENTS: dict[str, Callable[[Results], Document]] = {
 
 
 def look(
-    *,
-    logo: Path | None = None,
-    owner: str | None = None,
-    templates: Path | None = None,
+    *, logo: Path | None = None, owner: str | None = None, templates: Path | None = None
 ) -> Look:
     """Read how a report is to look; nothing given is the usual look.
 

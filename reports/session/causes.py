@@ -218,8 +218,7 @@ CAUSE_TEXTS = {
         since="since the calibration",
     ),
     "base_moved": CauseText(
-        "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}",
-        "mm",
+        "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}", "mm"
     ),
     "led_body_slipped": CauseText("the LED body has moved by {amount} and {turn}° {since}", "mm"),
 }

@@ -120,8 +120,7 @@ class PageOptions:
 JointTolerance = Annotated[
     str | None,
     typer.Option(
-        "--tolerance",
-        help="Joint errors allowed, degrees: one number, or one a joint: 0.2,0.2,…",
+        "--tolerance", help="Joint errors allowed, degrees: one number, or one a joint: 0.2,0.2,…"
     ),
 ]
 PositionTolerance = Annotated[

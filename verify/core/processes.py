@@ -238,9 +238,7 @@ def wait_for_any(children: Iterable[AnyChild]) -> list[AnyChild]:
 
 
 def answer_requests(
-    line: ParentLine,
-    function: Callable[[Any], Any],
-    prepare: Callable[[], object] | None = None,
+    line: ParentLine, function: Callable[[Any], Any], prepare: Callable[[], object] | None = None
 ) -> None:
     """Answer each request with `function(request)`: a target for `ChildProcess`.
 
