@@ -47,10 +47,7 @@ def significant(value: Any, digits: int = 2) -> str:
 
 
 def with_uncertainty(value: Any, uncertainty: Any, unit: str = "", signed: bool = True) -> str:
-    """Write `value ± uncertainty`, both to the uncertainty's two significant digits.
-
-    The unit is put behind each number: degrees close up, others with a space.
-    """
+    """Write `value ± uncertainty` to its two significant digits; a unit but degrees has a space."""
     figure, spread = finite(value), finite(uncertainty)
     suffix = unit if unit in ("", "°") else f" {unit}"
     if figure is None:

@@ -104,11 +104,7 @@ def count_white_squares(board: Board) -> int:
 
 
 def charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
-    """Build OpenCV's description of a board that has markers; its corners are in `points`' order.
-
-    Raises:
-        ValueError: the board is a plain one.
-    """
+    """Build OpenCV's description of a board, corners as `points`; ValueError: it has no markers."""
     if board.markers is None or board.marker is None:
         raise ValueError("a plain chessboard has no markers")
     squares = (board.columns + 1, board.rows + 1)

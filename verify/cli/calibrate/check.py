@@ -25,12 +25,8 @@ def run_check(
 ) -> tuple[CheckResult, ResultsOrigin]:
     """Check a rig by a session or by board pictures; give what was found, and from what.
 
-    Args:
-        source: a session, or a folder of board pictures.
-        rig_path: the rig; None: the session's own.
-        length_mm: known distance of two LEDs of a session.
-        length_uncertainty_mm: its standard uncertainty.
-        board: replaces the folder's board.toml.
+    `rig_path` None is the session's own; `length_mm` is the known distance of two of its LEDs, with
+    its standard uncertainty; `board` replaces the pictures' board.toml.
 
     Raises:
         InputError: a file cannot be used, or an option has no meaning for the source.
