@@ -29,13 +29,10 @@ DOCUMENTS: dict[str, Callable[[Results], Document]] = {
 def look(
     *, logo: Path | None = None, owner: str | None = None, templates: Path | None = None
 ) -> Look:
-    """Read how a report is to look; nothing given is the usual look.
+    """How a report is to look; nothing given is the usual look; ReportError: one cannot be used.
 
     `logo`: a PNG or SVG; `owner`: a line at the top, whose report it is; `templates`: a folder with
     report.html.j2, report.css or report.typ.
-
-    Raises:
-        ReportError: one of them cannot be used.
     """
     return Look(
         logo=None if logo is None else branding.read_logo(logo),

@@ -53,7 +53,10 @@ def records(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
-    """Times of the pairs, from the first if days after the clock's, else their count; the label."""
+    """Give the times of the pairs and the axis' label; from the first if days after the clock's.
+
+    Where nobody noted times, the pairs are counted.
+    """
     t = column(frames, "t_s")
     valid = t[np.isfinite(t)]
     if not len(valid):

@@ -76,7 +76,7 @@ DEFAULT_BRANDING = Look()
 
 
 def check_owner(text: str) -> str:
-    """Take the line whose report it is; ReportError: empty, too long or more than one."""
+    """Take the line that says whose report it is; ReportError: empty, too long or two lines."""
     if not text.strip() or len(text) > MAX_OWNER_LENGTH or one_line(text) != text:
         raise ReportError(
             "--owner", f"is {one_line(text)[:MAX_OWNER_LENGTH]!r}",
@@ -120,7 +120,6 @@ def read_logo(path: Path) -> Logo:
 
 
 def _fit_logo(path: Path, content: bytes, width: float, height: float, *, is_svg: bool) -> Logo:
-    """Fit a picture into the room for a logo."""
     ratio = width / height if height > 0 else 0.0
     if not 1 / MAX_ASPECT_RATIO <= ratio <= MAX_ASPECT_RATIO:
         raise _invalid_logo(

@@ -107,7 +107,6 @@ def _legend(chart: Chart) -> dict[str, Mark]:
 
 
 def _legend_columns(names: Iterable[str]) -> int:
-    """Choose as many columns as fit side by side."""
     widest = max((len(printable(name)) for name in names), default=0) + LEGEND_SIGN_LETTERS
     return max(1, min(6, LEGEND_LINE_LETTERS // widest))
 

@@ -225,7 +225,6 @@ CAUSE_TEXTS = {
 
 
 def _cause_sentence(text: CauseText, entry: dict[str, Any], value: float) -> str:
-    """Fill a cause's sentence with the figures of an entry."""
     spread, joint = finite(entry.get("expanded_uncertainty")), entry.get("joint")
     scaled = {"expanded_uncertainty": None if spread is None else spread * text.factor}
     shown = (abs(value) if text.ways else value) * text.factor

@@ -68,7 +68,7 @@ class ToleranceOptions:
         )
 
     def tolerance(self, joints: int) -> "Tolerance":
-        """Convert to metres, and radians for so many joints; InputError: too few or not positive."""
+        """Turn them into m and rad for so many joints; InputError: not positive, or too few."""
         import numpy as np
 
         from verify.io.session.keys import Tolerance

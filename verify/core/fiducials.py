@@ -27,7 +27,6 @@ class Marker:
     centre_shift_standard_uncertainty: float | None = None  # m
 
     def __len__(self) -> int:
-        """Count the LEDs."""
         return len(self.names)
 
 
@@ -47,7 +46,6 @@ class Board:
     marker: float | None = None  # m, edge of a ChArUco marker
 
     def __len__(self) -> int:
-        """Count the inner corners."""
         return self.columns * self.rows
 
     @property
@@ -73,7 +71,6 @@ class BoardView:
     covariance: Array  # (n, 2, 2), px², from the image's own noise
 
     def __len__(self) -> int:
-        """Count the corners found."""
         return len(self.corner)
 
 

@@ -19,7 +19,7 @@ FASTMATH_FLAGS = {"reassoc", "contract", "nsz"}
 
 
 def compiled_sources(package: Path) -> list[Path]:
-    """Files of compiled code, by path in the package: with a part `kernels…`; and this one."""
+    """Files of compiled code in the package, sorted: `kernels…` in their path; and this one."""
     found = [Path("core/jit.py")]
     for folder, inner, files in os.walk(package):
         inner[:] = [name for name in inner if name != "__pycache__"]  # thousands of cached files

@@ -233,7 +233,6 @@ def answer_requests(
 def _run(
     target: Callable[..., None], line: ParentLine, args: tuple[Any, ...], background: bool
 ) -> None:
-    """Run a child process's target until it ends or the parent process does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
     threading.Thread(target=_exit_with_parent, name="parent", daemon=True).start()
     if background:
@@ -276,7 +275,10 @@ NICENESS = 10
 
 
 def lower_priority() -> None:
-    """Lower the priority of this thread and those it starts; on Linux alone: else a process's."""
+    """Lower the priority of this thread and those it starts; on Linux alone.
+
+    Elsewhere niceness belongs to the whole process.
+    """
     if sys.platform == "linux":
         os.nice(NICENESS)
         with suppress(PermissionError):  # some sandboxes; niceness remains

@@ -184,7 +184,7 @@ def read_board(path: str | Path) -> tuple[Board, tuple[str, ...]]:
 
 
 def build_board(place: str | Path, table: BoardTable) -> Board:
-    """Build a board from the keys of a file or the options of a command, of which `place` tells.
+    """Build a board from the keys of a file or the options of a command; `place` names either.
 
     Raises:
         InputError: names the place, the key, what stands there, what should, and what to do.

@@ -56,7 +56,6 @@ class Poses:
         }
 
     def __len__(self) -> int:
-        """Count the poses."""
         return len(self.t)
 
 

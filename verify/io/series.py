@@ -43,7 +43,6 @@ class FrameSeries:
     timed: bool = field(default=True, kw_only=True)
 
     def __len__(self) -> int:
-        """Count the pairs."""
         return len(self.t_left)
 
     def first(self, count: int) -> "FrameSeries":
@@ -61,7 +60,6 @@ class EncoderSeries:
     t_host: Array | None = None  # (m,), s, cameras' clock, when each reading arrived
 
     def __len__(self) -> int:
-        """Count the readings."""
         return len(self.t)
 
 
@@ -178,7 +176,6 @@ def _stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> NDArray[np
 
 
 def _spike_warning(path: Path, spike: NDArray[np.bool_]) -> Iterator[str]:
-    """Name the readings that were left out."""
     rows, joints = np.nonzero(spike)
     if len(rows):
         places = [f"line {i + 2} (q{j + 1}_deg)" for i, j in zip(rows, joints, strict=True)]

@@ -87,11 +87,7 @@ def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
 
 
 def require_plausible(path: Path, key: str, value: float) -> None:
-    """Refuse a number that is not finite, or larger than anything in the unit of its key.
-
-    Raises:
-        InputError: names the key and the unit that would explain the number.
-    """
+    """Refuse a number not finite or beyond its key's unit; InputError names the unit that fits."""
     if isinstance(value, float) and not math.isfinite(value):
         raise key_error(path, key, f"is {value}", "a finite number is expected")
     name = re.sub(r"(\[\d+\])+$", "", key).rpartition(".")[2]

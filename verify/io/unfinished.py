@@ -120,8 +120,6 @@ class _Picture:
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """A pair in the file."""
-
     times_and_pans: tuple[float, ...]  # t left, right, s, cameras' clock; pan left, right, rad
     pictures: tuple[_Picture, _Picture]  # left, right
 
@@ -167,8 +165,7 @@ def append_unfinished(
     )
     before = (frames.t_left, frames.t_right, frames.pan_left, frames.pan_right)
     after = np.array([pair.times_and_pans for pair in pairs]).T
-    joined = FrameSeries(*map(np.append, before, after))
-    return joined, (left, right), len(pairs)
+    return FrameSeries(*map(np.append, before, after)), (left, right), len(pairs)
 
 
 def _read_slots(path: Path) -> dict[int, _Pair]:

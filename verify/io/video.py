@@ -109,11 +109,7 @@ class Images(ABC):
 
     @abstractmethod
     def images(self) -> Generator[Image]:
-        """Decode the images one after the other: (h, w) grey or (h, w, 3) BGR.
-
-        Raises:
-            InputError: one cannot be decoded.
-        """
+        """Decode the images in order: (h, w) grey or (h, w, 3) BGR; InputError: one cannot be."""
 
 
 class Video(Images):

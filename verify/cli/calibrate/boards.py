@@ -68,7 +68,7 @@ def calibrate_folder(
 def board_from_options(
     corners: CornerCounts | None, square_mm: float | None, square_uncertainty_mm: float | None
 ) -> Board | None:
-    """Make a board of the options; None where none is given; InputError: too few or no board."""
+    """Make a board of the options, None without any; InputError: one missing, or no such board."""
     if corners is None and square_mm is None and square_uncertainty_mm is None:
         return None
     if corners is None or square_mm is None:

@@ -51,8 +51,7 @@ def run_check(
             result = check_session(
                 session, length=length, length_standard_uncertainty=u, progress=progress
             )
-        origin = ResultsOrigin(session.name, session.description, session.inputs | other_rig)
-        return result, origin
+        return result, ResultsOrigin(session.name, session.description, session.inputs | other_rig)
     if rig is None:
         expected = "pictures of a board do not say which rig is to be checked"
         raise InputError("--rig", "is missing", expected, "Give the rig file, or a session.")
@@ -62,5 +61,4 @@ def run_check(
     require_same_size(opened.folder, opened.image_size, rig)
     with terminal.progress("pairs searched for the board") as progress:
         result = check_board(rig, find_boards(opened, progress), opened.board)
-    origin = ResultsOrigin(source.resolve().name, inputs=opened.inputs | other_rig)
-    return result, origin
+    return result, ResultsOrigin(source.resolve().name, inputs=opened.inputs | other_rig)

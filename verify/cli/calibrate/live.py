@@ -40,7 +40,7 @@ def pictures_folder(option: Path | None) -> Path:
 
 
 def board_of(by_option: Board | None, file: Path | None) -> Board | None:
-    """Board of the options or of a board.toml; None without either; InputError: both, no such file."""
+    """Board of the options or of a board.toml, else None; InputError: both, or no such board."""
     if file is None:
         return by_option
     if by_option is not None:
@@ -131,8 +131,6 @@ def _show_state(state: BoardState) -> Iterator[Callable[[], None]]:
 
 
 def _read_commands(taking: BoardCapture) -> None:
-    """Obey what is typed, a line a command."""
-
     def take(line: str) -> None:
         word = line.strip().lower()
         if word in FINISH_KEYS:

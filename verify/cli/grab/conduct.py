@@ -166,7 +166,7 @@ class GraspRun:
 
 
 def conduct(stage: GraspRun, stop: StopConditions, out: Path, *, force: bool) -> bool:
-    """Grasp, write film, session and report to `out`; whether it lifted, or planned if not to move.
+    """Grasp; write film, session and report to `out`; True: lifted, or planned if none may move.
 
     Raises:
         InputError: the folder cannot be written, or the pictures teach no colour.

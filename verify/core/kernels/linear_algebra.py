@@ -54,7 +54,7 @@ def compose(a: Array, b: Array, product: Array) -> None:
 def factor(matrix: Array, less: float, root: Array) -> bool:
     """Fill in the lower Cholesky factor of a matrix (n, n) with `less` taken off its diagonal.
 
-    False, and NaN in the factor, where that is not positive definite.
+    False where that is not positive definite; the factor has NaN then.
     """
     definite = True
     for i in range(len(matrix)):
@@ -111,7 +111,7 @@ def invert(root: Array, inverse: Array) -> None:
 
 @compiled
 def rotation_vectors(turns: Array, vectors: Array) -> None:
-    """Fill in rotation vectors (n, 3), rad, of matrices (n, 3, 3), by quaternions (Shepperd, 1978)."""
+    """Fill in rotation vectors (n, 3), rad, of turns (n, 3, 3), by quaternion (Shepperd, 1978)."""
     q = [0.0, 0.0, 0.0, 0.0]  # x, y, z, w
     for n in range(len(turns)):
         m = turns[n]

@@ -53,7 +53,6 @@ class BoardFolder:
     alone: tuple[tuple[str, Path], ...] = ()  # side and picture without a partner, after the pairs
 
     def __len__(self) -> int:
-        """Count the pairs."""
         return len(self.pan_left) - len(self.alone)
 
     @property
@@ -256,7 +255,6 @@ def _small_angles(pan: tuple[Array, Array]) -> Iterator[tuple[str, float]]:
 
 
 def _warn_misnamed(path: Path, header: list[str], present: list[str]) -> Iterator[str]:
-    """Warn of a pan column that is missing or misnamed."""
     for name in header:
         if "pan" in name.lower() and name not in PAN_COLUMNS:
             yield one_line(f"{path}: column {name} is left alone.{did_you_mean(name, PAN_COLUMNS)}")
@@ -289,7 +287,6 @@ def _require_size(side: Images, frame: int, image: Image, size: Size) -> None:
 def _inputs(
     folder: Path, left: Images, right: Images, alone: tuple[tuple[str, Path], ...]
 ) -> dict[str, str]:
-    """Take the digest of everything that was read."""
     beside = [folder / name for name in ("board.toml", "frames.csv")]
     read = [path for path in beside if path.exists()]
     for side in (left, right):

@@ -33,7 +33,7 @@ class PictureFiles(Images):
 
 
 def list_pictures(folder: Path, start: str = "") -> list[Path]:
-    """List a folder's pictures whose names begin with `start`, 2 before 10; raises InputError."""
+    """Pictures of a folder that begin with `start`, 2 before 10; InputError: the system refuses."""
     with refused_as_input_error(folder):
         files = [
             file

@@ -53,7 +53,7 @@ def _robot_file(path: Path, robot: str) -> Path | None:
 
 
 def load_arm(path: Path, table: RunTable) -> robots.Arm:
-    """Load the robot that session.toml names; raises InputError: none such, or its file is none."""
+    """Load the robot that session.toml names; InputError: no such name, or its file is no robot."""
     file = _robot_file(path, table.robot)
     chain = table.robot_frames
     try:
@@ -75,11 +75,7 @@ def file_digests(path: Path, robot: str, files: Mapping[str, Path]) -> dict[str,
 def recording_fields(
     path: Path, table: RunTable, arm: robots.Arm, *, timed: bool
 ) -> dict[str, Any]:
-    """Fields of a Recording that do not depend on what measured the robot.
-
-    Raises:
-        InputError: a clock is given, and nothing has a time.
-    """
+    """Fields of a Recording but its measurements; InputError: a clock, and nothing has a time."""
     clock = table.clock
     if not timed:  # row i belongs to row i
         if clock is not None:

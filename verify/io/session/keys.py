@@ -234,11 +234,7 @@ def _check_frame(path: Path, table: PosesSessionTable) -> None:
 
 
 def tolerance(path: Path, table: ToleranceTable | None, joints: int) -> Tolerance | None:
-    """Convert [tolerance] to radians and metres; one number holds for every joint.
-
-    Raises:
-        InputError: a tolerance that is not positive, or a list of another length.
-    """
+    """[tolerance] in rad and m, one number for all joints; InputError: not positive, bad length."""
     if table is None or table == ToleranceTable():
         return None
     given = table.joints_deg

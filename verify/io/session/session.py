@@ -58,7 +58,6 @@ class Recording:
     right: Images
 
     def __len__(self) -> int:
-        """Count the pairs."""
         return len(self.frames)
 
     def pairs(self) -> Generator[StereoPair]:
@@ -152,7 +151,6 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
 
 
 def _resolve_paths(path: Path, table: RecordingTable, keys: tuple[str, ...]) -> dict[str, Path]:
-    """Find the file that session.toml names under each key."""
     named = {key: resolve_inside(path, key, getattr(table, key)) for key in keys}
     if named["left"].resolve() == named["right"].resolve():
         expected = "each camera has its own images"
