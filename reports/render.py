@@ -27,20 +27,12 @@ DOCUMENTS: dict[str, Callable[[Results], Document]] = {
 
 
 def look(
-    *,
-    logo: Path | None = None,
-    owner: str | None = None,
-    templates: Path | None = None,
+    *, logo: Path | None = None, owner: str | None = None, templates: Path | None = None
 ) -> Look:
-    """Read how a report is to look; nothing given is the usual look.
+    """How a report is to look; nothing given is the usual look; ReportError: one cannot be used.
 
-    Args:
-        logo: a PNG or SVG.
-        owner: a line at the top: whose report it is.
-        templates: a folder with report.html.j2, report.css or report.typ.
-
-    Raises:
-        ReportError: one of them cannot be used.
+    `logo`: a PNG or SVG; `owner`: a line at the top, whose report it is; `templates`: a folder with
+    report.html.j2, report.css or report.typ.
     """
     return Look(
         logo=None if logo is None else branding.read_logo(logo),
@@ -53,18 +45,13 @@ def render_html(results: Results, look: Look = DEFAULT_BRANDING) -> str:
     """Render results as one page that opens offline; the same results give the same text.
 
     Raises:
-        ReportError: results of a kind that this version does not know; a template of the user's
-            own with an error.
+        ReportError: a kind that this version does not know; an error in the user's own template.
     """
     return html.page(_document(results), look)
 
 
 def render_pdf(results: Results, look: Look = DEFAULT_BRANDING) -> bytes:
-    """Render results as a PDF; the same results give the same bytes.
-
-    Raises:
-        ReportError: as of `render_html`.
-    """
+    """Render results as a PDF, the same bytes each time; raises ReportError as `render_html`."""
     return pdf.pages(_document(results), look)
 
 

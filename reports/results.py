@@ -25,14 +25,7 @@ import pyarrow.parquet as pq
 
 
 class ReportError(Exception):
-    """The results cannot be read or written; said in one line.
-
-    Args:
-        place: the file (and the key in it) at fault.
-        found: what stands there.
-        expected: what would be right.
-        remedy: what the user can do about it.
-    """
+    """The results cannot be read or written: place (file, key), found, expected and remedy."""
 
     def __init__(self, place: str | Path, found: str, expected: str, remedy: str) -> None:
         self.place, self.found, self.expected, self.remedy = str(place), found, expected, remedy
@@ -87,9 +80,7 @@ class Results:
 
 
 def write(results: Results, folder: Path) -> None:
-    """Write a results folder; files appear whole, and the manifest last.
-
-    Files of the folder that are not part of the results are left alone.
+    """Write a results folder; files appear whole, the manifest last; other files are left alone.
 
     Raises:
         ReportError: a name is no file name, or the folder cannot be written.
@@ -107,15 +98,7 @@ def write(results: Results, folder: Path) -> None:
 
 
 def packed(results: Results, folder: Path) -> dict[str, bytes]:
-    """Pack results as the files of a folder, by name, the manifest last.
-
-    Args:
-        results: what to pack.
-        folder: that it is for, in case of a refusal.
-
-    Raises:
-        ReportError: a name is no file name.
-    """
+    """Pack results for a folder: files by name, manifest last; ReportError: a name is none."""
     files: dict[str, bytes] = {}
     tables = {}
     for name, table in sorted(results.tables.items()):
@@ -154,11 +137,7 @@ def rebuild_command(folder: Path) -> str:
 
 
 def read(folder: Path) -> Results:
-    """Read a results folder.
-
-    Raises:
-        ReportError: the folder holds no results, or not what was written.
-    """
+    """Read a results folder; raises ReportError: it holds none, or not what was written."""
     manifest = _manifest(folder)
     tables = {name: _table(folder, name, entry) for name, entry in manifest["tables"].items()}
     images = {name: _image(folder, name, entry) for name, entry in manifest["images"].items()}

@@ -217,7 +217,6 @@ def scene(results: Results) -> charts.Path | None:
 
 
 def _join_with_gaps(points: charts.Array, names: charts.Array) -> charts.Array:
-    """Part the items of a line by NaN."""
     breaks = np.flatnonzero(names[1:] != names[:-1]) + 1
     broken: charts.Array = np.insert(points, breaks, np.nan, axis=0)
     return broken

@@ -153,10 +153,7 @@ def collect_figures(document: Document) -> dict[str, Chart | Path | bytes]:
 
 
 def to_template_data(value: Any) -> Any:
-    """Give a document to a template: plain dicts and lists, every text on one line.
-
-    Drawings are left out; blocks say their kind.
-    """
+    """A document for a template: plain dicts and lists, texts on one line, kinds, no drawings."""
     if isinstance(value, str):
         return one_line(value)
     if isinstance(value, list | tuple):

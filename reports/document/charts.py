@@ -159,13 +159,10 @@ def square(rows: Any, size: int) -> Array:
 
 
 def box(points: Array, longer: float, share: float = 0.2, least: float = 0.0) -> Box:
-    """Find ranges of x, y and z around points (n, 3), for axes that can be read.
+    """Ranges of x, y and z around points (n, 3), NaN where a line breaks: axes that can be read.
 
-    Args:
-        points: NaN where a line is broken.
-        longer: each range over the points' own extent.
-        share: half of a range is at least this share of the longest extent, ...
-        least: ... and at least this, in the points' unit.
+    `longer`: each range over the points' own extent, half of which counts as at least `share` of
+    the longest, and as at least `least`, in the points' unit.
     """
     low, high = np.nanmin(points, axis=0), np.nanmax(points, axis=0)
     half = np.maximum((high - low) / 2, max(share * float((high - low).max()), least)) * longer

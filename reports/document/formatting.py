@@ -47,10 +47,7 @@ def significant(value: Any, digits: int = 2) -> str:
 
 
 def with_uncertainty(value: Any, uncertainty: Any, unit: str = "", signed: bool = True) -> str:
-    """Write `value ± uncertainty`, both to the uncertainty's two significant digits.
-
-    The unit is put behind each number: degrees close up, others with a space.
-    """
+    """Write `value ± uncertainty` to the latter's two digits; degrees close up, other units not."""
     figure, spread = finite(value), finite(uncertainty)
     suffix = unit if unit in ("", "°") else f" {unit}"
     if figure is None:
@@ -112,9 +109,7 @@ def text_or_dash(value: Any) -> str:
 
 def join_words(words: list[str]) -> str:
     """Join words as a sentence does: a, b and c."""
-    if len(words) < 2:
-        return "".join(words)
-    return f"{', '.join(words[:-1])} and {words[-1]}"
+    return "".join(words) if len(words) < 2 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def capitalise(sentence: str) -> str:

@@ -53,9 +53,7 @@ def format_day(days: Any) -> str:
 
 def format_period(held: dict[str, Any]) -> str:
     """Say from when to when; nothing where no session has a date."""
-    if not held.get("first"):
-        return ""
-    return f", {held['first']} to {held['last']}"
+    return f", {held['first']} to {held['last']}" if held.get("first") else ""
 
 
 def change_date(change: dict[str, Any]) -> str:
@@ -145,8 +143,7 @@ def arm_chart(points: pd.DataFrame, changes: pd.DataFrame) -> Chart | None:
         _panel(points[points["joint"] == joint], changes[changes["joint"] == joint], zero, ticks)
         for joint in numbers
     ]
-    x_label = f"month; days are counted from {format_day(zero)}"
-    return strips(panels, x_label, row_height=0.86)
+    return strips(panels, f"month; days are counted from {format_day(zero)}", row_height=0.86)
 
 
 def _panel(own: pd.DataFrame, changes: pd.DataFrame, zero: float, ticks: Ticks) -> Panel:
@@ -181,7 +178,6 @@ def _panel(own: pd.DataFrame, changes: pd.DataFrame, zero: float, ticks: Ticks) 
 
 
 def _break_at_calibrations(own: pd.DataFrame, t: Array, values: Array) -> tuple[Array, Array]:
-    """Break a line where the calibration changed."""
     cuts = np.searchsorted(t, _calibration_changes(own, t))
     return np.insert(t, cuts, np.nan), np.insert(values, cuts, np.nan)
 

@@ -65,28 +65,18 @@ class Logo:
 
 @dataclass(frozen=True, slots=True)
 class Look:
-    """How a report looks, apart from what it says; that of one without any wish is the usual one.
+    """How a report looks, apart from what it says; one without any wish has the usual look."""
 
-    Args:
-        logo: stands at its top.
-        owner: a line at its top: whose report it is.
-        templates: a folder with report.html.j2, report.css or report.typ of the user's own.
-    """
-
-    logo: Logo | None = None
-    owner: str = ""
-    templates: Path | None = None
+    logo: Logo | None = None  # at its top
+    owner: str = ""  # a line at its top: whose report it is
+    templates: Path | None = None  # the user's own: report.html.j2, report.css or report.typ
 
 
 DEFAULT_BRANDING = Look()
 
 
 def check_owner(text: str) -> str:
-    """Take the line that names whose report it is.
-
-    Raises:
-        ReportError: it is empty, has more than one line or is too long.
-    """
+    """Take the line that says whose report it is; ReportError: empty, too long or two lines."""
     if not text.strip() or len(text) > MAX_OWNER_LENGTH or one_line(text) != text:
         raise ReportError(
             "--owner", f"is {one_line(text)[:MAX_OWNER_LENGTH]!r}",
@@ -96,11 +86,7 @@ def check_owner(text: str) -> str:
 
 
 def check_templates(folder: Path) -> Path:
-    """Check that a folder holds a template.
-
-    Raises:
-        ReportError: it holds none.
-    """
+    """Check that a folder holds a template; raises ReportError: it holds none."""
     if not any((folder / name).is_file() for name in TEMPLATE_FILES):
         found = "holds none of them" if folder.is_dir() else "is no folder"
         raise ReportError(
@@ -134,7 +120,6 @@ def read_logo(path: Path) -> Logo:
 
 
 def _fit_logo(path: Path, content: bytes, width: float, height: float, *, is_svg: bool) -> Logo:
-    """Fit a picture into the room for a logo."""
     ratio = width / height if height > 0 else 0.0
     if not 1 / MAX_ASPECT_RATIO <= ratio <= MAX_ASPECT_RATIO:
         raise _invalid_logo(

@@ -22,11 +22,7 @@ PAGE, STYLE = "report.html.j2", "report.css"
 
 
 def page(document: Document, look: Look = DEFAULT_BRANDING) -> str:
-    """Render a document as HTML; the same document gives the same text.
-
-    Raises:
-        ReportError: a template of the user's own has an error.
-    """
+    """HTML of a document, the same each time; ReportError: an error in the user's own template."""
     drawings = collect_figures(document)
     plots = {
         name: format_plotly.specification(drawing)

@@ -56,10 +56,7 @@ def relative_width(chart: Chart | Path) -> float:
 
 
 def printable(text: str) -> str:
-    """Shorten a user's word, and show letters that the font lacks as a replacement sign.
-
-    A label may have lines of its own making.
-    """
+    """A user's word shortened, letters that the font lacks replaced; line breaks are kept."""
     return "\n".join(_printable_line(line) for line in text.split("\n"))
 
 
@@ -110,7 +107,6 @@ def _legend(chart: Chart) -> dict[str, Mark]:
 
 
 def _legend_columns(names: Iterable[str]) -> int:
-    """Choose as many columns as fit side by side."""
     widest = max((len(printable(name)) for name in names), default=0) + LEGEND_SIGN_LETTERS
     return max(1, min(6, LEGEND_LINE_LETTERS // widest))
 
@@ -257,10 +253,7 @@ def _draw_path(path: Path) -> Figure:
 
 
 def _zoom(sides: list[float]) -> float:
-    """Choose from how near a box is seen.
-
-    All are drawn with one diagonal: one that stands high in the picture would lose its labels.
-    """
+    """How near a box is seen: all have one diagonal, and a high one would lose its labels."""
     elevation, azimuth = np.deg2rad(VIEW_DEG)
     level = np.sin(elevation) * np.abs([np.cos(azimuth), np.sin(azimuth)])
     height = float(np.dot(sides, [*level, np.cos(elevation)]) / np.linalg.norm(sides))

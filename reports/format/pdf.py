@@ -27,9 +27,7 @@ _compile = cast("Callable[..., bytes]", typst.compile)  # its types leave out fi
 
 
 def pages(document: Document, look: Look = DEFAULT_BRANDING) -> bytes:
-    """Render a document as PDF; the same document gives the same bytes.
-
-    Only fonts that typst and matplotlib bring along are used, no font of the machine.
+    """Render a document as PDF, the same bytes each time: no font of the machine is used.
 
     Raises:
         ReportError: a template of the user's own has an error.

@@ -79,11 +79,7 @@ LEVELS = {
     "offsets": "with the joints' offsets",
     "geometry": "with all of the arm's geometry",
 }
-REASONS = {
-    "gauge": "gauge",
-    "prior": "rests on its prior",
-    "not_called_for": "not called for",
-}
+REASONS = {"gauge": "gauge", "prior": "rests on its prior", "not_called_for": "not called for"}
 
 
 class IdentificationNotes:

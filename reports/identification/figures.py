@@ -74,6 +74,5 @@ def changes(results: Results) -> Chart | None:
 
 
 def _vertical_bars(places: Array, low: Array, high: Array) -> tuple[Array, Array]:
-    """Draw a bar from low to high at each place."""
     gap = np.full(len(places), np.nan)
     return np.repeat(places, 3), np.stack([low, high, gap], axis=1).reshape(-1)

@@ -192,7 +192,6 @@ def joints(results: Results) -> doc.Section:
 
 
 def _sources(results: Results) -> tuple[doc.Block, ...]:
-    """Say what each joint's uncertainty is made of."""
     parts = results.table("sources")
     names = list(dict.fromkeys(texts(parts, "source")))
     every = results.summary.get("joints") or []

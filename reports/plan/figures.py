@@ -100,7 +100,6 @@ def path(results: Results) -> charts.Path | None:
 
 
 def _join_with_gaps(pieces: list[charts.Array]) -> charts.Array:
-    """Lay lines one after the other, with a gap between."""
     gap = np.full((1, 3), np.nan)
     parts = [part for piece in pieces for part in (piece, gap)]
     return np.concatenate(parts) if parts else gap

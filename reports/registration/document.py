@@ -15,13 +15,7 @@ from reports.document.formatting import (
     with_uncertainty,
 )
 from reports.document.formatting import joint_names as name_joints
-from reports.registration.evidence import (
-    METHODS,
-    RegistrationNotes,
-    axes,
-    figure_block,
-    residuals,
-)
+from reports.registration.evidence import METHODS, RegistrationNotes, axes, figure_block, residuals
 from reports.results import Results
 from reports.session.phrases import (
     MAX_HIDDEN_SHARE,

@@ -22,13 +22,7 @@ from reports.document.blocks import (
     tabulate,
     uncertain_field,
 )
-from reports.document.formatting import (
-    count,
-    finite,
-    number,
-    percent,
-    significant,
-)
+from reports.document.formatting import count, finite, number, percent, significant
 from reports.results import Results
 
 

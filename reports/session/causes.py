@@ -218,15 +218,13 @@ CAUSE_TEXTS = {
         since="since the calibration",
     ),
     "base_moved": CauseText(
-        "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}",
-        "mm",
+        "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}", "mm"
     ),
     "led_body_slipped": CauseText("the LED body has moved by {amount} and {turn}° {since}", "mm"),
 }
 
 
 def _cause_sentence(text: CauseText, entry: dict[str, Any], value: float) -> str:
-    """Fill a cause's sentence with the figures of an entry."""
     spread, joint = finite(entry.get("expanded_uncertainty")), entry.get("joint")
     scaled = {"expanded_uncertainty": None if spread is None else spread * text.factor}
     shown = (abs(value) if text.ways else value) * text.factor

@@ -9,11 +9,7 @@ MAX_HIDDEN_SHARE = 0.005  # shown as 0 %: nothing of the offset is left
 MAX_MOSTLY_HIDDEN_SHARE = 0.3  # the share at which the smallest visible offset triples
 MAX_PARTLY_HIDDEN_SHARE = 0.9
 
-VERDICTS = {
-    "conform": "conforms",
-    "nonconform": "does not conform",
-    "undecided": "undecided",
-}
+VERDICTS = {"conform": "conforms", "nonconform": "does not conform", "undecided": "undecided"}
 
 REASONS = {
     "": "",

@@ -77,7 +77,6 @@ def _blocks(results: Results) -> tuple[doc.Block, ...]:
 
 
 def _excluded_pairs(entries: list[dict[str, Any]]) -> list[doc.Block]:
-    """Name the pairs that a sweep does not rest on."""
     lines = [
         f"Left out of joint {count(entry.get('joint'))}'s sweep, as they lie off the circle beyond "
         f"chance: pairs {', '.join(count(frame) for frame in entry['outlying_frames'])}."
@@ -126,12 +125,10 @@ def _is_beyond_chance(entry: dict[str, Any], name: str) -> bool:
 
 
 def _expanded(value: float | None, u: float | None, unit: str = "", signed: bool = True) -> str:
-    """Write a value with its expanded uncertainty."""
     return with_uncertainty(value, None if u is None else COVERAGE_FACTOR * u, unit, signed)
 
 
 def _gear_error(entry: dict[str, Any]) -> str:
-    """Write a gear error in percent."""
     gain, u = _figure(entry, "gain", "")
     return _expanded(None if gain is None else 100 * gain, None if u is None else 100 * u)
 

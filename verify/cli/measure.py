@@ -26,17 +26,10 @@ def measure_and_report(
     force: bool,
     alarms: pd.DataFrame | None = None,
 ) -> str | None:
-    """Measure a session, write its reports, print the results.
+    """Measure a session, write its reports, print the results; the verdict, None without tolerance.
 
-    Args:
-        folder: the session.
-        out: where the reports go; None: NAME-report in the current folder.
-        tolerances: replace the session's.
-        force: write into a folder that exists.
-        alarms: of a watched run, as in alarms.csv; None: it was not watched.
-
-    Returns:
-        The verdict; None where no tolerance was given.
+    `out` None is NAME-report in the current folder; `tolerances` replace the session's; `force`:
+    write into a folder that exists; `alarms` as in alarms.csv, None where it was not watched.
 
     Raises:
         InputError: the session cannot be measured, or the reports cannot be written.
@@ -67,15 +60,9 @@ def measure_and_report_all(
 ) -> dict[Path, str | None]:
     """Measure the sessions of one live run, a report each; an unmeasurable one is left out.
 
-    Args:
-        folders: in their order: more than one where the controller's clock began anew.
-        out: the first one's report; the others' have a number behind it.
-        tolerances: replace the sessions'.
-        force: write into folders that exist.
-        alarms: of the run, as in alarms.csv: on page one of the first report.
-
-    Returns:
-        The verdict of each report, at least one.
+    More than one, in order, where the controller's clock began anew. `out` is the first one's
+    report, with the run's `alarms` (as in alarms.csv) on page one; the others' have a number behind
+    it. Gives the verdict of each report, at least one.
 
     Raises:
         InputError: none can be measured: what the first one lacks.

@@ -20,11 +20,7 @@ _SECONDS_PER_UNIT = {"": 1.0, "s": 1.0, "m": 60.0, "min": 60.0, "h": 3600.0}
 
 
 def parse_duration(text: str | float) -> float:
-    """Read a duration such as 60s, 10m, 1.5h, or a number of seconds; s.
-
-    Raises:
-        InputError: it is none.
-    """
+    """Read a duration such as 60s, 10m, 1.5h, or a number of seconds; s; else InputError."""
     parts = re.fullmatch(r"\s*([0-9.]+)\s*([a-z]*)\s*", str(text)) or ("", "", "")
     try:
         value = float(parts[1]) * _SECONDS_PER_UNIT[parts[2]]
@@ -48,11 +44,7 @@ class CornerCounts:
 
 
 def parse_corners(text: str | CornerCounts) -> CornerCounts:
-    """Read two counts, like 9x7.
-
-    Raises:
-        InputError: it is something else.
-    """
+    """Read two counts, like 9x7; else InputError."""
     counts = re.fullmatch(r"(\d{1,3})\s*[xX×,]\s*(\d{1,3})", str(text).strip())
     if counts is None:
         expected = "two counts are expected, like 9x7"
@@ -76,11 +68,7 @@ class ToleranceOptions:
         )
 
     def tolerance(self, joints: int) -> "Tolerance":
-        """Turn them into metres and radians for an arm with so many joints.
-
-        Raises:
-            InputError: not a positive number, or too few of them.
-        """
+        """Turn them into m and rad for so many joints; InputError: not positive, or too few."""
         import numpy as np
 
         from verify.io.session.keys import Tolerance
@@ -104,11 +92,7 @@ class PageOptions:
     token: str | None
 
     def serve(self, source: "PageSource", **more: Any) -> "Page":
-        """Serve a page, and print its address; `more` are further arguments of `Page`.
-
-        Raises:
-            InputError: the page cannot be served.
-        """
+        """Serve a page and print its address; `more` goes to `Page`; InputError: it cannot be."""
         from verify.live.page.feed import Page
 
         page = Page(source, self.port, self.address, self.token, **more)
@@ -120,8 +104,7 @@ class PageOptions:
 JointTolerance = Annotated[
     str | None,
     typer.Option(
-        "--tolerance",
-        help="Joint errors allowed, degrees: one number, or one a joint: 0.2,0.2,…",
+        "--tolerance", help="Joint errors allowed, degrees: one number, or one a joint: 0.2,0.2,…"
     ),
 ]
 PositionTolerance = Annotated[
@@ -165,21 +148,13 @@ WriteIntoFolder = Annotated[bool, typer.Option("--force", help="Write into a fol
 
 
 def refuse_options(given: Mapping[str, bool], found: str, expected: str, remedy: str) -> None:
-    """Refuse options that would do nothing, by whether each was given.
-
-    Raises:
-        InputError: names the first that was.
-    """
+    """Refuse options that would do nothing, by whether given; the InputError names the first."""
     for name in (name for name, used in given.items() if used):
         raise InputError(name, found, expected, remedy)
 
 
 def require_positive(values: Mapping[str, float | None], *, zero: bool = False) -> None:
-    """Refuse numbers that are not positive (or 0, with `zero`), by option; None passes.
-
-    Raises:
-        InputError: names the first.
-    """
+    """Refuse numbers not positive (or 0, with `zero`) but None; the InputError names the first."""
     for name, value in values.items():
         if value is None or (math.isfinite(value) and (value > 0 or (zero and value == 0))):
             continue

@@ -111,8 +111,6 @@ def _write(line: str) -> None:
 
 
 class _PairRate(ProgressColumn):
-    """Pairs a second."""
-
     def render(self, task: Task) -> Text:
         """Write the rate, once it is known."""
         return Text("" if task.speed is None else f"{task.speed:.1f}/s")

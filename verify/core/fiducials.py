@@ -27,7 +27,6 @@ class Marker:
     centre_shift_standard_uncertainty: float | None = None  # m
 
     def __len__(self) -> int:
-        """Count the LEDs."""
         return len(self.names)
 
 
@@ -47,7 +46,6 @@ class Board:
     marker: float | None = None  # m, edge of a ChArUco marker
 
     def __len__(self) -> int:
-        """Count the inner corners."""
         return self.columns * self.rows
 
     @property
@@ -73,7 +71,6 @@ class BoardView:
     covariance: Array  # (n, 2, 2), px², from the image's own noise
 
     def __len__(self) -> int:
-        """Count the corners found."""
         return len(self.corner)
 
 
@@ -104,11 +101,7 @@ def count_white_squares(board: Board) -> int:
 
 
 def charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
-    """Build OpenCV's description of a board that has markers; its corners are in `points`' order.
-
-    Raises:
-        ValueError: the board is a plain one.
-    """
+    """Build OpenCV's description of a board, corners as `points`; ValueError: it has no markers."""
     if board.markers is None or board.marker is None:
         raise ValueError("a plain chessboard has no markers")
     squares = (board.columns + 1, board.rows + 1)

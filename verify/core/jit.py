@@ -19,10 +19,7 @@ FASTMATH_FLAGS = {"reassoc", "contract", "nsz"}
 
 
 def compiled_sources(package: Path) -> list[Path]:
-    """List the files that compiled code is made of, relative to the package, sorted.
-
-    They are those with a part that begins with `kernels` in their path, and this one.
-    """
+    """Files of compiled code in the package, sorted: `kernels…` in their path; and this one."""
     found = [Path("core/jit.py")]
     for folder, inner, files in os.walk(package):
         inner[:] = [name for name in inner if name != "__pycache__"]  # thousands of cached files

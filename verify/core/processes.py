@@ -73,13 +73,9 @@ class ParentLine:
 class ChildProcess(Generic[Request, Answer]):
     """A process of its own that ends when this one does.
 
-    Args:
-        target: importable function; called there with a `ParentLine` and `args`. It sends READY
-            once it is.
-        args: further arguments, pickled.
-        name: in a list of processes.
-        background: it has lower priority than this process.
-        nested: it starts a process itself. It must be stopped, or this process waits for it.
+    It calls the importable `target` with a `ParentLine` and the pickled `args`; READY is sent from
+    there. `name` stands in a list of processes. With `background` its priority is lower than this
+    process's. `nested`: it starts a process itself and must be stopped, or this process waits.
     """
 
     def __init__(
@@ -110,11 +106,7 @@ class ChildProcess(Generic[Request, Answer]):
         self._unanswered = False
 
     def wait_until_ready(self, timeout: float = START_TIMEOUT) -> Any:
-        """Wait for READY and return its value; `timeout` in s.
-
-        Raises:
-            ChildLostError: it does not start.
-        """
+        """Wait `timeout` s for READY and return its value; ChildLostError: it does not start."""
         while self._ready is None:
             message = self._receive(timeout)
             if message[0] == READY:
@@ -124,21 +116,13 @@ class ChildProcess(Generic[Request, Answer]):
         return self._ready[1]
 
     def is_ready(self) -> bool:
-        """Whether it is ready, without a wait.
-
-        Raises:
-            ChildLostError: it did not start.
-        """
+        """Whether it is ready, without a wait; raises ChildLostError: it did not start."""
         with self._lock, suppress(ChildLateError):
             self.wait_until_ready(0.0)
         return self._ready is not None
 
     def send(self, message: Any) -> None:
-        """Send what its `ParentLine.receive` returns.
-
-        Raises:
-            ChildLostError: it has ended.
-        """
+        """Send what its `ParentLine.receive` returns; raises ChildLostError: it has ended."""
         try:
             self._outgoing.send(message)
         except (OSError, ValueError) as error:
@@ -155,11 +139,7 @@ class ChildProcess(Generic[Request, Answer]):
         return self._early.popleft() if self._early else self._receive(timeout)
 
     def ask(self, request: Request, timeout: float) -> Answer:
-        """Send a request to `answer_requests` and wait for its answer.
-
-        Args:
-            request: what its function takes.
-            timeout: s, counted once it is ready.
+        """Send a request to `answer_requests`, wait for its answer; timeout, s, once it is ready.
 
         Raises:
             ChildLateError: no answer within the timeout, or none yet to the request before.
@@ -183,11 +163,7 @@ class ChildProcess(Generic[Request, Answer]):
         self._unanswered = True
 
     def answered(self) -> bool:
-        """Whether `finish` returns at once.
-
-        Raises:
-            ChildLostError: it did not start.
-        """
+        """Whether `finish` returns at once; raises ChildLostError: it did not start."""
         return self.is_ready() and self._incoming.poll(0.0)
 
     def finish(self, timeout: float) -> Answer:
@@ -206,10 +182,7 @@ class ChildProcess(Generic[Request, Answer]):
         return answer
 
     def stop(self, timeout: float = JOIN_TIMEOUT) -> None:
-        """Close the line; terminate it if it has not ended after `timeout` s.
-
-        Its last messages can still be received.
-        """
+        """Close the line; terminate it after `timeout` s. Last messages can still be received."""
         self._outgoing.close()
         self._process.join(timeout)
         if self._process.is_alive():
@@ -238,16 +211,11 @@ def wait_for_any(children: Iterable[AnyChild]) -> list[AnyChild]:
 
 
 def answer_requests(
-    line: ParentLine,
-    function: Callable[[Any], Any],
-    prepare: Callable[[], object] | None = None,
+    line: ParentLine, function: Callable[[Any], Any], prepare: Callable[[], object] | None = None
 ) -> None:
     """Answer each request with `function(request)`: a target for `ChildProcess`.
 
-    Args:
-        line: to the parent process.
-        function: importable; request and answer are pickled.
-        prepare: called before it is ready.
+    `function` is importable; request and answer are pickled. `prepare` is called before READY.
     """
     if prepare is not None:
         prepare()
@@ -265,7 +233,6 @@ def answer_requests(
 def _run(
     target: Callable[..., None], line: ParentLine, args: tuple[Any, ...], background: bool
 ) -> None:
-    """Run a child process's target until it ends or the parent process does."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
     threading.Thread(target=_exit_with_parent, name="parent", daemon=True).start()
     if background:

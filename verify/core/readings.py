@@ -78,7 +78,6 @@ class Readings:
 
     @cached_property
     def _contiguous(self) -> tuple[Array, Array]:
-        """Times and readings for the kernels."""
         return _as_contiguous(self.t), _as_contiguous(self.q)
 
     @cached_property

@@ -62,7 +62,6 @@ class Spots:
     noise: Noise
 
     def __len__(self) -> int:
-        """Count the spots."""
         return len(self.centre)
 
 
@@ -82,7 +81,6 @@ class Sighting:
     lever: Array
 
     def __len__(self) -> int:
-        """Count the LEDs."""
         return len(self.led)
 
 

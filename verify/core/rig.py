@@ -54,10 +54,7 @@ class Camera:
         return both
 
     def project(self, points_camera: Array) -> Array:
-        """Image of points in the camera frame: (..., 3) m to (..., 2) px, distortion included.
-
-        Source: OpenCV's five-coefficient model, which rig.toml names.
-        """
+        """Image (..., 2), px, of points (..., 3), m, in the camera frame; OpenCV's distortion."""
         xy = points_camera[..., :2] / points_camera[..., 2:3]
         return self.to_pixels(distort(xy, self.distortion))
 

@@ -70,14 +70,7 @@ class MarkerTable(msgspec.Struct, kw_only=True):
 
 
 def read_marker(path: str | Path) -> tuple[Marker, tuple[str, ...]]:
-    """Read and check a marker.toml.
-
-    Returns:
-        The marker, and a warning for each key that the format does not know.
-
-    Raises:
-        InputError: names the file, the key, what stands there, what should, and what to do.
-    """
+    """Read and check a marker.toml; warnings name unknown keys, an InputError file and key."""
     path = Path(path)
     table, warnings = decode(path, MarkerTable)
     if table.led_diameter_mm <= 0:
@@ -128,11 +121,7 @@ def encode_marker(marker: Marker) -> bytes:
 
 
 def write_marker(path: str | Path, marker: Marker) -> None:
-    """Write a marker.toml, whole or not at all.
-
-    Raises:
-        InputError: the disk or the system refuses it.
-    """
+    """Write a marker.toml, whole or not at all; raises InputError where the system refuses it."""
     write_whole(Path(path), encode_marker(marker))
 
 
@@ -158,11 +147,7 @@ def _check_leds(path: Path, table: MarkerTable) -> None:
 
 
 def body_uncertainty(path: Path, key: str, table: BodyUncertaintyTable | None) -> Array | None:
-    """Check the uncertainty of a body's place on the flange: (6,), m and rad, or None.
-
-    Raises:
-        InputError: a number below 0.
-    """
+    """Check a body's uncertainty on the flange, (6,), m and rad, or None; InputError: negative."""
     if table is None:
         return None
     for name, value in msgspec.structs.asdict(table).items():
@@ -184,10 +169,7 @@ class BoardTable(msgspec.Struct, kw_only=True):
 
 
 def read_board(path: str | Path) -> tuple[Board, tuple[str, ...]]:
-    """Read and check a board.toml.
-
-    Returns:
-        The board, and warnings: unknown keys, a square too small to be true.
+    """Read and check a board.toml; warnings: unknown keys, a square too small to be true.
 
     Raises:
         InputError: names the file, the key, what stands there, what should, and what to do.
@@ -202,11 +184,7 @@ def read_board(path: str | Path) -> tuple[Board, tuple[str, ...]]:
 
 
 def build_board(place: str | Path, table: BoardTable) -> Board:
-    """Build a board from the keys of a file or the options of a command.
-
-    Args:
-        place: the file, or the name of the board in a refusal.
-        table: the keys of board.toml.
+    """Build a board from the keys of a file or the options of a command; `place` names either.
 
     Raises:
         InputError: names the place, the key, what stands there, what should, and what to do.
@@ -228,11 +206,7 @@ def build_board(place: str | Path, table: BoardTable) -> Board:
 
 
 def write_board(path: str | Path, board: Board) -> None:
-    """Write a board.toml, whole or not at all.
-
-    Raises:
-        InputError: the disk or the system refuses it.
-    """
+    """Write a board.toml, whole or not at all; raises InputError where the system refuses it."""
     tree = {
         "format": FORMAT,
         "inner_corners": [board.columns, board.rows],

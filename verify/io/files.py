@@ -66,8 +66,7 @@ def require_file(path: Path, max_bytes: int | None = None) -> None:
     """Refuse what is not a plain file with something in it (a pipe would block for ever).
 
     Raises:
-        InputError: the path leads nowhere, to a folder or a device, or to an empty file, or to one
-            that is larger than its kind is.
+        InputError: nothing, a folder or a device, an empty file, or one larger than its kind is.
     """
     with refused_as_input_error(path):
         size = path.stat().st_size
@@ -82,11 +81,7 @@ def require_file(path: Path, max_bytes: int | None = None) -> None:
 
 
 def require_folder(folder: Path, expected: str, remedy: str) -> None:
-    """Refuse what is not a folder.
-
-    Raises:
-        InputError: the path leads nowhere or to a file, or the system refuses it.
-    """
+    """Refuse, by an InputError, what is not a folder or what the system refuses."""
     with refused_as_input_error(folder):
         if folder.is_dir():
             return
@@ -95,24 +90,17 @@ def require_folder(folder: Path, expected: str, remedy: str) -> None:
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> bytes:
-    """Read a whole file.
-
-    Raises:
-        InputError: there is none, it is empty or too large, or the system refuses it.
-    """
+    """Read a whole file; raises InputError: none, empty, too large, or the system refuses it."""
     require_file(path, max_bytes)
     with refused_as_input_error(path):
         return path.read_bytes()
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file, as `sha256:…`.
+    """SHA-256 of a file, as `sha256:…`; raises InputError where the system refuses it.
 
     A folder's is that of the lines that `sha256sum *` prints inside it, names in byte order, so
     that `cd left; sha256sum * | sha256sum` (LC_ALL=C) makes it again.
-
-    Raises:
-        InputError: the system refuses a file.
     """
     try:
         if not path.is_dir():
@@ -185,13 +173,9 @@ def write_whole(path: Path, data: bytes) -> None:
 def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
     """Build a folder aside and put it in place at the end; a run that fails leaves nothing.
 
-    Args:
-        out: where the result goes; its parents are made when it does.
-        force: with a folder that is not empty, replace the files that are made, leave the others.
-
-    Yields:
-        An empty folder to build in. A new `out` appears by one rename; in a folder that exists,
-        each file appears whole.
+    Yields an empty folder to build in. A new `out` appears, with its parents, by one rename; in a
+    folder that exists, each file appears whole. With `force` that may hold something: files that
+    are made are replaced, the others left.
 
     Raises:
         InputError: `out` is a file or a folder that is not empty (without `force`); no space, or

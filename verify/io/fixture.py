@@ -33,10 +33,7 @@ class Fixture:
 
 
 def read(path: str | Path) -> tuple[Fixture, tuple[str, ...]]:
-    """Read and check a fixture file.
-
-    Returns:
-        The fixture, and warnings: unknown keys, uncertainties that are not stated.
+    """Read and check a fixture file; warnings: unknown keys, uncertainties that are not stated.
 
     Raises:
         InputError: names the file, the key, what stands there, what should, and what to do.

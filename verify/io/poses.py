@@ -56,21 +56,14 @@ class Poses:
         }
 
     def __len__(self) -> int:
-        """Count the poses."""
         return len(self.t)
 
 
 def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
     """Read poses.csv: one row a pose, or a row for each target in each pose.
 
-    The columns may stand in any order. A quaternion and its negative are the same turn.
-
-    Args:
-        path: the file.
-        torn: the recording was cut off, so the last line may be half a line; it is left out.
-
-    Returns:
-        The poses, and a warning where a half line was left out.
+    The columns may stand in any order. A quaternion and its negative are the same turn. Where the
+    recording was cut off (`torn`), half a last line is left out, with a warning.
 
     Raises:
         InputError: names the file, the line and the column.

@@ -13,11 +13,7 @@ RESULTS = "results"
 
 
 def refuse_existing(out: Path, *, force: bool) -> None:
-    """Refuse a folder that is not empty before hours of work go into it.
-
-    Raises:
-        InputError: `out` exists, is not an empty folder, and `force` was not given.
-    """
+    """Raise InputError, before hours of work, if `out` is a file or, unless `force`, not empty."""
     if out.is_file() or (out.is_dir() and any(out.iterdir()) and not force):
         found = "is a file" if out.is_file() else "exists and is not empty"
         raise InputError(out, found, "results need a folder of their own",
@@ -25,11 +21,7 @@ def refuse_existing(out: Path, *, force: bool) -> None:
 
 
 def refuse_file(path: Path, *, force: bool) -> None:
-    """Refuse to write where something is, before hours of work go into it.
-
-    Raises:
-        InputError: `path` is a folder, or a file and `force` was not given.
-    """
+    """Raise InputError, before hours of work, if `path` is a folder or, unless `force`, a file."""
     if path.is_dir():
         raise InputError(path, "is a folder", "the name of a file is expected", "")
     if path.exists() and not force:
@@ -68,11 +60,7 @@ def write_reports(results: Results, folder: Path) -> None:
 
 
 def read_results(out: Path) -> Results:
-    """Read what an earlier run left.
-
-    Raises:
-        InputError: `out` holds no results, or damaged ones.
-    """
+    """Read what an earlier run left; raises InputError: `out` holds no results, or damaged ones."""
     try:
         return reports.read(out / RESULTS)
     except ReportError as error:

@@ -163,17 +163,11 @@ class RigTable(msgspec.Struct, kw_only=True):
 
 
 def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, ...]]:
-    """Read and check a rig.toml.
-
-    Args:
-        path: the file.
-        registered: refuse a rig without the robot's base.
-
-    Returns:
-        The rig, and warnings: unknown keys, a principal point far off the centre.
+    """Read and check a rig.toml; warnings: unknown keys, a principal point far off the centre.
 
     Raises:
-        InputError: names the file, the key, what stands there, what should, and what to do.
+        InputError: names the file, the key, what stands there, what should, and what to do; with
+            `registered` also of a rig without the robot's base.
     """
     path = Path(path)
     table, warnings = decode(path, RigTable)
@@ -236,11 +230,7 @@ def _base_table(rig: Rig) -> dict[str, Any]:
 
 
 def write(path: str | Path, rig: Rig) -> None:
-    """Write a rig.toml, whole or not at all.
-
-    Raises:
-        InputError: the disk or the system refuses it.
-    """
+    """Write a rig.toml, whole or not at all; raises InputError where the system refuses it."""
     write_whole(Path(path), encode(rig))
 
 

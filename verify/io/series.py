@@ -43,7 +43,6 @@ class FrameSeries:
     timed: bool = field(default=True, kw_only=True)
 
     def __len__(self) -> int:
-        """Count the pairs."""
         return len(self.t_left)
 
     def first(self, count: int) -> "FrameSeries":
@@ -61,22 +60,15 @@ class EncoderSeries:
     t_host: Array | None = None  # (m,), s, cameras' clock, when each reading arrived
 
     def __len__(self) -> int:
-        """Count the readings."""
         return len(self.t)
 
 
 def read_frames(
     path: str | Path, pan: tuple[float, float] = (0.0, 0.0), torn: bool = False
 ) -> tuple[FrameSeries, tuple[str, ...]]:
-    """Read frames.csv: one row a stereo pair.
+    """Read frames.csv: one row a stereo pair; `pan`, rad, left and right, where it gives none.
 
-    Args:
-        path: the file.
-        pan: rad, left and right, where the file gives none.
-        torn: the recording was cut off, so the last line may be half a line; it is left out.
-
-    Returns:
-        The pairs, and a warning where a half line was left out.
+    Where the recording was cut off (`torn`), half a last line is left out, with a warning.
 
     Raises:
         InputError: names the file, the line and the column.
@@ -112,16 +104,9 @@ def read_encoders(
 ) -> tuple[EncoderSeries, tuple[str, ...]]:
     """Read encoders.csv: one row a reading of all joints.
 
-    Args:
-        path: the file.
-        joints: how many the robot has.
-        torn: the recording was cut off, so the last line may be half a line; it is left out.
-        limits: rad, lowest and highest angle of each joint, where the robot is known.
-        pairs: what was measured: readings at these very times are single visits; without times,
-            row i belongs to pair i.
-
-    Returns:
-        The readings, and a warning where a half line or a spike was left out.
+    Where the recording was cut off (`torn`), half a last line is left out, as is a spike, with a
+    warning. `limits`, rad, are each joint's lowest and highest angle, where the robot is known.
+    Readings at the very times of `pairs` are single visits; without times, row i belongs to pair i.
 
     Raises:
         InputError: names the file, the line and the column.
@@ -191,7 +176,6 @@ def _stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> NDArray[np
 
 
 def _spike_warning(path: Path, spike: NDArray[np.bool_]) -> Iterator[str]:
-    """Name the readings that were left out."""
     rows, joints = np.nonzero(spike)
     if len(rows):
         places = [f"line {i + 2} (q{j + 1}_deg)" for i, j in zip(rows, joints, strict=True)]
@@ -233,11 +217,7 @@ class CsvTable:
         return parsed
 
     def require_counting(self, frame: Array, streams: str) -> None:
-        """Refuse frame numbers that do not count the `streams` (images, pictures) from 0.
-
-        Raises:
-            InputError: names the first line with another number.
-        """
+        """Refuse frame numbers that do not count the `streams` (images, pictures) from 0."""
         wrong = np.flatnonzero(frame != np.arange(len(frame)))
         if len(wrong):
             row = int(wrong[0])
@@ -245,11 +225,7 @@ class CsvTable:
             raise self.fault(row, f"frame is {frame[row]:g}", expected)
 
     def require_rising(self, name: str, times: Array) -> None:
-        """Refuse times that do not rise strictly.
-
-        Raises:
-            InputError: names the first line whose time is not after the one before.
-        """
+        """Refuse times that do not rise strictly; the InputError names the first such line."""
         stuck = np.flatnonzero(np.diff(times) <= 0)
         if len(stuck):
             row = int(stuck[0]) + 1

@@ -65,10 +65,7 @@ def key_error(path: Path, key: str, found: str, expected: str, remedy: str = "")
 
 
 def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
-    """Decode a TOML file into a struct that mirrors it.
-
-    Returns:
-        The struct, and a warning for each key that it does not know.
+    """Decode a TOML file into a struct that mirrors it; a warning for each key it does not know.
 
     Raises:
         InputError: no such file, not TOML, another format, a missing key, or a value of another
@@ -90,11 +87,7 @@ def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
 
 
 def require_plausible(path: Path, key: str, value: float) -> None:
-    """Refuse a number that is not finite, or larger than anything in the unit of its key.
-
-    Raises:
-        InputError: names the key and the unit that would explain the number.
-    """
+    """Refuse a number not finite or beyond its key's unit; InputError names the unit that fits."""
     if isinstance(value, float) and not math.isfinite(value):
         raise key_error(path, key, f"is {value}", "a finite number is expected")
     name = re.sub(r"(\[\d+\])+$", "", key).rpartition(".")[2]
@@ -127,11 +120,7 @@ def shorten_key(key: str) -> str:
 
 
 def one_of(path: Path, key: str, value: str, options: tuple[str, ...]) -> str:
-    """Return the value if it is among the options.
-
-    Raises:
-        InputError: it is none of them; says which there are.
-    """
+    """Return the value if it is among the options; the InputError says which there are."""
     if value in options:
         return value
     expected = "expected is " + " or ".join(f'"{option}"' for option in options)
@@ -174,21 +163,13 @@ def scaled(value: float | None, unit: float) -> float | None:
 
 
 def not_negative(path: Path, key: str, value: float | None) -> None:
-    """Refuse a negative number; None passes.
-
-    Raises:
-        InputError: it is below 0.
-    """
+    """Refuse a negative number by an InputError; None passes."""
     if value is not None and value < 0:
         raise key_error(path, key, f"is {value}", "a number of 0 or more is expected")
 
 
 def parse(path: Path) -> dict[str, Any]:
-    """Read a TOML file into tables.
-
-    Raises:
-        InputError: no such file, not UTF-8, or not TOML; names the line.
-    """
+    """Read a TOML file; raises InputError with the line: no file, not UTF-8, or not TOML."""
     data = read_bytes(path, MAX_BYTES)
     if _DEEP_KEY.search(data):
         raise _depth_error(path)

@@ -70,11 +70,7 @@ def ring_bytes(left: Shape, right: Shape, slots: int) -> int:
 
 
 class UnfinishedPairs:
-    """The file while it is written, for pictures of two shapes, (h, w) or (h, w, 3).
-
-    Raises:
-        OSError: the system refuses it.
-    """
+    """The file while it is written, pictures (h, w) or (h, w, 3); OSError: the system refuses."""
 
     def __init__(self, path: Path, left: Shape, right: Shape, slots: int) -> None:
         self._path, self.slots = path, slots
@@ -87,11 +83,7 @@ class UnfinishedPairs:
         os.ftruncate(self._file, ring_bytes(left, right, slots))
 
     def put(self, number: int, pair: StereoPair) -> None:
-        """Write a pair into the slot of its number in the session, over the pair that was there.
-
-        Raises:
-            OSError: the system refuses it; the slot is empty then.
-        """
+        """Write a pair into its number's slot, over an older one; on OSError the slot is empty."""
         at = self._layout.at(number % self.slots)
         self._write(SLOT.pack(EMPTY, 0, 0, 0, 0), at)
         self._write(np.ascontiguousarray(pair.left).data.cast("B"), at + PAGE)
@@ -128,8 +120,6 @@ class _Picture:
 
 @dataclass(frozen=True, slots=True)
 class _Pair:
-    """A pair in the file."""
-
     times_and_pans: tuple[float, ...]  # t left, right, s, cameras' clock; pan left, right, rad
     pictures: tuple[_Picture, _Picture]  # left, right
 
@@ -157,9 +147,8 @@ def append_unfinished(
 ) -> tuple[FrameSeries, Sides, int]:
     """Append the pairs of pending.raw, where there is one, to those of the videos, all whole.
 
-    Returns:
-        Frames and sides with the others, and how many those are. Pairs that neither holds are left
-        out; the numbers of those after them are lower by as many.
+    Gives frames and sides with the others, and how many those are. Pairs that neither holds are
+    left out; the numbers of those after them are lower by as many.
 
     Raises:
         InputError: pending.raw is no such file, or cannot be read.
@@ -176,8 +165,7 @@ def append_unfinished(
     )
     before = (frames.t_left, frames.t_right, frames.pan_left, frames.pan_right)
     after = np.array([pair.times_and_pans for pair in pairs]).T
-    joined = FrameSeries(*map(np.append, before, after))
-    return joined, (left, right), len(pairs)
+    return FrameSeries(*map(np.append, before, after)), (left, right), len(pairs)
 
 
 def _read_slots(path: Path) -> dict[int, _Pair]:

@@ -57,10 +57,7 @@ def _has_footers(packet: bytes, footer: int) -> bool:
 
 
 def png_intact(data: bytes) -> bool:
-    """Check that a PNG is whole and that each chunk's CRC fits.
-
-    Source: W3C, Portable Network Graphics, third edition, section 5.3.
-    """
+    """Whether a PNG is whole and each chunk's CRC fits (W3C, PNG, third edition, section 5.3)."""
     if not data.startswith(_PNG_SIGNATURE):
         return False
     at = len(_PNG_SIGNATURE)
@@ -103,9 +100,8 @@ class Images(ABC):
     def count(self, torn: bool = False) -> int:
         """Count the images.
 
-        Args:
-            torn: the recording was cut off: count those before the first that is missing or
-                damaged, instead of refusing it. Decodes them all.
+        Where the recording was cut off (`torn`), those before the first that is missing or damaged,
+        found by decoding them all.
 
         Raises:
             InputError: it cannot be opened; unless `torn`, an image is missing or damaged.
@@ -113,11 +109,7 @@ class Images(ABC):
 
     @abstractmethod
     def images(self) -> Generator[Image]:
-        """Decode the images one after the other: (h, w) grey or (h, w, 3) BGR.
-
-        Raises:
-            InputError: one cannot be decoded.
-        """
+        """Decode the images in order: (h, w) grey or (h, w, 3) BGR; InputError: one cannot be."""
 
 
 class Video(Images):

@@ -30,14 +30,9 @@ BOARD_OPTION = "the board given by option"
 def calibrate_folder(
     folder: Path, board: Board | None, out: Path, report: Path, *, force: bool
 ) -> None:
-    """Calibrate from a folder of pictures; write the rig file and the report.
+    """Calibrate from a folder of pictures; write the rig file `out` and the folder `report`.
 
-    Args:
-        folder: of the pictures.
-        board: replaces the folder's board.toml.
-        out: the rig file.
-        report: folder of the report.
-        force: write into a report folder that exists.
+    `board` replaces the folder's board.toml; `force`: write into a report folder that exists.
 
     Raises:
         InputError: the pictures cannot be used or do not determine the rig.
@@ -73,11 +68,7 @@ def calibrate_folder(
 def board_from_options(
     corners: CornerCounts | None, square_mm: float | None, square_uncertainty_mm: float | None
 ) -> Board | None:
-    """Make a board of the options; None where none is given.
-
-    Raises:
-        InputError: one option without another, or no such board.
-    """
+    """Make a board of the options, None without any; InputError: one missing, or no such board."""
     if corners is None and square_mm is None and square_uncertainty_mm is None:
         return None
     if corners is None or square_mm is None:
@@ -97,12 +88,7 @@ def board_from_options(
 
 @contextmanager
 def error_in_folder(folder: Path, doubt: str = "") -> Iterator[None]:
-    """Put the folder in front of the place that a complaint names.
-
-    Args:
-        folder: of the pictures.
-        doubt: what is suspicious of frames.csv; it comes before the complaint, as its likely cause.
-    """
+    """Put the folder before a complaint's place, and `doubt` of frames.csv as its likely cause."""
     try:
         yield
     except InputError as problem:

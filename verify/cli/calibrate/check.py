@@ -25,12 +25,8 @@ def run_check(
 ) -> tuple[CheckResult, ResultsOrigin]:
     """Check a rig by a session or by board pictures; give what was found, and from what.
 
-    Args:
-        source: a session, or a folder of board pictures.
-        rig_path: the rig; None: the session's own.
-        length_mm: known distance of two LEDs of a session.
-        length_uncertainty_mm: its standard uncertainty.
-        board: replaces the folder's board.toml.
+    `rig_path` None is the session's own; `length_mm` is the known distance of two of its LEDs, with
+    its standard uncertainty; `board` replaces the pictures' board.toml.
 
     Raises:
         InputError: a file cannot be used, or an option has no meaning for the source.
@@ -55,8 +51,7 @@ def run_check(
             result = check_session(
                 session, length=length, length_standard_uncertainty=u, progress=progress
             )
-        origin = ResultsOrigin(session.name, session.description, session.inputs | other_rig)
-        return result, origin
+        return result, ResultsOrigin(session.name, session.description, session.inputs | other_rig)
     if rig is None:
         expected = "pictures of a board do not say which rig is to be checked"
         raise InputError("--rig", "is missing", expected, "Give the rig file, or a session.")
@@ -66,5 +61,4 @@ def run_check(
     require_same_size(opened.folder, opened.image_size, rig)
     with terminal.progress("pairs searched for the board") as progress:
         result = check_board(rig, find_boards(opened, progress), opened.board)
-    origin = ResultsOrigin(source.resolve().name, inputs=opened.inputs | other_rig)
-    return result, origin
+    return result, ResultsOrigin(source.resolve().name, inputs=opened.inputs | other_rig)

@@ -40,11 +40,7 @@ def pictures_folder(option: Path | None) -> Path:
 
 
 def board_of(by_option: Board | None, file: Path | None) -> Board | None:
-    """Take the board of the options or of a board.toml; None without either.
-
-    Raises:
-        InputError: both are there, or the file is none.
-    """
+    """Board of the options or of a board.toml, else None; InputError: both, or no such board."""
     if file is None:
         return by_option
     if by_option is not None:
@@ -55,11 +51,7 @@ def board_of(by_option: Board | None, file: Path | None) -> Board | None:
 
 
 def refuse_station(source: Path) -> None:
-    """Refuse a station file in place of a folder of pictures.
-
-    Raises:
-        InputError: it is one.
-    """
+    """Refuse, by an InputError, a station file in place of a folder of pictures."""
     if source.suffix == ".toml":
         found, expected = "is a station file", "without --live a folder of pictures is expected"
         raise InputError(source, found, expected, "Add --live.")
@@ -68,10 +60,7 @@ def refuse_station(source: Path) -> None:
 def take_pictures(station: Path, folder: Path, options: BoardRunOptions) -> None:
     """Take pairs of board pictures until there are enough or the user finishes.
 
-    Args:
-        station: a station file, of which only cameras and bases are read.
-        folder: of the pictures, as `verify calibrate boards` reads it.
-        options: board, number of pairs, page.
+    Of the station file only cameras and bases are read; `verify calibrate boards` reads the folder.
 
     Raises:
         InputError: the file, the board, a device or the disk; or no pair was taken.
@@ -142,8 +131,6 @@ def _show_state(state: BoardState) -> Iterator[Callable[[], None]]:
 
 
 def _read_commands(taking: BoardCapture) -> None:
-    """Obey what is typed, a line a command."""
-
     def take(line: str) -> None:
         word = line.strip().lower()
         if word in FINISH_KEYS:

@@ -92,8 +92,7 @@ def check_video_devices() -> list[Finding]:
         text = "this system does not list them; name 0, 1, … in a station file and try it"
         return [Finding("cameras", "works", text)]
     there = sorted(map(str, Path("/dev").glob("video*")))
-    text = ", ".join(there) or "none is here (/dev/video*)"
-    return [Finding("cameras", "works", text)]
+    return [Finding("cameras", "works", ", ".join(there) or "none is here (/dev/video*)")]
 
 
 def _read_back(what: str, image: Image, raw: bytes | None = None) -> Finding:

@@ -34,14 +34,8 @@ SELECTED_NAME = "object selected on the page"
 class GraspPage:
     """A page that is served until `close`; the loop's own thread calls everything else.
 
-    Args:
-        loop: not started yet.
-        options: where the page is served.
-        facts: constants that the page shows.
-        selects: there is no target yet: the user selects it on the page.
-
-    Raises:
-        InputError: the page cannot be served.
+    The loop is not started yet; `facts` are the constants shown; with `selects` there is no target
+    yet and the user selects it on the page. Raises InputError where it cannot be served.
     """
 
     def __init__(
@@ -144,11 +138,7 @@ class GraspOptions:
 
     @property
     def target(self) -> Target | None:
-        """The object to grasp; None: it is selected on the page.
-
-        Raises:
-            InputError: the box is none.
-        """
+        """The object to grasp; None: it is selected on the page; InputError: the box is none."""
         if self.roi is not None:
             return BoxSelection(parse_box(self.roi))
         return None if self.colour is None else ColourSelection(self.colour)
@@ -176,10 +166,7 @@ class GraspRun:
 
 
 def conduct(stage: GraspRun, stop: StopConditions, out: Path, *, force: bool) -> bool:
-    """Grasp, and write film, session and report to `out`.
-
-    Returns:
-        Whether it was lifted; or planned, where nothing was to move.
+    """Grasp; write film, session and report to `out`; True: lifted, or planned if none may move.
 
     Raises:
         InputError: the folder cannot be written, or the pictures teach no colour.

@@ -42,8 +42,7 @@ def grab(
         bool, typer.Option("--auto", help="Grab once the object stands still; else on key g.")
     ] = False,
     stop_and_go: Annotated[
-        bool,
-        typer.Option("--stop-and-go", help="--sim: one move at a time, as MELFA takes them."),
+        bool, typer.Option("--stop-and-go", help="--sim: one move at a time, as MELFA takes them.")
     ] = False,
     turning: Annotated[
         bool, typer.Option("--turning", help="--sim: the camera bases turn meanwhile.")

@@ -56,12 +56,9 @@ PAN_UNKNOWN = "a camera base turns, or its angle is not known: its pictures are 
 class LivePairs:
     """The newest pair of two free-running cameras; none from while a base turns.
 
-    Args:
-        cameras: left and right; closed with this.
-        pan: reads the angles of the bases; closed with this. None: they stand as the rig says.
-        rig: the calibrated cameras.
-        rate: Hz, of the loop.
-        began: s, host's monotonic clock: zero of the pairs' times.
+    Cameras, left and right, and `pan`, which reads the bases' angles, are closed with this; without
+    `pan` they stand as the rig says. `rate`: Hz, of the loop; `began`: s, host's monotonic clock,
+    zero of the pairs' times.
     """
 
     def __init__(
@@ -166,12 +163,8 @@ def grab_on_station(
 ) -> bool:
     """Grasp with real devices; the result is that of `conduct`.
 
-    Args:
-        path: the station file; its [encoders] name the controller that moves.
-        ports: cell file and gripper.
-        options: target, permission, duration, page.
-        out: of film, session and report.
-        force: write into a folder that exists.
+    The station's [encoders] name the controller that moves; `ports`: cell file and gripper; `out`:
+    of film, session and report; `force`: write into a folder that exists.
 
     Raises:
         InputError: a file, an option, a device or the folder; or the order was not confirmed.
@@ -273,11 +266,7 @@ def _open_devices(
 
 
 def confirm_execution(robot: str) -> ExecutePermission:
-    """Have the operator type the name and port of the robot that will move.
-
-    Raises:
-        InputError: something else was typed.
-    """
+    """Have the operator type name and port of the robot that will move; else InputError."""
     terminal.say(f"This moves a robot. Is the emergency stop at hand? Type: {robot}")
     typed = _read_line()
     if typed != robot:

@@ -58,14 +58,9 @@ def identify_sessions(
 ) -> None:
     """Identify the arm of some sessions; write its robot file, parameters.csv and the reports.
 
-    Args:
-        folders: the sessions.
-        out: where the results go; None: NAME-identification in the current folder.
-        options: model and hold-out.
-        free_base: None: free where a rig states that it was found through the encoders.
-        free_tool: of the LEDs; None: free where a marker states that.
-        judges: sessions that validate the identified arm, and are not identified from.
-        force: write into a folder that is not empty.
+    `out` None is NAME-identification in the current folder; `force`: it need not be empty. Base and
+    tool (the LEDs) at None are free where a rig or marker states that it was found through the
+    encoders. `judges` are sessions that validate the identified arm, and are not identified from.
 
     Raises:
         InputError: a session cannot be used, they are of different arms, or `out` is not vacant.

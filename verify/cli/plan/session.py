@@ -28,10 +28,8 @@ MIN_MEASURED_SHARE = 0.8  # share of pairs that are measured: below, worth a war
 def plan_session(provenance: PlanProvenance, out: Path | None, *, force: bool) -> None:
     """Plan the next session; write plan.csv, poses.csv and the reports.
 
-    Args:
-        provenance: setup, request and conditions, with the warnings of the files they come from.
-        out: where the plan goes; None: ROBOT-plan in the current folder.
-        force: write into a folder that is not empty.
+    The provenance holds the warnings of the files it comes from. `out` None is ROBOT-plan in the
+    current folder; `force`: it need not be empty.
 
     Raises:
         InputError: nothing can be planned, or `out` is taken.
@@ -56,12 +54,9 @@ def plan_session(provenance: PlanProvenance, out: Path | None, *, force: bool) -
 def planning_setup(
     robot: str, rig: Path, marker: Path | None
 ) -> tuple[PlanningSetup, dict[str, str], tuple[str, ...]]:
-    """Read arm, rig and LEDs; with the digests of the files, and warnings.
+    """Read arm (a name, a robot file, a URDF), rig and LEDs; the files' digests, and warnings.
 
-    Args:
-        robot: a name, a robot file or a URDF.
-        rig: rig.toml or the folder that holds it.
-        marker: marker.toml; None: beside the rig.
+    `rig` is a rig.toml or its folder; `marker` None is the marker.toml beside it.
 
     Raises:
         InputError: a file cannot be used.

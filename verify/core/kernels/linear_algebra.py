@@ -54,8 +54,7 @@ def compose(a: Array, b: Array, product: Array) -> None:
 def factor(matrix: Array, less: float, root: Array) -> bool:
     """Fill in the lower Cholesky factor of a matrix (n, n) with `less` taken off its diagonal.
 
-    Returns:
-        False where that is not positive definite; the factor has NaN then.
+    False where that is not positive definite; the factor has NaN then.
     """
     definite = True
     for i in range(len(matrix)):
@@ -112,10 +111,7 @@ def invert(root: Array, inverse: Array) -> None:
 
 @compiled
 def rotation_vectors(turns: Array, vectors: Array) -> None:
-    """Fill in the rotation vectors (n, 3), rad, of n matrices (n, 3, 3).
-
-    Source: by way of the quaternion, whose largest component is found first (Shepperd, 1978).
-    """
+    """Fill in rotation vectors (n, 3), rad, of turns (n, 3, 3), by quaternion (Shepperd, 1978)."""
     q = [0.0, 0.0, 0.0, 0.0]  # x, y, z, w
     for n in range(len(turns)):
         m = turns[n]

@@ -17,10 +17,7 @@ N_END_READINGS = 4  # through which a cubic gives the speed at an end
 
 @compiled
 def slope_at(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
-    """Give a joint's speed at reading i, from its neighbours; none beside a gap.
-
-    Source: second-order differences for uneven spacing, as in numpy.gradient.
-    """
+    """Joint's speed at reading i by second-order differences, as numpy.gradient; 0 beside a gap."""
     before = t[i] - t[i - 1] if i > 0 else 0.0
     after = t[i + 1] - t[i] if i < len(t) - 1 else 0.0
     if before > longest or after > longest:
@@ -37,19 +34,12 @@ def slope_at(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
 def one_sided_slope(
     t: Array, q: Array, i: int, way: int, joint: int, longest: float, most: int
 ) -> float:
-    """Give a joint's speed at a reading from those on one side of it, by a polynomial.
+    """Give a joint's speed at reading i from those on one side of it, by a polynomial.
 
     The newest interval is all that a live pair has: a straight line there errs by 7 % of
-    acceleration times interval squared, 0.3° for a brisk joint read at 9 Hz.
-
-    Args:
-        t: (m,), s, increasing; two at least.
-        q: (m, j), rad.
-        i: which reading.
-        way: to its neighbours, 1 or -1.
-        joint: which.
-        longest: s; readings beyond a longer gap are left alone.
-        most: readings that the polynomial goes through, where there are as many.
+    acceleration times interval squared, 0.3° for a brisk joint read at 9 Hz. t (m,), s, increasing,
+    two at least; q (m, j), rad. Neighbours lie `way`, 1 or -1; those beyond a gap longer than
+    `longest`, s, are left alone. The polynomial goes through `most` readings if there are as many.
 
     Source: Newton's divided differences.
     """
@@ -71,13 +61,10 @@ def one_sided_slope(
 
 @compiled
 def interpolate(t: Array, q: Array, longest: float, instants: Array) -> Array:
-    """Readings (n, j), rad, at some instants: cubic between four readings (Catmull-Rom).
+    """Readings (n, j), rad, at instants (n,), s: cubic between four readings (Catmull-Rom).
 
-    Args:
-        t: (m,), s, increasing; two at least.
-        q: (m, j), rad.
-        longest: s; across a longer gap the nearest reading is held.
-        instants: (n,), s.
+    t (m,), s, increasing, two at least; q (m, j), rad. Across a gap longer than `longest`, s, the
+    nearest reading is held.
     """
     values = np.empty((len(instants), q.shape[1]))
     for n in range(len(instants)):
@@ -119,8 +106,7 @@ def slope_difference(t: Array, q: Array, i: int, joint: int, longest: float) -> 
 def interpolation_error(t: Array, q: Array, longest: float, instants: Array) -> Array:
     """Error that `interpolate` may have at some instants, (n, j), rad; arguments are the same.
 
-    A cubic takes an error of the speed at one of its ends to h s (1 - s)², s the share of the
-    interval h from that end.
+    A cubic takes a speed's error at one of its ends to h s (1 - s)², s the share of h from there.
     """
     values = np.zeros((len(instants), q.shape[1]))
     for n in range(len(instants)):
@@ -140,8 +126,7 @@ def interpolation_error(t: Array, q: Array, longest: float, instants: Array) -> 
 def rates(t: Array, q: Array, longest: float, span: float, instants: Array) -> Array:
     """Joints' speeds (n, j), rad/s, at some instants; 0 beside a gap, where a reading is held.
 
-    Arguments are those of `interpolate`, and `span`, s, over which a speed is taken, before and
-    after.
+    As `interpolate`, and `span`, s, over which a speed is taken, before and after.
     """
     values, ends = np.zeros((len(instants), q.shape[1])), np.empty(2)
     for n in range(len(instants)):
@@ -182,9 +167,7 @@ def in_burst(t: Array, longest: float, instant: float) -> bool:
 def travel_directions(q: Array, thresholds: Array) -> NDArray[np.int8]:
     """Joints' direction of travel (m, j) after each reading: +1, -1, or 0 before any.
 
-    Args:
-        q: (m, j), rad.
-        thresholds: (j,), rad, further than which from its extreme a joint has turned back.
+    q (m, j), rad; beyond its threshold (j,), rad, from its extreme a joint has turned back.
     """
     directions = np.empty(q.shape, np.int8)
     for j in range(q.shape[1]):

@@ -53,7 +53,6 @@ class BoardFolder:
     alone: tuple[tuple[str, Path], ...] = ()  # side and picture without a partner, after the pairs
 
     def __len__(self) -> int:
-        """Count the pairs."""
         return len(self.pan_left) - len(self.alone)
 
     @property
@@ -83,11 +82,7 @@ class BoardFolder:
         return f"image {frame}"
 
     def pairs(self) -> Generator[BoardImages]:
-        """Stream the pairs, both sides in step, a few in memory at a time.
-
-        Raises:
-            InputError: a picture cannot be decoded or is of another size than the first.
-        """
+        """Stream the pairs in step, a few in memory; InputError: one damaged or of another size."""
         with closing(decode_in_step(self.left, self.right, len(self))) as images:
             for frame, (left, right) in enumerate(images):
                 _require_size(self.left, frame, left, self.image_size)
@@ -101,11 +96,7 @@ class BoardFolder:
                 )
 
     def single_pictures(self) -> Generator[tuple[int, str, Image]]:
-        """Stream the pictures without a partner: number, side and image.
-
-        Raises:
-            InputError: a picture cannot be decoded or is of another size than the first.
-        """
+        """Stream those without a partner: number, side and image; raises InputError as `pairs`."""
         sides = PictureFiles(self.folder, [file for _, file in self.alone])
         for i, image in enumerate(sides.images()):
             _require_size(sides, i, image, self.image_size)
@@ -115,17 +106,10 @@ class BoardFolder:
 def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFolder:
     """Open a folder of board pictures and check all but the pictures after the first.
 
-    A rig.toml in the folder is never read.
-
-    Args:
-        folder: holds left/ and right/ with pictures (or left01.jpg, right01.jpg, … side by side,
-            or two videos left.* and right.*); optionally frames.csv, whose pan columns are read,
-            and board.toml.
-        board: used in place of board.toml.
-
-    Returns:
-        The folder. Its warnings name unknown keys of board.toml, a contradiction between it and
-        `board`, and pan columns that are missing.
+    It holds left/ and right/ with pictures (or left01.jpg, right01.jpg, … side by side, or two
+    videos left.* and right.*); optionally frames.csv, whose pan columns are read, and board.toml,
+    which `board` replaces. A rig.toml in it is never read. Warnings name unknown keys of
+    board.toml, a contradiction between it and `board`, and pan columns that are missing.
 
     Raises:
         InputError: one line that names the file, what stands there, what should, and what to do.
@@ -271,7 +255,6 @@ def _small_angles(pan: tuple[Array, Array]) -> Iterator[tuple[str, float]]:
 
 
 def _warn_misnamed(path: Path, header: list[str], present: list[str]) -> Iterator[str]:
-    """Warn of a pan column that is missing or misnamed."""
     for name in header:
         if "pan" in name.lower() and name not in PAN_COLUMNS:
             yield one_line(f"{path}: column {name} is left alone.{did_you_mean(name, PAN_COLUMNS)}")
@@ -282,11 +265,7 @@ def _warn_misnamed(path: Path, header: list[str], present: list[str]) -> Iterato
 
 
 def _image_size(left: Images, right: Images) -> Size:
-    """Decode the first picture of either side: (width, height), the same of both.
-
-    Raises:
-        InputError: they differ, or cannot be decoded.
-    """
+    """Decode the first pictures: (width, height), the same of both sides, else an InputError."""
     with closing(left.images()) as images:
         height, width = next(images).shape[:2]
     with closing(right.images()) as images:
@@ -308,7 +287,6 @@ def _require_size(side: Images, frame: int, image: Image, size: Size) -> None:
 def _inputs(
     folder: Path, left: Images, right: Images, alone: tuple[tuple[str, Path], ...]
 ) -> dict[str, str]:
-    """Take the digest of everything that was read."""
     beside = [folder / name for name in ("board.toml", "frames.csv")]
     read = [path for path in beside if path.exists()]
     for side in (left, right):

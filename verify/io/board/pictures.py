@@ -27,21 +27,13 @@ class PictureFiles(Images):
         return len(self.files)
 
     def images(self) -> Generator[Image]:
-        """Decode the pictures: (h, w) grey or (h, w, 3) BGR.
-
-        Raises:
-            InputError: one is damaged, no picture, or deeper than 8 bits.
-        """
+        """Decode them: (h, w) grey or (h, w, 3) BGR; InputError: damaged or deeper than 8 bits."""
         for file in self.files:
             yield decode_picture(file, "picture", _REMEDY)
 
 
 def list_pictures(folder: Path, start: str = "") -> list[Path]:
-    """List the pictures of a folder whose names begin with `start`, 2 before 10.
-
-    Raises:
-        InputError: the system refuses the folder.
-    """
+    """Pictures of a folder that begin with `start`, 2 before 10; InputError: the system refuses."""
     with refused_as_input_error(folder):
         files = [
             file
@@ -57,14 +49,11 @@ def list_pictures(folder: Path, start: str = "") -> list[Path]:
 def match_pictures(
     left: list[Path], right: list[Path]
 ) -> tuple[list[Path], list[Path], list[tuple[str, Path]]]:
-    """Order the pictures of both sides so that the n-th of both belong together.
+    """Order the pictures of left and right so that the n-th of both belong together.
 
     Partners have equal names, or names that are equal without the words left and right, or the
     same last number; the first rule that fits any names is used for all. Where none fits, the
-    given order counts.
-
-    Returns:
-        The pictures of left and right, and those without a partner, each with its side.
+    given order counts. Those without a partner come last, each with its side.
 
     Raises:
         InputError: the names match nowhere, and one side has more.

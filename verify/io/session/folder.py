@@ -14,11 +14,7 @@ from verify.io.toml import key_error, shorten
 
 
 def find_session_file(folder: Path) -> Path:
-    """Find session.toml in a folder.
-
-    Raises:
-        InputError: it is no folder, or holds none.
-    """
+    """Find session.toml in a folder; raises InputError: it is no folder, or holds none."""
     expected, remedy = "a session's folder is expected", "Give the folder of a recorded session."
     require_folder(folder, expected, remedy)
     path = folder / "session.toml"
@@ -29,10 +25,10 @@ def find_session_file(folder: Path) -> Path:
 
 
 def resolve_inside(path: Path, key: str, text: str) -> Path:
-    """Find the file that a key of session.toml names; it stays in the folder, also by symlinks.
+    """Find the file that a key of session.toml names.
 
     Raises:
-        InputError: it names nothing, or what is outside the folder or does not exist.
+        InputError: it names nothing, or what is outside the folder (by symlinks too) or not there.
     """
     expected = "a path inside the session's folder is expected"
     if not text or "\0" in text:
@@ -57,11 +53,7 @@ def _robot_file(path: Path, robot: str) -> Path | None:
 
 
 def load_arm(path: Path, table: RunTable) -> robots.Arm:
-    """Load the robot that session.toml names.
-
-    Raises:
-        InputError: there is none of that name, or its file is no robot.
-    """
+    """Load the robot that session.toml names; InputError: no such name, or its file is no robot."""
     file = _robot_file(path, table.robot)
     chain = table.robot_frames
     try:
@@ -83,11 +75,7 @@ def file_digests(path: Path, robot: str, files: Mapping[str, Path]) -> dict[str,
 def recording_fields(
     path: Path, table: RunTable, arm: robots.Arm, *, timed: bool
 ) -> dict[str, Any]:
-    """Fields of a Recording that do not depend on what measured the robot.
-
-    Raises:
-        InputError: a clock is given, and nothing has a time.
-    """
+    """Fields of a Recording but its measurements; InputError: a clock, and nothing has a time."""
     clock = table.clock
     if not timed:  # row i belongs to row i
         if clock is not None:
@@ -110,11 +98,7 @@ def recording_fields(
 
 
 def check_absorption(path: Path, rig: Rig, joints: int) -> None:
-    """Refuse a registration of another robot.
-
-    Raises:
-        InputError: its absorption has another number of joints.
-    """
+    """Refuse, by an InputError, a registration whose absorption has another number of joints."""
     if rig.absorption is not None and rig.absorption.shape[1] != joints:
         found = f"has {rig.absorption.shape[1]} columns"
         expected = f"the robot has {joints} joints"

@@ -152,10 +152,7 @@ class Tolerance:
 
 
 def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
-    """Read session.toml and check what needs no other file.
-
-    Returns:
-        Its keys, and a warning for each that the format does not know.
+    """Read session.toml and check what needs no other file; a warning for each unknown key.
 
     Raises:
         InputError: names the key, what stands there, what should, and what to do.
@@ -172,11 +169,7 @@ def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
 
 
 def check_clock(path: Path, clock: Clock | None) -> None:
-    """Refuse a negative uncertainty of [clock].
-
-    Raises:
-        InputError: names the key.
-    """
+    """Refuse a negative uncertainty of [clock]; the InputError names the key."""
     if clock is not None:
         key = CLOCK_KEYS["standard_uncertainty"]
         not_negative(path, f"clock.{key}", clock.standard_uncertainty)
@@ -191,20 +184,12 @@ def _check_interval(path: Path, key: str, interval: TimeInterval) -> None:
 
 
 def has_poses(path: Path) -> bool:
-    """Whether session.toml has a table [poses] in place of pictures.
-
-    Raises:
-        InputError: it is no session.toml, or its [poses] is none.
-    """
+    """Whether session.toml has [poses] in place of pictures; raises InputError where it is none."""
     return decode(path, _HoldsTable)[0].poses is not None
 
 
 def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInterval, ...]]:
-    """Read [[pose]] and [[path]] of a session.toml that was checked before.
-
-    Raises:
-        InputError: it cannot be read.
-    """
+    """Read [[pose]] and [[path]] of a session.toml checked before; raises InputError."""
     table = decode(path, _IntervalsTable)[0]
     return tuple(table.pose), tuple(table.path)
 
@@ -249,11 +234,7 @@ def _check_frame(path: Path, table: PosesSessionTable) -> None:
 
 
 def tolerance(path: Path, table: ToleranceTable | None, joints: int) -> Tolerance | None:
-    """Convert [tolerance] to radians and metres; one number holds for every joint.
-
-    Raises:
-        InputError: a tolerance that is not positive, or a list of another length.
-    """
+    """[tolerance] in rad and m, one number for all joints; InputError: not positive, bad length."""
     if table is None or table == ToleranceTable():
         return None
     given = table.joints_deg

@@ -67,11 +67,7 @@ class MissingImages(Images):
 
 
 def read_pose_streams(path: Path) -> dict[str, Any]:
-    """Read and check a session of poses, by its session.toml: every field of a Session.
-
-    Raises:
-        InputError: names the file, the place in it, what stands there, what should be there.
-    """
+    """Read and check a session of poses: every field of a Session; InputError names the place."""
     table, warnings = keys.read_poses(path)
     arm = load_arm(path, table)
     torn = table.recording == "open"
@@ -106,7 +102,6 @@ def read_pose_streams(path: Path) -> dict[str, Any]:
 
 
 def _describe_instrument(instrument: Instrument) -> str:
-    """Note which instrument measured the poses."""
     what = "positions alone" if instrument.positions_alone else "poses"
     return one_line(
         f"Measured by another instrument, not by cameras: {instrument.name}, "

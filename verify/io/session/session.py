@@ -58,15 +58,10 @@ class Recording:
     right: Images
 
     def __len__(self) -> int:
-        """Count the pairs."""
         return len(self.frames)
 
     def pairs(self) -> Generator[StereoPair]:
-        """Stream the stereo pairs, both sides in step, a few in memory at a time.
-
-        Raises:
-            InputError: an image cannot be decoded or is not of the rig's size.
-        """
+        """Stream the pairs in step, a few in memory; InputError: one damaged or of another size."""
         frames = self.frames
         with closing(decode_in_step(self.left, self.right, len(self))) as images:
             for frame, (left, right) in enumerate(images):
@@ -103,9 +98,7 @@ class Session(Recording):
 def open_session(folder: str | Path) -> Session:
     """Open a session's folder and check all of it but the images' content.
 
-    Returns:
-        The session. Its warnings name unknown keys, a recording that was cut off, and facts that
-        do not fit together.
+    Its warnings name unknown keys, a recording cut off, and facts that do not fit together.
 
     Raises:
         InputError: one line that names the file, the place in it, what stands there, what should,
@@ -131,12 +124,8 @@ def open_session(folder: str | Path) -> Session:
 def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Recording:
     """Open a session's folder to register the robot: neither its place nor its LEDs are needed.
 
-    Args:
-        folder: holds session.toml and what that names; a marker file is not read.
-        rig: a rig.toml to use in place of the one that session.toml names; it may lie anywhere.
-
-    Returns:
-        The recording. Its rig may lack a robot base; one that is there is read and checked.
+    A marker file is not read. `rig` replaces the rig.toml that session.toml names and may lie
+    anywhere; it may lack a robot base, but one that is there is read and checked.
 
     Raises:
         InputError: as `open_session`; a session of poses has nothing to register by.
@@ -162,7 +151,6 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
 
 
 def _resolve_paths(path: Path, table: RecordingTable, keys: tuple[str, ...]) -> dict[str, Path]:
-    """Find the file that session.toml names under each key."""
     named = {key: resolve_inside(path, key, getattr(table, key)) for key in keys}
     if named["left"].resolve() == named["right"].resolve():
         expected = "each camera has its own images"
