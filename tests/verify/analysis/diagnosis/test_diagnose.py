@@ -84,6 +84,12 @@ def names(seen: Diagnosis) -> list[tuple[str, int | None]]:
     return [(c.kind, c.joint) for c in seen.causes]
 
 
+def built_as(arm: robots.Arm) -> Callable[[Track], Track]:
+    """What the poses show of an arm that is not the file's."""
+    through = np.linalg.inv(robots.forward(ARM, motion(T))) @ robots.forward(arm, motion(T))
+    return lambda track: replace(track, base_T_flange=track.base_T_flange @ through)
+
+
 FAULTS: dict[str, tuple[int, Error, float]] = {
     "offset": (3, lambda t, _: at(3, np.deg2rad(0.15) + 0 * t), 0.15),
     "gain": (2, lambda _, q: at(2, 0.004 * q[:, 1]), 0.004),
@@ -174,22 +180,6 @@ def test_a_step_is_dated_and_leaves_the_other_joints_their_verdict() -> None:
     assert verdicts == ["conform"] * 3 + ["nonconform"] + ["conform"] * 2
 
 
-def test_visits_that_nobody_timed_show_no_drift_and_no_step() -> None:
-    rng = np.random.default_rng(22)
-    rig, marker = make_rig(), make_marker()
-    comparison = compare(make_track(T, motion(T), rng), ARM, Readings(LOG, motion(LOG)), 0.0)
-    systematics = stated_systematics(rig, marker, turning=False)
-    for timed in (True, False):
-        model = build_model(
-            replace(comparison, timed=timed), make_track(T, motion(T), rng), rig, marker, GIVEN,
-            systematics,
-        )  # fmt: skip
-        kinds = {f.kind for f in find_causes(model, resolve_errors(model), ARM).products.faults}
-        assert kinds & {"drift", "clock_drift", "step"} == (
-            {"drift", "clock_drift", "step"} if timed else set()
-        )
-
-
 @pytest.mark.parametrize(
     ("key", "joint", "value", "unit"), [("a", 2, 5e-4, 1e3), ("alpha", 3, 2e-3, 180 / np.pi)]
 )
@@ -200,11 +190,7 @@ def test_a_wrong_link_is_named_with_what_to_add_to_the_robot_file(
     column = getattr(ARM, key) + value * np.eye(6)[joint - 1]
     bent = replace(ARM, **{key: column})
 
-    def built(track: Track) -> Track:
-        through = np.linalg.inv(robots.forward(ARM, motion(T))) @ robots.forward(bent, motion(T))
-        return replace(track, base_T_flange=track.base_T_flange @ through)
-
-    seen = found(5, change=built)
+    seen = found(5, change=built_as(bent))
     assert names(seen) == [("dh", joint)]
     entry = cause_entry(seen.causes[0])
     assert entry["parameter"] == f"{key}{joint}"
@@ -221,16 +207,12 @@ def test_many_wrong_links_are_one_finding_and_no_joint_fault() -> None:
         alpha=ARM.alpha + np.deg2rad(0.05) * rng.standard_normal(6),
     )
 
-    def built(track: Track) -> Track:
-        through = np.linalg.inv(robots.forward(ARM, motion(T))) @ robots.forward(bent, motion(T))
-        return replace(track, base_T_flange=track.base_T_flange @ through)
-
     for source in ("fixture", "motion"):
-        seen = found(14, change=built, source=source)
+        seen = found(14, change=built_as(bent), source=source)
         joints = [c for c in seen.causes if c.joint is not None]
         assert ("geometry", None) in names(seen)
         assert [c.kind for c in joints if c.kind != "dh"] == []
-        seen = found(14, FAULTS["backlash"][1], change=built, source=source)
+        seen = found(14, FAULTS["backlash"][1], change=built_as(bent), source=source)
         assert {("geometry", None), ("backlash", 4)} <= set(names(seen))
 
 

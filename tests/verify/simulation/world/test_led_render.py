@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import j1
 
 import robots
-from tests.support.simulated import scene
+from tests.support.simulated import AWKWARD, scene
 from verify.core.records import Array
 from verify.core.rig import Camera
 from verify.simulation.scenario import (
@@ -25,16 +25,6 @@ from verify.simulation.world.led_render import (
     led_images,
     render_light,
     visible_lights,
-)
-
-AWKWARD = ScenarioCamera(
-    focal_px=(1012.4, 1003.7),
-    principal_point_px=(655.0, 341.0),
-    distortion=(-0.12, 0.08, 0.002, -0.003, 0.05),
-    pan_axis=(0.05, 0.99, -0.08),
-    pan_zero_deg=1.7,
-    mount_rotation_deg=(3.0, -2.0, 5.0),
-    mount_offset_mm=(4.0, -6.0, 12.0),
 )
 
 
