@@ -63,7 +63,6 @@ accept: $(DEV)
 
 bench: $(DEV)
 	$(BIN)/python -m tests.bench
-	$(BIN)/python -m tests.bench.fleet_pixels
 
 soak: $(DEV)
 	$(BIN)/python -m tests.bench.soak

@@ -23,13 +23,14 @@ from verify.calibration.kinematics.validation import statistics
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 KINDS = ("poses", "positions", "points")
+ARMS_DRAWN = 50
 LOG_NOISE = np.log([2e-5, 1e-3])  # m
 
 
-def simulated(count: int = 50, first: int = 0) -> None:
+def simulated() -> None:
     """Identify simulated arms; print coverage and held-out residuals."""
     within, ratios, begun = defaultdict(list), [], time.perf_counter()
-    for i in range(first, first + count):
+    for i in range(ARMS_DRAWN):
         draw = np.random.default_rng(10_000 + i)
         truth, kind, stated = faulty_arm(ARMS[i % 2], i), KINDS[i % 3], bool((i // 6) % 2)
         poses, noise = round(np.exp(draw.uniform(*np.log([20, 500])))), draw.uniform(*LOG_NOISE)
@@ -49,7 +50,7 @@ def simulated(count: int = 50, first: int = 0) -> None:
     for key, hits in within.items():
         print(f"offsets within U, {key}: {np.mean(hits):.1%} of {len(hits)}")
     print(f"held out over the best model: {max(ratios):.3f} at most")
-    print(f"{count} arms, {time.perf_counter() - begun:.0f} s")
+    print(f"{ARMS_DRAWN} arms, {time.perf_counter() - begun:.0f} s")
 
 
 def published() -> None:

@@ -23,6 +23,7 @@ from verify.calibration.registration.model import (
 )
 from verify.core.readings import Readings
 from verify.core.records import Array
+from verify.core.rig import Rig
 from verify.simulation.session.simulate import SimulatedSession, simulate_session
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
@@ -34,26 +35,38 @@ SIGMA_PX = 0.02
 
 def spot_level(session: SimulatedSession, sigma: float, rng: np.random.Generator) -> SpotStack:
     """True spots with white noise of `sigma` px, which is also what is stated (0: 0.02)."""
+    true = [session.spots(side) for side in (0, 1)]
+    centres = [spots + sigma * rng.standard_normal(spots.shape) for spots in true]
+    return spot_stack(session.rig, centres, session.t, session.pan, sigma or SIGMA_PX)
+
+
+def spot_stack(rig: Rig, centres: list[Array], t: Array, pan: Array, sigma: float) -> SpotStack:
+    """Spots known to `sigma` px.
+
+    Args:
+        rig: that saw them.
+        centres: (n, LEDs, 2) a side, px; nan where an LED is not seen.
+        t: (n, 2), s.
+        pan: (n, 2), rad.
+        sigma: of each coordinate.
+    """
     parts: list[tuple[Array, ...]] = []
-    for side, camera in enumerate((session.rig.left, session.rig.right)):
-        spots = session.spots(side)
+    for side, (camera, spots) in enumerate(zip((rig.left, rig.right), centres, strict=True)):
         pair, led = np.nonzero(np.isfinite(spots[:, :, 0]))
-        centre = spots[pair, led] + sigma * rng.standard_normal((len(pair), 2))
-        t, pan = session.t[pair, side], session.pan[pair, side]
-        camera_T_rig = np.array([camera.camera_T_rig(float(p)) for p in pan])
-        parts.append((pair, np.full(len(pair), side), led, centre, t, pan, camera_T_rig))
+        camera_T_rig = np.array([camera.camera_T_rig(float(p)) for p in pan[pair, side]])
+        own = t[pair, side], pan[pair, side], camera_T_rig
+        parts.append((pair, np.full(len(pair), side), led, spots[pair, led], *own))
     pair, side, led, centre, t, pan, camera_T_rig = (
         np.concatenate(p) for p in zip(*parts, strict=True)
     )
     order = np.argsort(pair, kind="stable")
-    stated = np.tile(np.eye(2) * (sigma or SIGMA_PX) ** 2, (len(pair), 1, 1))
     return SpotStack(
         pair=pair[order],
-        frame=np.arange(len(session)),
+        frame=np.arange(pair.max() + 1),
         side=side[order],
         led=led[order],
         centre=centre[order],
-        covariance=stated,
+        covariance=np.tile(sigma**2 * np.eye(2), (len(pair), 1, 1)),
         t=t[order],
         pan=pan[order],
         camera_T_rig=camera_T_rig[order],

@@ -54,9 +54,9 @@ class Repeated:
         return robots.forward(ARM, self.stops[rows])[:, :3, 3]
 
 
-def repeated(cycles: int, *, seed: int = 1, servo: float = SERVO) -> Repeated:
+def repeated(cycles: int, *, servo: float = SERVO) -> Repeated:
     order = (0, *(CYCLE * cycles))
-    scatter = np.random.default_rng(seed).normal(0, servo, (len(order), 6))
+    scatter = np.random.default_rng(1).normal(0, servo, (len(order), 6))
     return Repeated(order, PLACES[list(order)] + scatter)
 
 
@@ -66,9 +66,9 @@ def readings_of(run: Repeated) -> Readings:
     return Readings(t, q)
 
 
-def measured_poses(run: Repeated, t: Array, seed: int = 2) -> Array:
+def measured_poses(run: Repeated, t: Array) -> Array:
     """base_T_flange (n, 4, 4) with white noise of SIGMA, OFF everywhere."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(2)
     poses = robots.forward(ARM, run.joints(t))
     turn = Rotation.from_rotvec(rng.normal(0, SIGMA[1], (len(t), 3))).as_matrix()
     poses[:, :3, :3] = turn @ poses[:, :3, :3]

@@ -48,11 +48,11 @@ def make_marker(count: int = 4, **stated: object) -> Marker:
     )
 
 
-def facing(x: float = 0.0, y: float = 0.0, z: float = 0.6, turn: float = 0.2) -> Array:
+def facing(x: float = 0.0, y: float = 0.0, z: float = 0.6) -> Array:
     """A flange that looks back at the cameras, (4, 4)."""
     pose = np.eye(4)
     look = Rotation.from_euler("yx", [180 + 8, 12], degrees=True)
-    pose[:3, :3] = (Rotation.from_rotvec([0.1, turn, 0.3]) * look).as_matrix()
+    pose[:3, :3] = (Rotation.from_rotvec([0.1, 0.2, 0.3]) * look).as_matrix()
     pose[:3, 3] = [x, y, z]
     return pose
 

@@ -19,12 +19,24 @@ from verify.io.session.session import Session
 from verify.simulation.scenario import (
     MultiJoint,
     Scenario,
+    ScenarioCamera,
     ScenarioEncoders,
     ScenarioLed,
     ScenarioMarker,
     ScenarioRecording,
 )
 from verify.simulation.session.simulate import SimulatedSession, simulate_session
+
+# a camera with nothing upright or in the middle
+AWKWARD = ScenarioCamera(
+    focal_px=(1012.4, 1003.7),
+    principal_point_px=(655.0, 341.0),
+    distortion=(-0.12, 0.08, 0.002, -0.003, 0.02),
+    pan_axis=(0.05, 0.99, -0.08),
+    pan_zero_deg=1.7,
+    mount_rotation_deg=(3.0, -2.0, 2.0),
+    mount_offset_mm=(4.0, -6.0, 12.0),
+)
 
 
 @dataclass(frozen=True)

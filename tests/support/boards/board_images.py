@@ -51,10 +51,10 @@ def placed(
     return camera_T_board
 
 
-def random_pose(board: Board, rng: np.random.Generator, distance: float = 1.0) -> Array:
+def random_pose(board: Board, rng: np.random.Generator) -> Array:
     """A board somewhere in the image, tilted by up to some 35° and turned by up to 20°."""
     rotation = rng.uniform([-0.6, -0.6, -0.35], [0.6, 0.6, 0.35])
-    depth = distance * rng.uniform(0.85, 1.25)
+    depth = rng.uniform(0.85, 1.25)
     shift = rng.uniform(-1, 1, 2) * [0.22 * depth, 0.08 * depth]
     return placed(tuple(rotation), (shift[0], shift[1], depth), board)
 

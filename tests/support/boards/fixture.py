@@ -48,6 +48,6 @@ def doubtful_rig() -> Rig:
     return replace(make_rig(), covariance=Covariance(names, np.full(3, 0.005), np.eye(3)))
 
 
-def board_pairs(true: Rig, count: int = 1, seed: int = 0) -> list[BoardPair]:
-    rng = np.random.default_rng(seed)
+def board_pairs(true: Rig, count: int = 1) -> list[BoardPair]:
+    rng = np.random.default_rng(0)
     return [pair(true, placed(z=0.6 + 0.02 * i), rng, frame=i) for i in range(count)]

@@ -73,10 +73,10 @@ def _spun(axis: Array, angle: float, turn: Rotation) -> Rotation:
     return Rotation.from_rotvec(angle * axis) * turn
 
 
-def turning_rig(baseline: float = 0.17) -> Rig:
+def turning_rig() -> Rig:
     """Bases with tilted axes, and cameras that are not on them."""
     sides = []
-    plain = fixed_rig(baseline=baseline)
+    plain = fixed_rig()
     for sign, camera in ((-1, plain.left), (1, plain.right)):
         axis = np.array([0.02 * sign, 1.0, 0.012 + 0.01 * sign])
         mount = np.eye(4)
@@ -149,9 +149,9 @@ def make_pairs(
     ]
 
 
-def half_turned(seen: BoardView, board: Board = BOARD) -> BoardView:
+def half_turned(seen: BoardView) -> BoardView:
     """Number the corners from the board's far end."""
-    return replace(seen, corner=len(board) - 1 - seen.corner)
+    return replace(seen, corner=len(BOARD) - 1 - seen.corner)
 
 
 def _grey(path: Path) -> Image:

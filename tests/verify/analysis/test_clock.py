@@ -1,9 +1,11 @@
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
 from tests.support.motions import ARM, HOME, make_track, read, swinging
 from verify.analysis.clock.arrivals import clock_from_arrival_times
-from verify.analysis.clock.estimate import estimate_clock
+from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
 from verify.core.readings import Readings
 from verify.core.records import Array
 
@@ -11,12 +13,24 @@ PAIRS = np.arange(1.0, 7.0, 1 / 15)
 LOG = np.arange(-2.0, 10.0, 0.02)
 
 
+def estimated(
+    seed: int, motion: Callable[[Array], Array], offset: float, t: Array = PAIRS, log: Array = LOG,
+    late: Array | float | None = None, error: Array | float = 0.0,
+) -> ClockEstimate:  # fmt: skip
+    """Estimate the offset from pairs at t and a log, s, whose readings may arrive late by so much.
+
+    error: of the readings, rad.
+    """
+    rng = np.random.default_rng(seed)
+    track, readings = make_track(t, motion(t), rng), read(motion, log, offset, rng, error)
+    arrival = None if late is None else clock_from_arrival_times(readings.t, log + late)
+    return estimate_clock(track, ARM, readings, arrival)
+
+
 @pytest.mark.parametrize("offset", [0.137, -0.8, 1731000000.25])
 def test_the_offset_comes_back_within_what_is_claimed(offset: float) -> None:
     """The last one is a controller that stamps seconds since 1970."""
-    rng = np.random.default_rng(3)
-    track = make_track(PAIRS, swinging(PAIRS), rng)
-    estimate = estimate_clock(track, ARM, read(swinging, LOG, offset, rng))
+    estimate = estimated(3, swinging, offset)
     assert estimate.source == "estimated"
     assert estimate.standard_uncertainty is not None
     # stamps of 1.7e9 s are themselves rounded to 2e-7 s
@@ -25,21 +39,14 @@ def test_the_offset_comes_back_within_what_is_claimed(offset: float) -> None:
 
 
 def test_constant_joint_errors_do_not_pass_for_a_clock_error() -> None:
-    rng = np.random.default_rng(4)
-    track = make_track(PAIRS, swinging(PAIRS), rng)
     error = np.deg2rad([0.5, -0.4, 0.6, 0.3, -0.8, 1.0])
-    estimate = estimate_clock(track, ARM, read(swinging, LOG, 0.137, rng, error))
-    assert abs(estimate.offset - 0.137) < 5e-4
+    assert abs(estimated(4, swinging, 0.137, error=error).offset - 0.137) < 5e-4
 
 
 def test_the_claimed_uncertainty_is_the_scatter() -> None:
-    found, claimed = [], []
-    for seed in range(40):
-        rng = np.random.default_rng(seed)
-        track = make_track(PAIRS, swinging(PAIRS), rng)
-        estimate = estimate_clock(track, ARM, read(swinging, LOG, 0.05, rng))
-        found.append(estimate.offset)
-        claimed.append(estimate.standard_uncertainty or np.nan)
+    estimates = [estimated(seed, swinging, 0.05) for seed in range(40)]
+    found = [estimate.offset for estimate in estimates]
+    claimed = [estimate.standard_uncertainty or np.nan for estimate in estimates]
     # forty draws know a standard deviation to 11 %
     assert 0.7 < np.std(found) / np.mean(claimed) < 1.35
     assert abs(np.mean(found) - 0.05) < 4 * np.mean(claimed) / np.sqrt(40)
@@ -56,9 +63,7 @@ def at_constant_speed(t: Array) -> Array:
 @pytest.mark.parametrize("motion", [at_rest, at_constant_speed], ids=["rest", "constant speed"])
 def test_a_motion_without_information_on_the_clock_is_reported(motion) -> None:
     for seed in range(5):
-        rng = np.random.default_rng(seed)
-        track = make_track(PAIRS, motion(PAIRS), rng)
-        estimate = estimate_clock(track, ARM, read(motion, LOG, 0.0, rng))
+        estimate = estimated(seed, motion, 0.0)
         assert estimate.source == "none"
         assert estimate.standard_uncertainty is None
 
@@ -69,15 +74,13 @@ def cycling(t: Array) -> Array:
     return HOME + np.deg2rad([12.0, 8.0, 9.0, 12.0, 14.0, 25.0]) * np.sin(turn + np.arange(6))
 
 
-CYCLES = np.arange(0.0, 15.0, 1 / 15)
+CYCLES, CYCLES_LOG = np.arange(0.0, 15.0, 1 / 15), np.arange(-3.0, 18.0, 0.01)
 
 
 @pytest.mark.parametrize("jump_deg", [0.0, 0.8])
 def test_of_a_motion_that_repeats_every_offset_that_fits_is_listed(jump_deg: float) -> None:
-    rng = np.random.default_rng(5)
-    readings = read(cycling, np.arange(-3.0, 18.0, 0.01), -0.042, rng)
-    readings.q[readings.t > 5.0, 3] += np.deg2rad(jump_deg)
-    estimate = estimate_clock(make_track(CYCLES, cycling(CYCLES), rng), ARM, readings)
+    jump = np.deg2rad(jump_deg) * np.outer(CYCLES_LOG > 5.0, np.eye(6)[3])
+    estimate = estimated(5, cycling, -0.042, CYCLES, CYCLES_LOG, error=jump)
     assert estimate.source == "ambiguous"
     assert sorted([estimate.offset, *estimate.rivals]) == pytest.approx(
         [-2.542, -0.042, 2.458], abs=0.01
@@ -85,29 +88,20 @@ def test_of_a_motion_that_repeats_every_offset_that_fits_is_listed(jump_deg: flo
 
 
 def test_arrival_times_tell_which_cycle_it_is() -> None:
-    rng = np.random.default_rng(6)
-    log = np.arange(-3.0, 18.0, 0.01)
-    readings = read(cycling, log, -0.042, rng)
-    arrival = clock_from_arrival_times(readings.t, log + 0.001 + rng.exponential(0.005, len(log)))
-    estimate = estimate_clock(make_track(CYCLES, cycling(CYCLES), rng), ARM, readings, arrival)
+    late = 0.001 + np.random.default_rng(6).exponential(0.005, len(CYCLES_LOG))
+    estimate = estimated(6, cycling, -0.042, CYCLES, CYCLES_LOG, late)
     assert (estimate.source, estimate.rivals) == ("estimated", ())
     assert abs(estimate.offset + 0.042) < 1e-3
 
 
 def test_a_line_that_is_always_late_is_believed_less_than_a_motion_that_does_not_repeat() -> None:
-    rng = np.random.default_rng(7)
-    readings = read(swinging, LOG, 0.1, rng)
-    arrival = clock_from_arrival_times(readings.t, LOG + 1.5)
-    estimate = estimate_clock(make_track(PAIRS, swinging(PAIRS), rng), ARM, readings, arrival)
+    estimate = estimated(7, swinging, 0.1, late=1.5)
     assert estimate.source == "estimated"
     assert abs(estimate.offset - 0.1) < 1e-3
 
 
 def test_where_the_motion_shows_no_offset_the_arrival_times_do() -> None:
-    rng = np.random.default_rng(8)
-    readings = read(at_rest, LOG, 3.0, rng)
-    arrival = clock_from_arrival_times(readings.t, LOG + 0.004)
-    estimate = estimate_clock(make_track(PAIRS, at_rest(PAIRS), rng), ARM, readings, arrival)
+    estimate = estimated(8, at_rest, 3.0, late=0.004)
     assert estimate.source == "arrival"
     assert abs(estimate.offset - 3.0) < 2 * (estimate.standard_uncertainty or 0.0)
 
@@ -120,10 +114,8 @@ def visiting(t: Array) -> Array:
 
 
 def test_a_log_of_visits_that_was_cut_off_is_not_shifted() -> None:
-    rng = np.random.default_rng(10)
     visits = 60.0 * np.arange(40)
-    readings = read(visiting, visits[:18], 0.0, rng)
-    estimate = estimate_clock(make_track(visits, visiting(visits), rng), ARM, readings)
+    estimate = estimated(10, visiting, 0.0, visits, visits[:18])
     assert (estimate.source, estimate.offset) == ("none", 0.0)
 
 

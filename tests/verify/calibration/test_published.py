@@ -17,9 +17,11 @@ from scipy.spatial.transform import Rotation
 import robots
 from reports import render_html
 from robots.transforms import difference, invert
+from tests.bench.registration import spot_stack
 from tests.support.motions import track_of
 from tests.support.published import concatenate, series, write_session
 from tests.support.recorded import require_shared
+from tests.support.scene import project
 from verify.analysis.clock.estimate import estimate_clock
 from verify.analysis.session import analyse
 from verify.calibration.handeye import solve_hand_eye
@@ -31,7 +33,6 @@ from verify.calibration.registration.adjustment import AdjustmentSetup, adjust
 from verify.calibration.registration.model import (
     RegistrationParameters,
     SpotStack,
-    project_points,
     reading_variance,
 )
 from verify.calibration.registration.start import start_registration
@@ -54,7 +55,6 @@ SHIFT = 0.35  # s, put into the recording with two clocks
 COMFORTABLE = np.array([0.13, -0.92, 1.65, -0.08, 1.78, -0.60])  # rad, a UR10 far from singular
 FOCAL, DISTANCE = 1e4, 10.0  # px, and body sizes from which two cameras see it
 BODY = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-SIDES = 2
 
 
 def data(*parts: str) -> Path:
@@ -105,24 +105,11 @@ def cameras_about(middle: Array, size: float) -> Rig:
 
 def spots_of(t: Array, rig_T_body: Array, rig: Rig, scatter: Scatter) -> SpotStack:
     """What two cameras would see of LEDs on a body in poses (n, 4, 4)."""
-    leds = rig_T_body[:, None, :3, :3] @ (scatter.size * BODY)[:, :, None]
-    points = leds[..., 0] + rig_T_body[:, None, :3, 3]
-    pair, side, led = (i.ravel() for i in np.indices((len(t), SIDES, len(BODY))))
-    camera_T_rig = np.array([c.camera_T_rig(0.0) for c in (rig.left, rig.right)])[side]
-    seen = np.einsum("sij,sj->si", camera_T_rig[:, :3, :3], points[pair, led])
-    return SpotStack(
-        pair=pair,
-        frame=np.arange(len(t)),
-        side=side,
-        led=led,
-        centre=project_points(rig.left, seen + camera_T_rig[:, :3, 3])[0],
-        covariance=np.tile(scatter.pixels**2 * np.eye(2), (len(pair), 1, 1)),
-        t=t[pair],
-        pan=np.zeros(len(pair)),
-        camera_T_rig=camera_T_rig,
-        used=np.ones(len(pair), dtype=bool),
-        sightings=(),
-    )
+    leds = scatter.size * BODY @ np.swapaxes(rig_T_body[:, :3, :3], 1, 2)
+    points = (leds + rig_T_body[:, None, :3, 3]).reshape(-1, 3)
+    centres = [project(c, 0.0, points).reshape(len(t), -1, 2) for c in (rig.left, rig.right)]
+    both = np.repeat(t[:, None], 2, axis=1)
+    return spot_stack(rig, centres, both, np.zeros_like(both), scatter.pixels)
 
 
 # by least squares with two variance components, and by the residuals' medians

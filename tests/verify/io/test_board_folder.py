@@ -212,21 +212,26 @@ def test_a_truncated_picture_is_named(tmp_path: Path, suffix: str) -> None:
     assert f"{bad}: is damaged or no picture" in refusal(tmp_path, BOARD)
 
 
-def test_what_is_no_picture_is_named(folder: Path) -> None:
-    (folder / "left" / "000002.png").write_text("hello")
-    assert "000002.png: is damaged or no picture" in refusal(folder)
-    cv2.imwrite(str(folder / "left" / "000002.png"), LEFT[2].astype(np.uint16))
-    assert "has 16 bits a sample" in refusal(folder)
-    (folder / "left" / "000002.png").write_bytes(b"")
-    assert "000002.png: is empty" in refusal(folder)
-
-
-@pytest.mark.parametrize(("side", "index"), [("left", 2), ("right", 0), ("right", 1)])
-def test_a_picture_of_another_size_is_named(folder: Path, side: str, index: int) -> None:
-    name = f"{index:06d}.png"
-    cv2.imwrite(str(folder / side / name), LEFT[0][:40])
-    message = refusal(folder)
-    assert f"{name}: is 64 x 40 px; the first left one is 64 x 48" in message
+@pytest.mark.parametrize(
+    ("name", "content", "message"),
+    [
+        ("left/000002.png", b"hello", "is damaged or no picture"),
+        ("left/000002.png", LEFT[2].astype(np.uint16), "has 16 bits a sample"),
+        ("left/000002.png", b"", "is empty"),
+        *(
+            (name, LEFT[0][:40], "is 64 x 40 px; the first left one is 64 x 48")
+            for name in ("left/000002.png", "right/000000.png", "right/000001.png")
+        ),
+    ],
+)
+def test_what_is_no_picture_or_of_another_size_is_named(
+    folder: Path, name: str, content: bytes | Image, message: str
+) -> None:
+    if isinstance(content, bytes):
+        (folder / name).write_bytes(content)
+    else:
+        cv2.imwrite(str(folder / name), content)
+    assert f"{Path(name).name}: {message}" in refusal(folder)
 
 
 @pytest.mark.shared

@@ -240,11 +240,6 @@ def test_a_folder_filled_by_another_run_is_not_overwritten(tmp_path: Path) -> No
     assert names(tmp_path) == ["report", "report/summary.json"]
 
 
-def test_an_error_of_the_program_inside_stays_that_error(tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError), write_folder_whole(tmp_path / "report") as folder:
-        (folder / "nowhere" / "a").write_text("a")
-
-
 NOBODY = 65534  # the user id of nobody, by custom
 
 

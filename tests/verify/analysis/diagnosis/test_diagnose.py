@@ -2,8 +2,6 @@
 
 Faults of joints are put into the readings by the law of docs/results.md; those of the arm, the base
 and the LED body into the poses, by forward kinematics of the changed arm and by rigid motions.
-
-What a fault would add beside a set: against fits of the larger set, by numpy.
 """
 
 from collections.abc import Callable
@@ -23,10 +21,8 @@ from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
-from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes, thin_model
-from verify.analysis.diagnosis.faults import Fault
+from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
 from verify.analysis.diagnosis.link_faults import link_displacements
-from verify.analysis.diagnosis.search import FaultProducts
 from verify.analysis.joint_errors import resolve_errors
 from verify.analysis.model import (
     SessionComparison,
@@ -42,7 +38,7 @@ from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.io.session.session import Session
 from verify.measurement.systematics import stated_systematics
-from verify.measurement.track import Track, subset
+from verify.measurement.track import Track
 
 T = np.linspace(1.0, 13.0, 90)
 LOG = np.arange(0.0, 14.0, 0.02)
@@ -86,6 +82,12 @@ def found(
 
 def names(seen: Diagnosis) -> list[tuple[str, int | None]]:
     return [(c.kind, c.joint) for c in seen.causes]
+
+
+def built_as(arm: robots.Arm) -> Callable[[Track], Track]:
+    """What the poses show of an arm that is not the file's."""
+    through = np.linalg.inv(robots.forward(ARM, motion(T))) @ robots.forward(arm, motion(T))
+    return lambda track: replace(track, base_T_flange=track.base_T_flange @ through)
 
 
 FAULTS: dict[str, tuple[int, Error, float]] = {
@@ -178,22 +180,6 @@ def test_a_step_is_dated_and_leaves_the_other_joints_their_verdict() -> None:
     assert verdicts == ["conform"] * 3 + ["nonconform"] + ["conform"] * 2
 
 
-def test_visits_that_nobody_timed_show_no_drift_and_no_step() -> None:
-    rng = np.random.default_rng(22)
-    rig, marker = make_rig(), make_marker()
-    comparison = compare(make_track(T, motion(T), rng), ARM, Readings(LOG, motion(LOG)), 0.0)
-    systematics = stated_systematics(rig, marker, turning=False)
-    for timed in (True, False):
-        model = build_model(
-            replace(comparison, timed=timed), make_track(T, motion(T), rng), rig, marker, GIVEN,
-            systematics,
-        )  # fmt: skip
-        kinds = {f.kind for f in find_causes(model, resolve_errors(model), ARM).products.faults}
-        assert kinds & {"drift", "clock_drift", "step"} == (
-            {"drift", "clock_drift", "step"} if timed else set()
-        )
-
-
 @pytest.mark.parametrize(
     ("key", "joint", "value", "unit"), [("a", 2, 5e-4, 1e3), ("alpha", 3, 2e-3, 180 / np.pi)]
 )
@@ -204,11 +190,7 @@ def test_a_wrong_link_is_named_with_what_to_add_to_the_robot_file(
     column = getattr(ARM, key) + value * np.eye(6)[joint - 1]
     bent = replace(ARM, **{key: column})
 
-    def built(track: Track) -> Track:
-        through = np.linalg.inv(robots.forward(ARM, motion(T))) @ robots.forward(bent, motion(T))
-        return replace(track, base_T_flange=track.base_T_flange @ through)
-
-    seen = found(5, change=built)
+    seen = found(5, change=built_as(bent))
     assert names(seen) == [("dh", joint)]
     entry = cause_entry(seen.causes[0])
     assert entry["parameter"] == f"{key}{joint}"
@@ -225,16 +207,12 @@ def test_many_wrong_links_are_one_finding_and_no_joint_fault() -> None:
         alpha=ARM.alpha + np.deg2rad(0.05) * rng.standard_normal(6),
     )
 
-    def built(track: Track) -> Track:
-        through = np.linalg.inv(robots.forward(ARM, motion(T))) @ robots.forward(bent, motion(T))
-        return replace(track, base_T_flange=track.base_T_flange @ through)
-
     for source in ("fixture", "motion"):
-        seen = found(14, change=built, source=source)
+        seen = found(14, change=built_as(bent), source=source)
         joints = [c for c in seen.causes if c.joint is not None]
         assert ("geometry", None) in names(seen)
         assert [c.kind for c in joints if c.kind != "dh"] == []
-        seen = found(14, FAULTS["backlash"][1], change=built, source=source)
+        seen = found(14, FAULTS["backlash"][1], change=built_as(bent), source=source)
         assert {("geometry", None), ("backlash", 4)} <= set(names(seen))
 
 
@@ -344,24 +322,6 @@ def test_what_is_stated_as_detectable_is_what_least_squares_gives() -> None:
     assert own["separable"] >= np.rad2deg(max(rest)) * (1 - 1e-6)
 
 
-def test_some_pairs_of_a_session_are_the_session_of_these_pairs() -> None:
-    rng = np.random.default_rng(12)
-    track = make_track(T, motion(T), rng)
-    readings = Readings(LOG, motion(LOG) + rng.normal(0, 1e-4, (len(LOG), 6)))
-    rig, marker = make_rig(), make_marker()
-    systematics = stated_systematics(rig, marker, turning=False)
-    chosen = np.arange(0, len(T), 3)
-    models = []
-    for part in (track, subset(track, chosen)):
-        comparison = compare(part, ARM, readings, 0.0)
-        models.append(build_model(comparison, part, rig, marker, GIVEN, systematics))
-    some = thin_model(models[0], chosen)
-    for name in ("xi", "joints", "hidden", "fitted", "prior"):
-        assert_allclose(getattr(some, name), getattr(models[1], name), atol=1e-9)
-    assert_allclose(some.comparison.q, models[1].comparison.q)
-    assert some.white.pair.tolist() == models[1].white.pair.tolist()
-
-
 def test_a_long_session_is_thinned_and_pairs_keep_their_places(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
@@ -376,48 +336,3 @@ def test_a_long_session_is_thinned_and_pairs_keep_their_places(
     assert seen.outlying.tolist() == [0, len(T) - 1]
     assert names(seen) == [("offset", 3)]
     assert seen.products.rows == 6 * 43
-
-
-FREEDOM = [1, 2, 3, 1, 2, 6, 3, 1]
-ROWS = 200
-
-
-def products(columns: list[np.ndarray], error: np.ndarray) -> FaultProducts:
-    """Products of faults that have these columns (r, f), with nothing fitted beside them."""
-    whole = np.concatenate(columns, axis=1)
-    scale = np.linalg.norm(whole, axis=0)
-    whole = whole / scale
-    ends = np.cumsum([c.shape[1] for c in columns])
-    places = [np.arange(end - c.shape[1], end) for end, c in zip(ends, columns, strict=True)]
-    count = len(columns)
-    faults: list[Fault] = [None] * count  # type: ignore[list-item]  # nothing of them is asked
-    return FaultProducts(
-        faults, whole.T @ whole, whole.T @ error, float(error @ error), scale, ROWS, places,
-        np.ones(count, dtype=np.bool_), np.zeros(count),
-    )  # fmt: skip
-
-
-@pytest.mark.parametrize("chosen", [(), (2,), (0, 4), (1, 5, 6)])
-def test_a_faults_gain_is_the_reduction_of_chi_squared(chosen: tuple[int, ...]) -> None:
-    rng = np.random.default_rng(1)
-    columns = [rng.normal(size=(ROWS, f)) for f in FREEDOM]
-    error = rng.normal(size=ROWS) + columns[2].sum(axis=1)
-    added = products(columns, error).added(chosen)
-
-    def misfit(faults: tuple[int, ...]) -> float:
-        if not faults:
-            return float(error @ error)
-        design = np.concatenate([columns[i] for i in faults], axis=1)
-        return float(np.sum((error - design @ np.linalg.lstsq(design, error)[0]) ** 2))
-
-    expected = [misfit(chosen) - misfit(tuple({*chosen, i})) for i in range(len(columns))]
-    np.testing.assert_allclose(added, expected, atol=1e-9)
-
-
-def test_an_inseparable_set_of_faults_is_not_extended() -> None:
-    rng = np.random.default_rng(2)
-    first, other = rng.normal(size=(2, ROWS, 1))
-    found = products([first, first.copy(), other], rng.normal(size=ROWS))
-    assert not np.isfinite(found.chi2((0, 1)))
-    assert found.added((0,))[1] == 0.0
-    assert found.added((0,))[2] > 0.0

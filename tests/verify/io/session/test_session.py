@@ -222,12 +222,6 @@ def five_joints(folder: Path) -> None:
     (folder / "encoders.csv").write_text("\n".join(line.rpartition(",")[0] for line in lines))
 
 
-def pngs_with_a_gap(folder: Path) -> None:
-    write_folder(folder / "left", images())
-    (folder / "left" / "000003.png").unlink()
-    replace(folder / "session.toml", '"left.mkv"', '"left"')
-
-
 def damaged_png(folder: Path) -> None:
     write_folder(folder / "left", images())
     file = folder / "left" / "000004.png"
@@ -310,7 +304,6 @@ def pipe(folder: Path) -> None:
         (truncated, ["left.mkv", "6 rows"]),
         (flipped_bit, ["right.mkv", "of 6 is damaged"]),
         (write("left.mkv", b"not a video" * 100), ["left.mkv", "no video"]),
-        (pngs_with_a_gap, ["left", "has no 000003.png"]),
         (damaged_png, ["000004.png", "damaged"]),
         (other_size("left.mkv"), ["left.mkv", "image 0 is 64 x 40 px", "64 x 48"]),
         (other_size("right.mkv"), ["right.mkv", "image 0 is 64 x 40 px", "64 x 48"]),

@@ -1,6 +1,5 @@
 """Truth: cv2.projectPoints of LEDs whose names the test knows, amid clutter it threw in."""
 
-import importlib
 import time
 from collections import Counter
 from dataclasses import replace
@@ -249,33 +248,6 @@ def test_a_jump_that_the_prediction_missed_is_found_all_the_same() -> None:
         found = scene.identify(prediction=past)
         assert scene.outcome(found) == "complete"
         assert found.choice == "geometry"
-
-
-def test_a_prediction_that_picks_the_spots_found_is_followed_the_short_way_to_the_same_pose(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    following = importlib.import_module("verify.measurement.correspondence.refinement")
-    used: list[bool] = []
-    short = following._is_complete
-
-    def noted(*question: object) -> bool:
-        used.append(short(*question))
-        return used[-1]
-
-    for seed in range(12):
-        rng = np.random.default_rng(seed)
-        scene = make_scene(rng, random_leds(rng, 4, SEES), skew_px=seed % 3)
-        past = PosePrediction(near(scene.rig_T_flange, rng, 0.002, 0.01), 0.004, 0.02)
-        monkeypatch.setattr(following, "_is_complete", noted)
-        quick = scene.identify(prediction=past)
-        monkeypatch.setattr(following, "_is_complete", lambda *_: False)
-        slow = scene.identify(prediction=past)
-        assert scene.outcome(quick) == scene.outcome(slow) == "complete"
-        assert quick.rig_T_flange is not None
-        assert slow.rig_T_flange is not None
-        assert np.abs(quick.rig_T_flange - slow.rig_T_flange).max() < 1e-12
-        assert (quick.choice, quick.alternatives) == (slow.choice, slow.alternatives)
-    assert sum(used) >= 10  # it is the usual way
 
 
 def test_a_mirror_image_of_the_marker_is_never_taken_whole() -> None:

@@ -14,7 +14,7 @@ from verify.measurement.detection.kernels.occlusion import (
     depth_posterior,
     occlusion_probability,
 )
-from verify.measurement.detection.occlusion import N_DIRECTIONS, RimScore, unoccluded_centres
+from verify.measurement.detection.occlusion import N_DIRECTIONS
 
 BLUR, RADIUS, PEAK, FLOOR = 0.6, 4.2, 210.0, 6.0
 FINE = 8  # sub-pixels a side
@@ -138,16 +138,6 @@ def test_the_depth_of_a_bite_is_its_posterior_mean() -> None:
         assert evidence[0, k] == pytest.approx(np.log(moment(0)), abs=1e-6)
         assert mean[0, k] == pytest.approx(moment(1) / moment(0), rel=1e-6)
         assert square[0, k] == pytest.approx(moment(2) / moment(0), rel=1e-6)
-
-
-def test_where_nothing_is_known_nothing_is_shifted() -> None:
-    flat = np.zeros((3, N_DIRECTIONS))
-    shift, doubt = unoccluded_centres(RimScore(flat, flat, np.zeros((3, N_DIRECTIONS, 2))))
-    assert not shift.any()
-    assert not doubt.any()
-    shift, doubt = unoccluded_centres(RimScore(flat[:0], flat[:0], np.zeros((0, N_DIRECTIONS, 2))))
-    assert shift.shape == (0, 2)
-    assert doubt.shape == (0, 2, 2)
 
 
 def test_evidence_of_several_leds_is_shared() -> None:

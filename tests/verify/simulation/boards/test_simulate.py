@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from robots.transforms import carry
 from tests.support.leds.scene import moved
 from tests.support.scene import project
+from tests.support.simulated import AWKWARD
 from verify.cli.simulate import simulate as command
 from verify.core import fiducials
 from verify.core.fiducials import Board
@@ -19,7 +20,7 @@ from verify.io import rig as io_rig
 from verify.io.board.folder import open_board_folder
 from verify.simulation import library
 from verify.simulation.boards.render import PrintedBoard
-from verify.simulation.boards.simulate import SimulatedBoards, board_pairs, inside, simulate_boards
+from verify.simulation.boards.simulate import board_pairs, inside, simulate_boards
 from verify.simulation.scenario import (
     BoardImage,
     BoardRig,
@@ -27,21 +28,11 @@ from verify.simulation.scenario import (
     BoardScenarioBases,
     BoardScenarioTable,
     ScenarioBoards,
-    ScenarioCamera,
 )
 
 # A lamp so far in front that the light is even, and next to no noise.
 BUILT_IN = Path(library.__file__).parent / "scenarios"
 CLEAN = BoardImage(lamp_mm=(0.0, 0.0, -1e7), read_noise_dn=0.01, electrons_per_dn=1e9)
-AWKWARD = ScenarioCamera(
-    focal_px=(1012.4, 1003.7),
-    principal_point_px=(655.0, 341.0),
-    distortion=(-0.12, 0.08, 0.002, -0.003, 0.02),
-    pan_axis=(0.05, 0.99, -0.08),
-    pan_zero_deg=1.7,
-    mount_rotation_deg=(3.0, -2.0, 2.0),
-    mount_offset_mm=(4.0, -6.0, 12.0),
-)
 STOP = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 100, 1e-5)
 
 
@@ -92,47 +83,6 @@ def test_pictures_of_a_folder_agree_with_its_truth(tmp_path: Path) -> None:
             errors.append(refined(image, truth) - truth)
     assert np.abs(np.mean(np.concatenate(errors), axis=0)).max() < 0.01
     assert np.sqrt(np.mean(np.concatenate(errors) ** 2)) < 0.05  # cornerSubPix's own, with noise
-
-
-@pytest.mark.slow
-def test_each_pixel_is_the_light_that_falls_on_it() -> None:
-    """Against plain brute force: hundreds of hard-edged rays a pixel, blurred and added up."""
-    boards = simulate_boards(scene(1))
-    board, camera = boards.board, boards.cameras[0]
-    paper = PrintedBoard(board, 0.02, CLEAN)
-    for i in range(len(boards)):
-        light = paper.light(camera, float(boards.true_pan[i, 0]), boards.rig_T_board[i])
-        for corner in (0, 62):
-            x, y = np.rint(boards.corners(0)[i, corner]).astype(int)
-            off = light[y - 6 : y + 7, x - 6 : x + 7] - brute_force(boards, i, x, y)
-            assert np.abs(off).max() < 1.0
-            assert abs(off.mean()) < 0.05
-
-
-def brute_force(boards: SimulatedBoards, index: int, x: int, y: int, fine: int = 31) -> Array:
-    """Light of the pixels within 6 of (x, y), DN, by point samples."""
-    camera, board = boards.cameras[0], boards.board
-    reach = 10 * fine
-    offsets = np.arange(-reach, reach + 1) / fine
-    px, py = np.meshgrid(x + offsets, y + offsets)
-    pixels = np.stack([px, py], axis=-1).reshape(-1, 1, 2)
-    exact = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-14)
-    rays = cv2.undistortPoints(
-        pixels, camera.matrix, camera.distortion, None, None, None, exact
-    ).reshape(-1, 2)
-    pan = boards.true_pan[index, 0]
-    camera_T_board = np.linalg.inv(camera.rig_T_camera(pan)) @ boards.rig_T_board[index]
-    normal, origin = camera_T_board[:3, 2], camera_T_board[:3, 3]
-    rays = np.column_stack([rays, np.ones(len(rays))])
-    hits = rays * (normal @ origin / (rays @ normal))[:, None]
-    u, v = ((hits - origin) @ camera_T_board[:3, :2]).T / board.square
-    dark = (np.floor(u) + np.floor(v)) % 2 == 0
-    dark &= (u > -1) & (u < board.columns) & (v > -1) & (v < board.rows)
-    shown = np.where(dark, CLEAN.black_dn, CLEAN.white_dn).reshape(px.shape)
-    shown = cv2.GaussianBlur(shown, (0, 0), CLEAN.blur_px * fine)
-    rim = reach - 6 * fine - fine // 2
-    middle = shown[rim:-rim, rim:-rim]
-    return middle.reshape(13, fine, 13, fine).mean(axis=(1, 3))
 
 
 def test_the_board_is_whole_its_first_corner_at_the_top_left_and_bases_turn_in_steps() -> None:

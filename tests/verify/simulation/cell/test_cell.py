@@ -5,7 +5,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-import robots
 from verify.grasping.actuators.protocols import (
     ExecutePermission,
     Gripper,
@@ -14,43 +13,14 @@ from verify.grasping.actuators.protocols import (
     Mover,
     MoverState,
 )
-from verify.grasping.tracking.target import ColourSelection
-from verify.grasping.tracking.track import track
 from verify.simulation.cell.cell import RATE, CellWorld
 from verify.simulation.cell.grab import CellSource
 from verify.simulation.cell.hand import CellHand, SimGripper
-from verify.simulation.cell.render import joint_points
 from verify.simulation.cell.scene import Cap, CellScene, SceneEvent
 from verify.simulation.cell.setup import SMALL_SIZE, cell_setup
 
 SETUP = cell_setup(SMALL_SIZE)
 RIGHT = ExecutePermission("test")
-
-
-def test_the_arm_is_drawn_by_its_kinematics() -> None:
-    rng = np.random.default_rng(1)
-    for _ in range(5):
-        q = rng.uniform(-1.0, 1.0, 6)
-        _, flange = joint_points(SETUP.planner.arm, q)
-        np.testing.assert_allclose(flange, robots.forward(SETUP.planner.arm, q), atol=1e-12)
-
-
-def test_a_cap_is_measured_within_the_stated_uncertainty() -> None:
-    scene = CellScene((Cap("green", (0.46, 0.05)),), seed=2)
-    world = CellWorld(SETUP, scene)
-    source = CellSource(world)
-    pairs = []
-    for _ in range(12):
-        pair = source.pair()
-        assert pair is not None
-        pairs.append(pair)
-        source.wait()
-    *_, last = track(pairs, SETUP.rig, ColourSelection("green"))
-    rig_T_base = SETUP.rig.rig_T_base
-    true = rig_T_base[:3, :3] @ [0.46, 0.05, 0.012] + rig_T_base[:3, 3]
-    off = last.centre - true
-    assert np.linalg.norm(off) < 2e-3
-    assert off @ np.linalg.solve(last.covariance, off) < 16.3  # chi², 3 degrees, 0.1 %
 
 
 def test_a_sliding_cap_decelerates_to_rest() -> None:

@@ -13,7 +13,7 @@ from verify.devices.protocols import READ_TIMEOUT, CameraFrame, CameraSettings
 from verify.errors import InputError
 from verify.live.station.keys import SimEvent, SimSettings
 from verify.measurement.detection.detect import detect
-from verify.simulation.devices.cameras import MAX_BUFFERED, SimulatedCameraDevice
+from verify.simulation.devices.cameras import SimulatedCameraDevice
 from verify.simulation.devices.painting import Painter, PeriodicMotion, RenderRequest
 from verify.simulation.devices.scene import SimClock
 from verify.simulation.devices.station import SimulatedStation
@@ -117,18 +117,6 @@ def test_two_cameras_that_are_late_differently_still_show_the_same_instants() ->
         assert len(numbers) > 0.5 * 60.0 / late
         shown.append(set(numbers))
     assert len(shown[0] & shown[1]) > 0.9 * len(shown[1])
-
-
-def test_one_late_picture_costs_those_alone_that_it_takes_the_time_of() -> None:
-    hand, made = by_hand()
-    painter = Busy(hand, made.scene.painter, late=0.0)
-    camera = SimulatedCameraDevice(made.scene, 0, painter, SIM)
-    for late in (0.0, 1.0, 0.0):
-        painter.late = late
-        before = [frame.sequence for frame in frames(camera, 0.01, made)]
-    after = [frame.sequence for frame in frames(camera, 1.0, made)]
-    assert 30 - MAX_BUFFERED <= before[0] <= 30
-    assert after == list(range(after[0], after[0] + len(after)))
 
 
 def test_pictures_show_the_leds_where_the_world_has_them() -> None:

@@ -24,10 +24,6 @@ def played(*faults: ScenarioFault) -> SimulatedSession:
     return simulate_session(scene(recording=RECORDING, fault=list(faults)))
 
 
-def test_without_a_fault_the_encoders_read_the_truth() -> None:
-    assert_allclose(error_deg(played())[0], 0, atol=1e-10)
-
-
 def test_each_fault_is_what_the_interface_defines_and_leaves_the_other_joints_alone() -> None:
     session = played(
         ScenarioFault(joint=1, offset_deg=0.4),
@@ -46,12 +42,6 @@ def test_each_fault_is_what_the_interface_defines_and_leaves_the_other_joints_al
     late = session.t[:, 0] >= 1.5
     assert_allclose(error[:, 4], -0.2 * late, atol=1e-10)
     assert_allclose(error[:, 5], 0, atol=1e-10)
-
-
-def test_a_positive_backlash_reads_higher_moving_up_than_moving_down() -> None:
-    error, _, direction = error_deg(played(ScenarioFault(joint=3, backlash_deg=0.6)))
-    up, down = error[direction[:, 2] > 0, 2].mean(), error[direction[:, 2] < 0, 2].mean()
-    assert up - down == pytest.approx(0.6)
 
 
 def test_faults_of_one_joint_add_up() -> None:

@@ -6,7 +6,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import j1
 
 import robots
-from tests.support.simulated import scene
+from tests.support.simulated import AWKWARD, scene
 from verify.core.records import Array
 from verify.core.rig import Camera
 from verify.simulation.scenario import (
@@ -25,16 +25,6 @@ from verify.simulation.world.led_render import (
     led_images,
     render_light,
     visible_lights,
-)
-
-AWKWARD = ScenarioCamera(
-    focal_px=(1012.4, 1003.7),
-    principal_point_px=(655.0, 341.0),
-    distortion=(-0.12, 0.08, 0.002, -0.003, 0.05),
-    pan_axis=(0.05, 0.99, -0.08),
-    pan_zero_deg=1.7,
-    mount_rotation_deg=(3.0, -2.0, 5.0),
-    mount_offset_mm=(4.0, -6.0, 12.0),
 )
 
 
@@ -81,13 +71,6 @@ def test_spots_are_where_rig_marker_and_truth_put_them() -> None:
             camera_T_rig = np.linalg.inv(camera.rig_T_camera(session.pan[i, side]))
             predicted = camera.project(points @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3])
             assert_allclose(seen[i], predicted, atol=1e-8)
-
-
-def test_any_arm_that_robots_knows_can_be_simulated() -> None:
-    home = [0.0, -70.0, 80.0, -100.0, -80.0, 0.0]
-    motion = type(scene().motion)(home_deg=home, amplitude_deg=[8.0] * 6)
-    session = simulate_session(scene(robot="ur5", motion=motion))
-    assert np.all(np.isfinite(session.spots(0)))
 
 
 def test_a_rolling_shutter_takes_each_led_at_its_own_row() -> None:
@@ -190,22 +173,6 @@ def test_motion_blur_widens_a_spot_along_its_path_only() -> None:
     assert total == pytest.approx(still[0], rel=1e-6)
     # a uniform path of length L adds L²/12; of 20 points, (1 - 1/400) of that
     assert spread - still[2] == pytest.approx([3.0 * (1 - 1 / 400), 0.0], abs=0.01)
-
-
-def test_clean_pictures_have_their_centroids_where_the_leds_project() -> None:
-    session = simulate_session(scene())
-    renderer = session.renderers[0]
-    for i in range(len(session)):
-        t, pan = float(session.t[i, 0]), float(session.true_pan[i, 0])
-        picture = renderer.clean(visible_lights(session.world, 0, t, pan)).astype(float)
-        for x, y in session.spots(0)[i]:
-            left, top = int(x) - 12, int(y) - 12
-            patch = picture[top : top + 25, left : left + 25]
-            seen = [
-                left + patch.sum(0) @ np.arange(25) / patch.sum(),
-                top + patch.sum(1) @ np.arange(25) / patch.sum(),
-            ]
-            assert np.hypot(seen[0] - x, seen[1] - y) < 0.005
 
 
 @pytest.mark.parametrize("background", [20.0, 120.0])
