@@ -7,7 +7,7 @@ DEV := $(VENV)/.dev-installed
 COMPILED := $(VENV)/.compiled
 PIP = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c .ci/constraints.txt
 
-.PHONY: demo test test-all lint check format samples accept bench soak bench-coverage bench-diagnosis bench-grab clean
+.PHONY: demo test test-all lint check format samples accept bench soak bench-coverage bench-diagnosis bench-grab fuzz clean
 
 # packages that running needs
 $(RUN): pyproject.toml .ci/constraints.txt
@@ -81,6 +81,9 @@ bench-diagnosis: $(DEV)
 bench-grab: $(DEV)
 	$(BIN)/python -m tests.bench.grasp.open_loop --full
 	$(BIN)/python -m tests.bench.grasp.closed_loop
+
+fuzz: $(DEV)
+	$(BIN)/python -m tests.fuzz $(or $(N),2000)
 
 clean:
 	rm -rf $(VENV) build *.egg-info

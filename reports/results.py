@@ -4,6 +4,7 @@ A results folder holds `results.json` (summary, setup and a list of the other fi
 hashes), one Parquet file a table and one PNG an image. The same results give the same bytes.
 """
 
+import errno
 import hashlib
 import io
 import json
@@ -43,6 +44,7 @@ def _is_printable(character: str) -> bool:
 
 FORMAT_VERSION = 1  # of results.json; a change that older readers cannot follow raises it
 MANIFEST = "results.json"
+MAX_BYTES = 1_000_000_000  # of a file of the results
 REBUILD_COMMANDS = {  # what wrote a results folder, by the kind and the method in its summary
     ("run", None): "`verify run` on the session",
     ("calibration", None): "`verify calibrate boards` on the pictures",
@@ -199,7 +201,7 @@ def _write_files(files: dict[str, bytes], folder: Path) -> None:
 def _manifest(folder: Path) -> dict[str, Any]:
     place = folder / MANIFEST
     try:
-        manifest = json.loads(place.read_bytes())
+        manifest = json.loads(_read_plain(place))
     except FileNotFoundError as problem:
         raise ReportError(
             folder,
@@ -231,11 +233,20 @@ def _damaged(folder: Path, file: str, found: str, expected: str) -> ReportError:
     return ReportError(folder / file, found, expected, rebuild_command(folder))
 
 
+def _read_plain(file: Path) -> bytes:
+    """Read a file; OSError for a pipe or a device, and for what is too large to be results."""
+    if file.exists() and not file.is_file():
+        raise OSError(errno.EINVAL, "it is no plain file")
+    if file.stat().st_size > MAX_BYTES:
+        raise OSError(errno.EFBIG, f"it has more than {MAX_BYTES} bytes")
+    return file.read_bytes()
+
+
 def _read_entry(folder: Path, name: str, ending: str, entry: object) -> bytes:
     if not NAME_PATTERN.fullmatch(name) or not isinstance(entry, dict):
         raise _damaged(folder, MANIFEST, f"{name!r} {NO_NAME}", NAME_RULE)
     try:
-        content = (folder / (name + ending)).read_bytes()
+        content = _read_plain(folder / (name + ending))
     except OSError as problem:
         found, expected = f"cannot be read ({problem.strerror})", f"{MANIFEST} lists it as part"
         raise _damaged(folder, name + ending, found, f"{expected} of the results") from problem

@@ -16,8 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from tests.support.motions import ARM, HOME, make_track
-from verify.analysis.clock.arrivals import clock_from_arrival_times
-from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
+from verify.analysis.clock.estimate import ClockEstimate, clock_from_arrival_times, estimate_clock
 from verify.core.readings import Readings
 from verify.core.records import Array
 

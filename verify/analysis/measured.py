@@ -11,8 +11,7 @@ import cv2
 import numpy as np
 
 import robots
-from verify.analysis.clock.arrivals import clock_from_arrival_times
-from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
+from verify.analysis.clock.estimate import ClockEstimate, clock_from_arrival_times, estimate_clock
 from verify.analysis.instrument import (
     MeasuredSession,
     measure_poses,

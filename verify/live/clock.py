@@ -14,8 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import robots
-from verify.analysis.clock.arrivals import ArrivalClock
-from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
+from verify.analysis.clock.estimate import ArrivalClock, ClockEstimate, estimate_clock
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement
 from verify.core.rig import Rig

@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 
 from tests.support.motions import ARM, HOME, make_track, read, swinging
-from verify.analysis.clock.arrivals import clock_from_arrival_times
-from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
+from verify.analysis.clock.estimate import ClockEstimate, clock_from_arrival_times, estimate_clock
 from verify.core.readings import Readings
 from verify.core.records import Array
 

@@ -10,6 +10,11 @@ z is the sum over pairs of b's squared residual less a's, over its own noise. Re
 differences over some tenths of a second: a joint whose reading jumps then counts where it jumps and
 nowhere else. The penalty holds the pairs that an offset leaves without a reading, and the distance
 from what arrival times say. Where another offset is not beaten clearly, the clock is ambiguous.
+
+A reading of controller's time t that arrives at t_host on the cameras' clock was late by some delay
+d ≥ 0, so that t_host - t = offset + d. The quickest delivery of a log is late by little:
+
+    offset = min(t_host - t) - MEAN_DELIVERY
 """
 
 from dataclasses import dataclass
@@ -18,7 +23,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
-from verify.analysis.clock.arrivals import ArrivalClock
 from verify.analysis.clock.search import COARSE_STEP, MOTION_LAG, coarse_costs, dips
 from verify.analysis.comparison import Comparison, compare
 from verify.analysis.least_squares import autocorrelation, whiten
@@ -26,6 +30,10 @@ from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.measurement.track import Track, subset
 
+MEAN_DELIVERY = 0.005  # s: how late the quickest delivery is taken to be, and its uncertainty
+# s, standard: of the stamps of pictures, which some cameras put on when a picture is delivered
+CAMERA_STAMP = 0.03
+MIN_SPREAD_SHARE = 0.1  # of the delays' spread: the quickest of a jittery line is less well known
 MAX_DIPS = 60  # that are refined, the likeliest ones
 MAX_PAIRS_COMPARED = 300  # of each candidate; more only cost time
 MIN_OVERLAP_AT_ZERO = 0.2  # of the pairs: with fewer the readings' clock is another one
@@ -44,6 +52,27 @@ MAX_UNCERTAINTY = 0.01  # s
 MIN_VISIBLE_SHARE = 0.02
 # the same from the readings' noise alone, at rest, is 1 with a spread of a few percent
 MIN_SIGNAL_TO_NOISE = 4.0
+
+
+@dataclass(frozen=True, slots=True)
+class ArrivalClock:
+    """What deliveries say of the offset."""
+
+    offset: float  # s
+    standard_uncertainty: float  # s, of the readings' side alone
+
+    @property
+    def reach(self) -> float:
+        """Standard uncertainty with the pictures' own stamps, s: what the motion is weighed by."""
+        return float(np.hypot(self.standard_uncertainty, CAMERA_STAMP))
+
+
+def clock_from_arrival_times(t: Array, t_host: Array) -> ArrivalClock:
+    """The offset that arrival times suggest: readings' own times t and arrivals t_host, (m,), s."""
+    delay = t_host - t
+    quickest = float(delay.min())
+    spread = MIN_SPREAD_SHARE * (float(np.median(delay)) - quickest)
+    return ArrivalClock(quickest - MEAN_DELIVERY, float(np.hypot(MEAN_DELIVERY, spread)))
 
 
 @dataclass(frozen=True, slots=True)
