@@ -71,12 +71,12 @@ def simulate(seed: int) -> tuple[ClockEstimate, float, PeriodicMotion, bool]:
 
 
 def verdict(estimate: ClockEstimate, offset: float) -> str:
-    """`right`, `said` (the truth is among the alternatives), `open` or `wrong`."""
+    """`right`, `listed` (the truth is among the alternatives), `open` or `wrong`."""
     error = abs(estimate.offset - offset)
     others = np.abs(np.array(estimate.rivals) - offset)
     if estimate.source == "ambiguous":
-        listed = min(error, others.min(initial=np.inf)) <= MIN_ALTERNATIVE_ERROR
-        return "said" if listed else "wrong"
+        near = min(error, others.min(initial=np.inf)) <= MIN_ALTERNATIVE_ERROR
+        return "listed" if near else "wrong"
     if estimate.standard_uncertainty is None:
         return "open"
     return "right" if error <= MAX_ERROR * 2 * estimate.standard_uncertainty else "wrong"

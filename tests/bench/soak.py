@@ -117,10 +117,10 @@ def _followed(kind: str, process: "subprocess.Popen[str]", began: float, seconds
         elif message["type"] in {"warning", "alarm"}:
             print(f"  {message['type']}: {message['text']}")
     process.wait()
-    return _told(kind, summary, memory, received[0], seconds)
+    return _conclude(kind, summary, memory, received[0], seconds)
 
 
-def _told(
+def _conclude(
     kind: str,
     message: dict[str, object],
     memory: list[tuple[float, float]],

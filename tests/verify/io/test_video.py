@@ -62,10 +62,6 @@ def test_both_sides_stay_in_step(path: Path, tmp_path: Path) -> None:
     pairs = list(decode_in_step(open_images(path), open_images(tmp_path / "right.mkv"), 10))
     assert_array_equal([left for left, _ in pairs], images(10))
     assert_array_equal([right for _, right in pairs], images(10)[::-1])
-
-
-@pytest.mark.usefixtures("processors")
-def test_only_requested_images_are_decoded(path: Path) -> None:
     assert len(list(decode_in_step(open_images(path), open_images(path), 3))) == 3
 
 

@@ -50,7 +50,6 @@ def test_centres_reach_the_bound_and_the_claimed_covariance_is_the_scatter(name:
     rms = np.sqrt(np.mean(np.square(errors)))
     bound = centre_bound(spot, floor, sensor)
     sigma = np.sqrt(np.mean(claimed))
-    print(f"{name}: rms {rms:.5f} px, bound {bound:.5f}, claimed {sigma:.5f}")
     assert rms < 1.1 * bound  # 512 errors: their rms is known to 3 %
     assert sigma == pytest.approx(rms, rel=0.10)
     assert np.abs(np.mean(errors, axis=(0, 1))).max() < 4 * rms / 16  # 4 sigma of 256 errors' mean

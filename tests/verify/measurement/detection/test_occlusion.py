@@ -90,7 +90,6 @@ def test_slivers_hidden_on_one_side_hardly_bias_the_centres(
         side = rng.uniform(0, 2 * np.pi) + rng.normal(0, 0.1, 4)
         image = scene(centres, depth * rng.uniform(0.7, 1.3, 4), width, side, rng)
         found.add(detect(image), centres)
-    print(f"depth {depth}, width {width}: {found.rms:.4f} px, of claimed {found.over_claimed:.2f}")
     assert found.rms < max(drawn / 3, 1.9 * bound())
     assert found.over_claimed < 1.4
 
@@ -103,8 +102,6 @@ def test_one_led_behind_a_cable_is_centred_and_the_others_stay_at_the_bound() ->
         spots = detect(scene(centres, np.array([0.08, 0, 0, 0]), 0.5, side, rng))
         bitten.add(spots, centres[:1])
         whole.add(spots, centres[1:])
-    print(f"bitten {bitten.rms:.4f} px, of claimed {bitten.over_claimed:.2f}; "
-          f"others {whole.rms:.4f}, {whole.over_claimed:.2f}; bound {bound():.4f}")  # fmt: skip
     assert bitten.rms < 0.040 / 3
     assert bitten.over_claimed < 1.4
     assert whole.rms < 1.1 * bound()
@@ -119,7 +116,6 @@ def test_bitten_reflections_beside_them_do_not_move_whole_leds() -> None:
         depth = np.where(np.arange(8) % 2, 0.15, 0.0)
         image = scene(centres, depth, 0.5, np.full(8, rng.uniform(0, 2 * np.pi)), rng)
         whole.add(detect(image), centres[::2])
-    print(f"{whole.rms:.4f} px, of claimed {whole.over_claimed:.2f}; bound {bound():.4f}")
     assert whole.rms < 1.2 * bound()  # half the picture lies about them, at a little cost
     assert whole.over_claimed == pytest.approx(1.0, abs=0.2)
 

@@ -53,9 +53,6 @@ def figures(name: str, only: tuple[int, ...] = ()) -> tuple[float, float, int]:
                 whitener = np.linalg.cholesky(np.linalg.inv(spots.covariance[nearest]))
                 normalised.append(errors[-1] @ whitener)
     rms, ratio = (float(np.sqrt(np.mean(np.square(v)))) for v in (errors, normalised))
-    print(
-        f"{name}: rms {rms:.4f} px, bias {np.mean(errors, axis=0)}, error over claimed {ratio:.2f}"
-    )
     return rms, ratio, len(errors)
 
 
