@@ -106,7 +106,7 @@ def read_logo(path: Path) -> Logo:
     """
     try:
         if path.exists() and not path.is_file():  # a device or a pipe may never end
-            raise _invalid_logo(path, "is no plain file", "a PNG or SVG")
+            raise _invalid_logo(path, "cannot be read (no plain file)", "a PNG or SVG")
         if path.stat().st_size > MAX_BYTES:
             raise _invalid_logo(path, f"has {path.stat().st_size / 1e6:.1f} MB", "at most 2 MB")
         content = path.read_bytes()

@@ -28,12 +28,14 @@ class Checked:
     z: Array  # (p,), error over standard uncertainty
     d2: float
     degrees: int
+    u: Array | None = None  # (p,), standard uncertainty
 
 
 def checked(names: Sequence[str], error: Array, covariance: Array) -> Checked:
     """Set an error (p,) against the covariance (p, p) stated for it."""
     d2, degrees = squared_distance(error, covariance)
-    return Checked(tuple(names), error / np.sqrt(np.diag(covariance)), d2, degrees)
+    u = np.sqrt(np.diag(covariance))
+    return Checked(tuple(names), error / u, d2, degrees, u)
 
 
 def seeds(seed: int | list[int], count: int) -> list[int]:

@@ -33,7 +33,8 @@ SLOW = "rate_hz = 10.0"  # pictures a second: a machine that does other things k
 class Run:
     """What a run printed."""
 
-    pairs: list[dict[str, Any]] = field(default_factory=list)
+    pairs: list[dict[str, Any]] = field(default_factory=list)  # as they come
+    settled: list[dict[str, Any]] = field(default_factory=list)
     alarms: list[dict[str, Any]] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     watched: dict[str, Any] = field(default_factory=dict)
@@ -68,6 +69,8 @@ def listen(
     for line in process.stdout:
         message = json.loads(line)
         match message["type"]:
+            case "pair" if message["settled"]:
+                run.settled.append(message)
             case "pair":
                 run.pairs.append(message)
                 if until is not None and until(message):
@@ -153,7 +156,7 @@ def test_live_figures_are_those_of_the_recording(tmp_path: Path) -> None:
     session = open_session(folder)
     assert len(session) == len(run.pairs)
     frames = pd.read_parquet(tmp_path / "out" / "results" / "frames.parquet")
-    live = {p["frame"]: p["measured_deg"] for p in run.pairs if p["status"] == "measured"}
+    live = {p["frame"]: p["measured_deg"] for p in run.settled if p["status"] == "measured"}
     names = [f"q{j}_measured_deg" for j in range(1, 7)]
     recorded = frames.set_index("frame")[names]
     assert len(live) > 50
