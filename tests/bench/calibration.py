@@ -114,7 +114,6 @@ def replicate(kind: str, seed: int) -> cells.Checked:
     pairs = make_pairs(rig, boards, rng, pan, error, stated=stated)
     found = calibrate(pairs, BOARD, SIZE)
     covariance = found.rig.covariance
-    assert covariance is not None
     errors = np.array([deviation(name, found.rig, rig) for name in covariance.parameters])
     return cells.checked(covariance.parameters, errors, covariance_in_si(covariance))
 

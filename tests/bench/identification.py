@@ -63,7 +63,6 @@ def published() -> None:
         print(f"series {name}: {len(rows)} poses, {time.perf_counter() - begun:.0f} s")
         for level in found.levels:
             held = level.held_out
-            assert held is not None
             print(
                 f"  held out, {level.name}: mean, rms, max {(held.position * 1e3).round(3)} mm, "
                 f"{np.degrees(held.orientation).round(3)}°, "

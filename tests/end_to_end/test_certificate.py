@@ -24,7 +24,6 @@ FAULTY = SAMPLES / "multi_joint_fault_6r"
 def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
     text = DOCS.read_text(encoding="utf-8").partition("### Checking a result")[2]
     found = re.search(r"```python\n(.*?)```", text, re.DOTALL)
-    assert found is not None
     script = tmp_path_factory.mktemp("recipe") / "check.py"
     script.write_text(found[1], encoding="utf-8")
     return script

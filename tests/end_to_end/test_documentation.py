@@ -97,7 +97,6 @@ def every_python_example_runs(clone: Path) -> None:
 
 def test_installation_names_every_target_and_existing_files_and_extras() -> None:
     phony = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
-    assert phony is not None
     targets = phony[1].split()
     assert [name for name in targets if f"make {name}" not in README.read_text()] == []
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
@@ -123,7 +122,6 @@ def test_robots_lists_every_arm_and_checks_one() -> None:
 @pytest.mark.parametrize("command", COMMANDS)
 def test_every_subcommand_and_option_is_in_the_readme(command: str) -> None:
     described = re.search(rf"^\| `verify {command}\b.*$", README.read_text(), flags=re.MULTILINE)
-    assert described is not None
     missing = [option for option in options(command) if option not in described[0]]
     assert not missing
 

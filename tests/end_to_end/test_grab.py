@@ -67,7 +67,6 @@ def test_a_grab_leaves_a_film_a_session_and_a_report(tmp_path: Path) -> None:
 
 def test_without_execute_the_plan_is_shown_and_nothing_moves(tmp_path: Path) -> None:
     pair = CellWorld(cell_setup(SMALL_SIZE), draw_scene(4)).pair()
-    assert pair is not None
     picture = pair.left.astype(int)
     rows, columns = ((picture[..., 0] - picture[..., 2]) > 60).nonzero()  # the blue cap
     x, y = columns.min() - 2, rows.min() - 2
@@ -172,7 +171,6 @@ def film(folder: Path, seconds: float) -> None:
     """A cap that stands, and the arm at home."""
     setup = cell_setup(SMALL_SIZE)
     pair = CellWorld(setup, CellScene((Cap("blue", (0.47, 0.03)),), seed=1)).pair()
-    assert pair is not None
     rows = (pair.left, pair.right)
     raws = tuple(bytes(cv2.imencode(".jpg", image)[1]) for image in rows)
     files = {"rig.toml": rig.encode(setup.rig)}

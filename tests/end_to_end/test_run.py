@@ -282,8 +282,6 @@ def test_the_library_gives_what_the_command_writes(faulty: Run) -> None:
     first = list(islice(chain, 3))
     assert [m.status for m in first] == ["measured"] * 3
     for one, other in zip(first, faulty.measurements, strict=False):
-        assert one.pose is not None
-        assert other.pose is not None
         # encoders may choose among assignments; they enter no value
         assert np.array_equal(one.pose.rig_T_flange, other.pose.rig_T_flange)
 

@@ -65,7 +65,6 @@ def listen(
     until: Callable[[dict[str, Any]], bool] | None = None,
 ) -> Run:
     """Take what is said, up to a certain pair, or to the end."""
-    assert process.stdout is not None
     for line in process.stdout:
         message = json.loads(line)
         match message["type"]:

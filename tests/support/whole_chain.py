@@ -109,7 +109,6 @@ def replicate(
 
 def decorrelated(rig: Rig) -> Rig:
     """Forget that the base was found through the cameras."""
-    assert rig.covariance is not None
     base = np.array([n in BASE_NAMES for n in rig.covariance.parameters])
     alike = base[:, None] == base
     alone = replace(rig.covariance, correlation=np.where(alike, rig.covariance.correlation, 0.0))
@@ -259,7 +258,6 @@ def _in_the_gauge(true: Rig, rig_T_base: Array) -> tuple[Rig, Array]:
 
 def _rig_error(found: Rig, true: Rig) -> tuple[tuple[str, ...], Array, Array]:
     """Names of the cameras' parameters, their errors and covariance, SI units and pixels."""
-    assert found.covariance is not None
     names = tuple(n for n in found.covariance.parameters if n not in BASE_NAMES)
     full = covariance_in_si(found.covariance)[: len(names), : len(names)]
     return names, np.array([deviation(n, found, true) for n in names]), full
@@ -311,7 +309,6 @@ def _at_spots(session: InMemory, noise_seed: int) -> tuple[Array, Array]:
     parameters = stated_systematics(rig, marker, turning=False)
     found = list(measured_at_spots(session, parameters, rng))
     track = collect_track(found, rig, [sensitivities(parameters, m, rig, marker) for m in found])
-    assert session.clock is not None
     output = session.clock.encoder_offset, session.clock.standard_uncertainty
     readings = Readings(session.encoders.t, session.encoders.q)
     comparison = compare(track, arm, readings, output[0])

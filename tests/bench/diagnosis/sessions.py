@@ -222,7 +222,6 @@ def _seen(watched: Watched, fault: Injected) -> Track:
 
 def _bent(arm: robots.Arm, fault: Injected) -> robots.Arm:
     assert isinstance(arm, robots.DhArm)
-    assert fault.parameter is not None
     assert fault.joint is not None
     key = fault.parameter.rstrip("123456")
     column = getattr(arm, key).copy()

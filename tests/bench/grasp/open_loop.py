@@ -67,7 +67,6 @@ def distances(setup: CellSetup, rows: int = 3, columns: int = 5) -> Array:
                 made.loop.cycle(made.source.pair())
                 made.source.wait()
             known = made.loop.aim.target
-            assert known is not None
             marks.append(mark)
             places.append(known.thing.position)
             spreads.append(known.thing.covariance)

@@ -87,7 +87,6 @@ def test_every_joint_has_a_strip_with_its_sessions_and_its_step() -> None:
     results = made_fleet.changed()
     points, found = results.table("points"), results.table("changes")
     drawn = arm_chart(points[points["arm"] == "arm_b"], found[found["arm"] == "arm_b"])
-    assert drawn is not None
     assert len(drawn.panels) == 6
     marks = drawn.panels[4].marks
     (step,) = (m for m in marks if isinstance(m, Level) and m.name == "step")
@@ -128,6 +127,5 @@ def test_markup_in_names_is_shown_and_never_run() -> None:
     page = render_html(results)
     assert "</script><b>" not in page
     plots = re.search(r'id="plots">(.*?)</script>', page, flags=re.DOTALL)
-    assert plots is not None
     json.loads(plots[1])
     assert render_pdf(results).startswith(b"%PDF-")

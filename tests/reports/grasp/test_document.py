@@ -83,7 +83,6 @@ def test_time_is_written_once_below_panels_that_share_it() -> None:
         (grasp_figures.joints(results), 2),
         (grasp_figures.planned_motion(results), 2),
     ):
-        assert chart is not None
         labels = [panel.x_label for panel in chart.panels]
         assert labels == [""] * (len(labels) - lowest) + ["time [s]"] * lowest
         assert lowest == chart.columns

@@ -39,7 +39,6 @@ def test_no_error_of_a_pair_leaves_its_frame() -> None:
     for name in ("nonconforming", "undecided", "seven_joints", "visits"):
         chart = chart_of(name, "joint_errors")
         for panel in chart.panels:
-            assert panel.y_range is not None
             for mark in panel.marks:
                 if isinstance(mark, Line):
                     known = mark.y[np.isfinite(mark.y)]
@@ -61,7 +60,6 @@ def test_a_long_session_stays_light_and_all_its_spots_are_counted() -> None:
     size = sum(len(str(plotly.specification(c))) for c in drawn if not isinstance(c, bytes))
     assert size < 4_000_000  # letters; the plotting library itself has 4.8 million
     chart = residuals(results)
-    assert chart is not None
     cells = [m for panel in chart.panels for m in panel.marks if isinstance(m, charts.Cells)]
     counted = sum(float((10**m.values - 1).sum()) for m in cells)
     assert round(counted) == len(results.tables["spots"])

@@ -36,7 +36,6 @@ def departure(rig: Rig, other: Rig) -> Array:
 def departure_covariance(found: Calibration) -> Array:
     """Covariance (24, 24) of `departure`, from the one in the rig file."""
     covariance = found.rig.covariance
-    assert covariance is not None
     columns = [
         departure(moved(found.rig, name, STEP), moved(found.rig, name, -STEP)) / (2 * STEP)
         for name in covariance.parameters

@@ -93,5 +93,4 @@ def grip_error(grab: CellRun) -> float:
     world, plan = grab.world, grab.loop.aim.plan
     assert world.closed_on is not None
     assert world.closed_at is not None
-    assert plan is not None
     return float(np.linalg.norm(world.closed_on - world.closed_at - [0, 0, plan.margin.raised]))

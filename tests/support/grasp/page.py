@@ -88,7 +88,6 @@ class Cell:
     def place(self, cap: int) -> Array:
         """Where a cap really is, (3,), m, base frame."""
         pose = self.grab.world.cap(cap, self.grab.world.t)
-        assert pose is not None
         return pose[:3, 3]
 
     def end(self) -> None:

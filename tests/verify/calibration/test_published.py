@@ -363,7 +363,6 @@ def test_identified_on_70_percent_the_others_are_met(name: str, every: int) -> N
     assert found.chosen.name == "geometry"
     assert found.chosen.support.rank == 30
     held = found.chosen.held_out
-    assert held is not None
     assert held.position[0] * 1e3 <= IDENTIFIED_MM
 
 

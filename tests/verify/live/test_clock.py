@@ -140,7 +140,6 @@ def test_an_offset_that_arrivals_exclude_is_said_and_not_taken() -> None:
     run.estimator = lambda _request: estimate(OFFSET - 4.6)
     rows, _, keeper = run.watch(8.0, AlarmLimits(0.1, 15.0, None))
     last = rows[-1].clock
-    assert last is not None
     assert last.source == "arrival"
     assert (last.standard_uncertainty or 0.0) > 2.0
     assert "-4.6" in keeper.trouble

@@ -230,7 +230,6 @@ def test_settled_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -
         np.array([r.t for r in recorder.readings]), np.array([r.q for r in recorder.readings])
     )
     clock = live[-1].clock
-    assert clock is not None
     comparison = compare(track, played.run.arm, readings, clock.offset)
     joints = solve_joints(comparison, played.run.arm)
     found = dict(zip(track.t[comparison.index].tolist(), joints.q, strict=True))

@@ -204,7 +204,6 @@ def test_the_sources_make_up_the_uncertainty(made: SessionPlan) -> None:
 def test_every_request_is_predicted(bench: PlanningSetup) -> None:
     made = planning.planned(bench, planning.wish(observe=FAULT_KINDS), planning.conditions())
     found = made.prediction.geometry
-    assert found is not None
     assert found.support.candidates == 6 + 6 + 2 + 6 + 6  # offsets, α, Hayati's β, a, d
     assert {h.parameter.name for h in found.support.held if h.redundant} == {"d_2", "d_3"}
     assert [one.name for one in made.prediction.faults] == list(FAULT_KINDS[:4])

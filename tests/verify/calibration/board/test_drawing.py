@@ -105,7 +105,6 @@ def test_the_largest_square_that_is_named_does_fit(paper: str, counts: tuple[int
     with pytest.raises(InputError) as refused:
         lay_out(Board(*counts, square=0.5), paper)
     named = re.search(r"would are ([\d.]+) mm", str(refused.value))
-    assert named is not None
     layout = lay_out(Board(*counts, square=float(named[1]) / 1000), paper)
     x, y, width, height = layout.pattern
     assert min(x, y, layout.page[0] - x - width, layout.page[1] - y - height) >= QUIET_ZONE_MM

@@ -128,7 +128,6 @@ def test_one_pair_of_a_board_suffices() -> None:
 def test_the_board_s_squares_come_out_as_much_too_large_as_the_baseline() -> None:
     rig = make_rig()
     result = check_board(stretched(rig, 1.005), board_pairs(rig, 3), BOARD)
-    assert result.square is not None
     assert_allclose(result.square[1] / result.square[0], 1.005, atol=2e-4)
     assert result.uncounted == ("rig", "square size")
 

@@ -59,8 +59,6 @@ def test_errors_of_geometry_are_called_for_and_carry_over_to_poses_held_out() ->
     found = identified(true_arm("iust_6r", seed=1), 80, 2, IdentificationOptions(splits=3))
     assert found.chosen.name == "geometry"
     before, after = (found.level(n).held_out for n in ("registration", "geometry"))
-    assert before is not None
-    assert after is not None
     assert before.position[0] > 1e-3
     assert after.position[0] < 3e-4  # noise of 0.16 mm in three directions, and the model's own
 
@@ -118,7 +116,6 @@ def test_positions_of_a_point_support_27_parameters() -> None:
         IdentificationOptions(splits=2, level="geometry"),
     )
     assert found.chosen.support.rank == len(found.chosen.support.supported) == 27
-    assert found.chosen.held_out is not None
     assert found.chosen.held_out.position[0] < 3e-4
     assert np.isnan(found.chosen.held_out.orientation).all()
 

@@ -30,7 +30,6 @@ CLOSE = 0.08  # relative, over four standard deviations of that
 
 def drawn_rigs(rig: Rig, count: int = DRAWS) -> list[Rig]:
     """Rigs as the covariance says they might be."""
-    assert rig.covariance is not None
     random = np.random.default_rng(5)
     steps = random.multivariate_normal(
         np.zeros(len(rig.covariance.parameters)),
@@ -214,7 +213,6 @@ def test_what_is_left_were_a_group_exact_is_the_covariance_given_that_group() ->
     found = made.calibration()
     quality = judge_calibration(found)
     given = found.rig.covariance
-    assert given is not None
     keep = [
         i for i, n in enumerate(given.parameters) if n.partition(".")[2] not in ("fx_px", "fy_px")
     ]
@@ -238,7 +236,6 @@ def test_an_unusual_principal_point_is_accepted_if_well_determined(
 ) -> None:
     found = made.calibration()
     given = found.rig.covariance
-    assert given is not None
     sigma = given.standard_uncertainty.copy()
     sigma[[given.parameters.index(f"left.{key}") for key in ("cx_px", "cy_px")]] = u
     matrix = found.rig.left.matrix.copy()

@@ -82,7 +82,6 @@ def _webcam(folder: Path, count: int, size: tuple[int, int]) -> Residuals:
     for number in range(count):
         picture = cv2.imread(str(folder / f"img{number}.png"), cv2.IMREAD_GRAYSCALE)
         view = find_board(np.asarray(picture, dtype=np.uint8), found)
-        assert view is not None
         assert len(view) == len(found)
         corners.append(view.centre.astype(np.float32))
     _, matrix, lens, turns, shifts = cv2.calibrateCamera(
@@ -176,7 +175,6 @@ def test_a_rectified_pair_has_its_corners_on_level_lines() -> None:
     png = draw_rectified(found.rig, *made.pictures(found, frame))
     assert png == draw_rectified(found.rig, *made.pictures(found, frame))
     both = cv2.imdecode(np.frombuffer(png, np.uint8), cv2.IMREAD_COLOR)
-    assert both is not None
     grey = both[:, :, 2]  # red: the level lines are darker there than white, lighter than black
     halves = grey[:, : grey.shape[1] // 2 - 2], grey[:, grey.shape[1] // 2 + 2 :]
     corners = []

@@ -35,7 +35,6 @@ NOISE = (1e-4, np.deg2rad(0.02))
 def base_and_leds(rig: Rig) -> tuple[list[str], Array]:
     """Names and covariance of what was registered, SI, as the rig states it."""
     stated = rig.covariance
-    assert stated is not None
     mine = [i for i, n in enumerate(stated.parameters) if n.startswith(("robot_base.", "led."))]
     names = [stated.parameters[i] for i in mine]
     sigma = stated.standard_uncertainty[mine] * np.array([unit(n) for n in names])
@@ -113,7 +112,6 @@ def test_both_files_carry_one_id_that_comes_from_what_they_hold(recording: Recor
     one, two = register_motion(recording), register_motion(recording)
     other = register_motion(with_offset(recording, 4, 0.1))
     assert one.rig.registration == one.marker.registration == two.rig.registration
-    assert one.rig.registration is not None
     assert one.rig.registration.startswith("sha256:")
     assert other.rig.registration != one.rig.registration
     assert (one.rig.base_source, one.marker.source) == ("motion", "motion")
@@ -124,7 +122,6 @@ def test_a_base_from_a_fixture_is_kept(recording: Recording) -> None:
     found = register_motion(recording, keep_base=True)
     np.testing.assert_array_equal(found.rig.rig_T_base, recording.rig.rig_T_base)
     assert (found.rig.base_source, found.marker.source) == ("fixture", "motion")
-    assert found.rig.absorption is not None
     assert not found.rig.absorption[:6].any()
     assert found.visible_fractions[5] == 0
     assert found.visible_fractions[0] > 0.2
@@ -160,7 +157,6 @@ def test_what_the_rig_states_of_itself_reaches_base_and_leds_with_its_correlatio
     stated = Covariance(names, np.array([u, 0.3, 5.0]), np.eye(3))
     found = register_motion(replace(recording, rig=replace(recording.rig, covariance=stated)))
     given = found.rig.covariance
-    assert given is not None
     assert given.parameters[:3] == ("right.mount_ry_deg", "left.fx_px", "robot_base.x_mm")
     assert given.standard_uncertainty[2] < 2.0  # the old base's 5 mm is gone with the old base
     # brute force: register again in a rig whose right camera is turned by u about its own y

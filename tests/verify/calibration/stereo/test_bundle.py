@@ -54,7 +54,6 @@ def readings(rng: np.random.Generator, count: int, spread_deg: float = 12.0) -> 
 def named(found: Calibration) -> dict[str, float]:
     """Standard uncertainties in SI units and pixels."""
     covariance = found.rig.covariance
-    assert covariance is not None
     return dict(
         zip(covariance.parameters, np.sqrt(np.diag(covariance_in_si(covariance))), strict=True)
     )
@@ -204,7 +203,6 @@ def test_bad_corners_are_refused_and_no_others() -> None:
     spoilt = set()
     for i in (1, 4, 8):
         seen = pairs[i].left
-        assert seen is not None
         centre = seen.centre.copy()
         centre[5 * i] += [25.0, -8.0]
         pairs[i] = replace(pairs[i], left=replace(seen, centre=centre))
@@ -359,7 +357,6 @@ def test_real_pairs_leave_no_larger_residuals_than_opencv_does(
 
 def weighted_alike(view: BoardView | None) -> BoardView:
     """OpenCV weighs all corners alike."""
-    assert view is not None
     return replace(view, covariance=np.tile(SIGMA**2 * np.eye(2), (len(view), 1, 1)))
 
 

@@ -87,7 +87,6 @@ def test_parallel_boards_that_are_tilted_show_the_focal_length_poorly_and_say_so
     rng, rig = np.random.default_rng(24), fixed_rig(0.0)
     found = calibrate(make_pairs(rig, parallel((25.0, 15.0), (0.8, 1.0, 1.2)), rng), BOARD, SIZE)
     covariance = found.rig.covariance
-    assert covariance is not None
     u = covariance.standard_uncertainty[covariance.parameters.index("left.fx_px")]
     assert 4 < u < 10  # px
     assert found.rig.left.matrix[0, 0] == pytest.approx(rig.left.matrix[0, 0], abs=2.5 * u)
@@ -158,7 +157,6 @@ def test_a_pair_of_two_instants_is_left_out_and_named() -> None:
 def test_a_view_that_shows_no_board_is_left_out_and_named() -> None:
     pairs = good_pairs(10)
     seen = pairs[3].left
-    assert seen is not None
     scrambled = replace(seen, centre=np.roll(seen.centre, 1, axis=0))
     pairs[3] = replace(pairs[3], left=scrambled)
     found = calibrate(pairs, BOARD, SIZE)
@@ -171,7 +169,6 @@ SQUARE = Board(columns=8, rows=8, square=0.03)
 
 def quarter_turned(view: BoardView | None) -> BoardView:
     """Number the corners of the square board from the next one, by the pattern's symmetry."""
-    assert view is not None
     y, x = np.divmod(view.corner, 8)
     order = np.argsort(8 * x + 7 - y)
     return BoardView((8 * x + 7 - y)[order], view.centre[order], view.covariance[order])

@@ -73,7 +73,6 @@ def test_a_shorter_arm_leaves_the_further_columns_empty(tmp_path: Path) -> None:
 def test_kept_results_are_trusted_only_while_they_are_whole(store: ResultStore) -> None:
     name = SESSIONS[0]
     kept = store.kept(name)
-    assert kept is not None
     assert kept.options == OPTIONS.described
     assert store.kept("another") is None
     table = store.place(name) / "results" / "frames.parquet"
