@@ -1,6 +1,6 @@
 """Read poses.csv: metres and rotation matrices from millimetres and unit quaternions."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
@@ -41,16 +41,14 @@ class Poses:
         """The poses of each target by itself, by its number."""
         if self.target is None:
             return {1: self}
-        values = {f.name: getattr(self, f.name) for f in fields(self)} | {
-            "target": None,
-            "of_several": True,
-        }
+        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "target"}
+        rows = {name: v for name, v in columns.items() if isinstance(v, np.ndarray)}
         return {
-            int(number): Poses(
-                **{
-                    key: value[self.target == number] if isinstance(value, np.ndarray) else value
-                    for key, value in values.items()
-                }
+            int(number): replace(
+                self,
+                target=None,
+                of_several=True,
+                **{name: values[self.target == number] for name, values in rows.items()},
             )
             for number in np.unique(self.target)
         }
