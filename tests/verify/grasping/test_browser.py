@@ -29,21 +29,6 @@ def looking(browser: Browser, cell: Cell, *size: int, scheme: str = "light") -> 
         yield tab
 
 
-def mouse(tab: Tab, kind: str, x: float, y: float) -> None:
-    pressed = {"button": "left", "buttons": 1, "clickCount": 1}
-    tab.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, **pressed)
-
-
-def click(tab: Tab, selector: str) -> None:
-    """Press a button where it is seen, so that nothing may lie over it."""
-    x, y = tab.evaluate(
-        f"(() => {{ const b = document.querySelector('{selector}').getBoundingClientRect();"
-        " return [b.x + b.width / 2, b.y + b.height / 2]; })()"
-    )
-    mouse(tab, "mousePressed", x, y)
-    mouse(tab, "mouseReleased", x, y)
-
-
 def drag(tab: Tab, side: str, box: tuple[int, int, int, int]) -> None:
     """Draw a box, px of the camera's picture."""
     left, top, width = tab.evaluate(
@@ -52,10 +37,12 @@ def drag(tab: Tab, side: str, box: tuple[int, int, int, int]) -> None:
     )
     scale = width / 640
     x, y, w, h = (scale * v for v in box)
-    mouse(tab, "mousePressed", left + x, top + y)
-    mouse(tab, "mouseMoved", left + x + w / 2, top + y + h / 3)
-    mouse(tab, "mouseMoved", left + x + w, top + y + h)
-    mouse(tab, "mouseReleased", left + x + w, top + y + h)
+    mouse = tab.page.mouse
+    mouse.move(left + x, top + y)
+    mouse.down()
+    mouse.move(left + x + w / 2, top + y + h / 3)
+    mouse.move(left + x + w, top + y + h)
+    mouse.up()
 
 
 def tracks(cell: Cell, cap: int) -> None:
@@ -116,15 +103,10 @@ def test_a_target_is_selected_by_keys_alone(browser: Browser) -> None:
         span += " return [s.width, s.height].map(parseFloat); })()"
         for back, wanted, size, axis in (("ArrowLeft", w, 640, 0), ("ArrowUp", h, 360, 1)):
             while size * tab.evaluate(span)[axis] / 100 > wanted + 16:
-                shifted(tab, back)
+                tab.press(f"Shift+{back}")
         tab.press("Enter")
         tracks(cell, 0)
         assert not MOVING_STATES & set(cell.states)
-
-
-def shifted(tab: Tab, key: str) -> None:
-    for kind in ("keyDown", "keyUp"):
-        tab.call("Input.dispatchKeyEvent", type=kind, key=key, modifiers=8)
 
 
 @pytest.mark.parametrize("how", ["click", "space", "space on a button"])
@@ -133,7 +115,7 @@ def test_stop_holds_the_arm(browser: Browser, how: str) -> None:
         cell.until(lambda: cell.state is GraspState.FOLLOWING)
         assert cell.travelled(20) > np.deg2rad(0.3)
         if how == "click":
-            click(tab, "#stop")
+            tab.page.click("#stop")
         else:
             focus = "#theme" if how.endswith("button") else "body"
             tab.evaluate(f"document.querySelector('{focus}').focus()")
@@ -172,7 +154,7 @@ def test_the_grab_button_works_in_the_state_in_which_the_key_does(browser: Brows
         tab.press("g")  # as little
         tab.until("!document.querySelector('#grab').disabled")
         assert cell.state is GraspState.FOLLOWING
-        click(tab, "#grab")
+        tab.page.click("#grab")
         cell.until(lambda: GraspState.APPROACHING in cell.states)
         tab.until("document.querySelector('#grab').disabled")
         tab.until("document.querySelector('#answer').textContent.startsWith('lifted')")
@@ -188,7 +170,7 @@ def test_a_lost_connection_and_an_unsent_stop_are_shown(browser: Browser) -> Non
         cell.page._page._server._process.terminate()
         tab.until("document.querySelector('#banner').textContent.includes('stops nothing')")
         assert not tab.evaluate("document.querySelector('#banner').hidden")
-        click(tab, "#stop")
+        tab.page.click("#stop")
         tab.until("document.querySelector('#banner').textContent.includes('NOT sent')")
         cell.turns(10)
         assert cell.state is GraspState.FOLLOWING
