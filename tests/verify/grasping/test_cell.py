@@ -47,20 +47,15 @@ def test_documented_defaults_are_the_defaults(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [
-        ("opening_mm = 110.0", "opening_mm = -1.0", ["gripper.opening_mm", "is -1.0"]),
         ("opening_mm = 110.0", "opening_mm = 0.0", ["gripper.opening_mm", "is 0", "above 0"]),
-        ("opening_mm = 110.0", 'opening_mm = "x"', ["gripper.opening_mm", "a number"]),
-        ("opening_mm = 110.0", "", ["gripper.opening_mm", "is missing"]),
         ("tips_mm = 15.0", "tips_mm = 95.0", ["gripper.tips_mm", "between the palm"]),
         ("upper_mm = [560.0", "upper_mm = [200.0", ["workspace.lower_mm", "above upper_mm in x"]),
         ("height_mm = 0.0 ", "height_mm = 900.0 ", ["workspace.upper_mm", "above the table"]),
         ("[0.0, 0.0, -1.0]", "[0.0, 0.0, 0.0]", ["approach.direction", "no length"]),
         ("share = 0.1", "share = 1.5", ["motion.share", "at most 1"]),
-        ("share = 0.1", "share = 0.0", ["motion.share", "above 0"]),
         ("90.0, 0.0, 90.0, 0.0]", "90.0]", ["motion.home_deg", "has 3 angles", "6 joints"]),
         ("coverage = 0.95", "coverage = 1.0", ["accuracy.coverage", "below 1"]),
         ("stale_s = 0.3", "stale_s = 0.0", ["watchdog.stale_s", "above 0"]),
-        ("format = 1", "format = 2", ["format", "format 1 is expected"]),
     ],
 )
 def test_a_wrong_value_is_named_with_its_key(

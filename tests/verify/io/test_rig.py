@@ -167,19 +167,13 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
 @pytest.mark.parametrize(
     ("old", "new", "message"),
     [
-        ("[64, 48]", "[64]", ["image_size: is a list of 1", "length 2"]),
         ("[64, 48]", "[64, 0]", ["image_size: is 64 x 0"]),
-        ("[64, 48]", "[64.5, 48]", ["image_size[0]: is 64.5", "whole number"]),
         ("[64, 48]", "[30, 48]", ["left.camera_matrix: has cx = 31.5 px, outside"]),
-        ("[left]", "[lefft]", ["left: is missing"]),
-        ("-60.0, 0.0, 0.0]", "-60.0, 0.0]", ["left.pan_center_mm: is a list of 2"]),
-        ("-60.0, 0.0, 0.0]", "inf, 0.0, 0.0]", ["left.pan_center_mm[0]: is inf", "finite"]),
         (
             "-60.0, 0.0, 0.0]",
             "-60.0, 0.0, 0.0]\npan_axis = [0, 0, 0]",
             ["left.pan_axis: has no length"],
         ),
-        ("-60.0, 0.0, 0.0]", "-60.0, 0.0, 0.0]\nexposure_s = -1", ["left.exposure_s: is -1"]),
         ("[[0.0, -1.0, 0.0]", "[[0.0, -1.001, 0.0]", ["robot_base.rotation: is no rotation"]),
         ("[[0.0, -1.0, 0.0]", "[[0.0, 1.0, 0.0]", ["robot_base.rotation: is a reflection"]),
         ('"fixture"', '"jig"', ['robot_base.source: is "jig"', '"fixture" or "motion"']),
@@ -188,10 +182,8 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
             '"fixture"\nabsorption = [[0.0]]',
             ["robot_base.absorption: has 1 rows", "12"],
         ),
-        ('"fixture"', '"fixture"\nregistration = 3', ["robot_base.registration: is 3"]),
         ("[[50.0, 0.0, 31.5]", "[[-50.0, 0.0, 31.5]", ["left.", "has fx = -50.0 px"]),
         ("[0.0, 50.0, 23.5]", "[1.0, 50.0, 23.5]", ["left.", "is no camera matrix"]),
-        ("0.001, -0.001, 0.0]", "0.001, -0.001]", ["left.", "length 5"]),
         ("[[1.0, 0.0, 0.0]", "[[1.1, 0.0, 0.0]", ["left.mount_rotation: is no rotation"]),
     ],
 )

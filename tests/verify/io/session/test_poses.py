@@ -271,7 +271,6 @@ def test_cameras_cannot_be_registered_or_watched_by_poses(watched: Watched, tmp_
     [
         ('frame = "rig"', 'frame = "world"', 'poses.frame: is "world"'),
         ('instrument = "a laser tracker"', 'instrument = " "', "poses.instrument: is empty"),
-        ('frame = "rig"', "", "poses.frame: is missing"),
         ('frame = "rig"', 'frame = "robot_base"', 'rig: is given; poses in the frame "robot_base"'),
         ('rig = "rig.toml"', "", "rig: is missing"),
         ('rig = "rig.toml"', 'left = "left.mkv"\nrig = "rig.toml"', "left: stands beside [poses]"),

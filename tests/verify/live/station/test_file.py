@@ -165,19 +165,13 @@ def test_simulated_bases_can_be_turned(tmp_path: Path) -> None:
         ("source = 0", 'source = "sim"', 'right.source: is not "sim"'),
         ("source = 0", 'source = "/dev/video2"', "right.source: is the left camera's"),
         ("source = 0", "source = -1", "left.source: is -1"),
-        ("source = 0", "source = 1.5", "left.source: is 1.5; .* is expected"),
-        ("rate_hz = 30.0", "rate_hz = -3.0", "left.rate_hz: is -3.0"),
-        ("exposure_ms = 5.0", "exposure_ms = 0.0", "left.exposure_ms: is 0.0"),
         ("rate_hz = 30.0", "size = [640, 480]", r"left.size: is 640 x 480; the rig .* 64 x 48"),
         ("rate_hz = 30.0", 'format = "MJPEG"', 'left.format: is "MJPEG"; four letters'),
         ('driver = "labenc"', 'driver = "labnec"', "Did you mean `labenc`"),
-        ('port = "tcp:127.0.0.1:10001"', "", "encoders.port: is missing"),
         ("tcp:127.0.0.1:10001", "tcp:10001", 'encoders.port: has "10001"; HOST:PORT'),
         ('driver = "labenc"', 'driver = "labenc"\nparity = "X"', "encoders.parity: is X"),
-        ('driver = "labenc"', 'driver = "labenc"\nsign = [1, 1]', "encoders.sign: is a list of 2"),
         ('driver = "labenc"', 'driver = "labenc"\nrate_hz = 0.5', "encoders.rate_hz: is 0.5"),
         ('driver = "labenc"', 'driver = "text"', "encoders, columns: name no q1"),
-        ('driver = "labenc"', 'driver = "csv"', "encoders.path: is missing"),
     ],
 )
 def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str) -> None:
@@ -189,8 +183,6 @@ def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ("[tolerance]\njoints_deg = 0.0\n", "tolerance.joints_deg: is 0.0"),
-        ("[tolerance]\njoints_deg = [0.1, 0.2]\n", "for each of the 6 joints"),
         ("[alarm]\nfalse_alarms_per_hour = 0.0\n", "no test is without false alarms"),
         ('[alarm]\nmqtt = "localhost"\n', "mqtt://HOST:PORT/TOPIC"),
         ('[alarm]\nprometheus = "9105"\n', "HOST:PORT is expected"),
@@ -199,9 +191,7 @@ def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str
         ("[pan]\nfollow = true\n", "pan.follow: is true with fixed bases"),
         ('[pan]\ndriver = "sim"\n', "simulated with their cameras"),
         ('[pan]\ndriver = "serial"\n', "pan.port: is missing"),
-        ("[sim]\nspeed = 0.0\n", "sim.speed: is 0.0"),
         ('[[sim.event]]\nwhat = "flood"\nat_s = 1.0\n', r"sim.event\[0\].what"),
-        ("[clock]\nencoder_offset_s = nan\n", "clock.encoder_offset_s: is nan"),
     ],
 )
 def test_what_is_wrong_further_down_too(tmp_path: Path, more: str, words: str) -> None:
