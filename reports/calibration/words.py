@@ -31,18 +31,13 @@ PARAMETERS = {
     **{f"mount_{a}_mm": f"Mount {a} [mm]" for a in "xyz"},
 }
 
-STATES = {"gauge": "chosen", "zero": "held", "tied": "tied"}
+STATES = {"gauge": "chosen"}
 STATES_NOTE = {
     "gauge": (
         "Chosen: no picture of a board can tell it. It sets where the rig's frame lies, or, with "
         "a base that never turned, how the camera's place is shared between pan centre, axis and "
         "mount. Pan axes are given by the turn that carries the rig's y axis to them."
     ),
-    "zero": (
-        "Held at zero: the pictures do not support this coefficient. An uncertainty beside it is "
-        "what holding it leaves open."
-    ),
-    "tied": "Tied: both focal lengths are taken as equal; the pictures do not tell them apart.",
 }
 
 

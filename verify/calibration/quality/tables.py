@@ -58,15 +58,10 @@ def _parameters(calibration: Calibration) -> pd.DataFrame:
                     "unit": UNIT.get(key.rpartition("_")[2], ""),
                     "value": values[key],
                     "standard_uncertainty": u if u > 0 else np.nan,
-                    "state": "found" if u > 0 else _held(name, calibration),
+                    "state": "found" if u > 0 else "gauge",
                 }
             )
     return pd.DataFrame(rows)
-
-
-def _held(name: str, calibration: Calibration) -> str:
-    lens = name.partition(".")[2] in PARAMETER_KEYS[PAR_LENS]
-    return "zero" if lens and name in calibration.fixed else "gauge"
 
 
 def _values(camera: Camera) -> dict[str, float]:

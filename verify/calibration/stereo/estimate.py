@@ -173,10 +173,10 @@ def square_edges(found: Estimate, corners: CornerStack, board: Board) -> tuple[f
     edges = []
     for pair in range(len(found.state.boards)):
         points = _triangulate_corners(found, corners, pair, board)
-        grid = points.reshape(board.rows, board.columns, 3)
-        along = np.linalg.norm(np.diff(grid, axis=1), axis=-1).ravel()
-        down = np.linalg.norm(np.diff(grid, axis=0), axis=-1).ravel()
-        lengths = np.concatenate([along, down])
+        # along the board's own axes: noise across an edge would make every distance longer
+        grid = (points @ found.state.boards[pair][:3, :3]).reshape(board.rows, board.columns, 3)
+        along, down = np.diff(grid[..., 0], axis=1), np.diff(grid[..., 1], axis=0)
+        lengths = np.concatenate([along.ravel(), down.ravel()])
         edges.append(lengths[np.isfinite(lengths)])
     edges = [lengths for lengths in edges if len(lengths)]
     if not edges:

@@ -37,7 +37,7 @@ class Calibration:
     residuals: Residuals
     noise: float  # factor on the corners' stated uncertainty
     degrees_of_freedom: int
-    fixed: tuple[str, ...]  # parameters that were held: gauge, or k3 = 0
+    fixed: tuple[str, ...]  # parameters that the choice of the rig frame fixes
     decisions: tuple[str, ...]  # sentences: the model chosen and why, pairs left out and why
     square_found: tuple[float, float, float]  # m: mean triangulated edge, its standard
     # uncertainty, standard deviation of single edges
