@@ -16,6 +16,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
+from tests.bench.kills import MOST, kill
 from tests.support.command import SAMPLES, verify
 from tests.support.devices.emulated_station import emulator, start_beside
 from tests.support.small_disk import mounted
@@ -236,15 +237,13 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
 
 
 @pytest.mark.realtime
-def test_a_killed_run_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> None:
-    process = started(station(tmp_path))
-    run = listen(process, Run(), lambda pair: pair["frame"] == 40)
-    process.kill()
-    process.communicate()
-    (folder,) = (tmp_path / "recordings").iterdir()
-    session = open_session(folder)
-    assert session.frames.t_left[-1] > run.pairs[-1]["t_s"] - 1.0
-    assert verify("run", folder, "-o", tmp_path / "again").status in {0, 1, 3}
+@pytest.mark.slow
+def test_killed_runs_leave_sessions_up_to_their_last_second_and_no_process() -> None:
+    for number, after in enumerate((0.0, 0.35, 1.1, 2.6, 4.2)):
+        killed = kill(after, whole_group=number % 2 == 0)
+        assert killed.loss < MOST, killed.words
+        assert killed.status in {0, 1, 3}, killed.words
+        assert not killed.orphans
 
 
 def test_ctrl_c_ends_the_run_with_a_report(tmp_path: Path) -> None:
