@@ -19,14 +19,14 @@ import threading
 import time
 from collections import Counter, deque
 from contextlib import ExitStack
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from tests.support.devices.emulated_station import look_on, station_text
 from tests.support.small_disk import mounted
+from tests.support.watched import Run, listen, look_on, station_text
 from verify.core.records import Array
 from verify.live.station.keys import SimSettings
 from verify.simulation.devices.station import SimulatedStation
@@ -35,6 +35,8 @@ RATE, SECONDS, BEGIN, END = 10.0, 14.0, 6.0, 9.0  # pairs a second; s from the d
 MARGIN = 0.25  # s about begin and end: a reading there belongs to neither
 FALSE = 5.0  # standard uncertainties
 TOLERANCE = 0.5  # deg
+USUAL = ("No uncertainty is stated", "In some pairs the LEDs")  # of every run of this station
+HARMLESS = {"around: nothing", "around: host clock an hour on", "around: 20 viewers"}
 JUMP = np.deg2rad([0.0, 0.0, 0.0, 1.0, 0.0, 0.0])
 PROCESSES = ("measurement", "right picture", "page", "clock")
 THREADS = (
@@ -151,42 +153,11 @@ def watch_with(fault: str, words: list[str]) -> None:
     main(words)
 
 
-@dataclass
-class Outcome:
-    """What a watch with a fault printed, and left."""
-
-    fault: str
-    began: float = 0.0  # s, cameras' clock
-    at: float = 0.0  # s, of the fault
-    pairs: list[dict[str, Any]] = field(default_factory=list)
-    alarms: Counter[str] = field(default_factory=Counter)
-    warnings: list[str] = field(default_factory=list)
-    watched: dict[str, Any] = field(default_factory=dict)
-    summary: dict[str, Any] = field(default_factory=dict)
-    errors: str = ""
-    status: int = -1
-
-    def take(self, message: dict[str, Any]) -> None:
-        match message["type"]:
-            case "began":
-                self.began, self.at = message["t"], message["at"]
-            case "pair" if not message["settled"]:
-                self.pairs.append(message)
-            case "alarm" if message["ended_s"] is None and not message["revised"]:
-                joint = "" if message["joint"] is None else f" {message['joint']}"
-                self.alarms[f"{message['kind']}{joint} {message['device'] or ''}".strip()] += 1
-            case "warning":
-                self.warnings.append(message["text"])
-            case "watched":
-                self.watched = message
-            case "result":
-                self.summary = message["summary"]
-
-
-def run(fault: str) -> Outcome:
+def run(fault: str) -> Run:
     """Watch with a fault, in a process of its own."""
-    outcome, name = Outcome(fault), fault.partition(": ")[2]
+    watched, stop, name = Run(), threading.Event(), fault.partition(": ")[2]
     with ExitStack() as stack:
+        stack.callback(stop.set)
         folder = Path(stack.enter_context(tempfile.TemporaryDirectory()))
         (folder / "station.toml").write_text(station_text(RATE))
         if name == "disk full":
@@ -199,69 +170,62 @@ def run(fault: str) -> Outcome:
             [sys.executable, "-m", __name__, fault, *words], cwd=folder, text=True,
             stdout=subprocess.PIPE, stderr=(folder / "errors").open("w"),
         )  # fmt: skip
-        stop = threading.Event()
-        stack.callback(stop.set)
-        for line in process.stdout or ():
-            message = json.loads(line)
-            outcome.take(message)
-            if message["type"] == "page" and name == "20 viewers":
-                look_on(message["url"], stop, 20)
-        outcome.status = process.wait()
-        outcome.errors = (folder / "errors").read_text()
-    return outcome
+        listen(process, watched, lambda _: True)
+        if name == "20 viewers":
+            look_on(watched.others["page"]["url"], stop, 20)
+        listen(process, watched)
+        watched.warnings += (folder / "errors").read_text().splitlines()
+    return watched
 
 
-def true_error(outcome: Outcome, station: SimulatedStation, t: Array) -> Array:
+def true_error(fault: str, began: Any, station: SimulatedStation, t: Array) -> Array:
     """Encoder less true angle at instants (n,) of the cameras' clock: (n, joints), rad."""
-    station.scene.clock.began = outcome.began
-    q, first = station.scene.joints(t), station.scene.joints(np.array([outcome.at]))
+    station.scene.clock.began = began["t"]
+    q, first = station.scene.joints(t), station.scene.joints(np.array([began["at"]]))
     kinds = {"stalled": first - q, "jumped": JUMP + 0 * q, "mirrored": 2 * (first - q)}
-    group, _, name = outcome.fault.partition(": ")
+    group, _, name = fault.partition(": ")
     wrong = kinds.get(name, 0 * q) if group == "readings" else 0 * q
-    present = (t > outcome.at) & (t < outcome.at + END - BEGIN)
+    present = (t > began["at"]) & (t < began["at"] + END - BEGIN)
     return np.where(present[:, None], wrong, 0.0)
 
 
-def false_figures(outcome: Outcome, station: SimulatedStation) -> tuple[float, list[str]]:
+def false_figures(fault: str, watched: Run, station: SimulatedStation) -> tuple[float, list[str]]:
     """The largest departure from the truth in standard uncertainties, and what is false."""
-    found = [p for p in outcome.pairs if p["status"] == "measured"]
-    edges = outcome.at + np.array([[0.0], [END - BEGIN]])
-    found = [p for p in found if np.all(np.abs(p["t_s"] - edges) > MARGIN)]
-    if not found:
-        return 0.0, []
-    error, u = (np.array([p[k] for p in found], float) for k in ("error_deg", "error_u_deg"))
-    truth = np.rad2deg(true_error(outcome, station, np.array([p["t_s"] for p in found])))
+    began = watched.others["began"]
+    edges = began["at"] + np.array([[0.0], [END - BEGIN]])
+    pairs = [p for p in watched.pairs if p["status"] == "measured"]
+    pairs = [p for p in pairs if np.all(np.abs(p["t_s"] - edges) > MARGIN)]
+    error, u = (np.array([p[k] for p in pairs], float) for k in ("error_deg", "error_u_deg"))
+    truth = np.rad2deg(true_error(fault, began, station, np.array([p["t_s"] for p in pairs])))
     ratio = np.abs(error - truth) / u
-    false = [f"{np.sum(np.any(ratio > FALSE, axis=1))} pairs"] if np.any(ratio > FALSE) else []
-    wrong = np.flatnonzero(np.any(truth != 0, axis=0)) + 1
-    accusing = [a for a in outcome.alarms if a.split()[0] in {"change", "tolerance"}]
-    false += [a for a in accusing if not len(wrong) or int(a.split()[1]) not in wrong]
+    count = int(np.sum(np.any(ratio > FALSE, axis=1)))
+    faulty = {0, *(np.flatnonzero(np.any(truth != 0, axis=0)) + 1)}
+    accused = [a["joint"] for kind in ("change", "tolerance") for a in watched.told(kind)]
     right = "nonconform" if np.any(np.abs(truth) > TOLERANCE) else "conform"
-    verdict = outcome.summary.get("verdict", "undecided")
+    verdict = watched.result.get("summary", {}).get("verdict", "undecided")
+    false = [f"{count} pairs"] if count else []
+    false += [f"joint {joint} accused" for joint in accused if joint not in faulty]
     false += [f"verdict {verdict}"] if verdict not in {right, "undecided"} else []
     return float(np.nanmax(ratio, initial=0.0)), false
 
 
-def row(outcome: Outcome, station: SimulatedStation) -> tuple[str, int, bool]:
+def row(fault: str, station: SimulatedStation) -> tuple[str, int, bool]:
     """One line of the table, how many figures are false, and whether a loss is silent."""
-    largest, false = false_figures(outcome, station)
-    recorded = outcome.summary.get("pairs", {}).get("recorded", 0)
-    expected = int(RATE * SECONDS)
-    dropped = outcome.watched.get("dropped", {})
-    lost = expected - len(outcome.pairs)
-    lines = [*outcome.warnings, *filter(str.strip, outcome.errors.splitlines())]
-    said = [f"{n} {a}" for a, n in outcome.alarms.items()] + [
-        f"{n} {w}" for w, n in dropped.items()
-    ]
-    harmless = outcome.fault in {"around: nothing", "around: host clock an hour on"}
-    silent = not (said or lines or harmless) or "Traceback" in outcome.errors
-    text = (
-        f"{outcome.fault:26} exit {outcome.status:3}  {len(outcome.pairs):3} pairs, lost {lost:3}, "
-        f"recorded {recorded:3}, {outcome.summary.get('verdict', 'no verdict')}; "
-        f"largest {largest:.1f} u; FALSE {', '.join(false) or 'none'}\n"
+    watched = run(fault)
+    largest, false = false_figures(fault, watched, station)
+    summary = watched.result.get("summary", {"pairs": {"recorded": 0}, "verdict": "no verdict"})
+    alarms = Counter(f"{a['kind']} {a['joint'] or a['device'] or ''}" for a in watched.alarms)
+    said = [f"{n} {what}" for what, n in (alarms | watched.watched.get("dropped", {})).items()]
+    texts = [text for text in watched.warnings if not text.startswith(USUAL)]
+    silent = not (said or texts or watched.status) and fault not in HARMLESS
+    silent |= any("Traceback" in text for text in texts)
+    line = (
+        f"{fault:28} exit {watched.status:2}  {len(watched.pairs):3} pairs of "
+        f"{RATE * SECONDS:.0f}, recorded {summary['pairs']['recorded']:3}, {summary['verdict']}; "
+        f"at most {largest:.1f} u off; false: {', '.join(false) or 'none'}\n"
         f"    {'SILENT ' if silent else ''}{'; '.join(said) or 'no alarm'}"
     )
-    return text + "".join(f"\n    {line[:150]}" for line in lines[-3:]), len(false), silent
+    return line + "".join(f"\n    {text[:150]}" for text in texts[-3:]), len(false), silent
 
 
 def table(names: list[str]) -> int:
@@ -269,7 +233,7 @@ def table(names: list[str]) -> int:
     station = SimulatedStation(SimSettings("multi_joint_rv_3sd"))
     false = silences = 0
     for fault in [f for f in FAULTS if not names or any(name in f for name in names)]:
-        text, wrong, silent = row(run(fault), station)
+        text, wrong, silent = row(fault, station)
         false, silences = false + wrong, silences + silent
         print(text, flush=True)
     print(f"false figures: {false}; silent losses: {silences}")

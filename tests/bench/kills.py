@@ -7,7 +7,6 @@ the time from the last pair of the recording to the kill.
     python -m tests.bench.soak kills [N]
 """
 
-import json
 import os
 import signal
 import subprocess
@@ -21,14 +20,14 @@ from pathlib import Path
 import numpy as np
 
 from tests.support.command import verify
-from tests.support.devices.emulated_station import station_text
 from tests.support.processes import running, wait_until
+from tests.support.watched import Run, listen, station_text
 from verify.io.session.session import open_session
 
 COUNT = 100
 RATE = 10.0  # pairs a second
 MEDIAN, MOST = 0.5, 1.0  # s, of the loss
-MIN_PAIRS, LATEST = 3, 6.0  # pairs before a kill, and s after them
+LATEST = 6.0  # s from the first pairs to a kill
 ORPHAN_TIMEOUT = 5.0  # s for children to end
 
 
@@ -36,20 +35,10 @@ ORPHAN_TIMEOUT = 5.0  # s for children to end
 class Kill:
     """What one kill has left."""
 
-    whole_group: bool
-    after: float  # s, from the first pairs
     pairs: int  # in the recording
     loss: float  # s
     status: int  # of `verify run` on the recording
     orphans: int  # processes that outlive the main one
-
-    @property
-    def words(self) -> str:
-        target = "all processes" if self.whole_group else "the main process"
-        return (
-            f"{target}, {self.after:.2f} s on: {self.pairs} pairs, lost {self.loss:.2f} s, "
-            f"exit {self.status}, {self.orphans} orphans"
-        )
 
 
 def descendants(pid: int) -> list[int]:
@@ -68,10 +57,7 @@ def kill(after: float, *, whole_group: bool) -> Kill:
             [sys.executable, "-m", "verify", "run", "station.toml", "--json"],
             stdout=subprocess.PIPE, text=True, cwd=folder, start_new_session=True,
         )  # fmt: skip
-        assert process.stdout is not None
-        for line in process.stdout:
-            if json.loads(line).get("frame") == MIN_PAIRS:
-                break
+        listen(process, Run(), lambda pair: pair["frame"] == 3)
         time.sleep(after)
         children = descendants(process.pid)
         (os.killpg if whole_group else os.kill)(process.pid, signal.SIGKILL)
@@ -83,7 +69,7 @@ def kill(after: float, *, whole_group: bool) -> Kill:
         (recording,) = (folder / "recordings").iterdir()
         t = open_session(recording).frames.t_left
         status = verify("run", recording, "-o", folder / "again", "--quiet").status
-        return Kill(whole_group, after, len(t), at - float(t[-1]), status, len(orphans))
+        return Kill(len(t), at - float(t[-1]), status, len(orphans))
 
 
 def strike(count: int) -> bool:
@@ -91,8 +77,9 @@ def strike(count: int) -> bool:
     draw = np.random.default_rng()
     found = []
     for number in range(count):
-        found.append(kill(float(draw.uniform(0.0, LATEST)), whole_group=number % 2 == 0))
-        print(f"  {number + 1}: {found[-1].words}", flush=True)
+        after = float(draw.uniform(0.0, LATEST))
+        found.append(kill(after, whole_group=number % 2 == 0))
+        print(f"  {number + 1}, {after:.2f} s after the first pairs: {found[-1]}", flush=True)
     losses = np.array([one.loss for one in found])
     opened = sum(one.status in {0, 1, 3} for one in found)
     orphans = sum(one.orphans for one in found)

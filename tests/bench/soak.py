@@ -11,7 +11,6 @@ picture and bracketing reading to the joint errors, memory flat within 50 MB aft
 """
 
 import argparse
-import json
 import os
 import subprocess
 import sys
@@ -22,13 +21,8 @@ from contextlib import ExitStack
 from pathlib import Path
 
 from tests.bench import faults, kills
-from tests.support.devices.emulated_station import (
-    ENCODERS,
-    emulator,
-    look_on,
-    start_beside,
-    station_text,
-)
+from tests.support.devices.emulated_station import emulator, start_beside
+from tests.support.watched import ENCODERS, Run, listen, look_on, station_text
 
 MINUTES = 10.0
 RATE = 30.0  # pairs a second
@@ -73,7 +67,7 @@ def soak(kind: str, seconds: float, viewers: int) -> bool:
 def _followed(
     kind: str, process: "subprocess.Popen[str]", began: float, seconds: float, viewers: int
 ) -> bool:
-    stop, received = threading.Event(), [0]
+    stop = threading.Event()
     memory: list[tuple[float, float]] = []
 
     def sample() -> None:
@@ -81,19 +75,13 @@ def _followed(
             memory.append((time.monotonic() - began, _resident(process.pid)))
 
     threading.Thread(target=sample, daemon=True).start()
-    summary: dict[str, object] = {}
-    assert process.stdout is not None
-    for line in process.stdout:
-        message = json.loads(line)
-        if message["type"] == "page":
-            received = look_on(message["url"], stop, viewers)
-        elif message["type"] == "watched":
-            stop.set()
-            summary = message
-        elif message["type"] in {"warning", "alarm"}:
-            print(f"  {message['type']}: {message['text']}")
-    process.wait()
-    return _conclude(kind, summary, memory, received, seconds)
+    run = listen(process, Run(), lambda _: True)
+    received = look_on(run.others["page"]["url"], stop, viewers)
+    listen(process, run)
+    stop.set()
+    for text in [*run.warnings, *(alarm["text"] for alarm in run.alarms)]:
+        print(f"  {text}")
+    return _conclude(kind, run.watched, memory, received, seconds)
 
 
 def _conclude(

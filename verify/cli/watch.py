@@ -20,7 +20,7 @@ from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.warm_up import warm_up_comparison
 from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
-from verify.core.processes import ChildProcess, answer_requests
+from verify.core.processes import ChildLostError, ChildProcess, answer_requests
 from verify.core.records import Array
 from verify.errors import InputError, WatchDefectError
 from verify.io.session.keys import Tolerance
@@ -73,7 +73,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
 
     Raises:
         InputError: a device, the page or a listener cannot be opened; nothing is running then.
-        WatchDefectError: it could not go on before anything was recorded.
+        WatchDefectError: it could not begin, or not go on before anything was recorded.
     """
     joints = options.tolerance.joints
     if joints is None and station.tolerance is not None:
@@ -104,7 +104,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
             answer_requests, estimate_offset, name="clock", background=True
         )
         stack.callback(clock.stop)
-        chain = MeasuringProcess(station.rig, station.marker, terminal.warn)
+        chain = _start_measuring(station)
         stack.callback(chain.close)
         warm_up_comparison()  # the first pairs come at once, and soon would be too many
         recorder = station.open_recorder()
@@ -150,6 +150,14 @@ def _utc(epoch: float | None) -> str | None:
     if epoch is None:
         return None
     return datetime.fromtimestamp(epoch, UTC).isoformat(timespec="milliseconds")
+
+
+def _start_measuring(station: Station) -> MeasuringProcess:
+    try:
+        return MeasuringProcess(station.rig, station.marker, terminal.warn)
+    except ChildLostError as error:
+        text = f"The measuring process does not start: {error}. Nothing was watched or recorded."
+        raise WatchDefectError(text) from error
 
 
 def _open_devices(station: Station) -> LiveDevices:

@@ -8,7 +8,6 @@ python -m tests.support.devices.emulated_station STATION BEGAN SECONDS     watch
 import multiprocessing
 import subprocess
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -16,8 +15,6 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 
 import numpy as np
-from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
 
 from verify.core.records import Array
 from verify.devices.ports import SerialLine
@@ -36,25 +33,6 @@ from verify.simulation.emulators.server import (
 
 SCENARIO = "multi_joint_rv_3sd"
 PATIENCE = 60.0  # s until an emulator's process has imported what it needs
-
-
-ENCODERS = 'driver = "sim", rate_hz = 100.0'
-STATION = """format = 1
-robot = "rv_3sd_melfa"
-rig = "sim"
-marker = "sim"
-left = {{ source = "sim", rate_hz = {rate} }}
-right = {{ source = "sim", rate_hz = {rate} }}
-encoders = {{ {encoders} }}
-alarm = {{ false_alarms_per_hour = 0.1 }}
-recording = {{ folder = "recordings" }}
-sim = {{ scenario = "multi_joint_rv_3sd" }}
-"""
-
-
-def station_text(rate: float, encoders: str = ENCODERS) -> str:
-    """Write a station file: pairs a second, and the encoders' table."""
-    return STATION.format(rate=float(rate), encoders=encoders)
 
 
 def _clock(began: float) -> SimClock:
@@ -115,26 +93,6 @@ def emulator(
     finally:
         process.terminate()
         process.join()
-
-
-def look_on(url: str, stop: threading.Event, viewers: int) -> list[int]:
-    """Start viewers that take everything that the page would; how many messages each has got."""
-    received = [0] * viewers
-
-    def view(number: int) -> None:
-        while not stop.is_set():
-            try:
-                address = url.replace("http", "ws") + "live"
-                with connect(address, origin=url.rstrip("/"), max_size=None) as socket:
-                    while not stop.is_set():
-                        socket.recv(timeout=5.0)
-                        received[number] += 1
-            except (OSError, TimeoutError, WebSocketException):
-                stop.wait(0.2)
-
-    for number in range(viewers):
-        threading.Thread(target=view, args=(number,), daemon=True).start()
-    return received
 
 
 def start_beside(path: Path, began: float, seconds: float) -> "subprocess.Popen[str]":
