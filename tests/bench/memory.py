@@ -15,30 +15,27 @@ import resource
 import subprocess
 import sys
 import tempfile
-import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
-from dataclasses import replace
+from collections.abc import Iterator
 from datetime import timedelta
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
-from reports import Results
-from tests.support.command import verify
-from tests.support.fleets import BEGIN, record
+from tests.support.fleets import BEGIN, NO_FAILURES, record
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
-from verify.cli import batch
-from verify.fleet.batch import finding, run, tables
-from verify.fleet.batch.records import SessionLocation, SessionResults
+from verify.cli.options import ToleranceOptions
+from verify.fleet.batch import tables
+from verify.fleet.batch.records import BatchOptions, SessionLocation, SessionResults
+from verify.fleet.batch.run import measure_all
 from verify.fleet.batch.tasks import pack_results, rename_session
-from verify.fleet.trends import assess
+from verify.fleet.trends.assess import TrendRequest, assess
 from verify.io.results import write_report_folder
 from verify.io.session.session import open_session
 from verify.simulation import library
@@ -93,73 +90,35 @@ SESSIONS, SETTLED = 10_000, 500  # sessions, and after how many memory is compar
 MOST_GROWTH_MB = 50.0
 
 
-class CopyingPool:
-    """Stands in for the workers: answers with one session's results under each name."""
-
-    def __init__(self, results: Results) -> None:
-        self._results = results
-        self.settled = 0.0  # MB
-
-    def ready(self) -> None:
-        """Nobody need start."""
-
-    def run(self, waiting: deque[Any]) -> Iterator[tuple[Any, SessionResults]]:
-        """Answer each task; the memory that has settled is noted."""
-        count = 0
-        while waiting:
-            task = waiting.popleft()
-            named = rename_session(self._results, "", task.found.session)
-            day = (BEGIN + timedelta(hours=count)).isoformat()
-            session = named.summary["session"] | {"started": day}
-            named = replace(named, summary=named.summary | {"session": session})
-            yield task, pack_results(task.found.session, named, None)
-            count += 1
-            self.settled = _resident_mb() if count == SETTLED else self.settled
-
-    def close(self) -> None:
-        """Nobody need end."""
-
-
 def sessions(count: int) -> None:
-    """Batch so many sessions here, and print what memory did."""
-    with tempfile.TemporaryDirectory() as place, pytest.MonkeyPatch.context() as patch:
-        pool = CopyingPool(analyse(open_session(record(Path(place) / "one", 1))))
-        found = [SessionLocation(f"lab/{i:05d}", f"lab/{i:05d}") for i in range(count)]
-        stages, write, read = {}, tables.write, assess.assess
-        peak = [0.0]
-        stop = threading.Event()
+    """Batch so many copies of one session here, and print memory's peak at each stage."""
+    with tempfile.TemporaryDirectory() as place:
+        results = analyse(open_session(record(Path(place) / "one", 1)))
+        peaks: dict[str, float] = {}
 
-        def sample() -> None:
-            while not stop.wait(0.05):
-                peak[0] = max(peak[0], _resident_mb())
+        def copies(tasks: deque[Any]) -> Iterator[tuple[Any, SessionResults]]:
+            for number in range(count):
+                task = tasks.popleft()
+                named = rename_session(results, "", task.found.session)
+                named.summary["session"]["started"] = (BEGIN + timedelta(hours=number)).isoformat()
+                yield task, pack_results(task.found.session, named, None)
+                if number == SETTLED:
+                    peaks[f"{SETTLED} sessions"] = _peak_mb()
 
-        def staged(name: str, function: Callable[..., Any]) -> Callable[..., Any]:
-            def call(*arguments: Any) -> Any:
-                done = function(*arguments)
-                stages[name], peak[0] = peak[0], 0.0
-                return done
-
-            return call
-
-        patch.setattr(batch, "_worker_pool", lambda *_: pool)
-        patch.setattr(finding, "find_sessions", lambda *_: (found, []))
-        patch.setattr(run, "measure_all", staged("measured", run.measure_all))
-        patch.setattr(tables, "write", staged("tables written", write))
-        patch.setattr(assess, "assess", staged("assessed", read))
-        threading.Thread(target=sample, daemon=True).start()
-        outcome = verify("batch", "lab", "-o", Path(place) / "out", "--quiet")
-        stop.set()
-        stages["reported"] = peak[0]
-    growth = max(stages["measured"], stages["tables written"]) - pool.settled
-    print(f"exit {outcome.status}; {count} sessions; {pool.settled:.0f} MB after {SETTLED}")
-    print(", ".join(f"{name} {most:.0f} MB" for name, most in stages.items()))
+        pool: Any = SimpleNamespace(ready=lambda: None, run=copies)
+        found = [SessionLocation(f"lab/{i:05d}", "") for i in range(count)]
+        options = BatchOptions(ToleranceOptions(None, None, None), "1.0")
+        done = measure_all(found, [], Path(place), options, pool, lambda _: None)
+        peaks["all measured"] = _peak_mb()
+        tables.write(Path(place), done.kept, done.failures)
+        peaks["tables written"] = _peak_mb()
+        rows = tables.read_flat_columns(Path(place) / "sessions.parquet")
+        assess(rows, NO_FAILURES, TrendRequest(), ())
+        peaks["fleet assessed"] = _peak_mb()
+    growth = peaks["tables written"] - peaks[f"{SETTLED} sessions"]
     held = "holds" if growth < MOST_GROWTH_MB else "FAILS"
+    print(f"{count} sessions: {', '.join(f'{name} {mb:.0f} MB' for name, mb in peaks.items())}")
     print(f"grown by {growth:.0f} MB through the tables; the bound of {MOST_GROWTH_MB:.0f} {held}")
-
-
-def _resident_mb() -> float:
-    pages = int(Path("/proc/self/statm").read_text().split()[1])
-    return pages * resource.getpagesize() / 2**20
 
 
 def _peak_mb() -> float:
