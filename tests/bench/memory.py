@@ -3,7 +3,11 @@
 The pairs are rendered as they are asked for, in a process of their own whose peak is then the
 chain's: were pictures kept, 10,000 pairs would be 18 GB.
 
+A batch of any number of sessions likewise: each stands for one that was measured, with a name and
+a day of its own, and goes through the store, the tables and the fleet report.
+
     python -m tests.bench.memory [PAIRS]
+    python -m tests.bench.memory sessions [N]
 """
 
 import json
@@ -12,16 +16,28 @@ import subprocess
 import sys
 import tempfile
 import time
+from collections import deque
 from collections.abc import Iterator
+from datetime import timedelta
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from tests.support.fleets import BEGIN, NO_FAILURES, record
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
+from verify.cli.options import ToleranceOptions
+from verify.fleet.batch import tables
+from verify.fleet.batch.records import BatchOptions, SessionLocation, SessionResults
+from verify.fleet.batch.run import measure_all
+from verify.fleet.batch.tasks import pack_results, rename_session
+from verify.fleet.trends.assess import TrendRequest, assess
 from verify.io.results import write_report_folder
+from verify.io.session.session import open_session
 from verify.simulation import library
 from verify.simulation.scenario import Scenario, ScenarioPlacement
 from verify.simulation.session.simulate import simulate_session
@@ -70,6 +86,41 @@ def long_session(pairs: int) -> InMemory:
     return in_memory(long)
 
 
+SESSIONS, SETTLED = 10_000, 500  # sessions, and after how many memory is compared
+MOST_GROWTH_MB = 50.0
+
+
+def sessions(count: int) -> None:
+    """Batch so many copies of one session here, and print memory's peak at each stage."""
+    with tempfile.TemporaryDirectory() as place:
+        results = analyse(open_session(record(Path(place) / "one", 1)))
+        peaks: dict[str, float] = {}
+
+        def copies(tasks: deque[Any]) -> Iterator[tuple[Any, SessionResults]]:
+            for number in range(count):
+                task = tasks.popleft()
+                named = rename_session(results, "", task.found.session)
+                named.summary["session"]["started"] = (BEGIN + timedelta(hours=number)).isoformat()
+                yield task, pack_results(task.found.session, named, None)
+                if number == SETTLED:
+                    peaks[f"{SETTLED} sessions"] = _peak_mb()
+
+        pool: Any = SimpleNamespace(ready=lambda: None, run=copies)
+        found = [SessionLocation(f"lab/{i:05d}", "") for i in range(count)]
+        options = BatchOptions(ToleranceOptions(None, None, None), "1.0")
+        done = measure_all(found, [], Path(place), options, pool, lambda _: None)
+        peaks["all measured"] = _peak_mb()
+        tables.write(Path(place), done.kept, done.failures)
+        peaks["tables written"] = _peak_mb()
+        rows = tables.read_flat_columns(Path(place) / "sessions.parquet")
+        assess(rows, NO_FAILURES, TrendRequest(), ())
+        peaks["fleet assessed"] = _peak_mb()
+    growth = peaks["tables written"] - peaks[f"{SETTLED} sessions"]
+    held = "holds" if growth < MOST_GROWTH_MB else "FAILS"
+    print(f"{count} sessions: {', '.join(f'{name} {mb:.0f} MB' for name, mb in peaks.items())}")
+    print(f"grown by {growth:.0f} MB through the tables; the bound of {MOST_GROWTH_MB:.0f} {held}")
+
+
 def _peak_mb() -> float:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / MEBIBYTE
 
@@ -90,6 +141,8 @@ def _here(pairs: int) -> None:
 if __name__ == "__main__":
     if sys.argv[1:2] == ["--here"]:
         _here(int(sys.argv[2]))
+    elif sys.argv[1:2] == ["sessions"]:
+        sessions(int(sys.argv[2]) if len(sys.argv) > 2 else SESSIONS)
     else:
         for line in lines(int(sys.argv[1]) if len(sys.argv) > 1 else PAIRS):
             print(line)

@@ -1,14 +1,16 @@
-"""`verify run` on a station for ten minutes at 30 pairs a second: losses, latency, memory.
+"""`verify run` on a station: ten minutes at 30 pairs a second, faults, and kills.
 
-Three runs, with recording and a viewer of the page each: everything simulated, a LABENC board on a
-pty, and a MELFA controller over TCP; the emulators are a process of their own and follow the
-simulated arm. Goals: no pair lost, p50 under 10 ms and p99 under 30 ms from the later of picture
-and bracketing reading to the joint errors, memory flat within 50 MB after the first minute.
+Three runs, each with recording and a viewer of the page, or more: everything simulated, a LABENC
+board on a pty, and a MELFA controller over TCP; the emulators are a process of their own and follow
+the simulated arm. Goals: no pair lost, p50 under 10 ms and p99 under 30 ms from the later of
+picture and bracketing reading to the joint errors, memory flat within 50 MB after a minute.
 
-    python -m tests.bench.soak [MINUTES] [sim|labenc|melfa …]
+    python -m tests.bench.soak [MINUTES] [sim|labenc|melfa …] [--viewers N]
+    python -m tests.bench.soak faults [NAME …]      one fault each: tests/bench/faults.py
+    python -m tests.bench.soak kills [N]            killed at random moments: tests/bench/kills.py
 """
 
-import json
+import argparse
 import os
 import subprocess
 import sys
@@ -18,10 +20,9 @@ import time
 from contextlib import ExitStack
 from pathlib import Path
 
-from websockets.exceptions import WebSocketException
-from websockets.sync.client import connect
-
+from tests.bench import faults, kills
 from tests.support.devices.emulated_station import emulator, start_beside
+from tests.support.watched import ENCODERS, Run, listen, look_on, station_text
 
 MINUTES = 10.0
 RATE = 30.0  # pairs a second
@@ -30,38 +31,6 @@ FLAT = 50.0  # MB
 SAMPLED = 20.0  # s from one look at the memory to the next, which holds the processes up
 SETTLED = 60.0  # s until memory is compared; a short soak: half of it
 PORTS = {"labenc": "pty", "melfa": "tcp:0"}
-STATION = """format = 1
-robot = "rv_3sd_melfa"
-rig = "sim"
-marker = "sim"
-[left]
-source = "sim"
-rate_hz = 30.0
-[right]
-source = "sim"
-rate_hz = 30.0
-[encoders]
-{encoders}
-[alarm]
-false_alarms_per_hour = 0.1
-[recording]
-folder = "recordings"
-[sim]
-scenario = "multi_joint_rv_3sd"
-"""
-
-
-def _look_on(url: str, stop: threading.Event, received: list[int]) -> None:
-    """A viewer: takes everything that the page would, pictures too."""
-    while not stop.is_set():
-        try:
-            address = url.replace("http", "ws") + "live"
-            with connect(address, origin=url.rstrip("/"), max_size=None) as socket:
-                while not stop.is_set():
-                    socket.recv(timeout=5.0)
-                    received[0] += 1
-        except (OSError, TimeoutError, WebSocketException):
-            stop.wait(0.2)
 
 
 def _resident(pid: int) -> float:
@@ -80,23 +49,25 @@ def _resident(pid: int) -> float:
     return total / 1024
 
 
-def soak(kind: str, seconds: float) -> bool:
+def soak(kind: str, seconds: float, viewers: int) -> bool:
     """Run one station and print what came of it; whether all goals were met."""
     began = time.monotonic()
     with ExitStack() as stack:
-        encoders = 'driver = "sim"\nrate_hz = 100.0'
+        encoders = ENCODERS
         if kind != "sim":
             address, go = stack.enter_context(emulator(kind, PORTS[kind], began))
             go()
-            encoders = f'driver = "{kind}"\nport = "{address}"'
+            encoders = f'driver = "{kind}", port = "{address}"'
         path = Path(stack.enter_context(tempfile.TemporaryDirectory())) / "station.toml"
-        path.write_text(STATION.format(encoders=encoders))
+        path.write_text(station_text(RATE, encoders))
         process = start_beside(path, began, seconds)
-        return _followed(kind, process, began, seconds)
+        return _followed(kind, process, began, seconds, viewers)
 
 
-def _followed(kind: str, process: "subprocess.Popen[str]", began: float, seconds: float) -> bool:
-    stop, received = threading.Event(), [0]
+def _followed(
+    kind: str, process: "subprocess.Popen[str]", began: float, seconds: float, viewers: int
+) -> bool:
+    stop = threading.Event()
     memory: list[tuple[float, float]] = []
 
     def sample() -> None:
@@ -104,27 +75,20 @@ def _followed(kind: str, process: "subprocess.Popen[str]", began: float, seconds
             memory.append((time.monotonic() - began, _resident(process.pid)))
 
     threading.Thread(target=sample, daemon=True).start()
-    summary: dict[str, object] = {}
-    assert process.stdout is not None
-    for line in process.stdout:
-        message = json.loads(line)
-        if message["type"] == "page":
-            args = (message["url"], stop, received)
-            threading.Thread(target=_look_on, args=args, daemon=True).start()
-        elif message["type"] == "watched":
-            stop.set()
-            summary = message
-        elif message["type"] in {"warning", "alarm"}:
-            print(f"  {message['type']}: {message['text']}")
-    process.wait()
-    return _conclude(kind, summary, memory, received[0], seconds)
+    run = listen(process, Run(), lambda _: True)
+    received = look_on(run.others["page"]["url"], stop, viewers)
+    listen(process, run)
+    stop.set()
+    for text in [*run.warnings, *(alarm["text"] for alarm in run.alarms)]:
+        print(f"  {text}")
+    return _conclude(kind, run.watched, memory, received, seconds)
 
 
 def _conclude(
     kind: str,
     message: dict[str, object],
     memory: list[tuple[float, float]],
-    received: int,
+    received: list[int],
     seconds: float,
 ) -> bool:
     """Print the figures beside their goals."""
@@ -141,7 +105,10 @@ def _conclude(
         f"memory {settled[0] if settled else 0:.0f} MB with all its processes, grown by "
         f"{growth:.0f} MB (goal {FLAT:.0f})": growth < FLAT,
     }
-    print(f"{kind}: alarms {message['alarms'] or 'none'}, the viewer got {received} messages")
+    print(
+        f"{kind}: alarms {message['alarms'] or 'none'}, {len(received)} viewers "
+        f"got {min(received)} to {max(received)} messages"
+    )
     for text, met in goals.items():
         print(f"  {'met ' if met else 'MISSED'} {text}", flush=True)
     return all(goals.values())
@@ -150,10 +117,18 @@ def _conclude(
 def main(words: list[str]) -> int:
     """Soak; 1 where a goal is missed."""
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command itself does
-    numbers = [float(w) for w in words if w.replace(".", "").isdigit()]
-    kinds = [w for w in words if w in {"sim", *PORTS}] or ["sim", *PORTS]
+    if words[:1] == ["faults"]:
+        return faults.table(words[1:])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("words", nargs="*", help="minutes, stations, or kills and how many")
+    parser.add_argument("--viewers", type=int, default=1)
+    given = parser.parse_args(words)
+    numbers = [float(w) for w in given.words if w.replace(".", "").isdigit()]
+    if "kills" in given.words:
+        return int(not kills.strike(int(numbers[0]) if numbers else kills.COUNT))
+    kinds = [w for w in given.words if w in {"sim", *PORTS}] or ["sim", *PORTS]
     seconds = 60.0 * (numbers[0] if numbers else MINUTES)
-    return int(not min([soak(kind, seconds) for kind in kinds]))
+    return int(not min([soak(kind, seconds, given.viewers) for kind in kinds]))
 
 
 if __name__ == "__main__":

@@ -7,18 +7,17 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
 import pytest
 
+from tests.bench.kills import MOST, kill
 from tests.support.command import SAMPLES, verify
 from tests.support.devices.emulated_station import emulator, start_beside
 from tests.support.small_disk import mounted
+from tests.support.watched import Run, listen
 from verify.cli.measure import measure_and_report_all
 from verify.cli.options import ToleranceOptions
 from verify.errors import InputError
@@ -27,66 +26,6 @@ from verify.live.station.file import template
 from verify.simulation.emulators.server import EmulatorFaults
 
 SLOW = "rate_hz = 10.0"  # pictures a second: a machine that does other things keeps up
-
-
-@dataclass
-class Run:
-    """What a run printed."""
-
-    pairs: list[dict[str, Any]] = field(default_factory=list)  # as they come
-    settled: list[dict[str, Any]] = field(default_factory=list)
-    alarms: list[dict[str, Any]] = field(default_factory=list)
-    warnings: list[str] = field(default_factory=list)
-    watched: dict[str, Any] = field(default_factory=dict)
-    result: dict[str, Any] = field(default_factory=dict)
-    status: int = -1
-
-    def told(self, kind: str, *, over: bool = False) -> list[dict[str, Any]]:
-        return [
-            a
-            for a in self.alarms
-            if a["kind"] == kind and (a["ended_s"] is not None) == over and not a["revised"]
-        ]
-
-    def worst(self, joint: int | None = None) -> float:
-        """The largest error of any pair in its own standard uncertainty, but for small ones."""
-        pairs = [zip(p["error_deg"], p["error_u_deg"], strict=True) for p in self.pairs]
-        return max(
-            abs(error) / max(u, 0.02)
-            for pair in pairs
-            for j, (error, u) in enumerate(pair, start=1)
-            if error is not None and j != joint
-        )
-
-
-def listen(
-    process: "subprocess.Popen[str]",
-    run: Run,
-    until: Callable[[dict[str, Any]], bool] | None = None,
-) -> Run:
-    """Take what is said, up to a certain pair, or to the end."""
-    for line in process.stdout:
-        message = json.loads(line)
-        match message["type"]:
-            case "pair" if message["settled"]:
-                run.settled.append(message)
-            case "pair":
-                run.pairs.append(message)
-                if until is not None and until(message):
-                    return run
-            case "alarm":
-                run.alarms.append(message)
-            case "warning":
-                run.warnings.append(message["text"])
-            case "watched":
-                run.watched = message
-            case "result":
-                run.result = message
-    run.status = process.wait()
-    process.stdout.close()
-    if until is not None:
-        pytest.fail(f"ended with {run.status} before its time: {run.watched}, {run.warnings}")
-    return run
 
 
 def station(folder: Path, text: str = "", **replaced: str) -> Path:
@@ -236,15 +175,13 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
 
 
 @pytest.mark.realtime
-def test_a_killed_run_leaves_a_session_up_to_its_last_second(tmp_path: Path) -> None:
-    process = started(station(tmp_path))
-    run = listen(process, Run(), lambda pair: pair["frame"] == 40)
-    process.kill()
-    process.communicate()
-    (folder,) = (tmp_path / "recordings").iterdir()
-    session = open_session(folder)
-    assert session.frames.t_left[-1] > run.pairs[-1]["t_s"] - 1.0
-    assert verify("run", folder, "-o", tmp_path / "again").status in {0, 1, 3}
+@pytest.mark.slow
+def test_killed_runs_leave_sessions_up_to_their_last_second_and_no_process() -> None:
+    for number, after in enumerate((0.0, 0.35, 1.1, 2.6, 4.2)):
+        killed = kill(after, whole_group=number % 2 == 0)
+        assert killed.loss < MOST, killed
+        assert killed.status in {0, 1, 3}, killed
+        assert not killed.orphans
 
 
 def test_ctrl_c_ends_the_run_with_a_report(tmp_path: Path) -> None:

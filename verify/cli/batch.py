@@ -174,7 +174,7 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
             tables.write_failures(folder, done.failures)
         else:
             tables.write(folder, done.kept, done.failures)
-            sessions = pd.read_parquet(folder / "sessions.parquet")
+            sessions = tables.read_flat_columns(folder / "sessions.parquet")
             failures = pd.read_csv(folder / "failures.csv", keep_default_na=False)
             reported = [s for s, place in done.kept if (place / "report.html").exists()]
             results = assess(sessions, failures, request, reported)

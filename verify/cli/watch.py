@@ -5,11 +5,12 @@ import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
@@ -19,7 +20,7 @@ from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.warm_up import warm_up_comparison
 from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
-from verify.core.processes import ChildProcess, answer_requests
+from verify.core.processes import ChildLostError, ChildProcess, answer_requests
 from verify.core.records import Array
 from verify.errors import InputError, WatchDefectError
 from verify.io.session.keys import Tolerance
@@ -40,6 +41,9 @@ from verify.live.page.run import RunFacts, RunPageSource
 from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
 from verify.live.state import LiveState
 from verify.live.station.station import PanDrive, Station
+
+if TYPE_CHECKING:  # imported when it is served
+    from verify.live.page.feed import Page
 
 # s that a thread may keep the others waiting; Python's own 5 ms are half a pair's
 SWITCH_INTERVAL = 0.0005
@@ -69,7 +73,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
 
     Raises:
         InputError: a device, the page or a listener cannot be opened; nothing is running then.
-        WatchDefectError: it could not go on before anything was recorded.
+        WatchDefectError: it could not begin, or not go on before anything was recorded.
     """
     joints = options.tolerance.joints
     if joints is None and station.tolerance is not None:
@@ -90,15 +94,17 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         sys.setswitchinterval(SWITCH_INTERVAL)
         listeners = _listeners(station, options, stack)
         source = RunPageSource(state, subject, facts)
+        page = None
         if options.page is not None:
-            stack.callback(options.page.serve(source, moment=state.wait_for_pair).close)
+            page = options.page.serve(source, moment=state.wait_for_pair)
+            stack.callback(page.close)
         if station.alarm.prometheus is not None:
             stack.callback(MetricsServer(station.alarm.prometheus, source.metrics).close)
         clock: ChildProcess[ClockRequest, ClockEstimate] = ChildProcess(
             answer_requests, estimate_offset, name="clock", background=True
         )
         stack.callback(clock.stop)
-        chain = MeasuringProcess(station.rig, station.marker, terminal.warn)
+        chain = _start_measuring(station)
         stack.callback(chain.close)
         warm_up_comparison()  # the first pairs come at once, and soon would be too many
         recorder = station.open_recorder()
@@ -109,7 +115,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         devices, settings = _open_devices(station), LoopSettings(limits, options.duration)
         live = LiveLoop(subject, devices, recorder, settings, computation, listeners, state)
         stack.enter_context(_frozen_garbage_collector())
-        look = stack.enter_context(_show_table(joints))
+        look = stack.enter_context(_show_state(joints, page))
         stop = stack.enter_context(stop_on_signal())
         live.run(stop, look)
     _print_summary(state)
@@ -144,6 +150,14 @@ def _utc(epoch: float | None) -> str | None:
     if epoch is None:
         return None
     return datetime.fromtimestamp(epoch, UTC).isoformat(timespec="milliseconds")
+
+
+def _start_measuring(station: Station) -> MeasuringProcess:
+    try:
+        return MeasuringProcess(station.rig, station.marker, terminal.warn)
+    except ChildLostError as error:
+        text = f"The measuring process does not start: {error}. Nothing was watched or recorded."
+        raise WatchDefectError(text) from error
 
 
 def _open_devices(station: Station) -> LiveDevices:
@@ -192,14 +206,26 @@ def _frozen_garbage_collector() -> Iterator[None]:
 
 
 @contextmanager
-def _show_table(tolerance: Array | None) -> Iterator[Callable[[LiveState], None] | None]:
-    """Draw the table where there is a terminal to draw it on; tolerance a joint (j,), rad."""
-    if not terminal.draws:
-        yield None
-        return
+def _show_state(
+    tolerance: Array | None, page: "Page | None"
+) -> Iterator[Callable[[LiveState], None]]:
+    """Draw the table where there is a terminal to draw it on; warn once of a page that is gone.
+
+    `tolerance` is a joint's (j,), rad.
+    """
+    warned = False
     limits = None if tolerance is None else np.rad2deg(tolerance).tolist()
-    with LiveTable(limits, Console()) as table:
-        yield table.look
+    with LiveTable(limits, Console()) if terminal.draws else nullcontext() as table:
+
+        def look(state: LiveState) -> None:
+            nonlocal warned
+            if table is not None:
+                table.look(state)
+            if page is not None and page.trouble and not warned:
+                warned = True
+                terminal.warn(page.trouble)
+
+        yield look
 
 
 @contextmanager

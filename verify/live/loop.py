@@ -127,10 +127,11 @@ class LiveLoop:
         pumps = self._pumps()
         halt = threading.Event()
         works = [
-            threading.Thread(target=self._measure, name="measure", daemon=True),
-            threading.Thread(target=self._compare, name="compare", daemon=True),
+            threading.Thread(target=self._measure, name="measurement", daemon=True),
+            threading.Thread(target=self._compare, name="comparison", daemon=True),
             threading.Thread(target=self._keeper.run, args=(halt,), name="clock", daemon=True),
         ]
+        plain, threading.excepthook = threading.excepthook, self._thread_ended
         for pump in pumps:
             pump.start()
         for work in works:
@@ -143,6 +144,7 @@ class LiveLoop:
                 stop.wait(DEVICE_CHECK_PERIOD)
         finally:
             self._end(pumps, works, halt)
+            threading.excepthook = plain
         self._look(final=True)
         if look is not None:
             look(self.state)
@@ -167,10 +169,15 @@ class LiveLoop:
         if order is not None and self._devices.turn is not None:
             self._devices.turn(*order)
 
-    def _failed(self, name: str, error: Exception) -> None:
+    def _thread_ended(self, ended: threading.ExceptHookArgs) -> None:
+        """Take note of a thread, of the loop or beside it, that an error has ended."""
+        name = "thread" if ended.thread is None else ended.thread.name
+        self._failed_step(name, ended.exc_value or ended.exc_type())
+
+    def _failed(self, name: str, error: BaseException) -> None:
         self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
 
-    def _failed_step(self, name: str, error: Exception) -> None:
+    def _failed_step(self, name: str, error: BaseException) -> None:
         """Record that a step of the loop failed, and raise an alarm: its pairs are lost."""
         if name not in self._troubles:
             t, now = time.monotonic(), time.time()

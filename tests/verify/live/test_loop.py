@@ -177,11 +177,16 @@ def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Listener]:
     return live, recorder, listener
 
 
-def test_a_step_that_fails_raises_an_alarm_and_is_named_at_the_end() -> None:
+@pytest.mark.parametrize("apart", [False, True])
+def test_a_step_or_thread_that_fails_raises_an_alarm_and_is_named_at_the_end(apart: bool) -> None:
     def fail(pairs: Iterator[StereoPair], _expected: object) -> Iterator[object]:
         next(pairs)
-        raise ZeroDivisionError("division by zero")
-        yield
+        if not apart:
+            raise ZeroDivisionError("division by zero")
+        thread = threading.Thread(target=lambda: 1 / 0, name="measurement")
+        thread.start()
+        thread.join()
+        yield from ()
 
     here = stage()
     devices = LiveDevices(PlayedCamera(here, 0), PlayedCamera(here, 1), PlayedEncoders(here))

@@ -13,6 +13,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import pandas as pd
 import pyarrow as pa
 import pyarrow.parquet as pq
 
@@ -228,7 +229,8 @@ def _session_uncertainty(results: Results) -> dict[int, float]:
 
 
 MAX_SESSIONS_PER_GROUP = 256  # rows of sessions.parquet that are in memory at once
-MAX_PAIRS_PER_GROUP = 65_536  # likewise of frames.parquet
+MAX_PAIRS_PER_GROUP = 16_384  # likewise of frames.parquet
+MAX_TABLES_PER_GROUP = 256  # that wait: of a short session's table most is overhead
 FAILURE_COLUMNS = ("session", "kind", "why")
 
 
@@ -245,6 +247,12 @@ def write(
     joints = _write_sessions(folder / "sessions.parquet", kept)
     _write_frames(folder / "frames.parquet", kept, joints)
     write_failures(folder, failures)
+
+
+def read_flat_columns(path: Path) -> pd.DataFrame:
+    """Read sessions.parquet but for lists: a fleet is judged by the other columns."""
+    flat = [field.name for field in pq.read_schema(path) if not pa.types.is_nested(field.type)]
+    return pd.read_parquet(path, columns=flat)
 
 
 def write_failures(folder: Path, failures: Iterable[SessionFailure]) -> None:
@@ -284,6 +292,8 @@ def _merge_small_tables(tables: Iterator[pa.Table]) -> Iterator[pa.Table]:
     for table in tables:
         waiting.append(table)
         count += len(table)
+        if len(waiting) >= MAX_TABLES_PER_GROUP:
+            waiting = [pa.concat_tables(waiting).combine_chunks()]
         if count >= MAX_PAIRS_PER_GROUP:
             yield pa.concat_tables(waiting)
             waiting, count = [], 0

@@ -20,6 +20,7 @@ from starlette.requests import Request
 from starlette.responses import FileResponse, PlainTextResponse, RedirectResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.websockets import WebSocket, WebSocketDisconnect
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 from verify.core.processes import FAILED, READY, ParentLine, ParentLostError, lower_priority
 from verify.live.page.access import COOKIE, HEADERS, PageAccess
@@ -124,6 +125,7 @@ CONTENT_TYPES = {
 POLICY_VIOLATION = 1008  # of web sockets: policy violation
 TRY_AGAIN = 1013
 MAX_MESSAGE_BYTES = 1 << 12  # bytes from a viewer, who has a word to say, or a line
+CONNECTION_TIMEOUT = 10.0  # s for all requests on a connection that has become no web socket
 
 NextHandler = Callable[[Request], Awaitable[Response]]
 MessageCallback = Callable[[str], None]
@@ -236,6 +238,19 @@ class _Server(uvicorn.Server):
         yield
 
 
+class _TimedHttp(H11Protocol):
+    """Closes a connection in time: uvicorn itself waits for ever for the rest of a request."""
+
+    def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
+        """Begin, and set its end."""
+        super().connection_made(transport)
+        self.loop.call_later(CONNECTION_TIMEOUT, self._end)
+
+    def _end(self) -> None:
+        if self.transport.get_protocol() is self:  # else it is a viewer's web socket by now
+            self.transport.abort()
+
+
 def serve(line: ParentLine, access: PageAccess, messages: ViewerMessages) -> None:
     """Serve until the run ends; the target of the server's process.
 
@@ -278,6 +293,7 @@ async def _serve(
         log_level="critical",
         access_log=False,
         lifespan="off",
+        http=_TimedHttp,
         ws="websockets-sansio",
         ws_max_size=MAX_MESSAGE_BYTES,
         ws_per_message_deflate=False,  # JPEGs do not get smaller

@@ -2,10 +2,11 @@
 
 import http.client
 import json
+import socket
 import threading
 import time
 from collections.abc import Iterator
-from contextlib import ExitStack, closing, contextmanager
+from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,6 +27,7 @@ from verify.live.outputs.metrics import MetricsServer
 from verify.live.page.access import check_access
 from verify.live.page.feed import Page
 from verify.live.page.run import RunFacts, RunPageSource
+from verify.live.page.server import CONNECTION_TIMEOUT
 from verify.live.protocols import Alarm, MonitoredRobot
 from verify.live.state import DeviceStatus, LiveState
 
@@ -187,6 +189,24 @@ def test_pictures_are_encoded_once_and_only_for_viewers() -> None:
             assert len(calls) - begin <= 30  # ten a second, whoever looks
         wait_until(lambda: page.viewers == 0, 30.0)
         page.close()
+
+
+@pytest.mark.realtime
+def test_half_requests_and_idle_lines_end_and_keep_nobody_out(served: Page) -> None:
+    slow_body = b"POST / HTTP/1.1\r\nHost: 127.0.0.1\r\nContent-Length: 9\r\n\r\n1"
+    starts = [b""] * 200 + [b"GET", b"GET / HTTP/1.1\r\nHost: 127", slow_body]
+    with ExitStack() as stack, own(served) as viewer:
+        address = ("127.0.0.1", port(served))
+        lines = [stack.enter_context(socket.create_connection(address)) for _ in starts]
+        for line, start in zip(lines, starts, strict=True):
+            line.sendall(start)
+        assert get(served).status == 200
+        for line in lines:
+            line.settimeout(CONNECTION_TIMEOUT + 20.0)
+            with suppress(ConnectionResetError):
+                while line.recv(1 << 12):
+                    pass
+        assert viewer.recv(timeout=20)
 
 
 @pytest.mark.realtime
