@@ -71,6 +71,7 @@ bench-coverage: $(DEV)
 	$(BIN)/python -m tests.bench.coverage
 	$(BIN)/python -m tests.bench.coverage --classes
 	$(BIN)/python -m tests.bench.calibration
+	$(BIN)/python -m tests.bench.halves
 	$(BIN)/python -m tests.bench.registration
 	$(BIN)/python -m tests.bench.whole_chain
 

@@ -2,10 +2,8 @@
 
 A cell is one parameter: the share of replicates whose ±1.96 u holds the truth, which must lie
 within 93 to 97 %; the mean of d² over its degrees of freedom must lie within its 99 % interval.
-`halves`: random halves of the real stereo pairs of ../shared/data against each other instead; none
-may be refused, and each parameter's z between them must be 0.8 to 1.3 (rms).
 
-    python -m tests.bench.calibration [REPLICATES] [SEED] [fixed|turning|scattering|halves …]
+    python -m tests.bench.calibration [REPLICATES] [SEED] [fixed|turning|scattering …]
 """
 
 import os
@@ -17,31 +15,22 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.bench import cells
-from tests.support.beside import shared
-from tests.support.boards.calibrated import departure, departure_covariance
 from tests.support.boards.made_views import (
     BOARD,
     SIGMA,
     SIZE,
-    found_pairs,
     levelled,
     make_pairs,
     poses,
 )
 from verify.calibration.stereo.calibrate import calibrate
 from verify.calibration.stereo.records import covariance_in_si
-from verify.core.fiducials import Board, BoardPair
-from verify.core.records import Array
 from verify.core.rig import Camera, Rig
 
 REPLICATES = 2000
 PAIRS = 20
 LENS = ("k1", "k2", "p1", "p2", "k3")
 KINDS = ("fixed", "turning", "scattering")  # the last: readings that are off by PAN_ERROR_DEG
-HALVES, N_HALVES, HALVES_Z = "halves", 50, (0.8, 1.3)
-STEREO, STEREO_SIZE = Board(9, 6, 0.03), (640, 480)  # of stereo_checkerboard_opencv
-DEPARTURE = (*(f"{side}.{key}" for side in ("left", "right") for key in (
-    "fx", "fy", "cx", "cy", *LENS)), "x", "y", "z", "rx", "ry", "rz")  # fmt: skip
 PAN_ERROR_DEG = 0.05
 
 
@@ -123,46 +112,11 @@ def study(kind: str, count: int, seed: int, jobs: int | None = None) -> list[cel
     return cells.replicates(partial(replicate, kind), seed, count, jobs)
 
 
-def real_pairs() -> list[BoardPair]:
-    """The 13 published pairs, their corners found."""
-    folder = shared("data", "stereo_checkerboard_opencv")
-    return found_pairs(sorted(folder.glob("left*.jpg")), sorted(folder.glob("right*.jpg")), STEREO)
-
-
-def halves(pairs: Sequence[BoardPair], count: int, seed: int) -> Array:
-    """Differences (count, 24) of random halves over their standard uncertainties.
-
-    Raises:
-        InputError: a half was refused.
-    """
-    rng, found = np.random.default_rng(seed), []
-    for _ in range(count):
-        mixed = rng.permutation(len(pairs))
-        split = np.sort(mixed[: len(mixed) // 2]), np.sort(mixed[len(mixed) // 2 :])
-        one, other = (calibrate([pairs[i] for i in own], STEREO, STEREO_SIZE) for own in split)
-        variance = np.diag(departure_covariance(one) + departure_covariance(other))
-        found.append(departure(one.rig, other.rig) / np.sqrt(variance))
-    return np.array(found)
-
-
-def print_halves(count: int, seed: int) -> int:
-    """Print the z of each parameter, and how many are beyond the bounds."""
-    z = np.sqrt(np.mean(halves(real_pairs(), count, seed) ** 2, axis=0))
-    for name, value in zip(DEPARTURE, z.tolist(), strict=True):
-        fails = "" if HALVES_Z[0] <= value <= HALVES_Z[1] else "  FAILS"
-        print(f"  {name:9s} z {value:.2f}{fails}")
-    print(f"halves, seed {seed}: {count} pairs of halves, none refused")
-    return int(np.sum((z < HALVES_Z[0]) | (z > HALVES_Z[1])))
-
-
 def main(count: int, seeds: tuple[int, ...], kinds: Sequence[str]) -> int:
     """Print every cell; 1 where one fails."""
     failed = 0
     for seed in seeds:
         for kind in kinds:
-            if kind == HALVES:
-                failed += print_halves(min(count, N_HALVES), seed)
-                continue
             outcomes = study(kind, count, seed)
             errors, (ratio, low, high) = cells.by_name(outcomes), cells.d2_ratio(outcomes)
             pooled = cells.share(np.concatenate(list(errors.values())))
@@ -184,4 +138,4 @@ if __name__ == "__main__":
     numbers = [int(word) for word in sys.argv[1:] if word.isdigit()]
     chosen = (numbers[1],) if len(numbers) > 1 else cells.SEEDS
     kinds = [word for word in sys.argv[1:] if not word.isdigit()]
-    sys.exit(main(numbers[0] if numbers else REPLICATES, chosen, kinds or (*KINDS, HALVES)))
+    sys.exit(main(numbers[0] if numbers else REPLICATES, chosen, kinds or KINDS))

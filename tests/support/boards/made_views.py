@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import replace
+from itertools import zip_longest
 from pathlib import Path
 
 import cv2
@@ -161,8 +162,6 @@ def _grey(path: Path) -> Image:
 def found_pairs(
     left: Sequence[Path], right: Sequence[Path], board: Board, pan: tuple[float, float] = (0.0, 0.0)
 ) -> list[BoardPair]:
-    """Find the boards in pairs of pictures, bases at one reading (rad)."""
+    """Find the boards in pairs of pictures, or in one camera's; bases at one reading (rad)."""
     views = [[find_board(_grey(path), board) for path in side] for side in (left, right)]
-    return [
-        BoardPair(i, *pan, one, other) for i, (one, other) in enumerate(zip(*views, strict=True))
-    ]
+    return [BoardPair(i, *pan, one, other) for i, (one, other) in enumerate(zip_longest(*views))]

@@ -26,6 +26,7 @@ MIN_PAIRS = 10
 MAX_MOTION = 2.5  # standard deviations of all pairs' motions, in space: 1 in 10 by chance
 MAX_MOTION_POOR = 1.5  # likewise, where a view of the pair stands out: that much explains it
 MIN_MOTION = 1e-6  # m
+MAX_FOCAL_SIGMA = 0.01  # of the focal length: 6 mm at 0.6 m
 MAX_SQUARE_SIGMA = 3.0  # standard uncertainties between the triangulated and the stated square
 ROW_NAMES, COLUMN_NAMES = ("upper", "middle", "lower"), ("left", "middle", "right")
 ADVICE = {
@@ -55,6 +56,7 @@ def calibration_doubts(
     """
     return (
         *_views(quality.views, calibration, names or {}),
+        *_focal_lengths(calibration),
         *(sentence for p in quality.principal_points for sentence in _principal_point(p)),
         *_square(calibration),
     )
@@ -186,6 +188,21 @@ def _principal_point(point: PrincipalPoint) -> Iterator[str]:
         f"{where} the image's centre, but only {times:.1f} times its standard uncertainty of "
         f"{point.uncertainty:.1f} px: do not believe it. Add boards tilted both ways."
     )
+
+
+def _focal_lengths(calibration: Calibration) -> Iterator[str]:
+    covariance = calibration.rig.covariance
+    if covariance is None:
+        return
+    u = dict(zip(covariance.parameters, covariance.standard_uncertainty.tolist(), strict=True))
+    for side, camera in zip(SIDES, (calibration.rig.left, calibration.rig.right), strict=True):
+        share = u.get(f"{side}.fx_px", 0.0) / camera.matrix[0, 0]
+        if share > MAX_FOCAL_SIGMA:
+            yield (
+                f"The {side} camera's focal length, and with it every distance, is known to "
+                f"± {2 * share:.1%} only (k = 2), which every joint's uncertainty carries: "
+                f"{ADVICE['focal lengths']}."
+            )
 
 
 def _square(calibration: Calibration) -> Iterator[str]:

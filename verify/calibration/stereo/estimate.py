@@ -6,14 +6,16 @@ what is known beforehand, g_b each pair's gradient:
 
     covariance(p) = noise² B R' M R B'     R' R = (B' N B)⁻¹
     noise²        = chi² / degrees of freedom          what the stated uncertainty is multiplied by
-    M             = 0.9 S + 0.1 effect, where the corners of a pair err together; else 1
+    M             = (1 - w) S + w effect, where the corners of a pair err together; else 1
     effect        = sum of g_b' N⁻¹ g_b / its expectation
     S             = sum of R B' g_b g_b' B R', each g_b for its leverage
+    w             = |S - effect|² by chance alone / the one found, at most 1
 
-S alone knows which parameters suffer.
+S alone knows which parameters suffer, but few pairs show it by chance as well.
 
 Source: the cluster-robust covariance of Liang and Zeger, Biometrika 73, 1986, with the leverage of
-Bell and McCaffrey, Survey Methodology 28, 2002; Rao and Scott's design effect.
+Bell and McCaffrey, Survey Methodology 28, 2002; Rao and Scott's design effect; the shrinkage of
+Ledoit and Wolf, J. Multivariate Analysis 88, 2004, with normal gradients.
 """
 
 from dataclasses import dataclass
@@ -33,7 +35,6 @@ from verify.measurement.triangulation import ray_midpoints, rays
 P_FALSE_CLUSTERING = 0.01  # that independent corners seem to err together
 MIN_SCATTER_PX = 1e-5  # corners that scatter by less were computed: rounding is left
 MIN_PAIRS = 5  # fewer do not show how pairs differ
-MEAN_SHARE = 0.1  # of the mean effect in the scatter: few pairs leave some directions without any
 MIN_LEFT = 0.01  # of a direction that one pair determines alone: what the others say of it
 
 
@@ -146,14 +147,17 @@ def design_effect(share: Array, pull: Array) -> tuple[float, float]:
 
 
 def pair_scatter(share: Array, pull: Array, factor: float) -> Array:
-    """Scatter (p, p) of the whitened parameters by the pairs' gradients, a little to their mean."""
+    """Scatter (p, p) of the whitened parameters by the pairs' gradients, shrunk to their mean."""
     unit = np.eye(share.shape[1])
     left, directions = np.linalg.eigh(unit - share)
     along = np.einsum("bji,bj->bi", directions, pull) / np.sqrt(np.maximum(left, MIN_LEFT))
     terms = np.einsum("bij,bj->bi", directions, along)
-    beforehand = factor * (unit - share.sum(axis=0))
-    scatter: Array = (1 - MEAN_SHARE) * (terms.T @ terms + beforehand) + MEAN_SHARE * factor * unit
-    return scatter
+    scatter: Array = terms.T @ terms + factor * (unit - share.sum(axis=0))  # known beforehand
+    # a pair's term is normal with covariance factor * share: the variance of its square
+    chance = np.sum(np.einsum("bii->b", share) ** 2) + np.sum(share**2)
+    apart = np.sum((scatter - factor * unit) ** 2)
+    weight = min(1.0, float(factor**2 * chance / apart))
+    return (1 - weight) * scatter + weight * factor * unit
 
 
 def board_covariance(found: Estimate, covariance: Array) -> Array:

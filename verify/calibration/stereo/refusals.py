@@ -12,7 +12,7 @@ from verify.core.records import Array
 from verify.errors import InputError
 
 MIN_PAIRS = 3
-MAX_FOCAL_UNCERTAINTY = 0.01  # of the focal length: 6 mm at 0.6 m, which is no calibration
+MAX_FOCAL_UNCERTAINTY = 0.1  # of the focal length: beyond it doubt is no longer proportional
 MIN_NORMAL_SPREAD = np.deg2rad(6.0)  # boards whose normals spread by less are parallel
 MAX_NAMED_PAIRS = 8  # pairs that a message lists
 MAX_PAN_SCATTER = np.deg2rad(2.0)  # scatter of readings beyond which they are no readings
@@ -129,7 +129,7 @@ def refuse_undetermined(found: Estimate) -> None:
     The covariance decides; the boards' poses only word the remedy.
 
     Raises:
-        InputError: a focal length or principal point known worse than 1 % of the focal length.
+        InputError: a focal length or principal point known worse than a tenth of the focal length.
     """
     u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for index, (side, camera) in enumerate(zip(SIDES, found.state.cameras, strict=True)):

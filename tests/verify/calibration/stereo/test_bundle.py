@@ -6,15 +6,9 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.bench.calibration import (
-    STEREO,
-    STEREO_SIZE,
-    deviation,
-    halves,
-    real_pairs,
-    study,
-)
+from tests.bench.calibration import deviation, study
 from tests.bench.cells import d2_ratio
+from tests.bench.halves import SETS, halves
 from tests.support.boards.calibrated import (
     departure,
     departure_covariance,
@@ -44,6 +38,7 @@ from verify.core.records import Array
 from verify.core.rig import Rig
 
 TOE_IN_DEG = np.array([6.0, -6.0])
+STEREO = SETS["stereo"]
 EXACT = 1e-5  # px, stated of corners that have no noise
 
 
@@ -324,13 +319,13 @@ def test_stated_uncertainties_cover_the_truth(kind: str) -> None:
 
 @pytest.fixture(scope="module")
 def stereo_pairs() -> list[BoardPair]:
-    return real_pairs()
+    return STEREO.pairs()
 
 
 @pytest.mark.shared
 @pytest.mark.slow
 def test_real_pairs_give_the_published_relation(stereo_pairs: list[BoardPair]) -> None:
-    found = calibrate(stereo_pairs, STEREO, STEREO_SIZE)
+    found = STEREO.calibrate(stereo_pairs)
     right_T_left = np.linalg.inv(left_T_right(found.rig))
     turn = cv2.Rodrigues(right_T_left[:3, :3])[0].ravel()
     shift = 1e3 * right_T_left[:3, 3]
@@ -349,7 +344,7 @@ def test_real_pairs_leave_no_larger_residuals_than_opencv_does(
     alike = [
         replace(p, left=weighted_alike(p.left), right=weighted_alike(p.right)) for p in stereo_pairs
     ]
-    found = calibrate(alike, STEREO, STEREO_SIZE)
+    found = STEREO.calibrate(alike)
     assert found.residuals.used.all()
     rms = np.sqrt(np.mean(np.sum(found.residuals.residual**2, axis=1)))
     assert rms <= 1.01 * opencv_rms(stereo_pairs)
@@ -361,17 +356,17 @@ def weighted_alike(view: BoardView | None) -> BoardView:
 
 
 def opencv_rms(pairs: list[BoardPair]) -> float:
-    assert all(len(v) == len(STEREO) for p in pairs for v in (p.left, p.right) if v)
-    points = [STEREO.points.astype(np.float32)] * len(pairs)
+    assert all(len(v) == len(STEREO.board) for p in pairs for v in (p.left, p.right) if v)
+    points = [STEREO.board.points.astype(np.float32)] * len(pairs)
     views = [[v.centre.astype(np.float32) for p in pairs if (v := (p.left, p.right)[side])]
              for side in (0, 1)]  # fmt: skip
     stop = (cv2.TERM_CRITERIA_COUNT + cv2.TERM_CRITERIA_EPS, 200, 1e-12)
     lenses = []
     for seen in views:
-        found = cv2.calibrateCamera(points, seen, STEREO_SIZE, None, None, criteria=stop)
+        found = cv2.calibrateCamera(points, seen, STEREO.size, None, None, criteria=stop)
         lenses += [found[1], found[2]]
     rms: float = cv2.stereoCalibrate(
-        points, *views, *lenses, STEREO_SIZE, flags=cv2.CALIB_USE_INTRINSIC_GUESS, criteria=stop
+        points, *views, *lenses, STEREO.size, flags=cv2.CALIB_USE_INTRINSIC_GUESS, criteria=stop
     )[0]
     return rms
 
@@ -379,7 +374,9 @@ def opencv_rms(pairs: list[BoardPair]) -> float:
 @pytest.mark.shared
 @pytest.mark.slow
 def test_halves_of_the_real_pairs_differ_as_stated(stereo_pairs: list[BoardPair]) -> None:
-    z = np.sqrt(np.mean(halves(stereo_pairs, 8, 5) ** 2, axis=0))
+    found, refused = halves(STEREO, stereo_pairs, 8, 5)
+    assert not refused
+    z = np.sqrt(np.mean(found**2, axis=0))
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.3
     assert z.max() < 2.0  # eight halves of the same 13 pairs
     assert z[18] < 1.3  # the baseline, whose pairs were not taken together
@@ -389,10 +386,8 @@ def test_halves_of_the_real_pairs_differ_as_stated(stereo_pairs: list[BoardPair]
 @pytest.mark.slow
 def test_real_pairs_left_out_one_by_one_scatter_as_stated(stereo_pairs: list[BoardPair]) -> None:
     pairs = stereo_pairs
-    whole = calibrate(pairs, STEREO, STEREO_SIZE)
-    without = [
-        calibrate(pairs[:i] + pairs[i + 1 :], STEREO, STEREO_SIZE) for i in range(len(pairs))
-    ]
+    whole = STEREO.calibrate(pairs)
+    without = [STEREO.calibrate(pairs[:i] + pairs[i + 1 :]) for i in range(len(pairs))]
     moves = np.array([departure(one.rig, whole.rig) for one in without])
     count = len(pairs)
     spread = np.sqrt((count - 1) / count * np.sum((moves - moves.mean(axis=0)) ** 2, axis=0))
