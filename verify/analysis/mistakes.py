@@ -1,16 +1,19 @@
 """Refuse readings that are not this arm's motion, and name the usual mistake that explains them.
 
-A joint is off where the median over pairs of |reading less measured angle| is above MAX_ERROR. One
-or two joints that are off may be faults, however large; they are refused only where a mistake that
-people make (a joint's sign, its zero, its unit, two joints exchanged, another base or arm) brings
-every joint below MAX_ERROR, and no constant error of a joint explains them as well. Where three or
-more are off, no mistake explains them, and the turns of the flange from pair to pair disagree as
-well, the log is not of this motion. Mistakes are ranked by
+A joint is off where |reading less measured angle| is above MAX_ERROR in a tenth of the pairs. What
+faults of encoders may do is taken from the errors, joint by joint:
+
+    error = offset + step (t > t0) + gain · angle        |offset| <= MAX_OFFSET, |gain| <= MAX_GAIN
+
+A mistake that people make (a joint's sign, its zero, its unit, two joints exchanged, another base
+or arm) is named where it leaves far less than faults do. Without one, the log is refused where two
+joints or more stay off, and the screw motions from pair to pair, which no registration disturbs,
+disagree as well; or where one joint is off as no encoder is. Mistakes are ranked by
 
     median over pairs of |translation| / LEVER + |rotation|      flange as read to as measured
 
-or, where base and body are not known, by the turns alone; only the best are carried through to the
-joints.
+or, where base and body are not known, by the screw motions alone; only the best are carried through
+to the joints.
 """
 
 from collections.abc import Iterator
@@ -26,9 +29,9 @@ from robots.transforms import difference
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.instrument import measure_poses, stated_noise
-from verify.analysis.kernels import motion_sizes
 from verify.analysis.measured import session_clock, setup_of
 from verify.analysis.plausibility import usual_mistakes
+from verify.analysis.relative_motion import screw_motion
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
@@ -40,9 +43,14 @@ MAX_ERROR = np.deg2rad(5.0)
 CLEAR_ERROR = np.deg2rad(1.0)  # so close that no other mistake is tried
 MAX_PAIRS = 60  # that are compared for each mistake
 MIN_REACHED = 0.5  # of the pairs
-MIN_JOINTS_OFF = 3  # fewer may be faults
-MAX_TURN_MISFIT = 0.3  # of the turns from pair to pair, which no registration disturbs
+MIN_CONDITION = 0.5  # of the typical one, as singular values go: a wrist stretched out tells little
+HIGH = 0.9  # quantile over pairs: a joint is near 0 in most poses, and there its sign is nothing
+MAX_STRAY = np.deg2rad(2.0)  # that faults and the clock leave
+MAX_SCREW_MISFIT = np.deg2rad(2.0)  # likewise, of the motions from pair to pair
+MIN_TURN, MAX_TURN = np.deg2rad([10.0, 170.0])  # of these motions: a screw's axis is known
 MAX_OFFSET = np.deg2rad(45.0)  # of an encoder that is at fault
+MAX_GAIN = 0.1  # likewise; more is a wrong unit or ratio
+MIN_TRAVEL = np.deg2rad(5.0)  # of a joint whose gain is sought
 FAULT_STEP = np.deg2rad(5.0)  # from one offset that is tried to the next
 MAX_LEFT_SHARE = 0.25  # of what a fault leaves: a mistake has to explain the motion better
 LEVER = 0.3  # m: a distance over it counts as an angle
@@ -80,43 +88,39 @@ def refuse_other_motion(
     if arm.dof != 6 or len(track) < 3 or np.median(track.known_dof) < 6:
         return
     written = Mistake(session.folder / "encoders.csv", "", "", readings, track, arm)
-    error = _joint_errors(written, clock.offset)
-    typical = _typical(error)
-    off = np.flatnonzero(~(typical < MAX_ERROR)).tolist()
     if _is_frozen(written, clock.offset):
-        raise _refusal(session, typical, off, "the readings never change while the flange moves")
-    if not off:
+        found = "the readings never change while the flange moves"
+        raise _refusal(session, written, found)
+    typical = float(_high(_joint_errors(written, clock.offset)[0]).max())
+    if typical < MAX_ERROR:
         return
-    many = len(off) >= MIN_JOINTS_OFF
-    faults = list(_faults(written)) if many else []
-    left = _left_by_faults(error, faults, clock.offset)
-    mistakes = list(_mistakes(session, written, among_all=many))
+    left = _left_by_faults(session, written, clock)
+    mistakes = list(_mistakes(session, written, left.factor, among_all=left.joints_off > 1))
     offsets = [_likely_offset(session, mistake, clock.offset) for mistake in mistakes]
-    _refuse_by_joints(session, mistakes, offsets, (typical, off, left))
-    if not many or left < MAX_ERROR or turn_misfit(written, clock.offset) < MAX_TURN_MISFIT:
+    named, remains = _best_by_joints(session, mistakes, offsets, left.worst)
+    if named is not None:
+        found = f"{named.name} fits: {_degrees(remains)} instead of {_degrees(typical)}"
+        raise _refusal(session, named, found)
+    if left.joints_off > 1 and left.screws > MAX_SCREW_MISFIT:
+        misfits = [screw_misfit(m, offset) for m, offset in zip(mistakes, offsets, strict=True)]
+        best = int(np.argmin(misfits))
+        if misfits[best] < min(MAX_SCREW_MISFIT, MAX_LEFT_SHARE * left.screws):
+            named, misfit = mistakes[best], _degrees(misfits[best])
+            found = f"{named.name} fits the flange's turns to {misfit} instead of"
+            raise _refusal(session, named, f"{found} {_degrees(left.screws)}")
+    elif left.worst < MAX_OFFSET:
         return
-    by_fault = min(turn_misfit(fault, clock.offset) for fault in faults)
-    turns = [turn_misfit(m, offset) for m, offset in zip(mistakes, offsets, strict=True)]
-    best = int(np.argmin(turns))
-    if turns[best] < MAX_LEFT_SHARE * by_fault:
-        reason = f"{mistakes[best].name} fits the flange's turns to {100 * turns[best]:.2g} %"
-        raise _refusal(session, typical, off, reason, mistakes[best])
-    if by_fault > MAX_TURN_MISFIT:
-        raise _refusal(session, typical, off, "no usual mistake explains it")
+    found = f"joints are off by {_degrees(typical)}, and no usual mistake or fault explains it"
+    raise _refusal(session, written, found)
 
 
-def _refuse_by_joints(
-    session: Session,
-    mistakes: list[Mistake],
-    offsets: list[float],
-    found: tuple[Array, list[int], float],
-) -> None:
-    """Refuse where a mistake brings every joint closer than a fault does.
+def _best_by_joints(
+    session: Session, mistakes: list[Mistake], offsets: list[float], left: float
+) -> tuple[Mistake | None, float]:
+    """The mistake that brings every joint far closer than faults do, if one does; its error, rad.
 
-    `offsets`, s: the clock's with each mistake; `found`: each joint's typical error, rad, the
-    joints that are off, what faults leave, rad.
+    `offsets`, s: the clock's with each mistake; `left`, rad: what faults leave.
     """
-    typical, off, left = found
     scores = [pose_misfit(m, offset) for m, offset in zip(mistakes, offsets, strict=True)]
     best = min(MAX_ERROR, MAX_LEFT_SHARE * left)
     named: Mistake | None = None
@@ -124,13 +128,12 @@ def _refuse_by_joints(
         mistake = mistakes[place]
         tried = replace(session, arm=mistake.arm)
         offset = session_clock(tried, mistake.track, mistake.readings).offset
-        remains = float(_typical(_joint_errors(mistake, offset)).max())
+        remains = float(_high(_joint_errors(mistake, offset)[0]).max())
         if remains < best:
             best, named = remains, mistake
         if remains < CLEAR_ERROR:
             break
-    if named is not None:
-        raise _refusal(session, typical, off, f"{named.name} fits: {_degrees(best)} instead", named)
+    return named, best
 
 
 def _sample(mistake: Mistake, offset: float) -> tuple[Array, Array]:
@@ -141,26 +144,30 @@ def _sample(mistake: Mistake, offset: float) -> tuple[Array, Array]:
     return track.base_T_flange[few], mistake.readings.at(track.t[few] - offset)
 
 
-def _joint_errors(mistake: Mistake, offset: float) -> Array:
-    """Reading less measured angle at some pairs, (n, j), rad; no rows where they are unknown."""
+def _joint_errors(mistake: Mistake, offset: float) -> tuple[Array, Array]:
+    """Reading less measured angle at some pairs, and that angle, (n, j) each, rad.
+
+    No rows where they are unknown, or where the arm is near a singularity.
+    """
     poses, q = _sample(mistake, offset)
     none = np.zeros((0, mistake.arm.dof))
     if len(q) < 3:
-        return none
+        return none, none
     measured, reached = robots.nearest(mistake.arm, poses, q)
     if reached.mean() < MIN_REACHED:
-        return none
-    error = (q - measured)[reached]
-    wrapped: Array = np.arctan2(np.sin(error), np.cos(error))
-    return wrapped
+        return none, none
+    columns = robots.jacobian(mistake.arm, measured[reached]) / np.repeat([[LEVER], [1.0]], 3, 0)
+    condition = np.linalg.svd(columns, compute_uv=False)[:, -1]
+    clear = np.flatnonzero(reached)[condition >= MIN_CONDITION * np.median(condition)]
+    error = q[clear] - measured[clear]
+    return np.arctan2(np.sin(error), np.cos(error)), measured[clear]
 
 
-def _typical(error: Array) -> Array:
-    """Median of each joint's |error|, (j,), rad; inf where it is unknown."""
+def _high(error: Array) -> Array:
+    """What each joint's |error| exceeds in a tenth of the pairs, (j,), rad; inf: unknown."""
     if not len(error):
         return np.full(error.shape[1], np.inf)
-    typical: Array = np.median(np.abs(error), axis=0)
-    return typical
+    return np.asarray(np.quantile(np.abs(error), HIGH, axis=0), dtype=np.float64)
 
 
 def pose_misfit(mistake: Mistake, offset: float) -> float:
@@ -173,17 +180,16 @@ def pose_misfit(mistake: Mistake, offset: float) -> float:
     return float(np.median(size.sum(axis=1)))
 
 
-def turn_misfit(mistake: Mistake, offset: float) -> float:
-    """How far the flange's turns from pair to pair, as read, are off; a share of the turns."""
+def screw_misfit(mistake: Mistake, offset: float) -> float:
+    """How far the flange's screw motions, as read, are from those measured, rad, typically."""
     poses, q = _sample(mistake, offset)
-    if len(q) < 3:
-        return np.inf
-    sizes = np.empty((2, len(q) - 1, 2))
-    for size, at in zip(sizes, (poses, robots.forward(mistake.arm, q)), strict=True):
-        motion_sizes(np.ascontiguousarray(at[:-1]), np.ascontiguousarray(at[1:]), size)
-    angle = sizes[:, :, 0]
-    typical = float(np.median(angle[0]))
-    return float(np.median(np.abs(angle[0] - angle[1]))) / typical if typical > 0 else 0.0
+    read, apart = robots.forward(mistake.arm, q), []
+    for shift in {max(len(q) // 2, 1), max(len(q) // 3, 1)}:
+        told, found = (screw_motion(at[:-shift], at[shift:]) for at in (read, poses))
+        clear = (found[:, 0] > MIN_TURN) & (found[:, 0] < MAX_TURN)
+        apart.append(np.abs(told - found)[clear] / [1.0, LEVER])
+    size = np.concatenate(apart).sum(axis=1)
+    return float(np.median(size)) if len(size) else 0.0
 
 
 def _is_frozen(written: Mistake, offset: float) -> bool:
@@ -205,20 +211,55 @@ def _faults(written: Mistake) -> Iterator[Mistake]:
             yield replace(written, readings=Readings(written.readings.t, q))
 
 
-def _left_by_faults(error: Array, faults: list[Mistake], offset: float) -> float:
-    """What constant errors of the joints, or of one where many are off, leave of the error, rad."""
-    if faults:  # the arm may stand in another branch than readings that are far off say
-        likely = min(faults, key=lambda fault: pose_misfit(fault, offset))
-        error = _joint_errors(likely, offset)
-        if not len(error):
-            return np.inf
-        worst = int(np.argmax(np.abs(np.median(error, axis=0))))
-        error[:, worst] -= np.median(error[:, worst])
-        return float(_typical(error).max())
-    middle = np.median(error, axis=0)
-    if np.abs(middle).max() > MAX_OFFSET:
-        return np.inf
-    return float(_typical(error - middle).max())
+@dataclass(frozen=True, slots=True)
+class _Left:
+    """What faults leave of the errors."""
+
+    joints_off: int
+    worst: float  # rad, of the joints
+    factor: Array  # (j,), by which readings turn farther than the joint; nan: not determined
+    screws: float  # rad, of the motions from pair to pair
+
+
+def _left_by_faults(session: Session, written: Mistake, clock: ClockEstimate) -> _Left:
+    """The least that faults leave: the clock may be lost, the arm in another branch than read."""
+    offsets = dict.fromkeys([clock.offset, _likely_offset(session, written, clock.offset)])
+    tried = []
+    for offset in offsets:
+        likely = min(_faults(written), key=lambda fault: pose_misfit(fault, offset))
+        for log in (written, likely):
+            error, angle = _joint_errors(log, offset)
+            if len(error):
+                fits = [_left_of_joint(e, a) for e, a in zip(error.T, angle.T, strict=True)]
+                left, factor = np.array(fits).T
+            else:
+                left, factor = np.full((2, written.arm.dof), [[np.inf], [np.nan]])
+            off = int((left > MAX_STRAY).sum())
+            tried.append(_Left(off, float(left.max()), factor, screw_misfit(log, offset)))
+    least = min(tried, key=lambda one: (one.joints_off, one.worst))
+    return replace(least, screws=min(one.screws for one in tried))
+
+
+def _left_of_joint(error: Array, angle: Array) -> tuple[float, float]:
+    """What offset, step and gain leave of a joint's error (n,), rad; the factor of its readings.
+
+    `angle` (n,), rad, as measured. The step is tried between any two pairs.
+    """
+    middle = float(np.angle(np.exp(1j * error).mean()))
+    error = np.angle(np.exp(1j * (error - middle)))
+    turned = angle - angle.mean()
+    sought = np.ptp(angle) > MIN_TRAVEL
+    late = np.arange(len(error)) >= np.arange(len(error))[:, None]
+    least, factor = np.inf, np.nan
+    for after in late:
+        design = np.column_stack([np.ones(len(error)), after, turned * sought])
+        gain = float(np.linalg.lstsq(design, error)[0][2])
+        rest = error - np.clip(gain, -MAX_GAIN, MAX_GAIN) * turned
+        for part in (after, ~after):
+            rest[part] -= np.median(rest[part]) if part.any() else 0.0
+        if (left := float(np.quantile(np.abs(rest), HIGH))) < least:
+            least, factor = left, 1.0 + gain if sought else np.nan
+    return max(least, abs(middle) if abs(middle) > MAX_OFFSET else 0.0), factor
 
 
 def _likely_offset(session: Session, mistake: Mistake, offset: float) -> float:
@@ -230,9 +271,24 @@ def _likely_offset(session: Session, mistake: Mistake, offset: float) -> float:
     return float(curve[np.argmin(curve[:, 1]), 0]) if len(curve) else offset
 
 
-def _mistakes(session: Session, written: Mistake, *, among_all: bool) -> Iterator[Mistake]:
-    """The usual mistakes of one joint's readings, or of all, the poses, the base and the arm."""
+def _mistakes(
+    session: Session, written: Mistake, factor: Array, *, among_all: bool
+) -> Iterator[Mistake]:
+    """The usual mistakes of one joint's readings, or of all, the poses, the base and the arm.
+
+    `factor` (j,), by which a joint's readings turn farther than the joint.
+    """
     for name, remedy, readings in joint_mistakes(written.readings):
+        yield replace(written, name=name, remedy=remedy, readings=readings)
+    named = np.array(
+        [[1.0], [-1.0], [0.0]]
+    )  # as read, reversed; radians, or an encoder that stands
+    for joint in np.flatnonzero(np.abs(factor - named).min(axis=0) > MAX_GAIN).tolist():
+        scale, q = float(factor[joint]), written.readings.q.copy()
+        q[:, joint] /= scale
+        name = f"joint {joint + 1} scaled by {scale:.3g}"
+        remedy = f"Divide the column q{joint + 1}_deg by {scale:.3g}."
+        readings = Readings(written.readings.t, q)
         yield replace(written, name=name, remedy=remedy, readings=readings)
     if among_all:
         yield from _pose_mistakes(session, written)
@@ -353,19 +409,12 @@ def _inverse_of_scaled(rig_T_base: Array, factor: float) -> Array:
     return np.asarray(np.linalg.inv(scaled), dtype=np.float64)
 
 
-def _refusal(
-    session: Session, error: Array, off: list[int], reason: str, mistake: Mistake | None = None
-) -> InputError:
-    joints = ", ".join(str(j + 1) for j in off)
-    where = f"joint{'s' if len(off) > 1 else ''} {joints}"
+def _refusal(session: Session, mistake: Mistake, found: str) -> InputError:
     return InputError(
-        session.folder / "encoders.csv" if mistake is None else mistake.file,
-        f"the readings are not this arm's motion: {where} off by {_degrees(float(error.max()))}, "
-        f"typically; {reason}",
+        mistake.file,
+        f"the readings are not this arm's motion: {found}",
         f"readings of {session.arm.name} in the robot file's sense, zero and order",
-        "Check that log, robot and registration belong to this recording."
-        if mistake is None
-        else mistake.remedy,
+        mistake.remedy or "Check that log, robot and registration belong to this recording.",
     )
 
 

@@ -27,6 +27,7 @@ MAX_SPEED = 20.0  # rad/s; wrists of small arms turn at up to 13
 MIN_SPIKE = np.deg2rad(2.0)
 MIN_SPIKE_RATIO = 8.0  # of the typical step: random postures jump by up to four times theirs
 MAX_BEYOND = np.deg2rad(45.0)  # an encoder may be off, and its arm at the end of its travel
+MAX_FAR_BEYOND = 4 * np.pi  # beyond the limits, in most rows: no count of turns, but another unit
 MAX_NAMED = 5  # spikes
 _REMEDY = "Delete the row or export again."
 
@@ -129,6 +130,7 @@ def read_encoders(
         expected = f"the {len(pairs or ())} poses or pairs have no times, and a reading each"
         remedy = "Export both with their times, or both without and row by row."
         raise InputError(path, times, expected, remedy)
+    _refuse_far_beyond(Path(path), q, limits)
     spike = _stray(t, q, limits)
     if pairs is None or not np.array_equal(t, pairs.t_left):
         spike |= _spikes(t, q)
@@ -136,6 +138,25 @@ def read_encoders(
     t_host = columns.get("t_host_s")
     series = EncoderSeries(t[kept], q[kept], None if t_host is None else t_host[kept])
     return series, (*warnings, *_spike_warning(Path(path), spike))
+
+
+def _refuse_far_beyond(path: Path, q: Array, limits: tuple[Array, Array] | None) -> None:
+    """Refuse a column of readings q (m, j), rad, that is in another unit by its size.
+
+    Raises:
+        InputError: names the column, its readings and the limits.
+    """
+    if limits is None:
+        return
+    lower, upper = limits
+    beyond = np.maximum(lower - q, q - upper)
+    far = (beyond > MAX_FAR_BEYOND).mean(axis=0) > 0.5
+    for joint in np.flatnonzero(far).tolist():
+        least, most = np.rad2deg([q[:, joint].min(), q[:, joint].max()])
+        low, high = np.rad2deg([lower[joint], upper[joint]])
+        found = f"q{joint + 1}_deg runs from {least:.5g}° to {most:.5g}°"
+        expected = f"joint {joint + 1} turns from {low:.5g}° to {high:.5g}°"
+        raise InputError(path, found, expected, "Check the column's unit; degrees are asked for.")
 
 
 def _is_too_fast(t: Array, q: Array, lag: int) -> NDArray[np.bool_]:

@@ -51,6 +51,24 @@ def refuse_mistaken_readings(file: Path, chain: KinematicChain, poses: Identific
         )
 
 
+def refuse_unfit(file: Path, held_out: float | None) -> None:
+    """Refuse readings that nothing which was identified makes this arm's motion.
+
+    `held_out`, m: the mean distance of positions held out; None: none were.
+
+    Raises:
+        InputError: it is more than any arm's own errors leave.
+    """
+    if held_out is not None and held_out > MIN_LEFT:
+        raise InputError(
+            file,
+            f"the readings are not this arm's motion: {held_out * 1e3:.3g} mm are left of poses "
+            "held out, whatever base, target and joints are",
+            f"{MIN_LEFT * 1e3:.0f} mm or less: readings and poses of one arm, without slips",
+            "Check units, signs and order in both files; `verify run` shows an encoder that slips.",
+        )
+
+
 def _left(chain: KinematicChain, rows: IdentificationPoses) -> float:
     """Mean length that a closed-form registration leaves of the positions, m."""
     left = pose_residuals(start_state(chain, rows), rows)[:, :3]

@@ -19,7 +19,7 @@ from verify.calibration.kinematics.identify import (
     identify_arm,
     register,
 )
-from verify.calibration.kinematics.mistakes import refuse_mistaken_readings
+from verify.calibration.kinematics.mistakes import refuse_mistaken_readings, refuse_unfit
 from verify.calibration.kinematics.placements import session_files
 from verify.calibration.kinematics.results import (
     IdentificationProvenance,
@@ -84,6 +84,9 @@ def identify_sessions(
         free_tool=gathered.free_tool if free_tool is None else free_tool,
     )
     gathered, found = _identify_twice(gathered, options)
+    held_out = found.chosen.held_out
+    left = None if held_out is None else float(held_out.position[0])
+    refuse_unfit(opened[0].folder / "encoders.csv", left)
     origin = _identification_provenance(gathered, options, found)
     name, content = encode_robot(
         origin.arm, found.chain, _correction_provenance(found, origin),
