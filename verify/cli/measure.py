@@ -116,6 +116,8 @@ def _verbose_lines(summary: dict[str, Any]) -> list[str]:
 
 def _joint_line(joint: dict[str, Any]) -> str:
     mean, u = joint["mean_error_deg"], joint["expanded_uncertainty_deg"]
-    error = "not determined" if mean is None else with_uncertainty(mean, u, "°")
+    error = "not determined"
+    if mean is not None:
+        error = f"{with_uncertainty(mean, u, '°')} (k = {joint['coverage_factor'] or 2.0:.3g})"
     verdict = "" if joint["verdict"] is None else f"  {joint['verdict']}"
     return f"  joint {joint['joint']}: {error}{verdict}"
