@@ -18,6 +18,7 @@ from reports.check import document as check_document
 from reports.document import blocks as doc
 from reports.document.charts import records
 from reports.document.formatting import (
+    COVERAGE_FACTOR,
     DASH,
     count,
     exact_number,
@@ -29,7 +30,6 @@ from reports.document.formatting import (
 )
 from reports.results import Results
 
-COVERAGE_FACTOR = 2.0  # coverage factor of the figures in the headline
 VALIDITY = (
     "Both hold for one LED whose centre is known to {} px in either image, in the frame of the "
     "rig, and within the field and the distances that the boards covered."

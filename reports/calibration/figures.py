@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from reports.document import charts
-from reports.document.formatting import decimals_of, finite, number, quantity
+from reports.document.formatting import COVERAGE_FACTOR, decimals_of, expanded, number, quantity
 from reports.results import Results
 
 CAMERAS = (("left", "series_1"), ("right", "series_2"))
@@ -223,18 +223,19 @@ def _join_with_gaps(points: charts.Array, names: charts.Array) -> charts.Array:
 
 
 def accuracy(results: Results) -> charts.Chart | None:
-    """Expected standard uncertainty of a point over the field, a row a distance."""
+    """Expected uncertainty (k = 2) of a point over the field, a row a distance."""
     table = results.table("accuracy")
     parts = (("random_total_mm", "the spots' noise"), ("systematic_total_mm", "the rig"))
     every = np.concatenate([charts.column(table, name) for name, _ in parts])
     if not np.isfinite(every).any():
         return None
-    top = float(np.nanmax(every))
+    top = COVERAGE_FACTOR * float(np.nanmax(every))
     panels = []
     for distance in np.unique(charts.column(table, "distance_mm")).tolist():
         own = table[charts.column(table, "distance_mm") == distance]
         for name, words in parts:
             grid = own.pivot_table(index="y_mm", columns="x_mm", values=name, dropna=False)
+            grid = COVERAGE_FACTOR * grid
             title = f"{distance / 1e3:g} m away, from {words} [mm]"
             panel = _grid_panel(grid, top, _two_digits, title, "mm")
             panels.append(panel if name == parts[0][0] else replace(panel, y_label=""))
@@ -242,14 +243,14 @@ def accuracy(results: Results) -> charts.Chart | None:
 
 
 def contributions(results: Results) -> charts.Chart | None:
-    """What would be left of a depth's uncertainty, were one group of parameters exact."""
+    """What would be left of a depth's uncertainty (k = 2), were one group of parameters exact."""
     table = results.table("contributions")
-    left = charts.column(table, "without_mm")
+    left = COVERAGE_FACTOR * charts.column(table, "without_mm")
     if not np.isfinite(left).any():
         return None
     places = np.arange(len(table), dtype=float)
     marks: list[charts.Mark] = [charts.Bars(places, left, np.zeros(len(left)), "used", "")]
-    total = finite((results.summary.get("improve_first") or {}).get("depth_mm"))
+    total = expanded((results.summary.get("improve_first") or {}).get("depth_mm"))
     top = float(np.nanmax(left))
     if total is not None:
         ends = np.array([-0.6, len(table) - 0.4])
@@ -261,7 +262,7 @@ def contributions(results: Results) -> charts.Chart | None:
     names = [text.replace(" ", "\n", 1) for text in charts.texts(table, "group")]
     ticks = tuple(zip(places.tolist(), names, strict=True))
     panel = charts.Panel(
-        tuple(marks), "u of the depth [mm]", "were they exact", x_ticks=ticks,
+        tuple(marks), "U of the depth [mm]", "were they exact", x_ticks=ticks,
         x_range=(-0.6, len(table) - 0.4), y_range=(0.0, 1.08 * top), unit="mm",
     )  # fmt: skip
     return charts.Chart((panel,), row_height=1.9)

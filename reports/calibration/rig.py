@@ -19,6 +19,7 @@ from reports.document.formatting import (
     DASH,
     capitalise,
     exact_number,
+    expanded,
     finite,
     quantity,
     significant,
@@ -48,7 +49,7 @@ def _parameter_table(table: pd.DataFrame) -> doc.Table:
     ):
         text = exact_number(round(float(values[i]), 6) + 0.0)  # no minus before zero
         if finite(u[i]) is not None:
-            text = with_uncertainty(values[i], u[i], signed=False)
+            text = with_uncertainty(values[i], expanded(u[i]), signed=False)
         if state != "found":
             text += f" ({STATES.get(state, state)})"
             held.add(state)
@@ -60,7 +61,7 @@ def _parameter_table(table: pd.DataFrame) -> doc.Table:
         doc.Column("Right camera", "r", lambda key: cells.get(("right", key), DASH)),
     )
     notes = (STATES_NOTE[state] for state in STATES if state in held)
-    return doc.tabulate("Parameters and standard uncertainties (k = 1).", columns, keys, *notes)
+    return doc.tabulate("Parameters and expanded uncertainties (k = 2).", columns, keys, *notes)
 
 
 def _principal_point(point: dict[str, Any]) -> doc.Paragraph:
@@ -72,8 +73,8 @@ def _principal_point(point: dict[str, Any]) -> doc.Paragraph:
         )
     text = (
         f"The {camera} camera's principal point lies "
-        f"{with_uncertainty(distance, u, 'px', signed=False)} from the image's centre, "
-        f"{significant(distance / u)} times its standard uncertainty"
+        f"{with_uncertainty(distance, expanded(u), 'px', signed=False)} (k = 2) from the image's "
+        f"centre, {significant(distance / u)} times its standard uncertainty"
     )
     if not point.get("odd"):
         return doc.Paragraph(f"{text}: within what cameras of this kind have.")
@@ -102,8 +103,8 @@ def stereo(results: Results) -> doc.Section:
         values = entry.get(f"{key}_{unit}") or [None] * 3
         spreads = entry.get(f"{key}_standard_uncertainty_{unit}") or [None] * 3
         rows += [
-            doc.row(f"{name}, {axis} [{sign}]", with_uncertainty(value, spread, signed=False))
-            for axis, value, spread in zip("xyz", values, spreads, strict=True)
+            doc.row(f"{name}, {axis} [{sign}]", with_uncertainty(value, expanded(u), signed=False))
+            for axis, value, u in zip("xyz", values, spreads, strict=True)
         ]
     turning = results.summary.get("turning")
     if turning:
@@ -111,16 +112,18 @@ def stereo(results: Results) -> doc.Section:
         rows.append(doc.row("Angle between the turning axes [°]", angle))
     note = CalibrationNotes.TURNING if turning else CalibrationNotes.STILL
     table = doc.Table(
-        "Relation of the cameras, with standard uncertainties (k = 1).",
-        "lr", ("Quantity", "Value ± u"), tuple(rows),
-    )  # fmt: skip
+        "Relation of the cameras, with expanded uncertainties (k = 2).",
+        "lr",
+        ("Quantity", "Value ± U"),
+        tuple(rows),
+    )
     blocks: tuple[doc.Block, ...] = (table, doc.Paragraph(note), *_scale(results.summary))
     return doc.Section("stereo", "Stereo relation and scale", blocks)
 
 
 def _format_with_uncertainty(entry: dict[str, Any], name: str, unit: str) -> str:
     u = entry.get(f"{name}_standard_uncertainty_{unit}")
-    return with_uncertainty(entry.get(f"{name}_{unit}"), u, signed=False)
+    return with_uncertainty(entry.get(f"{name}_{unit}"), expanded(u), signed=False)
 
 
 def _scale(summary: dict[str, Any]) -> tuple[doc.Block, ...]:
@@ -132,8 +135,9 @@ def _scale(summary: dict[str, Any]) -> tuple[doc.Block, ...]:
     off = significant(abs(found - given) / u) if u else DASH
     exact = square.get("stated_standard_uncertainty_mm")
     text = (
-        f"Triangulated, {board} comes out as {with_uncertainty(found, u, 'mm', signed=False)} on "
-        f"average, where {exact_number(given)} mm is stated: {off} times the standard uncertainty "
+        f"Triangulated, {board} comes out as "
+        f"{with_uncertainty(found, expanded(u), 'mm', signed=False)} (k = 2) on average, where "
+        f"{exact_number(given)} mm is stated: {off} times the standard uncertainty "
         f"apart. Single edges scatter by {quantity(square.get('deviation_mm'), 'mm')}. "
     )
     if exact is None:
@@ -142,7 +146,7 @@ def _scale(summary: dict[str, Any]) -> tuple[doc.Block, ...]:
             "printed board is the only check of it."
         )
     else:
-        text += f"The stated size itself is known to {quantity(exact, 'mm')}."
+        text += f"The stated size itself is known to ± {quantity(expanded(exact), 'mm')} (k = 2)."
     return (doc.Paragraph(text),)
 
 
@@ -192,7 +196,7 @@ def _point_table(entries: list[dict[str, Any]]) -> doc.Table:
         "Both, depth": "total_depth_mm",
         "Worst in the field, in all": "worst_total_mm",
     }
-    title = "Standard uncertainty (k = 1) of one LED's place in the middle of the field, in mm."
+    title = "U (k = 2) of one LED's place in the middle of the field, in mm."
     return doc.tabulate(title, _distance_columns(keys), entries, CalibrationNotes.POINT)
 
 
@@ -204,7 +208,7 @@ def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> doc
         "In depth, rig": "length_depth_systematic_um",
     }
     title = (
-        f"Standard uncertainty (k = 1) of a length of {exact_number(summary.get('length_mm'))} mm "
+        f"U (k = 2) of a length of {exact_number(summary.get('length_mm'))} mm "
         "between two LEDs in the middle of the field, in µm."
     )
     return doc.tabulate(title, _distance_columns(keys), entries, CalibrationNotes.LENGTH)
@@ -212,7 +216,7 @@ def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> doc
 
 def _distance_columns(keys: dict[str, str]) -> list[doc.Column]:
     """The distance, then the figures of these keys, by their heads."""
-    figures = [doc.Column(head, "r", doc.field(key, significant)) for head, key in keys.items()]
+    figures = [doc.Column(head, "r", doc.expanded_field(key)) for head, key in keys.items()]
     return [doc.Column("Distance", "l", format_distance), *figures]
 
 
@@ -223,12 +227,12 @@ def improvement(results: Results) -> doc.Section:
     if len(table):
         title = (
             f"Depth of a point {format_distance(working_distance_entry(results.summary))} away, "
-            "by what its uncertainty comes from."
+            "by what its uncertainty comes from; U with k = 2."
         )
         columns = (
             doc.Column("Source", "l", lambda e: capitalise(GROUPS.get(e["group"], e["group"]))),
-            doc.Column("u from it alone [mm]", "r", doc.field("alone_mm", significant)),
-            doc.Column("u left, were it exact [mm]", "r", doc.field("without_mm", significant)),
+            doc.Column("U from it alone [mm]", "r", doc.expanded_field("alone_mm")),
+            doc.Column("U left, were it exact [mm]", "r", doc.expanded_field("without_mm")),
         )
         blocks.append(doc.tabulate(title, columns, records(table), CalibrationNotes.GROUPS))
     blocks += [

@@ -124,7 +124,7 @@ FIGURES = {
     ),
     "accuracy": FigurePlan(
         figures.accuracy,
-        "Expected standard uncertainty (k = 1, in mm) of an LED's place over the field that both "
+        "Expected uncertainty (U, k = 2, in mm) of an LED's place over the field that both "
         "cameras see, a row a distance: left from the noise of one spot, right from the rig. An "
         "empty cell is out of sight.",
         "Grids of numbers over the field in millimetres, two at each of several distances.",
@@ -132,8 +132,8 @@ FIGURES = {
     ),
     "contributions": FigurePlan(
         figures.contributions,
-        "What would be left of the depth's standard uncertainty at the working distance, were one "
-        "source exact. The lowest bar is what to improve first; the dotted line is as it is.",
+        "What would be left of the depth's uncertainty (U, k = 2) at the working distance, were "
+        "one source exact. The lowest bar is what to improve first; the dotted line is as it is.",
         "Bars, one a source, and a line for the uncertainty as it is, in millimetres.",
         "The uncertainty was not broken down.",
     ),

@@ -8,13 +8,13 @@ from reports.document import blocks as doc
 from reports.document.charts import records
 from reports.document.formatting import (
     count,
+    expanded,
     finite,
     join_words,
     lookup_label,
     number,
     percent,
     quantity,
-    significant,
     text_or_dash,
     with_uncertainty,
 )
@@ -147,18 +147,18 @@ def figures(results: Results) -> doc.Section:
 def _figure_table(entries: list[dict[str, Any]], limit: float | None) -> doc.Table:
     columns = (
         doc.Column("Figure", "l", lambda e: lookup_label(FIGURE_NAMES, e.get("figure"))),
-        doc.Column("Value ± u", "r", _figure_value),
+        doc.Column("Value ± U", "r", _figure_value),
         doc.Column("Value over u", "r", doc.field("z", number, 1, signed=True)),
         doc.Column("Verdict", "l", lambda e: _figure_verdict(finite(e.get("z")), limit)),
     )
-    title = "The figures, each with its standard uncertainty (k = 1), all pairs together."
+    title = "The figures, all pairs together; U with k = 2, u half of it."
     return doc.tabulate(title, columns, entries, CheckNotes.FIGURES)
 
 
 def _figure_value(entry: dict[str, Any]) -> str:
     key, unit = SUMMARY_KEYS.get(str(entry.get("figure")), ("", ""))
     u = entry.get(f"standard_uncertainty_{key.rpartition('_')[2]}")
-    return with_uncertainty(entry.get(key), u, unit)
+    return with_uncertainty(entry.get(key), expanded(u), unit)
 
 
 def _figure_verdict(z: float | None, limit: float | None) -> doc.Cell:
@@ -175,15 +175,18 @@ def lengths(results: Results) -> doc.Section:
     if square:
         u = square.get("standard_uncertainty_mm")
         stated = with_uncertainty(square.get("known_mm"), None, "mm", signed=False)
-        measured = with_uncertainty(square.get("measured_mm"), u, "mm", signed=False)
-        blocks.append(doc.Facts((("Square as stated", stated), ("Square as measured", measured))))
+        measured = with_uncertainty(square.get("measured_mm"), expanded(u), "mm", signed=False)
+        facts = ("Square as stated", stated), ("Square as measured (k = 2)", measured)
+        blocks.append(doc.Facts(facts))
     if len(table):
-        title = "Known lengths: measured less known, with standard uncertainties (k = 1)."
+        title = "Known lengths: measured less known, k = 2."
         columns = (
             doc.Column("LEDs", "l", doc.field("ends")),
             doc.Column("Known [mm]", "r", doc.field("known_mm", number, 3)),
             doc.Column(
-                "Error ± u [mm]", "r", doc.uncertain_field("error_mm", "standard_uncertainty_mm")
+                "Error ± U [mm]",
+                "r",
+                doc.uncertain_field("error_mm", "standard_uncertainty_mm", k=2),
             ),
             doc.Column("Pairs", "r", doc.field("pairs", count)),
         )
@@ -210,9 +213,9 @@ def power(results: Results) -> doc.Section:
         heads = zip(("Scale [‰]", "Height [px]", "Roll [°]"), SUMMARY_KEYS.values(), strict=True)
         columns = (
             doc.Column("Source", "l", doc.field("source")),
-            *(doc.Column(head, "r", doc.field(key, significant)) for head, (key, _) in heads),
+            *(doc.Column(head, "r", doc.expanded_field(key)) for head, (key, _) in heads),
         )
-        title = "Standard uncertainty of each figure, by what it comes from."
+        title = "U (k = 2) of each figure, by what it comes from."
         blocks.append(doc.tabulate(title, columns, records(table)))
     if not blocks:
         blocks.append(doc.Paragraph("What the check could have seen is not known.", "note"))

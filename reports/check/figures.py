@@ -3,10 +3,9 @@
 import numpy as np
 
 from reports.document import charts
-from reports.document.formatting import finite
+from reports.document.formatting import COVERAGE_FACTOR, finite
 from reports.results import Results
 
-COVERAGE_FACTOR = 2.0  # coverage factor of the bars
 MAX_NAMED_LENGTHS = 28  # lengths whose names fit under an axis
 SHORT_NAMES = {"scale": "scale", "vertical": "height", "roll": "roll"}
 PAIR_PANELS = (  # of the figures a pair: column, key in the summary, label, unit

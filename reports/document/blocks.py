@@ -5,7 +5,14 @@ from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
 from reports.document.charts import Chart, Path
-from reports.document.formatting import DASH, finite, text_or_dash, with_uncertainty
+from reports.document.formatting import (
+    DASH,
+    expanded,
+    finite,
+    significant,
+    text_or_dash,
+    with_uncertainty,
+)
 from reports.results import Results, one_line
 
 
@@ -204,6 +211,11 @@ def uncertain_field(
         return with_uncertainty(entry.get(key), None if u is None else k * u, unit, signed)
 
     return write
+
+
+def expanded_field(key: str) -> Callable[[Mapping[str, Any]], str]:
+    """Make the writer of an entry's standard uncertainty as U, k = 2, to two digits."""
+    return lambda entry: significant(expanded(entry.get(key)))
 
 
 def tabulate(caption: str, columns: Iterable[Column], entries: Iterable[Any], *notes: str) -> Table:

@@ -6,6 +6,7 @@ from typing import Any
 
 DASH = "–"
 MINUS = "−"
+COVERAGE_FACTOR = 2.0  # of the uncertainties that a person reads
 
 
 def finite(value: Any) -> float | None:
@@ -13,6 +14,12 @@ def finite(value: Any) -> float | None:
     if isinstance(value, bool) or not isinstance(value, Real) or not math.isfinite(value):
         return None
     return float(value)
+
+
+def expanded(u: Any) -> float | None:
+    """Expand a standard uncertainty by k = 2; None where there is none."""
+    figure = finite(u)
+    return None if figure is None else COVERAGE_FACTOR * figure
 
 
 def decimals_of(uncertainty: float | None, least: int = 0) -> int:
@@ -47,16 +54,19 @@ def significant(value: Any, digits: int = 2) -> str:
 
 
 def with_uncertainty(value: Any, uncertainty: Any, unit: str = "", signed: bool = True) -> str:
-    """Write `value ± uncertainty` to the latter's two digits; degrees close up, other units not."""
+    """Write `value ± uncertainty` to the latter's two digits; degrees close up, other units not.
+
+    An uncertainty that is 0 to the last decimal is none that anybody knows: it is not written.
+    """
     figure, spread = finite(value), finite(uncertainty)
     suffix = unit if unit in ("", "°") else f" {unit}"
     if figure is None:
         return DASH
     decimals = decimals_of(spread)
     head = number(figure, decimals, signed)
-    if spread is None:
-        return f"{head}{suffix}"
     tail = number(spread, decimals)
+    if spread is None or float(tail) == 0:
+        return f"{head}{suffix}"
     return f"{head}{suffix} ± {tail}{suffix}" if suffix == "°" else f"{head} ± {tail}{suffix}"
 
 

@@ -62,6 +62,7 @@ from reports.document.blocks import (
 from reports.document.formatting import (
     DASH,
     count,
+    expanded,
     finite,
     lookup_label,
     number,
@@ -104,13 +105,13 @@ class IdentificationNotes:
     PLACES = (
         "Base and tool are found anew with every model; only changes of the arm's own numbers are "
         "shown. All are adjusted together, the arm's held by weak priors: standard deviations of "
-        "3 mm and 3° about its file. ± is the expanded uncertainty."
+        "3 mm and 3° about its file. U: k = 2; Student's where few poses told the noise."
     )
     GAUGE = (
         "A gauge is told apart by no motion: the others make it up, whatever the arm does; where "
         "others of the arm do, its prior shares the change out. What rests on its prior could be "
         "told by another motion; what is not called for could be freed, but poses held out are "
-        "predicted as well without. u: standard uncertainty by the poses alone."
+        "predicted as well without. U: by the poses alone, k = 2."
     )
     INDEXES = (
         "From the singular values of the whitened columns, scaled by 1 mm and 1°: O1 their "
@@ -346,7 +347,7 @@ def unidentifiable_parameters(results: Results) -> Section:
         Column("Parameter", "l", field("name")),
         Column("Why", "l", lambda e: lookup_label(REASONS, e.get("reason"))),
         Column("Confounded with", "l", _confounding_text, wide=True),
-        Column("u if free", "r", _uncertainty_if_free),
+        Column("U if free", "r", _uncertainty_if_free),
     )
     title = "Parameters that the poses do not tell, and what makes them up."
     table = tabulate(title, columns, entries, IdentificationNotes.GAUGE)
@@ -355,7 +356,7 @@ def unidentifiable_parameters(results: Results) -> Section:
 
 def _uncertainty_if_free(entry: dict[str, Any]) -> str:
     unit = UNITS.get(str(entry.get("unit")), "")
-    return quantity(entry.get("standard_uncertainty_if_free"), unit)
+    return quantity(expanded(entry.get("standard_uncertainty_if_free")), unit)
 
 
 def _confounding_text(entry: dict[str, Any]) -> str:

@@ -7,8 +7,10 @@ from typing import Any
 from reports.document import blocks as doc
 from reports.document.charts import column, texts
 from reports.document.formatting import (
+    DASH,
     count,
     exact_number,
+    expanded,
     finite,
     lookup_label,
     number,
@@ -57,7 +59,7 @@ class PlanNotes:
         "notice less than U."
     )
     SOURCES = (
-        "Standard uncertainties; the largest is the one to mend first. What does not average out "
+        "U, k = 2; the largest is the one to mend first. What does not average out "
         "is no smaller for a longer session."
     )
     HIDDEN = (
@@ -65,7 +67,7 @@ class PlanNotes:
         "these hides of an offset, no motion shows."
     )
     KINDS = (
-        "u: standard uncertainty with all kinds that were asked for found together. Detectable: "
+        "U (k = 2): with all kinds that were asked for found together. Detectable: "
         "the smallest that would be noticed if it were alone. A dash: this motion does not show it."
     )
     SPAN = (
@@ -74,7 +76,7 @@ class PlanNotes:
     )
     EXCLUDED = "Each posture counts once, under the first that excludes it, in this order."
     GEOMETRY = (
-        "Standard uncertainty of what `verify identify` would find with base and LEDs held as "
+        "U (k = 2) of what `verify identify` would find with base and LEDs held as "
         "their files state them. A gauge is told apart by no motion."
     )
 
@@ -170,7 +172,7 @@ def verdict(results: Results) -> doc.Section:
         ("Encoders' clock", lookup_label(CLOCKS, clock.get("source"))),
     ]
     if finite(clock.get("standard_uncertainty_s")) is not None:
-        facts.append(("Clock, u", quantity(1e3 * clock["standard_uncertainty_s"], "ms")))
+        facts.append(("Clock, U (k = 2)", quantity(2e3 * clock["standard_uncertainty_s"], "ms")))
     return doc.Section("verdict", "Prediction", (block, doc.Facts(tuple(facts))))
 
 
@@ -178,7 +180,6 @@ def joints(results: Results) -> doc.Section:
     """Give each joint's uncertainty, and what would be noticed and told apart."""
     columns = (
         doc.Column("Joint", "c", doc.field("joint")),
-        doc.Column("u [°]", "r", doc.field("standard_uncertainty_deg", significant)),
         doc.Column("U [°]", "r", doc.field("expanded_uncertainty_deg", significant)),
         doc.Column("k", "r", doc.field("coverage_factor", number, 2)),
         doc.Column("Detectable [°]", "r", doc.field("minimum_detectable_error_deg", significant)),
@@ -199,7 +200,7 @@ def _sources(results: Results) -> tuple[doc.Block, ...]:
         return ()
     sizes = column(parts, "standard_uncertainty_deg").reshape(len(names), len(every))
     rows = tuple(
-        doc.row(name, *(number(size, 4) for size in line))
+        doc.row(name, *(number(expanded(size), 4) for size in line))
         for name, line in zip(names, sizes.tolist(), strict=True)
     )
     heads = ("Source", *(f"q{joint.get('joint')} [°]" for joint in every))
@@ -219,15 +220,19 @@ def kinds(results: Results) -> doc.Section:
         unit = UNITS.get(str(kind.get("unit")), "")
         name = lookup_label(KINDS, kind.get("kind"))
         columns += [
-            doc.Column(f"{name}, u [{unit}]", "r", _kind_field(place, "standard_uncertainty")),
-            doc.Column(f"detectable [{unit}]", "r", _kind_field(place, "minimum_detectable")),
+            doc.Column(f"{name}, U [{unit}]", "r", _kind_field(place, "standard_uncertainty", 2)),
+            doc.Column(f"detectable [{unit}]", "r", _kind_field(place, "minimum_detectable", 1)),
         ]
     table = doc.tabulate("What would show of each kind of fault.", columns, every, PlanNotes.KINDS)
     return doc.Section("kinds", "Kinds of fault", (table,))
 
 
-def _kind_field(place: int, key: str) -> Callable[[dict[str, Any]], str]:
-    return lambda joint: significant(joint["kinds"][place].get(key))
+def _kind_field(place: int, key: str, k: float) -> Callable[[dict[str, Any]], str]:
+    def write(joint: dict[str, Any]) -> str:
+        size = finite(joint["kinds"][place].get(key))
+        return DASH if size is None else significant(k * size)
+
+    return write
 
 
 def identifiable_parameters(results: Results) -> doc.Section:
@@ -236,7 +241,7 @@ def identifiable_parameters(results: Results) -> doc.Section:
     columns: tuple[doc.Column, ...] = (
         doc.Column("Parameter", "l", doc.field("name")),
         doc.Column("Unit", "l", lambda e: UNITS.get(str(e.get("unit")), "")),
-        doc.Column("u", "r", doc.field("standard_uncertainty", significant)),
+        doc.Column("U", "r", doc.expanded_field("standard_uncertainty")),
     )
     title = "Parameters of the arm that could be identified."
     table = doc.tabulate(title, columns, found.get("parameters") or [], PlanNotes.GEOMETRY)
@@ -292,10 +297,10 @@ def conditions(results: Results) -> doc.Section:
         (
             ("Stereo pairs a second", exact_number(taken.get("rate_hz"))),
             ("Right picture after the left", quantity(taken.get("skew_ms"), "ms")),
-            ("u of an LED's image", quantity(taken.get("spot_noise_px"), "px")),
+            ("Scatter of an LED's image (1σ)", quantity(taken.get("spot_noise_px"), "px")),
             ("Encoder readings a second", exact_number(taken.get("reading_rate_hz"))),
-            ("Scatter of a reading", quantity(taken.get("reading_noise_deg"), "°")),
-            ("u of the encoders' clock", clock_text),
+            ("Scatter of a reading (1σ)", quantity(taken.get("reading_noise_deg"), "°")),
+            ("Encoders' clock known to (1σ)", clock_text),
             ("LEDs seen from the flange's z", quantity(moved.get("view_angle_deg"), "°", 3)),
             ("Software", doc.software(results.summary)),
         )

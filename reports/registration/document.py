@@ -7,6 +7,7 @@ from reports.document import formatting
 from reports.document.formatting import (
     capitalise,
     count,
+    expanded,
     finite,
     join_words,
     percent,
@@ -143,7 +144,7 @@ def base_and_leds(results: Results) -> doc.Section:
 def _base_table(entry: dict[str, Any], through_encoders: bool) -> doc.Table:
     empty = [None] * 3
     rows = [
-        doc.row(f"{name}, {axis} [{sign}]", with_uncertainty(value, u, signed=False))
+        doc.row(f"{name}, {axis} [{sign}]", with_uncertainty(value, expanded(u), signed=False))
         for name, key, u_key, sign in (
             ("Position", "position_mm", "standard_uncertainty_mm", "mm"),
             ("Rotation vector", "rotation_vector_deg", "standard_uncertainty_deg", "°"),
@@ -151,22 +152,24 @@ def _base_table(entry: dict[str, Any], through_encoders: bool) -> doc.Table:
         for axis, value, u in zip("xyz", entry.get(key) or empty, entry.get(u_key) or empty,
                                   strict=True)
     ]  # fmt: skip
-    title = "Robot base in the rig, with standard uncertainties (k = 1)."
+    title = "Robot base in the rig, with expanded uncertainties (k = 2)."
     note = (
         (RegistrationNotes.HELD_BASE,)
         if entry.get("held")
         else (RegistrationNotes.THROUGH,) * through_encoders
     )
-    return doc.Table(title, "lr", ("Quantity", "Value ± u"), tuple(rows), note)
+    return doc.Table(title, "lr", ("Quantity", "Value ± U"), tuple(rows), note)
 
 
 def _led_table(leds: list[dict[str, Any]], held: bool) -> doc.Table:
     columns = [doc.Column("LED", "l", doc.field("name"))]
     columns += [
-        doc.Column(f"{a} [mm]", "r", doc.uncertain_field(f"{a}_mm", f"u_{a}_mm", signed=False))
+        doc.Column(
+            f"{a} ± U [mm]", "r", doc.uncertain_field(f"{a}_mm", f"u_{a}_mm", signed=False, k=2)
+        )
         for a in "xyz"
     ]
-    title = "LEDs in the flange frame, with standard uncertainties (k = 1)."
+    title = "LEDs in the flange frame, with expanded uncertainties (k = 2)."
     return doc.tabulate(title, columns, leds, *[RegistrationNotes.HELD_LEDS] * held)
 
 
@@ -179,10 +182,9 @@ def _times(summary: dict[str, Any]) -> list[tuple[str, str]]:
         entry = summary.get(key)
         if entry:
             u = entry.get("standard_uncertainty_s")
-            text = with_uncertainty(entry.get("offset_s"), u, "s")
-            items.append(
-                (label, text if u is not None else f"{text}, held: the motion does not show it")
-            )
+            text = with_uncertainty(entry.get("offset_s"), expanded(u), "s")
+            why = " (k = 2)" if u is not None else ", held: the motion does not show it"
+            items.append((label, f"{text}{why}"))
     return items
 
 

@@ -225,6 +225,9 @@ def _fixture_table(results: Results) -> Table:
     )
 
 
+_expanded = partial(uncertain_field, signed=False, k=2.0)
+
+
 def axes(results: Results) -> Section:
     """Compare the axes that one-joint sweeps show with the arm's table."""
     blocks: list[Block] = []
@@ -232,23 +235,21 @@ def axes(results: Results) -> Section:
     if len(pairs):
         columns: tuple[Column, ...] = (
             Column("Joints", "c", field("joints")),
-            Column("Angle ± u [°]", "r", uncertain_field("angle_deg", "angle_u_deg", signed=False)),
+            Column("Angle ± U [°]", "r", _expanded("angle_deg", "angle_u_deg")),
             Column("Table [°]", "r", field("angle_table_deg", number, 2)),
-            Column(
-                "Apart ± u [mm]", "r", uncertain_field("distance_mm", "distance_u_mm", signed=False)
-            ),
+            Column("Apart ± U [mm]", "r", _expanded("distance_mm", "distance_u_mm")),
             Column("Table [mm]", "r", field("distance_table_mm", number, 2)),
             Column("Verdict", "l", _axes_verdict),
         )
-        title = "Angle and distance between the axes of joints, found and by the table."
+        title = "Angle and distance between the axes of joints, found and by the table; k = 2."
         blocks.append(tabulate(title, columns, charts.records(pairs), RegistrationNotes.AXES))
     if len(gears):
         columns = (
             Column("Joint", "c", field("joint")),
             Column("Swept [°]", "r", field("span_deg", number, 1)),
-            Column("Turn over encoder ± u", "r", uncertain_field("gear", "gear_u", signed=False)),
+            Column("Turn over encoder ± U", "r", _expanded("gear", "gear_u")),
         )
-        title = "Turn of each joint about its own axis over its encoder's."
+        title = "Turn of each joint about its own axis over its encoder's; k = 2."
         blocks.append(tabulate(title, columns, charts.records(gears), RegistrationNotes.GEARS))
         blocks.append(figure_block(results, "linearity"))
     if not blocks:

@@ -78,6 +78,8 @@ def test_camera_faults_are_reported_and_the_jumping_joint_is_named(tmp_path: Pat
     assert run.result["summary"]["pairs"]["measured"] > 100
     assert (tmp_path / "out" / "report.pdf").exists()
     kept = pd.read_csv(tmp_path / "out" / "alarms.csv")
+    (folder,) = (tmp_path / "recordings").iterdir()
+    assert (folder / "alarms.csv").read_bytes() == (tmp_path / "out" / "alarms.csv").read_bytes()
     assert list(kept["device"].dropna()) == devices
     assert kept["joint"].dropna().tolist() == [4]
     assert kept["began_utc"].is_monotonic_increasing

@@ -5,8 +5,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import pandas as pd
-
 from reports import Results
 from reports.document.formatting import with_uncertainty
 from reports.session.headline import headline
@@ -14,8 +12,12 @@ from verify.analysis.session import analyse
 from verify.cli.options import ToleranceOptions
 from verify.cli.terminal import report_files, terminal
 from verify.errors import InputError
+from verify.io.files import digest, write_whole
 from verify.io.results import refuse_existing, write_report_folder
+from verify.io.series import read_alarms
 from verify.io.session.session import open_session
+
+ALARMS = "alarms.csv"  # of a watched run: beside the recording, and in its report's folder
 
 
 def measure_and_report(
@@ -24,12 +26,11 @@ def measure_and_report(
     tolerances: ToleranceOptions,
     *,
     force: bool,
-    alarms: pd.DataFrame | None = None,
 ) -> str | None:
     """Measure a session, write its reports, print the results; the verdict, None without tolerance.
 
     `out` None is NAME-report in the current folder; `tolerances` replace the session's; `force`:
-    write into a folder that exists; `alarms` as in alarms.csv, None where it was not watched.
+    write into a folder that exists. alarms.csv of a recording is on page one.
 
     Raises:
         InputError: the session cannot be measured, or the reports cannot be written.
@@ -39,12 +40,17 @@ def measure_and_report(
     refuse_existing(target, force=force)
     terminal.warn(*session.warnings)
     tolerance = tolerances.tolerance(session.arm.dof)
+    told = folder / ALARMS
+    alarms = read_alarms(told, session.arm.dof)
     with terminal.progress("pairs") as progress:
         results = analyse(session, tolerance=tolerance, progress=progress)
     if alarms is not None:
         results = replace(results, tables=results.tables | {"alarms": alarms})
+        results.summary["inputs"][ALARMS] = digest(told)
     terminal.warn(*(w for w in results.summary["warnings"] if w not in session.warnings))
     write_report_folder(results, target, force=force, frames=True)
+    if alarms is not None:
+        write_whole(target / ALARMS, alarms.to_csv(index=False, lineterminator="\n").encode())
     _print_summary(results, target)
     verdict: str | None = results.summary["verdict"]
     return verdict
@@ -56,13 +62,11 @@ def measure_and_report_all(
     tolerances: ToleranceOptions,
     *,
     force: bool,
-    alarms: pd.DataFrame | None = None,
 ) -> dict[Path, str | None]:
     """Measure the sessions of one live run, a report each; an unmeasurable one is left out.
 
     More than one, in order, where the controller's clock began anew. `out` is the first one's
-    report, with the run's `alarms` (as in alarms.csv) on page one; the others' have a number behind
-    it. Gives the verdict of each report, at least one.
+    report; the others' have a number behind it. Gives the verdict of each report, at least one.
 
     Raises:
         InputError: none can be measured: what the first one lacks.
@@ -72,10 +76,7 @@ def measure_and_report_all(
     for number, folder in enumerate(folders, start=1):
         target = out if number == 1 else out.with_name(f"{out.name}-{number}")
         try:
-            told = None if verdicts else alarms
-            verdicts[target] = measure_and_report(
-                folder, target, tolerances, force=force, alarms=told
-            )
+            verdicts[target] = measure_and_report(folder, target, tolerances, force=force)
         except InputError as refusal:
             refusals.append(refusal)
     if not verdicts:
@@ -116,6 +117,8 @@ def _verbose_lines(summary: dict[str, Any]) -> list[str]:
 
 def _joint_line(joint: dict[str, Any]) -> str:
     mean, u = joint["mean_error_deg"], joint["expanded_uncertainty_deg"]
-    error = "not determined" if mean is None else with_uncertainty(mean, u, "°")
+    error = "not determined"
+    if mean is not None:
+        error = f"{with_uncertainty(mean, u, '°')} (k = {joint['coverage_factor'] or 2.0:.3g})"
     verdict = "" if joint["verdict"] is None else f"  {joint['verdict']}"
     return f"  joint {joint['joint']}: {error}{verdict}"

@@ -101,7 +101,7 @@ def _run_live(
     *,
     force: bool,
 ) -> int:
-    from verify.cli.measure import measure_and_report_all
+    from verify.cli.measure import ALARMS, measure_and_report_all
     from verify.cli.watch import RunOptions, alarms_table, watch
     from verify.io.files import write_whole
     from verify.io.results import refuse_existing
@@ -115,10 +115,9 @@ def _run_live(
     options = RunOptions(duration, tolerances.tolerance(station.arm.dof), on_alarm, page)
     watched = watch(station, options)
     out = out if out is not None else Path(f"{watched.folders[0].name}-report")
-    alarms = alarms_table(watched.alarms)
-    reported = measure_and_report_all(watched.folders, out, tolerances, force=force, alarms=alarms)
-    text = alarms.to_csv(index=False, lineterminator="\n")
-    write_whole(next(iter(reported)) / "alarms.csv", text.encode())
+    text = alarms_table(watched.alarms).to_csv(index=False, lineterminator="\n")
+    write_whole(watched.folders[0] / ALARMS, text.encode())  # beside the first recording
+    reported = measure_and_report_all(watched.folders, out, tolerances, force=force)
     if watched.defects:
         raise WatchDefectError(" ".join(watched.defects))
     return EXIT_STATUS[max(reported.values(), key=SEVERITY.index)]

@@ -23,6 +23,7 @@ from verify.cli.terminal import terminal
 from verify.core.processes import ChildLostError, ChildProcess, answer_requests
 from verify.core.records import Array
 from verify.errors import InputError, WatchDefectError
+from verify.io.series import ALARM_COLUMNS
 from verify.io.session.keys import Tolerance
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import ESTIMATE_TIMEOUT, ClockRequest, estimate_offset
@@ -139,11 +140,7 @@ def alarms_table(alarms: tuple[Alarm, ...]) -> pd.DataFrame:
         for key in ("began_s", "ended_s"):
             row[key.replace("_s", "_utc")] = _utc(row.pop(key))
         del row["revised"]
-    columns = [
-        *("alarm", "kind", "began_utc", "ended_utc", "t_s", "device", "joint"),
-        *("not_told_apart_from", "error_deg", "standard_uncertainty_deg", "text"),
-    ]
-    return pd.DataFrame(rows, columns=columns).astype({"joint": "Int64"})
+    return pd.DataFrame(rows, columns=list(ALARM_COLUMNS)).astype({"joint": "Int64"})
 
 
 def _utc(epoch: float | None) -> str | None:

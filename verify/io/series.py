@@ -1,4 +1,4 @@
-"""Read frames.csv and encoders.csv: checked arrays in s and rad; the files hold degrees."""
+"""Read frames.csv, encoders.csv and alarms.csv: checked arrays in s and rad from degrees."""
 
 import codecs
 import csv
@@ -30,6 +30,10 @@ MAX_BEYOND = np.deg2rad(45.0)  # an encoder may be off, and its arm at the end o
 MAX_FAR_BEYOND = 4 * np.pi  # beyond the limits, in most rows: no count of turns, but another unit
 MAX_NAMED = 5  # spikes
 _REMEDY = "Delete the row or export again."
+ALARM_COLUMNS = (
+    "alarm", "kind", "began_utc", "ended_utc", "t_s", "device", "joint",
+    "not_told_apart_from", "error_deg", "standard_uncertainty_deg", "text",
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
@@ -343,6 +347,35 @@ def _header(path: Path, data: bytes) -> list[str]:
         found = "holds numbers" if names else "is empty"
         raise InputError(place, found, "it names the columns", "Put the header there.")
     return names
+
+
+def read_alarms(path: Path, joints: int) -> pd.DataFrame | None:
+    """Read the alarms of a watched run, ALARM_COLUMNS one a row; None where there is no file.
+
+    Raises:
+        InputError: a missing column, a row of another length, or no such number or joint.
+    """
+    if not path.exists():
+        return None
+    table, _ = open_table(path, torn=False)
+    rows = []
+    for line, cells in table._rows():
+        row = dict(zip(table.header, cells, strict=False))
+        known = row.get("joint", "") in ("", *map(str, range(1, joints + 1)))
+        known &= all(math.isfinite(_number(row.get(key) or "0")) for key in ("alarm", "t_s"))
+        if len(cells) != len(table.header) or not known:
+            found = f'is "{",".join(cells)[:60]}"'
+            expected = f"alarm and t_s are numbers, joint is 1 to {joints} or empty"
+            remedy = "Restore the file as `verify run` wrote it, or delete it."
+            raise InputError(f"{path}, line {line}", found, expected, remedy)
+        rows.append(row)
+    if missing := [name for name in ALARM_COLUMNS if name not in table.header]:
+        expected = f"expected are {', '.join(ALARM_COLUMNS)}"
+        raise InputError(f"{path}, line 1", f"has no column {missing[0]}", expected, _REMEDY)
+    alarms = pd.DataFrame(rows, columns=list(ALARM_COLUMNS))
+    numbers = ["alarm", "t_s", "joint", "error_deg", "standard_uncertainty_deg"]
+    alarms[numbers] = alarms[numbers].apply(pd.to_numeric, errors="coerce")
+    return alarms.astype({"joint": "Int64"})
 
 
 def _number(cell: str) -> float:

@@ -43,7 +43,8 @@ class LiveClock:
 
     def words(self) -> str:
         """Say which clock a line rests on."""
-        known = "" if self.standard_uncertainty is None else f" ± {self.standard_uncertainty:.1e} s"
+        u = self.standard_uncertainty
+        known = "" if u is None else f" ± {2 * u:.1e} s (k = 2)"
         return f"{self.source} {self.offset:.6f} s{known}"
 
 

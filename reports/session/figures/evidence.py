@@ -156,9 +156,9 @@ def budget(results: Results) -> charts.Chart | None:
         below = below + 100 * heights
     joints = {joint.get("joint"): joint for joint in (results.summary.get("joints") or [])}
     for place, name in zip(x, shares.columns, strict=True):
-        u = (joints.get(name) or {}).get("standard_uncertainty_deg")
+        u = (joints.get(name) or {}).get("expanded_uncertainty_deg")
         if finite(u) is not None:
-            marks.append(charts.Note(float(place), 104.0, f"u = {quantity(u, '°')}"))
+            marks.append(charts.Note(float(place), 104.0, f"U = {quantity(u, '°')}"))
     ticks = tuple((float(i), f"q{name}") for i, name in zip(x, shares.columns, strict=True))
     panel = charts.Panel(
         tuple(marks), "share of variance [%]", x_ticks=ticks, y_range=(0, 112), unit="%",

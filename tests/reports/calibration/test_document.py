@@ -1,6 +1,8 @@
-"""The reports of a calibration and of a registration."""
+"""The reports of a calibration, of a check and of a registration."""
 
 import re
+from functools import reduce
+from operator import getitem
 
 import numpy as np
 import pytest
@@ -12,6 +14,7 @@ from reports.calibration.figures import arrows
 from reports.document import charts
 from reports.document.blocks import Bullets, to_template_data
 from reports.document.charts import Chart, Line
+from reports.document.formatting import decimals_of, number
 from reports.format import matplotlib
 from reports.registration import document as registration
 from reports.results import Results
@@ -36,6 +39,24 @@ def test_every_column_of_measures_has_a_unit(name: str) -> None:
     for caption, table in tables(document_of(name)).items():
         measures = [head for head in table.head if "±" in head]
         assert unit.search(caption) or all(unit.search(h) or "over" in h for h in measures)
+
+
+@pytest.mark.parametrize(
+    ("name", "label", "keys"),
+    [
+        ("good", "Baseline [mm]", ("stereo", "baseline_standard_uncertainty_mm")),
+        ("motion", "Position, x [mm]", ("base", "standard_uncertainty_mm", 0)),
+        ("held", "Scale of known lengths", ("figures", 0, "standard_uncertainty_permille")),
+    ],
+)
+def test_readers_get_the_summary_s_uncertainty_with_k_2(
+    name: str, label: str, keys: tuple[str | int, ...]
+) -> None:
+    assert not re.search("k = 1|± u", words(name))
+    expanded = 2 * float(reduce(getitem, keys, made_of(name).summary))  # type: ignore[arg-type]
+    rows = [line for table in tables(document_of(name)).values() for line in table.rows]
+    (text,) = [line[1].text for line in rows if line[0].text == label]
+    assert text.split(" ± ")[1].split()[0] == number(expanded, decimals_of(expanded))
 
 
 def test_the_headline_has_point_accuracy_and_what_to_improve() -> None:

@@ -40,6 +40,7 @@ def test_what_is_not_a_finite_number_is_a_dash_in_every_form(value: object) -> N
         (12.34, 3.0, "+12.3 ± 3.0"),
         (0.1, 0.0996, "+0.10 ± 0.10"),  # 0.0996 rounds up to 0.10, two digits still
         (0.4, None, "+0.400"),
+        (0.4, 0.0, "+0.400"),  # never ± 0
         (-1e-9, 0.01, "0.000 ± 0.010"),  # no sign before what is shown as nothing
     ],
 )

@@ -6,6 +6,7 @@ import pytest
 import robots
 from reports import render_html, render_pdf
 from reports.document.blocks import Verdict, collect_figures
+from reports.document.formatting import with_uncertainty
 from reports.identification.document import document
 from reports.results import Results
 from tests.support.reports.page import tables
@@ -66,6 +67,9 @@ def test_an_offset_is_given_with_either_sign(every: dict[str, Results]) -> None:
     for row in offsets.rows[1:5]:
         error, add = (float(cell.text.split(" ± ")[0].replace("−", "-")) for cell in row[1:3])
         assert error == -add
+    stated = every["offsets"].summary["offsets"][1]
+    expected = with_uncertainty(stated["error_deg"], 2 * stated["standard_uncertainty_deg"])
+    assert offsets.rows[1][1].text == expected
 
 
 def test_every_picture_is_there(every: dict[str, Results]) -> None:

@@ -75,12 +75,13 @@ def test_every_picture_is_there(every: dict[str, Results]) -> None:
 def test_each_kind_has_its_columns(every: dict[str, Results]) -> None:
     table = tables(document(every["plain"]))["What would show of each kind of fault."]
     assert table.head[1::2] == (
-        "Offset, u [°]", "Gain, u [%]", "Backlash, u [°]", "Eccentricity, u [°]",
+        "Offset, U [°]", "Gain, U [%]", "Backlash, U [°]", "Eccentricity, U [°]",
     )  # fmt: skip
     assert len(table.rows) == 6
     shown = every["plain"].table("shown")
     first = shown[(shown["joint"] == 1) & (shown["kind"] == "gains")].iloc[0]
-    assert float(table.rows[0][3].text) == pytest.approx(first["standard_uncertainty"], rel=0.06)
+    stated = 2 * first["standard_uncertainty"]  # readers get k = 2
+    assert float(table.rows[0][3].text) == pytest.approx(stated, rel=0.06)
 
 
 def test_the_trajectory_is_even_and_ends_at_rest(every: dict[str, Results]) -> None:

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
 
 from verify.errors import InputError
-from verify.io.series import read_encoders, read_frames
+from verify.io.series import ALARM_COLUMNS, read_alarms, read_encoders, read_frames
 
 
 @pytest.fixture
@@ -214,3 +214,22 @@ def test_readings_at_the_times_of_the_poses_are_visits(path: Path) -> None:
     pd.DataFrame({"t_s": t, "q1_deg": q}).to_csv(path, index=False)
     assert len(read_encoders(path, 1)[0]) == 38
     assert len(read_encoders(path, 1, pairs=read_frames(frames_file)[0])[0]) == 40
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "place"),
+    [("2,", "2.5.1,", "line 3"), (",4,", ",7,", "line 2"), ("alarm,", "alarms,", "line 1")],
+)
+def test_alarms_come_back_as_told_and_a_malformed_file_is_one_line(
+    path: Path, old: str, new: str, place: str
+) -> None:
+    rows = "1,change,a,,5.5,,4,2+3,0.5,0.01,Joint 4 jumped\n2,device,b,c,,left camera,,,,,silent\n"
+    text = ",".join(ALARM_COLUMNS) + "\n" + rows
+    assert read_alarms(path, 6) is None
+    path.write_text(text)
+    alarms = read_alarms(path, 6)
+    assert alarms is not None
+    assert alarms.to_csv(index=False) == text
+    path.write_text(text.replace(old, new, 1))
+    with pytest.raises(InputError, match=place):
+        read_alarms(path, 6)

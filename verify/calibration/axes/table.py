@@ -241,8 +241,8 @@ def _decisions(
         rms = np.rad2deg(np.sqrt(np.mean(j.nonlinearity**2)))
         words.append(
             f"Joint {j.joint}: {len(j.frames)} pairs over {np.rad2deg(j.span):.1f}°; the flange "
-            f"turns {j.gear:.5f} times what the encoder says (u = {j.gear_uncertainty:.5f}){said}; "
-            f"beside a straight line {rms:.4f}° rms."
+            f"turns {j.gear:.5f} times what the encoder says ± {2 * j.gear_uncertainty:.5f} (k = 2)"
+            f"{said}; beside a straight line {rms:.4f}° rms."
         )
     wrong = [f"{p.joints[0]} and {p.joints[1]}" for p in pairs if not p.agrees]
     if wrong:

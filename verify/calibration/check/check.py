@@ -231,7 +231,7 @@ def _decisions(found: RigConsistency, beyond: NDArray[np.bool_], limit: float) -
     for text, exceeded, value in zip(figures_text(found), beyond, found.value, strict=True):
         if not np.isnan(value):
             verdict = "beyond" if exceeded else "within"
-            yield f"{text[0].upper()}{text[1:]}: {verdict} {limit:.2f} u."
+            yield f"{text[0].upper()}{text[1:]}: {verdict} {limit / 2:.2f} U (k = 2)."
     yield (
         f"Each figure is tested two-sided, {P_CONFIDENCE:.0%} for all together, over "
         f"{len(found.frame)} pairs."

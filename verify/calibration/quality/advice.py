@@ -185,8 +185,9 @@ def _principal_point(point: PrincipalPoint) -> Iterator[str]:
         return
     times = point.distance / point.uncertainty
     yield (
-        f"{where} the image's centre, but only {times:.1f} times its standard uncertainty of "
-        f"{point.uncertainty:.1f} px: do not believe it. Add boards tilted both ways."
+        f"{where} the image's centre, but only {times:.1f} times its standard uncertainty, with "
+        f"U = {2 * point.uncertainty:.1f} px (k = 2): do not believe it. "
+        "Add boards tilted both ways."
     )
 
 

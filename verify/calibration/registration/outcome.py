@@ -171,8 +171,8 @@ def _warnings(
     skew, u = adjusted.at.skew, shown[1]
     if u is not None and abs(skew) > MIN_SKEW_SIGMA * u:
         yield (
-            f"The right camera's stamps are {skew * 1e3:+.2f} ms ± {u * 1e3:.2f} ms early against "
-            "the left one's: add that to t_right_s in frames.csv."
+            f"The right camera's stamps are {skew * 1e3:+.2f} ms ± {2 * u * 1e3:.2f} ms (k = 2) "
+            "early against the left one's: add that to t_right_s in frames.csv."
         )
     misfit = adjusted.chi2 / max(adjusted.degrees_of_freedom, 1)
     if misfit > MIN_REPORTED_MISFIT:

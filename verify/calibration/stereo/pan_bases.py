@@ -109,14 +109,14 @@ def _determined_bases(found: Estimate) -> tuple[tuple[str, str], list[str]]:
         if axis > MAX_AXIS_UNCERTAINTY:
             kinds[index] = BASE_FIXED
             sentences.append(
-                f"{side} base: turned too little to show its axis (± {np.rad2deg(axis):.0f}°); "
-                "taken as +y through the optical centre."
+                f"{side} base: turned too little to show its axis "
+                f"(± {2 * np.rad2deg(axis):.0f}°, k = 2); taken as +y through the optical centre."
             )
         elif offset > MAX_OFFSET_UNCERTAINTY:
             kinds[index] = BASE_CENTRED
             sentences.append(
                 f"{side} base: turned too little to show where its axis passes the camera "
-                f"(± {1e3 * offset:.0f} mm); taken through the optical centre."
+                f"(± {2e3 * offset:.0f} mm, k = 2); taken through the optical centre."
             )
     return (kinds[0], kinds[1]), sentences
 

@@ -1,6 +1,5 @@
 """Identify an arm's own parameters from sessions; write the corrected arm and its report."""
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from reports import Results
+from reports.document.formatting import decimals_of, number, with_uncertainty
 from verify.analysis.instrument import BODY_SOURCE, CALIBRATION_SOURCE
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.doubts import unstated_effects
@@ -255,9 +255,8 @@ def _joint_line(joint: dict[str, float | None]) -> str:
     add, u = joint["add_to_reading_deg"], joint["expanded_uncertainty_deg"]
     if add is None or u is None:
         return f"  joint {joint['joint']}: offset not identified"
-    digits = max(3, 1 - math.floor(math.log10(u)))
+    error = with_uncertainty(-add, u, "°")
     return (
-        f"  joint {joint['joint']}: encoder less measured {-add:+.{digits}f}° ± {u:.{digits}f}° "
-        "(k = 2); "
-        f"add {add:+.{digits}f}° to the reading"
+        f"  joint {joint['joint']}: encoder less measured {error} (k = 2); "
+        f"add {number(add, decimals_of(u), signed=True)}° to the reading"
     )
