@@ -69,8 +69,9 @@ def align(
         _view(now, sighting.pan, camera), (views[0], views[1], views[2]), t
     )
     if matched:
-        moved = replace(sighting, centre=centre, covariance=covariance, t=t)
-        return replace(moved, velocity=velocity, lever=lever)
+        return replace(
+            sighting, centre=centre, covariance=covariance, t=t, velocity=velocity, lever=lever
+        )
     at_once = np.all(np.abs(t - now.taken) < TOL_INSTANT)
     return replace(sighting, t=t) if at_once else None
 

@@ -270,7 +270,7 @@ def _raw_sighting(
 
 def _measure_causally(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> _CausalPair:
     """Measure a pair by the one before; the first of a burst by the one after."""
-    measurement = replace(_fit(assigned, around, setup), settled=False)
+    measurement = _fit(assigned, around, setup, settled=False)
     kept = assigned if measurement.pose is None else _without_rejected(assigned, measurement.pose)
     return _CausalPair(assigned, kept, around, measurement)
 
@@ -285,13 +285,15 @@ def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measur
     return _fit(now.assigned, (before, after.kept, earlier), setup)
 
 
-def _fit(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> Measurement:
+def _fit(
+    assigned: _AssignedPair, around: Neighbours, setup: Setup, *, settled: bool = True
+) -> Measurement:
     """Align a pair by its neighbours and fit the pose."""
     found = assigned.correspondence
     leds = len(set(found.left_led.tolist()) | set(found.right_led.tolist()))
     measurement = Measurement(
         assigned.frame, assigned.pair_t, found.status, leds, choice=found.choice,
-        whole_frame=assigned.whole_frame,
+        whole_frame=assigned.whole_frame, settled=settled,
     )  # fmt: skip
     if found.status != "measured" or found.rig_T_flange is None:
         return measurement

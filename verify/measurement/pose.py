@@ -20,6 +20,7 @@ counts. Spots that contradict the others are rejected one by one.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -27,7 +28,7 @@ from numpy.typing import NDArray
 
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Pose, Sighting
-from verify.core.rig import Rig
+from verify.core.rig import Camera, Rig
 from verify.core.statistics import chi2_isf
 from verify.measurement.kernels import pose as kernel
 from verify.measurement.kernels.pose import MOTION_RATE, SCALE
@@ -61,26 +62,34 @@ class SightingStack:
 
 def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) -> SightingStack:
     """Stack both cameras' sightings of points (n, 3), m, in the flange frame."""
-    cameras, counts = (rig.left, rig.right), [len(left), len(right)]
-    placed = [
-        camera.camera_T_rig(view.pan) for camera, view in zip(cameras, (left, right), strict=True)
-    ]
-
-    def for_each_spot(values: list[Array]) -> Array:
-        return np.repeat(np.array(values), counts, axis=0)
-
+    placed = _camera_rows(rig.left, rig.right, (left.pan, right.pan), (len(left), len(right)))
+    camera_R_rig, origin, lens, focal, middle = placed
     return SightingStack(
-        points=np.array(points[np.concatenate([left.led, right.led])], order="C"),
+        points=np.ascontiguousarray(points[np.concatenate([left.led, right.led])]),
         centre=_concatenate(left.centre, right.centre),
         covariance=_concatenate(left.covariance, right.covariance),
         velocity=_concatenate(left.velocity, right.velocity),
         lever=_concatenate(left.lever, right.lever),
-        camera_R_rig=for_each_spot([camera_T_rig[:3, :3] for camera_T_rig in placed]),
-        origin=for_each_spot([camera_T_rig[:3, 3] for camera_T_rig in placed]),
-        lens=np.ascontiguousarray(for_each_spot([camera.distortion for camera in cameras]).T),
-        focal=for_each_spot([camera.matrix[:2, :2] for camera in cameras]),
-        middle=for_each_spot([camera.matrix[:2, 2] for camera in cameras]),
+        camera_R_rig=camera_R_rig,
+        origin=origin,
+        lens=lens,
+        focal=focal,
+        middle=middle,
     )
+
+
+@lru_cache(maxsize=16)
+def _camera_rows(
+    left: Camera, right: Camera, pans: tuple[float, float], counts: tuple[int, int]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Each spot's camera, as `SightingStack` lists it; kept, as a pair is fitted more than once."""
+    side, cameras = np.repeat((0, 1), counts), (left, right)
+    placed = np.array([camera.camera_T_rig(a) for camera, a in zip(cameras, pans, strict=True)])
+    lens = np.array([camera.distortion for camera in cameras])[side].T
+    matrix = np.array([camera.matrix[:2] for camera in cameras])[side]
+    rows = placed[side, :3, :3], placed[side, :3, 3], lens, matrix[:, :, :2], matrix[:, :, 2]
+    r, origin, lens, focal, middle = map(np.ascontiguousarray, rows)
+    return r, origin, lens, focal, middle
 
 
 def _concatenate(left: Array, right: Array) -> Array:
@@ -110,23 +119,18 @@ def fit_pose(
     views = stack_sightings(left, right, rig, marker.leds)
     keep = np.ones(len(views.centre), dtype=np.bool_)
     tolerance = np.diag(np.repeat(_excess_variance(views, marker), 2))
-    centre, curvature = views.centre, np.zeros_like(views.centre)
-    if views.lever[:, 0].any():
-        rough = _gauss_newton(views, centre, keep, start)
-        curvature = kernel.image_acceleration(views.places, rough.rig_T_flange, rough.twist)
-        centre, start = centre - curvature * views.lever[:, :1], rough.rig_T_flange
     while True:
-        fit = _gauss_newton(views, centre, keep, start)
-        worst, size = _worst_spot(fit, keep, tolerance)
-        sound = size < MAX_SPOT_CHI2 and _plausible(fit, keep, tolerance)
+        fit = _gauss_newton(views, keep, start)
+        worst, size = _worst_spot(fit, tolerance)
+        sound = size < MAX_SPOT_CHI2 and _plausible(fit, tolerance)
         if not sound and parameter_columns is not None:
             columns = parameter_columns(fit.rig_T_flange, fit.predicted[1])
             tolerance, parameter_columns = tolerance + columns @ columns.T, None
-            worst, size = _worst_spot(fit, keep, tolerance)
-            sound = size < MAX_SPOT_CHI2 and _plausible(fit, keep, tolerance)
+            worst, size = _worst_spot(fit, tolerance)
+            sound = size < MAX_SPOT_CHI2 and _plausible(fit, tolerance)
         last = keep.sum() <= MIN_SPOTS or (~keep).sum() >= len(keep) // 3
         if last or size < MAX_SPOT_CHI2:
-            return _pose(fit, views, keep, sound, curvature)
+            return _pose(fit, keep, sound)
         keep[worst] = False
 
 
@@ -159,6 +163,7 @@ def motion_columns(by_pose: Array, lever: Array, prior: tuple[float, float]) -> 
 class _PoseFit:
     """A fitted pose, and what `kernels.pose.fit_spots` returns beside it."""
 
+    rows: NDArray[np.int64]  # (2 k,), which of the coordinates are those of kept spots
     rig_T_flange: Array  # (4, 4)
     predicted: tuple[Array, Array, Array]  # residual, derivatives by the point and by the pose
     spread: tuple[Array, Array, Array]  # covariance from pixels, from alignment, and their weight
@@ -166,14 +171,14 @@ class _PoseFit:
     directions: tuple[Array, NDArray[np.bool_]]  # of the pose, and whether spots determine them
     twist: Array  # (6,)
     prior: tuple[float, float]
+    curvature: Array  # (s, 2), px/s²
 
 
-def _gauss_newton(
-    views: SightingStack, centre: Array, keep: NDArray[np.bool_], start: Array
-) -> _PoseFit:
+def _gauss_newton(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> _PoseFit:
     pose = np.array(start, dtype=float, order="C")
     spots = views.covariance, views.velocity, views.lever
-    return _PoseFit(pose, *kernel.fit_spots(views.places, centre, spots, _rows(keep), pose))
+    rows = np.flatnonzero(np.repeat(keep, 2))
+    return _PoseFit(rows, pose, *kernel.fit_spots(views.places, views.centre, spots, rows, pose))
 
 
 def perturb(pose: Array, step: Array) -> Array:
@@ -202,14 +207,14 @@ def _excess_variance(views: SightingStack, marker: Marker) -> Array:
     return MODEL_ERROR_PX**2 + np.square(views.focal[:, 0, 0] / 0.5) * (shift**2 + led**2)
 
 
-def _worst_spot(fit: _PoseFit, keep: NDArray[np.bool_], tolerance: Array) -> tuple[int, float]:
+def _worst_spot(fit: _PoseFit, tolerance: Array) -> tuple[int, float]:
     """The kept spot that fits worst, by its own residual in its own uncertainty."""
-    return kernel.worst_spot(fit.predicted, fit.spread, fit.gain, _rows(keep), tolerance)
+    return kernel.worst_spot(fit.predicted, fit.spread, fit.gain, fit.rows, tolerance)
 
 
-def _plausible(fit: _PoseFit, keep: NDArray[np.bool_], tolerance: Array) -> bool:
+def _plausible(fit: _PoseFit, tolerance: Array) -> bool:
     """Whether the kept spots' residuals as a whole are what noise, motion and tolerance reach."""
-    rows = _rows(keep)
+    rows = fit.rows
     known = int(np.sum(fit.directions[1]))
     if len(rows) <= known:
         return True
@@ -221,18 +226,10 @@ def _plausible(fit: _PoseFit, keep: NDArray[np.bool_], tolerance: Array) -> bool
     return float(off[rows] @ np.linalg.solve(spread, off[rows])) < bound
 
 
-def _rows(keep: NDArray[np.bool_]) -> NDArray[np.int64]:
-    """Which coordinates (2 k,) are those of kept spots (s,)."""
-    return np.flatnonzero(np.repeat(keep, 2))
-
-
-def _pose(
-    fit: _PoseFit, views: SightingStack, keep: NDArray[np.bool_], consistent: bool, curvature: Array
-) -> Pose:
-    residual, by_point, by_pose = fit.predicted
+def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool) -> Pose:
+    residual, by_point, _ = fit.predicted
     noise, acceleration, weight = fit.spread
-    moved = motion_columns(by_pose, views.lever, fit.prior)
-    variance = np.trace(views.covariance, 0, 1, 2) + np.sum(moved**2, axis=(1, 2))
+    variance = (noise.diagonal() + acceleration.diagonal()).reshape(-1, 2)
     off, determined = residual.reshape(-1), _determined_functionals(fit)
     return Pose(
         rig_T_flange=fit.rig_T_flange,
@@ -243,11 +240,11 @@ def _pose(
         determined=determined,
         gain=fit.gain,
         sensitivity=by_point,
-        curvature=curvature,
+        curvature=fit.curvature,
         residual=residual,
-        spot_uncertainty=np.sqrt(variance / 2),
+        spot_uncertainty=np.sqrt(variance.sum(axis=1) / 2),
         rejected=~keep,
         consistent=consistent,
         chi2=float(off @ weight @ off),
-        degrees_of_freedom=2 * int(keep.sum()) - determined.shape[1],
+        degrees_of_freedom=len(fit.rows) - determined.shape[1],
     )

@@ -274,6 +274,7 @@ def fit_spots(
     tuple[Array, Flags],
     Array,
     tuple[float, float],
+    Array,
 ]:
     """Fit a pose (4, 4), rig_T_flange, to s spots by Gauss-Newton; it is changed.
 
@@ -286,9 +287,9 @@ def fit_spots(
         (s, 2, 6), before the last step; those of `spot_covariance`, (2 s, 2 s) each; the gain
         (6, 2 s), d pose / d spot, 0 for spots that do not count; the directions of `covariance_of`,
         (6, 6) and (6,); the twist (6,), m/s and rad/s; the acceleration assumed, a component, m/s²
-        and rad/s².
+        and rad/s²; the image acceleration of that twist, corrected for, (s, 2), px/s².
     """
-    count = len(centre)
+    count, lever = len(centre), spots[2]
     residual, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
     by_pose, size = np.empty((count, 2, N_FREE)), (2 * count, 2 * count)
     spread = np.empty(size), np.empty(size), np.empty(size)
@@ -297,14 +298,21 @@ def fit_spots(
     design, off = by_pose.reshape(-1, N_FREE), residual.reshape(-1)
     weighted, step = np.empty((N_FREE, len(off))), np.empty(N_FREE)
     information, inverse = np.empty((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE))
+    curvature, straight = np.zeros((count, 2)), False
+    for s in range(count):
+        straight = straight or lever[s, 0] != 0.0
     for iteration in range(MAX_ITERATIONS):
         predict_spots(pose, *places, residual, by_point, by_pose)
-        for s in range(count):
-            for axis in range(2):
-                residual[s, axis] = centre[s, axis] - residual[s, axis]
-        if iteration == 0:  # velocities and their lever change nothing measurable in later rounds
+        # velocities and their lever change nothing measurable in later rounds
+        if iteration == 0 or (iteration == 1 and straight):
             prior = twist_from_velocities(design, spots[1].reshape(-1), rows, twist)
             spot_covariance(design, spots, rows, prior, spread)
+            if straight:
+                curvature = image_acceleration(places, pose, twist)
+        for s in range(count):
+            for axis in range(2):
+                measured = centre[s, axis] - lever[s, 0] * curvature[s, axis]
+                residual[s, axis] = measured - residual[s, axis]
         pose_information(design, spread[2], weighted, information)
         covariance_of(information, inverse, directions, known)
         largest = 0.0
@@ -319,7 +327,8 @@ def fit_spots(
         move_pose(pose, step)
         if largest < TOL_STEP:
             break
-    return (residual, by_point, by_pose), spread, gain, (directions, known), twist, prior
+    motion = twist, prior, curvature
+    return (residual, by_point, by_pose), spread, gain, (directions, known), *motion
 
 
 @compiled
