@@ -104,7 +104,8 @@ class IdentificationNotes:
     PLACES = (
         "Base and tool are found anew with every model; only changes of the arm's own numbers are "
         "shown. All are adjusted together, the arm's held by weak priors: standard deviations of "
-        "3 mm and 3° about its file. ± is the expanded uncertainty."
+        "3 mm and 3° about its file, less for twists and lengths where these show that they lie "
+        "closer. ± is the expanded uncertainty."
     )
     GAUGE = (
         "A gauge is told apart by no motion: the others make it up, whatever the arm does; where "

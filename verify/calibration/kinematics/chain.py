@@ -12,7 +12,7 @@ geometric link parameter estimation", 22nd IEEE CDC, 1983.
     tool_x … tool_rz                  of each mounting (6)      m, rad, along the flange's axes
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -154,6 +154,8 @@ class Parameter:
     kind: str  # base, tool, or a column of `LINK_COLUMNS`
     place: int  # of base and tool: which of several; else the joint, from 0
     axis: str = ""  # of base and tool: x, y, z, rx, ry, rz
+    # m or rad, of its kind in this arm as poses show it; None: not known
+    spread: float | None = field(default=None, compare=False)
 
     @property
     def angular(self) -> bool:
@@ -170,6 +172,8 @@ class Parameter:
         """Standard deviation that is taken for granted, m or rad."""
         if self.axis:
             return PLACEMENT_PRIOR
+        if self.spread is not None:
+            return self.spread
         return ANGLE_PRIOR if self.angular else LENGTH_PRIOR
 
     @property
