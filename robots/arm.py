@@ -1,7 +1,8 @@
 """Arms: joints with limits, and either a DH table or a URDF chain."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Self
 
 import numpy as np
 import pinocchio
@@ -25,11 +26,38 @@ class Arm:
     speed: Array | None = field(default=None, kw_only=True)  # rad/s
     acceleration: Array | None = field(default=None, kw_only=True)  # rad/s²
     jerk: Array | None = field(default=None, kw_only=True)  # rad/s³
+    # (n, n), whole numbers, ones on its diagonal and zeros above: axes turn by linkage @ q where a
+    # joint's motor drives later links as well; None where each joint turns its own axis alone
+    linkage: Array | None = field(default=None, kw_only=True)
 
     @property
     def dof(self) -> int:
         """Number of joints."""
         return len(self.lower)
+
+    @cached_property
+    def unlinked(self) -> Self:
+        """The arm whose joint angles are `axis_angles`; its limits mean nothing."""
+        return replace(self, linkage=None)
+
+    def axis_angles(self, q: Array) -> Array:
+        """By how much each axis itself turns at joint angles q (..., n), rad."""
+        return q if self.linkage is None else q @ self.linkage.T
+
+    def axis_formula(self, joint: int) -> str:
+        """What a joint's axis turns by, joints counted from 1: q3, or q3 - q2."""
+        factors = np.eye(self.dof)[joint] if self.linkage is None else self.linkage[joint]
+        first, *rest = [j for j in range(joint, -1, -1) if factors[j]]
+        times = [f"{abs(f):g}·" if abs(f) != 1 else "" for f in factors]
+        terms = [f" {'+' if factors[j] > 0 else '-'} {times[j]}q{j + 1}" for j in rest]
+        return f"q{first + 1}{''.join(terms)}"
+
+    def joint_angles_of(self, axis_angles: Array) -> Array:
+        """Joint angles q (..., n) of `axis_angles`, rad."""
+        if self.linkage is None:
+            return axis_angles
+        solved: Array = axis_angles @ np.rint(np.linalg.inv(self.linkage)).T
+        return solved
 
     def __str__(self) -> str:
         return self.name
@@ -39,7 +67,8 @@ class Arm:
 class DhArm(Arm):
     """Six revolute joints in standard DH: RotZ(θ) TransZ(d) TransX(a) RotX(α).
 
-    θ = sign · q + offset, joint by joint. The base is DH frame 0, the flange DH frame 6.
+    θ = sign · q + offset, joint by joint, of a linked arm with its `axis_angles` for q. The
+    base is DH frame 0, the flange DH frame 6.
     """
 
     a: Array  # (6,), m
@@ -51,11 +80,11 @@ class DhArm(Arm):
 
     def theta(self, q: Array) -> Array:
         """DH angles of joint angles, (..., 6)."""
-        return self.sign * q + self.offset
+        return self.sign * self.axis_angles(q) + self.offset
 
     def joint_angles(self, theta: Array) -> Array:
         """Joint angles q of DH angles, (..., 6)."""
-        return self.sign * (theta - self.offset)
+        return self.joint_angles_of(self.sign * (theta - self.offset))
 
     @cached_property
     def links(self) -> list[tuple[float, float, float, float]]:
@@ -111,7 +140,7 @@ class UrdfArm(Arm):
     def configuration(self, q: Array) -> Array:
         """Pinocchio's configuration vector for joint angles q (n,)."""
         configuration = np.zeros(self.model.nq)
-        for angle, (place, _, unbounded) in zip(q, self.joints, strict=True):
+        for angle, (place, _, unbounded) in zip(self.axis_angles(q), self.joints, strict=True):
             if unbounded:
                 configuration[place : place + 2] = np.cos(angle), np.sin(angle)
             else:

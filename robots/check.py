@@ -123,10 +123,10 @@ def _pinocchio(arm: DhArm, q: Array) -> tuple[Array, Array]:
     flange = model.getFrameId("flange")
     world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
     poses, moves = np.empty((len(q), 4, 4)), np.empty((len(q), 6, arm.dof))
-    for i, angles in enumerate(q):
+    for i, angles in enumerate(arm.axis_angles(q)):
         moves[i] = pinocchio.computeFrameJacobian(model, data, angles, flange, world)
         poses[i] = pinocchio.updateFramePlacement(model, data, flange).homogeneous
-    return poses, moves
+    return poses, moves if arm.linkage is None else moves @ arm.linkage
 
 
 def _numeric_jacobian(arm: Arm, q: Array) -> Array:

@@ -93,7 +93,7 @@ def _self_motions(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array
             nearest = zero + np.pi * np.round((theta[joint] - zero) / np.pi)
             theta[joint] = nearest if other == name else nearest + np.pi / 2
     if name == "shoulder":
-        _move_to_axis(arm, theta)
+        _move_to_axis(arm.unlinked, theta)
     _, s, vt = np.linalg.svd(_scaled_jacobian(arm, arm.joint_angles(theta)))
     return np.asarray(vt[np.minimum(s, s[-1] + TOL_ORTHOGONAL) == s])
 

@@ -21,7 +21,7 @@ RATE_KEYS = {  # optional: what moves the arm needs them, what watches it does n
     "acceleration": "acceleration_deg_s2",
     "jerk": "jerk_deg_s3",
 }
-JOINT = {*NUMBER_KEYS, *RATE_KEYS.values(), "limits_deg"}
+JOINT = {*NUMBER_KEYS, *RATE_KEYS.values(), "limits_deg", "linkage"}
 
 
 def read(path: Path) -> DhArm:
@@ -52,6 +52,9 @@ def read(path: Path) -> DhArm:
         sign=columns["sign"],
         offset=np.radians(columns["offset_deg"]),
         family=words["family"],
+        linkage=linkage_matrix(
+            path, [f"q{j + 1}" for j in range(6)], [j.get("linkage", {}) for j in table["joint"]]
+        ),
         **{name: _rates(path, table["joint"], key) for name, key in RATE_KEYS.items()},
     )
     _check_family(path, arm)
@@ -128,6 +131,26 @@ def _rates(path: Path, joints: list[dict[str, Any]], key: str) -> Array | None:
             expected = "a number above 0 is needed, for all joints or for none"
             raise RobotError(f"{path}, joint {number}, {key}", _show_value(joint, key), expected)
     return np.radians([joint[key] for joint in joints])
+
+
+def linkage_matrix(path: Path, names: list[str], rows: list[Any]) -> Array | None:
+    """Read how axes turn with earlier joints, {"q2": 1} in row 3: (n, n); None where none does.
+
+    Raises:
+        RobotError: an axis turns with what is no joint before it, or not by whole turns, so that a
+            turn of that joint would not bring the flange back.
+    """
+    linkage = np.eye(len(names))
+    for row, given in enumerate(rows):
+        before = names[:row]
+        if not isinstance(given, dict) or not all(
+            name in before and type(factor) is int for name, factor in given.items()
+        ):
+            expected = f"whole numbers for joints before it ({', '.join(before)}) are needed"
+            remedy = "Write linkage = {q2 = 1} where link 3 turns by q3 + q2, for instance."
+            raise RobotError(f"{path}, joint {row + 1}, linkage", f"{given!r}", expected, remedy)
+        linkage[row, [names.index(name) for name in given]] = list(given.values())
+    return None if np.array_equal(linkage, np.eye(len(names))) else linkage
 
 
 def _check_family(path: Path, arm: DhArm) -> None:

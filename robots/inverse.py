@@ -53,6 +53,10 @@ def inverse(arm: DhArm, base_T_flange: Array, hold: Array | None = None) -> Bran
         base_T_flange: (..., 4, 4), m.
         hold: (6,) or (..., 6), rad, angles q that free joints keep; 0 by default.
     """
+    if arm.linkage is not None:
+        hold = None if hold is None else arm.axis_angles(np.asarray(hold, dtype=float))
+        found = inverse(arm.unlinked, base_T_flange, hold)
+        return Branches(arm.joint_angles_of(found.q), found.degenerate)
     poses = np.asarray(base_T_flange, dtype=float)
     shape = poses.shape[:-2]
     poses = poses.reshape(-1, 16)

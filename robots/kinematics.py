@@ -30,9 +30,11 @@ def jacobian(arm: Arm, q: Array) -> Array:
     """How the flange moves with each joint: the geometric Jacobian (..., 6, n) at q (..., n), rad.
 
     Velocity of the flange's origin (m/rad), then angular velocity (rad/rad), both in the base
-    frame, for q itself (a joint's sign included).
+    frame, for q itself (a joint's sign and linkage included).
     """
     q = _checked(arm, q)
+    if arm.linkage is not None:
+        return np.asarray(jacobian(arm.unlinked, arm.axis_angles(q)) @ arm.linkage)
     if isinstance(arm, UrdfArm):
         return _one_by_one(arm, q, _urdf_jacobian, (6, arm.dof))
     assert isinstance(arm, DhArm)
@@ -64,7 +66,7 @@ def link_frames(arm: Arm, q: Array) -> Array:
     if isinstance(arm, DhArm):
         return np.stack([_assembled(frame, q.shape[:-1]) for frame in _chain(arm, q)], axis=1)
     assert isinstance(arm, UrdfArm)
-    rest = arm.rest_frames
+    rest, q = arm.rest_frames, arm.axis_angles(q)
     frames = np.empty((len(q), arm.dof + 1, 4, 4))
     base_T_moved = np.tile(np.eye(4), (len(q), 1, 1))  # carries a link from q = 0 to q
     turn = np.tile(np.eye(4), (len(q), 1, 1))

@@ -9,9 +9,10 @@ Z = np.array([0.0, 0.0, 1.0])
 
 
 def pinocchio_model(arm: Arm) -> pinocchio.Model:
-    """Build the arm in pinocchio; its configuration is q, its last frame is called "flange".
+    """Build the arm in pinocchio; its last frame is called "flange".
 
-    A URDF's model is the one it was loaded into, with its own frame names.
+    Its configuration is q, of a linked arm `axis_angles` of q. A URDF's model is the one it was
+    loaded into, with its own frame names.
     """
     if isinstance(arm, UrdfArm):
         return arm.model

@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio
 
 from robots.arm import UrdfArm
+from robots.definition import linkage_matrix
 from robots.errors import RobotError
 
 TURNING_TYPES = {"revolute", "continuous"}
@@ -32,6 +33,7 @@ class Joint:
     parent: str
     child: str
     mimics: bool
+    linkage: dict[str, int | str]  # how often it turns with an earlier joint
 
 
 def read(path: Path, base: str | None, tip: str | None, name: str, source: str) -> UrdfArm:
@@ -61,6 +63,7 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
         )
     model = _lock_other_joints(path, chain)
     limits = np.array([_limits(model, joint) for joint in chain])
+    names = [joint.name for joint in chain]
     return UrdfArm(
         name=name,
         description=f"{len(chain)} revolute joints, {base} to {tip}",
@@ -68,13 +71,14 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
         fingerprint=hashlib.sha256(content).hexdigest(),
         lower=limits[:, 0],
         upper=limits[:, 1],
+        linkage=linkage_matrix(path, names, [joint.linkage for joint in chain]),
         model=model,
         data=model.createData(),
         base=base,
         tip=tip,
         base_frame=model.getFrameId(base, pinocchio.FrameType.BODY),
         tip_frame=model.getFrameId(tip, pinocchio.FrameType.BODY),
-        joint_names=tuple(joint.name for joint in chain),
+        joint_names=tuple(names),
     )
 
 
@@ -105,7 +109,13 @@ def _parse(path: Path) -> tuple[bytes, list[Joint], set[str]]:
             place = f'{path}, joint "{node.get("name")}"'
             raise RobotError(place, "parent or child missing", "a joint has both", "Add it.")
         mimics = node.find("mimic") is not None
-        joints.append(Joint(node.get("name", ""), node.get("type", ""), ends[0], ends[1], mimics))
+        linkage = {
+            own.get("joint", ""): int(factor) if re.fullmatch(r"[+-]?\d{1,3}", factor) else factor
+            for own in node.findall("linkage")
+            for factor in [own.get("factor", "1")]
+        }
+        name, kind = node.get("name", ""), node.get("type", "")
+        joints.append(Joint(name, kind, ends[0], ends[1], mimics, linkage))
     if len(joints) > MAX_PARTS:
         expected = f"a robot has at most {MAX_PARTS}"
         raise RobotError(path, f"{len(joints)} joints", expected, "Give the arm's own file.")

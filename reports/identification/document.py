@@ -105,7 +105,8 @@ class IdentificationNotes:
     PLACES = (
         "Base and tool are found anew with every model; only changes of the arm's own numbers are "
         "shown. All are adjusted together, the arm's held by weak priors: standard deviations of "
-        "3 mm and 3° about its file. U: k = 2; Student's where few poses told the noise."
+        "3 mm and 3° about its file, less for twists and lengths where these show that they lie "
+        "closer. U: k = 2; Student's where few poses told the noise."
     )
     GAUGE = (
         "A gauge is told apart by no motion: the others make it up, whatever the arm does; where "

@@ -1,5 +1,6 @@
 """`verify identify` from the pictures to the corrected robot file, and what it refuses."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -7,10 +8,12 @@ import pandas as pd
 import pytest
 
 import robots
+from robots.library import HERE
 from tests.support.beside import shared
 from tests.support.command import SAMPLES, read_summary, verify
 from tests.support.published import series, write_session
-from tests.support.true_arm import faulty_arm, recorded
+from tests.support.true_arm import faulty_arm, measured, readings, recorded, true_arm
+from verify.calibration.kinematics.poses import build_poses
 
 
 @pytest.mark.shared
@@ -43,16 +46,13 @@ def test_a_session_gives_a_corrected_arm_with_its_sign_spelled_out(tmp_path: Pat
 
 @pytest.mark.slow
 @pytest.mark.shared
-@pytest.mark.parametrize(("positions_alone", "rank", "every"), [(False, 30, 5), (True, 27, 1)])
+@pytest.mark.parametrize(("positions_alone", "rank"), [(False, 30), (True, 27)])
 def test_a_laser_tracker_s_poses_need_no_registration(
-    positions_alone: bool, rank: int, every: int, tmp_path: Path
+    positions_alone: bool, rank: int, tmp_path: Path
 ) -> None:
-    """A real UR10; where its base and the tracker's target are, nobody says.
-
-    Of positions alone all of the series is taken: 299 of one recording serve it, and not another.
-    """
+    """A real UR10; where its base and the tracker's target are, nobody says."""
     at_rest = {"positions_alone": positions_alone, "period": 10.0}
-    session, out = write_session(tmp_path / "b", series("B", every), **at_rest), tmp_path / "out"
+    session, out = write_session(tmp_path / "b", series("B", 5), **at_rest), tmp_path / "out"
     # months before, with robot, tracker and target elsewhere
     other = write_session(tmp_path / "a", series("A", 40), **at_rest)
     free = ("--base", "free", "--leds", "free", "--splits", "2", "--judge", other)
@@ -95,6 +95,32 @@ def test_several_targets_are_columns_and_what_was_found_is_measured_with(tmp_pat
     errors = [joint["mean_error_deg"] for joint in read_summary(tmp_path / "report")["joints"]]
     assert errors[0] is errors[5] is None  # hidden by base and tool, which are said to be "motion"
     assert np.abs(errors[1:5]).max() < 0.01
+
+
+def test_a_linked_arm_s_offset_is_found_at_its_joint(tmp_path: Path) -> None:
+    """Link 3 turns by q3 + q2; joint 2's encoder is off, and both links with it."""
+    truth, second = true_arm("rv_3sd_melfa", 3, geometry=0.0, offsets=0.0), np.eye(6)[1]
+    truth = replace(truth, world_T_base=np.eye(4), flange_T_target=np.eye(4))
+    q = readings(truth.arm, 60, 1)
+    poses, _ = measured(truth, q + np.eye(6)[2] * q[:, [1]], 1)
+    rows = build_poses(q + np.radians(0.4) * second, poses)
+    folder = write_session(tmp_path / "one", rows, robot="arm.toml", period=10.0)
+    plain = (HERE / "rv_3sd_melfa.toml").read_text()
+    before, joint_3 = plain.split("a_mm = 135.0")
+    (folder / "arm.toml").write_text(f"{before}linkage = {{q2 = 1}}\na_mm = 135.0{joint_3}")
+    assert verify("run", folder, "-o", tmp_path / "run", "--tolerance", "0.2").status == 1
+    summary = read_summary(tmp_path / "run")
+    errors = [joint["mean_error_deg"] for joint in summary["joints"]]
+    assert np.allclose(errors, 0.4 * second, atol=0.02)
+    assert [(c["joint"], c["kind"]) for c in summary["diagnosis"]] == [(2, "offset")]
+    free = ("-o", tmp_path / "out", "--base", "free", "--leds", "free", "--splits", "2")
+    assert verify("identify", folder, *free).status == 0
+    offsets = [joint["error_deg"] for joint in read_summary(tmp_path / "out")["offsets"]]
+    assert np.allclose(offsets[1:5], 0.4 * second[1:5], atol=0.02)
+    (folder / "arm.toml").write_text(plain)
+    for command in ("run", "identify"):
+        refusal = verify(command, folder, "-o", tmp_path / "no", *free[2:] * (command != "run"))
+        assert "Add q2 to q3, or write linkage = {q2 = 1} at joint 3" in refusal.refusal
 
 
 def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:

@@ -7,7 +7,7 @@ from numpy.testing import assert_allclose
 
 import robots
 from robots.transforms import Array
-from tests.support.postures import with_signs
+from tests.support.postures import linked, with_signs
 
 ARMS = {name: robots.load(name) for name in robots.names()}
 EVERY_ARM = pytest.mark.parametrize("arm", ARMS.values(), ids=str)
@@ -69,6 +69,23 @@ def test_pose_and_jacobian_are_pinocchios(arm: robots.DhArm) -> None:
         assert_allclose(columns, theirs, atol=1e-14)
     assert robots.inverse(arm, poses, hold=q).q.shape == (300, 8, 6)
     assert_allclose(model.lowerPositionLimit, arm.lower)
+
+
+@pytest.mark.parametrize("name", ["iust_6r", "rv_3sd_melfa", "ur5"])
+def test_a_linked_arm_stands_where_its_axes_turn(name: str) -> None:
+    """Joint 2's motor turns link 3 back: the plain arm, which is pinocchio's, gets q3 - q2."""
+    plain = robots.load(name)
+    arm = linked(plain)
+    q = np.random.default_rng(4).uniform(-2.5, 2.5, (20, 6))
+    turned = q - np.eye(6)[2] * q[:, [1]]
+    poses = robots.forward(plain, turned)
+    assert_allclose(robots.forward(arm, q), poses, atol=1e-14)
+    assert_allclose(robots.link_frames(arm, q)[:, -1], poses, atol=1e-14)
+    found, reached = robots.nearest(arm, poses, q + 0.01)
+    assert reached.all()
+    assert_allclose(robots.forward(arm, found), poses, atol=1e-9)
+    check = robots.self_check(arm, poses=100, seed=3)
+    assert (check.lost, check.difference_jacobian < 1e-8) == (0, True)
 
 
 @EVERY_ARM

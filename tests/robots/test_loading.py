@@ -87,6 +87,7 @@ def test_a_path_counts_from_the_folder(tmp_path: Path) -> None:
         ("[-170.0, 170.0]", "[170.0, -170.0]", ["joint 1, limits_deg", "lower one first"]),
         ("[-170.0, 170.0]", "[1]", ["joint 1, limits_deg", "[1]", "two numbers"]),
         ("limits_deg", "sign = 2\nlimits_deg", ["joint 1, sign", "1 or -1"]),
+        ("limits_deg", "linkage = {q1 = 1}\nlimits_deg", ["joint 1, linkage", "{q2 = 1}"]),
         ("limits_deg", "speed_deg_s = 0\nlimits_deg", ["joint 1, speed_deg_s", "0", "above 0"]),
         ("limits_deg", "speed_deg_s = 9\nlimits_deg", ["joint 2, speed_deg_s", "for all joints"]),
         ("limits_deg", "jerk_deg_s3 = nan\nlimits_deg", ["joint 1, jerk_deg_s3", "above 0"]),

@@ -27,6 +27,13 @@ def with_signs(arm: robots.DhArm) -> robots.DhArm:
     )
 
 
+def linked(arm: robots.Arm, factor: int = -1) -> robots.Arm:
+    """Give an arm a joint 2 that turns link 3 as well."""
+    linkage = np.eye(arm.dof)
+    linkage[2, 1] = factor
+    return dataclasses.replace(arm, linkage=linkage)
+
+
 @functools.cache
 def wrist_on_axis_1(arm: robots.DhArm, count: int, seed: int) -> Array:
     """Random joint angles whose wrist is on axis 1 to rounding: Newton on its distance by θ2."""

@@ -84,13 +84,9 @@ def _parallel_axes(arm: robots.Arm) -> list[Array]:
             groups[-1].append(j)
         else:
             groups.append([j])
-    sums = []
-    for group in groups:
-        if len(group) > 1:
-            weights = np.zeros(arm.dof)
-            weights[group] = arm.sign[group]
-            sums.append(weights)
-    return sums
+    linkage = np.eye(arm.dof) if arm.linkage is None else arm.linkage
+    sums = [arm.sign[group] @ linkage[group] for group in groups]
+    return [weights for weights in sums if np.count_nonzero(weights) > 1]
 
 
 def _singularity_sums(

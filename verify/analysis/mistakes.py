@@ -302,6 +302,14 @@ def joint_mistakes(readings: Readings) -> Iterator[tuple[str, str, Readings]]:
             q = readings.q.copy()
             q[:, joint] = column
             yield name, remedy, Readings(readings.t, q)
+    for sign, word in ((1.0, "Add"), (-1.0, "Subtract")):
+        for j in range(1, readings.q.shape[1]):
+            q = readings.q.copy()
+            q[:, j] += sign * q[:, j - 1]
+            add = f"{word} q{j} {'to' if sign > 0 else 'from'} q{j + 1}"
+            remedy = f"{add}, or write linkage = {{q{j} = {sign:.0f}}} at joint {j + 1} of the arm."
+            name = f"joint {j + 1} coupled to joint {j}, its link turning with both,"
+            yield name, remedy, Readings(readings.t, q)
     for i, k in combinations(range(readings.q.shape[1]), 2):
         q = readings.q.copy()
         q[:, [i, k]] = q[:, [k, i]]

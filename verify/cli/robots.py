@@ -58,7 +58,7 @@ def _table(arm: "arms.Arm") -> str:
     heads = ["joint", *(["a mm", "d mm", "alpha deg", "sign", "offset deg"] if dh else [])]
     table = Table(*heads, "lower deg", "upper deg", title=arm.name)
     for j in range(arm.dof):
-        cells = [str(j + 1)]
+        cells = [str(j + 1) if arm.linkage is None else arm.axis_formula(j)]
         if isinstance(arm, arms.DhArm):
             figures = (arm.a[j] * 1e3, arm.d[j] * 1e3, np.rad2deg(arm.alpha[j]))
             cells += [f"{v:g}" for v in (*figures, arm.sign[j], np.rad2deg(arm.offset[j]))]

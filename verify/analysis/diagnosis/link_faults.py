@@ -46,6 +46,7 @@ def link_displacements(arm: robots.Arm, q: Array) -> Array:
     Each along and about two directions square to the next axis: along it a link may slide, and
     about it turn, as that joint's zero does. Axes by products of exponentials from q = 0.
     """
+    arm, q = arm.unlinked, arm.axis_angles(q)
     rest = np.zeros(arm.dof)
     tip = robots.forward(arm, rest)[:3, 3]
     columns = robots.jacobian(arm, rest)

@@ -207,7 +207,7 @@ def _to_mm(value: float | None) -> float | None:
 def _robot(arm: robots.Arm) -> dict[str, Any]:
     joints: list[dict[str, Any]] = []
     for j in range(arm.dof):
-        joint: dict[str, Any] = {"joint": j + 1, "name": f"q{j + 1}"}
+        joint: dict[str, Any] = {"joint": j + 1, "name": arm.axis_formula(j)}
         table = dict.fromkeys(("a_mm", "d_mm", "alpha_deg", "sign", "offset_deg"))
         if isinstance(arm, robots.DhArm):
             table = {

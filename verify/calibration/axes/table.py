@@ -13,7 +13,7 @@ from scipy.linalg import block_diag
 
 import robots
 from robots.transforms import difference, invert
-from verify.analysis.clock.estimate import estimate_clock
+from verify.analysis.measured import session_clock
 from verify.analysis.sweeps.segments import MAX_REST_TRAVEL, SweepSegment, find_sweeps
 from verify.calibration.axes.joint import (
     AxisLine,
@@ -177,12 +177,20 @@ def axes_from_sweeps(session: Session, measurements: Sequence[Measurement]) -> S
     """Find the axis of each joint that moved alone and compare the arm with its table.
 
     Raises:
-        InputError: no joint was swept alone through a useful span.
+        InputError: no joint was swept alone through a useful span; or a joint of this arm turns
+            several axes, so that a sweep of it shows none.
     """
+    if session.arm.linkage is not None:
+        raise InputError(
+            session.folder,
+            f"joints of {session.arm.name} turn later links as well (linkage)",
+            "a sweep must show one axis",
+            "Leave out --sweeps, or use `verify identify`.",
+        )
     measured = [m for m in measurements if m.status == "measured" and m.pose is not None]
     measured = [m for m in measured if m.pose is not None and m.pose.known_dof == 6]
     readings = Readings(session.encoders.t, session.encoders.q)
-    offset = _clock(session, measured, readings)
+    offset = _clock(session, measured, readings) if measured else 0.0
     t = np.array([m.t for m in measured]) - offset
     frame = np.array([m.frame for m in measured], dtype=np.int64)
     sweeps, notes = find_sweeps(readings, t, frame) if measured else ([], [])
@@ -209,12 +217,10 @@ def axes_from_sweeps(session: Session, measurements: Sequence[Measurement]) -> S
 
 
 def _clock(session: Session, measured: list[Measurement], readings: Readings) -> float:
-    if session.clock is not None:
-        return session.clock.encoder_offset
     # the invariants of the motion need no base; without one the rig's own axes stand in
     rig = session.rig if session.rig.registered else replace(session.rig, rig_T_base=np.eye(4))
     empty = [np.zeros((6, 0))] * len(measured)
-    return float(estimate_clock(collect_track(measured, rig, empty), session.arm, readings).offset)
+    return session_clock(session, collect_track(measured, rig, empty), readings).offset
 
 
 def _wide_sweeps(sweeps: list[SweepSegment]) -> tuple[list[SweepSegment], list[str]]:

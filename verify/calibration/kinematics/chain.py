@@ -1,7 +1,7 @@
 """Kinematic chain of any serial arm of revolute joints, and its parameters that may be identified.
 
     base_T_flange = T_first Π_j [ RotZ(θ_j) TransZ(d_j) TransX(a_j) RotX(α_j) RotY(β_j) ] T_last
-    θ_j           = sign_j (q_j + correction_j) + offset_j
+    θ_j           = sign_j (q_j + correction_j) + offset_j, or by linkage · (q + correction)
 
 Standard DH; where axes j and j + 1 are (nearly) parallel, β turns about y as α does about x:
 together they lean the next axis either way, which d cannot do there. Source: Hayati, "Robot arm
@@ -12,7 +12,7 @@ geometric link parameter estimation", 22nd IEEE CDC, 1983.
     tool_x … tool_rz                  of each mounting (6)      m, rad, along the flange's axes
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -46,6 +46,14 @@ class KinematicChain:
     a: Array  # (n,), m
     alpha: Array  # (n,), rad
     beta: Array  # (n,), rad
+    linkage: Array | None  # (n, n), as of `robots.Arm`
+
+    def theta(self, q: Array) -> Array:
+        """DH angles (..., n) of readings q (..., n), rad."""
+        turned = q + self.correction
+        if self.linkage is not None:
+            turned = turned @ self.linkage.T
+        return np.asarray(self.sign * turned + self.offset)
 
     @property
     def dof(self) -> int:
@@ -67,9 +75,9 @@ def chain_of(arm: robots.Arm) -> KinematicChain:
     if isinstance(arm, robots.DhArm):
         return KinematicChain(
             np.eye(4), np.eye(4), arm.sign, arm.offset, np.zeros(arm.dof), arm.d, arm.a, arm.alpha,
-            np.zeros(arm.dof),
+            np.zeros(arm.dof), arm.linkage,
         )  # fmt: skip
-    rest = np.zeros(arm.dof)
+    rest, linkage, arm = np.zeros(arm.dof), arm.linkage, arm.unlinked
     base_T_flange, columns = robots.forward(arm, rest), robots.jacobian(arm, rest)
     turns = columns[3:].T
     points = base_T_flange[:3, 3] - np.cross(columns[:3].T, turns)  # nearest to the flange's origin
@@ -84,7 +92,7 @@ def chain_of(arm: robots.Arm) -> KinematicChain:
     offset, d, a, alpha, beta = np.array(rows).T
     return KinematicChain(
         base_T_first, invert(frame) @ base_T_flange, np.ones(arm.dof), offset, rest, d, a, alpha,
-        beta,
+        beta, linkage,
     )  # fmt: skip
 
 
@@ -146,6 +154,8 @@ class Parameter:
     kind: str  # base, tool, or a column of `LINK_COLUMNS`
     place: int  # of base and tool: which of several; else the joint, from 0
     axis: str = ""  # of base and tool: x, y, z, rx, ry, rz
+    # m or rad, of its kind in this arm as poses show it; None: not known
+    spread: float | None = field(default=None, compare=False)
 
     @property
     def angular(self) -> bool:
@@ -162,6 +172,8 @@ class Parameter:
         """Standard deviation that is taken for granted, m or rad."""
         if self.axis:
             return PLACEMENT_PRIOR
+        if self.spread is not None:
+            return self.spread
         return ANGLE_PRIOR if self.angular else LENGTH_PRIOR
 
     @property

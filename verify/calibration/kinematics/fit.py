@@ -6,15 +6,19 @@
     W_i   (6, 6)   whitener of the row's noise
     N_i   (6, e)   effects of unit variance that do not average out
     p     (L,)     chosen parameters (`chain.Parameter`), since the arm's own numbers
-    σ     (L,)     `Parameter.prior`: 3 mm and 3° of the arm, 1 m and 1 rad of a free base or tool
+    σ     (L,)     `Parameter.prior`: 3 mm and 3° of the arm, 1 m and 1 rad of a free base or tool;
+                   less of twists and lengths, as far as they show how far they lie from the file
     z     (e,)     nuisances, in standard deviations
+
+That spread makes the rows likeliest: s² = mean of p_k² + var p_k over the kind (Dempster, Laird and
+Rubin, J. R. Stat. Soc. B 39, 1977). What poses hardly tell is not led astray by 3 mm of freedom.
 
 A row is outlying where its squared Mahalanobis distance exceeds what noise reaches once in a
 thousand data sets. Such rows are left out and remain listed; never more than a tenth, the farthest:
 where more lie that far off, the noise is not what it was taken for, and grows.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,6 +43,12 @@ MAX_OUTLYING = 0.1  # of the rows
 MAX_ROUNDS = 12  # of fit and outlying rows, and of fit and noise; two or three suffice
 MAX_ITERATIONS = 40  # of a fit: five from a closed-form start, two from a fit of other rows
 TOL_STEP = 1e-5  # of 1 mm or 1°
+SPREAD_KINDS = (
+    ("alpha", "beta"),
+    ("d", "a"),
+)  # that lie about as far from the file, one as another
+MIN_SPREAD = 0.02  # mm or °: no arm is made better
+TOL_SPREAD = 0.02  # relative
 TAIL = 0.0228  # beyond k = 2 on either side of a normal variable
 
 
@@ -133,7 +143,8 @@ def fit_parameters(
         before, scale = scale, residual_scale(left, columns, covariance, rows, scale)
         if richest is not None:
             scale = scale.at_least(richest.scale)
-        if scale.near(before):
+        parameters, wider = _with_spread(parameters, at, covariance), parameters
+        if scale.near(before) and np.allclose(_priors(parameters), _priors(wider), rtol=TOL_SPREAD):
             break
     known = information(at.state, rows, parameters, scale)
     left = _without_nuisances(pose_residuals(at.state, poses), poses, scale, used)
@@ -157,7 +168,7 @@ def minimise(
     length, tolerance = len(parameters), tolerances(parameters)
     white = scale.of(poses)
     held = _rows(white @ poses.nuisance)
-    weight = (tolerance / np.array([p.prior for p in parameters])) ** 2 if length else np.zeros(0)
+    weight = (tolerance / _priors(parameters)) ** 2
     prior = np.concatenate([weight, np.ones(held.shape[1])])
 
     def solve_step(at: FitState) -> tuple[Array, Array]:
@@ -220,12 +231,32 @@ def tolerances(parameters: tuple[Parameter, ...]) -> Array:
     return np.array([parameter.tolerance for parameter in parameters])
 
 
+def _priors(parameters: tuple[Parameter, ...]) -> Array:
+    """Standard deviations, (L,), m and rad."""
+    return np.array([parameter.prior for parameter in parameters])
+
+
+def _with_spread(
+    parameters: tuple[Parameter, ...], at: FitState, covariance: Array
+) -> tuple[Parameter, ...]:
+    """State how far the arm's twists, and its lengths, lie from its file, by a fit so far."""
+    square = at.change**2 + np.diag(covariance)[: len(parameters)]
+    found = list(parameters)
+    for kinds in SPREAD_KINDS:
+        own = [k for k, parameter in enumerate(parameters) if parameter.kind in kinds]
+        for k in own:
+            spread = max(float(np.sqrt(square[own].mean())), MIN_SPREAD) * parameters[k].tolerance
+            widest = replace(parameters[k], spread=None).prior
+            found[k] = replace(parameters[k], spread=min(spread, widest))
+    return tuple(found)
+
+
 def _covariance(known: Array, parameters: tuple[Parameter, ...]) -> Array:
     """Covariance by the rows and the priors together, (L, L), m and rad."""
     if not parameters:
         return np.zeros((0, 0))
     tolerance = tolerances(parameters)
-    prior = np.diag([p.tolerance / p.prior for p in parameters])
+    prior = np.diag(tolerance / _priors(parameters))
     _, size, vt = np.linalg.svd(np.vstack([known, prior]), full_matrices=False)
     root = vt.T / size * tolerance[:, None]
     found: Array = root @ root.T

@@ -70,7 +70,8 @@ class LevelResult:
     @property
     def weak(self) -> tuple[UnidentifiableParameter, ...]:
         """The arm's own parameters that rest on their priors more than on the poses."""
-        own, known = self.support.supported, self.known
+        fitted, known = self.fit.parameters, self.known
+        own = tuple(fitted[fitted.index(p)] for p in self.support.supported)
         found = [
             unsupported(own, known, k, [i for i in range(len(own)) if i != k])
             for k in range(len(own))

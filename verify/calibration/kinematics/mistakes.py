@@ -5,24 +5,22 @@ by what a registration leaves of a few poses. It is named where as written more 
 left, and without it less than a MIN_FACTOR-th of that.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
+from verify.analysis.mistakes import joint_mistakes
 from verify.calibration.kinematics.chain import KinematicChain
 from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.model import start_state
 from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
-from verify.core.records import Array
+from verify.core.readings import Readings
 from verify.errors import InputError
 
 MIN_LEFT = 0.02  # m, mean: an arm of 1 m with 2° in a joint leaves about as much
 MIN_FACTOR = 3.0  # of what is left as written over what a mistake leaves
 MAX_ROWS = 80  # that are registered for each mistake
-ZERO_ERRORS_DEG = (90, -90, 180)
 
 
 def refuse_mistaken_readings(file: Path, chain: KinematicChain, poses: IdentificationPoses) -> None:
@@ -39,7 +37,11 @@ def refuse_mistaken_readings(file: Path, chain: KinematicChain, poses: Identific
     written = _left(chain, rows)
     if written < MIN_LEFT:
         return
-    tried = [(_left(chain, replace(rows, q=q)), name, remedy) for name, remedy, q in _usual(rows.q)]
+    readings = Readings(np.arange(len(rows), dtype=float), rows.q)
+    tried = [
+        (_left(chain, replace(rows, q=without.q)), name, remedy)
+        for name, remedy, without in joint_mistakes(readings)
+    ]
     left, name, remedy = min(tried)
     if left * MIN_FACTOR < written:
         raise InputError(
@@ -73,35 +75,3 @@ def _left(chain: KinematicChain, rows: IdentificationPoses) -> float:
     """Mean length that a closed-form registration leaves of the positions, m."""
     left = pose_residuals(start_state(chain, rows), rows)[:, :3]
     return float(np.linalg.norm(left, axis=1).mean())
-
-
-def _usual(q: Array) -> Iterator[tuple[str, str, Array]]:
-    """The usual mistakes, what to do about each, and the readings (n, j), rad, without it."""
-    for j in range(q.shape[1]):
-        column, name = f"q{j + 1}_deg", f"joint {j + 1}"
-        for what, remedy, values in (
-            (f"{name} reversed", f"Multiply the column {column} by -1.", -q[:, j]),
-            (f"{name} in radians", f"Multiply the column {column} by 180/π.", np.rad2deg(q[:, j])),
-            *(
-                (f"{name} with its zero moved by {z:+d}°", f"Add {z:+d} to {column}.",
-                 q[:, j] + np.deg2rad(z))
-                for z in ZERO_ERRORS_DEG
-            ),
-        ):  # fmt: skip
-            yield what, remedy, _with(q, j, values)
-    for i, k in combinations(range(q.shape[1]), 2):
-        columns = f"q{i + 1}_deg and q{k + 1}_deg"
-        swapped = q.copy()
-        swapped[:, [i, k]] = q[:, [k, i]]
-        yield f"joints {i + 1} and {k + 1} exchanged", f"Exchange {columns}.", swapped
-    for sign, verb in ((1.0, "Add q{} to"), (-1.0, "Subtract q{} from")):
-        for j in range(1, q.shape[1]):
-            what = f"joint {j + 1} coupled to joint {j}, its link turning with both,"
-            remedy = f"{verb.format(j)} q{j + 1}: this is a raw log of the motors."
-            yield what, remedy, _with(q, j, q[:, j] + sign * q[:, j - 1])
-
-
-def _with(q: Array, joint: int, values: Array) -> Array:
-    changed = q.copy()
-    changed[:, joint] = values
-    return changed

@@ -1,11 +1,13 @@
 """Forward model of a chain with its Jacobian by every parameter, and start values.
 
     world_T_target = base T_first Π_j [ RotZ(θ_j) TransZ(d_j) TransX(a_j) RotX(α_j) RotY(β_j) ]
-                     T_last tool,           θ_j = sign_j (q_j + correction_j) + offset_j
+                     T_last tool,           θ_j as in `chain`
 
 A frame is carried along the chain; every elementary shift leaves its direction, every turn its
 axis and the point that it passes: together the columns of the geometric Jacobian.
 """
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,6 +51,13 @@ class _JacobianBuilder:
         turned = frame @ step[:, :3, :3]
         self.axes = [turned[:, :, k] for k in range(3)]
 
+    def twist(self, parameter: Parameter) -> Array:
+        """Motion of the present origin a unit of a parameter, (n, 6), m and rad."""
+        direction, point = self.steps[parameter]
+        if point is None:
+            return np.concatenate([direction, np.zeros_like(direction)], axis=1)
+        return np.concatenate([np.cross(direction, self.origin - point), direction], axis=1)
+
     def pose(self) -> Array:
         found = np.zeros((len(self.origin), 4, 4))
         found[:, :3, :3] = np.stack(self.axes, axis=2)
@@ -83,15 +92,12 @@ def predict_with_jacobian(
     for k, parameter in enumerate(parameters):
         if parameter.axis:
             own = (base if parameter.kind == "base" else tool) == parameter.place
-            direction, point = walk.steps[Parameter(parameter.kind, 0, parameter.axis)]
+            columns[own, :, k] = walk.twist(replace(parameter, place=0))[own]
+        elif parameter.kind == "correction" and state.chain.linkage is not None:
+            for j, factor in enumerate(state.chain.linkage[:, parameter.place].tolist()):
+                columns[:, :, k] += factor * walk.twist(replace(parameter, place=j))
         else:
-            own = np.ones(len(q), dtype=bool)
-            direction, point = walk.steps[parameter]
-        if point is None:
-            columns[own, :3, k] = direction[own]
-        else:
-            columns[own, :3, k] = np.cross(direction[own], walk.origin[own] - point[own])
-            columns[own, 3:, k] = direction[own]
+            columns[:, :, k] = walk.twist(parameter)
     return walk.pose(), columns
 
 
@@ -103,7 +109,7 @@ def _walk(
     walk.fixed(state.base[base])
     _placement_columns(walk, "base")
     walk.fixed(chain.base_T_first)
-    theta = chain.sign * (q + chain.correction) + chain.offset
+    theta = chain.theta(q)
     for j in range(chain.dof):
         walk.turn(Z, theta[:, j], Parameter("correction", j), float(chain.sign[j]))
         walk.shift(Z, float(chain.d[j]), Parameter("d", j))

@@ -50,7 +50,7 @@ def _table(
         "a_mm": arm.a * 1e3,
         "d_mm": arm.d * 1e3,
         "alpha_deg": np.degrees(arm.alpha),
-        "offset_deg": np.degrees(arm.offset + arm.sign * chain.correction),
+        "offset_deg": np.degrees(chain.theta(np.zeros(arm.dof))),
         "sign": arm.sign,
         "limits_deg": np.degrees(np.stack([arm.lower, arm.upper], axis=1)),
     }
@@ -66,7 +66,9 @@ def _table(
             key: encode_numbers(column[j] if column.ndim > 1 else float(column[j]))
             for key, column in columns.items()
         }
+        | ({"linkage": {f"q{k + 1}": f for k, f in linked.items()}} if linked else {})
         for j in range(arm.dof)
+        for linked in [_linkage(chain, j)]
     ]
     comments = "".join(f"# {one_line(line)}\n" for line in provenance.lines())
     return comments.encode() + encode(
@@ -94,9 +96,8 @@ def _urdf(
     lines += [f"<!-- {_comment(sentence)} -->" for sentence in provenance.lines()]
     lines.append(f"<robot name={quoteattr(name)}>")
     lines += [f'  <link name="{link}"/>' for link in links]
-    before = chain.base_T_first
+    before, zero = chain.base_T_first, chain.theta(np.zeros(arm.dof))
     for j in range(arm.dof):
-        angle = chain.offset[j] + chain.sign[j] * chain.correction[j]
         speed = 0.0 if arm.speed is None else float(arm.speed[j])
         span = f'lower="{_number(arm.lower[j])}" upper="{_number(arm.upper[j])}"'
         limits = f'{span} effort="0" velocity="{_number(speed)}"'
@@ -104,9 +105,13 @@ def _urdf(
             f'  <joint name={quoteattr(names[j])} type="revolute">',
             f'    <parent link="{links[j]}"/>',
             f'    <child link="{links[j + 1]}"/>',
-            f"    {_origin(before @ turn_z(float(angle)))}",
+            f"    {_origin(before @ turn_z(float(zero[j])))}",
             f'    <axis xyz="0 0 {chain.sign[j]:g}"/>',
             f"    <limit {limits}/>",
+            *(
+                f'    <linkage joint={quoteattr(names[k])} factor="{factor}"/>'
+                for k, factor in _linkage(chain, j).items()
+            ),
             "  </joint>",
         ]
         before = steps[j]
@@ -119,6 +124,12 @@ def _urdf(
         "</robot>",
     ]
     return ("\n".join(lines) + "\n").encode()
+
+
+def _linkage(chain: KinematicChain, joint: int) -> dict[int, int]:
+    """How often an axis turns with each joint before it."""
+    row = [] if chain.linkage is None else chain.linkage[joint, :joint].astype(int).tolist()
+    return {k: factor for k, factor in enumerate(row) if factor}
 
 
 def _origin(pose: Array) -> str:

@@ -118,6 +118,9 @@ def test_positions_of_a_point_support_27_parameters() -> None:
     assert found.chosen.support.rank == len(found.chosen.support.supported) == 27
     assert found.chosen.held_out.position[0] < 3e-4
     assert np.isnan(found.chosen.held_out.orientation).all()
+    wide = {p.kind: p.prior / p.tolerance for p in found.chosen.fit.parameters}
+    assert wide["correction"] == 3  # of lengths and twists what they were drawn with, 0.3
+    assert 0.2 < wide["a"] < 0.45 > wide["alpha"] > 0.2
 
 
 def test_noise_that_is_not_stated_is_found() -> None:
