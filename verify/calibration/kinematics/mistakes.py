@@ -7,22 +7,23 @@ left, and without it less than a MIN_FACTOR-th of that.
 
 from collections.abc import Iterator
 from dataclasses import replace
-from itertools import combinations
 from pathlib import Path
 
 import numpy as np
 
+from verify.analysis.mistakes import joint_mistakes
 from verify.calibration.kinematics.chain import KinematicChain
 from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.model import start_state
 from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
+from verify.calibration.kinematics.validation import CrossValidation
+from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
 
 MIN_LEFT = 0.02  # m, mean: an arm of 1 m with 2° in a joint leaves about as much
 MIN_FACTOR = 3.0  # of what is left as written over what a mistake leaves
 MAX_ROWS = 80  # that are registered for each mistake
-ZERO_ERRORS_DEG = (90, -90, 180)
 
 
 def refuse_mistaken_readings(file: Path, chain: KinematicChain, poses: IdentificationPoses) -> None:
@@ -51,22 +52,20 @@ def refuse_mistaken_readings(file: Path, chain: KinematicChain, poses: Identific
         )
 
 
-def refuse_unfit(file: Path, held_out: float | None) -> None:
+def refuse_unfit(file: Path, left: CrossValidation | None) -> None:
     """Refuse readings that nothing which was identified makes this arm's motion.
 
-    `held_out`, m: the mean distance of positions held out; None: none were.
-
     Raises:
-        InputError: it is more than any arm's own errors leave.
+        InputError: more is left of poses held out than any arm's own errors leave.
     """
-    if held_out is not None and held_out > MIN_LEFT:
+    if left is not None and left.position[0] > MIN_LEFT:
+        mm = float(left.position[0]) * 1e3
+        found = f"{mm:.3g} mm are left of poses held out, whatever base and joints are"
         raise InputError(
-            file,
-            f"the readings are not this arm's motion: {held_out * 1e3:.3g} mm are left of poses "
-            "held out, whatever base, target and joints are",
-            f"{MIN_LEFT * 1e3:.0f} mm or less: readings and poses of one arm, without slips",
+            file, f"the readings are not this arm's motion: {found}",
+            f"one arm's own errors leave less than {MIN_LEFT * 1e3:.0f} mm",
             "Check units, signs and order in both files; `verify run` shows an encoder that slips.",
-        )
+        )  # fmt: skip
 
 
 def _left(chain: KinematicChain, rows: IdentificationPoses) -> float:
@@ -77,31 +76,12 @@ def _left(chain: KinematicChain, rows: IdentificationPoses) -> float:
 
 def _usual(q: Array) -> Iterator[tuple[str, str, Array]]:
     """The usual mistakes, what to do about each, and the readings (n, j), rad, without it."""
-    for j in range(q.shape[1]):
-        column, name = f"q{j + 1}_deg", f"joint {j + 1}"
-        for what, remedy, values in (
-            (f"{name} reversed", f"Multiply the column {column} by -1.", -q[:, j]),
-            (f"{name} in radians", f"Multiply the column {column} by 180/π.", np.rad2deg(q[:, j])),
-            *(
-                (f"{name} with its zero moved by {z:+d}°", f"Add {z:+d} to {column}.",
-                 q[:, j] + np.deg2rad(z))
-                for z in ZERO_ERRORS_DEG
-            ),
-        ):  # fmt: skip
-            yield what, remedy, _with(q, j, values)
-    for i, k in combinations(range(q.shape[1]), 2):
-        columns = f"q{i + 1}_deg and q{k + 1}_deg"
-        swapped = q.copy()
-        swapped[:, [i, k]] = q[:, [k, i]]
-        yield f"joints {i + 1} and {k + 1} exchanged", f"Exchange {columns}.", swapped
+    for name, remedy, readings in joint_mistakes(Readings(np.arange(float(len(q))), q)):
+        yield name, remedy, readings.q
     for sign, verb in ((1.0, "Add q{} to"), (-1.0, "Subtract q{} from")):
         for j in range(1, q.shape[1]):
             what = f"joint {j + 1} coupled to joint {j}, its link turning with both,"
             remedy = f"{verb.format(j)} q{j + 1}: this is a raw log of the motors."
-            yield what, remedy, _with(q, j, q[:, j] + sign * q[:, j - 1])
-
-
-def _with(q: Array, joint: int, values: Array) -> Array:
-    changed = q.copy()
-    changed[:, joint] = values
-    return changed
+            coupled = q.copy()
+            coupled[:, j] += sign * q[:, j - 1]
+            yield what, remedy, coupled
