@@ -5,15 +5,14 @@ faults of encoders may do is taken from the errors, joint by joint:
 
     error = offset + step (t > t0) + gain · angle        |offset| <= MAX_OFFSET, |gain| <= MAX_GAIN
 
-A mistake that people make (a joint's sign, its zero, its unit, two joints exchanged, another base
-or arm) is named where it leaves far less than faults do. Without one, the log is refused where two
-joints or more stay off, and the screw motions from pair to pair, which no registration disturbs,
-disagree as well; or where one joint is off as no encoder is. Mistakes are ranked by
+A mistake that people make (a joint's sign, zero, unit, two joints exchanged, another base or arm)
+is named where it leaves far less. Without one, the log is refused where one joint stays off as no
+encoder is; or two do, and the screw motions from pair to pair disagree as well, which no
+registration disturbs. Mistakes are ranked by
 
     median over pairs of |translation| / LEVER + |rotation|      flange as read to as measured
 
-or, where base and body are not known, by the screw motions alone; only the best are carried through
-to the joints.
+or, where base and body are not known, by the screw motions; the best are carried to the joints.
 """
 
 from collections.abc import Iterator
@@ -31,7 +30,7 @@ from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.measured import session_clock, setup_of
 from verify.analysis.plausibility import usual_mistakes
-from verify.analysis.relative_motion import screw_motion
+from verify.analysis.relative_motion import MAX_TURN, MIN_TURN, screw_motion
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
@@ -45,9 +44,7 @@ MAX_PAIRS = 60  # that are compared for each mistake
 MIN_REACHED = 0.5  # of the pairs
 MIN_CONDITION = 0.5  # of the typical one, as singular values go: a wrist stretched out tells little
 HIGH = 0.9  # quantile over pairs: a joint is near 0 in most poses, and there its sign is nothing
-MAX_STRAY = np.deg2rad(2.0)  # that faults and the clock leave
-MAX_SCREW_MISFIT = np.deg2rad(2.0)  # likewise, of the motions from pair to pair
-MIN_TURN, MAX_TURN = np.deg2rad([10.0, 170.0])  # of these motions: a screw's axis is known
+MAX_STRAY = np.deg2rad(2.0)  # that faults and the clock leave, of joints and of screw motions
 MAX_OFFSET = np.deg2rad(45.0)  # of an encoder that is at fault
 MAX_GAIN = 0.1  # likewise; more is a wrong unit or ratio
 MIN_TRAVEL = np.deg2rad(5.0)  # of a joint whose gain is sought
@@ -82,53 +79,54 @@ def refuse_other_motion(
     """Refuse readings that are not this arm's motion.
 
     Raises:
-        InputError: names the mistake that explains the readings, or the joints that are off.
+        InputError: names the mistake that explains the readings, or says that none does.
     """
     arm = session.arm
     if arm.dof != 6 or len(track) < 3 or np.median(track.known_dof) < 6:
         return
     written = Mistake(session.folder / "encoders.csv", "", "", readings, track, arm)
     if _is_frozen(written, clock.offset):
-        found = "the readings never change while the flange moves"
-        raise _refusal(session, written, found)
-    typical = float(_high(_joint_errors(written, clock.offset)[0]).max())
+        raise _refusal(session, written, "the readings never change while the flange moves")
+    typical = _large_error(written, clock.offset)
     if typical < MAX_ERROR:
         return
-    left = _left_by_faults(session, written, clock)
-    mistakes = list(_mistakes(session, written, left.factor, among_all=left.joints_off > 1))
-    offsets = [_likely_offset(session, mistake, clock.offset) for mistake in mistakes]
-    named, remains = _best_by_joints(session, mistakes, offsets, left.worst)
+    off, left, factor, screws = _left_by_faults(session, written, clock)
+    mistakes = [
+        (mistake, _likely_offset(session, mistake, clock.offset))
+        for mistake in _mistakes(session, written, factor, among_all=off > 1)
+    ]
+    named, remains = _best_by_joints(session, mistakes, left)
     if named is not None:
         found = f"{named.name} fits: {_degrees(remains)} instead of {_degrees(typical)}"
         raise _refusal(session, named, found)
-    if left.joints_off > 1 and left.screws > MAX_SCREW_MISFIT:
-        misfits = [screw_misfit(m, offset) for m, offset in zip(mistakes, offsets, strict=True)]
+    if off > 1 and screws > MAX_STRAY:
+        misfits = [screw_misfit(*mistake) for mistake in mistakes]
         best = int(np.argmin(misfits))
-        if misfits[best] < min(MAX_SCREW_MISFIT, MAX_LEFT_SHARE * left.screws):
-            named, misfit = mistakes[best], _degrees(misfits[best])
+        if misfits[best] < min(MAX_STRAY, MAX_LEFT_SHARE * screws):
+            named, misfit = mistakes[best][0], _degrees(misfits[best])
             found = f"{named.name} fits the flange's turns to {misfit} instead of"
-            raise _refusal(session, named, f"{found} {_degrees(left.screws)}")
-    elif left.worst < MAX_OFFSET:
+            raise _refusal(session, named, f"{found} {_degrees(screws)}")
+    elif left < MAX_OFFSET:
         return
     found = f"joints are off by {_degrees(typical)}, and no usual mistake or fault explains it"
     raise _refusal(session, written, found)
 
 
 def _best_by_joints(
-    session: Session, mistakes: list[Mistake], offsets: list[float], left: float
+    session: Session, mistakes: list[tuple[Mistake, float]], left: float
 ) -> tuple[Mistake | None, float]:
     """The mistake that brings every joint far closer than faults do, if one does; its error, rad.
 
-    `offsets`, s: the clock's with each mistake; `left`, rad: what faults leave.
+    With each mistake stands the clock's offset, s; `left`, rad: what faults leave.
     """
-    scores = [pose_misfit(m, offset) for m, offset in zip(mistakes, offsets, strict=True)]
+    scores = [pose_misfit(*mistake) for mistake in mistakes]
     best = min(MAX_ERROR, MAX_LEFT_SHARE * left)
     named: Mistake | None = None
     for place in np.argsort(scores)[:MAX_CARRIED].tolist():
-        mistake = mistakes[place]
+        mistake = mistakes[place][0]
         tried = replace(session, arm=mistake.arm)
         offset = session_clock(tried, mistake.track, mistake.readings).offset
-        remains = float(_high(_joint_errors(mistake, offset)[0]).max())
+        remains = _large_error(mistake, offset)
         if remains < best:
             best, named = remains, mistake
         if remains < CLEAR_ERROR:
@@ -163,11 +161,10 @@ def _joint_errors(mistake: Mistake, offset: float) -> tuple[Array, Array]:
     return np.arctan2(np.sin(error), np.cos(error)), measured[clear]
 
 
-def _high(error: Array) -> Array:
-    """What each joint's |error| exceeds in a tenth of the pairs, (j,), rad; inf: unknown."""
-    if not len(error):
-        return np.full(error.shape[1], np.inf)
-    return np.asarray(np.quantile(np.abs(error), HIGH, axis=0), dtype=np.float64)
+def _large_error(mistake: Mistake, offset: float) -> float:
+    """What the worst joint's |error| exceeds in a tenth of the pairs, rad; inf: unknown."""
+    error = np.abs(_joint_errors(mistake, offset)[0])
+    return float(np.quantile(error, HIGH, axis=0).max()) if len(error) else np.inf
 
 
 def pose_misfit(mistake: Mistake, offset: float) -> float:
@@ -211,18 +208,14 @@ def _faults(written: Mistake) -> Iterator[Mistake]:
             yield replace(written, readings=Readings(written.readings.t, q))
 
 
-@dataclass(frozen=True, slots=True)
-class _Left:
-    """What faults leave of the errors."""
+def _left_by_faults(
+    session: Session, written: Mistake, clock: ClockEstimate
+) -> tuple[int, float, Array, float]:
+    """The least that faults leave: the clock may be lost, the arm in another branch than read.
 
-    joints_off: int
-    worst: float  # rad, of the joints
-    factor: Array  # (j,), by which readings turn farther than the joint; nan: not determined
-    screws: float  # rad, of the motions from pair to pair
-
-
-def _left_by_faults(session: Session, written: Mistake, clock: ClockEstimate) -> _Left:
-    """The least that faults leave: the clock may be lost, the arm in another branch than read."""
+    Joints that stay off, in number; the worst, rad; by which factor the readings of each joint turn
+    farther than it, (j,), nan where unknown; what is left of the screw motions, rad.
+    """
     offsets = dict.fromkeys([clock.offset, _likely_offset(session, written, clock.offset)])
     tried = []
     for offset in offsets:
@@ -235,9 +228,8 @@ def _left_by_faults(session: Session, written: Mistake, clock: ClockEstimate) ->
             else:
                 left, factor = np.full((2, written.arm.dof), [[np.inf], [np.nan]])
             off = int((left > MAX_STRAY).sum())
-            tried.append(_Left(off, float(left.max()), factor, screw_misfit(log, offset)))
-    least = min(tried, key=lambda one: (one.joints_off, one.worst))
-    return replace(least, screws=min(one.screws for one in tried))
+            tried.append((off, float(left.max()), factor, screw_misfit(log, offset)))
+    return *min(tried, key=lambda one: one[:2])[:3], min(one[3] for one in tried)
 
 
 def _left_of_joint(error: Array, angle: Array) -> tuple[float, float]:
@@ -280,9 +272,7 @@ def _mistakes(
     """
     for name, remedy, readings in joint_mistakes(written.readings):
         yield replace(written, name=name, remedy=remedy, readings=readings)
-    named = np.array(
-        [[1.0], [-1.0], [0.0]]
-    )  # as read, reversed; radians, or an encoder that stands
+    named = np.array([[1.0], [-1.0], [0.0]])  # as read, reversed; in radians, or standing
     for joint in np.flatnonzero(np.abs(factor - named).min(axis=0) > MAX_GAIN).tolist():
         scale, q = float(factor[joint]), written.readings.q.copy()
         q[:, joint] /= scale
@@ -387,6 +377,8 @@ def _registration_mistakes(session: Session, written: Mistake) -> Iterator[Mista
     """The base the wrong way round or in another unit, and the other arms."""
     track, rig_T_base = written.track, session.rig.rig_T_base
     rig_T_flange = rig_T_base @ track.base_T_flange
+    base_T_rig_scaled = np.linalg.inv(rig_T_base) * [1.0, 1.0, 1.0, 1e3]
+    base_T_rig_scaled[3, 3] = 1.0
     file = session.folder / ("rig.toml" if session.instrument is None else "session.toml")
     for name, remedy, base_T_rig in (
         (
@@ -397,7 +389,7 @@ def _registration_mistakes(session: Session, written: Mistake) -> Iterator[Mista
         (
             "the robot's base in metres",
             "Multiply [robot_base] position_mm by 1000.",
-            _inverse_of_scaled(rig_T_base, 1e3),
+            base_T_rig_scaled,
         ),
     ):
         moved = replace(track, base_T_flange=base_T_rig @ rig_T_flange)
@@ -408,13 +400,6 @@ def _registration_mistakes(session: Session, written: Mistake) -> Iterator[Mista
             remedy = f'Name robot = "{name}" in session.toml, if it is that one.'
             file = session.folder / "session.toml"
             yield replace(written, file=file, name=f"the robot {name}", remedy=remedy, arm=arm)
-
-
-def _inverse_of_scaled(rig_T_base: Array, factor: float) -> Array:
-    """The inverse of a base whose position is multiplied by a factor."""
-    scaled = rig_T_base.copy()
-    scaled[:3, 3] *= factor
-    return np.asarray(np.linalg.inv(scaled), dtype=np.float64)
 
 
 def _refusal(session: Session, mistake: Mistake, found: str) -> InputError:

@@ -134,7 +134,8 @@ def read_encoders(
         expected = f"the {len(pairs or ())} poses or pairs have no times, and a reading each"
         remedy = "Export both with their times, or both without and row by row."
         raise InputError(path, times, expected, remedy)
-    _refuse_far_beyond(Path(path), q, limits)
+    if limits is not None:
+        _refuse_far_beyond(Path(path), q, limits)
     spike = _stray(t, q, limits)
     if pairs is None or not np.array_equal(t, pairs.t_left):
         spike |= _spikes(t, q)
@@ -144,20 +145,16 @@ def read_encoders(
     return series, (*warnings, *_spike_warning(Path(path), spike))
 
 
-def _refuse_far_beyond(path: Path, q: Array, limits: tuple[Array, Array] | None) -> None:
+def _refuse_far_beyond(path: Path, q: Array, limits: tuple[Array, Array]) -> None:
     """Refuse a column of readings q (m, j), rad, that is in another unit by its size.
 
     Raises:
         InputError: names the column, its readings and the limits.
     """
-    if limits is None:
-        return
-    lower, upper = limits
-    beyond = np.maximum(lower - q, q - upper)
-    far = (beyond > MAX_FAR_BEYOND).mean(axis=0) > 0.5
-    for joint in np.flatnonzero(far).tolist():
-        least, most = np.rad2deg([q[:, joint].min(), q[:, joint].max()])
-        low, high = np.rad2deg([lower[joint], upper[joint]])
+    beyond = np.median(np.maximum(limits[0] - q, q - limits[1]), axis=0)
+    for joint in np.flatnonzero(beyond > MAX_FAR_BEYOND).tolist():
+        ends = [q[:, joint].min(), q[:, joint].max(), limits[0][joint], limits[1][joint]]
+        least, most, low, high = np.rad2deg(ends).tolist()
         found = f"q{joint + 1}_deg runs from {least:.5g}° to {most:.5g}°"
         expected = f"joint {joint + 1} turns from {low:.5g}° to {high:.5g}°"
         raise InputError(path, found, expected, "Check the column's unit; degrees are asked for.")

@@ -15,6 +15,7 @@ from verify.calibration.kinematics.chain import KinematicChain
 from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.model import start_state
 from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
+from verify.calibration.kinematics.validation import CrossValidation
 from verify.core.readings import Readings
 from verify.errors import InputError
 
@@ -53,22 +54,20 @@ def refuse_mistaken_readings(file: Path, chain: KinematicChain, poses: Identific
         )
 
 
-def refuse_unfit(file: Path, held_out: float | None) -> None:
+def refuse_unfit(file: Path, left: CrossValidation | None) -> None:
     """Refuse readings that nothing which was identified makes this arm's motion.
 
-    `held_out`, m: the mean distance of positions held out; None: none were.
-
     Raises:
-        InputError: it is more than any arm's own errors leave.
+        InputError: more is left of poses held out than any arm's own errors leave.
     """
-    if held_out is not None and held_out > MIN_LEFT:
+    if left is not None and left.position[0] > MIN_LEFT:
+        mm = float(left.position[0]) * 1e3
+        found = f"{mm:.3g} mm are left of poses held out, whatever base and joints are"
         raise InputError(
-            file,
-            f"the readings are not this arm's motion: {held_out * 1e3:.3g} mm are left of poses "
-            "held out, whatever base, target and joints are",
-            f"{MIN_LEFT * 1e3:.0f} mm or less: readings and poses of one arm, without slips",
+            file, f"the readings are not this arm's motion: {found}",
+            f"one arm's own errors leave less than {MIN_LEFT * 1e3:.0f} mm",
             "Check units, signs and order in both files; `verify run` shows an encoder that slips.",
-        )
+        )  # fmt: skip
 
 
 def _left(chain: KinematicChain, rows: IdentificationPoses) -> float:

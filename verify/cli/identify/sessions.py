@@ -84,9 +84,7 @@ def identify_sessions(
         free_tool=gathered.free_tool if free_tool is None else free_tool,
     )
     gathered, found = _identify_twice(gathered, options)
-    held_out = found.chosen.held_out
-    left = None if held_out is None else float(held_out.position[0])
-    refuse_unfit(opened[0].folder / "encoders.csv", left)
+    refuse_unfit(opened[0].folder / "encoders.csv", found.chosen.held_out)
     origin = _identification_provenance(gathered, options, found)
     name, content = encode_robot(
         origin.arm, found.chain, _correction_provenance(found, origin),
