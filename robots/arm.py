@@ -45,12 +45,10 @@ class Arm:
         return q if self.linkage is None else q @ self.linkage.T
 
     def axis_formula(self, joint: int) -> str:
-        """What a joint's axis turns by, joints counted from 1: q3, or q3 - q2."""
+        """What a joint's axis turns by, in joints counted from 1: q3, or q3 - q2."""
         factors = np.eye(self.dof)[joint] if self.linkage is None else self.linkage[joint]
-        first, *rest = [j for j in range(joint, -1, -1) if factors[j]]
-        times = [f"{abs(f):g}·" if abs(f) != 1 else "" for f in factors]
-        terms = [f" {'+' if factors[j] > 0 else '-'} {times[j]}q{j + 1}" for j in rest]
-        return f"q{first + 1}{''.join(terms)}"
+        terms = [f"{factors[k]:+g}·q{k + 1}" for k in range(joint - 1, -1, -1) if factors[k]]
+        return " ".join([f"q{joint + 1}", *terms]).replace("+1·", "+ ").replace("-1·", "- ")
 
     def joint_angles_of(self, axis_angles: Array) -> Array:
         """Joint angles q (..., n) of `axis_angles`, rad."""

@@ -3,6 +3,7 @@
 import difflib
 import hashlib
 import math
+import re
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -21,6 +22,7 @@ RATE_KEYS = {  # optional: what moves the arm needs them, what watches it does n
     "acceleration": "acceleration_deg_s2",
     "jerk": "jerk_deg_s3",
 }
+WHOLE = re.compile(r"[+-]?\d{1,3}")
 JOINT = {*NUMBER_KEYS, *RATE_KEYS.values(), "limits_deg", "linkage"}
 
 
@@ -144,12 +146,12 @@ def linkage_matrix(path: Path, names: list[str], rows: list[Any]) -> Array | Non
     for row, given in enumerate(rows):
         before = names[:row]
         if not isinstance(given, dict) or not all(
-            name in before and type(factor) is int for name, factor in given.items()
+            name in before and WHOLE.fullmatch(str(factor)) for name, factor in given.items()
         ):
             expected = f"whole numbers for joints before it ({', '.join(before)}) are needed"
             remedy = "Write linkage = {q2 = 1} where link 3 turns by q3 + q2, for instance."
             raise RobotError(f"{path}, joint {row + 1}, linkage", f"{given!r}", expected, remedy)
-        linkage[row, [names.index(name) for name in given]] = list(given.values())
+        linkage[row, [names.index(name) for name in given]] = [float(f) for f in given.values()]
     return None if np.array_equal(linkage, np.eye(len(names))) else linkage
 
 

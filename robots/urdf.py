@@ -33,7 +33,7 @@ class Joint:
     parent: str
     child: str
     mimics: bool
-    linkage: dict[str, int | str]  # how often it turns with an earlier joint
+    linkage: dict[str, str]  # how often it turns with an earlier joint
 
 
 def read(path: Path, base: str | None, tip: str | None, name: str, source: str) -> UrdfArm:
@@ -109,11 +109,7 @@ def _parse(path: Path) -> tuple[bytes, list[Joint], set[str]]:
             place = f'{path}, joint "{node.get("name")}"'
             raise RobotError(place, "parent or child missing", "a joint has both", "Add it.")
         mimics = node.find("mimic") is not None
-        linkage = {
-            own.get("joint", ""): int(factor) if re.fullmatch(r"[+-]?\d{1,3}", factor) else factor
-            for own in node.findall("linkage")
-            for factor in [own.get("factor", "1")]
-        }
+        linkage = {o.get("joint", ""): o.get("factor", "1") for o in node.findall("linkage")}
         name, kind = node.get("name", ""), node.get("type", "")
         joints.append(Joint(name, kind, ends[0], ends[1], mimics, linkage))
     if len(joints) > MAX_PARTS:

@@ -29,8 +29,9 @@ def test_a_session_gives_a_corrected_arm_with_its_sign_spelled_out(tmp_path: Pat
     }  # fmt: skip
     summary = read_summary(out)
     assert summary["kind"] == "identification"
+    for true, found in zip([0, 0, 0.40, 0, 0, 0], summary["offsets"], strict=True):
+        assert abs(found["error_deg"] - true) < 3 * found["standard_uncertainty_deg"] < 0.06
     third = summary["offsets"][2]
-    assert third["error_deg"] == pytest.approx(0.40, abs=3 * third["standard_uncertainty_deg"])
     assert third["add_to_reading_deg"] == -third["error_deg"]
     assert {h["name"] for h in summary["held"] if h["reason"] == "gauge"} == {"d_2", "d_3"}
     held_out = {level["name"]: level["held_out"]["mean_mm"] for level in summary["levels"]}
@@ -75,6 +76,11 @@ def test_several_targets_are_columns_and_what_was_found_is_measured_with(tmp_pat
     folder, out = tmp_path / "targets", tmp_path / "out"
     rows = recorded(truth, "points", 80, 5e-5, 5, stated=False)
     write_session(folder, rows, robot="rv_3sd_melfa", period=10.0, positions_alone=True)
+    for file in ("poses.csv", "encoders.csv"):  # nobody noted times: a reading a visit
+        lines = (folder / file).read_text().splitlines()
+        (folder / file).write_text("\n".join(line.partition(",")[2] for line in lines))
+    toml = (folder / "session.toml").read_text()
+    (folder / "session.toml").write_text(toml.replace("[clock]\nencoder_offset_s = 0.0\n", ""))
     free = ("--base", "free", "--splits", "2")
     done = verify("identify", folder, "-o", out, *free)
     assert done.status == 0, done.err
@@ -113,14 +119,14 @@ def test_a_linked_arm_s_offset_is_found_at_its_joint(tmp_path: Path) -> None:
     errors = [joint["mean_error_deg"] for joint in summary["joints"]]
     assert np.allclose(errors, 0.4 * second, atol=0.02)
     assert [(c["joint"], c["kind"]) for c in summary["diagnosis"]] == [(2, "offset")]
-    free = ("-o", tmp_path / "out", "--base", "free", "--leds", "free", "--splits", "2")
-    assert verify("identify", folder, *free).status == 0
+    free = ("--base", "free", "--leds", "free", "--splits", "2")
+    assert verify("identify", folder, "-o", tmp_path / "out", *free).status == 0
     offsets = [joint["error_deg"] for joint in read_summary(tmp_path / "out")["offsets"]]
     assert np.allclose(offsets[1:5], 0.4 * second[1:5], atol=0.02)
     (folder / "arm.toml").write_text(plain)
-    for command in ("run", "identify"):
-        refusal = verify(command, folder, "-o", tmp_path / "no", *free[2:] * (command != "run"))
-        assert "Add q2 to q3, or write linkage = {q2 = 1} at joint 3" in refusal.refusal
+    for command in (("run",), ("identify", *free)):
+        said = verify(*command, folder, "-o", tmp_path / "no").refusal
+        assert "Add q2 to q3, or write linkage = {q2 = 1} at joint 3" in said
 
 
 def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:

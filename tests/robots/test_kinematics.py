@@ -75,17 +75,12 @@ def test_pose_and_jacobian_are_pinocchios(arm: robots.DhArm) -> None:
 def test_a_linked_arm_stands_where_its_axes_turn(name: str) -> None:
     """Joint 2's motor turns link 3 back: the plain arm, which is pinocchio's, gets q3 - q2."""
     plain = robots.load(name)
-    arm = linked(plain)
-    q = np.random.default_rng(4).uniform(-2.5, 2.5, (20, 6))
-    turned = q - np.eye(6)[2] * q[:, [1]]
-    poses = robots.forward(plain, turned)
+    arm, q = linked(plain), np.random.default_rng(4).uniform(-2.5, 2.5, (20, 6))
+    poses = robots.forward(plain, q - np.eye(6)[2] * q[:, [1]])
     assert_allclose(robots.forward(arm, q), poses, atol=1e-14)
     assert_allclose(robots.link_frames(arm, q)[:, -1], poses, atol=1e-14)
-    found, reached = robots.nearest(arm, poses, q + 0.01)
-    assert reached.all()
-    assert_allclose(robots.forward(arm, found), poses, atol=1e-9)
     check = robots.self_check(arm, poses=100, seed=3)
-    assert (check.lost, check.difference_jacobian < 1e-8) == (0, True)
+    assert (check.lost, max(check.inverse_position, check.difference_jacobian) < 1e-8) == (0, True)
 
 
 @EVERY_ARM

@@ -287,44 +287,31 @@ def _mistakes(
 
 def joint_mistakes(readings: Readings) -> Iterator[tuple[str, str, Readings]]:
     """The usual mistakes of one joint, or two: name, remedy, the readings without it."""
-    for joint in range(readings.q.shape[1]):
-        for name, remedy, column in _joint_mistakes(joint, readings.q[:, joint]):
-            q = readings.q.copy()
-            q[:, joint] = column
-            yield name, remedy, Readings(readings.t, q)
-    for sign, word in ((1.0, "Add"), (-1.0, "Subtract")):
-        for j in range(1, readings.q.shape[1]):
-            q = readings.q.copy()
-            q[:, j] += sign * q[:, j - 1]
-            add = f"{word} q{j} {'to' if sign > 0 else 'from'} q{j + 1}"
-            remedy = f"{add}, or write linkage = {{q{j} = {sign:.0f}}} at joint {j + 1} of the arm."
-            name = f"joint {j + 1} coupled to joint {j}, its link turning with both,"
-            yield name, remedy, Readings(readings.t, q)
-    for i, k in combinations(range(readings.q.shape[1]), 2):
+    for name, remedy, columns in _column_mistakes(readings.q):
         q = readings.q.copy()
-        q[:, [i, k]] = q[:, [k, i]]
-        yield (
-            f"joints {i + 1} and {k + 1} exchanged",
-            f"Exchange the columns q{i + 1}_deg and q{k + 1}_deg.",
-            Readings(readings.t, q),
-        )
+        for joint, column in columns.items():
+            q[:, joint] = column
+        yield name, remedy, Readings(readings.t, q)
 
 
-def _joint_mistakes(joint: int, q: Array) -> Iterator[tuple[str, str, Array]]:
-    """What one joint's readings (m,), rad, would be without a mistake."""
-    column = f"q{joint + 1}_deg"
-    yield f"joint {joint + 1} reversed", f"Multiply the column {column} by -1.", -q
-    for zero in ZERO_ERRORS_DEG:
-        yield (
-            f"joint {joint + 1} with its zero moved by {zero:+d}°",
-            f"Add {zero:+d} to the column {column}.",
-            q + np.deg2rad(zero),
-        )
-    yield (
-        f"joint {joint + 1} taken as radians",
-        f"Multiply the column {column} by 180/π.",
-        np.rad2deg(q),
-    )
+def _column_mistakes(q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
+    """Name, remedy, and what the joints' columns (m,) of readings (m, j), rad, would be without."""
+    joints = range(q.shape[1])
+    for j in joints:
+        name, column = f"joint {j + 1}", f"q{j + 1}_deg"
+        yield f"{name} reversed", f"Multiply the column {column} by -1.", {j: -q[:, j]}
+        for zero in ZERO_ERRORS_DEG:
+            what = f"{name} with its zero moved by {zero:+d}°"
+            yield what, f"Add {zero:+d} to the column {column}.", {j: q[:, j] + np.deg2rad(zero)}
+        in_degrees = {j: np.rad2deg(q[:, j])}
+        yield f"{name} taken as radians", f"Multiply the column {column} by 180/π.", in_degrees
+        for sign, add in ((1, f"Add q{j} to"), (-1, f"Subtract q{j} from")) if j else ():
+            what = f"{name} coupled to joint {j}, its link turning with both,"
+            line = f"linkage = {{q{j} = {sign}}} at joint {j + 1} of the arm"
+            yield what, f"{add} q{j + 1}, or write {line}.", {j: q[:, j] + sign * q[:, j - 1]}
+    for i, k in combinations(joints, 2):
+        exchange = f"Exchange the columns q{i + 1}_deg and q{k + 1}_deg."
+        yield f"joints {i + 1} and {k + 1} exchanged", exchange, {i: q[:, k], k: q[:, i]}
 
 
 def _pose_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:

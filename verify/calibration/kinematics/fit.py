@@ -43,10 +43,7 @@ MAX_OUTLYING = 0.1  # of the rows
 MAX_ROUNDS = 12  # of fit and outlying rows, and of fit and noise; two or three suffice
 MAX_ITERATIONS = 40  # of a fit: five from a closed-form start, two from a fit of other rows
 TOL_STEP = 1e-5  # of 1 mm or 1°
-SPREAD_KINDS = (
-    ("alpha", "beta"),
-    ("d", "a"),
-)  # that lie about as far from the file, one as another
+SPREAD_KINDS = (("alpha", "beta"), ("d", "a"))  # that lie about as far from the file
 MIN_SPREAD = 0.02  # mm or °: no arm is made better
 TOL_SPREAD = 0.02  # relative
 TAIL = 0.0228  # beyond k = 2 on either side of a normal variable

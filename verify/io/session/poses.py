@@ -80,8 +80,16 @@ def read_pose_streams(path: Path) -> dict[str, Any]:
     poses, poses_warnings = io_poses.read(named[table.poses.file], torn)
     still = np.zeros(len(poses))  # no camera turns
     frames = FrameSeries(poses.t, poses.t, still, still, timed=poses.timed)
+    visits = frames
+    if poses.target is not None and not poses.timed:  # a reading for all targets of a visit
+        t = np.unique(poses.t)
+        visits = FrameSeries(t, t, 0 * t, 0 * t, timed=False)
+        if len(poses) != len(t) * len(np.unique(poses.target)):
+            found = "has no times, and not as many rows of each target"
+            expected = "without t_s each visit has a row of every target"
+            raise InputError(named[table.poses.file], found, expected, "Add t_s to both files.")
     encoders, encoders_warnings = read_encoders(
-        named[table.encoders], arm.dof, torn, (arm.lower, arm.upper), frames
+        named[table.encoders], arm.dof, torn, (arm.lower, arm.upper), visits
     )
     instrument = _instrument(path, table.poses, poses)
     none = MissingImages(named[table.poses.file])

@@ -178,6 +178,9 @@ def test_spans_that_are_too_small_are_left_out_and_none_left_is_refused() -> Non
     session = in_memory(scenario([], amplitude=1.5, pairs=60))
     with pytest.raises(InputError, match=r"Joint 1 turns by [23]\.\d° only; 5° are needed"):
         axes_from_sweeps(session, measured(session))
+    late = replace(session, encoders=replace(session.encoders, t=1e3 * session.encoders.t))
+    with pytest.raises(InputError, match="look like milliseconds"):
+        axes_from_sweeps(late, measured(session))
 
 
 def test_a_motion_of_all_joints_is_refused() -> None:

@@ -16,7 +16,6 @@ from verify.calibration.kinematics.identify import (
 from verify.calibration.kinematics.sessions import (
     CombinedPoses,
     SessionPoses,
-    deflate_repetition,
     gather_sessions,
     session_to_poses,
 )
@@ -44,19 +43,6 @@ def offset_deg(identified: IdentificationResult, joint: int) -> tuple[float, flo
     k = fit.parameters.index(Parameter("correction", joint - 1))
     u = float(np.sqrt(fit.covariance[k, k]))
     return float(np.degrees(-fit.change[k])), float(np.degrees(u))
-
-
-@pytest.mark.shared
-def test_the_faulty_encoder_comes_back_and_no_other(seen: SessionPoses) -> None:
-    gathered = gather_sessions([seen])
-    assert not gathered.free_base
-    first = found(gathered, free=False)
-    again = found(deflate_repetition(gathered, first), free=False)
-    assert again.chosen.name == "offsets"
-    for joint, truth in enumerate([0.0, 0.0, FAULT_DEG, 0.0, 0.0, 0.0], start=1):
-        error, u = offset_deg(again, joint)
-        assert abs(error - truth) < 3 * u, joint
-        assert u < 0.02
 
 
 @pytest.mark.shared
