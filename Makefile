@@ -66,6 +66,8 @@ bench: $(DEV)
 
 soak: $(DEV)
 	$(BIN)/python -m tests.bench.soak
+	$(BIN)/python -m tests.bench.soak faults
+	$(BIN)/python -m tests.bench.soak kills 100
 
 bench-coverage: $(DEV)
 	$(BIN)/python -m tests.bench.coverage

@@ -170,8 +170,8 @@ def run(fault: str) -> Run:
             [sys.executable, "-m", __name__, fault, *words], cwd=folder, text=True,
             stdout=subprocess.PIPE, stderr=(folder / "errors").open("w"),
         )  # fmt: skip
-        listen(process, watched, lambda _: True)
         if name == "20 viewers":
+            listen(process, watched, lambda _: True)
             look_on(watched.others["page"]["url"], stop, 20)
         listen(process, watched)
         watched.warnings += (folder / "errors").read_text().splitlines()
@@ -191,6 +191,8 @@ def true_error(fault: str, began: Any, station: SimulatedStation, t: Array) -> A
 
 def false_figures(fault: str, watched: Run, station: SimulatedStation) -> tuple[float, list[str]]:
     """The largest departure from the truth in standard uncertainties, and what is false."""
+    if not watched.pairs:
+        return 0.0, []
     began = watched.others["began"]
     edges = began["at"] + np.array([[0.0], [END - BEGIN]])
     pairs = [p for p in watched.pairs if p["status"] == "measured"]

@@ -5,12 +5,11 @@ board on a pty, and a MELFA controller over TCP; the emulators are a process of 
 the simulated arm. Goals: no pair lost, p50 under 10 ms and p99 under 30 ms from the later of
 picture and bracketing reading to the joint errors, memory flat within 50 MB after a minute.
 
-    python -m tests.bench.soak [MINUTES] [sim|labenc|melfa …] [--viewers N]
+    python -m tests.bench.soak [MINUTES] [sim|labenc|melfa …] [viewers=N]
     python -m tests.bench.soak faults [NAME …]      one fault each: tests/bench/faults.py
     python -m tests.bench.soak kills [N]            killed at random moments: tests/bench/kills.py
 """
 
-import argparse
 import os
 import subprocess
 import sys
@@ -119,16 +118,13 @@ def main(words: list[str]) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command itself does
     if words[:1] == ["faults"]:
         return faults.table(words[1:])
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("words", nargs="*", help="minutes, stations, or kills and how many")
-    parser.add_argument("--viewers", type=int, default=1)
-    given = parser.parse_args(words)
-    numbers = [float(w) for w in given.words if w.replace(".", "").isdigit()]
-    if "kills" in given.words:
+    numbers = [float(w) for w in words if w.replace(".", "").isdigit()]
+    viewers = [int(w.removeprefix("viewers=")) for w in words if w.startswith("viewers=")] or [1]
+    if words[:1] == ["kills"]:
         return int(not kills.strike(int(numbers[0]) if numbers else kills.COUNT))
-    kinds = [w for w in given.words if w in {"sim", *PORTS}] or ["sim", *PORTS]
+    kinds = [w for w in words if w in {"sim", *PORTS}] or ["sim", *PORTS]
     seconds = 60.0 * (numbers[0] if numbers else MINUTES)
-    return int(not min([soak(kind, seconds, given.viewers) for kind in kinds]))
+    return int(not min([soak(kind, seconds, viewers[0]) for kind in kinds]))
 
 
 if __name__ == "__main__":

@@ -169,6 +169,7 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
         path = station(tmp_path, event("encoder_jump", 9.0, joint=4, degrees=0.5))
         run = listen(started(path, "--for", "12s", "-o", "out"), Run())
         assert "no space left on device" in run.watched["recording"], run.watched
+        assert [a["device"] for a in run.told("device")] == ["recording"]
         (folder,) = disk.iterdir()
         kept = len(open_session(folder))
         assert 5 < kept < len(run.pairs)

@@ -4,7 +4,7 @@ import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from itertools import count
+from itertools import count, cycle
 
 import numpy as np
 import pytest
@@ -37,19 +37,19 @@ NOISE = np.deg2rad(0.003)  # of a reading
 
 
 class Picture(np.ndarray):
-    """A black picture that carries the spots it would show."""
+    """An even picture that carries the spots it would show."""
 
     spots: Array
 
 
 def picture(spots: Array) -> Image:
-    """Make one; all share one black."""
-    made = BLACK.view(Picture)
+    """Make one; each differs from the one before, as a camera's do."""
+    made = np.broadcast_to(np.uint8(next(LEVELS)), (720, 1280)).view(Picture)
     made.spots = spots  # type: ignore[attr-defined]
     return made
 
 
-BLACK = np.zeros((720, 1280), dtype=np.uint8)
+LEVELS = cycle(range(7))  # an odd number: of both cameras in turn
 
 
 def seen_spots(image: Image, _windows: Array | None = None) -> Spots:

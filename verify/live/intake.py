@@ -6,11 +6,15 @@ from collections import deque
 from collections.abc import Callable
 from typing import TypeVar
 
+import numpy as np
+
+from verify.core.records import Image
 from verify.devices.protocols import CameraDevice, CameraFrame, Device
 from verify.live.pairing import MAX_WAITING, FramePair, Pairing
 
 MAX_QUEUED_PAIRS = 16  # pairs that may wait to be measured: half a second, 30 MB
 OVERRUN = "measuring is slower than the cameras"
+REPEATED = "the picture before once more"  # a camera's noise never repeats
 IDLE_DELAY = 0.005  # s after a read that came back at once with nothing
 
 
@@ -116,17 +120,26 @@ class PollingThread:
 
 
 def camera_step(
-    camera: CameraDevice, side: int, queue: PairQueue, *, patient: bool
+    camera: CameraDevice, side: int, queue: PairQueue, *, patient: bool, differ: bool = False
 ) -> Callable[[], bool]:
-    """Read one picture into the queue; patient: only when there is room for it."""
+    """Read one picture into the queue; patient: only when there is room for it.
+
+    With `differ`, one that equals the picture before is dropped: it shows an earlier instant.
+    """
+    before: Image = np.empty((0, 0), dtype=np.uint8)
 
     def step() -> bool:
+        nonlocal before
         if patient and not queue.wait_for_room(side):
             return False
         frame = camera.read()
         if frame is None:
             return False
-        queue.add(side, frame, time.monotonic())
+        last, before = before, frame.image
+        if differ and np.array_equal(last, before):
+            queue.drop(REPEATED)
+        else:
+            queue.add(side, frame, time.monotonic())
         return True
 
     return step

@@ -112,7 +112,7 @@ class LiveLoop:
         self._measuring_ended = False
         self._troubles: dict[str, str] = {}
         self.defects: tuple[str, ...] = ()  # why measuring or comparing failed, oldest first
-        self._ran = False
+        self._ran = self._unrecorded = False
 
     def run(self, stop: threading.Event, look: Callable[[LiveState], None] | None = None) -> None:
         """Watch until told to stop, the time is up, the program ends, or the pictures do.
@@ -151,9 +151,12 @@ class LiveLoop:
 
     def _pumps(self) -> list[PollingThread]:
         devices = self._devices
+        files, queue = devices.files, self._queue
+        left = camera_step(devices.left, 0, queue, patient=files, differ=not files)
+        right = camera_step(devices.right, 1, queue, patient=files, differ=not files)
         steps = [
-            ("left camera", camera_step(devices.left, 0, self._queue, patient=devices.files)),
-            ("right camera", camera_step(devices.right, 1, self._queue, patient=devices.files)),
+            ("left camera", left),
+            ("right camera", right),
             ("encoders", readings_step(devices.encoders, self._add_reading)),
         ]
         if devices.pan is not None:
@@ -392,6 +395,10 @@ class LiveLoop:
             lines.append(DeviceStatus("clock", False, self._keeper.trouble))
         with self._watching:
             alarms += self._target.look(t, now)
+        recorder = self._recorder.state()
+        if not (recorder.recording or self._unrecorded):
+            self._unrecorded, text = True, f"The {recorder.sentence}."
+            alarms.append(Alarm(next(self._numbers), "device", now, t, text, device="recording"))
         for alarm in alarms:
             self._raise(alarm)
         return tuple(lines)

@@ -8,6 +8,8 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import cv2
 import numpy as np
@@ -20,7 +22,7 @@ from verify.core.records import Array, Measurement, StereoPair
 from verify.devices.protocols import CameraFrame, CameraState, DeviceState, EncoderReading
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import estimate_offset
-from verify.live.intake import MAX_QUEUED_PAIRS, PairQueue, PollingThread, camera_step
+from verify.live.intake import MAX_QUEUED_PAIRS, REPEATED, PairQueue, PollingThread, camera_step
 from verify.live.joint_row import JointRow
 from verify.live.loop import LiveLoop, LoopComputation, LoopSettings
 from verify.live.measuring_process import ParallelDetector
@@ -115,7 +117,7 @@ class PlayedEncoders:
 
 @dataclass(frozen=True)
 class RecorderStatus:
-    recording: bool = False
+    recording: bool = True
     sentence: str = "kept by the test"
 
 
@@ -396,6 +398,18 @@ def test_a_file_waits_until_its_pictures_are_measured() -> None:
     assert queue.dropped() == {}
     assert failed == []
     assert MAX_QUEUED_PAIRS < 200
+
+
+def test_a_picture_that_repeats_the_one_before_is_dropped_and_counted() -> None:
+    levels, queue = iter([1, 2, 2, 3]), PairQueue(Pairing(1 / 30))
+    times = iter(np.arange(4) / 30)
+    stuck: Any = SimpleNamespace(
+        read=lambda: CameraFrame(next(times), 0.0, np.full((2, 2), next(levels), np.uint8), None, 0)
+    )
+    step = camera_step(stuck, 0, queue, patient=False, differ=True)
+    assert all(step() for _ in range(4))
+    assert queue.dropped() == {REPEATED: 1}
+    assert queue.pairing.waiting(0) == 3
 
 
 def test_the_live_table_shows_the_current_state() -> None:

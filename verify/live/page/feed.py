@@ -20,7 +20,7 @@ from verify.live.page.server import ViewerMessages, serve
 FEED_PERIOD = 0.1  # s: faster than eyes follow; pictures too
 MAX_DELAY = 0.05  # s more, for a moment in which nobody is kept from something more urgent
 STATE_PERIOD = 0.5  # s
-START_TIMEOUT = 20.0  # s: a process that imports its modules on a busy machine
+START_TIMEOUT = 60.0  # s: a process that imports its modules on a busy machine
 JOIN_TIMEOUT = 2.0  # s
 
 
@@ -114,9 +114,11 @@ class Page:
             port = self._server.wait_until_ready(START_TIMEOUT)
         except ChildLostError as error:
             self._server.stop(0.0)
-            found = "it does not start" if isinstance(error, ChildLateError) else str(error)
+            late = isinstance(error, ChildLateError)
+            found = "it does not start" if late else str(error)
             place = f"--page, {self._access.address}:{self._access.port}"
             remedy = "Choose another port, such as --page-port 8700."
+            remedy = "Try again when this machine is less busy." if late else remedy
             raise InputError(place, f"the page cannot be served: {found}", "", remedy) from error
         self._access = replace(self._access, port=port)
 
