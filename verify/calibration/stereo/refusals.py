@@ -12,7 +12,9 @@ from verify.core.records import Array
 from verify.errors import InputError
 
 MIN_PAIRS = 3
-MAX_FOCAL_UNCERTAINTY = 0.1  # of the focal length: beyond it doubt is no longer proportional
+MAX_FOCAL_UNCERTAINTY = 0.05  # of the focal length; simulated, z is 1 up to twice that
+MAX_PARALLEL_UNCERTAINTY = 0.01  # likewise, of boards that are parallel: z is 2 beyond it, as small
+# tilts are uncertain themselves
 MIN_NORMAL_SPREAD = np.deg2rad(6.0)  # boards whose normals spread by less are parallel
 MAX_NAMED_PAIRS = 8  # pairs that a message lists
 MAX_PAN_SCATTER = np.deg2rad(2.0)  # scatter of readings beyond which they are no readings
@@ -126,33 +128,39 @@ def refuse_wrong_readings(scatter: float) -> None:
 def refuse_undetermined(found: Estimate) -> None:
     """Refuse boards that leave a focal length or a principal point open in the last adjustment.
 
-    The covariance decides; the boards' poses only word the remedy.
+    The covariance decides where it can be believed; the boards' poses word the remedy too.
 
     Raises:
-        InputError: a focal length or principal point known worse than a tenth of the focal length.
+        InputError: a focal length or principal point known worse than 5 % of the focal length, or
+            1 % where all boards are parallel.
     """
+    spread = _normal_spread(found)
+    limit = MAX_PARALLEL_UNCERTAINTY if spread < MIN_NORMAL_SPREAD else MAX_FOCAL_UNCERTAINTY
     u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for index, (side, camera) in enumerate(zip(SIDES, found.state.cameras, strict=True)):
         own = u[camera_columns(index)] / camera.matrix[0, 0]
         focal, principal = float(own[PAR_FOCAL].max()), float(own[PAR_PRINCIPAL].max())
-        if max(focal, principal) < MAX_FOCAL_UNCERTAINTY:
+        if max(focal, principal) < limit:
             continue
-        if focal > MAX_FOCAL_UNCERTAINTY:
+        if focal > limit:
             what, share, of_what = "focal length, and with it every distance,", focal, ""
         else:
             what, share, of_what = "principal point", principal, " of the focal length"
         amount = f"± {share:.0%}{of_what}" if share < 1 else "not at all"
-        posture, remedy = _posture_and_remedy(found)
+        posture, remedy = _posture_and_remedy(found, spread)
         found_text = f"does not show the {what} well enough ({amount}): {posture}"
-        expected = f"± {MAX_FOCAL_UNCERTAINTY:.0%} would be the worst"
-        raise InputError(side, found_text, expected, remedy)
+        raise InputError(side, found_text, f"± {limit:.0%} would be the worst", remedy)
 
 
-def _posture_and_remedy(found: Estimate) -> tuple[str, str]:
-    """Word how little the boards' poses vary, and which poses to add."""
+def _normal_spread(found: Estimate) -> float:
+    """Spread of the boards' normals about their mean, rad (rms)."""
     normals = found.state.boards[:, :3, 2]
     mean = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
-    spread = np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2))
+    return float(np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2)))
+
+
+def _posture_and_remedy(found: Estimate, spread: float) -> tuple[str, str]:
+    """Word how little the boards' poses vary, and which poses to add."""
     depth = found.state.boards[:, 2, 3]
     level = np.ptp(depth) < 0.1 * abs(np.mean(depth))
     if spread < MIN_NORMAL_SPREAD:

@@ -256,3 +256,14 @@ def test_an_unusual_principal_point_is_accepted_if_well_determined(
     assert (point.odd, point.believed) == (odd, believed)
     named = [s for s in calibration_doubts(found, quality) if "principal point" in s]
     assert len(named) == (odd and not believed)
+
+
+def test_a_focal_length_that_is_hardly_known_is_a_doubt() -> None:
+    found = made.calibration()
+    given = found.rig.covariance
+    sigma = given.standard_uncertainty.copy()
+    sigma[given.parameters.index("right.fx_px")] = 0.03 * found.rig.right.matrix[0, 0]
+    rig = replace(found.rig, covariance=replace(given, standard_uncertainty=sigma))
+    (doubt,) = calibration_doubts(replace(found, rig=rig), judge_calibration(found))
+    assert doubt.startswith("The right camera's focal length")
+    assert "± 6.0% only (k = 2)" in doubt

@@ -92,6 +92,18 @@ def test_parallel_boards_that_are_tilted_show_the_focal_length_poorly_and_say_so
     assert found.rig.left.matrix[0, 0] == pytest.approx(rig.left.matrix[0, 0], abs=2.5 * u)
 
 
+def test_few_tilted_boards_show_the_focal_length_to_2_percent_and_its_uncertainty_holds() -> None:
+    z, rig = [], fixed_rig()
+    for seed in range(10):
+        rng = np.random.default_rng(200 + seed)
+        found = calibrate(make_pairs(rig, poses(rng, 5), rng, sigma=1.5), BOARD, SIZE)
+        covariance = found.rig.covariance
+        u = covariance.standard_uncertainty[covariance.parameters.index("left.fx_px")]
+        assert 0.005 < u / rig.left.matrix[0, 0] < 0.05
+        z.append((found.rig.left.matrix[0, 0] - rig.left.matrix[0, 0]) / u)
+    assert 0.5 < np.sqrt(np.mean(np.square(z))) < 1.5  # ten: ± 0.22 is one sigma
+
+
 def test_boards_at_one_distance_do_where_their_tilts_are_many() -> None:
     rng = np.random.default_rng(25)
     boards = poses(rng, 12, (1.0, 1.0001))
