@@ -7,7 +7,6 @@ from typing import Any
 from reports.document import blocks as doc
 from reports.document.charts import column, texts
 from reports.document.formatting import (
-    DASH,
     count,
     exact_number,
     expanded,
@@ -216,23 +215,21 @@ def kinds(results: Results) -> doc.Section:
         text = doc.Paragraph("No fault of a joint was asked for.")
         return doc.Section("kinds", "Kinds of fault", (text,))
     columns = [doc.Column("Joint", "c", doc.field("joint"))]
-    for place, kind in enumerate(requested):
+    for i, kind in enumerate(requested):
         unit = UNITS.get(str(kind.get("unit")), "")
         name = lookup_label(KINDS, kind.get("kind"))
         columns += [
-            doc.Column(f"{name}, U [{unit}]", "r", _kind_field(place, "standard_uncertainty", 2)),
-            doc.Column(f"detectable [{unit}]", "r", _kind_field(place, "minimum_detectable", 1)),
+            doc.Column(
+                f"{name}, U [{unit}]", "r", _kind_field(i, "standard_uncertainty", expanded)
+            ),
+            doc.Column(f"detectable [{unit}]", "r", _kind_field(i, "minimum_detectable", finite)),
         ]
     table = doc.tabulate("What would show of each kind of fault.", columns, every, PlanNotes.KINDS)
     return doc.Section("kinds", "Kinds of fault", (table,))
 
 
-def _kind_field(place: int, key: str, k: float) -> Callable[[dict[str, Any]], str]:
-    def write(joint: dict[str, Any]) -> str:
-        size = finite(joint["kinds"][place].get(key))
-        return DASH if size is None else significant(k * size)
-
-    return write
+def _kind_field(place: int, key: str, scaled: Callable[[Any], Any]) -> Callable[[Any], str]:
+    return lambda joint: significant(scaled(joint["kinds"][place].get(key)))
 
 
 def identifiable_parameters(results: Results) -> doc.Section:

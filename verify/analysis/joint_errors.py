@@ -29,6 +29,7 @@ MIN_PAIRS_PER_DIRECTION = 3
 MIN_PAIRS = 4  # fewer visits leave nothing to tell a slope from chance by
 MIN_PAIRS_CIRCULAR = 8  # likewise with five terms a joint
 TOL_SHAPE = 1e-6  # of a shape: what other terms leave of it by rounding
+DISPLACEMENTS = ("base_moved", "led_body_slipped")  # three shifts, three turns
 P_LACK_OF_FIT = 1e-3  # chance of calling a sound fit bad
 P_TWO_SIGMA = 0.97725  # coverage of k = 2, one-sided
 MIN_LARGE_DOF = 50  # effective degrees of freedom above which k = 2 stands for 95 %
@@ -47,6 +48,7 @@ class ResolvedErrors:
     swing_uncertainty: Array  # (j,)
     terms: tuple[tuple[str, ...], ...]  # fitted terms a joint
     causes: tuple[Fault, ...]  # fitted with them
+    common: Array  # (r, h), of unit variance: causes that were there before, of about their size
     lack_of_fit: bool
     misfit: float  # chi-squared a degree of freedom where the fit lacks, else 1
     fit: RegressionFit
@@ -93,12 +95,14 @@ def resolve_errors(model: JointErrorModel, causes: Sequence[Fault] = ()) -> Reso
     """Fit the resolved errors of all joints together, with what was registered.
 
     Of the causes, a joint's is a term of its error; a common one, or a link's, is no error of a
-    joint, and takes off them what it explains.
+    joint, and takes off them what it explains. One that was there before the session is hardly
+    determined beside the joints' constants: see `common_columns`.
     """
     names, columns = error_terms(model.comparison, causes)
     design, carried = resolved_design(model, causes)
     count = carried.shape[2]
-    fit = solve(design, model.xi, model.prior)
+    common = common_columns(model, causes)
+    fit = solve(design, model.xi, np.concatenate([model.prior, common], axis=1))
     limit = chi2_isf(P_LACK_OF_FIT, max(fit.degrees_of_freedom, 1))
     lacking = bool(fit.chi2 > limit and fit.degrees_of_freedom > 0)
     # a fit that lacks knows its figures no better than it describes the pairs (Birge)
@@ -118,6 +122,7 @@ def resolve_errors(model: JointErrorModel, causes: Sequence[Fault] = ()) -> Reso
         swing_uncertainty=doubt,
         terms=tuple(names),
         causes=tuple(causes),
+        common=common,
         lack_of_fit=lacking,
         misfit=misfit,
         fit=fit,
@@ -127,8 +132,27 @@ def resolve_errors(model: JointErrorModel, causes: Sequence[Fault] = ()) -> Reso
 def predict_errors(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
     """The whitened errors that the fit describes, held columns included, (r,)."""
     free = resolved_design(model, resolved.causes)[0] @ resolved.fit.value
-    described: Array = free + model.prior @ resolved.fit.held
+    held = np.concatenate([model.prior, resolved.common], axis=1)
+    described: Array = free + held @ resolved.fit.held
     return described
+
+
+def common_columns(model: JointErrorModel, causes: Sequence[Fault]) -> Array:
+    """Columns (r, h) of the common causes that were there before the session, one size each.
+
+    Held about zero by the size that a cause would have by itself (shifts and turns apart): what the
+    pairs tell of it they tell, and the rest is doubt of the joints, not thousands of degrees.
+    """
+    held = [np.zeros((len(model.xi), 0))]
+    for cause in causes:
+        if cause.shape is not None or cause.begin is not None:
+            continue
+        alone = solve(np.concatenate([cause.columns, model.fitted], axis=1), model.xi, model.prior)
+        square = (alone.value**2 + np.diag(alone.covariance))[: cause.freedom]
+        groups = 2 if cause.kind in DISPLACEMENTS else 1
+        sizes = np.sqrt([np.mean(part) for part in np.split(square, groups)])
+        held.append(cause.columns * np.repeat(sizes, cause.freedom // groups))
+    return np.concatenate(held, axis=1)
 
 
 def resolved_design(model: JointErrorModel, causes: Sequence[Fault] = ()) -> tuple[Array, Array]:
@@ -146,7 +170,7 @@ def resolved_design(model: JointErrorModel, causes: Sequence[Fault] = ()) -> tup
         varying = model.joints[:, [j]] * terms[model.white.pair]
         varying[:, 0] = model.offsets[:, j]  # the constant is what registration left of it
         parts.append(varying)
-    beside = [cause.columns for cause in causes if cause.shape is None]
+    beside = [c.columns for c in causes if c.shape is None and c.begin is not None]
     return np.concatenate([*parts, model.fitted, *beside], axis=1), carried
 
 
@@ -256,7 +280,7 @@ def mean_sensitivities(model: JointErrorModel, resolved: ResolvedErrors) -> Arra
     design, carried = resolved_design(model, resolved.causes)
     free = np.zeros((carried.shape[1], design.shape[1]))
     free[:, : carried.shape[2]] = carried.mean(axis=0)
-    held = model.prior
+    held = np.concatenate([model.prior, resolved.common], axis=1)
     # W = (1 + H H')⁻¹ weighs rows by noise and held columns together
     inner = np.linalg.solve(np.eye(held.shape[1]) + held.T @ held, held.T)
     weighted = design.T - (design.T @ held) @ inner

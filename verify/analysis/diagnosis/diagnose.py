@@ -138,13 +138,10 @@ def explained_by(
 ) -> list[Fault]:
     """The faults by which a diagnosis explains a session, for a model of all its pairs.
 
-    Of causes that cannot be told apart all are taken: no verdict may rest on which it is. A common
-    one that was there before the session, or a link's, is left out: together with the joints'
-    constants hardly anything of it is determined.
+    Of causes that cannot be told apart all are taken: no verdict may rest on which it is.
     """
     listed = [[c.fault for c in cause.candidates] or [cause.fault] for cause in found.causes]
-    told = [f for faults in listed for f in faults if f.shape is not None or f.begin is not None]
-    wanted = {(f.name, f.per_turn, f.begin): f for f in told}
+    wanted = {(f.name, f.per_turn, f.begin): f for faults in listed for f in faults}
     if not wanted:
         return []
     lasting = fault_dictionary(model, arm, rig)

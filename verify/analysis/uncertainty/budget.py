@@ -23,6 +23,7 @@ from verify.analysis.joint_errors import (
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.uncertainty.sources import (
     ALIGNMENT,
+    CAUSES,
     CLOCK,
     LACK_OF_FIT,
     PAN,
@@ -77,11 +78,15 @@ def budget(
 
     `compared` is the session before pairs that repeat each other were counted for fewer.
     """
-    by_pair = _by_pair(model, mean_sensitivities(model, resolved))
+    by_row = mean_sensitivities(model, resolved)
+    by_pair = _by_pair(model, by_row)
     varying = random_sources(model, compared)
     held = systematic_sources(model.comparison, compared)
     own = np.full(len(means.mean), max(float(resolved.fit.degrees_of_freedom), 1.0))
     lines = [*_random_lines(varying, by_pair, own), *_systematic_lines(held, by_pair)]
+    if resolved.common.shape[1]:
+        common = np.sum((by_row @ resolved.common) ** 2, axis=1)
+        lines.append(_BudgetLine(CAUSES, "systematic", "A", common, own))
     if resolved.misfit > 1:
         lacking = (resolved.misfit - 1) * sum(line.variance for line in lines)
         lines.append(_BudgetLine(LACK_OF_FIT, "random", "A", np.asarray(lacking), own))

@@ -13,7 +13,7 @@ from verify.core.records import Array
 
 PIXELS, INSTRUMENT, SKEW = "pixels", "instrument", "camera skew"
 NOISE, RESOLUTION, TIME_STAMPS = "readings' noise", "encoder resolution", "encoder time stamps"
-AUTOCORRELATION, LACK_OF_FIT = "autocorrelation", "lack of fit"
+AUTOCORRELATION, LACK_OF_FIT, CAUSES = "autocorrelation", "lack of fit", "causes found"
 CLOCK, PAN, ALIGNMENT = "clock", "pan angle", "alignment of the two instants"
 ROBOT_TABLE = "robot table"
 INFINITE_DOF = float("inf")  # degrees of freedom of what is stated without any

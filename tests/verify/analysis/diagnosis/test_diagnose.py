@@ -23,7 +23,7 @@ from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
 from verify.analysis.diagnosis.link_faults import link_displacements
-from verify.analysis.joint_errors import resolve_errors
+from verify.analysis.joint_errors import ResolvedErrors, resolve_errors
 from verify.analysis.model import (
     SessionComparison,
     base_motion,
@@ -157,13 +157,13 @@ def test_what_moved_since_registration_is_named_with_how_far() -> None:
             assert entry.get("t_s") == (pytest.approx(T[51:53].mean()) if first else None)
 
 
-def test_a_step_is_dated_and_leaves_the_other_joints_their_verdict() -> None:
-    """The pairs repeat the step from its instant on: that is no noise of theirs."""
+def judged(q: Array, place: Array) -> tuple[Diagnosis, ResolvedErrors, list[str | None]]:
+    """What is found, resolved, and the verdicts at 0.1°; the base had moved by `place`."""
     rng = np.random.default_rng(21)
-    q = motion(LOG) + rng.normal(0, np.deg2rad(0.005), (len(LOG), 6))
-    q += at(4, np.deg2rad(0.8) * (T[40] - 0.05 <= LOG))
+    q = q + motion(LOG) + rng.normal(0, np.deg2rad(0.005), (len(LOG), 6))
     rig, marker = replace(make_rig(), base_source="fixture"), make_marker(source="jig")
     track = make_track(T, motion(T), rng)
+    track = replace(track, base_T_flange=place @ track.base_T_flange)
     session = cast("Session", SimpleNamespace(arm=ARM, rig=rig, marker=marker))
     stated = stated_systematics(rig, marker, turning=False)
     comparison = compare(track, ARM, Readings(LOG, q), 0.0)
@@ -171,13 +171,33 @@ def test_a_step_is_dated_and_leaves_the_other_joints_their_verdict() -> None:
         session, track, stated, GIVEN, comparison, solve_joints(comparison, ARM)
     )
     model, seen, resolved = session_model(compared)
+    smallest = visibility(model).detectable
+    limit = np.deg2rad(0.1)
+    return seen, resolved, [judge_joint(resolved, j, limit, smallest[j]).verdict for j in range(6)]
+
+
+def test_a_step_is_dated_and_leaves_the_other_joints_their_verdict() -> None:
+    """The pairs repeat the step from its instant on: that is no noise of theirs."""
+    late = at(4, np.deg2rad(0.8) * (T[40] - 0.05 <= LOG))
+    seen, resolved, verdicts = judged(late, np.eye(4))
     assert names(seen) == [("step", 4)]
     assert cause_entry(seen.causes[0])["t_s"] == pytest.approx(T[39:41].mean())
     assert not resolved.lack_of_fit
     assert resolved.uncertainty.max() < np.deg2rad(0.03)
-    smallest = visibility(model).detectable
-    verdicts = [judge_joint(resolved, j, np.deg2rad(0.1), smallest[j]).verdict for j in range(6)]
     assert verdicts == ["conform"] * 3 + ["nonconform"] + ["conform"] * 2
+
+
+def test_a_base_that_had_moved_is_no_error_of_sound_joints_and_hides_no_large_one() -> None:
+    place = np.eye(4)
+    place[:3, :3] = Rotation.from_rotvec(np.deg2rad([0.3, -0.2, 0.3])).as_matrix()
+    place[:3, 3] = [2e-3, -1e-3, 1e-3]
+    for error in (0.0, np.deg2rad(2.0)):
+        seen, resolved, verdicts = judged(at(4, np.full(len(LOG), error)), place)
+        assert ("base_moved", None) in names(seen)
+        assert "nonconform" not in verdicts[:3] + verdicts[4:]
+        assert (verdicts[3] == "nonconform") == (error > 0)
+        off = resolved.mean - error * (np.arange(6) == 3)
+        assert np.all(np.abs(off) < 3 * np.sqrt(np.diag(resolved.mean_covariance)))
 
 
 @pytest.mark.parametrize(
