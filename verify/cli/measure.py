@@ -25,11 +25,13 @@ def measure_and_report(
     *,
     force: bool,
     alarms: pd.DataFrame | None = None,
+    warnings: tuple[str, ...] = (),
 ) -> str | None:
     """Measure a session, write its reports, print the results; the verdict, None without tolerance.
 
     `out` None is NAME-report in the current folder; `tolerances` replace the session's; `force`:
-    write into a folder that exists; `alarms` as in alarms.csv, None where it was not watched.
+    write into a folder that exists; `alarms` as in alarms.csv, None where it was not watched;
+    `warnings`: of the watch, for the report.
 
     Raises:
         InputError: the session cannot be measured, or the reports cannot be written.
@@ -42,7 +44,8 @@ def measure_and_report(
     with terminal.progress("pairs") as progress:
         results = analyse(session, tolerance=tolerance, progress=progress)
     if alarms is not None:
-        results = replace(results, tables=results.tables | {"alarms": alarms})
+        summary = results.summary | {"warnings": [*warnings, *results.summary["warnings"]]}
+        results = replace(results, summary=summary, tables=results.tables | {"alarms": alarms})
     terminal.warn(*(w for w in results.summary["warnings"] if w not in session.warnings))
     write_report_folder(results, target, force=force, frames=True)
     _print_summary(results, target)
@@ -57,12 +60,13 @@ def measure_and_report_all(
     *,
     force: bool,
     alarms: pd.DataFrame | None = None,
+    warnings: tuple[str, ...] = (),
 ) -> dict[Path, str | None]:
     """Measure the sessions of one live run, a report each; an unmeasurable one is left out.
 
     More than one, in order, where the controller's clock began anew. `out` is the first one's
-    report, with the run's `alarms` (as in alarms.csv) on page one; the others' have a number behind
-    it. Gives the verdict of each report, at least one.
+    report, with the run's `alarms` (as in alarms.csv) and `warnings`; the others' have a number
+    behind it. Gives the verdict of each report, at least one.
 
     Raises:
         InputError: none can be measured: what the first one lacks.
@@ -74,7 +78,7 @@ def measure_and_report_all(
         try:
             told = None if verdicts else alarms
             verdicts[target] = measure_and_report(
-                folder, target, tolerances, force=force, alarms=told
+                folder, target, tolerances, force=force, alarms=told, warnings=warnings
             )
         except InputError as refusal:
             refusals.append(refusal)

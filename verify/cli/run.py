@@ -116,7 +116,9 @@ def _run_live(
     watched = watch(station, options)
     out = out if out is not None else Path(f"{watched.folders[0].name}-report")
     alarms = alarms_table(watched.alarms)
-    reported = measure_and_report_all(watched.folders, out, tolerances, force=force, alarms=alarms)
+    reported = measure_and_report_all(
+        watched.folders, out, tolerances, force=force, alarms=alarms, warnings=watched.warnings
+    )
     text = alarms.to_csv(index=False, lineterminator="\n")
     write_whole(next(iter(reported)) / "alarms.csv", text.encode())
     if watched.defects:
