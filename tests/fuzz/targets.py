@@ -6,7 +6,7 @@ Folders are small, and so is what is done with them: a case takes about a second
 import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -166,8 +166,10 @@ def _open_recording(folder: Path, whole: Path) -> Path:
     pairs = list(open_session(whole).pairs())
     shape = pairs[0].left.shape
     ring = UnfinishedPairs(folder / NAME, shape, shape, 2)
+    later = pairs[-1].t_left - pairs[-3].t_left
     for pair in pairs[-2:]:
-        ring.put(pair.frame + 2, pair)
+        times = {"t_left": pair.t_left + later, "t_right": pair.t_right + later}
+        ring.put(pair.frame + 2, replace(pair, **times))
     return folder
 
 
