@@ -127,7 +127,7 @@ def rebuild_command(folder: Path) -> str:
     """
     for place, key in ((folder / MANIFEST, "summary"), (folder.parent / "summary.json", None)):
         try:
-            content = json.loads(place.read_bytes())
+            content = json.loads(_read_plain(place))
             summary = content if key is None else content[key]
             kind = summary.get("kind", "run"), summary.get("method")
         except (OSError, ValueError, AttributeError, KeyError, TypeError):

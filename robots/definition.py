@@ -22,6 +22,7 @@ RATE_KEYS = {  # optional: what moves the arm needs them, what watches it does n
     "acceleration": "acceleration_deg_s2",
     "jerk": "jerk_deg_s3",
 }
+MAX_NUMBER = 1e6  # mm, deg, deg/s²…: more is a slip of the unit
 WHOLE = re.compile(r"[+-]?\d{1,3}")
 JOINT = {*NUMBER_KEYS, *RATE_KEYS.values(), "limits_deg", "linkage"}
 
@@ -73,7 +74,7 @@ def _parse(path: Path) -> tuple[bytes, dict[str, Any]]:
     except UnicodeDecodeError as error:
         found = f"byte {error.start} is not UTF-8"
         raise RobotError(path, found, "", "Save it as UTF-8.") from error
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # a number of thousands of digits; nested tables
         raise RobotError(path, f"not valid TOML: {error}", "", "Mend that line.") from error
 
 
@@ -111,7 +112,8 @@ def _joint(path: Path, where: str, table: dict[str, Any]) -> dict[str, Any]:
     for key, default in NUMBER_KEYS.items():
         joint[key] = value = table.get(key, default)
         if not _is_number(value):
-            raise RobotError(f"{path}, {where}{key}", _show_value(table, key), "a number is needed")
+            expected = f"a number is needed, at most {MAX_NUMBER:g}"
+            raise RobotError(f"{path}, {where}{key}", _show_value(table, key), expected)
     if abs(joint["sign"]) != 1:
         raise RobotError(f"{path}, {where}sign", _show_value(table, "sign"), "1 or -1 is needed")
     joint["limits_deg"] = limits = table.get("limits_deg")
@@ -172,7 +174,7 @@ def _check_family(path: Path, arm: DhArm) -> None:
 def _is_number(value: object) -> bool:
     if isinstance(value, bool) or not isinstance(value, int | float):
         return False
-    return math.isfinite(value)
+    return abs(value) <= MAX_NUMBER
 
 
 def _show_value(table: dict[str, Any], key: str) -> str:

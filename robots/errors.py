@@ -14,8 +14,8 @@ class RobotError(Exception):
     """
 
     def __init__(self, place: str | Path, found: str, expected: str = "", remedy: str = "") -> None:
-        self.place, self.found, self.expected, self.remedy = str(place), found, expected, remedy
         remedy = remedy or "Mend it there."
+        self.place, self.found, self.expected, self.remedy = str(place), found, expected, remedy
         clause = f"{found}; {expected}" if expected else found
         sentence = f"{place}: {clause}. {remedy}".strip()
         # names come from files: no newline or escape sequence may break the one line

@@ -11,10 +11,9 @@
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
-from verify.core.version import __version__
-
 if TYPE_CHECKING:
     from verify.analysis.session import analyse
+    from verify.core.version import __version__
     from verify.errors import InputError
     from verify.io.session.session import Session, open_session
     from verify.measurement.chain import Setup, measure
@@ -26,6 +25,7 @@ __all__ = ["InputError", "Session", "Setup", "__version__", "analyse", "measure"
 _MODULES = {
     "InputError": "verify.errors",
     "Session": "verify.io.session.session",
+    "__version__": "verify.core.version",
     "Setup": "verify.measurement.chain",
     "analyse": "verify.analysis.session",
     "measure": "verify.measurement.chain",

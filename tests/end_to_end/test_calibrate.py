@@ -14,43 +14,16 @@ import pytest
 from tests.support import recorded
 from tests.support.beside import shared
 from tests.support.command import SAMPLES, Outcome, read_summary, verify
+from tests.support.simulated import FIXTURE, SMALL_BOARDS
 from verify.io import results
 from verify.io import rig as io_rig
 
 WRITTEN = {"report.html", "report.pdf", "summary.json", "results"}
-SMALL = """format = 1
-seed = 5
-
-[boards]
-pairs = {pairs}
-inner_corners = [9, 6]
-distance_mm = [650.0, 1300.0]
-
-[rig]
-image_size = [640, 360]
-
-[rig.left]
-focal_px = [506.2, 505.5]
-principal_point_px = [323.1, 177.6]
-distortion = [-0.085, 0.06, 0.0006, -0.0004, 0.0]
-
-[rig.right]
-focal_px = [504.3, 503.9]
-principal_point_px = [317.4, 181.8]
-distortion = [-0.079, 0.052, -0.0005, 0.0007, 0.0]
-"""
-FIXTURE = """
-[fixture]
-board_rotation_deg = [-63.9, -45.5, 70.8]
-board_position_mm = [150.0, -105.0, 320.0]
-base_rotation_deg = [77.4, 64.4, -53.8]
-base_position_mm = [0.0, 250.0, 1150.0]
-"""
 
 
 def boards(folder: Path, pairs: int, more: str = "", corners: str = "[9, 6]") -> Path:
     scenario = folder.with_suffix(".toml")
-    scenario.write_text(SMALL.format(pairs=pairs).replace("[9, 6]", corners) + more)
+    scenario.write_text(SMALL_BOARDS.format(pairs=pairs).replace("[9, 6]", corners) + more)
     assert verify("simulate", scenario, "-o", folder).status == 0
     return folder
 

@@ -13,7 +13,6 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime
-from importlib import resources
 from pathlib import Path
 
 import av
@@ -24,6 +23,7 @@ from reports.results import read
 from tests.support.command import read_summary, verify
 from tests.support.devices.bench import running
 from tests.support.devices.melfa_mover import controller, go_home
+from tests.support.grasp.cells import CELL, STATION
 from verify.cli.grab import conduct
 from verify.cli.grab import station as grab_station
 from verify.cli.grab.conduct import GraspOptions, OperatorKeys
@@ -142,27 +142,6 @@ def test_turning_bases_are_recorded_as_they_stood(tmp_path: Path) -> None:
     assert all(min(abs(pan - angle) for pan in pans) < 0.02 for angle in stood)
 
 
-CELL = (resources.files("verify.simulation") / "cell.toml").read_text()
-STATION = """
-format = 1
-robot = "{robot}"
-rig = "film/rig.toml"
-marker = "film/marker.toml"
-
-[left]
-source = "film/left.mkv"
-rate_hz = 30.0
-
-[right]
-source = "film/right.mkv"
-rate_hz = 30.0
-
-[encoders]
-driver = "melfa"
-port = "{port}"
-robot_type = "RV-3SD"
-pause_ms = 20.0
-"""
 PLANS = GraspOptions("blue", None, execute=False, auto=False, duration=20.0)
 GRABS = GraspOptions("blue", None, execute=True, auto=True, duration=40.0)
 

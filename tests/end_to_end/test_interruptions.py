@@ -1,5 +1,7 @@
 """Stopped midway, or refused by the disk: one line, the right status, nothing half-written."""
 
+import re
+import shlex
 import shutil
 import signal
 import subprocess
@@ -7,8 +9,10 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+import robots
 from tests.support.command import SAMPLES, remembered, replayed, verify
 from tests.support.small_disk import mounted
 from verify import analyse, open_session
@@ -45,6 +49,54 @@ def test_an_interrupted_run_reports_it_and_writes_nothing(
     assert err.splitlines()[-1] == "interrupted"
     assert "Traceback" not in err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.slow
+def test_ctrl_c_at_any_moment_ends_a_run_in_a_word(tmp_path: Path) -> None:
+    for delay in np.random.default_rng(1).uniform(0.3, 4.0, 20):  # before, it is Python that loads
+        words = [sys.executable, "-m", "verify", "run", str(SESSION), "-o", str(tmp_path / "out")]
+        process = subprocess.Popen([*words, "--quiet"], stderr=subprocess.PIPE, text=True)
+        time.sleep(delay)
+        running = process.poll() is None
+        process.send_signal(signal.SIGINT)
+        _, err = process.communicate(timeout=PATIENCE)
+        if running and process.returncode not in (0, 3):  # it may just have ended
+            assert (process.returncode, err) == (130, "interrupted\n"), delay
+            assert list(tmp_path.iterdir()) == []
+        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+
+
+class Swallows:
+    """An exception in here is printed, and gone."""
+
+    def __del__(self) -> None:
+        signal.raise_signal(signal.SIGINT)
+        time.sleep(0.01)
+
+
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
+def test_an_interruption_that_a_callback_swallows_comes_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def swallowed(*_: object) -> None:
+        Swallows()
+        time.sleep(PATIENCE)
+
+    monkeypatch.setattr("verify.cli.measure.open_session", swallowed)
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    try:
+        assert verify("run", SESSION, "-o", tmp_path / "out").status == 130
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.parametrize("kilobytes", [700_000, 1_000_000, 1_400_000])
+def test_too_little_memory_is_said_as_such(kilobytes: int, tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "verify", "run", str(SESSION), "-o", str(tmp_path / "out")]
+    limited = f"ulimit -v {kilobytes}; ulimit -c 0; exec {shlex.join(words)} --quiet"
+    done = subprocess.run(["bash", "-c", limited], capture_output=True, text=True)
+    (line,) = done.stderr.splitlines()
+    assert (done.returncode, line.count("cannot allocate memory")) == (2, 1), done
 
 
 @pytest.mark.parametrize("step", ["render_html", "render_pdf", "write"])
@@ -105,3 +157,13 @@ def test_a_disk_that_fills_up_under_a_report_keeps_the_old_one(
         for file in out.rglob("*.*"):
             assert (disk / "out" / file.relative_to(out)).read_bytes() == file.read_bytes()
         assert len(list((disk / "out").iterdir())) == len(list(out.iterdir()))
+
+
+def test_what_libraries_print_themselves_is_not_shown(tmp_path: Path) -> None:
+    text = robots.library.example(robots.library.EXAMPLES["ur5"]).read_text()
+    (tmp_path / "arm.urdf").write_text(re.sub('ixx="[^"]+"', 'ixx="nan"', text))
+    words = [sys.executable, "-m", "verify", "robots", str(tmp_path / "arm.urdf")]
+    done = subprocess.run(words, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    verbose = subprocess.run([*words, "--verbose"], capture_output=True, text=True)
+    assert "inertia" in verbose.stderr  # urdfdom's own words

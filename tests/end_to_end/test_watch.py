@@ -174,6 +174,8 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
         kept = len(open_session(folder))
         assert 5 < kept < len(run.pairs)
         assert run.result["summary"]["pairs"]["recorded"] == kept
+        missing = run.watched["pairs"] - kept
+        assert run.result["summary"]["warnings"][0].startswith(f"{missing} of ")
         assert [a["joint"] for a in run.told("change")] == [4]
 
 

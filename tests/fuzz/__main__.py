@@ -1,11 +1,13 @@
 """Break files and count broken promises: python -m tests.fuzz [N] [FIRST SEED]."""
 
+import faulthandler
 import sys
 import tempfile
 from collections import Counter
 from pathlib import Path
 
-from tests.fuzz.promise import make_targets, run_case
+from tests.fuzz.promise import run_case
+from tests.fuzz.targets import make_targets
 
 CASES = 2000
 
@@ -29,5 +31,6 @@ def main(cases: int, first: int) -> int:
 
 
 if __name__ == "__main__":
+    faulthandler.enable()
     numbers = [int(word) for word in sys.argv[1:]]
     sys.exit(main(*(numbers + [CASES, 0][len(numbers) :])))

@@ -1,46 +1,43 @@
-"""What every command promises of broken input, and commands with files to break.
+"""What every command promises of broken input.
 
 A case copies a folder, breaks one file and runs a command on it in this process. The promise:
 
-- exit status 0, 1, 2 or 3, and no traceback;
+- exit status 0, 1, 2 or 3 (a batch: 4), and no traceback;
 - with status 2 one line of error, with a place and what to do, and nothing written;
-- within 20 s;
+- nothing else is printed on the way, by a library neither;
+- within 20 s of processor time and 1 GB;
 - no wrong figure: what is accepted gives the same figures, or warns, or is undecided.
 """
 
 import json
+import os
 import re
+import resource
 import shutil
 import signal
+import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from unittest.mock import patch
+from typing import Any
 
 import numpy as np
 
 from tests.fuzz.mutations import mutate
-from tests.support.command import SAMPLES, Outcome, read_summary, verify
-from tests.support.posed import Watched, poses_csv, write_posed
-from verify.io.session.session import open_session
+from tests.fuzz.targets import Target, quick, whole_out
+from tests.support.command import Outcome, verify
 
-TIMEOUT = 20  # s a command
+TIMEOUT = 20.0  # s of processor time a command
+MAX_WAIT = 120  # s: a pipe that nobody writes to takes no processor time; the machine may be busy
+MAX_MEMORY = 1e9  # bytes
 MAX_LINE = 5000  # characters of an error
 MAX_SHIFT = 3.0  # expanded uncertainties that a figure may move without a word
-MIN_SHIFT_DEG = 0.02  # less is within what a user would notice
-
-
-@dataclass(frozen=True)
-class Target:
-    """A command and the folder that it reads."""
-
-    name: str
-    folder: Path
-    words: Callable[[Path], list[str | Path]]  # of the command, for a copy of the folder
-    out: bool = True  # whether the command writes to -o OUT
+MIN_SHIFT = 0.02  # deg or mm: less is within what a user would notice
+REMEDY = re.compile(r"[.?!…)\"'`] [A-Z`].*[.?!]$")
+LINE = re.compile(r"(error|warning): |[\w' ]+: \d+ of \d+(,|$)")  # that a command may print
 
 
 @dataclass(frozen=True)
@@ -63,110 +60,161 @@ class TooLongError(BaseException):
     """The command took longer than TIMEOUT; not an Exception, which a command may catch."""
 
 
-def make_targets(folder: Path) -> list[Target]:
-    """Make the folders that are broken: small, so that a case takes about a second."""
-    sample = SAMPLES / "multi_joint_fault_6r"
-    pictures = folder / "pictures"
-    shutil.copytree(sample, pictures)
-    poses = write_posed(folder / "poses", sample, poses_csv(*Watched(open_session(sample)).poses))
-    report = folder / "report"
-    with quick_reports():
-        assert verify("run", poses, "-o", report, "--tolerance", "0.2").status in (0, 1, 3)
-    robot = folder / "robot"
-    robot.mkdir()
-    shutil.copy(Path(__file__).parents[2] / "robots" / "rv_3sd_melfa.toml", robot / "arm.toml")
-    tolerance = ("--tolerance", "0.2")
-    return [
-        Target("run", pictures, lambda f: ["run", f, *tolerance]),
-        Target("run poses", poses, lambda f: ["run", f, *tolerance]),
-        Target("identify", poses, lambda f: ["identify", f]),
-        Target("report", report, lambda f: ["report", f], out=False),
-        Target("robots", robot, lambda f: ["robots", f / "arm.toml"], out=False),
-    ]
-
-
 def run_case(targets: list[Target], seed: int, place: Path) -> Case:
     """Break a copy of one target's folder, run its command, and check the promise."""
     rng = np.random.default_rng([seed, 20])
-    target = targets[rng.integers(len(targets))]
-    copy, out = place / "in" / target.folder.name, place / "out"
+    weights = np.array([target.weight for target in targets])
+    target = targets[rng.choice(len(targets), p=weights / weights.sum())]
+    copy, out = place / "in", place / "out"
     shutil.copytree(target.folder, copy)
-    files = sorted(f for f in copy.rglob("*") if f.is_file() and f.name != "README.md")
-    file = files[rng.integers(len(files))]
-    how = mutate(file, rng)
-    words = target.words(copy) + (["-o", out] if target.out else [])
+    file = _draw_file(copy, rng)
     name = str(file.relative_to(copy))
+    how = mutate(file, rng)
+    before = _listing(place)
     try:
-        with time_limit(), quick_reports(), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            outcome = verify(*words)
+        with _time_limit(), quick(), _native_output() as native, warnings.catch_warnings():
+            warnings.simplefilter("always", RuntimeWarning)
+            warnings.simplefilter("always", UserWarning)
+            memory = _peak_memory(reset=True)
+            outcome = verify(*target.command(copy, out))
+            memory = _peak_memory() - memory
+            native.seek(0)
+            beside = native.read()
     except TooLongError:
         return Case(target.name, name, how, None, "too slow")
     except Exception as error:
         return Case(target.name, name, how, None, f"raised {type(error).__name__}: {error}")
-    return Case(target.name, name, how, outcome, _broken_promise(target, outcome, out, copy))
+    broken = _unfit_output(target, outcome, place) or (
+        f"printed beside: {beside[:300]!r}" if beside.strip() else ""
+    )
+    if memory > MAX_MEMORY:
+        broken = f"took {memory / 1e9:.1f} GB"
+    if outcome.status == 2 and _listing(place) != before and not target.name.startswith("batch"):
+        broken = broken or "something was written"
+    if outcome.status in (0, 1, 3) and not broken:
+        broken = _wrong_figure(target, outcome, out)
+    return Case(target.name, name, how, outcome, broken)
 
 
-def _broken_promise(target: Target, outcome: Outcome, out: Path, copy: Path) -> str:
-    if outcome.status not in (0, 1, 2, 3):
+def _draw_file(folder: Path, rng: np.random.Generator) -> Path:
+    """Draw a kind of file, so that pictures are not the most, then one of them."""
+    kinds: dict[str, list[Path]] = {}
+    for file in sorted(f for f in folder.rglob("*") if f.is_file() and f.name != "README.md"):
+        kinds.setdefault(re.sub(r"\d+", "", str(file.relative_to(folder))), []).append(file)
+    files = kinds[list(kinds)[rng.integers(len(kinds))]]
+    return files[rng.integers(len(files))]
+
+
+def _listing(place: Path) -> set[str]:
+    return {str(entry) for entry in place.rglob("*")}
+
+
+def _unfit_output(target: Target, outcome: Outcome, place: Path) -> str:
+    """Which part of the promise the status and the lines break."""
+    if outcome.status not in (0, 1, 2, 3) + (4,) * target.name.startswith("batch"):
         return f"status {outcome.status}"
-    if outcome.status == 2:
-        lines = [line for line in outcome.err.splitlines() if line.startswith("error: ")]
-        if len(lines) != 1 or len(lines[0]) > MAX_LINE:
-            return f"{len(lines)} lines of error"
-        if not re.search(r"[.?!…)\"'`] [A-Z`].*[.?!]$", lines[0]):
+    lines = outcome.err.splitlines()
+    if other := [line for line in lines if not LINE.match(line)]:
+        return f"printed beside: {other[0][:300]}"
+    refusals = [line for line in lines if re.match(r"(error|warning: failed): ", line)]
+    if outcome.status == 2 and sum(line.startswith("error") for line in lines) != 1:
+        return f"{len(refusals)} lines of error"
+    for line in refusals:
+        if len(line) > MAX_LINE:
+            return "a line too long"
+        if not REMEDY.search(line):
             return "no remedy"
-        if out.exists():
-            return "something was written"
-    if any(entry.name.startswith(".verify-partial-") for entry in copy.parent.rglob("*")):
+        if str(place) not in line:
+            return "no place"
+    if any(".verify-partial-" in name for name in _listing(place)):
         return "half a file is left"
-    if target.name.startswith("run") and outcome.status in (0, 1, 3):
-        return _wrong_figure(target, outcome, out)
     return ""
 
 
 def _wrong_figure(target: Target, outcome: Outcome, out: Path) -> str:
-    """Compare mean errors with those of the whole files."""
-    summary, whole = read_summary(out), _whole_summary(target)
-    if "warning: " in outcome.err or summary["verdict"] == "undecided":
+    """Compare figures with those of the whole files."""
+    new, old = (_summary(folder) for folder in (out, whole_out(target)))
+    known = set(old.get("warnings", []))
+    if new.get("verdict") == "undecided" or set(new.get("warnings", [])) - known:
         return ""
-    for new, old in zip(summary["joints"], whole["joints"], strict=False):
-        if new["mean_error_deg"] is None or old["mean_error_deg"] is None:
-            continue
-        shift = abs(new["mean_error_deg"] - old["mean_error_deg"])
-        u = np.hypot(new["expanded_uncertainty_deg"] or 0, old["expanded_uncertainty_deg"] or 0)
-        if shift > max(MAX_SHIFT * u, MIN_SHIFT_DEG):
-            return f"joint {new['joint']} moved by {shift:.3g}° without a word"
+    if [line for line in outcome.err.splitlines() if "in/" in line]:  # a warning names a file
+        return ""
+    before = dict(_figures(old))
+    for name, (value, u) in _figures(new):
+        shift = abs(value - before.get(name, (value, 0.0))[0])
+        if shift > max(MAX_SHIFT * np.hypot(u, before.get(name, (0.0, 0.0))[1]), MIN_SHIFT):
+            return f"{name} moved by {shift:.3g} without a word"
     return ""
 
 
-def _whole_summary(target: Target) -> dict[str, list[dict[str, float]]]:
-    """Measure the whole folder once, and keep its summary beside it."""
-    kept = target.folder.parent / f"{target.folder.name}-whole"
-    if not kept.exists():
-        with quick_reports():
-            verify(*target.words(target.folder), "-o", kept)
-    return dict(json.loads((kept / "summary.json").read_text()))
+def _summary(folder: Path) -> dict[str, Any]:
+    file = folder / "summary.json"
+    return dict(json.loads(file.read_text())) if file.exists() else {}
+
+
+def _figures(summary: dict[str, Any]) -> Iterator[tuple[str, tuple[float, float]]]:
+    """Yield figures with a name, each with its expanded uncertainty."""
+    for joint in summary.get("joints", []):
+        if joint.get("mean_error_deg") is not None:
+            u = joint["expanded_uncertainty_deg"] or 0.0
+            yield f"joint {joint['joint']}", (joint["mean_error_deg"], u)
+    for entry in summary.get("parameters", []):
+        if entry.get("change") is not None:
+            yield entry["name"], (entry["change"], entry["expanded_uncertainty"])
+    for part, key, unit in (
+        ("base", "position_mm", "standard_uncertainty_mm"),
+        ("base", "rotation_vector_deg", "standard_uncertainty_deg"),
+        ("stereo", "position_mm", "position_standard_uncertainty_mm"),
+        ("stereo", "rotation_vector_deg", "rotation_vector_standard_uncertainty_deg"),
+    ):
+        table = summary.get(part) or {}
+        for axis, (value, u) in enumerate(
+            zip(table.get(key, []), table.get(unit, []), strict=True)
+        ):
+            yield f"{part} {key}[{axis}]", (value, 2.0 * (u or 0.0))
+
+
+def _peak_memory(*, reset: bool = False) -> float:
+    """Peak of this process's memory, bytes; with `reset` counted anew from now on."""
+    if reset:
+        Path("/proc/self/clear_refs").write_text("5")
+    status = Path("/proc/self/status").read_text()
+    return 1024.0 * int(re.findall(r"VmHWM:\s+(\d+)", status)[0])
 
 
 @contextmanager
-def quick_reports() -> Iterator[None]:
-    """Leave the PDF out, which takes longest and reads nothing."""
-    with patch("reports.render_pdf", lambda *_: b"%PDF-1.7"):
-        yield
+def _native_output() -> Iterator[Any]:
+    """Catch what libraries print past Python's streams; of errors none is shown (`__main__`)."""
+    before = [os.dup(number) for number in (1, 2)]
+    with tempfile.TemporaryFile() as file, Path(os.devnull).open("wb") as nowhere:
+        try:
+            for number, taker in ((1, file), (2, nowhere)):
+                os.dup2(taker.fileno(), number)
+            yield file
+        finally:
+            for number, kept in zip((1, 2), before, strict=True):
+                os.dup2(kept, number)
+                os.close(kept)
 
 
 @contextmanager
-def time_limit() -> Iterator[None]:
-    """Raise TooLongError after TIMEOUT."""
+def _time_limit() -> Iterator[None]:
+    """Raise TooLongError after TIMEOUT; no more memory than 4 GB beyond what is taken now."""
 
     def late(_signal: int, _frame: FrameType | None) -> None:
         raise TooLongError
 
-    before = signal.signal(signal.SIGALRM, late)
-    signal.alarm(TIMEOUT)
+    taken = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    limit = resource.getrlimit(resource.RLIMIT_AS)
+    resource.setrlimit(resource.RLIMIT_AS, (taken + 4_000_000_000, limit[1]))
+    before = [signal.signal(number, late) for number in (signal.SIGPROF, signal.SIGALRM)]
+    signal.setitimer(signal.ITIMER_PROF, TIMEOUT, 1.0)  # again: an exception in a callback is lost
+    signal.alarm(MAX_WAIT)
     try:
         yield
     finally:
+        signal.setitimer(signal.ITIMER_PROF, 0)
         signal.alarm(0)
-        signal.signal(signal.SIGALRM, before)
+        for number, handler in zip((signal.SIGPROF, signal.SIGALRM), before, strict=True):
+            signal.signal(number, handler)
+        resource.setrlimit(resource.RLIMIT_AS, limit)

@@ -124,3 +124,6 @@ def test_a_damaged_folder_names_the_command_that_makes_it_anew(
     (tmp_path / "summary.json").write_text(json.dumps(summary))  # named by it where all is lost
     (folder / MANIFEST).write_text("{")
     assert command in _complaint(folder)
+    (folder / MANIFEST).unlink()
+    (folder / MANIFEST).symlink_to("/dev/zero")  # endless
+    assert command in _complaint(folder)

@@ -129,3 +129,31 @@ rate_hz = 10.0
 name = "A"
 position_mm = [60.0, 5.0, 20.0]
 """
+SMALL_BOARDS = """format = 1
+seed = 5
+
+[boards]
+pairs = {pairs}
+inner_corners = [9, 6]
+distance_mm = [650.0, 1300.0]
+
+[rig]
+image_size = [640, 360]
+
+[rig.left]
+focal_px = [506.2, 505.5]
+principal_point_px = [323.1, 177.6]
+distortion = [-0.085, 0.06, 0.0006, -0.0004, 0.0]
+
+[rig.right]
+focal_px = [504.3, 503.9]
+principal_point_px = [317.4, 181.8]
+distortion = [-0.079, 0.052, -0.0005, 0.0007, 0.0]
+"""
+FIXTURE = """
+[fixture]
+board_rotation_deg = [-63.9, -45.5, 70.8]
+board_position_mm = [150.0, -105.0, 320.0]
+base_rotation_deg = [77.4, 64.4, -53.8]
+base_position_mm = [0.0, 250.0, 1150.0]
+"""

@@ -1,10 +1,15 @@
 """The rules of docs/architecture.md that import-linter does not check."""
 
 import ast
+import re
+import tomllib
 from collections import defaultdict
+from importlib import metadata
 from pathlib import Path
 
 import pytest
+from packaging.requirements import Requirement
+from packaging.utils import canonicalize_name
 
 PACKAGE = Path(__file__).parents[2] / "verify"
 FACES = {"verify", "robots", "reports"}
@@ -86,3 +91,22 @@ def test_test_modules_import_helpers_from_support_alone() -> None:
                 if parts[1] not in ("support", "bench", "fuzz"):
                     borrowed.append(f"{path.relative_to(tests)}: {node.module}")
     assert borrowed == []
+
+
+def test_constraints_are_what_is_installed_and_every_requirement_has_an_upper_bound() -> None:
+    root = PACKAGE.parent
+    project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
+    stated = [Requirement(text) for text in project["dependencies"]]
+    for extra in ("mqtt", "cluster"):
+        stated += [Requirement(text) for text in project["optional-dependencies"][extra]]
+    assert [str(one) for one in stated if "<" not in str(one.specifier)] == []
+    text = (root / ".ci" / "constraints.txt").read_text()
+    pinned = {canonicalize_name(k): v for k, v in re.findall(r"(?m)^([\w.-]+)==(.+)$", text)}
+    needed: dict[str, str] = {}
+    while stated:
+        one = stated.pop()
+        name = canonicalize_name(one.name)
+        if name not in needed and (one.marker is None or one.marker.evaluate({"extra": ""})):
+            needed[name] = metadata.version(name)
+            stated += map(Requirement, metadata.requires(name) or [])
+    assert {name: pinned.get(name) for name in needed} == needed

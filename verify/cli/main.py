@@ -26,6 +26,7 @@ from verify.cli.run import run
 from verify.cli.simulate import simulate
 from verify.cli.terminal import show_log, terminal
 from verify.errors import InputError, WatchDefectError, one_line
+from verify.io.files import lacks_memory, memory_refusal, system_refusal
 
 # typer brings its own copy of click or uses the installed one, depending on its version; either
 # way what it raises on wrong usage is the base of its BadParameter
@@ -35,6 +36,9 @@ WrongUsage: type[Exception] = next(
 BAD_INPUT = 2
 INTERRUPTED = 130
 DEFECT = 70  # EX_SOFTWARE of sysexits.h
+REFUSALS = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT)  # of the system: no defects
+
+REPEAT_TIME = 0.5  # s: an interruption that has not ended the command by then was swallowed
 
 GLOBAL_OPTIONS_HELP = (
     "With every command: --quiet, --verbose, --json (one object a line on standard output), "
@@ -63,11 +67,30 @@ def main(arguments: list[str] | None = None) -> None:
     words = _global_flags(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     show_log()
     signal.signal(signal.SIGTERM, _interrupt)  # a SIGTERM leaves nothing half-written either
+    if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
+        signal.signal(signal.SIGINT, _interrupt)
     sys.exit(_status(words))
 
 
+class CommandInterrupt(KeyboardInterrupt):
+    """Ctrl-C or SIGTERM; a class of its own, for which Python does not end by a signal itself."""
+
+
 def _interrupt(_signal: int, _frame: object) -> None:
-    raise KeyboardInterrupt
+    """Interrupt; again and again, as a library's callback may swallow the exception."""
+    signal.signal(signal.SIGALRM, _interrupt_again)
+    signal.setitimer(signal.ITIMER_REAL, REPEAT_TIME, REPEAT_TIME)
+    raise CommandInterrupt
+
+
+def _interrupt_again(_signal: int, _frame: object) -> None:
+    """Interrupt unless that is what the program is ending by: what it cleans up is not cut off."""
+    ending = sys.exception()
+    while ending is not None:
+        if isinstance(ending, KeyboardInterrupt):
+            return
+        ending = ending.__context__
+    raise CommandInterrupt
 
 
 def _status(words: list[str]) -> int:
@@ -83,14 +106,17 @@ def _status(words: list[str]) -> int:
         return _refuse(f"{text}{'' if text[-1:] in '.?!' else '.'} See `verify --help`.")
     except (KeyboardInterrupt, typer.Abort):  # older typer; newer ones give back the status
         outcome = INTERRUPTED
-    except OSError as problem:
-        if problem.errno not in (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT):
-            traceback.print_exc()
-            return DEFECT
-        return _refuse(f"{problem.filename or 'output'}: {problem.strerror}.")
-    except Exception:  # a defect of ours must not pass for "does not conform", which is 1
+    except (
+        Exception
+    ) as problem:  # a defect of ours must not pass for "does not conform", which is 1
+        if lacks_memory(problem):
+            return _refuse(str(memory_refusal("memory")))
+        if isinstance(problem, OSError) and problem.errno in REFUSALS:
+            return _refuse(str(system_refusal(problem.filename or "output", problem)))
         traceback.print_exc()
-        return DEFECT
+        return DEFECT  # must not pass for "does not conform", which is 1
+    finally:
+        signal.setitimer(signal.ITIMER_REAL, 0)  # it does end
     if outcome == INTERRUPTED:
         sys.stderr.write("interrupted\n")
     return outcome if isinstance(outcome, int) else 0

@@ -26,11 +26,13 @@ def measure_and_report(
     tolerances: ToleranceOptions,
     *,
     force: bool,
+    warnings: tuple[str, ...] = (),
 ) -> str | None:
     """Measure a session, write its reports, print the results; the verdict, None without tolerance.
 
     `out` None is NAME-report in the current folder; `tolerances` replace the session's; `force`:
-    write into a folder that exists. alarms.csv of a recording is on page one.
+    write into a folder that exists; `warnings`: of the watch, for the report. alarms.csv of a
+    recording is on page one.
 
     Raises:
         InputError: the session cannot be measured, or the reports cannot be written.
@@ -62,11 +64,13 @@ def measure_and_report_all(
     tolerances: ToleranceOptions,
     *,
     force: bool,
+    warnings: tuple[str, ...] = (),
 ) -> dict[Path, str | None]:
     """Measure the sessions of one live run, a report each; an unmeasurable one is left out.
 
     More than one, in order, where the controller's clock began anew. `out` is the first one's
-    report; the others' have a number behind it. Gives the verdict of each report, at least one.
+    report, with the `warnings` of the watch; the others' have a number behind it. Gives the verdict
+    of each report, at least one.
 
     Raises:
         InputError: none can be measured: what the first one lacks.
@@ -76,7 +80,9 @@ def measure_and_report_all(
     for number, folder in enumerate(folders, start=1):
         target = out if number == 1 else out.with_name(f"{out.name}-{number}")
         try:
-            verdicts[target] = measure_and_report(folder, target, tolerances, force=force)
+            verdicts[target] = measure_and_report(
+                folder, target, tolerances, force=force, warnings=() if verdicts else warnings
+            )
         except InputError as refusal:
             refusals.append(refusal)
     if not verdicts:

@@ -117,7 +117,9 @@ def _run_live(
     out = out if out is not None else Path(f"{watched.folders[0].name}-report")
     text = alarms_table(watched.alarms).to_csv(index=False, lineterminator="\n")
     write_whole(watched.folders[0] / ALARMS, text.encode())  # beside the first recording
-    reported = measure_and_report_all(watched.folders, out, tolerances, force=force)
+    reported = measure_and_report_all(
+        watched.folders, out, tolerances, force=force, warnings=watched.warnings
+    )
     if watched.defects:
         raise WatchDefectError(" ".join(watched.defects))
     return EXIT_STATUS[max(reported.values(), key=SEVERITY.index)]

@@ -67,6 +67,7 @@ class RunResult:
     folders: tuple[Path, ...]  # sessions: more than one where the controller's clock began anew
     alarms: tuple[Alarm, ...]  # oldest first; of very many the newest
     defects: tuple[str, ...]  # why it could not go on
+    warnings: tuple[str, ...]  # what the recordings do not show
 
 
 def watch(station: Station, options: RunOptions) -> RunResult:
@@ -129,7 +130,11 @@ def watch(station: Station, options: RunOptions) -> RunResult:
             station.path, f"no pair of pictures was recorded ({recorded.sentence})",
             "two cameras that deliver, and room on the disk", "Try `verify doctor` on this file.",
         )  # fmt: skip
-    return RunResult(recorded.folders, state.snapshot().alarms[::-1], live.defects)
+    now = state.snapshot()
+    missing = now.pairs - recorded.pairs - recorded.dropped  # the disk was full or too slow
+    told = f"{missing} of {now.pairs} watched pairs were not recorded and are not in the report."
+    warnings = (told,) if missing > 0 else ()
+    return RunResult(recorded.folders, now.alarms[::-1], live.defects, warnings)
 
 
 def alarms_table(alarms: tuple[Alarm, ...]) -> pd.DataFrame:

@@ -16,6 +16,7 @@ import time
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.shared_memory import SharedMemory
 from typing import Any, Generic, NoReturn, TypeVar
@@ -96,7 +97,7 @@ class ChildProcess(Generic[Request, Answer]):
             name=name,
             daemon=not nested,
         )
-        with _interrupts_ignored():  # also in the child process, from its first instruction on
+        with _interrupts_postponed():
             self._process.start()
         requests.close()
         messages.close()
@@ -255,16 +256,21 @@ def _exit_with_parent() -> NoReturn:
 
 
 @contextmanager
-def _interrupts_ignored() -> Iterator[None]:
-    """Ignore Ctrl-C for a moment; other threads than the main one cannot, and do nothing."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+def _interrupts_postponed() -> Iterator[None]:
+    """Postpone Ctrl-C for a moment; a child process that starts meanwhile never gets it."""
+    resource_tracker.ensure_running()  # it starts a process too, and lets signals pass again
+    mask = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    main, came = threading.current_thread() is threading.main_thread(), threading.Event()
+    # another thread may take the signal
+    before = signal.signal(signal.SIGINT, lambda *_: came.set()) if main else None
     try:
         yield
     finally:
-        signal.signal(signal.SIGINT, before)
+        signal.pthread_sigmask(signal.SIG_SETMASK, mask)
+        if main:
+            signal.signal(signal.SIGINT, before)
+        if came.is_set():
+            signal.raise_signal(signal.SIGINT)
 
 
 def _failure(error: Exception) -> str:

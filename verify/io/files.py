@@ -7,6 +7,7 @@ flushed, and renamed.
 import errno
 import hashlib
 import os
+import re
 import secrets
 import shutil
 import socket
@@ -25,7 +26,13 @@ _REMEDIES = {
     errno.EDQUOT: "Free some space or write somewhere else.",
     errno.ENAMETOOLONG: "Choose a shorter name.",
     errno.ELOOP: "Put the file itself there instead of the link.",
+    errno.ENOMEM: "Close other programs, or use a machine with more memory.",
 }
+_NO_MEMORY = re.compile(  # in libraries' own words
+    "cannot allocate memory|insufficient memory|bad_alloc|failed to map segment|start new thread",
+    re.IGNORECASE,
+)
+SPARE_BYTES = 200_000_000  # what decoding a video takes
 MAX_TABLE_BYTES = 2_000_000_000  # of a CSV file or a picture: what is larger is something else
 
 
@@ -34,6 +41,29 @@ def system_refusal(path: str | Path, error: OSError) -> InputError:
     reason = os.strerror(error.errno) if error.errno else str(error)
     remedy = _REMEDIES.get(error.errno or 0, "Check the disk and the path.")
     return InputError(path, reason[:1].lower() + reason[1:], "", remedy)
+
+
+def memory_refusal(path: str | Path) -> InputError:
+    """Word that there is too little memory for what was to be done."""
+    return system_refusal(path, OSError(errno.ENOMEM, os.strerror(errno.ENOMEM)))
+
+
+def lacks_memory(error: BaseException | None) -> bool:
+    """Whether an error, or one that it came from, is for want of memory."""
+    while error is not None:
+        of_system = isinstance(error, OSError) and error.errno == errno.ENOMEM
+        if of_system or isinstance(error, MemoryError) or _NO_MEMORY.search(str(error)):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def require_memory(path: Path) -> None:
+    """Refuse, by an InputError, where a library that fails without a reason lacks memory."""
+    try:
+        bytearray(SPARE_BYTES)
+    except MemoryError as error:
+        raise memory_refusal(path) from error
 
 
 @contextmanager

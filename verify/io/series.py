@@ -20,6 +20,7 @@ from verify.io.files import read_bytes
 from verify.io.toml import did_you_mean
 
 _PAIR_TIMES = ("t_left_s", "t_right_s")
+MAX_NUMBER = 1e20  # in whatever unit; its square is finite
 VISIT_PERIOD = 60.0  # s, of visits without times
 _JOINT = re.compile(r"q[1-9]\d*_deg")
 MAX_SPIKE = 2  # readings in a row
@@ -220,7 +221,8 @@ class CsvTable:
         """Parse these columns; every cell is a finite number.
 
         Raises:
-            InputError: a missing column, a row of another length, or a cell that is no number.
+            InputError: a missing column, a row of another length, a cell that is no number or one
+                beyond MAX_NUMBER.
         """
         for name in names:
             if self.header.count(name) != 1:
@@ -236,6 +238,11 @@ class CsvTable:
         if not len(parsed[names[0]]):
             remedy = "Record or export it again."
             raise InputError(self.path, "has no rows below its header", "", remedy)
+        for name, values in parsed.items():
+            beyond = np.flatnonzero(np.abs(values) > MAX_NUMBER)
+            if len(beyond):
+                found = f"{name} is {values[beyond[0]]:g}"
+                raise self.fault(int(beyond[0]), found, f"at most {MAX_NUMBER:g} is plausible")
         return parsed
 
     def require_counting(self, frame: Array, streams: str) -> None:

@@ -32,6 +32,7 @@ HEADER = struct.Struct("<16s Q 3Q 3Q")
 SLOT = struct.Struct("<q 4d")
 PAGE = 4096  # bytes
 EMPTY = -1
+_REMEDY = "Delete it: the pairs in the videos can be measured without it."
 
 Shape = tuple[int, ...]  # of a picture: (h, w) or (h, w, 3)
 Sides = tuple[Images, Images]
@@ -151,7 +152,7 @@ def append_unfinished(
     left out; the numbers of those after them are lower by as many.
 
     Raises:
-        InputError: pending.raw is no such file, or cannot be read.
+        InputError: pending.raw is no such file, cannot be read, or its times do not rise.
     """
     if not (folder / NAME).exists():
         return frames, sides, 0
@@ -165,7 +166,11 @@ def append_unfinished(
     )
     before = (frames.t_left, frames.t_right, frames.pan_left, frames.pan_right)
     after = np.array([pair.times_and_pans for pair in pairs]).T
-    return FrameSeries(*map(np.append, before, after)), (left, right), len(pairs)
+    series = [np.append(*both) for both in zip(before, after, strict=True)]
+    if not np.isfinite(after).all() or any((np.diff(t) <= 0).any() for t in series[:2]):
+        found = "holds pairs whose times do not rise after those of frames.csv"
+        raise InputError(folder / NAME, found, "one after the other is expected", _REMEDY)
+    return FrameSeries(*series), (left, right), len(pairs)
 
 
 def _read_slots(path: Path) -> dict[int, _Pair]:
@@ -174,8 +179,7 @@ def _read_slots(path: Path) -> dict[int, _Pair]:
     with refused_as_input_error(path), path.open("rb") as file:
         head = file.read(HEADER.size)
         if len(head) < HEADER.size or not head.startswith(MAGIC):
-            remedy = "Delete it: the pairs in the videos can be measured without it."
-            raise InputError(path, "holds no pending pairs", "a recording wrote it", remedy)
+            raise InputError(path, "holds no pending pairs", "a recording wrote it", _REMEDY)
         _, slots, *sizes = HEADER.unpack(head)
         left, right = (tuple(size if size[2] > 1 else size[:2]) for size in (sizes[:3], sizes[3:]))
         layout = _RingLayout(left, right)

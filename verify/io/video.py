@@ -21,7 +21,12 @@ import numpy as np
 
 from verify.core.records import Image
 from verify.errors import InputError
-from verify.io.files import read_bytes, refused_as_input_error, require_file
+from verify.io.files import (
+    read_bytes,
+    refused_as_input_error,
+    require_file,
+    require_memory,
+)
 
 _SLICE_FOOTER = 8  # bytes: slice size (3), error status (1), CRC-32 (4)
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -141,7 +146,7 @@ class Video(Images):
         with self._opened() as capture:
             pixels = int(capture.get(cv2.CAP_PROP_CODEC_PIXEL_FORMAT))
             if pixels < 0:  # cut off before the first image
-                raise InputError(self.path, "holds no image that can be decoded", "", _REMEDY)
+                raise _decoder_refusal(self.path, "holds no image that can be decoded")
             form = pixels.to_bytes(4, "little")
             if form.startswith(_DEEP_GREY):
                 raise _depth_refusal(self.path, form[3])
@@ -165,7 +170,7 @@ class Video(Images):
         capture = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG, options)
         try:
             if not capture.isOpened():
-                raise InputError(self.path, "is no video that can be decoded", "", _REMEDY)
+                raise _decoder_refusal(self.path, "is no video that can be decoded")
             yield capture
         finally:
             capture.release()
@@ -251,7 +256,13 @@ def _prefetched(side: Images, count: int) -> Generator[Image]:
 
 
 def _length_refusal(side: Images, number: int, count: int) -> InputError:
-    return InputError(side.path, f"only {number} of {count} images can be decoded", "", _REMEDY)
+    return _decoder_refusal(side.path, f"only {number} of {count} images can be decoded")
+
+
+def _decoder_refusal(path: Path, found: str) -> InputError:
+    """Word what a decoder, which gives no reason, does not take."""
+    require_memory(path)
+    return InputError(path, found, "", _REMEDY)
 
 
 def _name(number: int) -> str:
@@ -270,6 +281,7 @@ def decode_picture(file: Path, kind: str, remedy: str) -> Image:
         with suppress(cv2.error):  # more pixels than OpenCV decodes
             image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
     if image is None:
+        require_memory(file)
         raise InputError(file, f"is damaged or no {kind}", "", remedy)
     if image.dtype != np.uint8:
         raise _depth_refusal(file, 8 * image.dtype.itemsize)

@@ -7,6 +7,7 @@ import functools
 import re
 from dataclasses import replace
 from functools import cache
+from importlib import resources
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,27 @@ from verify.simulation.cell.grab import CellRun
 from verify.simulation.cell.setup import SMALL_SIZE, CellSetup, cell_setup
 
 DOCS = Path(__file__).parents[3] / "docs" / "grab.md"
+CELL = (resources.files("verify.simulation") / "cell.toml").read_text()
+STATION = """
+format = 1
+robot = "{robot}"
+rig = "film/rig.toml"
+marker = "film/marker.toml"
+
+[left]
+source = "film/left.mkv"
+rate_hz = 30.0
+
+[right]
+source = "film/right.mkv"
+rate_hz = 30.0
+
+[encoders]
+driver = "melfa"
+port = "{port}"
+robot_type = "RV-3SD"
+pause_ms = 20.0
+"""
 CAMERAS = np.array([[1.1, -0.2, 0.7], [1.1, 0.2, 0.7]])
 
 

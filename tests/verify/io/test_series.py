@@ -88,6 +88,7 @@ def test_numbers_that_pandas_writes_are_read_exactly(
         (ENCODERS.replace("0.5,11,21", "0.5,11"), "line 3: has 2 cells"),
         (ENCODERS.replace("11,", ","), "line 3: q1_deg is empty; every row needs a number"),
         (ENCODERS.replace("11,", "nan,"), 'line 3: q1_deg is "nan"'),
+        (ENCODERS.replace("11,", "1e300,"), "line 3: q1_deg is 1e+300; at most 1e+20 is plausible"),
         (ENCODERS.replace("11,", "1_1,"), 'line 3: q1_deg is "1_1"'),
         (ENCODERS.replace("11,", "ERR\x1b[31m,"), 'line 3: q1_deg is "ERR\\x1b[31m"'),
         ("t_s,q1_deg,q2_deg\n\n\n0,1,\n", "line 4: q2_deg is empty"),

@@ -4,6 +4,7 @@ import os
 from datetime import UTC, datetime
 from pathlib import Path
 
+import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 
@@ -82,6 +83,18 @@ def test_another_file_of_that_name_is_refused(tmp_path: Path) -> None:
     cut_off(tmp_path / "session", 2, 3)
     (tmp_path / "session" / NAME).write_bytes(b"something else")
     with pytest.raises(InputError, match=r"pending\.raw: holds no pending pairs"):
+        open_session(tmp_path / "session")
+
+
+@pytest.mark.parametrize("t", [np.nan, -1.0])
+def test_pending_pairs_without_rising_times_are_refused(t: float, tmp_path: Path) -> None:
+    cut_off(tmp_path / "session", 2, 3)
+    ring = tmp_path / "session" / NAME
+    size = (ring.stat().st_size - 4096) // MAX_UNENCODED_PAIRS
+    with ring.open("r+b") as file:
+        file.seek(4096 + 3 * size + 8)
+        file.write(np.array([t]).tobytes())
+    with pytest.raises(InputError, match=r"pending\.raw: holds pairs whose times do not rise"):
         open_session(tmp_path / "session")
 
 

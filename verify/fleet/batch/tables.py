@@ -260,8 +260,13 @@ def write_failures(folder: Path, failures: Iterable[SessionFailure]) -> None:
     text = io.StringIO(newline="")
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(FAILURE_COLUMNS)
-    writer.writerows((one.session, one.kind, one.why) for one in failures)
+    writer.writerows(map(_text_cell, (one.session, one.kind, one.why)) for one in failures)
     (folder / "failures.csv").write_text(text.getvalue(), encoding="utf-8", newline="")
+
+
+def _text_cell(text: str) -> str:
+    """Quote what a spreadsheet would take for a formula: a folder may have any name."""
+    return f"'{text}" if text[:1] in tuple("=+-@\t\r") else text
 
 
 def _write_sessions(path: Path, kept: Sequence[tuple[str, Path]]) -> int:

@@ -21,7 +21,7 @@ from verify.fleet.batch.records import (
     SessionResults,
     printable_path,
 )
-from verify.io.files import digest, system_refusal
+from verify.io.files import digest, lacks_memory, memory_refusal, system_refusal
 from verify.io.results import RESULTS, read_results, write_report_folder
 from verify.io.session.session import open_session
 
@@ -111,6 +111,11 @@ def _result_or_failure(found: SessionLocation, work: Callable[[], T]) -> T | Ses
         refused = system_refusal(problem.filename or found.folder, problem)
         return SessionFailure(found.session, UNREADABLE, _with_session_name(str(refused), found))
     except Exception as problem:  # a defect of ours is reported, and the batch goes on
+        if lacks_memory(problem):
+            refused = memory_refusal(found.folder)
+            return SessionFailure(
+                found.session, UNREADABLE, _with_session_name(str(refused), found)
+            )
         why = f"{found.session}: {type(problem).__name__}: {problem}. Please report this defect."
         return SessionFailure(found.session, DEFECT, printable_path(one_line(why)))
 

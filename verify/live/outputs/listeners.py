@@ -7,6 +7,7 @@ import json
 import os
 import shlex
 import subprocess
+import sys
 import threading
 from collections import deque
 from collections.abc import Callable
@@ -160,6 +161,7 @@ class AlarmCommand:
             input=json.dumps(fields, ensure_ascii=False).encode(),
             env=os.environ | facts,
             stdout=subprocess.DEVNULL,
+            stderr=sys.__stderr__,  # which need not be descriptor 2
             timeout=COMMAND_TIMEOUT,
             check=False,
         )

@@ -57,10 +57,13 @@ def test_hostile_names_stay_what_they_are_and_failures_csv_can_be_read(tmp_path:
     names = [one.session for one in found]
     given = {name.removeprefix(f"{tmp_path}/") for name in names}
     assert given == {*HOSTILE, "\\udcff\\udcfe"}
-    write_failures(tmp_path, [SessionFailure(name, "refused", 'why, "so"') for name in names])
+    formulas = [f"{sign}1+1" for sign in "=+-@\t"]  # to a spreadsheet, as folders may be called
+    listed = [*names, *formulas]
+    write_failures(tmp_path, [SessionFailure(name, "refused", 'why, "so"') for name in listed])
     with (tmp_path / "failures.csv").open(newline="", encoding="utf-8") as file:
         read = [(row["session"], row["why"]) for row in csv.DictReader(file)]
-    assert read == [(name, 'why, "so"') for name in names]
+    plain = [*names, *(f"'{text}" for text in formulas)]
+    assert read == [(name, 'why, "so"') for name in plain]
 
 
 def test_a_folder_without_permission_is_reported_and_the_rest_found(
