@@ -138,6 +138,8 @@ def local_contrast(image: Image, side: int) -> Image:
 RADII = (8, 11, 14, 18, 26, 40, 62)  # px, of cut-outs: few, so that many share a batch
 PATCH_REACH = 2.4  # half-widths: a Gaussian has fallen to 1/50 there, a disc is long over
 PATCH_MARGIN = 2.5  # px of floor around that
+# sums of half-widths between two spots, of which one's light reaches the other's pixels
+MIN_APART, MAX_APART = 1.2, 4.0
 FIRST_LOOK_STEPS = 8  # steps from centre to edge of a first look: 197 pixels, whatever the size
 BATCH_PATCHES = 8  # patches a batch: their derivatives stay in the processor's cache
 MIN_CHANNEL_WEIGHT = 0.1  # of the strongest channel: less adds noise, not information
@@ -175,7 +177,24 @@ def cut_patches(
         for begin in range(0, len(members), BATCH_PATCHES):
             part = np.array(members[begin : begin + BATCH_PATCHES])
             radius = candidates.radius[part]
-            yield part, read_pixels(image, origin[part], radius, column, row, noise)
+            located = read_pixels(image, origin[part], radius, column, row, noise)
+            _leave_neighbours(located, part, candidates)
+            yield part, located
+
+
+def _leave_neighbours(located: LocatedPatches, part: NDArray[np.intp], spots: Candidates) -> None:
+    """Mark as invalid the pixels of a batch's patches that another spot's light reaches first.
+
+    `part` (n,): which of the spots the patches belong to. What overlaps is not told apart here.
+    """
+    apart = spots.centre[part, None] - spots.centre
+    far = np.hypot(apart[..., 0], apart[..., 1]) / (spots.radius[part, None] + spots.radius)
+    for patch, other in zip(*np.nonzero((far > MIN_APART) & (far < MAX_APART)), strict=True):
+        place = located.patches.pixels[patch, 2:] + located.origin[patch][:, None]
+        both = np.array([part[patch], other])
+        off = np.linalg.norm(place - spots.centre[both][:, :, None], axis=1)
+        own, others = off / spots.radius[both][:, None]
+        located.patches.pixels[patch, 1, (others < PATCH_REACH) & (others < own)] = 0.0
 
 
 @cache
