@@ -2,7 +2,6 @@
 
 import difflib
 import hashlib
-import math
 import re
 import tomllib
 from pathlib import Path
