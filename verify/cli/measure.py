@@ -49,6 +49,7 @@ def measure_and_report(
     if alarms is not None:
         results = replace(results, tables=results.tables | {"alarms": alarms})
         results.summary["inputs"][ALARMS] = digest(told)
+    results.summary["warnings"] = [*warnings, *results.summary["warnings"]]
     terminal.warn(*(w for w in results.summary["warnings"] if w not in session.warnings))
     write_report_folder(results, target, force=force, frames=True)
     if alarms is not None:
