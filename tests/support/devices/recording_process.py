@@ -33,7 +33,7 @@ def pair(number: int, t: float) -> CapturedPair:
 
 def reading(t: float, segment: int = 0) -> EncoderReading:
     """A reading whose angles tell its time."""
-    return EncoderReading(t, t, 0.001, segment, 0.1 * np.arange(6) + t * 1e-3)
+    return EncoderReading(t, t, 0.001, segment, 0.1 * np.arange(6) + t % 100 * 1e-3)
 
 
 def assert_recorded(session: Any, pairs: list[CapturedPair]) -> None:
