@@ -45,7 +45,7 @@ from verify.measurement.detection.kernels.quality import (
     COL_SOUND,
 )
 from verify.measurement.detection.noise import background_noise, refine_noise
-from verify.measurement.detection.occlusion import covariance_scale, score_rims, unoccluded_centres
+from verify.measurement.detection.occlusion import score_rims, unoccluded_centres
 
 CENTRE = slice(COL_CENTRE_X, COL_CENTRE_Y + 1)
 COVARIANCE = slice(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1)
@@ -94,11 +94,9 @@ def detect(
     assessed = assessed[kept]
     scores = score_rims([fit for _, fit in batches], kept, assessed)
     shift, covariance = unoccluded_centres(scores)
-    own = assessed[:, COVARIANCE].reshape(-1, 2, 2)
-    covariance += covariance_scale(scores, assessed)[:, None, None] * own
     return Spots(
         centre=assessed[:, CENTRE] + shift,
-        covariance=covariance,
+        covariance=assessed[:, COVARIANCE].reshape(-1, 2, 2) + covariance,
         peak=assessed[:, COL_PEAK].copy(),
         diameter=assessed[:, COL_DIAMETER].copy(),
         elongation=assessed[:, COL_ELONGATION].copy(),

@@ -16,9 +16,6 @@ ellipse, the third and higher ones, which no whole disc has, reveal it. One spot
 above its noise, but an object hides the same side of all LEDs of a marker. No threshold decides;
 what remains uncertain enlarges the covariance.
 
-The mean over the directions of g² / i is what a rim shows of noise: about 1, also of a JPEG's,
-whose errors are not white, and far more of a shape that no LED has, as a disc behind an edge.
-
 Source: Hoeting et al., Bayesian model averaging: a tutorial, Statistical Science 14, 1999.
 """
 
@@ -31,12 +28,9 @@ from numpy.typing import NDArray
 from verify.core.records import Array
 from verify.measurement.detection.fit import SpotFit
 from verify.measurement.detection.kernels import occlusion as kernel
-from verify.measurement.detection.kernels.quality import COL_MISFIT, CORRELATED_PIXELS
 
 N_DIRECTIONS = 24  # round the rim: steps of 15°, under a bite's own width
 ANGLES = 2 * np.pi / N_DIRECTIONS * np.arange(N_DIRECTIONS)
-NOISE_ROUGHNESS = 3.0  # which noise alone exceeds in a spot of a hundred
-MAX_ROUGHNESS = 6.0  # which it does not: more of noise, or a shape that no LED has
 DIRECTION_VECTORS = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 
 
@@ -76,14 +70,3 @@ def unoccluded_centres(score: RimScore) -> tuple[Array, Array]:
     evidence, depth, depth2 = kernel.depth_posterior(score.gradient, score.information)
     probability = kernel.occlusion_probability(evidence)
     return kernel.average_shifts(probability, depth, depth2, score.pull)
-
-
-def covariance_scale(score: RimScore, assessed: Array) -> Array:
-    """By how much n spots' rims enlarge their covariances, (n,); columns as for `score_rims`."""
-    misfit = np.maximum(assessed[:, COL_MISFIT], 1.0)  # by which score_rims has divided
-    known = score.information > 0
-    chi2 = np.divide(score.gradient**2, score.information, out=np.zeros(known.shape), where=known)
-    rough = misfit * chi2.sum(axis=1) / np.maximum(known.sum(axis=1), 1)
-    odd = np.maximum(rough, CORRELATED_PIXELS * misfit)
-    scale: Array = np.where(rough > MAX_ROUGHNESS, odd, np.where(rough > NOISE_ROUGHNESS, rough, 1))
-    return scale

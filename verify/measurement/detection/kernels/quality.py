@@ -1,7 +1,10 @@
 """Judge fitted spots: centre and covariance, diameter, whether a spot has the shape of one LED.
 
-With misfit m the residuals' mean square over their variance, the covariance of merged spots is
-enlarged by CORRELATED_PIXELS m; what another shape adds to those of others, occlusion.py says.
+With misfit m the residuals' mean square over their variance, the covariance is enlarged
+
+    by 1 + c max(m - 1 - MAX_CHI2_SIGMA sqrt(2 / freedom), 0),  of merged spots by c m
+
+with c = CORRELATED_PIXELS.
 """
 
 import math
@@ -34,6 +37,10 @@ MAX_RESIDUAL_RATIO = 0.035  # rms residual over peak; both must hold: a bright L
 MIN_PEAK = 8.0  # sigma of the peak: chance does not reach it in a picture
 MAX_SHIFT = 1.5  # half-widths: a fit that left its candidate has found something else
 MAX_AXIS_RATIO = 2.0  # axis ratio of the fitted profile; a blurred LED stays below, streaks do not
+# A shape that the profiles lack (a stalk before the LED, a reflection beside it) leaves errors
+# larger than noise, in neighbouring pixels alike: the covariance covers them too. What is left of a
+# clipped spot is too little to judge its shape by.
+MAX_CHI2_SIGMA = 3.0  # standard deviations of a reduced chi² that noise alone reaches
 CORRELATED_PIXELS = 20.0  # pixels that a wrong shape lifts together, so that they do not average
 MIN_BORDER = 1.2  # half-widths that must be inside the image
 MIN_SEPARATION = 0.5  # diameters of the smaller one: closer spots are one spot found twice
@@ -81,7 +88,8 @@ def assess_shape(counted: Array, peak: float, row: Array) -> None:
     misfit = squares / paid if freedom >= N_FITTED else 1.0
     rough = math.sqrt(square_dn / paid)
     merged = misfit > MAX_REDUCED_CHI2 and rough > MAX_RESIDUAL_RATIO * min(peak, SENSOR_LIMIT)
-    larger = CORRELATED_PIXELS * misfit if merged else 1.0
+    excess = max(misfit - 1.0 - MAX_CHI2_SIGMA * math.sqrt(2.0 / paid), 0.0) if full == 0.0 else 0.0
+    larger = CORRELATED_PIXELS * misfit if merged else 1.0 + CORRELATED_PIXELS * excess
     for k in range(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1):
         row[k] *= larger
     row[COL_MISFIT], row[COL_COUNT] = misfit, count
