@@ -27,6 +27,8 @@ MAX_ROWS = 80  # that are registered for each mistake
 def refuse_mistaken_readings(file: Path, chain: KinematicChain, poses: IdentificationPoses) -> None:
     """Refuse readings of a file that fit far better once a usual mistake is taken back.
 
+    Poses of several bases or targets are not judged: a registration of one would leave them all.
+
     Raises:
         InputError: names the mistake and what remains without it.
     """
@@ -56,6 +58,9 @@ def refuse_mistaken_readings(file: Path, chain: KinematicChain, poses: Identific
 
 def refuse_unfit(file: Path, left: CrossValidation | None) -> None:
     """Refuse readings that nothing which was identified makes this arm's motion.
+
+    `left`: what the chosen model leaves of poses that it was not fitted to; None where no poses
+    were held out, and nothing is refused.
 
     Raises:
         InputError: more is left of poses held out than any arm's own errors leave.
