@@ -9,8 +9,6 @@ from reports.calibration.words import (
     FIGURES,
     GROUPS,
     PARAMETERS,
-    STATES,
-    STATES_NOTE,
     CalibrationNotes,
 )
 from reports.document import blocks as doc
@@ -43,7 +41,7 @@ def parameters(results: Results) -> doc.Section:
 def _parameter_table(table: pd.DataFrame) -> doc.Table:
     values, u = column(table, "value"), column(table, "standard_uncertainty")
     cells: dict[tuple[str, str], str] = {}
-    held = set()
+    chosen = False
     for i, (camera, key, state) in enumerate(
         zip(texts(table, "camera"), texts(table, "parameter"), texts(table, "state"), strict=True)
     ):
@@ -51,8 +49,8 @@ def _parameter_table(table: pd.DataFrame) -> doc.Table:
         if finite(u[i]) is not None:
             text = with_uncertainty(values[i], expanded(u[i]), signed=False)
         if state != "found":
-            text += f" ({STATES.get(state, state)})"
-            held.add(state)
+            text += " (chosen)"
+            chosen = True
         cells[camera, key] = text
     keys = list(dict.fromkeys(texts(table, "parameter")))
     columns = (
@@ -60,7 +58,7 @@ def _parameter_table(table: pd.DataFrame) -> doc.Table:
         doc.Column("Left camera", "r", lambda key: cells.get(("left", key), DASH)),
         doc.Column("Right camera", "r", lambda key: cells.get(("right", key), DASH)),
     )
-    notes = (STATES_NOTE[state] for state in STATES if state in held)
+    notes = (CalibrationNotes.CHOSEN,) if chosen else ()
     return doc.tabulate("Parameters and expanded uncertainties (k = 2).", columns, keys, *notes)
 
 

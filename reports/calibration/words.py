@@ -31,19 +31,15 @@ PARAMETERS = {
     **{f"mount_{a}_mm": f"Mount {a} [mm]" for a in "xyz"},
 }
 
-STATES = {"gauge": "chosen"}
-STATES_NOTE = {
-    "gauge": (
-        "Chosen: no picture of a board can tell it. It sets where the rig's frame lies, or, with "
-        "a base that never turned, how the camera's place is shared between pan centre, axis and "
-        "mount. Pan axes are given by the turn that carries the rig's y axis to them."
-    ),
-}
-
 
 class CalibrationNotes:
     """Notes that stand under tables."""
 
+    CHOSEN = (
+        "Chosen: no picture of a board can tell it. It sets where the rig's frame lies, or, with "
+        "a base that never turned, how the camera's place is shared between pan centre, axis and "
+        "mount. Pan axes are given by the turn that carries the rig's y axis to them."
+    )
     TURNING = (
         "The bases were turned between pairs: their axes, centres and zeros and the mounts were "
         "found from the boards as well. The relation holds at the median of the pan readings."

@@ -42,13 +42,13 @@ def measure_and_report(
     refuse_existing(target, force=force)
     terminal.warn(*session.warnings)
     tolerance = tolerances.tolerance(session.arm.dof)
-    told = folder / ALARMS
-    alarms = read_alarms(told, session.arm.dof)
+    recorded = folder / ALARMS
+    alarms = read_alarms(recorded, session.arm.dof)
     with terminal.progress("pairs") as progress:
         results = analyse(session, tolerance=tolerance, progress=progress)
     if alarms is not None:
         results = replace(results, tables=results.tables | {"alarms": alarms})
-        results.summary["inputs"][ALARMS] = digest(told)
+        results.summary["inputs"][ALARMS] = digest(recorded)
     results.summary["warnings"] = [*warnings, *results.summary["warnings"]]
     terminal.warn(*(w for w in results.summary["warnings"] if w not in session.warnings))
     write_report_folder(results, target, force=force, frames=True)
