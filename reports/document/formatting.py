@@ -113,8 +113,8 @@ def count(value: Any) -> str:
 
 
 def text_or_dash(value: Any) -> str:
-    """Take a text as it is; a dash where there is none."""
-    return DASH if value is None or value == "" else str(value)
+    """Take a text as it is; a dash where there is none: a table has NaN there."""
+    return DASH if value is None or value == "" or value != value else str(value)
 
 
 def join_words(words: list[str]) -> str:
@@ -143,6 +143,5 @@ UNITS = {
 
 def lookup_label(words: dict[str, str], word: Any) -> str:
     """Look a machine word up; one that is not known is shown as it is, without underscores."""
-    if word is None:
-        return DASH
-    return words.get(str(word), str(word).replace("_", " "))
+    text = text_or_dash(word)
+    return words.get(text, text.replace("_", " "))

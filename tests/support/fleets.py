@@ -95,7 +95,7 @@ def _table(
         "joints": [6] * n,
         "pairs_recorded": [60] * n,
         "pairs_measured": [60] * n,
-        "verdict": [None] * n,
+        "verdict": [np.nan] * n,
     }
     for j in range(6):
         q = f"q{j + 1}"
@@ -103,7 +103,7 @@ def _table(
             f"{q}_mean_error_deg": error[:, j],
             f"{q}_standard_uncertainty_deg": np.hypot(own[:, j], shared),
             f"{q}_session_uncertainty_deg": own[:, j],
-            f"{q}_verdict": [None] * n,
+            f"{q}_verdict": [np.nan] * n,
             f"{q}_worst_error_deg": error[:, j],
             f"{q}_worst_error_standard_uncertainty_deg": own[:, j],
             f"{q}_visible_fraction": [1.0] * n,

@@ -11,7 +11,7 @@ import pytest
 from reports import render_html, render_pdf
 from reports.document.blocks import Verdict
 from reports.document.charts import Level, Points
-from reports.document.formatting import with_uncertainty
+from reports.document.formatting import DASH, with_uncertainty
 from reports.fleet.charts import MAX_TICKS, arm_chart, format_day, month_ticks
 from reports.fleet.document import document
 from reports.results import Results
@@ -112,7 +112,9 @@ def test_links_lead_to_sessions_that_have_a_report_and_tables_sort_and_filter() 
     assert page.count("/report.html") == 1
     assert "aria-sort" in page
     assert 'type = "search"' in page
-    assert "--reports" in section(made_fleet.quiet(), "worst")[0].notes[-1]
+    worst = section(made_fleet.quiet(), "worst")[0]  # sessions without a tolerance
+    assert "--reports" in worst.notes[-1]
+    assert {row[worst.head.index("Verdict")].text for row in worst.rows} == {DASH}
 
 
 def test_before_and_after_is_shown_on_request() -> None:
