@@ -3,7 +3,7 @@
 Candidates are compact bright blobs (candidates.py). Each is fitted by a profile between a halo, a
 Gaussian and a blurred disc (fit.py, profile.py) under the image's own noise (noise.py), and
 assessed by the residuals (kernels/quality.py). A hidden sliver of the rim is corrected for
-(occlusion.py).
+(occlusion.py), and so is a background that bends (background.py).
 """
 
 from collections.abc import Sequence
@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from verify.core.records import Array, Image, Noise, Spots, take_rows
 from verify.errors import InputError
+from verify.measurement.detection.background import correct_for_background
 from verify.measurement.detection.candidates import (
     DEFAULT_DIAMETER,
     Candidates,
@@ -71,8 +72,8 @@ def detect(
     Returns:
         Spots by falling peak. Those whose shape no single LED has are flagged `merged` and their
         covariance enlarged by the misfit; where a sliver of the rim may be hidden, the centre is
-        the whole disc's and the covariance covers the correction; spots cut by the image's border
-        are left out.
+        the whole disc's, as it is where the background bends, and the covariance covers the
+        correction; spots cut by the image's border are left out.
 
     Raises:
         InputError: not an 8-bit grey or BGR image, or windows of another shape.
@@ -94,9 +95,13 @@ def detect(
     assessed = assessed[kept]
     scores = score_rims([fit for _, fit in batches], kept, assessed)
     shift, covariance = unoccluded_centres(scores)
+    one_led = np.where(assessed[:, COL_MERGED] > 0, -1, kept)
+    curvature_shift, curvature_covariance = correct_for_background(
+        image, candidates, batches, one_led
+    )
     return Spots(
-        centre=assessed[:, CENTRE] + shift,
-        covariance=assessed[:, COVARIANCE].reshape(-1, 2, 2) + covariance,
+        centre=assessed[:, CENTRE] + shift + curvature_shift,
+        covariance=assessed[:, COVARIANCE].reshape(-1, 2, 2) + covariance + curvature_covariance,
         peak=assessed[:, COL_PEAK].copy(),
         diameter=assessed[:, COL_DIAMETER].copy(),
         elongation=assessed[:, COL_ELONGATION].copy(),
