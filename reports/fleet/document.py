@@ -49,9 +49,10 @@ def document(results: Results) -> doc.Document:
         evidence.method,
     )
     held, arms = results.summary.get("sessions") or {}, len(results.summary.get("arms") or [])
+    period = f", {held['first']} to {held['last']}" if held.get("first") else ""
     return doc.lay_out(
         title=f"Fleet report: {'1 arm' if arms == 1 else f'{count(arms)} arms'}",
-        subtitle=f"{count(held.get('measured'))} sessions{fleet_charts.format_period(held)}",
+        subtitle=f"{count(held.get('measured'))} sessions{period}",
         footer=f"{doc.software(results.summary)} · fleet report",
         sections=(s for make in sections if (s := make(results)) is not None),
         sortable=True,
