@@ -113,8 +113,7 @@ class Readings:
         """
         held = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
         thresholds = np.maximum(5 * self.noise, MIN_TRAVEL)
-        last: Array = travel_directions(self._contiguous[1], thresholds)[held].astype(np.float64)
-        return last
+        return travel_directions(self._contiguous[1], thresholds)[held].astype(np.float64)
 
 
 def _as_contiguous(values: Array) -> Array:
