@@ -192,5 +192,4 @@ def _pyramid(camera: Camera, size: tuple[int, int]) -> Array:
 
 
 def _transform(view_T_own: Array, points: Array) -> Array:
-    carried: Array = points @ view_T_own[:3, :3].T + view_T_own[:3, 3]
-    return carried
+    return points @ view_T_own[:3, :3].T + view_T_own[:3, 3]
