@@ -21,11 +21,7 @@ def parameters(results: Results) -> doc.Section:
     """List every parameter with its uncertainty, and say what was held and why."""
     summary = results.summary
     blocks: list[doc.Block] = [_parameter_table(results.table("parameters"))]
-    decisions = [
-        fmt.capitalise(fmt.text_or_dash(sentence)) for sentence in summary.get("decisions") or []
-    ]
-    if decisions:
-        blocks.append(doc.Bullets(tuple(decisions)))
+    blocks += doc.decisions(summary)
     blocks += [_principal_point(point) for point in summary.get("principal_points") or []]
     return doc.Section("parameters", "Parameters of the cameras", tuple(blocks))
 

@@ -236,6 +236,12 @@ def described(summary: dict[str, Any], otherwise: str) -> str:
     return fmt.text_or_dash(source.get("description") or source.get("path") or otherwise)
 
 
+def decisions(summary: dict[str, Any]) -> list[Block]:
+    """List what was decided on the way, where anything was."""
+    every = [fmt.capitalise(fmt.text_or_dash(text)) for text in summary.get("decisions") or []]
+    return [Bullets(tuple(every))] if every else []
+
+
 def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
     """List the files that were read and the warnings."""
     blocks: list[Block] = []

@@ -128,11 +128,7 @@ def base_and_leds(results: Results) -> doc.Section:
     if summary.get("leds"):
         blocks.append(_led_table(summary["leds"], bool(summary.get("leds_held"))))
     blocks.append(doc.Facts(tuple(_times(summary))))
-    decisions = [
-        fmt.capitalise(fmt.text_or_dash(sentence)) for sentence in summary.get("decisions") or []
-    ]
-    if decisions:
-        blocks.append(doc.Bullets(tuple(decisions)))
+    blocks += doc.decisions(summary)
     return doc.Section("base", "Base and LEDs", tuple(blocks))
 
 

@@ -148,6 +148,11 @@ class Covariance:
     degrees_of_freedom: float | None = None
     temperature_c: float | None = None
 
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Standard uncertainties by the parameters' names."""
+        return dict(zip(self.parameters, self.standard_uncertainty.tolist(), strict=True))
+
 
 @dataclass(frozen=True, slots=True)
 class Rig:
