@@ -61,12 +61,9 @@ def reach(arm: Arm) -> Reach:
 
 
 def self_check(arm: Arm, poses: int = 1000, seed: int = 0) -> SelfCheck:
-    """Try an arm's kinematics on random poses.
+    """Try an arm's kinematics on so many random poses, uniform within the joints' limits.
 
-    Args:
-        arm: any arm; a URDF's, which is solved by iteration, gets at most 50 poses for that part.
-        poses: how many.
-        seed: of the random joint angles, uniform within the limits.
+    A URDF's arm, which is solved by iteration, gets at most 50 of them for that part.
     """
     random = np.random.default_rng(seed)
     q = random.uniform(arm.lower, arm.upper, (poses, arm.dof))

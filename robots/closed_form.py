@@ -38,16 +38,11 @@ class Family(Protocol):
         """Name the first entry of the table that does not belong to the family, if any."""
 
     def solve(self, arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
-        """Solve poses given as rows.
+        """Solve poses of an arm of this family: base_T_flange's elements (16, m), row by row.
 
-        Args:
-            arm: of this family.
-            pose: (16, m), base_T_flange's elements, row by row.
-            hold: (6, m) or (6, 1), DH angles that a free joint keeps.
-
-        Returns:
-            DH angles (6, 2, 2, 2, m), not wrapped; which exist and which are degenerate (flags),
-            both to be broadcast to (2, 2, 2, m).
+        `hold` (6, m) or (6, 1): DH angles that a free joint keeps. Returns DH angles
+        (6, 2, 2, 2, m), not wrapped; which exist and which are degenerate (flags), both to be
+        broadcast to (2, 2, 2, m).
         """
 
     def reach(self, arm: DhArm) -> tuple[float, float]:
@@ -76,10 +71,8 @@ class ElbowSolutions(NamedTuple):
 def turn_to(x: Array, y: Array, hold: Array) -> ShoulderSolutions:
     """Turn joint 1 so that (x, y) lies in the arm's plane: facing it, and facing away.
 
-    Args:
-        x: (m,), m, of the wrist centre in the base frame.
-        y: (m,), m.
-        hold: joint 1's DH angle where the wrist centre is on its axis: both answers then.
+    x and y (m,), m, are of the wrist centre in the base frame. Where that is on joint 1's axis,
+    both answers are `hold`, its DH angle.
     """
     distance = np.sqrt(x * x + y * y)
     free = distance < TOL_SHOULDER
@@ -98,13 +91,9 @@ def turn_to(x: Array, y: Array, hold: Array) -> ShoulderSolutions:
 
 
 def bend_to(x: Array, y: Array, first: float, second: float) -> ElbowSolutions:
-    """Reach the point (x, y) with two links: the law of cosines in a plane.
+    """Reach the point (x, y), m, of any shape with two links: the law of cosines in a plane.
 
-    Args:
-        x: m, any shape.
-        y: m, the same shape; angles count from x towards y.
-        first: length of the link at the origin, m.
-        second: length of the link at the point, m.
+    Angles count from x towards y. The first link, m, is at the origin, the second at the point.
     """
     cosine = (x * x + y * y - (first**2 + second**2)) / (2 * first * second)
     exists = np.abs(cosine) <= 1 + TOL_COSINE

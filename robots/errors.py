@@ -6,11 +6,8 @@ from pathlib import Path
 class RobotError(Exception):
     """A robot cannot be used as described; the message is one line.
 
-    Args:
-        place: the file, with the line or key at fault, or the robot's name.
-        found: the value there.
-        expected: what would be right.
-        remedy: what the user can do about it.
+    The place is the file, with the line or key at fault, or the robot's name; then the value there,
+    what would be right, and what the user can do about it.
     """
 
     def __init__(self, place: str | Path, found: str, expected: str = "", remedy: str = "") -> None:

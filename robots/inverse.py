@@ -37,21 +37,17 @@ class Branches:
 
 
 def inverse(arm: DhArm, base_T_flange: Array, hold: Array | None = None) -> Branches:
-    """Find every way to reach a pose; limits are not looked at.
+    """Find every way to reach a pose (..., 4, 4), m; limits are not looked at.
 
-    Where a singularity frees a joint, it keeps its angle in `hold`, and both branches that meet
-    there hold the same joints: θ1 with the wrist on axis 1 (within 1e-12 m), and with |sin θ5|
-    below 5e-10, θ4 of a spherical wrist or θ6 of parallel axes. With parallel axes the elbow may
-    not close there; if no branch does, the nearest angle tried at which one does is taken. Next to
-    a singularity the pose is still reached to rounding; a joint found there differs from another
-    true answer by rounding over the vanishing factor (|sin θ5|, distance from axis 1 in m, |sin| of
-    the elbow). One case is lost: parallel axes with the elbow stretched or folded to rounding and
-    |sin θ5| below 1e-5 but not 0, where rounding decides if the elbow closes.
-
-    Args:
-        arm: of a family with a closed form.
-        base_T_flange: (..., 4, 4), m.
-        hold: (6,) or (..., 6), rad, angles q that free joints keep; 0 by default.
+    Where a singularity frees a joint, it keeps its angle in `hold`, (6,) or (..., 6), rad, 0 by
+    default, and both branches that meet there hold the same joints: θ1 with the wrist on axis 1
+    (within 1e-12 m), and with |sin θ5| below 5e-10, θ4 of a spherical wrist or θ6 of parallel axes.
+    With parallel axes the elbow may not close there; if no branch does, the nearest angle tried at
+    which one does is taken. Next to a singularity the pose is still reached to rounding; a joint
+    found there differs from another true answer by rounding over the vanishing factor (|sin θ5|,
+    distance from axis 1 in m, |sin| of the elbow). One case is lost: parallel axes with the elbow
+    stretched or folded to rounding and |sin θ5| below 1e-5 but not 0, where rounding decides if the
+    elbow closes.
     """
     if arm.linkage is not None:
         hold = None if hold is None else arm.axis_angles(np.asarray(hold, dtype=float))
@@ -117,8 +113,7 @@ def turns(arm: Arm, q: Array) -> Array:
 
 def near(q: Array, q_near: Array) -> Array:
     """Shift each joint of q by whole turns to within half a turn of q_near; shapes broadcast."""
-    shifted: Array = q - FULL_TURN * np.round((q - q_near) / FULL_TURN)
-    return shifted
+    return q - FULL_TURN * np.round((q - q_near) / FULL_TURN)
 
 
 def near_within(arm: Arm, q: Array, q_near: Array) -> Array:

@@ -57,10 +57,9 @@ def jacobian(arm: Arm, q: Array) -> Array:
 def link_frames(arm: Arm, q: Array) -> Array:
     """Place a frame on every joint's axis, and the flange, at joint angles q (m, n), rad.
 
-    Returns:
-        base_T_frame, (m, n + 1, 4, 4), m. Joint i + 1 turns about z of frame i, the last frame is
-        the flange: frames 0 to n of a DH table. At a joint of a URDF the origin is the joint's, z
-        grows its angle, and x is any direction across.
+    Returns base_T_frame, (m, n + 1, 4, 4), m. Joint i + 1 turns about z of frame i, the last frame
+    is the flange: frames 0 to n of a DH table. At a joint of a URDF the origin is the joint's, z
+    grows its angle, and x is any direction across.
     """
     q = _checked(arm, q)
     if isinstance(arm, DhArm):

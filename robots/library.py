@@ -41,11 +41,8 @@ def load(
 ) -> Arm:
     """Load an arm by its name, or by the path of a robot file (.toml) or a URDF (.urdf).
 
-    Args:
-        name_or_path: a path counts from `folder`, by default the current one.
-        base: link to count from, for a URDF; by default its first.
-        tip: link that is the flange, for a URDF; by default the last of its chain.
-        folder: of a path.
+    A path counts from `folder`, by default the current one. For a URDF: `base` is the link to count
+    from, by default its first; `tip` the link that is the flange, by default the last of its chain.
 
     Raises:
         RobotError: no such arm, or its file cannot be used.
@@ -74,11 +71,7 @@ def load(
 
 
 def _require_plain_file(path: Path) -> None:
-    """Refuse what is no plain file of a robot's size.
-
-    Raises:
-        RobotError: there is none, it is a folder, a pipe or a device, or it is too large.
-    """
+    """Raise RobotError unless there is a plain file of a robot's size."""
     try:
         size = path.stat().st_size
     except (OSError, ValueError) as error:  # a zero byte in the name

@@ -21,18 +21,11 @@ def nearest(
 ) -> tuple[Array, NDArray[np.bool_]]:
     """Find the joint angles for a pose that lie nearest to q_near (2-norm, each joint unwrapped).
 
-    A DH arm's are the nearest of all branches. A URDF's are found by damped least squares that
-    start at q_near and, where joints are redundant, settle in the nearest point of the self-motion;
-    another branch that is nearer can be missed.
-
-    Args:
-        arm: any arm.
-        base_T_flange: (..., 4, 4), m.
-        q_near: (n,) or (..., n), rad; also what a joint that a singularity frees keeps.
-        limits: only consider angles within the arm's limits.
-
-    Returns:
-        q (..., n), NaN where not reached, and whether the pose was reached (...).
+    Of poses (..., 4, 4), m; q_near, (n,) or (..., n), rad, is also what a joint that a singularity
+    frees keeps. `limits`: within the arm's limits alone. A DH arm's are the nearest of all
+    branches. A URDF's are found by damped least squares that start at q_near and, where joints are
+    redundant, settle in the nearest point of the self-motion; another branch that is nearer can be
+    missed. Returns q (..., n), NaN where not reached, and whether the pose was reached (...).
     """
     poses = np.asarray(base_T_flange, dtype=float)
     seeds = np.broadcast_to(np.asarray(q_near, dtype=float), (*poses.shape[:-2], arm.dof))

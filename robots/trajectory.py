@@ -120,8 +120,7 @@ class JointPath:
 
     def derivative(self, s: Array | float, order: int) -> Array:
         """Joint angles' derivative by s, (..., n)."""
-        found: Array = np.asarray(self.spline(np.clip(s, 0.0, self.length), nu=order))
-        return found
+        return np.asarray(self.spline(np.clip(s, 0.0, self.length), nu=order))
 
     def range(self) -> tuple[Array, Array]:
         """Bound the joint angles from below and above, (n,) each."""
@@ -188,13 +187,10 @@ class Trajectory:
 
 
 def time_path(path: JointPath, limits: JointLimits, wanted: PathLimits | None = None) -> Trajectory:
-    """Follow a path from rest to rest as fast as the limits allow.
+    """Follow a path from rest to rest as fast as the limits of the joints allow.
 
-    Args:
-        path: joint angles over the way.
-        limits: of the joints.
-        wanted: rates of the way that are not exceeded either; by default none. A path that is
-            curved in joint angles needs them; it is played slower as far as the joints ask for it.
+    `wanted`: rates of the way that are not exceeded either; by default none. A path that is curved
+    in joint angles needs them; it is played slower as far as the joints ask for it.
     """
     rates = _reached_limits(path, _straight_rates(path, limits) if wanted is None else wanted)
     slower = max(1.0, _slowdown(path, limits, rates))
@@ -276,13 +272,10 @@ class MotionStep:
 
 
 class TrajectoryFollower:
-    """A filter from goals to a stream of motions, one a period.
+    """A filter from goals to a stream of motions, one a period, s.
 
-    Args:
-        limits: of the joints.
-        q: (n,), rad, where the arm stands, at rest.
-        period: s, from one step to the next.
-        clear: names what obstructs postures in order, or the way between them.
+    The arm stands at q (n,), rad, at rest. `clear` names what obstructs postures in order, or the
+    way between them.
 
     Raises:
         ValueError: the arm stands outside its limits, or where it is not clear.

@@ -18,15 +18,12 @@ def invert(a_T_b: Array) -> Array:
 
 
 def carry(a_T_b: Array, points_b: Array) -> Array:
-    """Express points given in b in frame a.
+    """Express points (..., 3) given in b in frame a, by a_T_b (..., 4, 4).
 
-    Args:
-        a_T_b: (..., 4, 4).
-        points_b: (..., 3); leading shapes broadcast: one motion and (k, 3) points give (k, 3),
-            (n, 1, 4, 4) motions and (k, 3) points give (n, k, 3).
+    Leading shapes broadcast: one motion and (k, 3) points give (k, 3), (n, 1, 4, 4) motions and
+    (k, 3) points give (n, k, 3).
     """
-    points_a: Array = np.squeeze(a_T_b[..., :3, :3] @ points_b[..., None], -1) + a_T_b[..., :3, 3]
-    return points_a
+    return np.squeeze(a_T_b[..., :3, :3] @ points_b[..., None], -1) + a_T_b[..., :3, 3]
 
 
 def cross_matrix(vectors: Array) -> Array:

@@ -8,11 +8,8 @@ MAX_PART = 1000  # characters of a place, a finding or an expectation in one lin
 class InputError(Exception):
     """The input cannot be used; said in one line, exit status 2.
 
-    Args:
-        place: the file (and line, column or key) or the option at fault.
-        found: what stands there.
-        expected: what would be right.
-        remedy: what the user can do about it.
+    The place is the file (and line, column or key) or the option at fault; then what stands there,
+    what would be right, and what the user can do about it.
     """
 
     def __init__(self, place: str | Path, found: str, expected: str = "", remedy: str = "") -> None:

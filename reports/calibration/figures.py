@@ -218,8 +218,7 @@ def scene(results: Results) -> charts.Path | None:
 
 def _join_with_gaps(points: charts.Array, names: charts.Array) -> charts.Array:
     breaks = np.flatnonzero(names[1:] != names[:-1]) + 1
-    broken: charts.Array = np.insert(points, breaks, np.nan, axis=0)
-    return broken
+    return np.insert(points, breaks, np.nan, axis=0)
 
 
 def accuracy(results: Results) -> charts.Chart | None:

@@ -12,18 +12,8 @@ from reports.calibration.words import (
     CalibrationNotes,
 )
 from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.document.charts import column, records, texts
-from reports.document.formatting import (
-    DASH,
-    capitalise,
-    exact_number,
-    expanded,
-    finite,
-    quantity,
-    significant,
-    text_or_dash,
-    with_uncertainty,
-)
 from reports.results import Results
 
 
@@ -31,9 +21,7 @@ def parameters(results: Results) -> doc.Section:
     """List every parameter with its uncertainty, and say what was held and why."""
     summary = results.summary
     blocks: list[doc.Block] = [_parameter_table(results.table("parameters"))]
-    decisions = [capitalise(text_or_dash(sentence)) for sentence in summary.get("decisions") or []]
-    if decisions:
-        blocks.append(doc.Bullets(tuple(decisions)))
+    blocks += doc.decisions(summary)
     blocks += [_principal_point(point) for point in summary.get("principal_points") or []]
     return doc.Section("parameters", "Parameters of the cameras", tuple(blocks))
 
@@ -45,9 +33,9 @@ def _parameter_table(table: pd.DataFrame) -> doc.Table:
     for i, (camera, key, state) in enumerate(
         zip(texts(table, "camera"), texts(table, "parameter"), texts(table, "state"), strict=True)
     ):
-        text = exact_number(round(float(values[i]), 6) + 0.0)  # no minus before zero
-        if finite(u[i]) is not None:
-            text = with_uncertainty(values[i], expanded(u[i]), signed=False)
+        text = fmt.exact_number(round(float(values[i]), 6) + 0.0)  # no minus before zero
+        if fmt.finite(u[i]) is not None:
+            text = fmt.with_uncertainty(values[i], fmt.expanded(u[i]), signed=False)
         if state != "found":
             text += " (chosen)"
             chosen = True
@@ -55,24 +43,24 @@ def _parameter_table(table: pd.DataFrame) -> doc.Table:
     keys = list(dict.fromkeys(texts(table, "parameter")))
     columns = (
         doc.Column("Parameter", "l", lambda key: PARAMETERS.get(key, key)),
-        doc.Column("Left camera", "r", lambda key: cells.get(("left", key), DASH)),
-        doc.Column("Right camera", "r", lambda key: cells.get(("right", key), DASH)),
+        doc.Column("Left camera", "r", lambda key: cells.get(("left", key), fmt.DASH)),
+        doc.Column("Right camera", "r", lambda key: cells.get(("right", key), fmt.DASH)),
     )
     notes = (CalibrationNotes.CHOSEN,) if chosen else ()
     return doc.tabulate("Parameters and expanded uncertainties (k = 2).", columns, keys, *notes)
 
 
 def _principal_point(point: dict[str, Any]) -> doc.Paragraph:
-    camera, distance = text_or_dash(point.get("camera")), finite(point.get("distance_px"))
-    u = finite(point.get("standard_uncertainty_px"))
+    camera, distance = fmt.text_or_dash(point.get("camera")), fmt.finite(point.get("distance_px"))
+    u = fmt.finite(point.get("standard_uncertainty_px"))
     if distance is None or u is None or u == 0:
         return doc.Paragraph(
             f"How well the {camera} camera's principal point is known is not stated."
         )
     text = (
         f"The {camera} camera's principal point lies "
-        f"{with_uncertainty(distance, expanded(u), 'px', signed=False)} (k = 2) from the image's "
-        f"centre, {significant(distance / u)} times its standard uncertainty"
+        f"{fmt.with_uncertainty(distance, fmt.expanded(u), 'px', signed=False)} (k = 2) from the "
+        f"image's centre, {fmt.significant(distance / u)} times its standard uncertainty"
     )
     if not point.get("odd"):
         return doc.Paragraph(f"{text}: within what cameras of this kind have.")
@@ -101,7 +89,10 @@ def stereo(results: Results) -> doc.Section:
         values = entry.get(f"{key}_{unit}") or [None] * 3
         spreads = entry.get(f"{key}_standard_uncertainty_{unit}") or [None] * 3
         rows += [
-            doc.row(f"{name}, {axis} [{sign}]", with_uncertainty(value, expanded(u), signed=False))
+            doc.row(
+                f"{name}, {axis} [{sign}]",
+                fmt.with_uncertainty(value, fmt.expanded(u), signed=False),
+            )
             for axis, value, u in zip("xyz", values, spreads, strict=True)
         ]
     turning = results.summary.get("turning")
@@ -121,22 +112,22 @@ def stereo(results: Results) -> doc.Section:
 
 def _format_with_uncertainty(entry: dict[str, Any], name: str, unit: str) -> str:
     u = entry.get(f"{name}_standard_uncertainty_{unit}")
-    return with_uncertainty(entry.get(f"{name}_{unit}"), expanded(u), signed=False)
+    return fmt.with_uncertainty(entry.get(f"{name}_{unit}"), fmt.expanded(u), signed=False)
 
 
 def _scale(summary: dict[str, Any]) -> tuple[doc.Block, ...]:
     square, board = summary.get("square") or {}, "a square's edge"
-    found, u = finite(square.get("found_mm")), finite(square.get("standard_uncertainty_mm"))
-    given = finite(square.get("stated_mm"))
+    found, u = fmt.finite(square.get("found_mm")), fmt.finite(square.get("standard_uncertainty_mm"))
+    given = fmt.finite(square.get("stated_mm"))
     if found is None or given is None:
         return (doc.Paragraph("The scale was not checked against the squares."),)
-    off = significant(abs(found - given) / u) if u else DASH
+    off = fmt.significant(abs(found - given) / u) if u else fmt.DASH
     exact = square.get("stated_standard_uncertainty_mm")
     text = (
         f"Triangulated, {board} comes out as "
-        f"{with_uncertainty(found, expanded(u), 'mm', signed=False)} (k = 2) on average, where "
-        f"{exact_number(given)} mm is stated: {off} times the standard uncertainty "
-        f"apart. Single edges scatter by {quantity(square.get('deviation_mm'), 'mm')}. "
+        f"{fmt.with_uncertainty(found, fmt.expanded(u), 'mm', signed=False)} (k = 2) on average, "
+        f"where {fmt.exact_number(given)} mm is stated: {off} times the standard uncertainty "
+        f"apart. Single edges scatter by {fmt.quantity(square.get('deviation_mm'), 'mm')}. "
     )
     if exact is None:
         text += (
@@ -144,7 +135,8 @@ def _scale(summary: dict[str, Any]) -> tuple[doc.Block, ...]:
             "printed board is the only check of it."
         )
     else:
-        text += f"The stated size itself is known to ± {quantity(expanded(exact), 'mm')} (k = 2)."
+        size = fmt.quantity(fmt.expanded(exact), "mm")
+        text += f"The stated size itself is known to ± {size} (k = 2)."
     return (doc.Paragraph(text),)
 
 
@@ -160,8 +152,8 @@ def working_distance_entry(summary: dict[str, Any]) -> dict[str, Any]:
 
 def format_distance(entry: dict[str, Any]) -> str:
     """Say an entry's distance."""
-    far = finite(entry.get("distance_mm"))
-    return DASH if far is None else f"{far / 1e3:g} m"
+    far = fmt.finite(entry.get("distance_mm"))
+    return fmt.DASH if far is None else f"{far / 1e3:g} m"
 
 
 def main_improvement(summary: dict[str, Any]) -> str:
@@ -170,7 +162,7 @@ def main_improvement(summary: dict[str, Any]) -> str:
     help_ = first.get("help")
     if not help_:
         return "What to improve first is not known."
-    named = GROUPS.get(str(first.get("group")), text_or_dash(first.get("group")))
+    named = GROUPS.get(str(first.get("group")), fmt.text_or_dash(first.get("group")))
     return f"What counts most is {named}: {help_}."
 
 
@@ -206,7 +198,7 @@ def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> doc
         "In depth, rig": "length_depth_systematic_um",
     }
     title = (
-        f"U (k = 2) of a length of {exact_number(summary.get('length_mm'))} mm "
+        f"U (k = 2) of a length of {fmt.exact_number(summary.get('length_mm'))} mm "
         "between two LEDs in the middle of the field, in µm."
     )
     return doc.tabulate(title, _distance_columns(keys), entries, CalibrationNotes.LENGTH)
@@ -220,7 +212,7 @@ def _distance_columns(keys: dict[str, str]) -> list[doc.Column]:
 
 def improvement(results: Results) -> doc.Section:
     """Say what would help most."""
-    blocks: list[doc.Block] = [doc.Paragraph(capitalise(main_improvement(results.summary)))]
+    blocks: list[doc.Block] = [doc.Paragraph(fmt.capitalise(main_improvement(results.summary)))]
     table = results.table("contributions")
     if len(table):
         title = (
@@ -228,7 +220,7 @@ def improvement(results: Results) -> doc.Section:
             "by what its uncertainty comes from; U with k = 2."
         )
         columns = (
-            doc.Column("Source", "l", lambda e: capitalise(GROUPS.get(e["group"], e["group"]))),
+            doc.Column("Source", "l", lambda e: fmt.capitalise(GROUPS.get(e["group"], e["group"]))),
             doc.Column("U from it alone [mm]", "r", doc.expanded_field("alone_mm")),
             doc.Column("U left, were it exact [mm]", "r", doc.expanded_field("without_mm")),
         )

@@ -5,19 +5,8 @@ from typing import Any
 
 from reports.check import figures as check_figures
 from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.document.charts import records
-from reports.document.formatting import (
-    count,
-    expanded,
-    finite,
-    join_words,
-    lookup_label,
-    number,
-    percent,
-    quantity,
-    text_or_dash,
-    with_uncertainty,
-)
 from reports.results import Results
 
 VERDICTS = {
@@ -93,35 +82,38 @@ def verdict(results: Results) -> doc.Section:
     tone, label = VERDICTS.get(
         str(summary.get("verdict")), ("none", "Not known whether the calibration holds")
     )
-    uncounted = [text_or_dash(source) for source in summary.get("uncounted") or []]
-    remarks = [CheckNotes.UNSTATED.format(join_words(uncounted))] if uncounted else []
+    uncounted = [fmt.text_or_dash(source) for source in summary.get("uncounted") or []]
+    remarks = [CheckNotes.UNSTATED.format(fmt.join_words(uncounted))] if uncounted else []
     block = doc.Verdict(
         tone=tone, label=label, sentence=_verdict_text(summary), remarks=tuple(remarks)
     )
     pairs, source = summary.get("pairs") or {}, summary.get("source") or {}
-    left_out = [count(frame) for frame in pairs.get("left_out") or []]
+    left_out = [fmt.count(frame) for frame in pairs.get("left_out") or []]
     facts = doc.Facts(
         (
-            ("Pictures", text_or_dash(source.get("path"))),
-            ("Pairs used", count(pairs.get("used"))),
-            ("Pairs left out", join_words(left_out) or "none"),
-            ("Reprojection rms", quantity((summary.get("reprojection") or {}).get("rms_px"), "px")),
+            ("Pictures", fmt.text_or_dash(source.get("path"))),
+            ("Pairs used", fmt.count(pairs.get("used"))),
+            ("Pairs left out", fmt.join_words(left_out) or "none"),
+            (
+                "Reprojection rms",
+                fmt.quantity((summary.get("reprojection") or {}).get("rms_px"), "px"),
+            ),
         )
     )
     return doc.Section("verdict", "Verdict", (block, facts))
 
 
 def _verdict_text(summary: dict[str, Any]) -> str:
-    limit = finite(summary.get("limit"))
-    entries = [e for e in summary.get("figures") or [] if finite(e.get("z")) is not None]
+    limit = fmt.finite(summary.get("limit"))
+    entries = [e for e in summary.get("figures") or [] if fmt.finite(e.get("z")) is not None]
     if limit is None or not entries:
         return "Nothing was tested."
     beyond = [FIGURE_NAMES[str(e.get("figure"))] for e in entries if abs(e["z"]) > limit]
-    share = percent(summary.get("confidence"))
+    share = fmt.percent(summary.get("confidence"))
     if beyond:
         verb = "is" if len(beyond) == 1 else "are"
         return (
-            f"{join_words(beyond)} {verb} off by more than the uncertainty explains ({share}, "
+            f"{fmt.join_words(beyond)} {verb} off by more than the uncertainty explains ({share}, "
             "two-sided, for all figures together): calibrate again before measuring."
         ).capitalize()
     largest = max(abs(e["z"]) for e in entries)
@@ -136,9 +128,11 @@ def figures(results: Results) -> doc.Section:
     blocks: list[doc.Block] = []
     entries = results.summary.get("figures") or []
     if entries:
-        blocks.append(_figure_table(entries, finite(results.summary.get("limit"))))
+        blocks.append(_figure_table(entries, fmt.finite(results.summary.get("limit"))))
     blocks += [_figure_block(results, "figures"), _figure_block(results, "over_pairs")]
-    decisions = tuple(text_or_dash(sentence) for sentence in results.summary.get("decisions") or [])
+    decisions = tuple(
+        fmt.text_or_dash(sentence) for sentence in results.summary.get("decisions") or []
+    )
     if decisions:
         blocks.append(doc.Bullets(decisions))
     return doc.Section("figures", "What was tested", tuple(blocks))
@@ -146,10 +140,10 @@ def figures(results: Results) -> doc.Section:
 
 def _figure_table(entries: list[dict[str, Any]], limit: float | None) -> doc.Table:
     columns = (
-        doc.Column("Figure", "l", lambda e: lookup_label(FIGURE_NAMES, e.get("figure"))),
+        doc.Column("Figure", "l", lambda e: fmt.lookup_label(FIGURE_NAMES, e.get("figure"))),
         doc.Column("Value ± U", "r", _figure_value),
-        doc.Column("Value over u", "r", doc.field("z", number, 1, signed=True)),
-        doc.Column("Verdict", "l", lambda e: _figure_verdict(finite(e.get("z")), limit)),
+        doc.Column("Value over u", "r", doc.field("z", fmt.number, 1, signed=True)),
+        doc.Column("Verdict", "l", lambda e: _figure_verdict(fmt.finite(e.get("z")), limit)),
     )
     title = "The figures, all pairs together; U with k = 2, u half of it."
     return doc.tabulate(title, columns, entries, CheckNotes.FIGURES)
@@ -158,7 +152,7 @@ def _figure_table(entries: list[dict[str, Any]], limit: float | None) -> doc.Tab
 def _figure_value(entry: dict[str, Any]) -> str:
     key, unit = SUMMARY_KEYS.get(str(entry.get("figure")), ("", ""))
     u = entry.get(f"standard_uncertainty_{key.rpartition('_')[2]}")
-    return with_uncertainty(entry.get(key), expanded(u), unit)
+    return fmt.with_uncertainty(entry.get(key), fmt.expanded(u), unit)
 
 
 def _figure_verdict(z: float | None, limit: float | None) -> doc.Cell:
@@ -174,21 +168,23 @@ def lengths(results: Results) -> doc.Section:
     square = results.summary.get("square")
     if square:
         u = square.get("standard_uncertainty_mm")
-        stated = with_uncertainty(square.get("known_mm"), None, "mm", signed=False)
-        measured = with_uncertainty(square.get("measured_mm"), expanded(u), "mm", signed=False)
+        stated = fmt.with_uncertainty(square.get("known_mm"), None, "mm", signed=False)
+        measured = fmt.with_uncertainty(
+            square.get("measured_mm"), fmt.expanded(u), "mm", signed=False
+        )
         facts = ("Square as stated", stated), ("Square as measured (k = 2)", measured)
         blocks.append(doc.Facts(facts))
     if len(table):
         title = "Known lengths: measured less known, k = 2."
         columns = (
             doc.Column("LEDs", "l", doc.field("ends")),
-            doc.Column("Known [mm]", "r", doc.field("known_mm", number, 3)),
+            doc.Column("Known [mm]", "r", doc.field("known_mm", fmt.number, 3)),
             doc.Column(
                 "Error ± U [mm]",
                 "r",
                 doc.uncertain_field("error_mm", "standard_uncertainty_mm", k=2),
             ),
-            doc.Column("Pairs", "r", doc.field("pairs", count)),
+            doc.Column("Pairs", "r", doc.field("pairs", fmt.count)),
         )
         blocks.append(doc.tabulate(title, columns, records(table), CheckNotes.LENGTHS))
         blocks.append(_figure_block(results, "lengths"))
@@ -224,7 +220,7 @@ def power(results: Results) -> doc.Section:
 
 def _smallest_change(entry: dict[str, Any]) -> str:
     unit = str(entry.get("unit"))
-    return quantity(entry.get("smallest"), UNITS.get(unit, unit))
+    return fmt.quantity(entry.get("smallest"), UNITS.get(unit, unit))
 
 
 def conditions(results: Results) -> doc.Section:

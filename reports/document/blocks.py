@@ -4,15 +4,8 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar
 
+from reports.document import formatting as fmt
 from reports.document.charts import Chart, Path
-from reports.document.formatting import (
-    DASH,
-    expanded,
-    finite,
-    significant,
-    text_or_dash,
-    with_uncertainty,
-)
 from reports.results import Results, one_line
 
 
@@ -195,7 +188,7 @@ def row(*cells: str | Cell) -> tuple[Cell, ...]:
 
 
 def field(
-    key: str, write: Callable[..., str] = text_or_dash, *arguments: Any, **options: Any
+    key: str, write: Callable[..., str] = fmt.text_or_dash, *arguments: Any, **options: Any
 ) -> Callable[[Mapping[str, Any]], str]:
     """Make the writer of one value of an entry; a missing value is written as None is."""
     return lambda entry: write(entry.get(key), *arguments, **options)
@@ -207,15 +200,15 @@ def uncertain_field(
     """Make the writer of a value of an entry with `k` times its uncertainty."""
 
     def write(entry: Mapping[str, Any]) -> str:
-        u = finite(entry.get(u_key))
-        return with_uncertainty(entry.get(key), None if u is None else k * u, unit, signed)
+        u = fmt.finite(entry.get(u_key))
+        return fmt.with_uncertainty(entry.get(key), None if u is None else k * u, unit, signed)
 
     return write
 
 
 def expanded_field(key: str) -> Callable[[Mapping[str, Any]], str]:
     """Make the writer of an entry's standard uncertainty as U, k = 2, to two digits."""
-    return lambda entry: significant(expanded(entry.get(key)))
+    return lambda entry: fmt.significant(fmt.expanded(entry.get(key)))
 
 
 def tabulate(caption: str, columns: Iterable[Column], entries: Iterable[Any], *notes: str) -> Table:
@@ -234,13 +227,19 @@ def tabulate(caption: str, columns: Iterable[Column], entries: Iterable[Any], *n
 def software(summary: dict[str, Any]) -> str:
     """Name the program that made a result, and its version."""
     tool = summary.get("tool") or {}
-    return f"{tool.get('name') or 'verify'} {tool.get('version') or DASH}"
+    return f"{tool.get('name') or 'verify'} {tool.get('version') or fmt.DASH}"
 
 
 def described(summary: dict[str, Any], otherwise: str) -> str:
     """Give the description or the path of what a result was made from."""
     source = summary.get("source") or {}
-    return text_or_dash(source.get("description") or source.get("path") or otherwise)
+    return fmt.text_or_dash(source.get("description") or source.get("path") or otherwise)
+
+
+def decisions(summary: dict[str, Any]) -> list[Block]:
+    """List what was decided on the way, where anything was."""
+    every = [fmt.capitalise(fmt.text_or_dash(text)) for text in summary.get("decisions") or []]
+    return [Bullets(tuple(every))] if every else []
 
 
 def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
@@ -248,11 +247,13 @@ def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
     blocks: list[Block] = []
     inputs = summary.get("inputs") or {}
     if inputs:
-        rows = tuple(row(text_or_dash(name), text_or_dash(it)) for name, it in inputs.items())
+        rows = tuple(
+            row(fmt.text_or_dash(name), fmt.text_or_dash(it)) for name, it in inputs.items()
+        )
         blocks.append(Table("Files that were read.", "ll", ("File", "Hash"), rows, wide=(1,)))
     warnings = summary.get("warnings") or []
     if warnings:
-        blocks.append(Bullets(tuple(text_or_dash(warning) for warning in warnings), "warning"))
+        blocks.append(Bullets(tuple(fmt.text_or_dash(warning) for warning in warnings), "warning"))
     else:
         blocks.append(Paragraph("There were no warnings."))
     return tuple(blocks)

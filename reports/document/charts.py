@@ -29,10 +29,7 @@ def column(table: pd.DataFrame, name: str) -> Array:
     """Take a column as numbers; NaN where it is missing or empty."""
     if name not in table:
         return np.full(len(table), np.nan)
-    values: Array = pd.to_numeric(table[name], errors="coerce").to_numpy(
-        dtype=float, na_value=np.nan
-    )
-    return values
+    return pd.to_numeric(table[name], errors="coerce").to_numpy(dtype=float, na_value=np.nan)
 
 
 def texts(table: pd.DataFrame, name: str) -> list[str]:

@@ -22,12 +22,12 @@ def expanded(u: Any) -> float | None:
     return None if figure is None else COVERAGE_FACTOR * figure
 
 
-def decimals_of(uncertainty: float | None, least: int = 0) -> int:
+def decimals_of(uncertainty: float | None) -> int:
     """Count the decimals that show an uncertainty's two significant digits (GUM 7.2.6)."""
     if not uncertainty:
         return 3  # a thousandth of a degree or millimetre: below what the instrument resolves
     rounded = float(f"{abs(uncertainty):.1e}")
-    return min(max(1 - math.floor(math.log10(rounded)), least), 7)  # 0.1 µm, 0.1 µs: no finer
+    return min(max(1 - math.floor(math.log10(rounded)), 0), 7)  # 0.1 µm, 0.1 µs: no finer
 
 
 def number(value: Any, decimals: int = 3, signed: bool = False) -> str:

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from reports.document import formatting as fmt
 from reports.document.blocks import Block, Figure, Paragraph, Section
 from reports.document.charts import (
     Array,
@@ -19,14 +20,6 @@ from reports.document.charts import (
     Ticks,
     column,
     strips,
-)
-from reports.document.formatting import (
-    count,
-    exact_number,
-    finite,
-    joint_names,
-    text_or_dash,
-    with_uncertainty,
 )
 from reports.results import Results
 
@@ -47,13 +40,8 @@ VERDICTS = {"conform": "conform", "nonconform": "do not conform", "undecided": "
 
 def format_day(days: Any) -> str:
     """Write days since 1970 as a date."""
-    figure = finite(days)
+    figure = fmt.finite(days)
     return "–" if figure is None else (EPOCH + timedelta(days=figure)).strftime("%Y-%m-%d")
-
-
-def format_period(held: dict[str, Any]) -> str:
-    """Say from when to when; nothing where no session has a date."""
-    return f", {held['first']} to {held['last']}" if held.get("first") else ""
 
 
 def change_date(change: dict[str, Any]) -> str:
@@ -68,22 +56,22 @@ def change_date(change: dict[str, Any]) -> str:
 def change_text(one: dict[str, Any]) -> str:
     """Say a change in half a sentence."""
     unit = "°" if one["unit"] == "deg" else "° a month"
-    size = with_uncertainty(one["size"], 2 * float(one["size_u"])) + unit
+    size = fmt.with_uncertainty(one["size"], 2 * float(one["size_u"])) + unit
     verb = {"step": "changed", "drift": "drifts", "change": "changed or drifts"}
     when = "since" if one["term"] == "drift" else "on"
     return (
-        f"the reading of joint {one['joint']} of {text_or_dash(one['arm'])} "
+        f"the reading of joint {one['joint']} of {fmt.text_or_dash(one['arm'])} "
         f"{verb[str(one['kind'])]} by {size} (k = 2) {when} {format_day(one['t_days'])}"
     )
 
 
 def false_alarm_text(summary: dict[str, Any]) -> str:
     """State the rate of false accusations."""
-    share = finite(summary.get("false_alarm"))
-    percent = exact_number(None if share is None else 100 * share)
+    share = fmt.finite(summary.get("false_alarm"))
+    percent = fmt.exact_number(None if share is None else 100 * share)
     return (
         f"In a fleet without any change, the chance that this report names one, in whichever of "
-        f"its {count(len(summary.get('arms') or []))} arms and all their joints, is at most "
+        f"its {fmt.count(len(summary.get('arms') or []))} arms and all their joints, is at most "
         f"{percent} %."
     )
 
@@ -111,22 +99,23 @@ def charts(results: Results) -> Section | None:
     blocks: list[Block] = []
     for number, arm in enumerate(arms[:MAX_ARMS], start=1):
         own = points[points["arm"] == arm]
+        name = fmt.text_or_dash(arm)
         accused = sorted({int(j) for j in found[found["arm"] == arm]["joint"]})
-        outcome = f"{joint_names(list(accused), capital=True)} changed."
+        outcome = f"{fmt.joint_names(list(accused), capital=True)} changed."
         if not accused:
             outcome = "No joint changed."
         share = 100 * float(results.summary.get("false_alarm") or 0)
         blocks.append(
             Figure(
                 f"chart_{number}",
-                CAPTION.format(arm=text_or_dash(arm), share=f"{share:g}"),
-                f"Control charts of {text_or_dash(arm)}, one strip a joint over time. {outcome}",
+                CAPTION.format(arm=name, share=f"{share:g}"),
+                f"Control charts of {name}, one strip a joint over time. {outcome}",
                 arm_chart(own, found[found["arm"] == arm]),
             )
         )
     if len(arms) > MAX_ARMS:
         text = (
-            f"Charts of {count(len(arms) - MAX_ARMS)} further arms are left out; "
+            f"Charts of {fmt.count(len(arms) - MAX_ARMS)} further arms are left out; "
             "none of their joints is left out of the tables."
         )
         blocks.append(Paragraph(text, "note"))

@@ -4,18 +4,8 @@ from collections.abc import Callable
 from typing import Any
 
 from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.document.charts import records
-from reports.document.formatting import (
-    DASH,
-    capitalise,
-    count,
-    finite,
-    join_words,
-    number,
-    significant,
-    text_or_dash,
-    with_uncertainty,
-)
 from reports.fleet import charts as fleet_charts
 from reports.fleet import evidence
 from reports.fleet.charts import charts
@@ -49,9 +39,10 @@ def document(results: Results) -> doc.Document:
         evidence.method,
     )
     held, arms = results.summary.get("sessions") or {}, len(results.summary.get("arms") or [])
+    period = f", {held['first']} to {held['last']}" if held.get("first") else ""
     return doc.lay_out(
-        title=f"Fleet report: {'1 arm' if arms == 1 else f'{count(arms)} arms'}",
-        subtitle=f"{count(held.get('measured'))} sessions{fleet_charts.format_period(held)}",
+        title=f"Fleet report: {'1 arm' if arms == 1 else f'{fmt.count(arms)} arms'}",
+        subtitle=f"{fmt.count(held.get('measured'))} sessions{period}",
         footer=f"{doc.software(results.summary)} · fleet report",
         sections=(s for make in sections if (s := make(results)) is not None),
         sortable=True,
@@ -63,17 +54,24 @@ def state(results: Results) -> doc.Section:
     summary = results.summary
     held = summary.get("sessions") or {}
     verdicts = summary.get("verdicts") or {}
-    pairs = (count(held.get(f"pairs_{name}")) for name in ("measured", "recorded"))
+    pairs = (fmt.count(held.get(f"pairs_{name}")) for name in ("measured", "recorded"))
     items = [
-        ("Arms", join_words([text_or_dash(arm) for arm in summary.get("arms") or []][:8]) or DASH),
-        ("Sessions measured", count(held.get("measured"))),
-        ("Sessions that failed", count(held.get("failed"))),
-        ("From, to", f"{text_or_dash(held.get('first'))}, {text_or_dash(held.get('last'))}"),
+        (
+            "Arms",
+            fmt.join_words([fmt.text_or_dash(arm) for arm in summary.get("arms") or []][:8])
+            or fmt.DASH,
+        ),
+        ("Sessions measured", fmt.count(held.get("measured"))),
+        ("Sessions that failed", fmt.count(held.get("failed"))),
+        (
+            "From, to",
+            f"{fmt.text_or_dash(held.get('first'))}, {fmt.text_or_dash(held.get('last'))}",
+        ),
         ("Stereo pairs", " measured of ".join(pairs)),
     ]
     if verdicts:
-        counts = [f"{count(n)} {fleet_charts.VERDICTS.get(v, v)}" for v, n in verdicts.items()]
-        items.append(("Verdicts of the sessions", join_words(counts)))
+        counts = [f"{fmt.count(n)} {fleet_charts.VERDICTS.get(v, v)}" for v, n in verdicts.items()]
+        items.append(("Verdicts of the sessions", fmt.join_words(counts)))
     return doc.Section(
         "verdict", "State of the fleet", (_headline(results), doc.Facts(tuple(items)))
     )
@@ -85,21 +83,21 @@ def _headline(results: Results) -> doc.Verdict:
     remark = fleet_charts.false_alarm_text(results.summary)
     if not judged:
         sentence = (
-            f"No joint has {count(results.summary.get('fewest_sessions'))} dated sessions with a "
-            "figure: nothing can be said of changes."
+            f"No joint has {fmt.count(results.summary.get('fewest_sessions'))} dated sessions with "
+            "a figure: nothing can be said of changes."
         )
         return doc.Verdict("undecided", "Nothing to follow over time", sentence)
     if not len(found):
-        sentence = f"None of the {count(judged)} joints that can be followed changed over time."
+        sentence = f"None of the {fmt.count(judged)} joints that can be followed changed over time."
         return doc.Verdict("conform", "No change", sentence, (remark,))
     accused = found.drop_duplicates(["arm", "joint"])
     others = judged - len(accused)
-    label = f"{count(len(accused))} of {count(judged)} joints changed"
+    label = f"{fmt.count(len(accused))} of {fmt.count(judged)} joints changed"
     sentences = [fleet_charts.change_text(one) for one in records(found)[:4]]
     if len(found) > 4:
-        sentences.append(f"{count(len(found) - 4)} further changes are listed below")
-    rest = f" The other {count(others)} joints show no change." if others else ""
-    sentence = f"{capitalise('; '.join(sentences))}.{rest}"
+        sentences.append(f"{fmt.count(len(found) - 4)} further changes are listed below")
+    rest = f" The other {fmt.count(others)} joints show no change." if others else ""
+    sentence = f"{fmt.capitalise('; '.join(sentences))}.{rest}"
     return doc.Verdict("nonconform", label, sentence, (remark,))
 
 
@@ -116,9 +114,9 @@ def joints(results: Results) -> doc.Section:
         doc.Column("State", "l", _state),
         doc.Column("Error now [°]", "r", doc.uncertain_field("error_deg", "error_u_deg", k=2)),
         doc.Column("Trend [°/month]", "r", _trend),
-        doc.Column("Sessions", "r", doc.field("sessions", count)),
-        doc.Column("Odd ones", "r", doc.field("odd_sessions", count)),
-        doc.Column("Scatter", "r", doc.field("excess", number, 1)),
+        doc.Column("Sessions", "r", doc.field("sessions", fmt.count)),
+        doc.Column("Odd ones", "r", doc.field("odd_sessions", fmt.count)),
+        doc.Column("Scatter", "r", doc.field("excess", fmt.number, 1)),
         doc.Column("Conform / undecided / not", "r", _verdict_counts),
     )
     table = doc.tabulate("Arms and joints, those that changed first.", columns, entries, STATE_NOTE)
@@ -133,13 +131,13 @@ def _state(one: dict[str, Any]) -> doc.Cell:
 
 
 def _trend(one: dict[str, Any]) -> str:
-    u = finite(one.get("trend_u_deg_per_month"))
-    return with_uncertainty(one.get("trend_deg_per_month"), 2 * u) if u else DASH
+    u = fmt.finite(one.get("trend_u_deg_per_month"))
+    return fmt.with_uncertainty(one.get("trend_deg_per_month"), 2 * u) if u else fmt.DASH
 
 
 def _verdict_counts(one: dict[str, Any]) -> str:
     counts = [one["conform"], one["undecided"], one["nonconform"]]
-    return " / ".join(count(n) for n in counts) if any(counts) else DASH
+    return " / ".join(fmt.count(n) for n in counts) if any(counts) else fmt.DASH
 
 
 def changes(results: Results) -> doc.Section:
@@ -158,7 +156,7 @@ def changes(results: Results) -> doc.Section:
         doc.Column("Session", "l", doc.field("session"), wide=True),
         doc.Column("Size ± U", "r", _change_size),
         doc.Column("Range of the date", "l", _date_range),
-        doc.Column("Told by", "l", doc.field("clearer_by", significant)),
+        doc.Column("Told by", "l", doc.field("clearer_by", fmt.significant)),
     )
     blocks: list[doc.Block] = [
         doc.tabulate("Changes, in order of arm and joint.", columns, found, CHANGE_NOTE)
@@ -175,7 +173,7 @@ def changes(results: Results) -> doc.Section:
 
 def _change_size(one: dict[str, Any]) -> str:
     unit = "°" if one["unit"] == "deg" else "°/month"
-    return f"{with_uncertainty(one['size'], 2 * float(one['size_u']))}{unit}"
+    return f"{fmt.with_uncertainty(one['size'], 2 * float(one['size_u']))}{unit}"
 
 
 def _date_range(one: dict[str, Any]) -> str:

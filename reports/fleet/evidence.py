@@ -6,19 +6,8 @@ from typing import Any
 import pandas as pd
 
 from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.document.charts import records
-from reports.document.formatting import (
-    DASH,
-    count,
-    exact_number,
-    finite,
-    joint_names,
-    lookup_label,
-    number,
-    percent,
-    significant,
-    text_or_dash,
-)
 from reports.fleet.charts import STATES
 from reports.results import Results
 from reports.session import phrases
@@ -92,14 +81,16 @@ def _contrast_table(first: str, second: str, entries: list[dict[str, Any]]) -> d
         ),
         doc.Column("Result", "l", _contrast_result),
     )
-    title = f"Mean errors: {text_or_dash(first)}, {text_or_dash(second)}, and the difference."
+    title = (
+        f"Mean errors: {fmt.text_or_dash(first)}, {fmt.text_or_dash(second)}, and the difference."
+    )
     return doc.tabulate(
         title, columns, sorted(entries, key=lambda e: not e["shown"]), CONTRAST_NOTE
     )
 
 
 def _mean_and_sessions(side: str, entry: dict[str, Any]) -> str:
-    return f"{number(entry[f'{side}_deg'])} ({count(entry[f'{side}_sessions'])})"
+    return f"{fmt.number(entry[f'{side}_deg'])} ({fmt.count(entry[f'{side}_sessions'])})"
 
 
 def _contrast_result(entry: dict[str, Any]) -> doc.Cell:
@@ -137,12 +128,14 @@ def worst_sessions(results: Results) -> doc.Section | None:
 
 def _session_link(one: dict[str, Any]) -> doc.Cell:
     place = f"{one['kept_in']}/report.html" if one["reported"] is True else ""
-    return doc.Cell(text_or_dash(one["session"]), link=place)
+    return doc.Cell(fmt.text_or_dash(one["session"]), link=place)
 
 
 def _verdict(one: dict[str, Any]) -> doc.Cell:
     tone = phrases.tone(one["verdict"])
-    return doc.Cell(lookup_label(phrases.VERDICTS, one["verdict"]), tone if tone != "none" else "")
+    return doc.Cell(
+        fmt.lookup_label(phrases.VERDICTS, one["verdict"]), tone if tone != "none" else ""
+    )
 
 
 def hidden_errors(results: Results) -> doc.Section:
@@ -152,10 +145,10 @@ def hidden_errors(results: Results) -> doc.Section:
         doc.Column("Arm", "l", doc.field("arm")),
         doc.Column("Joint", "l", doc.field("joint", str)),
         doc.Column("Sessions without a figure", "r", _sessions_without_figure),
-        doc.Column("Visible at registration", "r", doc.field("visible", percent)),
-        doc.Column("Visible since", "r", doc.field("visible_since", percent)),
-        doc.Column("Detectable [°]", "r", doc.field("detectable_deg", significant)),
-        doc.Column("Separable [°]", "r", doc.field("separable_deg", significant)),
+        doc.Column("Visible at registration", "r", doc.field("visible", fmt.percent)),
+        doc.Column("Visible since", "r", doc.field("visible_since", fmt.percent)),
+        doc.Column("Detectable [°]", "r", doc.field("detectable_deg", fmt.significant)),
+        doc.Column("Separable [°]", "r", doc.field("separable_deg", fmt.significant)),
     )
     title = "What the sessions of each joint could show: medians over its sessions."
     shown = doc.tabulate(title, columns, records(table), VISIBLE_NOTE)
@@ -163,7 +156,8 @@ def hidden_errors(results: Results) -> doc.Section:
 
 
 def _sessions_without_figure(one: dict[str, Any]) -> str:
-    return f"{count(one['without_figure'])} of {count(one['without_figure'] + one['sessions'])}"
+    without = one["without_figure"]
+    return f"{fmt.count(without)} of {fmt.count(without + one['sessions'])}"
 
 
 def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[doc.Block, ...]:
@@ -173,27 +167,27 @@ def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[doc.Block, ..
         blind = [one["joint"] for one in entries if _is_hidden(one["visible"])]
         if blind:
             sentences.append(
-                f"{text_or_dash(arm)}: an offset of {joint_names(blind)} that was there at "
+                f"{fmt.text_or_dash(arm)}: an offset of {fmt.joint_names(blind)} that was there at "
                 "registration shows in none of the usual sessions, however large."
             )
         short = [one["joint"] for one in entries if one["state"] == "unknown"]
         if short:
-            fewest = count(results.summary.get("fewest_sessions"))
+            fewest = fmt.count(results.summary.get("fewest_sessions"))
             sentences.append(
-                f"{text_or_dash(arm)}: {joint_names(short)}: {STATES['unknown']} to follow over "
-                f"time (at least {fewest} dated ones with a figure)."
+                f"{fmt.text_or_dash(arm)}: {fmt.joint_names(short)}: {STATES['unknown']} to follow "
+                f"over time (at least {fewest} dated ones with a figure)."
             )
     undated = int((results.summary.get("sessions") or {}).get("undated") or 0)
     if undated:
         sentences.append(
-            f"{count(undated)} sessions say no start (`started` in session.toml): they are in the "
-            "tables, and in no chart."
+            f"{fmt.count(undated)} sessions say no start (`started` in session.toml): they are in "
+            "the tables, and in no chart."
         )
     return (doc.Bullets(tuple(sentences), "warning"),) if sentences else ()
 
 
 def _is_hidden(share: Any) -> bool:
-    figure = finite(share)
+    figure = fmt.finite(share)
     return figure is not None and figure < phrases.MAX_HIDDEN_SHARE
 
 
@@ -215,11 +209,11 @@ def failures(results: Results) -> doc.Section | None:
 def method(results: Results) -> doc.Section:
     """How changes are found, and what is assumed."""
     summary = results.summary
-    share = finite(summary.get("false_alarm"))
-    rate = DASH if share is None else exact_number(100 * share)
+    share = fmt.finite(summary.get("false_alarm"))
+    rate = fmt.DASH if share is None else fmt.exact_number(100 * share)
     by = {"robot": "the robot that session.toml names",
           "folder": "that robot and the folder that holds the session"}  # fmt: skip
-    grouping = by.get(str(summary.get("by")), text_or_dash(summary.get("by")))
+    grouping = by.get(str(summary.get("by")), fmt.text_or_dash(summary.get("by")))
     items = (
         f"Arms are told apart by {grouping}.",
         *METHOD_PARAGRAPHS,

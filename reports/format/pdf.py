@@ -29,8 +29,7 @@ _compile = cast("Callable[..., bytes]", typst.compile)  # its types leave out fi
 def pages(document: Document, look: Look = DEFAULT_BRANDING) -> bytes:
     """Render a document as PDF, the same bytes each time: no font of the machine is used.
 
-    Raises:
-        ReportError: a template of the user's own has an error.
+    ReportError: a template of the user's own has an error.
     """
     files = typst_files(document, look)
     own = look.templates if look.templates and (look.templates / TEMPLATE_FILE).is_file() else None

@@ -6,17 +6,8 @@ from typing import Any
 import numpy as np
 
 from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.document.charts import column, records, texts
-from reports.document.formatting import (
-    capitalise,
-    count,
-    finite,
-    number,
-    quantity,
-    significant,
-    text_or_dash,
-    with_uncertainty,
-)
 from reports.grasp import figures
 from reports.results import Results
 
@@ -88,10 +79,10 @@ def document(results: Results) -> doc.Document:
         _margins(results),
         _plan(results),
     )
-    cell = text_or_dash(summary.get("cell"))
+    cell = fmt.text_or_dash(summary.get("cell"))
     return doc.lay_out(
-        title=f"Grab with {text_or_dash(summary.get('robot'))}",
-        subtitle=f"{text_or_dash(summary.get('target'))}, {cell} cell",
+        title=f"Grab with {fmt.text_or_dash(summary.get('robot'))}",
+        subtitle=f"{fmt.text_or_dash(summary.get('target'))}, {cell} cell",
         footer=f"{doc.software(summary)} · grab",
         sections=sections,
     )
@@ -99,10 +90,10 @@ def document(results: Results) -> doc.Document:
 
 def outcome(summary: dict[str, Any]) -> doc.Verdict:
     """Say how it ended, in a label and a sentence."""
-    state, reason = str(summary.get("state")), text_or_dash(summary.get("reason"))
+    state, reason = str(summary.get("state")), fmt.text_or_dash(summary.get("reason"))
     plan, refusal = summary.get("plan"), summary.get("refusal") or {}
     if not summary.get("execute") and plan:
-        duration = number(plan.get("duration_s"), 1)
+        duration = fmt.number(plan.get("duration_s"), 1)
         return doc.Verdict("none", "Planned; nothing was moved", f"{plan['branch']}, {duration} s.")
     if refusal:
         return doc.Verdict(
@@ -127,7 +118,7 @@ def _evidence_text(summary: dict[str, Any]) -> str:
     far = _grip_distance_text(summary)
     if far is None:
         return ", by the gripper's status; the cameras did not see it after the descent"
-    up = quantity(summary.get("seen_raised_mm"), "mm", 3)
+    up = fmt.quantity(summary.get("seen_raised_mm"), "mm", 3)
     return (
         f", by the gripper's status; the cameras saw it last {far} from the grip point, "
         f"with the hand {up} up"
@@ -136,11 +127,11 @@ def _evidence_text(summary: dict[str, Any]) -> str:
 
 def _grip_distance_text(summary: dict[str, Any]) -> str | None:
     """How far the object was seen from the grip point; None where it was not seen."""
-    far = finite(summary.get("seen_from_grip_mm"))
+    far = fmt.finite(summary.get("seen_from_grip_mm"))
     if far is None:
         return None
     u = summary.get("seen_from_grip_expanded_uncertainty_mm")
-    return f"{with_uncertainty(far, u, 'mm', signed=False)} (k = 2)"
+    return f"{fmt.with_uncertainty(far, u, 'mm', signed=False)} (k = 2)"
 
 
 def _tool_offset_text(summary: dict[str, Any]) -> str:
@@ -150,7 +141,7 @@ def _tool_offset_text(summary: dict[str, Any]) -> str:
 
 
 def _as_sentence(words: str) -> str:
-    return f"{capitalise(words)}."
+    return f"{fmt.capitalise(words)}."
 
 
 def _outcome(results: Results) -> doc.Section:
@@ -158,19 +149,19 @@ def _outcome(results: Results) -> doc.Section:
     table = results.table("cycles")
     t, took = column(table, "t_s"), column(table, "took_ms")
     items = [
-        ("State at the end", text_or_dash(summary.get("state"))),
+        ("State at the end", fmt.text_or_dash(summary.get("state"))),
         ("Controls given back", "yes" if summary.get("released") else "no"),
         ("Allowed to move", "yes" if summary.get("execute") else "no"),
-        ("Length", f"{number(float(np.ptp(t)) if len(t) else None, 1)} s"),
-        ("Cycles", count(summary.get("cycles"))),
-        ("Work a cycle, median", f"{number(float(np.median(took)) if len(t) else None, 1)} ms"),
+        ("Length", f"{fmt.number(float(np.ptp(t)) if len(t) else None, 1)} s"),
+        ("Cycles", fmt.count(summary.get("cycles"))),
+        ("Work a cycle, median", f"{fmt.number(float(np.median(took)) if len(t) else None, 1)} ms"),
     ]
     far = _grip_distance_text(summary)
     if far is not None or summary.get("state") == "lifted":
         items.append(("Object from the grip point, seen", far or "not after the descent"))
     items += [
-        ("Film", text_or_dash(summary.get("film"))),
-        ("Recorded session", text_or_dash(summary.get("session"))),
+        ("Film", fmt.text_or_dash(summary.get("film"))),
+        ("Recorded session", fmt.text_or_dash(summary.get("session"))),
     ]
     blocks: list[doc.Block] = [outcome(summary), doc.Facts(tuple(items))]
     if summary.get("warnings"):
@@ -181,7 +172,7 @@ def _outcome(results: Results) -> doc.Section:
 
 def _states(results: Results) -> doc.Section:
     columns = (
-        doc.Column("t [s]", "r", doc.field("t_s", number, 2)),
+        doc.Column("t [s]", "r", doc.field("t_s", fmt.number, 2)),
         doc.Column("from", "l", doc.field("from_state", str)),
         doc.Column("to", "l", doc.field("to_state", str)),
         doc.Column("event", "l", doc.field("event", str)),
@@ -201,7 +192,9 @@ def _joints(results: Results) -> doc.Section:
         if stage in names:
             first = names.index(stage)
             angles = [column(table, f"q{n}_deg")[first] for n in range(1, figures.N_JOINTS + 1)]
-            rows.append(doc.row(stage, number(t[first], 2), *(number(q, 2) for q in angles)))
+            rows.append(
+                doc.row(stage, fmt.number(t[first], 2), *(fmt.number(q, 2) for q in angles))
+            )
     head = ("beginning of", "t [s]", *(f"joint {n} [°]" for n in range(1, figures.N_JOINTS + 1)))
     caption = "Joint angles, read, at the beginning of each stage."
     blocks.append(doc.Table(caption, "l" + "r" * (figures.N_JOINTS + 1), head, tuple(rows)))
@@ -216,7 +209,7 @@ def _tool_offset_section(results: Results) -> doc.Section:
         return doc.Section("hand", "The hand, seen by its LEDs", (doc.Paragraph(text),))
     blocks: list[doc.Block] = [doc.Paragraph(_as_sentence(hand["reason"]))]
     rows = [
-        doc.row(what, *(number(v, 2) for v in hand[f"{key}_mm"] or (None,) * 3))
+        doc.row(what, *(fmt.number(v, 2) for v in hand[f"{key}_mm"] or (None,) * 3))
         for what, key in (
             ("grip point above the object, as ordered", "told"),
             ("the same, by the encoders", "read"),
@@ -237,12 +230,14 @@ def _margins(results: Results) -> doc.Section:
     if plan:
         margin = plan["margin"]
         rows = tuple(
-            doc.row(what, number(margin[f"{key}_mm"], 1), number(margin[f"{key}_needed_mm"], 1))
+            doc.row(
+                what, fmt.number(margin[f"{key}_mm"], 1), fmt.number(margin[f"{key}_needed_mm"], 1)
+            )
             for what, key in (("sideways", "across"), ("along the approach", "along"))
         )
         head = ("direction", "gripper leaves [mm]", "needed [mm]")
         blocks.append(doc.Table("Margins of the planned grasp.", "lrr", head, rows))
-        raised = number(margin["raised_mm"], 1)
+        raised = fmt.number(margin["raised_mm"], 1)
         text = f"Gripped {raised} mm above its middle, so the tips stay off the table."
         blocks.append(doc.Paragraph(text))
     return doc.Section("margins", "Margins", tuple(blocks))
@@ -258,8 +253,8 @@ def _plan(results: Results) -> doc.Section:
     chosen = plan or refusal or {}
     rows = [doc.row(entry["branch"], entry["reason"]) for entry in chosen.get("rejected") or []]
     if plan:
-        parts = ", ".join(f"{key} {significant(value)}" for key, value in plan["parts"].items())
-        taken = f"taken: score {significant(plan['score'])} ({parts})"
+        parts = ", ".join(f"{key} {fmt.significant(value)}" for key, value in plan["parts"].items())
+        taken = f"taken: score {fmt.significant(plan['score'])} ({parts})"
         rows.insert(0, doc.row(plan["branch"], taken))
     if rows:
         head = ("branch", "why")

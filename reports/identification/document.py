@@ -39,39 +39,8 @@ from functools import partial
 from typing import Any
 
 from reports.calibration.figures import correlation
-from reports.document.blocks import (
-    Block,
-    Column,
-    Document,
-    Facts,
-    FigurePlan,
-    Paragraph,
-    Section,
-    Table,
-    Verdict,
-    described,
-    field,
-    figure_or_text,
-    files_and_software,
-    lay_out,
-    row,
-    software,
-    tabulate,
-    uncertain_field,
-)
-from reports.document.formatting import (
-    DASH,
-    count,
-    expanded,
-    finite,
-    lookup_label,
-    number,
-    percent,
-    quantity,
-    significant,
-    text_or_dash,
-)
-from reports.document.formatting import joint_names as name_joints
+from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.identification import figures
 from reports.results import Results
 
@@ -128,19 +97,19 @@ class IdentificationNotes:
 
 
 FIGURES = {
-    "identified_residuals": FigurePlan(
+    "identified_residuals": doc.FigurePlan(
         figures.residuals,
         "What is left of each pose: by base and tool alone, and by the identified arm.",
         "Two strips over the poses: position in millimetres, orientation in degrees.",
         "The residuals were not kept.",
     ),
-    "identified_changes": FigurePlan(
+    "identified_changes": doc.FigurePlan(
         figures.changes,
         "Change of each parameter of the arm, with its expanded uncertainty (k = 2).",
         "Points with upright bars, one a parameter: angles in degrees, lengths in millimetres.",
         "No parameter of the arm was changed.",
     ),
-    "parameter_correlation": FigurePlan(
+    "parameter_correlation": doc.FigurePlan(
         correlation,
         "Correlation of the identified parameters; numbers below stand for the names at the left.",
         "A square of coloured cells, one a pair of parameters, from −1 to 1.",
@@ -152,77 +121,77 @@ FIGURES = {
 MAX_OUTLIERS = 60  # outlying poses in the table; the others are in summary.json
 UNITS = {"deg": "°", "mm": "mm"}
 
-_figure_block = partial(figure_or_text, FIGURES)
+_figure_block = partial(doc.figure_or_text, FIGURES)
 
 
-def document(results: Results) -> Document:
+def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
     summary = results.summary
-    fingerprint = text_or_dash(summary.get("robot_fingerprint"))[:23]
-    return lay_out(
-        title=f"Identification of {text_or_dash(summary.get('robot'))}",
-        subtitle=described(summary, "a recorded session"),
-        footer=f"{software(summary)} · robot {fingerprint}",
+    fingerprint = fmt.text_or_dash(summary.get("robot_fingerprint"))[:23]
+    return doc.lay_out(
+        title=f"Identification of {fmt.text_or_dash(summary.get('robot'))}",
+        subtitle=doc.described(summary, "a recorded session"),
+        footer=f"{doc.software(summary)} · robot {fingerprint}",
         sections=(section(results) for section in SECTIONS),
     )
 
 
-def verdict(results: Results) -> Section:
+def verdict(results: Results) -> doc.Section:
     """Open with what was identified, and what it is worth on poses held out."""
     summary = results.summary
     before, after = (
         _held_out_entry(summary, "registration"),
         _held_out_entry(summary, summary.get("level")),
     )
-    first, second = finite(before.get("mean_mm")), finite(after.get("mean_mm"))
+    first, second = fmt.finite(before.get("mean_mm")), fmt.finite(after.get("mean_mm"))
     better = first is not None and second is not None and second < first
     changed = summary.get("level") != "registration"
     number_of, used = summary.get("identified"), (summary.get("poses") or {}).get("used")
-    sentences = [f"{count(number_of)} parameters were identified from {count(used)} poses."]
+    sentences = [f"{fmt.count(number_of)} parameters were identified from {fmt.count(used)} poses."]
     if first is not None and second is not None and changed:
         sentences.append(
-            f"On poses held out, the mean position residual goes from {quantity(first, 'mm', 3)} "
-            f"to {quantity(second, 'mm', 3)}."
+            f"On poses held out, the mean position residual goes from "
+            f"{fmt.quantity(first, 'mm', 3)} to {fmt.quantity(second, 'mm', 3)}."
         )
     if not changed:
         sentences.append(IdentificationNotes.SAME)
     blind = [j.get("joint") for j in summary.get("offsets") or [] if _is_hidden(j)]
-    remarks = [f"The offset of {name_joints(blind)} was not identified."] if blind else []
+    remarks = [f"The offset of {fmt.joint_names(blind)} was not identified."] if blind else []
     remarks.append(_recordings_remark(summary.get("recordings") or {}))
-    block = Verdict(
+    block = doc.Verdict(
         tone="conform" if better or not changed else "undecided",
         label="The arm is identified" if changed else "The arm stays as it is",
         sentence=" ".join(sentences),
         remarks=tuple(remarks),
     )
-    rank, candidates = count(summary.get("rank")), count(summary.get("candidates"))
+    rank, candidates = fmt.count(summary.get("rank")), fmt.count(summary.get("candidates"))
     facts = [
-        ("Robot", text_or_dash(summary.get("robot"))),
-        ("Recorded in", text_or_dash((summary.get("source") or {}).get("path"))),
-        ("Corrected arm", text_or_dash(summary.get("robot_file"))),
-        ("Model", lookup_label(LEVELS, summary.get("level"))),
+        ("Robot", fmt.text_or_dash(summary.get("robot"))),
+        ("Recorded in", fmt.text_or_dash((summary.get("source") or {}).get("path"))),
+        ("Corrected arm", fmt.text_or_dash(summary.get("robot_file"))),
+        ("Model", fmt.lookup_label(LEVELS, summary.get("level"))),
         ("Base", "free" if summary.get("base_free") else "held"),
         ("Tool", "free" if summary.get("tool_free") else "held"),
         ("Told apart", f"{rank} of {candidates} parameters"),
     ]
-    return Section("verdict", "Verdict", (block, Facts(tuple(facts))))
+    return doc.Section("verdict", "Verdict", (block, doc.Facts(tuple(facts))))
 
 
 def _recordings_remark(recordings: dict[str, Any]) -> str:
-    scatter = finite(recordings.get("scatter"))
+    scatter = fmt.finite(recordings.get("scatter"))
     if scatter is None:
         return (
             "From one recording: what the arm's parameters differ from one recording to the next "
             "is not in the uncertainties."
         )
     return (
-        f"The {count(recordings.get('count'))} recordings differ by {number(scatter, 1)} times "
-        "what each by itself would leave: the uncertainties hold that."
+        f"The {fmt.count(recordings.get('count'))} recordings differ by {fmt.number(scatter, 1)} "
+        "times what each by itself would leave: the uncertainties hold that."
     )
 
 
 def _is_hidden(joint: dict[str, Any]) -> bool:
-    return all(finite(joint.get(key)) is None for key in ("error_deg", "alone_error_deg"))
+    return all(fmt.finite(joint.get(key)) is None for key in ("error_deg", "alone_error_deg"))
 
 
 def _held_out_entry(summary: dict[str, Any], name: Any) -> dict[str, Any]:
@@ -232,160 +201,164 @@ def _held_out_entry(summary: dict[str, Any], name: Any) -> dict[str, Any]:
     return {}
 
 
-def offsets(results: Results) -> Section:
+def offsets(results: Results) -> doc.Section:
     """Give each joint's offset with its sign, as error and as what to add."""
     summary = results.summary
     geometry = summary.get("level") == "geometry"
     u = "expanded_uncertainty_deg"
     columns = [
-        Column("Joint", "c", field("joint")),
-        Column("Encoder less measured [°]", "r", uncertain_field("error_deg", u)),
-        Column("Add to the reading [°]", "r", uncertain_field("add_to_reading_deg", u)),
+        doc.Column("Joint", "c", doc.field("joint")),
+        doc.Column("Encoder less measured [°]", "r", doc.uncertain_field("error_deg", u)),
+        doc.Column("Add to the reading [°]", "r", doc.uncertain_field("add_to_reading_deg", u)),
     ]
     notes: tuple[str, ...] = (IdentificationNotes.SIGN,)
     if geometry:
-        alone = uncertain_field("alone_add_to_reading_deg", f"alone_{u}")
-        columns.append(Column("Offsets alone: add to the reading [°]", "r", alone))
+        alone = doc.uncertain_field("alone_add_to_reading_deg", f"alone_{u}")
+        columns.append(doc.Column("Offsets alone: add to the reading [°]", "r", alone))
         notes += (IdentificationNotes.ALONE,)
-    table = tabulate(
+    table = doc.tabulate(
         "Constant offset of each joint.", columns, summary.get("offsets") or [], *notes
     )
-    if any(DASH in cell.text for line in table.rows for cell in line):
+    if any(fmt.DASH in cell.text for line in table.rows for cell in line):
         table = replace(table, notes=(*notes, IdentificationNotes.NOT_TOLD))
-    return Section("offsets", "Joint offsets", (table,))
+    return doc.Section("offsets", "Joint offsets", (table,))
 
 
-def parameters(results: Results) -> Section:
+def parameters(results: Results) -> doc.Section:
     """List every parameter of the arm that was identified."""
     entries = [
         entry
         for entry in results.summary.get("parameters") or []
-        if finite(entry.get("change")) is not None
+        if fmt.finite(entry.get("change")) is not None
     ]
     if not entries:
-        return Section("parameters", "Parameters", (Paragraph(IdentificationNotes.SAME),))
+        return doc.Section("parameters", "Parameters", (doc.Paragraph(IdentificationNotes.SAME),))
     columns = (
-        Column("Parameter", "l", field("name")),
-        Column("Unit", "l", lambda e: UNITS.get(str(e.get("unit")), text_or_dash(e.get("unit")))),
-        Column("Before", "r", field("nominal", number, 4)),
-        Column("Identified", "r", field("identified", number, 4)),
-        Column("Change ± U", "r", uncertain_field("change", "expanded_uncertainty")),
+        doc.Column("Parameter", "l", doc.field("name")),
+        doc.Column(
+            "Unit", "l", lambda e: UNITS.get(str(e.get("unit")), fmt.text_or_dash(e.get("unit")))
+        ),
+        doc.Column("Before", "r", doc.field("nominal", fmt.number, 4)),
+        doc.Column("Identified", "r", doc.field("identified", fmt.number, 4)),
+        doc.Column("Change ± U", "r", doc.uncertain_field("change", "expanded_uncertainty")),
     )
     title = "Parameters of the arm: as its file has them, and identified."
-    table = tabulate(title, columns, entries, IdentificationNotes.PLACES)
+    table = doc.tabulate(title, columns, entries, IdentificationNotes.PLACES)
     figure = _figure_block(results, "identified_changes")
-    return Section("parameters", "Parameters", (table, figure))
+    return doc.Section("parameters", "Parameters", (table, figure))
 
 
-def residuals(results: Results) -> Section:
+def residuals(results: Results) -> doc.Section:
     """Say how each model carries over to poses that it has not seen."""
     summary = results.summary
-    table = tabulate(
+    table = doc.tabulate(
         "Residuals of poses held out, model by model.",
         (
-            Column("Model", "l", lambda e: lookup_label(LEVELS, e.get("name")), wide=True),
-            Column("Parameters", "r", field("identified", count)),
+            doc.Column("Model", "l", lambda e: fmt.lookup_label(LEVELS, e.get("name")), wide=True),
+            doc.Column("Parameters", "r", doc.field("identified", fmt.count)),
             *_residual_columns("held_out"),
-            Column("Criterion", "r", field("criterion", significant, 3)),
+            doc.Column("Criterion", "r", doc.field("criterion", fmt.significant, 3)),
         ),
         summary.get("levels") or [],
         IdentificationNotes.HOLD_OUT,
     )
-    blocks: list[Block] = [table, _figure_block(results, "identified_residuals")]
+    blocks: list[doc.Block] = [table, _figure_block(results, "identified_residuals")]
     if summary.get("judged"):
         blocks.append(_validation_table(summary["judged"]))
     outlying = (summary.get("poses") or {}).get("outlying") or []
     if outlying:
         blocks.append(_outlier_table(outlying))
     else:
-        blocks.append(Paragraph("No pose was outlying."))
-    return Section("residuals", "Residuals", tuple(blocks))
+        blocks.append(doc.Paragraph("No pose was outlying."))
+    return doc.Section("residuals", "Residuals", tuple(blocks))
 
 
-def _residual_columns(key: str) -> list[Column]:
+def _residual_columns(key: str) -> list[doc.Column]:
     """Residuals that an entry holds under `key`."""
 
     def residual(name: str) -> Callable[[dict[str, Any]], str]:
-        return lambda entry: number((entry.get(key) or {}).get(name), 3)
+        return lambda entry: fmt.number((entry.get(key) or {}).get(name), 3)
 
     return [
-        Column(f"{name} [{sign}]", "r", residual(f"{name}_{unit}"))
+        doc.Column(f"{name} [{sign}]", "r", residual(f"{name}_{unit}"))
         for unit, sign in (("mm", "mm"), ("deg", "°"))
         for name in ("mean", "rms", "max")
     ]
 
 
-def _validation_table(entry: dict[str, Any]) -> Table:
+def _validation_table(entry: dict[str, Any]) -> doc.Table:
     arms = (("as its file has it", "before"), ("identified", "after"))
-    return tabulate(
+    return doc.tabulate(
         "Residuals of other sessions, registered anew with either arm.",
-        (Column("Model", "l", field("name")), *_residual_columns("residuals")),
+        (doc.Column("Model", "l", doc.field("name")), *_residual_columns("residuals")),
         [{"name": name, "residuals": entry.get(key)} for name, key in arms],
-        f"{text_or_dash(entry.get('path'))}, {count(entry.get('poses'))} poses",
+        f"{fmt.text_or_dash(entry.get('path'))}, {fmt.count(entry.get('poses'))} poses",
         IdentificationNotes.JUDGED,
     )
 
 
-def _outlier_table(entries: list[dict[str, Any]]) -> Table:
+def _outlier_table(entries: list[dict[str, Any]]) -> doc.Table:
     notes = [IdentificationNotes.OUTLYING]
     if len(entries) > MAX_OUTLIERS:
-        notes.append(f"{count(len(entries) - MAX_OUTLIERS)} more are in summary.json.")
+        notes.append(f"{fmt.count(len(entries) - MAX_OUTLIERS)} more are in summary.json.")
     columns = (
-        Column("Session", "l", field("source")),
-        Column("Pair", "r", field("frame", count)),
-        Column("Distance²", "r", field("squared_distance", significant, 3)),
+        doc.Column("Session", "l", doc.field("source")),
+        doc.Column("Pair", "r", doc.field("frame", fmt.count)),
+        doc.Column("Distance²", "r", doc.field("squared_distance", fmt.significant, 3)),
     )
-    return tabulate("Outlying poses.", columns, entries[:MAX_OUTLIERS], *notes)
+    return doc.tabulate("Outlying poses.", columns, entries[:MAX_OUTLIERS], *notes)
 
 
-def unidentifiable_parameters(results: Results) -> Section:
+def unidentifiable_parameters(results: Results) -> doc.Section:
     """Name what these poses cannot tell, and with what it is confounded."""
     entries = results.summary.get("held") or []
     if not entries:
-        text = Paragraph("Every parameter could be told from the others.")
-        return Section("held", "What these poses cannot tell", (text,))
+        text = doc.Paragraph("Every parameter could be told from the others.")
+        return doc.Section("held", "What these poses cannot tell", (text,))
     columns = (
-        Column("Parameter", "l", field("name")),
-        Column("Why", "l", lambda e: lookup_label(REASONS, e.get("reason"))),
-        Column("Confounded with", "l", _confounding_text, wide=True),
-        Column("U if free", "r", _uncertainty_if_free),
+        doc.Column("Parameter", "l", doc.field("name")),
+        doc.Column("Why", "l", lambda e: fmt.lookup_label(REASONS, e.get("reason"))),
+        doc.Column("Confounded with", "l", _confounding_text, wide=True),
+        doc.Column("U if free", "r", _uncertainty_if_free),
     )
     title = "Parameters that the poses do not tell, and what makes them up."
-    table = tabulate(title, columns, entries, IdentificationNotes.GAUGE)
-    return Section("held", "What these poses cannot tell", (table,))
+    table = doc.tabulate(title, columns, entries, IdentificationNotes.GAUGE)
+    return doc.Section("held", "What these poses cannot tell", (table,))
 
 
 def _uncertainty_if_free(entry: dict[str, Any]) -> str:
     unit = UNITS.get(str(entry.get("unit")), "")
-    return quantity(expanded(entry.get("standard_uncertainty_if_free")), unit)
+    return fmt.quantity(fmt.expanded(entry.get("standard_uncertainty_if_free")), unit)
 
 
 def _confounding_text(entry: dict[str, Any]) -> str:
     parts = entry.get("confounded_with") or []
     return (
-        ", ".join(f"{text_or_dash(p.get('name'))} ({percent(p.get('share'))})" for p in parts)
-        or DASH
+        ", ".join(
+            f"{fmt.text_or_dash(p.get('name'))} ({fmt.percent(p.get('share'))})" for p in parts
+        )
+        or fmt.DASH
     )
 
 
-def parameter_uncertainty(results: Results) -> Section:
+def parameter_uncertainty(results: Results) -> doc.Section:
     """Show how the identified parameters hang together, and how observable they are."""
-    blocks: list[Block] = [_figure_block(results, "parameter_correlation")]
+    blocks: list[doc.Block] = [_figure_block(results, "parameter_correlation")]
     if results.summary.get("observability"):
         table = observability_table(results.summary["observability"])
         blocks.append(replace(table, notes=(IdentificationNotes.INDEXES,)))
-    return Section("sureness", "Correlations and observability", tuple(blocks))
+    return doc.Section("sureness", "Correlations and observability", tuple(blocks))
 
 
-def observability_table(indexes: dict[str, Any]) -> Table:
+def observability_table(indexes: dict[str, Any]) -> doc.Table:
     """List the indices of observability."""
-    rows = tuple(row(name, significant(value, 3)) for name, value in indexes.items())
-    return Table("Observability.", "lr", ("Index", "Value"), rows)
+    rows = tuple(doc.row(name, fmt.significant(value, 3)) for name, value in indexes.items())
+    return doc.Table("Observability.", "lr", ("Index", "Value"), rows)
 
 
-def conditions(results: Results) -> Section:
+def conditions(results: Results) -> doc.Section:
     """Say what the identification was made from."""
-    return files_and_software(results.summary)
+    return doc.files_and_software(results.summary)
 
 
 SECTIONS = (

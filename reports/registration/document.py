@@ -4,18 +4,7 @@ from typing import Any
 
 from reports.document import blocks as doc
 from reports.document import formatting
-from reports.document.formatting import (
-    capitalise,
-    count,
-    expanded,
-    finite,
-    join_words,
-    percent,
-    quantity,
-    text_or_dash,
-    with_uncertainty,
-)
-from reports.document.formatting import joint_names as name_joints
+from reports.document import formatting as fmt
 from reports.registration.evidence import METHODS, RegistrationNotes, axes, figure_block, residuals
 from reports.results import Results
 from reports.session.phrases import (
@@ -30,9 +19,9 @@ MAX_HELD_OUT_RATIO = 1.5  # held-out over fitted rms: more says that the model d
 def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
     summary = results.summary
-    registration = text_or_dash(summary.get("registration"))
+    registration = fmt.text_or_dash(summary.get("registration"))
     return doc.lay_out(
-        title=f"Registration of {text_or_dash(summary.get('robot'))}",
+        title=f"Registration of {fmt.text_or_dash(summary.get('robot'))}",
         subtitle=doc.described(summary, "a recorded session"),
         footer=f"{doc.software(summary)} · registration {registration[:23]}",
         sections=(section(results) for section in SECTIONS),
@@ -44,7 +33,8 @@ def hidden_joints(summary: dict[str, Any], least: float, most: float) -> list[An
     return [
         joint.get("joint")
         for joint in summary.get("joints") or []
-        if (share := finite(joint.get("visible_fraction"))) is not None and least <= share < most
+        if (share := fmt.finite(joint.get("visible_fraction"))) is not None
+        and least <= share < most
     ]
 
 
@@ -64,14 +54,17 @@ def verdict(results: Results) -> doc.Section:
         remarks=tuple(_remarks(fit, method, bool(blind or dim))),
     )
     pairs, source = summary.get("pairs") or {}, summary.get("source") or {}
-    left = [f"{count(n)}: {text_or_dash(why)}" for why, n in (pairs.get("left_out") or {}).items()]
+    left = [
+        f"{fmt.count(n)}: {fmt.text_or_dash(why)}"
+        for why, n in (pairs.get("left_out") or {}).items()
+    ]
     facts = [
-        ("Robot", text_or_dash(summary.get("robot"))),
-        ("Recorded in", text_or_dash(source.get("path"))),
+        ("Robot", fmt.text_or_dash(summary.get("robot"))),
+        ("Recorded in", fmt.text_or_dash(source.get("path"))),
         ("Base found", formatting.lookup_label(METHODS, method)),
-        ("Pairs used", count(pairs.get("used"))),
+        ("Pairs used", fmt.count(pairs.get("used"))),
         ("Pairs left out", "; ".join(left) or "none"),
-        ("Registration", text_or_dash(summary.get("registration"))),
+        ("Registration", fmt.text_or_dash(summary.get("registration"))),
     ]
     return doc.Section("verdict", "Verdict", (block, doc.Facts(tuple(facts))))
 
@@ -83,15 +76,15 @@ def _result_text(summary: dict[str, Any]) -> str:
     if base and not base.get("held"):
         what.append("the robot's base")
     if leds and not summary.get("leds_held"):
-        what.append(f"{count(len(leds))} LEDs")
+        what.append(f"{fmt.count(len(leds))} LEDs")
     verb = "were" if what[-1:] != ["the robot's base"] or len(what) > 1 else "was"
     how = formatting.lookup_label(METHODS, summary.get("method"))
-    who = join_words(what) or "the axes of the swept joints"
-    sentence = f"{who} {verb} found {how}, in {count(pairs.get('used'))} pairs"
-    rms = finite(fit.get("rms_px"))
+    who = fmt.join_words(what) or "the axes of the swept joints"
+    sentence = f"{who} {verb} found {how}, in {fmt.count(pairs.get('used'))} pairs"
+    rms = fmt.finite(fit.get("rms_px"))
     if rms is not None:
-        sentence += f" with an rms of {quantity(rms, 'px')}"
-    return capitalise(f"{sentence}.")
+        sentence += f" with an rms of {fmt.quantity(rms, 'px')}"
+    return fmt.capitalise(f"{sentence}.")
 
 
 def _hidden_sentences(summary: dict[str, Any], blind: list[Any], dim: list[Any]) -> list[str]:
@@ -99,18 +92,18 @@ def _hidden_sentences(summary: dict[str, Any], blind: list[Any], dim: list[Any])
         return ["It hides nothing."] if summary.get("method") == "fixture" else []
     sentences = []
     if blind:
-        sentences.append(f"A constant offset of {name_joints(blind)} cannot show.")
+        sentences.append(f"A constant offset of {fmt.joint_names(blind)} cannot show.")
     if dim:
-        shares = {j.get("joint"): finite(j.get("visible_fraction")) for j in summary["joints"]}
+        shares = {j.get("joint"): fmt.finite(j.get("visible_fraction")) for j in summary["joints"]}
         visible = [share for joint in dim if (share := shares[joint]) is not None]
-        low, high = percent(min(visible)), percent(max(visible))
+        low, high = fmt.percent(min(visible)), fmt.percent(max(visible))
         amount = low if low == high else f"{low} to {high}"
-        sentences.append(f"Of an offset of {name_joints(dim)}, {amount} shows.")
+        sentences.append(f"Of an offset of {fmt.joint_names(dim)}, {amount} shows.")
     return sentences or ["An offset of any joint can show."]
 
 
 def _fits_worse(fit: dict[str, Any]) -> bool:
-    fitted, held = finite(fit.get("fit_rms_px")), finite(fit.get("held_out_rms_px"))
+    fitted, held = fmt.finite(fit.get("fit_rms_px")), fmt.finite(fit.get("held_out_rms_px"))
     return fitted is not None and held is not None and held > MAX_HELD_OUT_RATIO * fitted
 
 
@@ -135,16 +128,16 @@ def base_and_leds(results: Results) -> doc.Section:
     if summary.get("leds"):
         blocks.append(_led_table(summary["leds"], bool(summary.get("leds_held"))))
     blocks.append(doc.Facts(tuple(_times(summary))))
-    decisions = [capitalise(text_or_dash(sentence)) for sentence in summary.get("decisions") or []]
-    if decisions:
-        blocks.append(doc.Bullets(tuple(decisions)))
+    blocks += doc.decisions(summary)
     return doc.Section("base", "Base and LEDs", tuple(blocks))
 
 
 def _base_table(entry: dict[str, Any], through_encoders: bool) -> doc.Table:
     empty = [None] * 3
     rows = [
-        doc.row(f"{name}, {axis} [{sign}]", with_uncertainty(value, expanded(u), signed=False))
+        doc.row(
+            f"{name}, {axis} [{sign}]", fmt.with_uncertainty(value, fmt.expanded(u), signed=False)
+        )
         for name, key, u_key, sign in (
             ("Position", "position_mm", "standard_uncertainty_mm", "mm"),
             ("Rotation vector", "rotation_vector_deg", "standard_uncertainty_deg", "°"),
@@ -182,7 +175,7 @@ def _times(summary: dict[str, Any]) -> list[tuple[str, str]]:
         entry = summary.get(key)
         if entry:
             u = entry.get("standard_uncertainty_s")
-            text = with_uncertainty(entry.get("offset_s"), expanded(u), "s")
+            text = fmt.with_uncertainty(entry.get("offset_s"), fmt.expanded(u), "s")
             why = " (k = 2)" if u is not None else ", held: the motion does not show it"
             items.append((label, f"{text}{why}"))
     return items
@@ -198,7 +191,7 @@ def visibility(results: Results) -> doc.Section:
         return doc.Section("visibility", "What the registration hides", (doc.Paragraph(text),))
     columns = (
         doc.Column("Joint", "c", doc.field("joint")),
-        doc.Column("Visible", "r", doc.field("visible_fraction", percent)),
+        doc.Column("Visible", "r", doc.field("visible_fraction", fmt.percent)),
         doc.Column("In words", "l", _share_text, wide=True),
     )
     title = "What this registration leaves visible of a constant offset that was there already."
@@ -208,22 +201,22 @@ def visibility(results: Results) -> doc.Section:
 
 
 def _share_text(joint: dict[str, Any]) -> str:
-    share = finite(joint.get("visible_fraction"))
-    name = f"joint {text_or_dash(joint.get('joint'))}"
+    share = fmt.finite(joint.get("visible_fraction"))
+    name = f"joint {fmt.text_or_dash(joint.get('joint'))}"
     if share is None:
         return "Not determined."
     if share < MAX_HIDDEN_SHARE:
         return f"A constant offset of {name} cannot show, however large."
     if share < MAX_MOSTLY_HIDDEN_SHARE:
-        return f"Mostly hidden: only {percent(share)} of an offset of {name} shows."
+        return f"Mostly hidden: only {fmt.percent(share)} of an offset of {name} shows."
     if share < MAX_PARTLY_HIDDEN_SHARE:
-        return f"Partly hidden: {percent(share)} of an offset of {name} shows."
+        return f"Partly hidden: {fmt.percent(share)} of an offset of {name} shows."
     return f"An offset of {name} shows in full."
 
 
 def conditions(results: Results) -> doc.Section:
     """Say what the registration was made from."""
-    registration = ("Registration", text_or_dash(results.summary.get("registration")))
+    registration = ("Registration", fmt.text_or_dash(results.summary.get("registration")))
     return doc.files_and_software(results.summary, registration)
 
 

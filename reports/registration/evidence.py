@@ -7,21 +7,8 @@ import numpy as np
 
 from reports.calibration.figures import CAMERAS, residual_vectors
 from reports.calibration.words import FIGURES as CALIBRATION
+from reports.document import blocks as doc
 from reports.document import charts
-from reports.document.blocks import (
-    Block,
-    Cell,
-    Column,
-    FigurePlan,
-    Paragraph,
-    Section,
-    Table,
-    field,
-    figure_or_text,
-    row,
-    tabulate,
-    uncertain_field,
-)
 from reports.document.formatting import count, finite, number, percent, significant
 from reports.results import Results
 
@@ -149,27 +136,27 @@ class RegistrationNotes:
 
 
 FIGURES = {
-    "visible": FigurePlan(
+    "visible": doc.FigurePlan(
         visible_shares,
         "Visible share of a constant offset of each joint that was there at registration.",
         "Bars, one a joint: visible share in percent.",
         "What the registration hides is not known.",
     ),
-    "over_time": FigurePlan(
+    "over_time": doc.FigurePlan(
         residuals_over_time,
         "RMS residual of each pair's spots. A registration that no longer holds rises from some "
         "pair on.",
         "Two strips over the pairs: rms residual in pixels, left and right camera.",
         "The residuals were not kept.",
     ),
-    "vectors": FigurePlan(
+    "vectors": doc.FigurePlan(
         residual_vectors,
         "Residuals of the spots over the image, magnified as the arrow on top says: thin lines for "
         "spots, arrows for their means over cells.",
         CALIBRATION["vectors"].alt,
         "The residuals were not kept.",
     ),
-    "linearity": FigurePlan(
+    "linearity": doc.FigurePlan(
         linearity,
         "Encoder less turn about the joint's own axis over its sweep, a straight line taken out.",
         "Strips over the reading, one a joint, in degrees.",
@@ -178,14 +165,14 @@ FIGURES = {
 }
 
 
-figure_block = partial(figure_or_text, FIGURES)
+figure_block = partial(doc.figure_or_text, FIGURES)
 
 
-def residuals(results: Results) -> Section:
+def residuals(results: Results) -> doc.Section:
     """Say how well the registration fits, where it was fitted and where it was held out."""
     fit = results.summary.get("fit") or {}
     rows = tuple(
-        row(name, number(fit.get(key), 3))
+        doc.row(name, number(fit.get(key), 3))
         for name, key in (
             ("All pairs", "rms_px"),
             ("Fitted on one half, judged on it", "fit_rms_px"),
@@ -195,14 +182,16 @@ def residuals(results: Results) -> Section:
     )
     held_out = finite(fit.get("held_out_rms_px")) is not None
     notes = (RegistrationNotes.HOLD_OUT,) if held_out else ()
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     if rows:
         blocks.append(
-            Table("Reprojection of the spots.", "lr", ("Registered on", "rms [px]"), rows, notes)
+            doc.Table(
+                "Reprojection of the spots.", "lr", ("Registered on", "rms [px]"), rows, notes
+            )
         )
     if finite(fit.get("misfit")) is not None:
         blocks.append(
-            Paragraph(
+            doc.Paragraph(
                 f"The misfit is {significant(fit['misfit'])} a degree of freedom, where noise "
                 "alone gives 1; the stated uncertainties allow for it."
             )
@@ -211,51 +200,57 @@ def residuals(results: Results) -> Section:
         blocks.append(_fixture_table(results))
     else:
         blocks += [figure_block(results, "over_time"), figure_block(results, "vectors")]
-    return Section("residuals", "Residuals", tuple(blocks))
+    return doc.Section("residuals", "Residuals", tuple(blocks))
 
 
-def _fixture_table(results: Results) -> Table:
-    columns = [Column("Pair", "r", field("frame", count))]
-    columns += [Column(f"{a} [mm]", "r", field(f"{a}_mm", number, signed=True)) for a in "xyz"]
-    columns += [Column(f"r{a} [°]", "r", field(f"r{a}_deg", number, signed=True)) for a in "xyz"]
-    columns.append(Column("χ² of 6", "r", field("chi2", number, 1)))
+def _fixture_table(results: Results) -> doc.Table:
+    columns = [doc.Column("Pair", "r", doc.field("frame", count))]
+    columns += [
+        doc.Column(f"{a} [mm]", "r", doc.field(f"{a}_mm", number, signed=True)) for a in "xyz"
+    ]
+    columns += [
+        doc.Column(f"r{a} [°]", "r", doc.field(f"r{a}_deg", number, signed=True)) for a in "xyz"
+    ]
+    columns.append(doc.Column("χ² of 6", "r", doc.field("chi2", number, 1)))
     title = "The board's place in each pair, less the one that all pairs share."
-    return tabulate(
+    return doc.tabulate(
         title, columns, charts.records(results.table("pairs")), RegistrationNotes.FIXTURE
     )
 
 
-_expanded = partial(uncertain_field, signed=False, k=2.0)
+_expanded = partial(doc.uncertain_field, signed=False, k=2.0)
 
 
-def axes(results: Results) -> Section:
+def axes(results: Results) -> doc.Section:
     """Compare the axes that one-joint sweeps show with the arm's table."""
-    blocks: list[Block] = []
+    blocks: list[doc.Block] = []
     pairs, gears = results.table("axes"), results.table("gears")
     if len(pairs):
-        columns: tuple[Column, ...] = (
-            Column("Joints", "c", field("joints")),
-            Column("Angle ± U [°]", "r", _expanded("angle_deg", "angle_u_deg")),
-            Column("Table [°]", "r", field("angle_table_deg", number, 2)),
-            Column("Apart ± U [mm]", "r", _expanded("distance_mm", "distance_u_mm")),
-            Column("Table [mm]", "r", field("distance_table_mm", number, 2)),
-            Column("Verdict", "l", _axes_verdict),
+        columns: tuple[doc.Column, ...] = (
+            doc.Column("Joints", "c", doc.field("joints")),
+            doc.Column("Angle ± U [°]", "r", _expanded("angle_deg", "angle_u_deg")),
+            doc.Column("Table [°]", "r", doc.field("angle_table_deg", number, 2)),
+            doc.Column("Apart ± U [mm]", "r", _expanded("distance_mm", "distance_u_mm")),
+            doc.Column("Table [mm]", "r", doc.field("distance_table_mm", number, 2)),
+            doc.Column("Verdict", "l", _axes_verdict),
         )
         title = "Angle and distance between the axes of joints, found and by the table; k = 2."
-        blocks.append(tabulate(title, columns, charts.records(pairs), RegistrationNotes.AXES))
+        blocks.append(doc.tabulate(title, columns, charts.records(pairs), RegistrationNotes.AXES))
     if len(gears):
         columns = (
-            Column("Joint", "c", field("joint")),
-            Column("Swept [°]", "r", field("span_deg", number, 1)),
-            Column("Turn over encoder ± U", "r", _expanded("gear", "gear_u")),
+            doc.Column("Joint", "c", doc.field("joint")),
+            doc.Column("Swept [°]", "r", doc.field("span_deg", number, 1)),
+            doc.Column("Turn over encoder ± U", "r", _expanded("gear", "gear_u")),
         )
         title = "Turn of each joint about its own axis over its encoder's; k = 2."
-        blocks.append(tabulate(title, columns, charts.records(gears), RegistrationNotes.GEARS))
+        blocks.append(doc.tabulate(title, columns, charts.records(gears), RegistrationNotes.GEARS))
         blocks.append(figure_block(results, "linearity"))
     if not blocks:
-        blocks.append(Paragraph(RegistrationNotes.NO_SWEEPS, "note"))
-    return Section("axes", "Axes against the table", tuple(blocks))
+        blocks.append(doc.Paragraph(RegistrationNotes.NO_SWEEPS, "note"))
+    return doc.Section("axes", "Axes against the table", tuple(blocks))
 
 
-def _axes_verdict(pair: dict[str, Any]) -> Cell:
-    return Cell("agrees", "conform") if pair.get("agrees") else Cell("differs", "nonconform")
+def _axes_verdict(pair: dict[str, Any]) -> doc.Cell:
+    return (
+        doc.Cell("agrees", "conform") if pair.get("agrees") else doc.Cell("differs", "nonconform")
+    )

@@ -7,19 +7,8 @@ import numpy as np
 import pandas as pd
 
 from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.document.charts import column, texts
-from reports.document.formatting import (
-    DASH,
-    count,
-    finite,
-    join_words,
-    joint_names,
-    number,
-    percent,
-    quantity,
-    significant,
-    text_or_dash,
-)
 from reports.results import Results
 from reports.session.combinations import combination_blocks
 from reports.session.figures import evidence
@@ -38,25 +27,26 @@ def monte_carlo_blocks(summary: dict[str, Any]) -> list[doc.Block]:
         return []
     entries = [e for e in check.get("joints") or [] if e.get("pairs")]
     away = [
-        finite(e.get("largest_difference")) for e in entries if e.get("pairs") == e.get("holds")
+        fmt.finite(e.get("largest_difference")) for e in entries if e.get("pairs") == e.get("holds")
     ]
     largest = max((a for a in away if a is not None), default=None)
     chain = (
-        f"Monte Carlo: {count(check.get('pairs'))} pairs drawn anew {count(check.get('draws'))} "
-        "times through the whole chain, pose fit and the arm's inverse included."
+        f"Monte Carlo: {fmt.count(check.get('pairs'))} pairs drawn anew "
+        f"{fmt.count(check.get('draws'))} times through the whole chain, pose fit and the arm's "
+        "inverse included."
     )
     fails = check.get("fails") or []
-    within = percent(check.get("agrees_within"))
+    within = fmt.percent(check.get("agrees_within"))
     if not fails:
         holds = (
             "The standard deviation of every joint's error agrees with linear propagation; the "
-            f"largest difference is {percent(largest)}, where {within} are allowed."
+            f"largest difference is {fmt.percent(largest)}, where {within} are allowed."
         )
         return [doc.Paragraph(f"{chain} {holds}")]
     bad = sorted({j for fail in fails if not fail.get("coupled") for j in fail.get("joints") or []})
     counted = (
-        f"It does not hold for {joint_names(bad)} at the poses below: there the budget says too "
-        "little or too much."
+        f"It does not hold for {fmt.joint_names(bad)} at the poses below: there the budget says "
+        "too little or too much."
         if bad
         else "It fails only for joints that a singularity couples, which no single joint's figure "
         "rests on."
@@ -66,12 +56,12 @@ def monte_carlo_blocks(summary: dict[str, Any]) -> list[doc.Block]:
 
 def _failure_table(fails: list[dict[str, Any]], within: str) -> doc.Table:
     def gap(fail: dict[str, Any]) -> float:
-        ratios = [finite(r) for r in fail.get("ratio") or []]
+        ratios = [fmt.finite(r) for r in fail.get("ratio") or []]
         return max((abs(np.log(r)) for r in ratios if r), default=np.inf)
 
     worst = sorted(fails, key=gap, reverse=True)[:MAX_LISTED_PAIRS]
     columns = (
-        doc.Column("Pair", "r", doc.field("frame", count)),
+        doc.Column("Pair", "r", doc.field("frame", fmt.count)),
         doc.Column("Ratio by joint", "l", _ratios, wide=True),
         doc.Column("Why", "l", _failure_reason),
     )
@@ -82,11 +72,13 @@ def _failure_table(fails: list[dict[str, Any]], within: str) -> doc.Table:
 
 def _ratios(fail: dict[str, Any]) -> str:
     ratios = zip(fail.get("joints") or [], fail.get("ratio") or [], strict=False)
-    return ", ".join(f"q{text_or_dash(joint)} {number(ratio, 2)}" for joint, ratio in ratios)
+    return ", ".join(
+        f"q{fmt.text_or_dash(joint)} {fmt.number(ratio, 2)}" for joint, ratio in ratios
+    )
 
 
 def _failure_reason(fail: dict[str, Any]) -> str:
-    if finite(fail.get("unreachable")):
+    if fmt.finite(fail.get("unreachable")):
         return "the arm cannot stand in some of the drawn poses"
     if fail.get("coupled"):
         return "near a singularity; these joints are left out of single figures"
@@ -127,7 +119,7 @@ def budget(results: Results) -> doc.Section:
     blocks += monte_carlo_blocks(results.summary)
     uncounted = (results.summary.get("budget") or {}).get("uncounted") or []
     if uncounted:
-        named = join_words([text_or_dash(name) for name in uncounted])
+        named = fmt.join_words([fmt.text_or_dash(name) for name in uncounted])
         text = (
             f"Not counted, because their uncertainty is not stated: {named}. "
             "They are taken as exact, and every uncertainty here holds on that condition."
@@ -143,7 +135,7 @@ def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[
     determined = [
         joint
         for joint in summary.get("joints") or []
-        if finite(joint.get("expanded_uncertainty_deg")) is not None
+        if fmt.finite(joint.get("expanded_uncertainty_deg")) is not None
     ]
     if not determined or "share" not in table.columns:
         return []
@@ -152,16 +144,17 @@ def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[
     if mine.empty:
         return []
     first = mine.sort_values("share", ascending=False, kind="stable").iloc[0]
-    size = quantity(worst["expanded_uncertainty_deg"], "°")
+    size = fmt.quantity(worst["expanded_uncertainty_deg"], "°")
     text = (
-        f"Known worst is joint {text_or_dash(worst.get('joint'))}, with U = {size}; most of that "
-        f"comes from: {_source_name(first['source'])}, {percent(first['share'])} of the variance."
+        f"Known worst is joint {fmt.text_or_dash(worst.get('joint'))}, with U = {size}; most of "
+        f"that comes from: {_source_name(first['source'])}, {fmt.percent(first['share'])} of the "
+        "variance."
     )
     return [doc.Paragraph(text)]
 
 
 def _source_name(source: Any) -> str:
-    return text_or_dash(source).replace("_", " ")
+    return fmt.text_or_dash(source).replace("_", " ")
 
 
 def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> doc.Table:
@@ -173,8 +166,8 @@ def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> doc.Table:
         rows.append(
             doc.row(
                 _source_name(source),
-                text_or_dash(kind),
-                text_or_dash(texts(part, "type")[0]),
+                fmt.text_or_dash(kind),
+                fmt.text_or_dash(texts(part, "type")[0]),
                 _format_degrees_of_freedom(column(part, "degrees_of_freedom")),
                 *(_format_contribution(by_joint.get(joint)) for joint in joints),
             )
@@ -192,16 +185,16 @@ def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> doc.Table:
 
 def _format_contribution(u: Any) -> str:
     """A contribution in degrees; below what anybody resolves only that it is small."""
-    figure = finite(u)
+    figure = fmt.finite(u)
     small = figure is not None and 0 < abs(figure) < MIN_CONTRIBUTION_DEG
-    return "< 0.00001" if small else significant(figure)
+    return "< 0.00001" if small else fmt.significant(figure)
 
 
 def _format_degrees_of_freedom(values: Any) -> str:
     """Degrees of freedom of a line: the fewest of its joints."""
     stated = [float(v) for v in values if not np.isnan(v)]
     if not stated:
-        return DASH
+        return fmt.DASH
     least = min(stated)
     return "∞" if np.isinf(least) else f"{least:.0f}"
 
@@ -211,16 +204,16 @@ def _totals(summary: dict[str, Any], joints: list[Any]) -> list[tuple[doc.Cell, 
     parts = (summary.get("budget") or {}).get("joints") or []
     sums = {part.get("joint"): part for part in parts}
     lines: list[tuple[str, dict[Any, Any], Callable[[dict[str, Any]], str]]] = [
-        ("random, together", sums, doc.field("random_standard_uncertainty_deg", significant)),
+        ("random, together", sums, doc.field("random_standard_uncertainty_deg", fmt.significant)),
         (
             "systematic, together",
             sums,
-            doc.field("systematic_standard_uncertainty_deg", significant),
+            doc.field("systematic_standard_uncertainty_deg", fmt.significant),
         ),
-        ("combined", results, doc.field("standard_uncertainty_deg", significant)),
+        ("combined", results, doc.field("standard_uncertainty_deg", fmt.significant)),
         ("effective ν", sums, _format_effective_dof),
-        ("k", results, doc.field("coverage_factor", number, 2)),
-        ("expanded", results, doc.field("expanded_uncertainty_deg", significant)),
+        ("k", results, doc.field("coverage_factor", fmt.number, 2)),
+        ("expanded", results, doc.field("expanded_uncertainty_deg", fmt.significant)),
     ]
     if not sums:
         lines = [line for line in lines if line[0] in ("combined", "expanded")]
@@ -235,9 +228,9 @@ def _totals(summary: dict[str, Any], joints: list[Any]) -> list[tuple[doc.Cell, 
 
 def _format_effective_dof(part: dict[str, Any]) -> str:
     """Effective degrees of freedom; beyond a thousand the number says nothing any more."""
-    degrees = finite(part.get("effective_degrees_of_freedom"))
-    if finite(part.get("coverage_factor")) is None:
-        return DASH
+    degrees = fmt.finite(part.get("effective_degrees_of_freedom"))
+    if fmt.finite(part.get("coverage_factor")) is None:
+        return fmt.DASH
     return "> 1000" if degrees is None or degrees > 1000 else f"{degrees:.0f}"
 
 
@@ -260,9 +253,9 @@ def _parameter_blocks(table: pd.DataFrame) -> list[doc.Block]:
         rows.append(
             doc.row(
                 _source_name(first["source"]),
-                text_or_dash(name),
-                significant(first["standard_uncertainty"]),
-                *(number(by_joint.get(joint), 3, signed=True) for joint in joints),
+                fmt.text_or_dash(name),
+                fmt.significant(first["standard_uncertainty"]),
+                *(fmt.number(by_joint.get(joint), 3, signed=True) for joint in joints),
             )
         )
     if not rows:

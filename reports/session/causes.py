@@ -3,17 +3,7 @@
 from dataclasses import dataclass
 from typing import Any
 
-from reports.document.formatting import (
-    DASH,
-    UNITS,
-    count,
-    exact_number,
-    finite,
-    joint_names,
-    lookup_label,
-    number,
-    with_uncertainty,
-)
+from reports.document import formatting as fmt
 
 COVERAGE_NOTE = "(k = 2)"  # of every cause's expanded uncertainty, by docs/results.md
 MAX_RIVALS = 4  # named of an ambiguous cause; summary.json lists all
@@ -68,37 +58,37 @@ MOTIONS = {
 def cause_name(entry: dict[str, Any]) -> str:
     """Name a cause: offset of joint 3."""
     kind = str(entry.get("kind"))
-    name = lookup_label(CAUSES, kind)
+    name = fmt.lookup_label(CAUSES, kind)
     if kind == "dh" and entry.get("parameter") is not None:
         name = f"{name} {entry['parameter']}"
-    if kind == "eccentricity" and finite(entry.get("phase_deg")) is not None:
-        turns = exact_number(entry.get("per_turn", 1))
-        name = f"{name} ({turns} per turn, phase {number(entry['phase_deg'], 1)}°)"
+    if kind == "eccentricity" and fmt.finite(entry.get("phase_deg")) is not None:
+        turns = fmt.exact_number(entry.get("per_turn", 1))
+        name = f"{name} ({turns} per turn, phase {fmt.number(entry['phase_deg'], 1)}°)"
     joint = entry.get("joint")
     name = name if joint is None else f"{name} of joint {joint}"
-    return name if finite(entry.get("t_s")) is None else f"{name} {instant(entry)}"
+    return name if fmt.finite(entry.get("t_s")) is None else f"{name} {instant(entry)}"
 
 
 def instant(entry: dict[str, Any]) -> str:
     """Say when a fault began, on the clock of the errors over time: `at 12.3 s`."""
-    return f"at {number(entry.get('t_s'), 1)} s"
+    return f"at {fmt.number(entry.get('t_s'), 1)} s"
 
 
 def format_value(entry: dict[str, Any]) -> str:
     """Write a cause's value ± expanded uncertainty, without its unit."""
-    return with_uncertainty(entry.get("value"), entry.get("expanded_uncertainty"))
+    return fmt.with_uncertainty(entry.get("value"), entry.get("expanded_uncertainty"))
 
 
 def unit_sign(entry: dict[str, Any]) -> str:
     """Write a cause's unit as a sign."""
     unit = entry.get("unit")
-    return "ratio" if unit == "ratio" else lookup_label(UNITS, unit)
+    return "ratio" if unit == "ratio" else fmt.lookup_label(fmt.UNITS, unit)
 
 
 def finding(entry: dict[str, Any]) -> str:
     """Say a cause in half a sentence, then what to do: `joint 3 reads 0.400° too high: add …`."""
     text = CAUSE_TEXTS.get(str(entry.get("kind")))
-    value = finite(entry.get("value"))
+    value = fmt.finite(entry.get("value"))
     if entry.get("kind") == "geometry":  # no single figure tells it
         return f"the arm's links differ from the robot file: {remedy(entry)}"
     if value is None or text is None:
@@ -108,15 +98,15 @@ def finding(entry: dict[str, Any]) -> str:
 
 def remedy(entry: dict[str, Any]) -> str:
     """Say what to do about a cause."""
-    known = finite(entry.get("value"))
+    known = fmt.finite(entry.get("value"))
     kind = entry.get("kind")
     if kind == "ambiguous":
         return separation(entry)
     if kind == "geometry":
         return REMEDIES["geometry"]
     if known is None:
-        return DASH
-    change = number(-known if kind == "offset" else known, _decimals(entry), signed=True)
+        return fmt.DASH
+    change = fmt.number(-known if kind == "offset" else known, _decimals(entry), signed=True)
     if kind == "offset":
         return f"add {change}° to its reading"
     if kind == "camera_skew":
@@ -126,7 +116,7 @@ def remedy(entry: dict[str, Any]) -> str:
     if kind == "dh":
         place = f"{entry.get('parameter', 'the parameter')} in the robot file"
         return f"correct {place} by {change} {unit_sign(entry)}".strip()
-    return REMEDIES.get(str(kind), DASH)
+    return REMEDIES.get(str(kind), fmt.DASH)
 
 
 def separation(entry: dict[str, Any]) -> str:
@@ -135,15 +125,15 @@ def separation(entry: dict[str, Any]) -> str:
     numbers = entry.get("separating_joints") or []
     if motion is None or ("{joints}" in motion and not numbers):
         return "record a motion that tells these apart (verify plan proposes one)"
-    return motion.format(joints=joint_names(numbers))
+    return motion.format(joints=fmt.joint_names(numbers))
 
 
 def runner_up(entry: dict[str, Any]) -> str:
     """Name the rival that fits best in a cause's place, and by how much worse."""
     rival = entry.get("runner_up")
     if not isinstance(rival, dict):
-        return DASH
-    return f"{cause_name(rival)} (ΔBIC {number(rival.get('advantage'), 0)})"
+        return fmt.DASH
+    return f"{cause_name(rival)} (ΔBIC {fmt.number(rival.get('advantage'), 0)})"
 
 
 def candidate(entry: Any) -> str:
@@ -151,17 +141,17 @@ def candidate(entry: Any) -> str:
     if not isinstance(entry, dict):
         return str(entry)
     amount = with_expanded_uncertainty(
-        entry, entry.get("value"), lookup_label(UNITS, entry.get("unit"))
+        entry, entry.get("value"), fmt.lookup_label(fmt.UNITS, entry.get("unit"))
     )
-    return cause_name(entry) if amount == DASH else f"{cause_name(entry)}, {amount}"
+    return cause_name(entry) if amount == fmt.DASH else f"{cause_name(entry)}, {amount}"
 
 
 def rivals(entry: dict[str, Any], between: str) -> str:
     """Name the causes that an entry cannot tell apart, the likeliest first, few of many."""
     named = [candidate(c) for c in entry.get("candidates") or []]
     more = len(named) - MAX_RIVALS
-    shown = named if more <= 0 else [*named[:MAX_RIVALS], f"{count(more)} others"]
-    return between.join(shown) or DASH
+    shown = named if more <= 0 else [*named[:MAX_RIVALS], f"{fmt.count(more)} others"]
+    return between.join(shown) or fmt.DASH
 
 
 def with_expanded_uncertainty(
@@ -169,12 +159,14 @@ def with_expanded_uncertainty(
 ) -> str:
     """Write a cause's figure ± expanded uncertainty; in a sentence no head of a column says k."""
     spread = entry.get("expanded_uncertainty")
-    amount = with_uncertainty(known, spread, suffix, signed)
-    return amount if amount == DASH or finite(spread) is None else f"{amount} {COVERAGE_NOTE}"
+    amount = fmt.with_uncertainty(known, spread, suffix, signed)
+    return (
+        amount if amount == fmt.DASH or fmt.finite(spread) is None else f"{amount} {COVERAGE_NOTE}"
+    )
 
 
 def _decimals(entry: dict[str, Any]) -> int:
-    text = with_uncertainty(entry.get("value"), entry.get("expanded_uncertainty")).split(" ")[0]
+    text = fmt.with_uncertainty(entry.get("value"), entry.get("expanded_uncertainty")).split(" ")[0]
     return len(text.partition(".")[2])
 
 
@@ -225,17 +217,17 @@ CAUSE_TEXTS = {
 
 
 def _cause_sentence(text: CauseText, entry: dict[str, Any], value: float) -> str:
-    spread, joint = finite(entry.get("expanded_uncertainty")), entry.get("joint")
+    spread, joint = fmt.finite(entry.get("expanded_uncertainty")), entry.get("joint")
     scaled = {"expanded_uncertainty": None if spread is None else spread * text.factor}
     shown = (abs(value) if text.ways else value) * text.factor
-    turns = exact_number(entry.get("per_turn", 1))
+    turns = fmt.exact_number(entry.get("per_turn", 1))
     return text.sentence.format(
         amount=with_expanded_uncertainty(scaled, shown, text.unit or unit_sign(entry), text.signed),
         joint=joint,
         owner="the arm" if joint is None else f"joint {joint}",
         parameter=entry.get("parameter", "a link parameter"),
         turns=f"{turns} {'wave' if turns == '1' else 'waves'}",
-        turn=number(entry.get("turn_deg"), 3),
-        since=text.since if finite(entry.get("t_s")) is None else instant(entry),
+        turn=fmt.number(entry.get("turn_deg"), 3),
+        since=text.since if fmt.finite(entry.get("t_s")) is None else instant(entry),
         way=text.ways[value <= 0] if text.ways else "",
     )

@@ -8,18 +8,8 @@ import numpy as np
 import pandas as pd
 
 from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.document.charts import Array, records, square
-from reports.document.formatting import (
-    DASH,
-    UNITS,
-    finite,
-    joint_names,
-    lookup_label,
-    quantity,
-    significant,
-    text_or_dash,
-    with_uncertainty,
-)
 from reports.results import Results
 from reports.session import causes
 
@@ -35,7 +25,7 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     covariance = _covariance(summary.get("joint_error_correlation"), u)
     if covariance is None:
         return []
-    names = [text_or_dash(joint.get("joint")) for joint in entries]
+    names = [fmt.text_or_dash(joint.get("joint")) for joint in entries]
     determined = np.flatnonzero(np.isfinite(np.diag(covariance)))
     part = covariance[np.ix_(determined, determined)]
     if len(determined) < MIN_JOINTS or not np.isfinite(part).all():
@@ -44,19 +34,21 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     sums = [c for c in summary.get("combinations") or [] if c.get("why") == "well_known"]
     rows = [
         doc.row(
-            text_or_dash(c.get("label")),
-            with_uncertainty(c.get("mean_error_deg"), 2 * c["standard_uncertainty_deg"]),
+            fmt.text_or_dash(c.get("label")),
+            fmt.with_uncertainty(c.get("mean_error_deg"), 2 * c["standard_uncertainty_deg"]),
             "axes are parallel",
         )
         for c in sums
-        if finite(c.get("standard_uncertainty_deg")) is not None
+        if fmt.finite(c.get("standard_uncertainty_deg")) is not None
     ]
     members = {joint for c in sums for joint in c.get("joints") or []}
     for place, name in enumerate(names):
         if entries[place].get("joint") in members and np.isfinite(u[place]):
             rows.append(
                 doc.row(
-                    f"q{name}", with_uncertainty(mean[place], 2 * u[place]), "a member by itself"
+                    f"q{name}",
+                    fmt.with_uncertainty(mean[place], 2 * u[place]),
+                    "a member by itself",
                 )
             )
     for which, why in ((0, "known best of all sums"), (-1, "known worst of all sums")):
@@ -64,7 +56,7 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
         label = _combination_name(weights, [names[k] for k in determined])
         # of weights whose largest is one, as a sum of joints has them
         size = float(np.sqrt(max(values[which], 0.0))) / float(np.abs(vectors[:, which]).max())
-        rows.append(doc.row(label, with_uncertainty(weights @ mean[determined], 2 * size), why))
+        rows.append(doc.row(label, fmt.with_uncertainty(weights @ mean[determined], 2 * size), why))
     return [
         doc.Table(
             "Sums of the joints' mean errors (k = 2), those known well beside those known badly.",
@@ -79,14 +71,14 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
 def _uncertainty_ratio_text(values: Array) -> str:
     ratio = float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else None
     return (
-        f"The worst known sum is {quantity(ratio, '')} times as uncertain as the best known one: "
-        "single joints are to be read together with their correlation. Weights under a tenth are "
-        "left out of a sum's name."
+        f"The worst known sum is {fmt.quantity(ratio, '')} times as uncertain as the best known "
+        "one: single joints are to be read together with their correlation. Weights under a tenth "
+        "are left out of a sum's name."
     )
 
 
 def _float_or_nan(value: Any) -> float:
-    figure = finite(value)
+    figure = fmt.finite(value)
     return float("nan") if figure is None else figure
 
 
@@ -159,7 +151,7 @@ def _hidden_sentences(own: pd.DataFrame) -> tuple[str, ...]:
         )
         missing = [joint for joint in every if joint not in visible]
         if missing:
-            sentences.append(text.format(joints=joint_names(missing)))
+            sentences.append(text.format(joints=fmt.joint_names(missing)))
     return tuple(sentences)
 
 
@@ -190,18 +182,18 @@ def _kind_entries(entries: pd.DataFrame, kind: str) -> pd.DataFrame:
 
 def _format_cell(entries: pd.DataFrame) -> str:
     """`listed / told`, the least favourable of several."""
-    if entries.empty or not finite(entries["detectable"].max()):
-        return DASH
+    if entries.empty or not fmt.finite(entries["detectable"].max()):
+        return fmt.DASH
     separable = entries["separable"].max(skipna=False)
-    return f"{significant(entries['detectable'].max())} / {significant(separable)}"
+    return f"{fmt.significant(entries['detectable'].max())} / {fmt.significant(separable)}"
 
 
 def _other_table(entries: pd.DataFrame) -> doc.Table:
     columns = (
         doc.Column("Fault", "l", _fault_name),
-        doc.Column("Listed", "r", doc.field("detectable", significant)),
-        doc.Column("Told apart", "r", doc.field("separable", significant)),
-        doc.Column("Unit", "l", lambda e: lookup_label(UNITS, e["unit"])),
+        doc.Column("Listed", "r", doc.field("detectable", fmt.significant)),
+        doc.Column("Told apart", "r", doc.field("separable", fmt.significant)),
+        doc.Column("Unit", "l", lambda e: fmt.lookup_label(fmt.UNITS, e["unit"])),
     )
     title = "The smallest common fault and link error that would be listed / told from every other."
     note = "Base and LED body: moved along or turned about one axis alone."
@@ -209,7 +201,7 @@ def _other_table(entries: pd.DataFrame) -> doc.Table:
 
 
 def _fault_name(entry: dict[str, Any]) -> str:
-    joint = finite(entry["joint"])
+    joint = fmt.finite(entry["joint"])
     parameter = entry["parameter"] if isinstance(entry["parameter"], str) else None
     number = None if joint is None else math.floor(joint)
     name = causes.cause_name({"kind": entry["kind"], "joint": number, "parameter": parameter})

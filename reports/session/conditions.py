@@ -4,20 +4,7 @@ from collections.abc import Callable
 from typing import Any
 
 from reports.document import blocks as doc
-from reports.document.formatting import (
-    DASH,
-    NOT_STATED,
-    UNITS,
-    capitalise,
-    count,
-    exact_number,
-    finite,
-    lookup_label,
-    number,
-    quantity,
-    significant,
-    text_or_dash,
-)
+from reports.document import formatting as fmt
 from reports.results import Results
 from reports.session import phrases
 
@@ -36,7 +23,7 @@ def conditions(results: Results) -> doc.Section:
     blocks += _marker(setup.get("marker") or {})
     blocks += _robot(setup.get("robot") or {})
     rule = summary.get("decision_rule") or DECISION_RULE
-    blocks.append(doc.Facts(tuple(_provenance(summary, text_or_dash(rule)))))
+    blocks.append(doc.Facts(tuple(_provenance(summary, fmt.text_or_dash(rule)))))
     blocks += doc.provenance(summary)
     return doc.Section("conditions", "Rig, marker, robot and rule", tuple(blocks))
 
@@ -44,42 +31,46 @@ def conditions(results: Results) -> doc.Section:
 def _provenance(summary: dict[str, Any], rule: str) -> list[tuple[str, str]]:
     items = [("Decision rule", rule), ("Software", doc.software(summary))]
     for name, value in (summary.get("thresholds") or {}).items():
-        text = str(value) if isinstance(value, str) else exact_number(value)
-        items.append((capitalise(text_or_dash(name).replace("_", " ")), text))
+        text = str(value) if isinstance(value, str) else fmt.exact_number(value)
+        items.append((fmt.capitalise(fmt.text_or_dash(name).replace("_", " ")), text))
     return items
 
 
 def _or_not_stated(text: str) -> str:
     """Say in words that a session does not state something."""
-    return NOT_STATED if text == DASH else text
+    return fmt.NOT_STATED if text == fmt.DASH else text
 
 
 def _list(values: Any, decimals: int) -> str:
     values = values if isinstance(values, list | tuple) else ()
-    return ", ".join(number(value, decimals) for value in values) or DASH
+    return ", ".join(fmt.number(value, decimals) for value in values) or fmt.DASH
 
 
 def _listed(*keys: str, decimals: int = 2, between: str = ", ") -> Callable[[dict[str, Any]], str]:
     """Make the writer of the numbers that an entry holds under several keys."""
-    return lambda entry: between.join(number(entry.get(key), decimals) for key in keys)
+    return lambda entry: between.join(fmt.number(entry.get(key), decimals) for key in keys)
 
 
 def _vector(values: Any, decimals: int, unit: str) -> str:
     inner = _list(values, decimals)
-    if inner == DASH:
-        return DASH
+    if inner == fmt.DASH:
+        return fmt.DASH
     return f"({inner}){unit}" if unit == "°" else f"({inner}) {unit}"
 
 
 def _format_component(name: str, value: Any) -> str:
     """Write x_mm or rx_deg with its value: x 0.050 mm, rx 0.050°."""
     stem, _, unit = name.rpartition("_")
-    sign = UNITS.get(unit)
-    return f"{stem} {quantity(value, sign)}" if stem and sign else f"{name} {significant(value)}"
+    sign = fmt.UNITS.get(unit)
+    return (
+        f"{stem} {fmt.quantity(value, sign)}"
+        if stem and sign
+        else f"{name} {fmt.significant(value)}"
+    )
 
 
 def _source(source: Any) -> str:
-    return _or_not_stated(lookup_label(phrases.SOURCES, source))
+    return _or_not_stated(fmt.lookup_label(phrases.SOURCES, source))
 
 
 def _rig(rig: dict[str, Any]) -> list[doc.Block]:
@@ -89,15 +80,17 @@ def _rig(rig: dict[str, Any]) -> list[doc.Block]:
         ("Robot base found", _source(rig.get("base_source"))),
         ("Robot base position", _vector(rig.get("base_position_mm"), 2, "mm")),
         ("Robot base rotation vector", _vector(rig.get("base_rotation_vector_deg"), 3, "°")),
-        ("Registration", _or_not_stated(text_or_dash(rig.get("registration")))),
+        ("Registration", _or_not_stated(fmt.text_or_dash(rig.get("registration")))),
     )
     if rig.get("instrument"):
-        return [doc.Facts((("Instrument", text_or_dash(rig["instrument"])), *base))]
+        return [doc.Facts((("Instrument", fmt.text_or_dash(rig["instrument"])), *base))]
     size = rig.get("image_size_px")
-    size_text = " × ".join(count(v) for v in size) if isinstance(size, list | tuple) else DASH
+    size_text = (
+        " × ".join(fmt.count(v) for v in size) if isinstance(size, list | tuple) else fmt.DASH
+    )
     facts = (
         ("Image size", f"{size_text} px"),
-        ("Baseline", quantity(rig.get("baseline_mm"), "mm", 5)),
+        ("Baseline", fmt.quantity(rig.get("baseline_mm"), "mm", 5)),
         *base,
     )
     columns = (
@@ -122,26 +115,29 @@ def _marker(marker: dict[str, Any]) -> list[doc.Block]:
             doc.Facts((("Measured point on the flange", point), ("Measured point found", source)))
         ]
     body = marker.get("body_standard_uncertainty")
-    body_text = NOT_STATED
+    body_text = fmt.NOT_STATED
     if isinstance(body, dict):
         body_text = ", ".join(
-            _format_component(text_or_dash(name), value) for name, value in body.items()
+            _format_component(fmt.text_or_dash(name), value) for name, value in body.items()
         )
     led, shift = (
-        _or_not_stated(quantity(marker.get(f"{name}_standard_uncertainty_mm"), "mm"))
+        _or_not_stated(fmt.quantity(marker.get(f"{name}_standard_uncertainty_mm"), "mm"))
         for name in ("led", "centre_shift")
     )
     facts = (
-        ("LED diameter", quantity(marker.get("led_diameter_mm"), "mm")),
+        ("LED diameter", fmt.quantity(marker.get("led_diameter_mm"), "mm")),
         ("LED positions", _source(marker.get("source"))),
-        ("Datum", _or_not_stated(text_or_dash(marker.get("datum")))),
+        ("Datum", _or_not_stated(fmt.text_or_dash(marker.get("datum")))),
         ("u of the body", body_text),
         ("u of each LED", led),
         ("u of the apparent centre", shift),
     )
     columns = (
         doc.Column("LED", "l", doc.field("name")),
-        *(doc.Column(f"{axis} [mm]", "r", doc.field(f"{axis}_mm", number, 2)) for axis in "xyz"),
+        *(
+            doc.Column(f"{axis} [mm]", "r", doc.field(f"{axis}_mm", fmt.number, 2))
+            for axis in "xyz"
+        ),
         doc.Column("Colour", "l", doc.field("colour")),
     )
     table = doc.tabulate("LEDs in the flange frame.", columns, marker.get("leds") or [])
@@ -152,20 +148,20 @@ def _robot(robot: dict[str, Any]) -> list[doc.Block]:
     if not robot:
         return [doc.Paragraph("The robot is not described in these results.", "note")]
     facts = (
-        ("Robot", text_or_dash(robot.get("name"))),
-        ("Family", lookup_label({}, robot.get("family"))),
-        ("Source of its numbers", _or_not_stated(text_or_dash(robot.get("source")))),
-        ("Fingerprint", text_or_dash(robot.get("fingerprint"))),
+        ("Robot", fmt.text_or_dash(robot.get("name"))),
+        ("Family", fmt.lookup_label({}, robot.get("family"))),
+        ("Source of its numbers", _or_not_stated(fmt.text_or_dash(robot.get("source")))),
+        ("Fingerprint", fmt.text_or_dash(robot.get("fingerprint"))),
     )
     joints = robot.get("joints") or []
-    urdf = all(finite(joint.get("a_mm")) is None for joint in joints)
+    urdf = all(fmt.finite(joint.get("a_mm")) is None for joint in joints)
     columns = (
         doc.Column("Joint", "l", _joint_name),
-        doc.Column("a [mm]", "r", doc.field("a_mm", number, 2)),
-        doc.Column("d [mm]", "r", doc.field("d_mm", number, 2)),
-        doc.Column("α [°]", "r", doc.field("alpha_deg", number, 1)),
-        doc.Column("Sign", "r", doc.field("sign", number, 0, signed=True)),
-        doc.Column("Offset [°]", "r", doc.field("offset_deg", number, 2)),
+        doc.Column("a [mm]", "r", doc.field("a_mm", fmt.number, 2)),
+        doc.Column("d [mm]", "r", doc.field("d_mm", fmt.number, 2)),
+        doc.Column("α [°]", "r", doc.field("alpha_deg", fmt.number, 1)),
+        doc.Column("Sign", "r", doc.field("sign", fmt.number, 0, signed=True)),
+        doc.Column("Offset [°]", "r", doc.field("offset_deg", fmt.number, 2)),
         doc.Column("Limits [°]", "r", _listed("lower_deg", "upper_deg", decimals=1, between=" … ")),
     )
     title = "The arm's joints (standard Denavit-Hartenberg; θ = sign · q + offset)."
@@ -174,5 +170,5 @@ def _robot(robot: dict[str, Any]) -> list[doc.Block]:
 
 
 def _joint_name(joint: dict[str, Any]) -> str:
-    name, index = str(joint.get("name") or ""), text_or_dash(joint.get("joint"))
+    name, index = str(joint.get("name") or ""), fmt.text_or_dash(joint.get("joint"))
     return index if name in ("", index, f"q{index}", f"joint {index}") else f"{index} ({name})"

@@ -7,16 +7,8 @@ import numpy as np
 import pandas as pd
 
 from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.document.charts import Band, Chart, Level, Mark, Panel, Points, column, texts
-from reports.document.formatting import (
-    DASH,
-    count,
-    finite,
-    lookup_label,
-    number,
-    percent,
-    significant,
-)
 from reports.results import Results
 from reports.session import phrases
 from reports.session.figures import evidence
@@ -115,15 +107,15 @@ def _led_table(table: pd.DataFrame) -> doc.Table:
     columns = (
         doc.Column("Camera", "l", doc.field("camera")),
         doc.Column("LED", "l", doc.field("led")),
-        doc.Column("Spots", "r", lambda g: count(len(g["spots"]))),
+        doc.Column("Spots", "r", lambda g: fmt.count(len(g["spots"]))),
         doc.Column(
-            "Mean x [px]", "r", lambda g: number(g["spots"]["residual_x_px"].mean(), 3, True)
+            "Mean x [px]", "r", lambda g: fmt.number(g["spots"]["residual_x_px"].mean(), 3, True)
         ),
         doc.Column(
-            "Mean y [px]", "r", lambda g: number(g["spots"]["residual_y_px"].mean(), 3, True)
+            "Mean y [px]", "r", lambda g: fmt.number(g["spots"]["residual_y_px"].mean(), 3, True)
         ),
-        doc.Column("RMS [px]", "r", lambda g: number(_rms_residual(g["spots"]))),
-        doc.Column("Median u [px]", "r", lambda g: number(g["spots"]["u_px"].median())),
+        doc.Column("RMS [px]", "r", lambda g: fmt.number(_rms_residual(g["spots"]))),
+        doc.Column("Median u [px]", "r", lambda g: fmt.number(g["spots"]["u_px"].median())),
     )
     return doc.tabulate("Residuals of the spots, a camera and LED.", columns, groups, MEAN_NOTE)
 
@@ -141,9 +133,9 @@ def clock(results: Results) -> doc.Section:
             "The offset between the encoder clock and the cameras' clock could not be observed: "
             "the motion was too slow or too even to tell a delay from an offset of the joints."
         )
-        if finite(entry.get("encoder_offset_s")) is not None:
+        if fmt.finite(entry.get("encoder_offset_s")) is not None:
             text += f" The offset used is {clock_text(results.summary)}."
-    elif finite(entry.get("encoder_offset_s")) is None:
+    elif fmt.finite(entry.get("encoder_offset_s")) is None:
         text = "The offset between the encoder clock and the cameras' clock is not known."
     else:
         text = f"Offset added to the encoders' times: {clock_text(results.summary)}."
@@ -168,13 +160,15 @@ def pairs(results: Results) -> doc.Section:
     """Count the pairs by what became of them, and say how LEDs were told apart."""
     summary = results.summary
     entry = summary.get("pairs") or {}
-    recorded = finite(entry.get("recorded"))
+    recorded = fmt.finite(entry.get("recorded"))
     counts = {"measured": entry.get("measured"), **(entry.get("rejected") or {})}
     rows = tuple(
         doc.row(
-            lookup_label(phrases.STATUSES, status),
-            count(n),
-            percent(float(n) / recorded) if recorded and finite(n) is not None else DASH,
+            fmt.lookup_label(phrases.STATUSES, status),
+            fmt.count(n),
+            fmt.percent(float(n) / recorded)
+            if recorded and fmt.finite(n) is not None
+            else fmt.DASH,
         )
         for status, n in counts.items()
     )
@@ -185,7 +179,8 @@ def pairs(results: Results) -> doc.Section:
     choices = summary.get("choices") or {}
     if choices:
         made = tuple(
-            doc.row(lookup_label(phrases.CHOICES, name), count(n)) for name, n in choices.items()
+            doc.row(fmt.lookup_label(phrases.CHOICES, name), fmt.count(n))
+            for name, n in choices.items()
         )
         blocks.append(doc.Table("How the LEDs were told apart.", "lr", ("Settled", "Pairs"), made))
     return doc.Section("pairs", "Pairs rejected, and why", tuple(blocks))
@@ -220,13 +215,13 @@ def relative_motions(results: Results) -> doc.Section:
 
 
 def _test_text(entry: dict[str, Any]) -> str:
-    p = finite(entry.get("p_value"))
+    p = fmt.finite(entry.get("p_value"))
     agrees = p is not None and p >= P_SIGNIFICANT
     chance = f"{p:.2g}" if p is not None and p >= 1e-6 else "under 0.000001"
     text = (
-        f"{count(entry.get('motions'))} relative motions: turns differ by "
-        f"{number(entry.get('turn_rms_error_deg'), 3)}° rms, advances by "
-        f"{number(entry.get('advance_rms_error_mm'), 3)} mm rms; noise and stated doubts alone "
+        f"{fmt.count(entry.get('motions'))} relative motions: turns differ by "
+        f"{fmt.number(entry.get('turn_rms_error_deg'), 3)}° rms, advances by "
+        f"{fmt.number(entry.get('advance_rms_error_mm'), 3)} mm rms; noise and stated doubts alone "
         f"give as much with probability {chance}."
     )
     if agrees:
@@ -240,7 +235,9 @@ def _test_text(entry: dict[str, Any]) -> str:
 def _table(entry: dict[str, Any]) -> doc.Table:
     offsets = entry.get("detectable_offset_deg") or []
     rows = tuple(
-        doc.row(f"q{joint}", "does not show" if finite(value) is None else significant(value))
+        doc.row(
+            f"q{joint}", "does not show" if fmt.finite(value) is None else fmt.significant(value)
+        )
         for joint, value in enumerate(offsets, start=1)
     )
     return doc.Table(

@@ -2,19 +2,8 @@
 
 from typing import Any
 
-from reports.document import formatting
+from reports.document import formatting as fmt
 from reports.document.blocks import Verdict, uncertain_field
-from reports.document.formatting import (
-    capitalise,
-    exact_number,
-    finite,
-    join_words,
-    joint_names,
-    number,
-    quantity,
-    text_or_dash,
-    with_uncertainty,
-)
 from reports.results import Results
 from reports.session import causes as session_causes
 from reports.session import phrases
@@ -41,7 +30,7 @@ def headline(results: Results) -> Verdict:
         "undecided": _undecided,
         "none": _no_verdict,
     }[tone](results)
-    return Verdict(tone, LABELS[tone], capitalise(sentence), tuple(_remarks(results, tone)))
+    return Verdict(tone, LABELS[tone], fmt.capitalise(sentence), tuple(_remarks(results, tone)))
 
 
 def with_verdict(summary: dict[str, Any], verdict: str) -> list[dict[str, Any]]:
@@ -51,21 +40,21 @@ def with_verdict(summary: dict[str, Any], verdict: str) -> list[dict[str, Any]]:
 
 def tolerance_text(summary: dict[str, Any], chosen: list[dict[str, Any]]) -> str:
     """Say the tolerance of some joints, where they share one."""
-    values = {finite(joint.get("tolerance_deg")) for joint in chosen} - {None}
+    values = {fmt.finite(joint.get("tolerance_deg")) for joint in chosen} - {None}
     if len(values) != 1:
         return "their tolerances" if summary else ""
-    return f"±{exact_number(values.pop())}°"
+    return f"±{fmt.exact_number(values.pop())}°"
 
 
 def _conform(results: Results) -> str:
     chosen = results.summary.get("joints") or []
-    least = min((p for j in chosen if (p := finite(j.get("conformance_probability"))) is not None),
-                default=None)  # fmt: skip
+    each = [fmt.finite(joint.get("conformance_probability")) for joint in chosen]
+    least = min((p for p in each if p is not None), default=None)
     bound = tolerance_text(results.summary, chosen)
     sentence = f"every joint's error stays within {bound} at every pose of this session"
     if least is not None:
         level = min(int(least * 1000) / 10, 99.9)  # rounded down: never claim more than was found
-        sentence += f", each with a probability of at least {number(level, 1)} %"
+        sentence += f", each with a probability of at least {fmt.number(level, 1)} %"
     return f"{sentence}; nothing needs to be done."
 
 
@@ -92,19 +81,19 @@ def _nonconform(results: Results) -> str:
 
 def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:
     if failing:
-        worst = max(failing, key=lambda j: abs(finite(j.get("worst_error_deg")) or 0.0))
+        worst = max(failing, key=lambda j: abs(fmt.finite(j.get("worst_error_deg")) or 0.0))
         text = WORST_ERROR(worst)
         verb = "exceed" if len(failing) > 1 else "exceeds"
-        names = joint_names([joint.get("joint") for joint in failing])
+        names = fmt.joint_names([joint.get("joint") for joint in failing])
         return f"{names} {verb} {tolerance_text(summary, failing)} (worst: {text}, k = 2)"
     pose = []
     for name, unit in (("position", "mm"), ("orientation", "deg")):
         entry = summary.get(name) or {}
         if entry.get("verdict") == "nonconform":
-            limit = exact_number(entry.get(f"tolerance_{unit}"))
+            limit = fmt.exact_number(entry.get(f"tolerance_{unit}"))
             sign = "°" if unit == "deg" else f" {unit}"
             pose.append(f"the flange's {name} error exceeds {limit}{sign}")
-    return join_words(pose) or "the tolerance is exceeded"
+    return fmt.join_words(pose) or "the tolerance is exceeded"
 
 
 def _undecided(results: Results) -> str:
@@ -113,10 +102,10 @@ def _undecided(results: Results) -> str:
     if not open_joints:
         names = [n for n in ("position", "orientation")
                  if (summary.get(n) or {}).get("verdict") == "undecided"]  # fmt: skip
-        subject = f"the flange's {join_words(names)}" if names else "the robot"
+        subject = f"the flange's {fmt.join_words(names)}" if names else "the robot"
         improvement = _first_improvement(results, [])
         return f"the instrument cannot tell whether {subject} conforms; {improvement}."
-    names_text = joint_names([joint.get("joint") for joint in open_joints])
+    names_text = fmt.joint_names([joint.get("joint") for joint in open_joints])
     verb = "stay" if len(open_joints) > 1 else "stays"
     return (
         f"the instrument cannot tell whether {names_text} {verb} within "
@@ -129,7 +118,9 @@ def _first_improvement(results: Results, open_joints: list[dict[str, Any]]) -> s
     unseen = [j for j in open_joints if j.get("reason") == "not_observable"]
     if unseen:
         freed = _hiding_parameter(results, unseen[0])[1]
-        return f"an offset of {joint_names([j.get('joint') for j in unseen])} cannot show: {freed}"
+        return (
+            f"an offset of {fmt.joint_names([j.get('joint') for j in unseen])} cannot show: {freed}"
+        )
     by_reason = {
         reason: [j.get("joint") for j in open_joints if j.get("reason") == reason]
         for reason in (
@@ -140,7 +131,7 @@ def _first_improvement(results: Results, open_joints: list[dict[str, Any]]) -> s
         return "first give the clock offset, or record the readings' arrival times"
     if by_reason["lack_of_fit"]:
         return (
-            f"the errors of {joint_names(by_reason['lack_of_fit'])} follow no known curve: "
+            f"the errors of {fmt.joint_names(by_reason['lack_of_fit'])} follow no known curve: "
             "first find out why in the errors over time"
         )
     names = by_reason["not_detectable"] or by_reason["uncertainty_too_large"]
@@ -152,7 +143,7 @@ def _first_improvement(results: Results, open_joints: list[dict[str, Any]]) -> s
 
 def is_hidden(joint: dict[str, Any]) -> bool:
     """Tell whether a constant offset of a joint could not have shown, however large."""
-    share = finite(joint.get("visible_fraction"))
+    share = fmt.finite(joint.get("visible_fraction"))
     return joint.get("reason") == "not_observable" or (
         share is not None and share < phrases.MAX_HIDDEN_SHARE
     )
@@ -163,7 +154,7 @@ def _encoder_based_text(results: Results) -> str:
     rig, marker = results.setup.get("rig") or {}, results.setup.get("marker") or {}
     body = "the measured point" if "point_mm" in marker else "the LED positions"
     found = (("the robot base", rig.get("base_source")), (body, marker.get("source")))
-    return join_words([name for name, source in found if source == "motion"])
+    return fmt.join_words([name for name, source in found if source == "motion"])
 
 
 def _hidden_sentences(results: Results) -> list[str]:
@@ -173,7 +164,7 @@ def _hidden_sentences(results: Results) -> list[str]:
         if is_hidden(joint):
             groups.setdefault(_hiding_parameter(results, joint)[0], []).append(joint.get("joint"))
     return [
-        f"A constant offset of {joint_names(names)} cannot show here: {why}."
+        f"A constant offset of {fmt.joint_names(names)} cannot show here: {why}."
         for why, names in groups.items()
     ]
 
@@ -182,7 +173,7 @@ def _hiding_parameter(results: Results, joint: dict[str, Any]) -> tuple[str, str
     """Say what takes in an offset of a joint, and what would free it."""
     summary, fitted = results.summary, _encoder_based_text(results)
     before, since = (
-        finite(joint.get(f"visible_fraction{when}")) for when in ("", "_since_registration")
+        fmt.finite(joint.get(f"visible_fraction{when}")) for when in ("", "_since_registration")
     )
     if before is not None and before < phrases.MAX_HIDDEN_SHARE:
         if fitted and (since is None or since >= phrases.MAX_HIDDEN_SHARE):
@@ -198,8 +189,9 @@ def _hiding_parameter(results: Results, joint: dict[str, Any]) -> tuple[str, str
             )
     for entry in summary.get("combinations") or []:
         if entry.get("why") == "singularity" and joint.get("joint") in (entry.get("joints") or []):
+            label = fmt.text_or_dash(entry.get("label"))
             return (
-                f"near a singularity only the sum {text_or_dash(entry.get('label'))} is determined",
+                f"near a singularity only the sum {label} is determined",
                 "first record poses away from the singularity",
             )
     return (
@@ -216,7 +208,7 @@ def _largest_source(results: Results, names: list[Any]) -> str:
     if rows.empty:
         return ""
     largest = rows.sort_values("standard_uncertainty_deg", ascending=False, kind="stable").iloc[0]
-    amount = quantity(float(largest["standard_uncertainty_deg"]), "°")
+    amount = fmt.quantity(float(largest["standard_uncertainty_deg"]), "°")
     return (
         f"{str(largest['source']).replace('_', ' ')}, which alone makes {amount} "
         f"of joint {largest['joint']}'s standard uncertainty"
@@ -226,16 +218,18 @@ def _largest_source(results: Results, names: list[Any]) -> str:
 def _no_verdict(results: Results) -> str:
     sentence = "no tolerance was given, so there is no verdict"
     every = results.summary.get("joints") or []
-    if any(finite(joint.get("tolerance_deg")) is not None for joint in every):
+    if any(fmt.finite(joint.get("tolerance_deg")) is not None for joint in every):
         sentence = "a tolerance was given, but there is nothing that could be judged by it"
-    known = [joint for joint in every if finite(joint.get("mean_error_deg")) is not None]
+    known = [joint for joint in every if fmt.finite(joint.get("mean_error_deg")) is not None]
     if not known:
         return f"{sentence}."
     worst = max(known, key=lambda j: abs(float(j["mean_error_deg"])))
-    amount = with_uncertainty(worst["mean_error_deg"], worst.get("expanded_uncertainty_deg"), "°")
-    factor = finite(worst.get("coverage_factor"))
+    amount = fmt.with_uncertainty(
+        worst["mean_error_deg"], worst.get("expanded_uncertainty_deg"), "°"
+    )
+    factor = fmt.finite(worst.get("coverage_factor"))
     if factor is not None:
-        amount = f"{amount} (k = {exact_number(round(factor, 2))})"
+        amount = f"{amount} (k = {fmt.exact_number(round(factor, 2))})"
     return f"{sentence}; the largest mean error is that of joint {worst.get('joint')}, {amount}."
 
 
@@ -244,9 +238,9 @@ def _remarks(results: Results, tone: str) -> list[str]:
     if tone == "nonconform":
         failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
         if failing:
-            remarks.append(capitalise(_exceeding(summary, failing)) + ".")
+            remarks.append(fmt.capitalise(_exceeding(summary, failing)) + ".")
         if open_joints:
-            names = joint_names([joint.get("joint") for joint in open_joints])
+            names = fmt.joint_names([joint.get("joint") for joint in open_joints])
             remarks.append(
                 f"Whether {names} conform{'' if len(open_joints) > 1 else 's'} is undecided."
             )
@@ -259,7 +253,7 @@ def _remarks(results: Results, tone: str) -> list[str]:
     if uncounted:
         remarks.append(
             "The verdict holds on the condition that "
-            f"{join_words([text_or_dash(name) for name in uncounted])} are exact: "
+            f"{fmt.join_words([fmt.text_or_dash(name) for name in uncounted])} are exact: "
             "their uncertainty is not stated."
         )
     remarks.append(SCOPE)
@@ -273,7 +267,7 @@ def _reason_sentences(summary: dict[str, Any]) -> list[str]:
         if joint.get("reason") != "not_observable":
             groups.setdefault(str(joint.get("reason") or ""), []).append(joint.get("joint"))
     return [
-        f"{joint_names(names, capital=True)}: {formatting.lookup_label(phrases.REASONS, reason)}."
+        f"{fmt.joint_names(names, capital=True)}: {fmt.lookup_label(phrases.REASONS, reason)}."
         for reason, names in groups.items()
         if reason
     ]

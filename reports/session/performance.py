@@ -4,16 +4,7 @@ from functools import partial
 from typing import Any
 
 from reports.document import blocks as doc
-from reports.document.formatting import (
-    DASH,
-    count,
-    decimals_of,
-    finite,
-    join_words,
-    number,
-    quantity,
-    with_uncertainty,
-)
+from reports.document import formatting as fmt
 from reports.results import Results
 from reports.session.figures.performance import path_band, pose_clusters
 
@@ -79,15 +70,15 @@ DEVIATIONS = {
 
 def deviation(entry: dict[str, Any]) -> str:
     """Say one condition that differs from the standard's."""
-    kind, seconds = str(entry.get("kind")), finite(entry.get("found_s"))
+    kind, seconds = str(entry.get("kind")), fmt.finite(entry.get("found_s"))
     return DEVIATIONS.get(kind, kind.replace("_", " ")).format(
-        found=count(entry.get("found")),
-        standard=count(entry.get("standard")),
-        names=join_words([str(pose) for pose in entry.get("poses") or [DASH]]),
-        off_plane=number(entry.get("off_plane_mm"), 1),
-        hours=quantity(None if seconds is None else seconds / 3600, "h"),
-        smallest=quantity(entry.get("smallest_mm"), "mm"),
-        celsius=number(entry.get("found_c"), 1),
+        found=fmt.count(entry.get("found")),
+        standard=fmt.count(entry.get("standard")),
+        names=fmt.join_words([str(pose) for pose in entry.get("poses") or [fmt.DASH]]),
+        off_plane=fmt.number(entry.get("off_plane_mm"), 1),
+        hours=fmt.quantity(None if seconds is None else seconds / 3600, "h"),
+        smallest=fmt.quantity(entry.get("smallest_mm"), "mm"),
+        celsius=fmt.number(entry.get("found_c"), 1),
     )
 
 
@@ -171,11 +162,13 @@ def performance(results: Results) -> doc.Section:
 
 def _pose_summary(poses: list[dict[str, Any]]) -> str:
     visits = [int(p["visits"]) for p in poses]
-    accuracy = max(poses, key=lambda p: finite(p.get("ap_mm")) or 0.0)
-    scatter = max(poses, key=lambda p: finite(p.get("rp_mm")) or 0.0)
-    often = count(min(visits)) if min(visits) == max(visits) else f"{min(visits)} to {max(visits)}"
+    accuracy = max(poses, key=lambda p: fmt.finite(p.get("ap_mm")) or 0.0)
+    scatter = max(poses, key=lambda p: fmt.finite(p.get("rp_mm")) or 0.0)
+    often = (
+        fmt.count(min(visits)) if min(visits) == max(visits) else f"{min(visits)} to {max(visits)}"
+    )
     return (
-        f"{count(len(poses))} poses, each visited {often} times. "
+        f"{fmt.count(len(poses))} poses, each visited {often} times. "
         f"Largest pose accuracy: AP {_interval(accuracy, 'ap', 'mm')} mm, at {accuracy['pose']}. "
         f"Largest pose repeatability: RP {_interval(scatter, 'rp', 'mm')} mm, at "
         f"{scatter['pose']}, of which the robot's share is "
@@ -184,10 +177,10 @@ def _pose_summary(poses: list[dict[str, Any]]) -> str:
 
 
 def _path_summary(paths: list[dict[str, Any]]) -> str:
-    accuracy = max(paths, key=lambda p: finite(p.get("at_mm")) or 0.0)
-    scatter = max(paths, key=lambda p: finite(p.get("rt_mm")) or 0.0)
+    accuracy = max(paths, key=lambda p: fmt.finite(p.get("at_mm")) or 0.0)
+    scatter = max(paths, key=lambda p: fmt.finite(p.get("rt_mm")) or 0.0)
     return (
-        f"{count(len(paths))} paths. "
+        f"{fmt.count(len(paths))} paths. "
         f"Largest path accuracy: AT {_interval(accuracy, 'at', 'mm')} mm, on {accuracy['path']}. "
         f"Largest path repeatability: RT {_interval(scatter, 'rt', 'mm')} mm, on "
         f"{scatter['path']}."
@@ -196,36 +189,38 @@ def _path_summary(paths: list[dict[str, Any]]) -> str:
 
 def _interval(entry: dict[str, Any], name: str, unit: str, signed: bool = False) -> str:
     """A figure with its interval in brackets, to the digits that the interval leaves."""
-    value, low, high = (finite(entry.get(f"{name}{part}_{unit}")) for part in ("", "_low", "_high"))
+    value, low, high = (
+        fmt.finite(entry.get(f"{name}{part}_{unit}")) for part in ("", "_low", "_high")
+    )
     if value is None or low is None or high is None:
-        return number(value)
-    decimals = decimals_of((high - low) / 4)
+        return fmt.number(value)
+    decimals = fmt.decimals_of((high - low) / 4)
     return (
-        f"{number(value, decimals, signed)} "
-        f"({number(low, decimals, signed)} – {number(high, decimals, signed)})"
+        f"{fmt.number(value, decimals, signed)} "
+        f"({fmt.number(low, decimals, signed)} – {fmt.number(high, decimals, signed)})"
     )
 
 
 def _format_robot_share(entry: dict[str, Any], name: str, unit: str) -> str:
     """The robot's share of a repeatability, or the bound below which it lies."""
-    low, high = (finite(entry.get(f"{name}_{end}_{unit}")) for end in ("low", "high"))
-    decimals = 3 if low is None or high is None else decimals_of((high - low) / 4)
-    found = finite(entry.get(f"{name}_robot_{unit}"))
+    low, high = (fmt.finite(entry.get(f"{name}_{end}_{unit}")) for end in ("low", "high"))
+    decimals = 3 if low is None or high is None else fmt.decimals_of((high - low) / 4)
+    found = fmt.finite(entry.get(f"{name}_robot_{unit}"))
     if found is not None:
-        return number(found, decimals)
-    return f"≤ {number(entry.get(f'{name}_robot_at_most_{unit}'), decimals)}"
+        return fmt.number(found, decimals)
+    return f"≤ {fmt.number(entry.get(f'{name}_robot_at_most_{unit}'), decimals)}"
 
 
 def _positions(entry: dict[str, Any]) -> doc.Table:
     measured_floor = (entry.get("noise_floor") or {}).get("source") == "holds"
     columns = (
         doc.Column("Pose", "l", doc.field("pose", str)),
-        doc.Column("Visits", "r", doc.field("visits", count)),
+        doc.Column("Visits", "r", doc.field("visits", fmt.count)),
         doc.Column("AP [mm]", "r", lambda p: _interval(p, "ap", "mm")),
-        doc.Column("of noise [mm]", "r", doc.field("ap_of_noise_mm", number)),
-        doc.Column("without bias [mm]", "r", doc.field("ap_less_bias_mm", number)),
+        doc.Column("of noise [mm]", "r", doc.field("ap_of_noise_mm", fmt.number)),
+        doc.Column("without bias [mm]", "r", doc.field("ap_less_bias_mm", fmt.number)),
         doc.Column("RP [mm]", "r", lambda p: _interval(p, "rp", "mm")),
-        doc.Column("floor [mm]", "r", doc.field("rp_floor_mm", number)),
+        doc.Column("floor [mm]", "r", doc.field("rp_floor_mm", fmt.number)),
         doc.Column("robot's RP [mm]", "r", lambda p: _format_robot_share(p, "rp", "mm")),
     )
     notes = INTERVAL_NOTE, BIAS_NOTE, FLOOR_NOTE if measured_floor else STATED_FLOOR_NOTE
@@ -250,9 +245,9 @@ def _format_scatter(axis: str, entry: dict[str, Any]) -> str:
 
 
 def _format_angle(axis: str, entry: dict[str, Any]) -> str:
-    low, high = (finite(entry.get(f"ap_{axis}_{end}_deg")) for end in ("low", "high"))
+    low, high = (fmt.finite(entry.get(f"ap_{axis}_{end}_deg")) for end in ("low", "high"))
     half = None if low is None or high is None else (high - low) / 2
-    return with_uncertainty(entry.get(f"ap_{axis}_deg"), half)
+    return fmt.with_uncertainty(entry.get(f"ap_{axis}_deg"), half)
 
 
 def _entries_with(poses: list[dict[str, Any]], key: str) -> list[dict[str, Any]]:
@@ -263,10 +258,10 @@ def _entries_with(poses: list[dict[str, Any]], key: str) -> list[dict[str, Any]]
 def _variation(poses: list[dict[str, Any]]) -> doc.Table | None:
     columns = (
         doc.Column("Pose", "l", doc.field("pose", str)),
-        doc.Column("Ways", "r", doc.field("ways", count)),
+        doc.Column("Ways", "r", doc.field("ways", fmt.count)),
         doc.Column("vAP [mm]", "r", lambda v: _interval(v, "vap", "mm")),
-        doc.Column("noise alone up to [mm]", "r", doc.field("vap_of_noise_mm", number)),
-        doc.Column("largest angle [°]", "r", doc.field("vap_deg", number)),
+        doc.Column("noise alone up to [mm]", "r", doc.field("vap_of_noise_mm", fmt.number)),
+        doc.Column("largest angle [°]", "r", doc.field("vap_deg", fmt.number)),
     )
     entries = _entries_with(poses, "variation")
     title = "Multi-directional variation vAP: barycentres of one pose, approached from other poses."
@@ -276,11 +271,11 @@ def _variation(poses: list[dict[str, Any]]) -> doc.Table | None:
 def _drift(poses: list[dict[str, Any]]) -> doc.Table | None:
     columns = (
         doc.Column("Pose", "l", doc.field("pose", str)),
-        doc.Column("Blocks", "r", doc.field("blocks", count)),
-        doc.Column("dAP [mm]", "r", doc.field("dap_mm", number)),
-        doc.Column("noise alone up to [mm]", "r", doc.field("dap_of_noise_mm", number)),
-        doc.Column("dRP [mm]", "r", doc.field("drp_mm", number)),
-        doc.Column("noise alone up to [mm]", "r", doc.field("drp_of_noise_mm", number)),
+        doc.Column("Blocks", "r", doc.field("blocks", fmt.count)),
+        doc.Column("dAP [mm]", "r", doc.field("dap_mm", fmt.number)),
+        doc.Column("noise alone up to [mm]", "r", doc.field("dap_of_noise_mm", fmt.number)),
+        doc.Column("dRP [mm]", "r", doc.field("drp_mm", fmt.number)),
+        doc.Column("noise alone up to [mm]", "r", doc.field("drp_of_noise_mm", fmt.number)),
     )
     entries = _entries_with(poses, "drift")
     title = "Drift: largest change of AP and RP from the first visits to later ones."
@@ -289,10 +284,10 @@ def _drift(poses: list[dict[str, Any]]) -> doc.Table | None:
 
 def _distances(distances: list[dict[str, Any]]) -> doc.Table:
     columns = (
-        doc.Column("From", "l", lambda d: str((d.get("poses") or (DASH, DASH))[0])),
-        doc.Column("To", "l", lambda d: str((d.get("poses") or (DASH, DASH))[1])),
-        doc.Column("Distance [mm]", "r", doc.field("commanded_mm", number, 1)),
-        doc.Column("Visits", "r", doc.field("visits", count)),
+        doc.Column("From", "l", lambda d: str((d.get("poses") or (fmt.DASH, fmt.DASH))[0])),
+        doc.Column("To", "l", lambda d: str((d.get("poses") or (fmt.DASH, fmt.DASH))[1])),
+        doc.Column("Distance [mm]", "r", doc.field("commanded_mm", fmt.number, 1)),
+        doc.Column("Visits", "r", doc.field("visits", fmt.count)),
         doc.Column("AD [mm]", "r", lambda d: _interval(d, "ad", "mm", signed=True)),
         doc.Column("RD [mm]", "r", lambda d: _interval(d, "rd", "mm")),
     )
@@ -304,11 +299,11 @@ def _distances(distances: list[dict[str, Any]]) -> doc.Table:
 def _paths(paths: list[dict[str, Any]]) -> doc.Table:
     columns = (
         doc.Column("Path", "l", doc.field("path", str)),
-        doc.Column("Passages", "r", doc.field("passages", count)),
-        doc.Column("Length [mm]", "r", doc.field("length_mm", number, 1)),
-        doc.Column("Speed [mm/s]", "r", doc.field("speed_mm_s", number, 1)),
+        doc.Column("Passages", "r", doc.field("passages", fmt.count)),
+        doc.Column("Length [mm]", "r", doc.field("length_mm", fmt.number, 1)),
+        doc.Column("Speed [mm/s]", "r", doc.field("speed_mm_s", fmt.number, 1)),
         doc.Column("AT [mm]", "r", lambda p: _interval(p, "at", "mm")),
-        doc.Column("noise alone up to [mm]", "r", doc.field("at_largest_of_noise_mm", number)),
+        doc.Column("noise alone up to [mm]", "r", doc.field("at_largest_of_noise_mm", fmt.number)),
         doc.Column("RT [mm]", "r", lambda p: _interval(p, "rt", "mm")),
         doc.Column("robot's RT [mm]", "r", lambda p: _format_robot_share(p, "rt", "mm")),
     )

@@ -6,16 +6,8 @@ import numpy as np
 import pandas as pd
 
 from reports.document import blocks as doc
+from reports.document import formatting as fmt
 from reports.document.charts import Chart, Level, Line, Mark, Panel, Points, column
-from reports.document.formatting import (
-    DASH,
-    count,
-    finite,
-    joint_names,
-    number,
-    quantity,
-    with_uncertainty,
-)
 from reports.results import Results
 from reports.session.evidence import relative_motions
 
@@ -57,7 +49,7 @@ def _blocks(results: Results) -> tuple[doc.Block, ...]:
     if not entries:
         return (doc.Paragraph(NO_SWEEPS, "note"),)
     findings = tuple(text for entry in entries for text in _findings(entry))
-    names = joint_names(sorted({entry.get("joint") for entry in entries}))
+    names = fmt.joint_names(sorted({entry.get("joint") for entry in entries}))
     nothing = (
         f"Turned alone, {names}: the encoder follows the turn about its own axis; no gear error, "
         "hysteresis or eccentricity beyond chance."
@@ -78,8 +70,8 @@ def _blocks(results: Results) -> tuple[doc.Block, ...]:
 
 def _excluded_pairs(entries: list[dict[str, Any]]) -> list[doc.Block]:
     lines = [
-        f"Left out of joint {count(entry.get('joint'))}'s sweep, as they lie off the circle beyond "
-        f"chance: pairs {', '.join(count(frame) for frame in entry['outlying_frames'])}."
+        f"Left out of joint {fmt.count(entry.get('joint'))}'s sweep, as they lie off the circle "
+        f"beyond chance: pairs {', '.join(fmt.count(frame) for frame in entry['outlying_frames'])}."
         for entry in entries
         if entry.get("outlying_frames")
     ]
@@ -99,20 +91,20 @@ def _findings(entry: dict[str, Any]) -> list[str]:
         size = _expanded(*eccentricity, unit="°", signed=False)
         findings.append(f"eccentricity {size} (k = 2), once a turn.")
     if _is_beyond_chance(entry, "nonlinearity"):
-        size = quantity(entry.get("nonlinearity_rms_deg"), "°")
-        noise = quantity(entry.get("noise_rms_deg"), "°")
+        size = fmt.quantity(entry.get("nonlinearity_rms_deg"), "°")
+        noise = fmt.quantity(entry.get("noise_rms_deg"), "°")
         findings.append(
             f"its errors follow no known curve; beside the line they are {size} rms, where noise "
             f"gives {noise}."
         )
     if _is_beyond_chance(entry, "wobble"):
-        place = quantity(entry.get("wobble_rms_mm"), "mm")
-        turn = quantity(entry.get("wobble_rms_deg"), "°")
+        place = fmt.quantity(entry.get("wobble_rms_mm"), "mm")
+        turn = fmt.quantity(entry.get("wobble_rms_deg"), "°")
         findings.append(
             f"the flange does not turn about one fixed axis; it leaves it by {place} and {turn} "
             "rms, more than noise explains."
         )
-    return [f"Joint {count(entry.get('joint'))}: {finding}" for finding in findings]
+    return [f"Joint {fmt.count(entry.get('joint'))}: {finding}" for finding in findings]
 
 
 def _is_significant(value: float | None, u: float | None) -> bool:
@@ -120,12 +112,12 @@ def _is_significant(value: float | None, u: float | None) -> bool:
 
 
 def _is_beyond_chance(entry: dict[str, Any], name: str) -> bool:
-    p = finite(entry.get(f"{name}_p_value"))
+    p = fmt.finite(entry.get(f"{name}_p_value"))
     return p is not None and p < P_SIGNIFICANT
 
 
 def _expanded(value: float | None, u: float | None, unit: str = "", signed: bool = True) -> str:
-    return with_uncertainty(value, None if u is None else COVERAGE_FACTOR * u, unit, signed)
+    return fmt.with_uncertainty(value, None if u is None else COVERAGE_FACTOR * u, unit, signed)
 
 
 def _gear_error(entry: dict[str, Any]) -> str:
@@ -138,20 +130,20 @@ def _figure(
 ) -> tuple[float | None, float | None]:
     """Take a figure of a sweep and its standard uncertainty."""
     u = entry.get(f"{name}_standard_uncertainty{unit}")
-    return finite(entry.get(f"{name}{unit}")), finite(u)
+    return fmt.finite(entry.get(f"{name}{unit}")), fmt.finite(u)
 
 
 def _table(entries: list[dict[str, Any]]) -> doc.Table:
     columns = (
         doc.Column("Joint", "c", doc.field("joint")),
-        doc.Column("Pairs", "r", doc.field("pairs", count)),
-        doc.Column("Swept [°]", "r", doc.field("span_deg", number, 1)),
+        doc.Column("Pairs", "r", doc.field("pairs", fmt.count)),
+        doc.Column("Swept [°]", "r", doc.field("span_deg", fmt.number, 1)),
         doc.Column("Gear error [%]", "r", _gear_error),
         doc.Column("Hysteresis [°]", "r", lambda e: _expanded(*_figure(e, "hysteresis"))),
         doc.Column("Eccentricity [°]", "r", _eccentricity),
-        doc.Column("Beside the line [°]", "r", doc.field("nonlinearity_rms_deg", number)),
-        doc.Column("Noise gives [°]", "r", doc.field("noise_rms_deg", number)),
-        doc.Column("Off the axis [mm]", "r", doc.field("wobble_rms_mm", number, 2)),
+        doc.Column("Beside the line [°]", "r", doc.field("nonlinearity_rms_deg", fmt.number)),
+        doc.Column("Noise gives [°]", "r", doc.field("noise_rms_deg", fmt.number)),
+        doc.Column("Off the axis [mm]", "r", doc.field("wobble_rms_mm", fmt.number, 2)),
     )
     title = "Each joint's encoder against the turn about its own axis; ± U with k = 2."
     return doc.tabulate(title, columns, entries, TABLE_NOTE)
@@ -161,10 +153,10 @@ def _eccentricity(entry: dict[str, Any]) -> str:
     """An amplitude that chance explains is no value but a bound."""
     value, u = _figure(entry, "eccentricity")
     if value is None or u is None:
-        return DASH
+        return fmt.DASH
     if entry.get("eccentricity_beyond_chance"):
         return _expanded(value, u, signed=False)
-    return f"< {quantity(value + COVERAGE_FACTOR * u, '')}"
+    return f"< {fmt.quantity(value + COVERAGE_FACTOR * u, '')}"
 
 
 def _chart(results: Results) -> Chart | None:
@@ -172,7 +164,7 @@ def _chart(results: Results) -> Chart | None:
     if not len(table) or not {"sweep", "joint"} <= set(table.columns):
         return None
     panels = [
-        _panel(part, f"joint {count(joint)}")
+        _panel(part, f"joint {fmt.count(joint)}")
         for (_, joint), part in table.groupby(["sweep", "joint"], sort=True)
     ]
     return Chart(tuple(panels), columns=2 if len(panels) > 1 else 1, row_height=1.7)

@@ -64,8 +64,7 @@ class Comparison:
     @property
     def reading_noise(self) -> Array:
         """Standard deviation of one reading, (j,), rad, from what it does to a rate."""
-        noise: Array = np.sqrt(2 * self.rate_variance) * RATE_SPAN
-        return noise
+        return np.sqrt(2 * self.rate_variance) * RATE_SPAN
 
 
 @dataclass(frozen=True, slots=True)
@@ -199,11 +198,9 @@ def _complete_poses(
     """Move measured poses along what their LEDs leave open to where the readings are nearest.
 
     A gauge, not a value: the LEDs that were seen stay where they are. The flange's origin moves
-    about them, and with it the point that twists refer to.
-
-    Returns:
-        The poses, what is determined there (functionals of twists at the new origin), and the
-        matrices (n, 6, 6) that carry twists from the old origin to the new one.
+    about them, and with it the point that twists refer to. Returns the poses, what is determined
+    there (functionals of twists at the new origin), and the matrices (n, 6, 6) that carry twists
+    from the old origin to the new one.
     """
     filled, known = measured.copy(), list(determined)
     carry = np.tile(np.eye(6), (len(measured), 1, 1))

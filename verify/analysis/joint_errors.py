@@ -133,8 +133,7 @@ def predict_errors(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
     """The whitened errors that the fit describes, held columns included, (r,)."""
     free = resolved_design(model, resolved.causes)[0] @ resolved.fit.value
     held = np.concatenate([model.prior, resolved.common], axis=1)
-    described: Array = free + held @ resolved.fit.held
-    return described
+    return free + held @ resolved.fit.held
 
 
 def common_columns(model: JointErrorModel, causes: Sequence[Fault]) -> Array:
@@ -244,8 +243,7 @@ def effective_degrees(
 def coverage_factor(degrees: Array) -> Array:
     """Coverage factor for 95.45 %: 2 above MIN_LARGE_DOF degrees of freedom, else Student's."""
     exact = t_ppf(P_TWO_SIGMA, np.maximum(np.nan_to_num(degrees, nan=np.inf), 1.0))
-    factor: Array = np.where(degrees > MIN_LARGE_DOF, 2.0, exact)
-    return factor
+    return np.where(degrees > MIN_LARGE_DOF, 2.0, exact)
 
 
 def mean_errors(

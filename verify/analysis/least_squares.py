@@ -143,8 +143,7 @@ def residual_products(columns: Array, target: Array, prior: Array | None = None)
     left, size, _ = np.linalg.svd(design, full_matrices=False)
     basis = left[:, size > TOL_RANK * size[0]] if len(size) else left[:, :0]
     remaining = wanted - basis @ (basis.T @ wanted)
-    products: Array = remaining.T @ remaining
-    return products
+    return remaining.T @ remaining
 
 
 def _triangular_factor(*parts: Array) -> Array:

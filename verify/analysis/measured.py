@@ -221,11 +221,7 @@ def _apart(folder: Path, t: Array, reading_t: Array) -> tuple[Path, str, str]:
 
 
 def refuse_time_unit(folder: Path, t: Array, reading_t: Array) -> None:
-    """Refuse readings whose times (m,) would fit those of the pairs (n,), s, in another unit.
-
-    Raises:
-        InputError: names the unit.
-    """
+    """Raise InputError for readings whose times (m,) fit the pairs' (n,), s, in another unit."""
     if min(len(t), len(reading_t)) < 2:
         return
     step = float(np.median(np.diff(reading_t)))

@@ -78,7 +78,6 @@ class JointErrorModel:
     prior: Array  # (r, p), columns of unit variance: everything stated that does not average out
     prior_columns: Array  # (n, 6, p), the same before whitening
     through_encoders: bool  # base or LEDs were fitted through the robot's own encoders
-    clock_open: bool  # the arm moves, but not so that its clock can be told from an offset
     stands_in: bool  # the registration's motion is not known; this session's stands for it
 
     @property
@@ -126,7 +125,6 @@ def build_model(
         prior=white.rows(held),
         prior_columns=held,
         through_encoders=base or body,
-        clock_open=clock.source == "none" and open_clock,
         stands_in=(base or body) and rig.absorption is None,
     )
 

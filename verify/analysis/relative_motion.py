@@ -146,8 +146,7 @@ def _motion_covariance(own: Array, shared: Array) -> Array:
     whole = np.zeros((count, 2, count, 2))
     np.einsum("iaib->iab", whole)[:] = own
     columns = shared.reshape(2 * count, -1)
-    total: Array = whole.reshape(2 * count, -1) + columns @ columns.T
-    return total
+    return whole.reshape(2 * count, -1) + columns @ columns.T
 
 
 def _detectable(begin: Array, end: Array, weight: Array) -> Array:
@@ -157,5 +156,4 @@ def _detectable(begin: Array, end: Array, weight: Array) -> Array:
     told = np.einsum("rj,rs,sj->j", columns, weight, columns)
     hidden = np.linalg.norm(columns, axis=0) < TOL_ROUNDING * single
     detectable = DETECTION_SIGMA / np.sqrt(np.where(hidden, 1.0, told))
-    shows: Array = np.where(hidden | (detectable > MAX_OFFSET), np.inf, detectable)
-    return shows
+    return np.where(hidden | (detectable > MAX_OFFSET), np.inf, detectable)

@@ -85,8 +85,7 @@ def _judge(
 
 def _within(error: Array, u: Array, tolerance: float) -> Array:
     safe = np.where(u > 0, u, 1e-300)
-    inside: Array = norm_cdf((tolerance - error) / safe) - norm_cdf((-tolerance - error) / safe)
-    return inside
+    return norm_cdf((tolerance - error) / safe) - norm_cdf((-tolerance - error) / safe)
 
 
 def agreed_verdict(verdicts: Sequence[Verdict]) -> Verdict:

@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.transforms import difference
+from robots.transforms import cross_matrix, difference
 from verify.core.records import Array
 
 MIN_POSES = 3  # poses: two relative motions about different axes
@@ -102,14 +102,7 @@ def _translations(a: Array, b: Array, y_rotation: Array) -> tuple[Array, float]:
     return solution, float(np.linalg.norm(target - design @ solution))
 
 
-def cross_matrices(vectors: Array) -> Array:
-    """Matrices of v × ., (n, 3, 3), of vectors (n, 3)."""
-    x, y, z = vectors.T
-    zero = np.zeros_like(x)
-    return np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1).reshape(-1, 3, 3)
-
-
 def rigid_columns(points: Array) -> Array:
     """Derivative (n, 3, 6) of points (n, 3) by a rigid motion: shift, turn about the origin."""
     shift = np.tile(np.eye(3), (len(points), 1, 1))
-    return np.concatenate([shift, -cross_matrices(points)], axis=2)
+    return np.concatenate([shift, -cross_matrix(points)], axis=2)

@@ -7,12 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from verify.cli.options import (
-    JointTolerance,
-    OrientationTolerance,
-    PositionTolerance,
-    ToleranceOptions,
-)
+from verify.cli import options as option
 from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
 from verify.errors import InputError
@@ -32,9 +27,9 @@ def batch(
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Where to; what is done there is not done again.")
     ] = Path("fleet-report"),
-    tolerance: JointTolerance = None,
-    position_tolerance: PositionTolerance = None,
-    orientation_tolerance: OrientationTolerance = None,
+    tolerance: option.JointTolerance = None,
+    position_tolerance: option.PositionTolerance = None,
+    orientation_tolerance: option.OrientationTolerance = None,
     workers: Annotated[
         int | None, typer.Option(min=1, help="Processes here; default: one a processor.")
     ] = None,
@@ -67,7 +62,7 @@ def batch(
     from verify.fleet.batch.store import require_writable
     from verify.fleet.trends.assess import require_folders
 
-    tolerances = ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
+    tolerances = option.ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
     request = _trend_request(by, since, compare)
     with closing(_worker_pool(workers, scheduler)) as pool:  # its workers load meanwhile
         found, failures = find_sessions(folders, out)

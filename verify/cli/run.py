@@ -6,19 +6,7 @@ from typing import Annotated
 
 import typer
 
-from verify.cli.options import (
-    JointTolerance,
-    OrientationTolerance,
-    PageAddress,
-    PageOptions,
-    PagePort,
-    PageToken,
-    PositionTolerance,
-    ToleranceOptions,
-    WriteIntoFolder,
-    parse_duration,
-    refuse_options,
-)
+from verify.cli import options as option
 from verify.cli.terminal import terminal
 from verify.errors import WatchDefectError
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
@@ -35,10 +23,10 @@ def run(
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Where to; default: NAME-report, here.")
     ] = None,
-    tolerance: JointTolerance = None,
-    position_tolerance: PositionTolerance = None,
-    orientation_tolerance: OrientationTolerance = None,
-    force: WriteIntoFolder = False,
+    tolerance: option.JointTolerance = None,
+    position_tolerance: option.PositionTolerance = None,
+    orientation_tolerance: option.OrientationTolerance = None,
+    force: option.WriteIntoFolder = False,
     new_station: Annotated[
         bool,
         typer.Option("--new-station", help="Write a commented station file, and do nothing else."),
@@ -47,7 +35,7 @@ def run(
         float | None,
         typer.Option(
             "--for",
-            parser=parse_duration,
+            parser=option.parse_duration,
             metavar="<str>",
             help="Station: how long to watch: 60s, 10m, 1.5h.",
         ),
@@ -59,9 +47,9 @@ def run(
     page: Annotated[
         bool, typer.Option("--page", help="Station: serve a page for the browser.")
     ] = False,
-    page_port: PagePort = DEFAULT_PORT,
-    page_address: PageAddress = LOOPBACK,
-    page_token: PageToken = None,
+    page_port: option.PagePort = DEFAULT_PORT,
+    page_address: option.PageAddress = LOOPBACK,
+    page_token: option.PageToken = None,
 ) -> int:
     """Measure a recorded session or a moving robot, compare with the encoders, judge, report.
 
@@ -77,9 +65,9 @@ def run(
         return _new_station(source)
     if source is None:
         raise typer.BadParameter("name a session's folder or a station file")
-    tolerances = ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
+    tolerances = option.ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
     if source.is_dir() or source.suffix != ".toml":
-        refuse_options(
+        option.refuse_options(
             {"--for": duration is not None, "--on-alarm": on_alarm is not None, "--page": page},
             "was given with a recorded session", "it is for stations",
             "Leave it out, or name a station file.",
@@ -87,17 +75,17 @@ def run(
         from verify.cli.measure import measure_and_report
 
         return EXIT_STATUS[measure_and_report(source, out, tolerances, force=force)]
-    shown = PageOptions(page_port, page_address, page_token) if page else None
+    shown = option.PageOptions(page_port, page_address, page_token) if page else None
     return _run_live(source, out, tolerances, duration, on_alarm, shown, force=force)
 
 
 def _run_live(
     source: Path,
     out: Path | None,
-    tolerances: ToleranceOptions,
+    tolerances: option.ToleranceOptions,
     duration: float | None,
     on_alarm: str | None,
-    page: PageOptions | None,
+    page: option.PageOptions | None,
     *,
     force: bool,
 ) -> int:

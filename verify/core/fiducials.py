@@ -58,8 +58,7 @@ class Board:
         """Inner corners in the board's frame, (columns * rows, 3), m, along x first."""
         y, x = np.mgrid[: self.rows, : self.columns]
         flat = np.stack([x.ravel(), y.ravel(), np.zeros(len(self))], axis=1)
-        points: Array = flat * self.square
-        return points
+        return flat * self.square
 
 
 @dataclass(frozen=True, slots=True)

@@ -51,6 +51,11 @@ class Readings:
             available[gaps] = (np.minimum(since, until) <= HOLD_TIME) & self._at_rest[nearest]
         return available
 
+    def instants(self, step: float) -> Array:
+        """Instants so many s apart wherever there are readings, (g,) s."""
+        bursts = np.split(self.t, np.flatnonzero(np.diff(self.t) > MAX_GAP) + 1)
+        return np.concatenate([np.arange(b[0], b[-1] + step, step) for b in bursts])
+
     @cached_property
     def _at_rest(self) -> NDArray[np.bool_]:
         """Whether the arm stood still at a reading beside a gap, as its burst shows, (m,)."""
@@ -113,8 +118,7 @@ class Readings:
         """
         held = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
         thresholds = np.maximum(5 * self.noise, MIN_TRAVEL)
-        last: Array = travel_directions(self._contiguous[1], thresholds)[held].astype(np.float64)
-        return last
+        return travel_directions(self._contiguous[1], thresholds)[held].astype(np.float64)
 
 
 def _as_contiguous(values: Array) -> Array:

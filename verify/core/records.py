@@ -116,8 +116,7 @@ class Pose:
     @property
     def covariance(self) -> Array:
         """Covariance of what varies from pair to pair, (6, 6), m and rad."""
-        total: Array = self.covariance_pixels + self.covariance_alignment
-        return total
+        return self.covariance_pixels + self.covariance_alignment
 
     @property
     def reprojection_rms_px(self) -> float:

@@ -61,8 +61,7 @@ class Camera:
     def to_pixels(self, distorted: Array) -> Array:
         """Carry distorted normalised coordinates (..., 2) to pixels."""
         k = self.matrix
-        pixels: Array = distorted @ k[:2, :2].T + k[:2, 2]
-        return pixels
+        return distorted @ k[:2, :2].T + k[:2, 2]
 
     def normalise(self, pixels: Array) -> Array:
         """Invert lens and matrix: (..., 2) px to undistorted normalised coordinates (x/z, y/z).
@@ -148,6 +147,11 @@ class Covariance:
     correlation: Array  # (p, p)
     degrees_of_freedom: float | None = None
     temperature_c: float | None = None
+
+    @property
+    def by_name(self) -> dict[str, float]:
+        """Standard uncertainties by the parameters' names."""
+        return dict(zip(self.parameters, self.standard_uncertainty.tolist(), strict=True))
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,4 @@
-"""Tail probabilities and quantiles of the chi², Student and normal laws, named as in scipy.stats.
+"""Tail probabilities and quantiles of the chi², Student and normal laws, as in scipy.stats.
 
 Taken from scipy.special: importing scipy.stats takes a third of a second, in every process.
 """
@@ -20,6 +20,14 @@ _gammaincinv: _Ufunc = _special.gammaincinv
 _stdtrit: _Ufunc = _special.stdtrit
 _ndtri: _Ufunc = _special.ndtri
 _ndtr: _Ufunc = _special.ndtr
+
+
+def correlation(covariance: Array) -> Array:
+    """Correlations (n, n) of a covariance; NaN where a variance is 0 or not known."""
+    sigma = np.sqrt(np.diag(covariance))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        found: Array = covariance / np.outer(sigma, sigma)
+    return found
 
 
 def chi2_isf(share: ArrayLike, degrees: ArrayLike) -> Array:

@@ -123,12 +123,10 @@ class SerialPort:
 
 
 def open_port(address: str, line: SerialLine) -> Port:
-    """Open a line to a device.
+    """Open a line to a device; `line` is how a serial one is set.
 
-    Args:
-        address: `tcp:HOST:PORT` (or `socket://HOST:PORT`), `udp:HOST:PORT`, or what pyserial's
-            serial_for_url takes: a device's path or name, `rfc2217://…`, `loop://`, `spy://…`.
-        line: how a serial line is set.
+    The address is `tcp:HOST:PORT` (or `socket://HOST:PORT`), `udp:HOST:PORT`, or what pyserial's
+    serial_for_url takes: a device's path or name, `rfc2217://…`, `loop://`, `spy://…`.
 
     Raises:
         OSError: it cannot be opened now.
@@ -161,11 +159,7 @@ def open_port(address: str, line: SerialLine) -> Port:
 
 
 def host_and_port(text: str, address: str) -> tuple[str, int]:
-    """Take `HOST:PORT` apart; [brackets] hold an IPv6 address.
-
-    Raises:
-        InputError: no port from 0 to 65535.
-    """
+    """Take `HOST:PORT` apart, an IPv6 address in [brackets]; InputError: no port, 0 to 65535."""
     host, _, port = text.rpartition(":")
     if not host or not port.isascii() or not port.isdigit() or int(port) > 65535:
         expected, remedy = "HOST:PORT is expected", "Example: tcp:192.168.0.20:10001"
@@ -228,12 +222,9 @@ class Chunk:
 
 
 class PortLink:
-    """Keeps one port open for a driver.
+    """Keeps one port open for a driver, by the name that the user wrote.
 
-    Args:
-        name: the port as the user wrote it, for sentences.
-        open_port: opens it; raises OSError while that is not possible.
-        now: the host's monotonic clock, s.
+    To open it may raise OSError while that is not possible. `now` is the host's monotonic clock, s.
     """
 
     def __init__(

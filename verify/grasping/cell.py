@@ -176,10 +176,7 @@ class Cell:
 
 
 def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
-    """Read and check a grab.toml.
-
-    Returns:
-        The cell, and a warning for each key that the format does not know.
+    """Read and check a grab.toml; a warning for each key that the format does not know.
 
     Raises:
         InputError: names the file, the key, what stands there, what should, and what to do.

@@ -15,15 +15,9 @@ from robots.transforms import carry, invert
 from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.grasping.cell import WatchdogLimits
+from verify.grasping.control import states
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.loop import GraspLoop
-from verify.grasping.control.states import (
-    MOVING_STATES,
-    TRANSITIONS_BY_EVENT,
-    GraspEvent,
-    StateChange,
-    StateMachine,
-)
 from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan, GraspPlanner
 from verify.grasping.record.rows import plan_fields
@@ -39,11 +33,11 @@ N_PATH_POINTS = 24  # points of a planned motion
 SILENCE_TIMEOUT = 1.0  # s without a cycle of the loop, and the page says so
 
 
-def missing_conditions(machine: StateMachine) -> str | None:
+def missing_conditions(machine: states.StateMachine) -> str | None:
     """Name what a grasp still needs; empty: it may be ordered; None: no order in this state."""
-    if (machine.state, GraspEvent.GRAB) not in TRANSITIONS_BY_EVENT:
+    if (machine.state, states.GraspEvent.GRAB) not in states.TRANSITIONS_BY_EVENT:
         return None
-    return ", ".join(sorted(need.value for need in machine.lacks(GraspEvent.GRAB)))
+    return ", ".join(sorted(need.value for need in machine.lacks(states.GraspEvent.GRAB)))
 
 
 def device_status(
@@ -163,7 +157,7 @@ class LoopSnapshot:
 
     at: float  # s, this computer's monotonic clock
     cycle: LoopCycle
-    passages: tuple[StateChange, ...]
+    passages: tuple[states.StateChange, ...]
     planned: GraspPlan | GraspRefusal | None
     lacks: str | None  # for the grab; empty: it may be ordered; None: it is no order in this state
     may_choose: bool
@@ -298,13 +292,13 @@ class GraspPageSource:
             "elapsed_s": round(cycle.t - (self._began or 0.0), 1),
             "state": cycle.state.value,
             "reason": cycle.reason,
-            "moving": cycle.state in MOVING_STATES,
+            "moving": cycle.state in states.MOVING_STATES,
             "passages": len(shown.passages),
             "grab_lacks": shown.lacks,
             "may_choose": shown.may_choose,
         }
 
-    def _passage(self, passage: StateChange) -> dict[str, Any]:
+    def _passage(self, passage: states.StateChange) -> dict[str, Any]:
         return {
             "elapsed_s": round(passage.t - (self._began or 0.0), 2),
             "state": passage.target.value,

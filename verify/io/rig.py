@@ -121,8 +121,7 @@ def _correlation(path: Path, matrix: Array) -> Array:
     least = float(np.linalg.eigvalsh(matrix)[0])
     if least < -TOL_CORRELATION:
         raise refused(f"has the eigenvalue {least:.2g}", "no variance is negative")
-    symmetric: Array = (matrix + matrix.T) / 2
-    return symmetric
+    return (matrix + matrix.T) / 2
 
 
 class CameraTable(msgspec.Struct, kw_only=True):

@@ -165,10 +165,7 @@ def _is_too_fast(t: Array, q: Array, lag: int) -> NDArray[np.bool_]:
     """Whether q (m, j), rad, changes faster over `lag` readings than an arm turns, (m - lag, j)."""
     fastest = np.maximum(MAX_SPEED * (t[lag:] - t[:-lag])[:, None], MIN_SPIKE)
     typical = np.median(np.abs(np.diff(q, axis=0)), axis=0)
-    too_fast: NDArray[np.bool_] = np.abs(q[lag:] - q[:-lag]) > np.maximum(
-        fastest, MIN_SPIKE_RATIO * typical
-    )
-    return too_fast
+    return np.abs(q[lag:] - q[:-lag]) > np.maximum(fastest, MIN_SPIKE_RATIO * typical)
 
 
 def _spikes(t: Array, q: Array) -> NDArray[np.bool_]:

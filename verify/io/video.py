@@ -21,12 +21,7 @@ import numpy as np
 
 from verify.core.records import Image
 from verify.errors import InputError
-from verify.io.files import (
-    read_bytes,
-    refused_as_input_error,
-    require_file,
-    require_memory,
-)
+from verify.io import files
 
 _SLICE_FOOTER = 8  # bytes: slice size (3), error status (1), CRC-32 (4)
 _PNG_SIGNATURE = b"\x89PNG\r\n\x1a\n"
@@ -163,7 +158,7 @@ class Video(Images):
 
     @contextmanager
     def _opened(self, *options: int) -> Iterator[cv2.VideoCapture]:
-        require_file(self.path)
+        files.require_file(self.path)
         if cv2.getNumThreads() == 1:
             options = (*options, cv2.CAP_PROP_N_THREADS, 1)
         # the full path, which no protocol of ffmpeg's (http:, concat:) can be mistaken for
@@ -181,7 +176,7 @@ class NumberedImages(Images):
 
     def count(self, torn: bool = False) -> int:
         """Count the images; none may be missing in between."""
-        with refused_as_input_error(self.path):
+        with files.refused_as_input_error(self.path):
             names = sorted(e.name for e in self.path.iterdir() if _NUMBERED.fullmatch(e.name))
         if torn:
             count = 0
@@ -261,7 +256,7 @@ def _length_refusal(side: Images, number: int, count: int) -> InputError:
 
 def _decoder_refusal(path: Path, found: str) -> InputError:
     """Word what a decoder, which gives no reason, does not take."""
-    require_memory(path)
+    files.require_memory(path)
     return InputError(path, found, "", _REMEDY)
 
 
@@ -275,13 +270,13 @@ def decode_picture(file: Path, kind: str, remedy: str) -> Image:
     Raises:
         InputError: it cannot be read, is damaged, no picture, or deeper than 8 bits.
     """
-    data = read_bytes(file)
+    data = files.read_bytes(file)
     image = None
     if file.suffix.lower() != ".png" or png_intact(data):  # libpng fills a hole without an error
         with suppress(cv2.error):  # more pixels than OpenCV decodes
             image = cv2.imdecode(np.frombuffer(data, dtype=np.uint8), _FLAGS)
     if image is None:
-        require_memory(file)
+        files.require_memory(file)
         raise InputError(file, f"is damaged or no {kind}", "", remedy)
     if image.dtype != np.uint8:
         raise _depth_refusal(file, 8 * image.dtype.itemsize)

@@ -133,14 +133,9 @@ class ReadingBuffer:
         return float(np.median(-np.diff(latest))) if len(latest) > 2 else None
 
     def wait_past(self, t: float, deadline: float) -> EncoderReading | None:
-        """Wait for the first reading at or after an instant.
+        """Wait for the first reading at or after t, s, controller's clock; None: it came too late.
 
-        Args:
-            t: s, controller's clock.
-            deadline: s, host's monotonic clock.
-
-        Returns:
-            That reading; None if it did not come in time.
+        The deadline is in s of the host's monotonic clock.
         """
         with self._arrived:
             self._arrived.wait_for(

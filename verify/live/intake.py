@@ -82,10 +82,8 @@ class PairQueue:
 class PollingThread:
     """A thread that calls a function until it is stopped.
 
-    Args:
-        name: of the thread.
-        step: reads once, within a fraction of a second; False if nothing came.
-        failed: called with an error of the step; the thread goes on.
+    A step reads once, within a fraction of a second; False if nothing came. `failed` is called with
+    its error; the thread goes on.
     """
 
     def __init__(

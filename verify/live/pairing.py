@@ -33,10 +33,7 @@ class Pairing:
 
     A partner within half a period cannot be beaten by a picture that is still to come, so nothing
     waits for longer than its own partner takes. Pictures of a pair rise strictly in time on either
-    side.
-
-    Args:
-        period: s, of the slower camera; None has it found from the pictures.
+    side. The period, s, is the slower camera's; None has it found from the pictures.
     """
 
     def __init__(self, period: float | None = None) -> None:
@@ -74,8 +71,7 @@ class Pairing:
     def add(self, side: int, frame: CameraFrame, arrived: float) -> FramePair | None:
         """Take a picture of the left (0) or right (1) camera, arrived now (s, host's monotonic).
 
-        Returns:
-            The pair that it completes, if it does.
+        Returns the pair that it completes, if it does.
         """
         times = self._times[side]
         if times and frame.t <= times[-1]:

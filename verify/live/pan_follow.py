@@ -30,10 +30,8 @@ class PanFollower:
     def look(self, pair: StereoPair, measurement: Measurement, expected: ExpectedPoses) -> None:
         """Order a turn if the LEDs are too far from an optical axis.
 
-        Args:
-            pair: has the bases' angles.
-            measurement: of that pair.
-            expected: used for pairs that show no pose; of several poses none is used.
+        The pair has the bases' angles; `expected` is used for pairs that show no pose; of several
+        poses none is used.
         """
         if measurement.pose is not None:
             rig_T_flange = measurement.pose.rig_T_flange

@@ -129,15 +129,12 @@ class _CausalPair:
 def measure(
     pairs: Iterable[StereoPair], setup: Setup, *, causal: bool = False
 ) -> Iterator[Measurement]:
-    """Measure the flange's pose in each stereo pair.
+    """Measure the flange's pose in each stereo pair: a settled measurement a pair, in order.
 
     Pairs are streamed in time order; two are held at most. `causal`: give each pair by those before
-    it too, at once (`settled` is False).
-
-    Yields:
-        One settled measurement a pair, in order, once its successor is there: both neighbours show
-        its motion. A pair that cannot be measured has a status with the reason. The first pair,
-        also after a gap, borrows the motion of its successor.
+    it too, at once (`settled` is False). One is settled once its successor is there: both
+    neighbours show its motion. A pair that cannot be measured has a status with the reason. The
+    first pair, also after a gap, borrows the motion of its successor.
     """
     held: _AssignedPair | None = None  # the first pair of a burst, until its successor is there
     now: _CausalPair | None = None

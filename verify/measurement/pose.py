@@ -195,8 +195,7 @@ def _determined_functionals(fit: _PoseFit) -> Array:
     if known.all():
         return np.eye(6)
     hidden = directions[:, ~known] * SCALE[:, None]
-    across: Array = np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
-    return across
+    return np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
 
 
 def _excess_variance(views: SightingStack, marker: Marker) -> Array:

@@ -158,5 +158,4 @@ def _pan(sighting: Sighting | None) -> float:
 
 def _rotate_blocks(turn: Array, matrices: list[Array]) -> Array:
     stack = np.array(matrices).reshape(-1, 6, 6)
-    turned: Array = turn @ stack @ turn.T
-    return turned
+    return turn @ stack @ turn.T

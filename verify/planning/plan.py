@@ -7,13 +7,8 @@ import numpy as np
 
 from verify.core.records import Array
 from verify.errors import InputError
+from verify.planning import foresight
 from verify.planning.constraints import PostureConstraints
-from verify.planning.foresight import (
-    PredictedAnalysis,
-    PredictedSession,
-    estimate_means,
-    simulate_session,
-)
 from verify.planning.prediction import (
     ClockPrediction,
     FaultPrediction,
@@ -35,8 +30,8 @@ STAGES = ("postures in view", "poses", "session foreseen")
 class SessionPrediction:
     """Results that a motion is predicted to give."""
 
-    session: PredictedSession
-    analysis: PredictedAnalysis
+    session: foresight.PredictedSession
+    analysis: foresight.PredictedAnalysis
     faults: list[FaultPrediction]
     clock: ClockPrediction
     geometry: PredictedIdentifiability | None
@@ -96,7 +91,7 @@ def predict_session(
     Raises:
         InputError: no pair of it could be measured.
     """
-    session = simulate_session(setup, motion, t, conditions, request.view_angle, rng)
+    session = foresight.simulate_session(setup, motion, t, conditions, request.view_angle, rng)
     if session is None:
         raise InputError(
             "plan", f"none of {len(t)} pairs could be measured",
@@ -106,7 +101,7 @@ def predict_session(
     geometry = "kinematics" in request.observe
     return SessionPrediction(
         session,
-        estimate_means(session),
+        foresight.estimate_means(session),
         predict_faults(session.model, request.observe),
         predict_clock(session),
         predict_geometry(setup, session.model) if geometry else None,

@@ -121,8 +121,7 @@ def predict_geometry(setup: PlanningSetup, model: JointErrorModel) -> PredictedI
 
 def _unit(columns: Array) -> Array:
     size = np.linalg.norm(columns, axis=0)
-    unit: Array = columns / np.where(size > 0, size, 1.0)
-    return unit
+    return columns / np.where(size > 0, size, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

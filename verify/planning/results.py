@@ -9,6 +9,7 @@ import pandas as pd
 
 import robots
 from reports import Results
+from verify.analysis.results.entries import correlation_entry, finite_number
 from verify.core.records import Array, Measurement
 from verify.core.version import __version__
 from verify.planning.links import LinkChain
@@ -145,7 +146,7 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         "conditions": _conditions(origin.conditions),
         "image_size": list(origin.setup.rig.image_size),
         "joints": _joints(predicted, timed),
-        "joint_error_correlation": _correlation(predicted.analysis.means.covariance),
+        "joint_error_correlation": correlation_entry(predicted.analysis.means.covariance),
         "clock": _clock(predicted),
         "geometry": None if predicted.geometry is None else _geometry(predicted.geometry),
         "through_encoders": session.model.through_encoders,
@@ -216,21 +217,21 @@ def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, 
             "joint": j + 1,
             "standard_uncertainty_deg": _deg(spread[j]),
             "expanded_uncertainty_deg": _deg(means.coverage_factor[j] * spread[j]),
-            "coverage_factor": _number(means.coverage_factor[j]),
-            "visible_fraction": _number(visible.fraction[j]),
-            "visible_fraction_since_registration": _number(visible.fraction_since[j]),
+            "coverage_factor": finite_number(means.coverage_factor[j]),
+            "visible_fraction": finite_number(visible.fraction[j]),
+            "visible_fraction_since_registration": finite_number(visible.fraction_since[j]),
             "minimum_detectable_error_deg": _deg(visible.detectable[j]),
             "minimum_separable_error_deg": _deg(visible.separable[j]),
             "lowest_deg": _deg(q[:, j].min()),
             "highest_deg": _deg(q[:, j].max()),
             "greatest_speed_deg_s": _deg(speed[j]),
-            "upward_share": _number(upward[j]),
+            "upward_share": finite_number(upward[j]),
             "kinds": [
                 {
                     "kind": one.name,
                     "unit": one.unit,
-                    "standard_uncertainty": _number(one.standard_uncertainty[j] / one.scale),
-                    "minimum_detectable": _number(one.detectable[j] / one.scale),
+                    "standard_uncertainty": finite_number(one.standard_uncertainty[j] / one.scale),
+                    "minimum_detectable": finite_number(one.detectable[j] / one.scale),
                 }
                 for one in predicted.faults
             ],
@@ -269,14 +270,5 @@ def _geometry(found: PredictedIdentifiability) -> dict[str, Any]:
     }
 
 
-def _correlation(covariance: Array) -> list[list[float | None]]:
-    sigma = np.sqrt(np.diag(covariance))
-    return [[_number(value) for value in row] for row in covariance / np.outer(sigma, sigma)]
-
-
 def _deg(value: float) -> float | None:
-    return _number(np.rad2deg(value))
-
-
-def _number(value: float) -> float | None:
-    return float(value) if np.isfinite(value) else None
+    return finite_number(np.rad2deg(value))

@@ -5,11 +5,6 @@ drawn over the whole range and then about known ones (STRAY_SIGMA); edges are st
 N_NEIGHBOURS nearest, checked every LEG_STEP. An edge's length is the turn of the slowest joint,
 max_j |dq_j|. The largest connected set is kept. The tour through the chosen poses is the nearest
 next, improved by reversing parts (2-opt).
-
-State of `Roadmap`:
-    q       (n, j) postures, rad
-    time    (n, n) length of the shortest path, rad
-    before  (n, n) the node before the column's on the path from the row's
 """
 
 from dataclasses import dataclass

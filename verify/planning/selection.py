@@ -6,13 +6,8 @@ import numpy as np
 
 from verify.core.records import Array
 from verify.errors import InputError
+from verify.planning import design
 from verify.planning.constraints import PostureConstraints, Rows
-from verify.planning.design import (
-    DesignInformation,
-    choose_poses,
-    design_information,
-    log_information,
-)
 from verify.planning.foresight import simulate_session
 from verify.planning.request import SessionConditions
 from verify.planning.roadmap import Roadmap, plan_tour
@@ -31,7 +26,7 @@ class PoseSelection:
     constraints: PostureConstraints
     roadmap: Roadmap
     conditions: SessionConditions
-    rows: DesignInformation
+    rows: design.DesignInformation
     node: Rows  # of each candidate, its posture in the roadmap
 
     def motion(self) -> TimedMotion:
@@ -82,8 +77,8 @@ class PoseSelection:
         """The motion through the best poses, and how much it tells: ln det of the information."""
         setup, request = self.constraints.setup, self.constraints.request
         rows = self.rows
-        part = DesignInformation(rows.requested[among], rows.others[among], rows.prior)
-        chosen = among[choose_poses(part, count)]
+        part = design.DesignInformation(rows.requested[among], rows.others[among], rows.prior)
+        chosen = among[design.choose_poses(part, count)]
         stops = plan_tour(
             self.constraints, self.roadmap, self.node[chosen].tolist(), back=request.there_and_back
         )
@@ -91,7 +86,7 @@ class PoseSelection:
         # the pairs of the whole motion, shared out over its poses
         each = self.conditions.rate * timed.duration / len(chosen)
         times = each / _pairs(self.conditions, request.hold)
-        return timed, log_information(rows, chosen.tolist(), times)
+        return timed, design.log_information(rows, chosen.tolist(), times)
 
 
 def predict_visits(
@@ -122,7 +117,7 @@ def predict_visits(
             "an LED body without symmetry, or of several colours, can", "Change the marker.",
         )  # fmt: skip
     weight = _pairs(conditions, request.hold)
-    rows = design_information(setup, session.model, request.observe, weight)
+    rows = design.design_information(setup, session.model, request.observe, weight)
     node = session.track.frame[session.comparison.index].astype(np.int64)
     return PoseSelection(constraints, roadmap, conditions, rows, node)
 

@@ -4,8 +4,8 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from reports.document import charts, formatting
-from reports.document.formatting import finite, number, quantity
+from reports.document import charts
+from reports.document import formatting as fmt
 from reports.results import Results
 from reports.session import phrases
 
@@ -22,7 +22,7 @@ def correlation(results: Results) -> charts.Chart | None:
     values = charts.square(rows, len(names))
     if len(names) < 2 or not np.isfinite(values).any():
         return None
-    text = tuple(tuple(number(v, 2) for v in line) for line in values)
+    text = tuple(tuple(fmt.number(v, 2) for v in line) for line in values)
     ticks = tuple((float(place), name) for place, name in enumerate(names))
     panel = charts.correlation_panel(values, ticks, ticks, text)
     return charts.Chart((panel,), row_height=0.25 + 0.25 * len(names), width=0.42)
@@ -104,9 +104,9 @@ def clock(results: Results) -> charts.Chart | None:
         return None
     marks: list[charts.Mark] = [charts.Line(offset, cost, "measured", "cost")]
     entry = results.summary.get("clock") or {}
-    found = finite(entry.get("encoder_offset_s"))
+    found = fmt.finite(entry.get("encoder_offset_s"))
     if found is not None:
-        name = f"offset {quantity(found, 's', 4)}"
+        name = f"offset {fmt.quantity(found, 's', 4)}"
         marks.append(charts.Level(found, "resolved", name, upright=True))
     panel = charts.Panel(tuple(marks), "cost", "encoder clock offset [s]")
     return charts.Chart((panel,), row_height=2.0, width=0.8)
@@ -130,7 +130,7 @@ def timeline(results: Results) -> charts.Chart | None:
         ends = np.array([t[last] + half for _, last in own])
         marks.append(charts.Runs(starts, ends, row, "used" if kind == "measured" else "unused"))
     ticks = tuple(
-        (float(i), formatting.lookup_label(phrases.STATUSES, kind)) for i, kind in enumerate(kinds)
+        (float(i), fmt.lookup_label(phrases.STATUSES, kind)) for i, kind in enumerate(kinds)
     )
     panel = charts.Panel(
         tuple(marks), x_label=time, y_ticks=ticks, y_range=(len(kinds) - 0.4, -0.6)
@@ -157,8 +157,8 @@ def budget(results: Results) -> charts.Chart | None:
     joints = {joint.get("joint"): joint for joint in (results.summary.get("joints") or [])}
     for place, name in zip(x, shares.columns, strict=True):
         u = (joints.get(name) or {}).get("expanded_uncertainty_deg")
-        if finite(u) is not None:
-            marks.append(charts.Note(float(place), 104.0, f"U = {quantity(u, '°')}"))
+        if fmt.finite(u) is not None:
+            marks.append(charts.Note(float(place), 104.0, f"U = {fmt.quantity(u, '°')}"))
     ticks = tuple((float(i), f"q{name}") for i, name in zip(x, shares.columns, strict=True))
     panel = charts.Panel(
         tuple(marks), "share of variance [%]", x_ticks=ticks, y_range=(0, 112), unit="%",

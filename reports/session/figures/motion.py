@@ -3,8 +3,8 @@
 import numpy as np
 import pandas as pd
 
-from reports.document import charts, formatting
-from reports.document.formatting import exact_number, finite
+from reports.document import charts
+from reports.document import formatting as fmt
 from reports.results import Results
 
 PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free above and below the data
@@ -27,7 +27,7 @@ def joint_errors(results: Results) -> charts.Chart | None:
             charts.column(resolved, f"{name}_resolved_deg"),
             charts.column(resolved, f"{name}_resolved_u_deg"),
         )
-        limit = finite(joint.get("tolerance_deg"))
+        limit = fmt.finite(joint.get("tolerance_deg"))
         panels.append(_error_panel(t, error, fit, limit, f"{name} [°]", "°"))
     drawn = any(has_lines(panel) for panel in panels)
     return charts.strips(panels, time, row_height=0.66) if drawn else None
@@ -39,11 +39,11 @@ def pose_errors(results: Results) -> charts.Chart | None:
     t, time = charts.time_axis(frames)
     panels = []
     for name, unit in (("position", "mm"), ("orientation", "deg")):
-        sign = formatting.UNITS[unit]
+        sign = fmt.UNITS[unit]
         error = charts.column(frames, f"{name}_error_{unit}")
         fit = charts.column(resolved, f"{name}_resolved_{unit}")
         u_fit = charts.column(resolved, f"{name}_resolved_u_{unit}")
-        limit = finite((results.summary.get(name) or {}).get(f"tolerance_{unit}"))
+        limit = fmt.finite((results.summary.get(name) or {}).get(f"tolerance_{unit}"))
         panels.append(
             _error_panel(
                 t,
@@ -153,7 +153,7 @@ def _error_panel(
                 reach = min(reach[0], -limit), reach[1]
         else:
             sign, space = "" if one_sided else "±", "" if unit == "°" else " "
-            title = f"tolerance {sign}{exact_number(limit)}{space}{unit}: beyond this scale"
+            title = f"tolerance {sign}{fmt.exact_number(limit)}{space}{unit}: beyond this scale"
     if reach is None:
         return charts.Panel((), label, title="no measured pair", unit=unit)
     room = PANEL_MARGIN * (reach[1] - reach[0]) or 1e-3  # a thousandth of a degree or millimetre

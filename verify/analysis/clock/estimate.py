@@ -91,10 +91,8 @@ def estimate_clock(
 ) -> ClockEstimate:
     """Find the offset from the motion, and from arrival times where there are any.
 
-    Returns:
-        The offset with its standard uncertainty; `ambiguous` where others fit as well (a periodic
-        motion); `arrival` or `none` where the motion (at rest, or at constant speed)
-        does not show it.
+    Its source is `ambiguous` where others fit as well (a periodic motion), `arrival` or `none`
+    where the motion (at rest, or at constant speed) does not show it.
     """
     curve = coarse_costs(track, arm, readings, None if arrival is None else arrival.offset)
     open_clock = _unshown_offset(track, readings, curve, arrival)
@@ -253,8 +251,7 @@ def _refine(
 def _basis(columns: Array) -> Array:
     """An orthonormal basis of what the columns (r, c) span, (r, rank)."""
     left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    basis: Array = left[:, size > 1e-9 * size[0]]
-    return basis
+    return left[:, size > 1e-9 * size[0]]
 
 
 def _step(comparison: Comparison) -> tuple[float, float] | None:

@@ -104,7 +104,7 @@ def _costs_by_motion(track: Track, arm: robots.Arm, readings: Readings, offsets:
     variance = np.square(MODEL_ERROR) + _invariant_variance(track, early, late)
     variance = variance + _motion_within_a_step(track, early, late, sizes)
     # poses along the whole log once; every offset then only looks them up
-    grid_t = _grid(readings)
+    grid_t = readings.instants(COARSE_STEP)
     grid = grid_t, robots.forward(arm, readings.at(grid_t))
     ends = np.stack([track.t[early], track.t[late]])
     parts = []
@@ -139,18 +139,6 @@ def _costs_by_pose(track: Track, arm: robots.Arm, readings: Readings, offsets: A
         misfit = solve(white.rows(comparison.jacobian), white.rows(comparison.xi[:, :, None])[:, 0])
         curve.append((offset, misfit.chi2 / max(misfit.degrees_of_freedom, 1)))
     return np.array(curve).reshape(-1, 2)
-
-
-def _grid(readings: Readings) -> Array:
-    """Instants COARSE_STEP apart wherever there are readings, (g,) s."""
-    ends = np.flatnonzero(np.diff(readings.t) > MAX_GAP)
-    starts = np.concatenate([[0], ends + 1])
-    stops = np.concatenate([ends, [len(readings.t) - 1]])
-    bursts = [
-        np.arange(readings.t[a], readings.t[b] + COARSE_STEP, COARSE_STEP)
-        for a, b in zip(starts, stops, strict=True)
-    ]
-    return np.concatenate(bursts)
 
 
 def _motion_ends(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

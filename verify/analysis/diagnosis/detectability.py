@@ -84,7 +84,10 @@ def _sizes(products: FaultProducts, ways: list[_FaultVariant]) -> tuple[Array, A
     fault, first, last = (np.array([way[k] for way in ways], dtype=np.int64) for k in range(3))
     scale = np.minimum(products.scale[first], products.scale[last])
     largest = np.array([products.faults[way.fault].largest for way in ways])
-    left = _remainders(products.gram, first, last) * scale
+    own, other, mixed = (
+        products.gram[ends] for ends in ((first, first), (last, last), (first, last))
+    )
+    left = _worst_mixture(own, other, mixed, alone=first == last) * scale
     left[~products.visible[fault]] = np.nan
     # beside those that resemble it, the best of all rivals fits something by mere chance
     chance = chi2_isf(1 / max(int(products.visible.sum()), 2), 1)
@@ -131,15 +134,7 @@ def _remainders_beside(
         yield k, left[k]
 
 
-def _remainders(gram: Array, first: NDArray[np.int64], last: NDArray[np.int64]) -> Array:
-    """Length of what is left of each way's unit column; of two columns' worst mixture."""
-    return _worst_mixture(
-        gram[first, first], gram[last, last], gram[first, last], alone=first == last
-    )
-
-
 def _worst_mixture(one: Array, other: Array, mixed: Array, *, alone: NDArray[np.bool_]) -> Array:
     """Length of a column, or of two columns' worst mixture, by their products."""
     least = (one + other) / 2 - np.hypot((one - other) / 2, mixed)  # smaller eigenvalue
-    left: Array = np.sqrt(np.maximum(np.where(alone, one, least), 0.0))
-    return left
+    return np.sqrt(np.maximum(np.where(alone, one, least), 0.0))

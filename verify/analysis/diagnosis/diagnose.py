@@ -14,17 +14,11 @@ from numpy.typing import NDArray
 
 import robots
 from verify.analysis.comparison import Comparison
+from verify.analysis.diagnosis import steps
 from verify.analysis.diagnosis.causes import Cause, build_cause, merge_ambiguous
 from verify.analysis.diagnosis.faults import Fault
 from verify.analysis.diagnosis.link_faults import fault_dictionary
 from verify.analysis.diagnosis.search import FaultProducts, FaultSet, search_faults
-from verify.analysis.diagnosis.steps import (
-    MIN_PAIRS_BESIDE,
-    StepScan,
-    beginning_faults,
-    begun,
-    stated_steps,
-)
 from verify.analysis.joint_errors import ResolvedErrors, predict_errors, resolve_errors
 from verify.analysis.least_squares import Whitener, solve
 from verify.analysis.model import JointErrorModel, WhitenedColumns
@@ -110,12 +104,12 @@ def find_causes(
         residual = residual[np.isin(model.white.pair, chosen)]
         model = thin_model(model, chosen)
     faults = fault_dictionary(model, arm, rig)
-    moving = beginning_faults(model, faults)
-    faults += stated_steps(model, moving)
+    moving = steps.beginning_faults(model, faults)
+    faults += steps.stated_steps(model, moving)
     outlying = _within(_outliers(model, residual), len(chosen))
     changes: list[Fault] = []
     for _ in range(MAX_CHANGES):
-        scan = StepScan(model, ~np.isin(model.white.pair, outlying))
+        scan = steps.StepScan(model, ~np.isin(model.white.pair, outlying))
         change = scan.strongest(moving, changes)
         if change is None:
             break
@@ -145,12 +139,14 @@ def explained_by(
     if not wanted:
         return []
     lasting = fault_dictionary(model, arm, rig)
-    moving = {f.name: f for f in beginning_faults(model, lasting)}
+    moving = {f.name: f for f in steps.beginning_faults(model, lasting)}
     every = {(f.name, f.per_turn, None): f for f in lasting}
     return [
         every[*key[:2], None]
         if fault.begin is None
-        else begun(model, moving[fault.name], int(np.searchsorted(model.comparison.t, fault.begin)))
+        else steps.begun(
+            model, moving[fault.name], int(np.searchsorted(model.comparison.t, fault.begin))
+        )
         for key, fault in wanted.items()
     ]
 
@@ -160,8 +156,8 @@ def _within(outlying: NDArray[np.int64], count: int) -> NDArray[np.int64]:
     rest = np.setdiff1d(np.arange(count), outlying)
     before, after = rest.min(initial=count), rest.max(initial=-1)
     inside = (outlying > before) & (outlying < after)
-    ends = (outlying < before) & (before < MIN_PAIRS_BESIDE)
-    ends |= (outlying > after) & (count - 1 - after < MIN_PAIRS_BESIDE)
+    ends = (outlying < before) & (before < steps.MIN_PAIRS_BESIDE)
+    ends |= (outlying > after) & (count - 1 - after < steps.MIN_PAIRS_BESIDE)
     isolated: NDArray[np.int64] = outlying[inside | ends]
     return isolated
 
@@ -170,7 +166,7 @@ def _best_dated_set(
     model: JointErrorModel, faults: list[Fault], moving: list[Fault], kept: NDArray[np.bool_]
 ) -> tuple[FaultProducts, FaultSet, float]:
     """The best set, of which those that begin in the session do so at their likeliest instants."""
-    scan, tried = StepScan(model, kept), list(faults)
+    scan, tried = steps.StepScan(model, kept), list(faults)
     found: list[Fault] = []
     for _ in range(MAX_ROUNDS):
         known = {(f.name, f.begin) for f in tried}
@@ -211,8 +207,7 @@ def _residual(
     named = [products.faults[i].columns for i in best]
     free = np.concatenate([model.fitted, *named], axis=1)
     fit = solve(free[kept], model.xi[kept], model.prior[kept])
-    residual: Array = model.xi - free @ fit.value - model.prior @ fit.held
-    return residual
+    return model.xi - free @ fit.value - model.prior @ fit.held
 
 
 def _outliers(model: JointErrorModel, residual: Array) -> NDArray[np.int64]:

@@ -214,5 +214,4 @@ def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
         apart += sign * turning[:, None] * comparison.systematic[:, :, column]
     if not apart.any():  # no cameras, or nothing moves across them
         return np.zeros((len(comparison), 6, 1))
-    effect: Array = apart[:, :, None] + clock_effect(comparison, steady=True) / 2
-    return effect
+    return apart[:, :, None] + clock_effect(comparison, steady=True) / 2

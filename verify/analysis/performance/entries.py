@@ -5,14 +5,9 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
+from verify.analysis.performance import poses
 from verify.analysis.performance.indices import Interval
 from verify.analysis.performance.paths import PathIndices
-from verify.analysis.performance.poses import (
-    DistanceIndices,
-    PoseAccuracy,
-    PoseIndices,
-    Repeatability,
-)
 from verify.analysis.performance.session import Performance
 from verify.core.records import Array
 
@@ -61,7 +56,7 @@ def _interval(found: Interval, name: str, unit: str, scale: float) -> dict[str, 
     }
 
 
-def _accuracy(found: PoseAccuracy, name: str) -> dict[str, Any]:
+def _accuracy(found: poses.PoseAccuracy, name: str) -> dict[str, Any]:
     return {
         **_interval(found.found, name, "mm", MM),
         f"{name}_components_mm": [_rounded_or_none(v, MM) for v in found.mean],
@@ -72,7 +67,7 @@ def _accuracy(found: PoseAccuracy, name: str) -> dict[str, Any]:
 
 
 def _repeatability(
-    found: Repeatability, name: str, unit: str, scale: float
+    found: poses.Repeatability, name: str, unit: str, scale: float
 ) -> dict[str, float | None]:
     return {
         **_interval(found.found, name, unit, scale),
@@ -84,7 +79,7 @@ def _repeatability(
     }
 
 
-def _pose(p: PoseIndices) -> dict[str, Any]:
+def _pose(p: poses.PoseIndices) -> dict[str, Any]:
     worded: dict[str, Any] = {
         "pose": p.stands.name,
         "visits": len(p.stands.t),
@@ -115,7 +110,7 @@ def _pose(p: PoseIndices) -> dict[str, Any]:
     return worded
 
 
-def _distance(d: DistanceIndices) -> dict[str, Any]:
+def _distance(d: poses.DistanceIndices) -> dict[str, Any]:
     return {
         "poses": list(d.names),
         "commanded_mm": _rounded_or_none(d.commanded, MM),

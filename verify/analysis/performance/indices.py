@@ -52,8 +52,7 @@ def orientation_deviations(attained: Array, commanded: Array) -> Array:
     For turns as small as an arm's errors, three angles of any convention are these components of
     the rotation vector, to the second order; unlike theirs it has no singular orientation.
     """
-    vectors: Array = Rotation.from_matrix(attained @ commanded.T).as_rotvec()
-    return vectors
+    return Rotation.from_matrix(attained @ commanded.T).as_rotvec()
 
 
 def angle_repeatability(angles: Array) -> Array:
@@ -64,8 +63,7 @@ def angle_repeatability(angles: Array) -> Array:
 
 def mean_orientation(attained: Array) -> Array:
     """The mean (3, 3) of orientations (n, 3, 3)."""
-    mean: Array = Rotation.from_matrix(attained).mean().as_matrix()
-    return mean
+    return Rotation.from_matrix(attained).mean().as_matrix()
 
 
 def barycentre_spread(barycentres: Array) -> tuple[float, tuple[int, int]]:
@@ -103,8 +101,7 @@ def drift(attained: Array, commanded: Array, starts: NDArray[np.int64]) -> Array
     found = np.array(
         [(np.linalg.norm(b.mean(axis=-2) - commanded, axis=-1), repeatability(b)) for b in blocks]
     )
-    change: Array = np.moveaxis(np.abs(found - found[0]).max(axis=0), 0, -1)
-    return change
+    return np.moveaxis(np.abs(found - found[0]).max(axis=0), 0, -1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,8 +207,7 @@ def noise_length(random: Array, freedom: int, systematic: Array) -> float:
 def noise_draws(random: Array, freedom: int, systematic: Array) -> Array:
     """Errors (d, 3) of a mean: Student's t of the random part, normal of the systematic one."""
     normal, other, scale = _student(freedom)
-    drawn: Array = (normal @ _root(random).T) / scale[:, None] + other @ _root(systematic).T
-    return drawn
+    return (normal @ _root(random).T) / scale[:, None] + other @ _root(systematic).T
 
 
 def mean_interval(values: Array, systematic: float) -> Interval:
@@ -239,8 +235,7 @@ def _root(covariance: Array) -> Array:
 
 @cache
 def _normal(n: int) -> Array:
-    drawn: Array = np.random.default_rng(SEED).standard_normal((N_DRAWS, n, 3))
-    return drawn
+    return np.random.default_rng(SEED).standard_normal((N_DRAWS, n, 3))
 
 
 @cache

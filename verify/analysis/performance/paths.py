@@ -6,19 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from verify.analysis.performance.indices import (
-    P_TAIL,
-    SEED,
-    path_accuracy,
-    path_repeatability,
-    repeatability_interval,
-)
-from verify.analysis.performance.poses import (
-    PoseAccuracy,
-    Repeatability,
-    mean_deviation,
-    subtract_noise,
-)
+from verify.analysis.performance import indices, poses
 from verify.core.records import Array
 
 N_STATIONS = 50
@@ -59,10 +47,10 @@ class PathIndices:
     passages: int
     length: float  # m
     speed: float  # m/s, mean
-    accuracy: PoseAccuracy  # at the station where AT stands
+    accuracy: poses.PoseAccuracy  # at the station where AT stands
     accuracy_at: float  # m along the path
     accuracy_noise: float  # m: AT of the same scatter about the path itself, 95 %
-    repeatability: Repeatability  # at the station where RT stands
+    repeatability: poses.Repeatability  # at the station where RT stands
     repeatability_at: float
     turn_accuracy: Array | None  # (3,), rad, signed, of the largest size of any station
     turn_repeatability: Array | None  # (3,), rad
@@ -146,8 +134,8 @@ def assess_path(
     # as of AP: what arm and readings do alike is no doubt of the mean
     own = off.mean(axis=1, keepdims=True) + found.own - found.own.mean(axis=1, keepdims=True)
     doubt = _normal_part(systematic.swapaxes(1, 2), found.tangent[:, None]).swapaxes(1, 2)
-    _, worst = path_accuracy(found.attained, found.commanded)
-    _, widest = path_repeatability(found.attained)
+    _, worst = indices.path_accuracy(found.attained, found.commanded)
+    _, widest = indices.path_repeatability(found.attained)
     turn_accuracy = turn_repeatability = None
     if oriented:
         means = found.turns.mean(axis=1)
@@ -160,10 +148,10 @@ def assess_path(
         passages=found.attained.shape[1],
         length=float(found.along[-1]),
         speed=float(found.along[-1]) / duration if duration > 0 else np.nan,
-        accuracy=mean_deviation(own[worst], doubt[worst]),
+        accuracy=poses.mean_deviation(own[worst], doubt[worst]),
         accuracy_at=float(found.along[worst]),
         accuracy_noise=_noise_path_accuracy(found.own),
-        repeatability=subtract_noise(repeatability_interval(off[widest]), floor),
+        repeatability=poses.subtract_noise(indices.repeatability_interval(off[widest]), floor),
         repeatability_at=float(found.along[widest]),
         turn_accuracy=turn_accuracy,
         turn_repeatability=turn_repeatability,
@@ -184,6 +172,6 @@ def _noise_path_accuracy(off: Array) -> float:
     """
     n = off.shape[1]
     scatter = (off - off.mean(axis=1, keepdims=True)) * np.sqrt(n / (n - 1))
-    signs = np.random.default_rng(SEED).choice([-1.0, 1.0], (N_SHUFFLES, n))
+    signs = np.random.default_rng(indices.SEED).choice([-1.0, 1.0], (N_SHUFFLES, n))
     means = np.einsum("sn,mni->smi", signs, scatter) / n
-    return float(np.quantile(np.linalg.norm(means, axis=2).max(axis=1), 1 - 2 * P_TAIL))
+    return float(np.quantile(np.linalg.norm(means, axis=2).max(axis=1), 1 - 2 * indices.P_TAIL))

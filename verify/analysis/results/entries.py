@@ -16,6 +16,7 @@ from verify.analysis.sweeps.sweeps import JointSweep
 from verify.analysis.uncertainty.budget import BUDGET_COLUMNS, Budget
 from verify.analysis.uncertainty.monte_carlo import MAX_RATIO_ERROR, MAX_SHIFT, SEED, MonteCarlo
 from verify.core.records import Array
+from verify.core.statistics import correlation
 
 MONTE_CARLO_COLUMNS = [
     "frame", "joint", "linear_u_deg", "monte_carlo_u_deg", "ratio", "shift", "coupled",
@@ -120,6 +121,11 @@ def monte_carlo_table(found: MonteCarlo | None, frame: Array) -> pd.DataFrame:
 def finite_number(value: Any) -> float | None:
     """A figure for JSON: null where it is not known or without bound."""
     return float(value) if value is not None and math.isfinite(value) else None
+
+
+def correlation_entry(covariance: Array) -> list[list[float | None]]:
+    """Correlations as rows for JSON."""
+    return [[finite_number(value) for value in row] for row in correlation(covariance)]
 
 
 def cause_entry(cause: Cause) -> dict[str, Any]:

@@ -20,6 +20,7 @@ from verify.analysis.relative_motion import RelativeMotion
 from verify.analysis.results.entries import (
     budget_entry,
     cause_entry,
+    correlation_entry,
     finite_number,
     monte_carlo_entry,
     sweep_entries,
@@ -115,7 +116,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "verdict": overall_verdict(verdicts),
         "decision_rule": RULE,
         "joints": [_joint(judged, j, per_joint[j]) for j in range(session.arm.dof)],
-        "joint_error_correlation": _correlation(judged.means.covariance),
+        "joint_error_correlation": correlation_entry(judged.means.covariance),
         "position": _flange(judged, position, slice(0, 3), MILLIMETRE, "mm"),
         "orientation": _flange(judged, orientation, slice(3, 6), DEGREE, "deg"),
         "relative_motions": _relative(judged.relative),
@@ -252,13 +253,6 @@ def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:
         "minimum_detectable_error_deg": finite_number(seen.detectable[j] * DEGREE),
         "minimum_separable_error_deg": finite_number(seen.separable[j] * DEGREE),
     }
-
-
-def _correlation(covariance: Array) -> list[list[float | None]]:
-    sigma = np.sqrt(np.diag(covariance))
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = covariance / np.outer(sigma, sigma)
-    return [[finite_number(float(c)) for c in row] for row in correlation]
 
 
 def _flange_verdicts(judged: SessionAnalysis) -> tuple[Verdict, Verdict]:

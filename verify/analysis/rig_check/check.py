@@ -65,14 +65,12 @@ class RigConsistency:
     @property
     def uncertainty(self) -> Array:
         """Combined standard uncertainty of each figure, (3,)."""
-        combined: Array = np.sqrt(np.diag(self.random + self.systematic))
-        return combined
+        return np.sqrt(np.diag(self.random + self.systematic))
 
     @property
     def z(self) -> Array:
         """Each figure in its standard uncertainty, (3,)."""
-        ratio: Array = self.value / self.uncertainty
-        return ratio
+        return self.value / self.uncertainty
 
 
 def consistency(
@@ -190,8 +188,7 @@ def _random_covariance(rows: list[PairEquations], value: Array, inverse: Array) 
     shown_in = np.sum(~np.isnan(white), axis=0)
     scatter = np.nansum(white**2, axis=0) / np.maximum(shown_in - 1, 1)
     factor = np.sqrt(np.maximum(scatter, 1.0) * autocorrelation(white))
-    spread: Array = inverse * np.outer(factor, factor)
-    return spread
+    return inverse * np.outer(factor, factor)
 
 
 def _responses(
@@ -246,10 +243,8 @@ def _spot_covariance(rows: list[PairEquations], leds: int, inverse: Array) -> Ar
         by_spot[:, 0, row.led[0]] += moved_figures[:, :m]
         by_spot[:, 1, row.led[1]] += moved_figures[:, m:]
     flat = by_spot.reshape(3, -1) * MODEL_ERROR_PX
-    total: Array = flat @ flat.T
-    return total
+    return flat @ flat.T
 
 
 def _standard_uncertainties(covariance: Array) -> Array:
-    sigma: Array = np.sqrt(np.diag(covariance))
-    return sigma
+    return np.sqrt(np.diag(covariance))

@@ -56,8 +56,7 @@ def rows_of(pairs: Sequence[Measurement], marker: Marker) -> list[PairEquations]
 
 def _used_spots(pose: Pose) -> NDArray[np.bool_]:
     """Spots that count, (s,): those that the fit kept, or every one where no pose explains them."""
-    kept: NDArray[np.bool_] = ~pose.rejected if pose.consistent else np.ones_like(pose.rejected)
-    return kept
+    return ~pose.rejected if pose.consistent else np.ones_like(pose.rejected)
 
 
 def _rows(pairs: Sequence[PosedPair], marker: Marker) -> list[PairEquations]:
@@ -134,8 +133,7 @@ def _project_onto(design: Array, columns: Array) -> Array:
     scale = np.linalg.norm(design, axis=-2, keepdims=True)
     basis, size, _ = np.linalg.svd(design / np.where(scale > 0, scale, 1.0), full_matrices=False)
     basis = basis * (size > TOL_RANK * size[..., :1])[..., None, :]
-    part: Array = basis @ (np.swapaxes(basis, -1, -2) @ columns)
-    return part
+    return basis @ (np.swapaxes(basis, -1, -2) @ columns)
 
 
 def _indistinguishable(left_of: Array, figure: Array) -> NDArray[np.bool_]:

@@ -146,8 +146,7 @@ def fit_circles(
 
 def sweep_angle(swept: SweepData, terms: Array, state: AxisState) -> Array:
     """The fitted angle about the axis, zero as the reading's, (n,), rad."""
-    angle: Array = swept.q - terms @ state.value
-    return angle
+    return swept.q - terms @ state.value
 
 
 def perpendiculars(direction: Array) -> Array:

@@ -122,8 +122,7 @@ def find_segments(q: Array, limits: SegmentLimits) -> list[SweepSegment]:
 def rest_bands(comparison: Comparison, resolution: float | None) -> Array:
     """Range that readings of a joint at rest stay within, (j,), rad."""
     band = np.maximum(NOISE_FACTOR * comparison.reading_noise, MIN_REST_BAND)
-    limit: Array = np.maximum(band, REST_DIGITS * (resolution or 0.0))
-    return limit
+    return np.maximum(band, REST_DIGITS * (resolution or 0.0))
 
 
 def travel_directions(segment: SweepSegment, band: float) -> Array:

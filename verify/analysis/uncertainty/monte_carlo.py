@@ -104,8 +104,7 @@ def _select_pairs(comparison: Comparison, joints: JointComparison, pairs: int) -
 
 
 def _wrap(angle: Array) -> Array:
-    wrapped: Array = np.arctan2(np.sin(angle), np.cos(angle))
-    return wrapped
+    return np.arctan2(np.sin(angle), np.cos(angle))
 
 
 def _linear(compared: SessionComparison) -> Array:

@@ -123,7 +123,6 @@ class JointSweepResult:
     gear: float  # turn about the axis over the encoder's
     gear_uncertainty: float
     nonlinearity: Array  # (n,), rad, encoder less turn, a straight line taken out
-    nonlinearity_uncertainty: Array  # (n,), rad
 
     @property
     def span(self) -> float:
@@ -133,8 +132,7 @@ class JointSweepResult:
     @property
     def covariance(self) -> Array:
         """Of the axis's four parameters, everything included, (4, 4)."""
-        total: Array = self.axis.covariance + self.by_source @ self.by_source.T
-        return total
+        return self.axis.covariance + self.by_source @ self.by_source.T
 
     @property
     def line(self) -> AxisLine:
@@ -158,12 +156,9 @@ def fit_joint(
         np.array([p.rig_T_flange for p in poses]), np.array([p.covariance for p in poses]), angle
     )
     effects = _effects(session, seen)
-    gear, gear_u, left, left_u = _gear_ratio(
-        axis,
-        axis.angle_by_pose @ effects,
-        angle,
-        _reading_uncertainty(session, readings, sweep.joint),
-    )
+    # of one reading: its noise, or its grain where that hides it
+    sigma = max(float(readings.noise[sweep.joint]), (session.encoder_resolution or 0.0) / 12**0.5)
+    gear, gear_u, left = _gear_ratio(axis, axis.angle_by_pose @ effects, angle, sigma)
     return JointSweepResult(
         joint=sweep.joint + 1,
         frames=np.array([m.frame for m in seen], dtype=np.int64),
@@ -173,7 +168,6 @@ def fit_joint(
         gear=gear,
         gear_uncertainty=gear_u,
         nonlinearity=left,
-        nonlinearity_uncertainty=left_u,
     )
 
 
@@ -185,19 +179,13 @@ def _effects(session: Session, seen: list[Measurement]) -> Array:
     values, vectors = np.linalg.eigh(known.covariance)
     root = vectors * np.sqrt(np.maximum(values, 0.0))
     factor = np.asarray(block_diag(root, np.diag(np.nan_to_num(known.pan))), dtype=np.float64)
-    effects: Array = columns @ factor
-    return effects
-
-
-def _reading_uncertainty(session: Session, readings: Readings, joint: int) -> float:
-    """Standard uncertainty of one reading: its noise, or its grain where that hides it."""
-    return max(float(readings.noise[joint]), (session.encoder_resolution or 0.0) / 12**0.5)
+    return columns @ factor
 
 
 def _gear_ratio(
     axis: SweepAxis, effects: Array, q: Array, sigma: float
-) -> tuple[float, float, Array, Array]:
-    """Gear ratio and what a straight line leaves, each with its standard uncertainty."""
+) -> tuple[float, float, Array]:
+    """Gear ratio with its standard uncertainty, and what a straight line leaves, (n,), rad."""
     n = len(q)
     varying = axis.angle_covariance + sigma**2 * np.eye(n)
     design = np.stack([np.ones(n), q - q.mean()], axis=1)
@@ -209,7 +197,5 @@ def _gear_ratio(
     offset, gear = gain @ axis.angle
     left = offset + design[:, 1] * gear - axis.angle
     total = varying + effects @ effects.T
-    hat = np.eye(n) - design @ gain
-    spread = hat @ total @ hat.T
     gear_u = float(np.sqrt((gain @ total @ gain.T)[1, 1]))
-    return float(gear), gear_u, left, np.sqrt(np.diag(spread))
+    return float(gear), gear_u, left

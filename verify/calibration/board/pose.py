@@ -99,8 +99,7 @@ def _by_one_camera(camera: Camera, view: Sighting, points: Array) -> Array:
     )
     camera_T_board = np.eye(4)
     camera_T_board[:3, :3], camera_T_board[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
-    placed: Array = camera.rig_T_camera(view.pan) @ camera_T_board
-    return placed
+    return camera.rig_T_camera(view.pan) @ camera_T_board
 
 
 def _fit(views: SightingStack, start: Array, reject: bool) -> Pose:

@@ -123,8 +123,7 @@ def _pair_lengths(
 
 def _point_by_pixels(pose: Pose, spots: Array) -> Array:
     """How a triangulated point moves with its two images, (3, 4)."""
-    moved: Array = np.linalg.pinv(pose.sensitivity[spots].reshape(4, 3))
-    return moved
+    return np.linalg.pinv(pose.sensitivity[spots].reshape(4, 3))
 
 
 def _parameter_derivatives(

@@ -96,11 +96,7 @@ def _in_order(folder: BoardFolder) -> Iterator[BoardPair]:
 
 
 def _refuse_sideways(folder: BoardFolder, pairs: Sequence[BoardPair]) -> None:
-    """Refuse a board held on its side whose colours do not determine the first corner.
-
-    Raises:
-        InputError: its columns run down most of the pictures.
-    """
+    """Raise InputError for a board on its side, unless its colours determine the first corner."""
     board = folder.board
     if not is_ambiguous(board):
         return

@@ -92,8 +92,7 @@ def to_8_bits(picture: cv2.typing.MatLike) -> Image:
 
 def undo_scale(corners: Array, scale: float) -> Array:
     """Carry places in a resized picture back; pixel centres are at whole numbers in both."""
-    original: Array = (corners + 0.5) / scale - 0.5
-    return original
+    return (corners + 0.5) / scale - 0.5
 
 
 def find_by_growing(grey: Image) -> Array | None:

@@ -39,8 +39,7 @@ class NoiseScale:
 
     def whiten(self, poses: IdentificationPoses, twists: Array) -> Array:
         """Twists (n, 6) in units of their standard uncertainty, (n, 6)."""
-        white: Array = (self.of(poses) @ twists[:, :, None])[:, :, 0]
-        return white
+        return (self.of(poses) @ twists[:, :, None])[:, :, 0]
 
     def near(self, other: "NoiseScale") -> bool:
         """Tell whether two differ by less than matters."""
@@ -117,5 +116,4 @@ def _marginal_whitener(poses: IdentificationPoses, part: slice) -> Array:
     size = 3 if poses.position_only else 6
     information = (np.swapaxes(white, 1, 2) @ white)[:, :size, :size]
     own = np.linalg.inv(information)[:, part, part]
-    marginal: Array = np.linalg.inv(np.linalg.cholesky(own))
-    return marginal
+    return np.linalg.inv(np.linalg.cholesky(own))

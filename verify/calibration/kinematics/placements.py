@@ -20,6 +20,7 @@ from verify.calibration.origin import DEG, MM
 from verify.core.fiducials import Marker
 from verify.core.records import Array
 from verify.core.rig import Covariance, Rig
+from verify.core.statistics import correlation
 from verify.io import rig as io_rig
 from verify.io.fiducials import encode_marker
 from verify.io.session.session import Session
@@ -93,26 +94,18 @@ def _moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
     moved = rig.rig_T_base @ fit.state.base[place]
     turn = block_diag(moved[:3, :3], moved[:3, :3])
     found = turn @ _covariance(fit, "base", place) @ turn.T
-    sigma = np.sqrt(np.diag(found))
+    sigma, shared = np.sqrt(np.diag(found)), correlation(found)
     names, known = tuple(f"robot_base.{key}" for key in KEYS), rig.covariance
     if known is not None:
         kept = [i for i, n in enumerate(known.parameters) if not n.startswith("robot_base.")]
         names = (*(known.parameters[i] for i in kept), *names)
         sigma = np.concatenate([known.standard_uncertainty[kept], sigma])
-        correlation = block_diag(known.correlation[np.ix_(kept, kept)], _correlation(found))
-    else:
-        correlation = _correlation(found)
-    covariance = Covariance(names, sigma, correlation)
+        shared = block_diag(known.correlation[np.ix_(kept, kept)], shared)
+    covariance = Covariance(names, sigma, shared)
     return replace(
         rig, rig_T_base=moved, base_source="motion", registration=None, absorption=None,
         covariance=covariance,
     )  # fmt: skip
-
-
-def _correlation(covariance: Array) -> Array:
-    sigma = np.sqrt(np.diag(covariance))
-    found: Array = covariance / np.outer(sigma, sigma)
-    return found
 
 
 def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Marker:

@@ -17,6 +17,7 @@ from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.validation import CrossValidation, statistics
 from verify.calibration.origin import DEG, MM, ResultsOrigin
 from verify.core.records import Array
+from verify.core.statistics import correlation
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,13 +90,6 @@ def identification_results(
     }
     tables = {"residuals": _residuals(found, poses, origin), "parameters": pd.DataFrame(parameters)}
     return Results(summary=summary, setup={}, tables=tables)
-
-
-def correlation(covariance: Array) -> Array:
-    """Correlations of a covariance, (L, L)."""
-    sigma = np.sqrt(np.diag(covariance))
-    found: Array = covariance / np.outer(sigma, sigma)
-    return found
 
 
 def _unit(parameter: Parameter) -> tuple[float, str]:

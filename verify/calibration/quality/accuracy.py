@@ -66,8 +66,7 @@ class AccuracyField:
     @property
     def total(self) -> Array:
         """Both parts, (r, c, 3, 3), m²."""
-        both: Array = self.random + self.systematic
-        return both
+        return self.random + self.systematic
 
 
 def uncertainty_parts(field: AccuracyField, covariance: Array) -> tuple[Array, Array, Array]:

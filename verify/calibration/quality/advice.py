@@ -195,7 +195,7 @@ def _focal_lengths(calibration: Calibration) -> Iterator[str]:
     covariance = calibration.rig.covariance
     if covariance is None:
         return
-    u = dict(zip(covariance.parameters, covariance.standard_uncertainty.tolist(), strict=True))
+    u = covariance.by_name
     for side, camera in zip(SIDES, (calibration.rig.left, calibration.rig.right), strict=True):
         share = u.get(f"{side}.fx_px", 0.0) / camera.matrix[0, 0]
         if share > MAX_FOCAL_SIGMA:

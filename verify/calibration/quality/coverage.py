@@ -97,14 +97,12 @@ def _margins(pixels: Array, width: int, height: int) -> Array:
 
 
 def _centres(extent: int, cells: int) -> Array:
-    centres: Array = (np.arange(cells) + 0.5) * extent / cells - 0.5  # pixel centres are whole
-    return centres
+    return (np.arange(cells) + 0.5) * extent / cells - 0.5  # pixel centres are whole
 
 
 def _cell_counts(pixels: Array, width: int, height: int, across: int, down: int) -> Array:
     edges = (np.linspace(-0.5, height - 0.5, down + 1), np.linspace(-0.5, width - 0.5, across + 1))
-    counts: Array = np.histogram2d(pixels[:, 1], pixels[:, 0], bins=edges)[0]
-    return counts
+    return np.histogram2d(pixels[:, 1], pixels[:, 0], bins=edges)[0]
 
 
 def board_stances(calibration: Calibration, pan: Array) -> tuple[BoardOrientation, ...]:

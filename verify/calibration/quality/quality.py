@@ -10,13 +10,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.calibration.quality.accuracy import (
-    SPOT_SIGMA,
-    AccuracyField,
-    point_sensitivities,
-    systematic_parameters,
-    uncertainty_field,
-)
+from verify.calibration.quality import accuracy
 from verify.calibration.quality.coverage import (
     BoardOrientation,
     ImageCoverage,
@@ -114,7 +108,7 @@ class CalibrationQuality:
     principal_points: tuple[PrincipalPoint, ...]
     pan: Array  # (2,), rad, for which the fields hold
     working_distance: float  # m, median distance of the boards
-    fields: tuple[AccuracyField, ...]  # nearest first
+    fields: tuple[accuracy.AccuracyField, ...]  # nearest first
     contributions: tuple[DepthContribution, ...]  # what would help most first
 
 
@@ -149,7 +143,7 @@ def judge_calibration(calibration: Calibration, pan: Array | None = None) -> Cal
         pan=usual,
         working_distance=working,
         fields=tuple(
-            uncertainty_field(rig, usual, d, calibration.turning)
+            accuracy.uncertainty_field(rig, usual, d, calibration.turning)
             for d in sorted({near, working, far})
         ),
         contributions=_contributions(calibration, usual, working),
@@ -195,10 +189,12 @@ def _contributions(
 
     The parts do not add up: parameters found from the same pictures are correlated.
     """
-    names, covariance = systematic_parameters(calibration.rig, calibration.turning)
-    found = point_sensitivities(calibration.rig, pan, np.array([[0.0, 0.0, distance]]), names)
+    names, covariance = accuracy.systematic_parameters(calibration.rig, calibration.turning)
+    found = accuracy.point_sensitivities(
+        calibration.rig, pan, np.array([[0.0, 0.0, distance]]), names
+    )
     slope = found.by_rig[:, 0, 2]
-    noise = float(SPOT_SIGMA**2 * np.sum(found.by_pixels[0, 2] ** 2))
+    noise = float(accuracy.SPOT_SIGMA**2 * np.sum(found.by_pixels[0, 2] ** 2))
     systematic = float(slope @ covariance @ slope)
     split = [DepthContribution(NOISE_GROUP, float(np.sqrt(noise)), float(np.sqrt(systematic)))]
     stated = len(camera_covariance(calibration.rig)[0])  # parameters beyond them are pan readings

@@ -34,13 +34,7 @@ from scipy.spatial.transform import Rotation
 
 from reports import Results
 from verify.calibration.origin import DEG, MM, UM, ResultsOrigin
-from verify.calibration.quality.accuracy import (
-    SPOT_SIGMA,
-    TEST_LENGTH,
-    length_uncertainty,
-    parameter_derivatives,
-    uncertainty_maps,
-)
+from verify.calibration.quality import accuracy
 from verify.calibration.quality.advice import calibration_doubts, coverage_gaps, main_advice
 from verify.calibration.quality.quality import (
     NOISE_GROUP,
@@ -93,7 +87,7 @@ def pan_axes_angle(rig: Rig) -> dict[str, Any]:
 def _with_uncertainty(function: Callable[[Rig], Array], rig: Rig) -> tuple[Array, Array]:
     """Values (m,) of a function of the rig and their standard uncertainties by its covariance."""
     names, full = camera_covariance(rig)
-    slope = parameter_derivatives(function, rig, names)
+    slope = accuracy.parameter_derivatives(function, rig, names)
     return function(rig), np.sqrt(np.einsum("pm,pq,qm->m", slope, full, slope))
 
 
@@ -188,13 +182,13 @@ def _accuracy(calibration: Calibration, quality: CalibrationQuality) -> dict[str
     entries = []
     for field in quality.fields:
         entry: dict[str, Any] = {"distance_mm": field.distance * MM}
-        maps = uncertainty_maps(field)
+        maps = accuracy.uncertainty_maps(field)
         middle = {name: float(v[len(field.y) // 2, len(field.x) // 2]) for name, v in maps.items()}
         entry |= {name: v if np.isfinite(v) else None for name, v in middle.items()}
         total = maps["total_total_mm"]
         entry["worst_total_mm"] = None if np.isnan(total).all() else float(np.nanmax(total))
         for name, axis in (("across", 0), ("depth", 2)):
-            random, systematic = length_uncertainty(
+            random, systematic = accuracy.length_uncertainty(
                 calibration.rig, quality.pan, field.distance, axis, calibration.turning
             )
             entry[f"length_{name}_random_um"] = random * UM
@@ -205,8 +199,8 @@ def _accuracy(calibration: Calibration, quality: CalibrationQuality) -> dict[str
     depth = float(np.hypot(noise.alone, noise.without))
     return {
         "working_distance_mm": quality.working_distance * MM,
-        "spot_px": SPOT_SIGMA,
-        "length_mm": TEST_LENGTH * MM,
+        "spot_px": accuracy.SPOT_SIGMA,
+        "length_mm": accuracy.TEST_LENGTH * MM,
         "accuracy": entries,
         "improve_first": {"group": group, "help": help_, "depth_mm": depth * MM},
     }

@@ -42,9 +42,7 @@ def tables(calibration: Calibration, quality: CalibrationQuality) -> dict[str, p
 def _parameters(calibration: Calibration) -> pd.DataFrame:
     """Every parameter of the rotating-base model; `state` says whether it was found, or held."""
     given = calibration.rig.covariance
-    stated: dict[str, float] = {}
-    if given is not None:
-        stated = dict(zip(given.parameters, given.standard_uncertainty.tolist(), strict=True))
+    stated = {} if given is None else given.by_name
     rows = []
     for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
         values = _values(camera)
@@ -192,5 +190,4 @@ def _pyramid(camera: Camera, size: tuple[int, int]) -> Array:
 
 
 def _transform(view_T_own: Array, points: Array) -> Array:
-    carried: Array = points @ view_T_own[:3, :3].T + view_T_own[:3, 3]
-    return carried
+    return points @ view_T_own[:3, :3].T + view_T_own[:3, 3]

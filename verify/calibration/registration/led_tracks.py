@@ -68,11 +68,7 @@ class PointCloud:
 
 
 def find_spots(recording: Recording, progress: Progress) -> list[PairSpots]:
-    """Find the spots of every pair.
-
-    Raises:
-        InputError: an image cannot be decoded.
-    """
+    """Find the spots of every pair; InputError: an image cannot be decoded."""
     pairs = []
     for pair in recording.pairs():
         pairs.append(
@@ -110,8 +106,7 @@ def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
         if len(found[j]):
             apart = np.linalg.norm(found[i][:, None] - found[j][None], axis=2)
             again += apart.min(axis=1) < MAX_STILL_PX
-    still: NDArray[np.bool_] = again > MIN_STILL_SHARE * len(alike)
-    return still
+    return again > MIN_STILL_SHARE * len(alike)
 
 
 def _select_spots(spots: Spots, keep: NDArray[np.bool_]) -> Spots:
@@ -220,8 +215,7 @@ def _triangles(references: list[PointCloud], tests: list[PointCloud]) -> list[Ar
 
 def _sides(corners: Array) -> Array:
     """Sorted lengths of a triangle's sides."""
-    sides: Array = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
-    return sides
+    return np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
 
 
 def _usable(corners: Array) -> bool:

@@ -35,8 +35,7 @@ RIGHT = 1
 
 def reading_variance(readings: Readings, resolution: float | None) -> Array:
     """Variance of one reading of each joint, (j,), rad²: its roughness, or its last digit."""
-    variance: Array = np.maximum(readings.noise**2, (resolution or 0.0) ** 2 / 12)
-    return variance
+    return np.maximum(readings.noise**2, (resolution or 0.0) ** 2 / 12)
 
 
 def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int64], Array]:
@@ -78,8 +77,7 @@ def _hermite(times: Array, t: Array) -> Array:
 def _slope(before: Array, after: Array) -> Array:
     """Weights of three readings in the slope at the middle one, (n, 3), as numpy.gradient's."""
     scale = before * after * (before + after)
-    slope: Array = np.stack([-(after**2), after**2 - before**2, before**2], axis=1) / scale[:, None]
-    return slope
+    return np.stack([-(after**2), after**2 - before**2, before**2], axis=1) / scale[:, None]
 
 
 def shared_noise(index: NDArray[np.int64], weight: Array) -> Array:

@@ -53,11 +53,7 @@ class MotionRegistration:
 
 
 def order_like_marker(marker: Marker, leds: Array, place: str | Path) -> Array:
-    """Bring LEDs found (n, 3) into the marker's order, by their mutual distances.
-
-    Raises:
-        InputError: no order fits.
-    """
+    """Bring LEDs found (n, 3) into the marker's order, by distances; InputError: no order fits."""
     if len(marker) != len(leds) or not 3 <= len(leds) <= MAX_LEDS:
         found = f"has {len(marker)} LEDs"
         raise InputError(place, found, f"{len(leds)} move together in the pictures")

@@ -178,10 +178,9 @@ def refuse_misfit(
     readings: Readings,
     restart: Restart,
 ) -> None:
-    """Refuse readings that do not belong to the images; `restart` gives the start with other ones.
+    """Raise InputError for LEDs farther from their predicted pixels than joint errors explain.
 
-    Raises:
-        InputError: the LEDs are farther from their predicted pixels than joint errors explain.
+    `restart` gives the start with other readings.
     """
     left = adjusted.predicted.residual[adjusted.spotted.used]
     distance = rms(left) if len(left) else np.inf

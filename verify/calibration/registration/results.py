@@ -33,9 +33,7 @@ def motion_results(
 ) -> Results:
     """Lay a registration from motion out for the report, with axes of single joints if swept."""
     given = found.rig.covariance
-    stated: dict[str, float] = {}  # standard uncertainties in the units of the names
-    if given is not None:
-        stated = dict(zip(given.parameters, given.standard_uncertainty.tolist(), strict=True))
+    stated = {} if given is None else given.by_name
     base_u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in BODY])
     summary = {
         **(origin or ResultsOrigin()).summary("registration"),

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import robots
 from robots.transforms import difference, invert
 from verify.calibration.handeye import MIN_POSES, HandEye, nearest_rotation, solve_robustly
-from verify.core.readings import MAX_GAP, Readings
+from verify.core.readings import Readings
 from verify.core.records import Array
 
 TIME_STEP = 0.02  # s; brisk joints turn half a degree in it
@@ -128,7 +128,7 @@ def clock_candidates(
     """
     early, late = _angle_pairs(len(t))
     angle = _angles(measured[early], measured[late])
-    grid = _grid(readings)
+    grid = readings.instants(TIME_STEP)
     read = turns(grid)
     half = 0.5 * float(t[-1] - t[0])
     lowest, highest = float(t[-1] - readings.t[-1]) - half, float(t[0] - readings.t[0]) + half
@@ -171,10 +171,3 @@ def _angles(one: Array, other: Array) -> Array:
     apart = np.sqrt(np.sum((one - other) ** 2, axis=(1, 2)) / 8)
     angles: Array = 2 * np.arcsin(np.minimum(apart, 1.0))
     return angles
-
-
-def _grid(readings: Readings) -> Array:
-    """Instants TIME_STEP apart wherever there are readings, (g,) s."""
-    gaps = np.flatnonzero(np.diff(readings.t) > MAX_GAP) + 1
-    bursts = np.split(readings.t, gaps)
-    return np.concatenate([np.arange(b[0], b[-1] + TIME_STEP, TIME_STEP) for b in bursts])

@@ -123,8 +123,7 @@ def _camera_change(rig: Rig, side: str, key: str, adjusted: AdjustedRegistration
 
 def _response(adjusted: AdjustedRegistration, pixels: Array) -> Array:
     """Change of base and LEDs, (size - 2,), by a change of the predicted spots (s, 2)."""
-    change: Array = -(adjusted.gain @ pixels.reshape(-1))[:-2]
-    return change
+    return -(adjusted.gain @ pixels.reshape(-1))[:-2]
 
 
 def _pan_covariance(rig: Rig, adjusted: AdjustedRegistration) -> Array:
@@ -181,8 +180,7 @@ def absorbed_offsets(adjusted: AdjustedRegistration, held: Array | None = None) 
     if held is not None:
         before[: len(held)] = held
     left = adjusted.rows.joints - adjusted.rows.design @ before
-    taken: Array = before + adjusted.inverse @ (design.T @ left)
-    return taken
+    return before + adjusted.inverse @ (design.T @ left)
 
 
 def absorption(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:

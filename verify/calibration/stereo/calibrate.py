@@ -9,13 +9,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from verify.calibration.stereo import bundle, pan_bases, refusals, start
-from verify.calibration.stereo.estimate import (
-    Estimate,
-    board_covariance,
-    collect_residuals,
-    square_edges,
-)
+from verify.calibration.stereo import bundle, estimate, pan_bases, refusals, start
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel, fixed_names
 from verify.calibration.stereo.parameters import (
     BOW,
@@ -28,7 +22,6 @@ from verify.calibration.stereo.parameters import (
 )
 from verify.calibration.stereo.prior import lens_rows, open_coefficients
 from verify.calibration.stereo.records import Calibration, state_covariance
-from verify.calibration.stereo.robust import adjust_cauchy, adjust_robust, robust_scale
 from verify.calibration.stereo.scatter import ErrorScatter
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array
@@ -62,8 +55,8 @@ class BundleStart:
 class _AdjustedBundle:
     """The final estimate, and what was chosen on the way."""
 
-    found: Estimate
-    moved: Estimate | None  # with boards that moved between left and right; None: none did
+    found: estimate.Estimate
+    moved: estimate.Estimate | None  # with boards that moved between left and right; None: none did
     corners: CornerStack
     scatter: ErrorScatter | None  # of pan readings; None: no base turned
     notes: tuple[str, ...]  # on bases that turned too little
@@ -111,12 +104,12 @@ def calibrate(
         frames=frames,
         rig_T_board=found.state.boards,
         board_covariance=boards,
-        residuals=collect_residuals(found, corners, frames),
+        residuals=estimate.collect_residuals(found, corners, frames),
         noise=found.noise,
         degrees_of_freedom=found.degrees_of_freedom,
         fixed=fixed_names(found.model),
         decisions=(*begin.notes, *_decisions(adjusted, board)),
-        square_found=square_edges(found, corners, board),
+        square_found=estimate.square_edges(found, corners, board),
         turning=begin.bases != (BASE_FIXED, BASE_FIXED),
         motion=None if adjusted.moved is None else adjusted.moved.state.errors[:, MOTION],
     )
@@ -233,15 +226,15 @@ def _adjust(
     corners = stack_corners(begin.pairs, board)
 
     def model_at(state: BundleState) -> AdjustmentModel:
-        noise = float(np.sqrt(robust_scale(bundle.squared_distances(state, corners))))
+        noise = float(np.sqrt(estimate.robust_scale(bundle.squared_distances(state, corners))))
         precision = pan_bases.start_precision(begin.bases, noise)
         return AdjustmentModel(begin.bases, precision, lens_rows(state, image_size, noise**2))
 
-    state = adjust_cauchy(begin.state, corners, model_at(begin.state))
+    state = estimate.adjust_cauchy(begin.state, corners, model_at(begin.state))
     progress(2, N_STAGES)
-    found = adjust_robust(state, corners, model_at(state))
+    found = estimate.adjust_robust(state, corners, model_at(state))
     progress(3, N_STAGES)
-    bowed = adjust_robust(found.state, corners, replace(found.model, bowed=True))
+    bowed = estimate.adjust_robust(found.state, corners, replace(found.model, bowed=True))
     own, height = bowed.covariance[BOW, BOW] / bowed.design_effect, bowed.state.bow
     if height @ np.linalg.solve(own, height) > chi2_isf(P_FALSE_BOW, len(height)):
         found = bowed
@@ -250,21 +243,21 @@ def _adjust(
         refusals.refuse_wrong_readings(scatter.deviation)
     progress(4, N_STAGES)
     model = replace(found.model, lens=lens_rows(found.state, image_size, found.variance))
-    found = adjust_robust(found.state, corners, model)
+    found = estimate.adjust_robust(found.state, corners, model)
     moved = pan_bases.boards_in_motion(found, corners)
     if moved is not None:
         if found.noise**2 > MAX_MOTION_VARIANCE * moved.noise**2:
-            found = moved = adjust_robust(moved.state, corners, moved.model)
+            found = moved = estimate.adjust_robust(moved.state, corners, moved.model)
         else:
             found = pan_bases.with_motion(found, moved)
     refusals.refuse_undetermined(found)
     return _AdjustedBundle(found, moved, corners, scatter, tuple(notes))
 
 
-def _covariances(found: Estimate, board: Board) -> tuple[Array, Array]:
+def _covariances(found: estimate.Estimate, board: Board) -> tuple[Array, Array]:
     """Covariance of the shared parameters (47, 47) and of the boards' poses (b, 6, 6)."""
     full = found.covariance
-    boards = board_covariance(found, full)
+    boards = estimate.board_covariance(found, full)
     if board.square_standard_uncertainty:  # all lengths scale with the squares, together
         share = board.square_standard_uncertainty / board.square
         scaled = share * length_parameters(found.state)
@@ -275,7 +268,7 @@ def _covariances(found: Estimate, board: Board) -> tuple[Array, Array]:
     return full, boards
 
 
-def _named_covariance(found: Estimate, full: Array) -> Covariance:
+def _named_covariance(found: estimate.Estimate, full: Array) -> Covariance:
     """State the covariance of the parameters that are not held exactly, as rig.toml does."""
     chosen = np.flatnonzero(np.linalg.norm(found.basis[: len(PARAMETER_NAMES)], axis=1) > TOL_HELD)
     degrees = min(float(found.degrees_of_freedom), found.design_effect_degrees)

@@ -73,8 +73,7 @@ def camera_poses(camera: Camera, pan: Array) -> Array:
     turned = np.tile(np.eye(4), (len(pan), 1, 1))
     turned[:, :3, :3] = base_rotations(camera, pan)
     turned[:, :3, 3] = camera.pan_center
-    placed_there: Array = turned @ camera.mount
-    return placed_there
+    return turned @ camera.mount
 
 
 def _motion(camera: Camera, pan: Array, turned_on: Array, change: Array, points: Array) -> Array:

@@ -53,8 +53,7 @@ def rms(residual: Array) -> float:
 def covariance_in_si(covariance: Covariance) -> Array:
     """Full covariance matrix of the named parameters, (p, p), in SI units and pixels."""
     sigma = covariance.standard_uncertainty * np.array([unit(n) for n in covariance.parameters])
-    full: Array = covariance.correlation * np.outer(sigma, sigma)
-    return full
+    return covariance.correlation * np.outer(sigma, sigma)
 
 
 def camera_covariance(rig: Rig) -> tuple[tuple[str, ...], Array]:

@@ -24,11 +24,7 @@ MORE_PICTURES = (
 
 
 def refuse_unseen(pairs: Sequence[BoardPair]) -> None:
-    """Refuse where a camera never observed the board, or both too seldom at once.
-
-    Raises:
-        InputError: no board in one camera or in both; fewer than three pairs.
-    """
+    """Raise InputError where too few pairs show the board in a camera, or in both at once."""
     views = [[p.left is not None for p in pairs], [p.right is not None for p in pairs]]
     counts, both = [sum(own) for own in views], sum(map(all, zip(*views, strict=True)))
     expected = "the board's inner corners are looked for"
@@ -49,10 +45,9 @@ def refuse_unseen(pairs: Sequence[BoardPair]) -> None:
 def refuse_half_turned(
     relation: CameraRelation, poses: Sequence[dict[int, Array]], frames: Sequence[int]
 ) -> None:
-    """Refuse pairs whose board one camera numbered from its other end.
+    """Raise InputError for pairs whose board one camera numbered from its other end.
 
-    Raises:
-        InputError: names the pairs, and the camera where the board looks upside down in one only.
+    It names the pairs, and the camera where the board looks upside down in one only.
     """
     if not relation.half_turned:
         return
@@ -70,11 +65,7 @@ def refuse_half_turned(
 
 
 def refuse_swapped(relation: CameraRelation) -> None:
-    """Refuse pictures of the right camera in the left one's place.
-
-    Raises:
-        InputError: the right camera stands to the left of the left one.
-    """
+    """Raise InputError where the right camera stands to the left of the left one."""
     x = float(relation.left_T_right[0, 3])
     if x < 0:
         found = f"is the camera on the right: the other stands some {-100 * x:.0f} cm to its left"
@@ -86,13 +77,10 @@ def refuse_swapped(relation: CameraRelation) -> None:
 def refuse_inconsistent(
     relation: CameraRelation, pairs: int, turned: bool, four_fold: bool
 ) -> None:
-    """Refuse where most pairs do not agree on how the cameras stand to each other.
+    """Raise InputError where half of the pairs or more disagree how the cameras stand.
 
     `turned`: the bases were, between pairs; `four_fold`: a quarter turn leaves the pattern as it
     is.
-
-    Raises:
-        InputError: half of the pairs or more disagree with the others.
     """
     if 2 * len(relation.outliers) < pairs:
         return
@@ -112,11 +100,7 @@ def refuse_inconsistent(
 
 
 def refuse_wrong_readings(scatter: float) -> None:
-    """Refuse pan readings that the pictures contradict.
-
-    Raises:
-        InputError: the bases stand `scatter` (rad, rms) off them.
-    """
+    """Raise InputError where the bases stand `scatter` (rad, rms) too far off their readings."""
     if scatter > MAX_PAN_SCATTER:
         found = f"stand {np.rad2deg(scatter):.1f}° (rms) off the pan angles given"
         remedy = "Check the pan columns of frames.csv: degrees, their signs and their order."

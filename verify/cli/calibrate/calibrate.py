@@ -5,18 +5,7 @@ from typing import Annotated
 
 import typer
 
-from verify.cli.options import (
-    Corners,
-    PageAddress,
-    PageOptions,
-    PagePort,
-    PageToken,
-    ReplaceFiles,
-    ReportOut,
-    RigOut,
-    SquareMm,
-    refuse_options,
-)
+from verify.cli import options as option
 from verify.cli.terminal import report_files, terminal
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
 
@@ -37,17 +26,17 @@ def boards(
             help="Pictures of a board: left/ and right/, or two videos; with --live a station file."
         ),
     ],
-    out: RigOut = Path("rig.toml"),
-    report: ReportOut = None,
-    corners: Corners = None,
-    square_mm: SquareMm = None,
+    out: option.RigOut = Path("rig.toml"),
+    report: option.ReportOut = None,
+    corners: option.Corners = None,
+    square_mm: option.SquareMm = None,
     square_uncertainty_mm: Annotated[
         float | None, typer.Option(help="Standard uncertainty of that edge, mm.")
     ] = None,
     board: Annotated[
         Path | None, typer.Option(help="Another board.toml than the one with the pictures.")
     ] = None,
-    force: ReplaceFiles = False,
+    force: option.ReplaceFiles = False,
     live: Annotated[
         bool, typer.Option("--live", help="Take the pictures now, by a station's cameras.")
     ] = False,
@@ -58,9 +47,9 @@ def boards(
         int | None, typer.Option("--pairs", min=3, help="Live: finish after so many pairs.")
     ] = None,
     page: Annotated[bool, typer.Option("--page", help="Live: serve a page.")] = False,
-    page_port: PagePort = DEFAULT_PORT,
-    page_address: PageAddress = LOOPBACK,
-    page_token: PageToken = None,
+    page_port: option.PagePort = DEFAULT_PORT,
+    page_address: option.PageAddress = LOOPBACK,
+    page_token: option.PageToken = None,
 ) -> None:
     """Calibrate both cameras and their turning bases from pictures of a board.
 
@@ -86,13 +75,15 @@ def boards(
     refuse_existing(target, force=force)
     given = board_of(board_from_options(corners, square_mm, square_uncertainty_mm), board)
     if live:
-        shown = PageOptions(page_port, page_address, page_token) if page else None
+        shown = option.PageOptions(page_port, page_address, page_token) if page else None
         take_pictures(station, folder, BoardRunOptions(given, enough, shown))
     else:
         refuse_station(folder)
         used = {"--pictures": pictures is not None, "--pairs": enough is not None, "--page": page}
         remedy = "Leave it out, or add --live."
-        refuse_options(used, "was given with a folder of pictures", "it is for --live", remedy)
+        option.refuse_options(
+            used, "was given with a folder of pictures", "it is for --live", remedy
+        )
         complete_pairs(folder)
     calibrate_folder(folder, given, out, target, force=force)
 
@@ -103,7 +94,7 @@ def register(
         Path,
         typer.Argument(help="A recorded motion; with --board-in-base, pictures of that board."),
     ],
-    out: RigOut = Path("rig.toml"),
+    out: option.RigOut = Path("rig.toml"),
     marker: Annotated[
         Path | None, typer.Option(help="The marker file to write; default: marker.toml.")
     ] = None,
@@ -129,10 +120,10 @@ def register(
         bool,
         typer.Option("--sweeps", help="Also compare each swept joint's axis with the DH table."),
     ] = False,
-    corners: Corners = None,
-    square_mm: SquareMm = None,
-    report: ReportOut = None,
-    force: ReplaceFiles = False,
+    corners: option.Corners = None,
+    square_mm: option.SquareMm = None,
+    report: option.ReportOut = None,
+    force: option.ReplaceFiles = False,
 ) -> None:
     """Find where the robot stands in the rig and where the LEDs sit on its flange.
 
@@ -154,7 +145,7 @@ def register(
             "--keep-leds": keep_leds, "--sweeps": sweeps,
         }  # fmt: skip
     way = "a board on the base" if fixture else "a motion"
-    refuse_options(useless, f"has no meaning when {way} is used", "", "Leave it out.")
+    option.refuse_options(useless, f"has no meaning when {way} is used", "", "Leave it out.")
     marker_out = marker if marker is not None else Path("marker.toml")
     target = report if report is not None else Path(f"{session.resolve().name}-registration")
     refuse_file(out, force=force)
@@ -185,12 +176,12 @@ def check(
     length_uncertainty_mm: Annotated[
         float | None, typer.Option(help="Standard uncertainty of that distance, mm.")
     ] = None,
-    corners: Corners = None,
-    square_mm: SquareMm = None,
+    corners: option.Corners = None,
+    square_mm: option.SquareMm = None,
     out: Annotated[
         Path | None, typer.Option("-o", "--out", help="Folder of the report; none unless given.")
     ] = None,
-    force: ReplaceFiles = False,
+    force: option.ReplaceFiles = False,
 ) -> int:
     """Say whether a calibration still holds, by known lengths measured anywhere in the volume.
 

@@ -5,14 +5,7 @@ from typing import Annotated
 
 import typer
 
-from verify.cli.options import (
-    PageAddress,
-    PageOptions,
-    PagePort,
-    PageToken,
-    WriteIntoFolder,
-    parse_duration,
-)
+from verify.cli import options as option
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
 
 EXIT_NOT_GRASPED = 1
@@ -51,14 +44,14 @@ def grab(
         bool,
         typer.Option("--page", help="Serve a page: pictures, state, plan; select, grab, stop."),
     ] = False,
-    page_port: PagePort = DEFAULT_PORT,
-    page_address: PageAddress = LOOPBACK,
-    page_token: PageToken = None,
+    page_port: option.PagePort = DEFAULT_PORT,
+    page_address: option.PageAddress = LOOPBACK,
+    page_token: option.PageToken = None,
     duration: Annotated[
         float,
         typer.Option(
             "--for",
-            parser=parse_duration,
+            parser=option.parse_duration,
             metavar="<str>",
             show_default=False,  # would be in seconds, as a number
             help="The longest it may take: 60s, 10m.  [default: 60s]",
@@ -80,7 +73,7 @@ def grab(
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Where film, session and report go.")
     ] = Path("grab-report"),
-    force: WriteIntoFolder = False,
+    force: option.WriteIntoFolder = False,
 ) -> int:
     """Track a coloured object with both cameras, follow it with the arm, and pick it up.
 
@@ -107,7 +100,7 @@ def grab(
     from verify.cli.grab.conduct import GraspOptions
 
     colour = target if target is not None or roi is not None or page else DEFAULT_COLOUR
-    shown = PageOptions(page_port, page_address, page_token) if page else None
+    shown = option.PageOptions(page_port, page_address, page_token) if page else None
     options = GraspOptions(colour, roi, execute, auto, duration, shown)
     if station is not None:
         if seed or small or stop_and_go or turning:

@@ -7,18 +7,10 @@ from collections.abc import Callable
 from functools import partial
 from typing import Protocol
 
+from verify.devices import protocols
 from verify.devices.cameras.opencv import OpenCvSource
 from verify.devices.cameras.replay import ReplaySource
 from verify.devices.cameras.stream import StreamSource
-from verify.devices.protocols import (
-    READ_TIMEOUT,
-    CameraDevice,
-    CameraFrame,
-    CameraSettings,
-    CameraState,
-    CapturedImage,
-    RefusedSetting,
-)
 
 MAX_QUEUED = 4  # pictures that wait for a slow reader; the oldest goes first
 MIN_RETRY_DELAY, MAX_RETRY_DELAY = 0.25, 4.0  # s: doubled from the one to the other
@@ -26,7 +18,7 @@ SILENCE_TIMEOUT = 2.0  # s
 JOIN_TIMEOUT = 1.0  # s; a driver that hangs is left behind
 
 
-def open_camera(settings: CameraSettings) -> CameraDevice:
+def open_camera(settings: protocols.CameraSettings) -> protocols.CameraDevice:
     """Open a camera: index or device path through OpenCV, URL through ffmpeg, or a file.
 
     A camera that is not there is looked for until it is.
@@ -51,14 +43,10 @@ def is_file(source: int | str) -> bool:
 class CameraSource(Protocol):
     """An open camera."""
 
-    refused: tuple[RefusedSetting, ...]
+    refused: tuple[protocols.RefusedSetting, ...]
 
-    def grab(self) -> CapturedImage | None:
-        """Wait for a picture; None where one came that cannot be decoded.
-
-        Raises:
-            OSError: the camera is gone.
-        """
+    def grab(self) -> protocols.CapturedImage | None:
+        """Wait for a picture; None: it cannot be decoded; OSError: the camera is gone."""
 
     def close(self) -> None:
         """Close it; never raises."""
@@ -67,10 +55,8 @@ class CameraSource(Protocol):
 class CameraCapture:
     """Keeps a camera open, and its newest pictures at hand.
 
-    Args:
-        name: of the camera, for sentences.
-        open_source: opens it; raises OSError while that is not possible.
-        size: width and height, px, that pictures must have: a calibration holds for one size.
+    To open it may raise OSError while that is not possible. Pictures must have the size, width and
+    height, px: a calibration holds for one.
     """
 
     def __init__(
@@ -80,33 +66,33 @@ class CameraCapture:
         size: tuple[int, int] | None = None,
     ) -> None:
         self._name, self._open_source, self._wanted = name, open_source, size
-        self._frames: deque[CameraFrame] = deque()
+        self._frames: deque[protocols.CameraFrame] = deque()
         self._here = threading.Condition()
         self._closed = threading.Event()
         self._connected = False
         self._fault = "being opened"
-        self._refused: tuple[RefusedSetting, ...] = ()
+        self._refused: tuple[protocols.RefusedSetting, ...] = ()
         self._count = self._lost = self._spoilt = 0
         self._size: tuple[int, int] | None = None
         self._arrivals: deque[float] = deque(maxlen=256)
         self._thread = threading.Thread(target=self._run, name=f"camera {name}", daemon=True)
         self._thread.start()
 
-    def read(self) -> CameraFrame | None:
+    def read(self) -> protocols.CameraFrame | None:
         """Give the oldest picture that was not read yet; None after READ_TIMEOUT without one."""
         with self._here:
             if not self._frames:
-                self._here.wait(READ_TIMEOUT)
+                self._here.wait(protocols.READ_TIMEOUT)
             return self._frames.popleft() if self._frames else None
 
-    def state(self) -> CameraState:
+    def state(self) -> protocols.CameraState:
         """Say how the camera is."""
         now = time.monotonic()
         with self._here:
             arrivals = list(self._arrivals)
         age = now - arrivals[-1] if arrivals else None
         within = sum(t > now - 1.0 for t in arrivals)
-        return CameraState(
+        return protocols.CameraState(
             self._connected,
             age,
             self._count,
@@ -167,13 +153,15 @@ class CameraCapture:
         finally:
             source.close()
 
-    def _take(self, shot: CapturedImage) -> None:
+    def _take(self, shot: protocols.CapturedImage) -> None:
         height, width = shot.image.shape[:2]
         with self._here:
             self._size = (width, height)
             if not self._fits(self._size):
                 return
-            frame = CameraFrame(shot.t, shot.t_uncertainty, shot.image, shot.raw, self._count)
+            frame = protocols.CameraFrame(
+                shot.t, shot.t_uncertainty, shot.image, shot.raw, self._count
+            )
             self._frames.append(frame)
             self._count += 1
             self._arrivals.append(time.monotonic())

@@ -70,11 +70,7 @@ class StreamSource:
         )
 
     def grab(self) -> CapturedImage | None:
-        """Wait for a picture.
-
-        Raises:
-            OSError: the stream is gone.
-        """
+        """Wait for a picture; OSError: the stream is gone."""
         try:
             packet = next(self._packets)
             arrival = time.monotonic()

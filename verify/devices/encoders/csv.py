@@ -100,11 +100,7 @@ class FilePort:
             self._partial = self._file.read(1) != b"\n"
 
     def wait(self, seconds: float) -> bool:
-        """Wait until the file has grown.
-
-        Raises:
-            OSError: it is another file now, or a shorter one.
-        """
+        """Wait until the file has grown; OSError: it is another file now, or a shorter one."""
         deadline = time.monotonic() + seconds
         while not self._grown():
             rest = deadline - time.monotonic()

@@ -13,14 +13,7 @@ import numpy as np
 
 from verify.core.records import Array
 from verify.devices import ports
-from verify.devices.encoders.intake import (
-    AngleMap,
-    ControllerClock,
-    ControllerInstant,
-    IntakeCounts,
-    PortDriver,
-    ReadingIntake,
-)
+from verify.devices.encoders import intake
 from verify.devices.protocols import EncoderReading
 from verify.errors import InputError
 
@@ -183,20 +176,17 @@ def _invalid_key(key: str, found: str, remedy: str) -> InputError:
 class TextIntake:
     """Turns lines into readings.
 
-    Args:
-        fields: which field is what.
-        angles: from the device's angles to the robot file's own.
-        latency: s, the most by which a line comes later than its angles were read.
-        counts: where to count.
-        in_lumps: lines come late and together as a rule.
+    `angles` leads from the device's angles to the robot file's own. The latency, s, is the most by
+    which a line comes later than its angles were read. `in_lumps`: lines come late and together as
+    a rule.
     """
 
     def __init__(
         self,
         fields: FieldMap,
-        angles: AngleMap,
+        angles: intake.AngleMap,
         latency: float,
-        counts: IntakeCounts,
+        counts: intake.IntakeCounts,
         *,
         in_lumps: bool = False,
     ) -> None:
@@ -204,8 +194,8 @@ class TextIntake:
             found = f"name {fields.joints} joints"
             raise InputError("encoders, columns", found, f"the robot has {angles.joints}")
         self._fields, self._latency, self._counts = fields, latency, counts
-        self._intake = ReadingIntake(angles, counts)
-        self._clock = ControllerClock(fields.wrap, in_lumps=in_lumps)
+        self._intake = intake.ReadingIntake(angles, counts)
+        self._clock = intake.ControllerClock(fields.wrap, in_lumps=in_lumps)
         self._partial: dict[int, float] = {}  # axes of an instant that is not complete yet
         self._partial_t: float | None = None
         self._sequence: float | None = None
@@ -250,7 +240,9 @@ class TextIntake:
         values, self._partial = self._partial, {}
         return values
 
-    def _timed(self, t: float | None, chunk: ports.Chunk) -> tuple[ControllerInstant, float] | str:
+    def _timed(
+        self, t: float | None, chunk: ports.Chunk
+    ) -> tuple[intake.ControllerInstant, float] | str:
         """When the angles were read: the device's own time, else the middle of what is possible."""
         unit = self._fields.seconds_per_unit
         if unit is not None and t is not None:
@@ -258,7 +250,7 @@ class TextIntake:
             # a counter is known within its unit; how many decimals of a second count is not known
             return instant if isinstance(instant, str) else (instant, unit / 2 if unit < 1 else 0.0)
         earliest = chunk.earliest - self._latency
-        return ControllerInstant((earliest + chunk.t) / 2, 0), (chunk.t - earliest) / 2
+        return intake.ControllerInstant((earliest + chunk.t) / 2, 0), (chunk.t - earliest) / 2
 
     def _count_lost(self, sequence: float | None) -> None:
         before, self._sequence = self._sequence, sequence
@@ -281,7 +273,7 @@ class TextSettings:
     at_end: bytes = b""  # sent before it is closed
 
 
-class LineEncoders(PortDriver):
+class LineEncoders(intake.PortDriver):
     """Joint readings from lines of text; a device and a file differ in how they begin."""
 
     def __init__(self, link: ports.PortLink) -> None:
@@ -312,7 +304,7 @@ class LineEncoders(PortDriver):
 class TextEncoders(LineEncoders):
     """Joint readings from a device that prints lines of text."""
 
-    def __init__(self, settings: TextSettings, angles: AngleMap) -> None:
+    def __init__(self, settings: TextSettings, angles: intake.AngleMap) -> None:
         super().__init__(ports.link_to(settings.port, settings.line))
         self._settings = settings
         self._text = TextIntake(settings.fields, angles, settings.latency, self.counts)

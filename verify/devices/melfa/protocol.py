@@ -161,9 +161,7 @@ def parse_answer(line: bytes) -> ControllerAnswer | None:
 def parse_joints(data: str, joints: int) -> JointPosition | None:
     """Read JPOSF's data by label; None unless every field is there and well formed.
 
-    Args:
-        data: what follows QoK: `J1;-7.42;…;J6;-9.75;;****,****;100;0.00;00000000`.
-        joints: how many the robot has; a controller may tell up to 8.
+    They follow QoK: `J1;-7.42;…;J6;-9.75;;****,****;100;0.00;00000000`, for up to 8 joints.
     """
     head, separator, tail = data.partition(";;")
     fields, rest = head.split(";"), tail.removesuffix(";").split(";")

@@ -21,11 +21,7 @@ def is_url(place: str) -> bool:
 
 
 def list_sessions(url: str) -> Iterator[SessionLocation]:
-    """List the sessions under a URL; none inside another.
-
-    Raises:
-        InputError: nobody knows the protocol, or the storage refuses.
-    """
+    """List the sessions under a URL, none inside another; InputError: not known, or refused."""
     system, root = _filesystem(url)
     try:
         files = system.find(root)

@@ -58,11 +58,7 @@ class ResultStore:
             return None
 
     def keep(self, measured: SessionResults, options: BatchOptions) -> None:
-        """Put a session's results in place, instead of older ones.
-
-        Raises:
-            InputError: the folder cannot be written.
-        """
+        """Put a session's results in place of older ones; InputError: no place to write."""
         folder = self.place(measured.session)
         self._remove(folder)
         entry = {
@@ -90,11 +86,7 @@ class ResultStore:
 
 
 def require_writable(out: Path) -> None:
-    """Refuse a place where no batch can write, before hours of work go into it.
-
-    Raises:
-        InputError: it is a file, or cannot be made.
-    """
+    """Raise InputError for a place where no batch can write, before hours of work go into it."""
     if out.exists() and not out.is_dir():
         raise InputError(out, "is a file", "a folder is expected", "Choose another -o.")
     try:

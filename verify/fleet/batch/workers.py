@@ -9,16 +9,10 @@ from contextlib import suppress
 from functools import partial
 from typing import Any, NoReturn
 
-from verify.core.processes import (
-    ChildFailedError,
-    ChildLostError,
-    ChildProcess,
-    answer_requests,
-    wait_for_any,
-)
+from verify.core import processes
 from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied, perform
 
-Worker = ChildProcess[Task, Any]
+Worker = processes.ChildProcess[Task, Any]
 
 
 class ProcessPool:
@@ -31,7 +25,7 @@ class ProcessPool:
 
     def ready(self) -> None:
         """Wait until the first worker is ready."""
-        with suppress(ChildLostError):  # it is replaced when it gets its first task
+        with suppress(processes.ChildLostError):  # it is replaced when it gets its first task
             self._idle[-1].wait_until_ready()
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
@@ -40,15 +34,15 @@ class ProcessPool:
         while tasks or self._busy:
             self._hand_out(tasks)
             finished = []
-            for worker in wait_for_any(self._busy):
+            for worker in processes.wait_for_any(self._busy):
                 try:
                     if not worker.answered():  # it has only become ready
                         continue
                     outcome = worker.finish(0.0)
                     self._idle.append(worker)
-                except ChildFailedError:
+                except processes.ChildFailedError:
                     raise
-                except ChildLostError:
+                except processes.ChildLostError:
                     worker.stop(0.0)
                     died[id(self._busy[worker])] += 1
                     if died[id(self._busy[worker])] < MAX_ATTEMPTS:
@@ -66,7 +60,7 @@ class ProcessPool:
             worker = self._idle.pop() if self._idle else self._start()
             try:
                 worker.begin(tasks[0])
-            except ChildLostError:  # it died while it had nothing to do
+            except processes.ChildLostError:  # it died while it had nothing to do
                 worker.stop(0.0)
                 continue
             self._busy[worker] = tasks.popleft()
@@ -79,7 +73,9 @@ class ProcessPool:
 
     def _start(self) -> Worker:
         threads = 1 if self._workers >= available_cpus() else available_cpus()
-        return ChildProcess(answer_requests, perform, partial(_load, threads), name="batch worker")
+        return processes.ChildProcess(
+            processes.answer_requests, perform, partial(_load, threads), name="batch worker"
+        )
 
 
 def _load(threads: int) -> None:

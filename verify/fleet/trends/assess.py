@@ -174,11 +174,7 @@ def _contrast_rows(
 
 
 def require_folders(names: Sequence[str], request: TrendRequest) -> None:
-    """Refuse folders to compare that hold none of the sessions, before hours of work.
-
-    Raises:
-        InputError: a folder to compare holds no session.
-    """
+    """Raise InputError where a folder to compare holds no session, before hours of work."""
     for folder in request.compare or ():
         if not _sessions_below(names, folder):
             raise InputError(

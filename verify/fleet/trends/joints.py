@@ -9,13 +9,7 @@ from numpy.typing import NDArray
 
 from verify.core.records import Array
 from verify.core.statistics import t_isf
-from verify.fleet.trends.changes import (
-    MIN_BIC_DIFFERENCE,
-    MIN_SESSIONS,
-    JointTrend,
-    TrendChange,
-    find_changes,
-)
+from verify.fleet.trends import changes
 from verify.fleet.trends.series import JointSeries
 
 N_NEIGHBOURS = 3  # sessions on either side that one is held against
@@ -48,7 +42,7 @@ def _distance(series: JointSeries, i: int, side: slice) -> float:
     return float(abs(series.error[i] - np.median(series.error[side])) / np.sqrt(variance))
 
 
-MIN_SESSIONS_TO_ASSESS = 2 * MIN_SESSIONS  # sessions, below which changes are not assessed
+MIN_SESSIONS_TO_ASSESS = 2 * changes.MIN_SESSIONS  # sessions, below which changes are not assessed
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,7 +51,7 @@ class JointAssessment:
 
     series: JointSeries
     odd: NDArray[np.bool_]  # (n,), sessions that stand apart
-    course: JointTrend  # of the others
+    course: changes.JointTrend  # of the others
     ordinary: NDArray[np.int64]  # (m,), the others' places in the series
     half: Array  # (n,), degrees: how far from its place a session lies if nothing changed
 
@@ -81,9 +75,9 @@ class JointAssessment:
         return u > 0 and abs(slope) > 2 * u and slope * self.level[0] > 0
 
 
-def change_kind(change: TrendChange) -> str:
+def change_kind(change: changes.TrendChange) -> str:
     """Name a change; `change` where the data do not tell a step from a drift."""
-    return change.term.kind if change.clearer_by >= MIN_BIC_DIFFERENCE else "change"
+    return change.term.kind if change.clearer_by >= changes.MIN_BIC_DIFFERENCE else "change"
 
 
 def assess_joint(series: JointSeries, false_alarm: float) -> JointAssessment:
@@ -92,17 +86,18 @@ def assess_joint(series: JointSeries, false_alarm: float) -> JointAssessment:
     `false_alarm` is the chance of a false change, and that of a false odd session.
     """
     odd = find_outliers(series, false_alarm)
-    course = find_changes(series.chosen(~odd), false_alarm)
+    course = changes.find_changes(series.chosen(~odd), false_alarm)
     return JointAssessment(
         series, odd, course, np.flatnonzero(~odd), _control_half_width(series, course, false_alarm)
     )
 
 
-def _control_half_width(series: JointSeries, course: JointTrend, false_alarm: float) -> Array:
+def _control_half_width(
+    series: JointSeries, course: changes.JointTrend, false_alarm: float
+) -> Array:
     """Half the distance between the control limits, as wide as each session's uncertainty."""
     z = t_isf(false_alarm / len(series) / 2, series.degrees_of_freedom)
-    half: Array = z * np.sqrt(series.scatter**2 + course.reference_uncertainty**2)
-    return half
+    return z * np.sqrt(series.scatter**2 + course.reference_uncertainty**2)
 
 
 POINT_COLUMNS = [
@@ -148,7 +143,7 @@ def change_rows(judged: JointAssessment) -> list[tuple[Any, ...]]:
     return rows
 
 
-def _is_recalibration(judged: JointAssessment, one: TrendChange) -> bool:
+def _is_recalibration(judged: JointAssessment, one: changes.TrendChange) -> bool:
     """Tell whether a step may fall on a new calibration."""
     group = judged.series.group[judged.ordinary]
     return bool(group[one.earliest - 1] != group[one.latest])

@@ -93,8 +93,7 @@ def _with_excess(series: JointSeries) -> JointSeries:
 
 
 def _numbers(rows: pd.DataFrame, name: str) -> Array:
-    values: Array = rows[name].to_numpy(dtype=float, na_value=np.nan)
-    return values
+    return rows[name].to_numpy(dtype=float, na_value=np.nan)
 
 
 def _days(rows: pd.DataFrame) -> Array:
@@ -198,14 +197,12 @@ def _squares(series: JointSeries, months: Array) -> tuple[Array, Array]:
 def _gain(signal: Array, common: Array, own: Array, found: SeriesFit) -> Array:
     left = own - np.einsum("np,pq,nq->n", common, found.covariance, common)
     there = left > MIN_COLUMN_SHARE * own
-    gain: Array = np.where(there, signal**2 / np.where(there, left, 1.0), 0.0)
-    return gain
+    return np.where(there, signal**2 / np.where(there, left, 1.0), 0.0)
 
 
 def _suffix_sums(values: Array) -> Array:
     """Sums from each place to the end."""
-    sums: Array = np.cumsum(values[::-1], axis=0)[::-1]
-    return sums
+    return np.cumsum(values[::-1], axis=0)[::-1]
 
 
 @dataclass(frozen=True, slots=True)

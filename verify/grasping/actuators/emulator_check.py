@@ -88,11 +88,7 @@ def is_emulated_melfa(port: Port, terminator: bytes = b"\r") -> bool:
 
 
 def is_emulated_gripper(port: Port, slave: int = 9) -> bool:
-    """Ask a Modbus RTU slave who made it.
-
-    Raises:
-        OSError: the line is gone.
-    """
+    """Ask a Modbus RTU slave who made it; OSError: the line is gone."""
     framer = FramerRTU(DecodePDU(is_server=False))
     port.send(framer.buildFrame(ReadDeviceInformationRequest(read_code=1, dev_id=slave)))
 

@@ -47,14 +47,10 @@ class Actuators:
 class GraspLoop:
     """Tracks, follows, grabs; one `cycle` a pair of pictures.
 
-    Args:
-        setup: arm and cell.
-        tracker: measures the target; None: there is none until `look_for` is called.
-        aim: keeps target, goal and plan.
-        hands: arm and gripper; None: nothing may move, the plan is all there is.
-        joints: reads the joint angles; None where there is no reading.
-        clock: s, monotonic; the pictures' times and the devices' are on it too.
-        auto: grab as soon as the target stands still.
+    Without a tracker there is no target until `look_for` is called; without hands nothing may move,
+    and the plan is all there is. `joints` reads the joint angles; None where there is no reading.
+    The pictures' times and the devices' are on the clock, s, monotonic, too. `auto`: grab as soon
+    as the target stands still.
     """
 
     def __init__(

@@ -44,11 +44,9 @@ class OperatorRequests:
             self._orders, self._drawn = [(GraspEvent.HOLD, None)], None
 
     def grab(self, shown: str) -> None:
-        """Ask for the grab.
+        """Ask for the grab; a late order must not count in another state.
 
-        Args:
-            shown: how many passages of the state machine the page showed, in digits: a late order
-                must not count in another state.
+        `shown`: how many passages of the state machine the page showed, in digits.
         """
         if not (shown.isascii() and shown.isdecimal() and len(shown) < MAX_REPEATED_LETTERS):
             self._refuse(f'grab: "{shown[:MAX_REPEATED_LETTERS]}" is no number of passages')
@@ -71,9 +69,8 @@ class OperatorRequests:
     def taken(self, passages: int, *, pictures: bool) -> PendingRequests:
         """Return the requests since the last call.
 
-        Args:
-            passages: of the state machine until now.
-            pictures: there are new ones, in which a selection can be found.
+        `passages`: of the state machine until now; `pictures`: there are new ones, in which a
+        selection can be found.
         """
         with self._lock:
             orders, self._orders = self._orders, []

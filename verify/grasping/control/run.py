@@ -63,14 +63,8 @@ def run(
 ) -> GraspOutcome:
     """Run until it ends by itself, the time is over, or the operator stops it.
 
-    Args:
-        loop: not started yet.
-        source: of pictures.
-        ends: when it is over.
-        on_cycle: called with every cycle.
-        orders: returns what the operator has ordered since the last call.
-        say: called with the reason why an order does not count.
-        stop: whether the operator wants it to end.
+    `orders` returns what the operator has ordered since the last call, `say` gets the reason why an
+    order does not count, `stop` says whether the operator wants it to end.
     """
     loop.start()
     machine = loop.machine

@@ -228,9 +228,7 @@ class StateChange:
 class StateMachine:
     """The state of a grasp; orders follow from the state and from nothing else.
 
-    Args:
-        execute: the right to move: without it no state that moves arm or fingers is ever reached.
-        clock: s, monotonic.
+    Without the right to move, `execute`, no state that moves arm or fingers is ever reached.
     """
 
     def __init__(self, execute: bool, clock: Callable[[], float]) -> None:
@@ -252,9 +250,7 @@ class StateMachine:
     def tell(self, event: GraspEvent, reason: str = "") -> bool:
         """Take an event in; False where it is no transition of this state, or lacks what it needs.
 
-        Args:
-            event: what happened.
-            reason: in words; empty: that of the table.
+        The reason is in words; empty: that of the table.
         """
         for way in TRANSITIONS_BY_EVENT.get((self.state, event), []):
             if all(self._has(need) for need in way.needs):

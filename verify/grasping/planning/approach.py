@@ -17,15 +17,10 @@ TOL_ROTATION = 2e-4  # rad, likewise: 0.01°
 
 
 def hand_poses(direction: Array, point: Array, turns: Array) -> Array:
-    """Place the grip frame: z along the direction, turned about it.
+    """Place the grip frame, base_T_grip (k, 4, 4): z along the direction, turned about it.
 
-    Args:
-        direction: (3,), unit vector, base frame.
-        point: (3,), m, base frame.
-        turns: (k,), rad, about the direction; 0 has x nearest to the base's x (or y) axis.
-
-    Returns:
-        base_T_grip, (k, 4, 4).
+    Direction (3,), a unit vector, and point (3,), m, are in the base frame. The turns (k,), rad,
+    are about the direction; 0 has x nearest to the base's x (or y) axis.
     """
     base = np.eye(3)[0 if abs(direction[0]) < 0.9 else 1]
     x = base - (base @ direction) * direction
@@ -67,16 +62,9 @@ def line_path(arm: DhArm, line: ApproachLine, branch: int, q_start: Array) -> Jo
     """Find the joint angles that carry the flange along a straight line, in one branch.
 
     A quintic spline through exact postures; their number is doubled until the flange, midway
-    between them, is within 0.02 mm and 0.01° of the line.
-
-    Args:
-        arm: with a closed form.
-        line: where the flange goes.
-        branch: which answer of `robots.inverse`, all along.
-        q_start: (n,), rad, at the line's start: says which turn of each joint.
-
-    Returns:
-        The path, its way in m; or why there is none, in words.
+    between them, is within 0.02 mm and 0.01° of the line. The branch of `robots.inverse` is the
+    same all along; q_start (n,), rad, at the line's start, says which turn of each joint. Returns
+    the path, its way in m; or why there is none, in words.
     """
     nodes = MIN_NODES
     while nodes <= MAX_NODES:

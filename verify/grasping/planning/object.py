@@ -80,8 +80,7 @@ def base_covariance(rig: Rig, point: Array) -> Array:
     axes = [BODY.index(given.names[i].partition(".")[2]) for i in places]
     lever = cross_matrix(point - rig.rig_T_base[:3, 3])
     moves = np.hstack([np.eye(3), -lever])[:, axes]
-    found: Array = moves @ given.covariance[np.ix_(places, places)] @ moves.T
-    return found
+    return moves @ given.covariance[np.ix_(places, places)] @ moves.T
 
 
 RefusalKind = Literal[

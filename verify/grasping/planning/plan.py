@@ -81,11 +81,7 @@ class GraspPlan:
 
 
 def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
-    """Put an arm into its cell.
-
-    Raises:
-        InputError: the arm has no closed form, or its file states no rates.
-    """
+    """Put an arm into its cell; InputError: it has no closed form, or its file states no rates."""
     if not isinstance(arm, DhArm):
         expected = "an arm with a closed form is needed to grasp"
         raise InputError(f'robot "{arm.name}"', "is a URDF", expected, "Write its DH table.")
@@ -165,8 +161,7 @@ def transfer_motion(
 ) -> tuple[Trajectory, ...] | str:
     """Go straight in joint angles, (n,) rad, to above the object, or through home.
 
-    Returns:
-        The ways one after the other, checked all along; or what stands in them.
+    Returns the ways one after the other, checked all along; or what stands in them.
     """
     ways = [[q_now, q_above]]
     if setup.cell.moving.home is not None:

@@ -96,11 +96,9 @@ def find_postures(
     """List how the arm could stand above an object and at it: all branches, 24 turns of the hand.
 
     A posture must exist, keep the joints' limits, be off singularities and clear, at both ends of
-    the line to the grip point (3,), m, base frame. The arm stands at q_now, (n,), rad.
-
-    Returns:
-        Those that can be, best score first; and why each other branch cannot, in words, for
-        the turn of the hand that came farthest; branches that came farthest first.
+    the line to the grip point (3,), m, base frame. The arm stands at q_now, (n,), rad. Returns
+    those that can be, best score first; and why each other branch cannot, in words, for the turn of
+    the hand that came farthest; branches that came farthest first.
     """
     direction = workspace.cell.approach.direction
     now = nearest_turn(direction, workspace.grip(q_now)[:3, :3])

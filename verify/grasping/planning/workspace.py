@@ -7,11 +7,6 @@ no point moves farther than travel = sum_j |dq_j| reach_j, so with margins m1 an
     least margin between them >= (m1 + m2 - travel) / 2
 
 A path is checked along its whole length by halving it until this bound is above -RESOLUTION.
-
-State of `Workspace`:
-    arm, cell   the DH arm; table, box, gripper and clearances of grab.toml, m
-    cameras     (k, 3) optical centres, m, base frame
-    reach       (n,) greatest distance of any point of arm and hand from each joint's axis, m
 """
 
 from dataclasses import dataclass, replace
@@ -54,17 +49,12 @@ class Workspace:
 
     def grip(self, q: Array) -> Array:
         """Where the grip point is, base_T_grip (..., 4, 4)."""
-        found: Array = robots.forward(self.arm, q) @ self.cell.gripper.flange_T_grip
-        return found
+        return robots.forward(self.arm, q) @ self.cell.gripper.flange_T_grip
 
     def margins(self, q: Array) -> Array:
-        """How much nearer each part could come to what it keeps away from, m.
+        """How much nearer each part could come to what it keeps away from, (m, names), m.
 
-        Args:
-            q: (m, n), rad.
-
-        Returns:
-            (m, names): below 0 it is too near, or outside.
+        By joint angles q (m, n), rad; below 0 it is too near, or outside.
         """
         table, hand = self.cell.table, self.cell.gripper
         radius, away = self.cell.moving.link_radius, self.cell.moving.camera_clearance

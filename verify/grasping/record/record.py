@@ -19,14 +19,7 @@ from verify.grasping.control.states import GraspState
 from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan
 from verify.grasping.planning.workspace import Workspace
-from verify.grasping.record.rows import (
-    cycle_row,
-    plan_fields,
-    plan_table,
-    state_changes_table,
-    tool_offset_fields,
-    tool_offset_table,
-)
+from verify.grasping.record import rows
 from verify.grasping.record.video import Mp4Writer
 from verify.live.recording.session import SessionFacts, SessionWriter
 
@@ -81,7 +74,7 @@ class GraspRecord:
         Raises:
             OSError: the system refuses it.
         """
-        self._rows.append(cycle_row(cycle, self._workspace))
+        self._rows.append(rows.cycle_row(cycle, self._workspace))
         self._check_lift(cycle)
         picture = self._film.add(cycle)
         self._last = picture
@@ -127,18 +120,18 @@ class GraspRecord:
             "stopped_by_operator": outcome.stopped,
             "cycles": outcome.cycles,
             **(self._lift_check or dict.fromkeys(LIFT_FIELDS)),
-            "plan": None if good is None else plan_fields(good),
-            "refusal": plan_fields(plan) if isinstance(plan, GraspRefusal) else None,
-            "hand": None if hand is None else tool_offset_fields(hand, self._workspace),
+            "plan": None if good is None else rows.plan_fields(good),
+            "refusal": rows.plan_fields(plan) if isinstance(plan, GraspRefusal) else None,
+            "hand": None if hand is None else rows.tool_offset_fields(hand, self._workspace),
             "film": VIDEO_FILE,
             "session": SESSION_FOLDER,
             "warnings": list(self._context.warnings),
         }
         tables = {
             "cycles": pd.DataFrame(self._rows),
-            "passages": state_changes_table(outcome.passages),
-            "plan": plan_table(good, self._workspace),
-            "hand": tool_offset_table(hand, self._workspace),
+            "passages": rows.state_changes_table(outcome.passages),
+            "plan": rows.plan_table(good, self._workspace),
+            "hand": rows.tool_offset_table(hand, self._workspace),
         }
         return Results(summary, {}, tables, self._images())
 

@@ -127,8 +127,7 @@ def plan_fields(plan: GraspPlan | GraspRefusal) -> dict[str, Any]:
 
 def _grip_position(base_T_flange: Array, workspace: Workspace) -> Array:
     """Where the grip point is, (3,), m."""
-    found: Array = (base_T_flange @ workspace.cell.gripper.flange_T_grip)[:3, 3]
-    return found
+    return (base_T_flange @ workspace.cell.gripper.flange_T_grip)[:3, 3]
 
 
 def _outline(side: str, outline: Blob | None) -> dict[str, float | None]:

@@ -30,11 +30,7 @@ class Mp4Writer:
         self._last = np.zeros((HEIGHT, 2 * WIDTH, 3), np.uint8)
 
     def add(self, cycle: LoopCycle) -> Image:
-        """Append a cycle; the last pictures stay where there are no new ones.
-
-        Returns:
-            The picture as it is in the film, BGR.
-        """
+        """Append a cycle, with the last pictures if none are new; returns it as filmed, BGR."""
         if cycle.pair is not None:
             self._last = np.hstack([_annotated_picture(cycle, 0), _annotated_picture(cycle, 1)])
         picture = np.vstack([self._last, _text_strip(cycle)])

@@ -96,10 +96,7 @@ def average_sights(sights: Sequence[FlangeMeasurement], ordered: Array) -> _Pool
 
     Errors of a still scene are common to all its pictures (edges beside an LED, the pixel raster):
     the mean keeps the uncertainty of one picture, increased where they scatter by more than that.
-
-    Args:
-        sights: of an arm that stands.
-        ordered: base_T_flange (4, 4).
+    The sights are of an arm that stands, ordered to base_T_flange (4, 4).
     """
     good = [s for s in sights if s.base_T_flange is not None and s.covariance is not None]
     if len(good) < MIN_AGREEING:
@@ -127,13 +124,9 @@ def tool_offset(
 ) -> ToolOffset:
     """Carry the offset from where it was measured to where the hand will grip.
 
-    Args:
-        found: by the LEDs.
-        arm: that carries them.
-        cell: the gripper, and the arm's claimed accuracy.
-        base: (3, 3), m², stated covariance of the base's place, at the hand.
-        q_ordered: (n,), rad, where the arm was ordered to stand.
-        q_end: (n,), rad, where it will be ordered to grip.
+    The cell holds the gripper, and the arm's claimed accuracy; `base` (3, 3), m², is the stated
+    covariance of the base's place, at the hand. The arm was ordered to stand at q_ordered (n,),
+    rad, and will be ordered to grip at q_end.
     """
     grip = cell.gripper.flange_T_grip[:3, 3]
     moves, end = robots.jacobian(arm, q_ordered), _grip_jacobian(arm, q_end, grip)
@@ -158,23 +151,16 @@ def _grip_jacobian(arm: DhArm, q: Array, grip: Array) -> Array:
     """Derivative of the grip point by the joint angles, (3, n), m/rad."""
     moves = robots.jacobian(arm, q)
     lever = robots.forward(arm, q)[:3, :3] @ grip
-    found: Array = moves[:3] + np.cross(moves[3:].T, lever).T
-    return found
+    return moves[:3] + np.cross(moves[3:].T, lever).T
 
 
 def measure_resting_flange(
     pair: StereoPair, rig: Rig, marker: Marker, ordered: Array
 ) -> Measurement:
-    """Measure where the flange stands.
+    """Measure where the flange stands, by a pair taken while it stood.
 
-    Args:
-        pair: taken while it stood.
-        rig: the cameras.
-        marker: the LEDs.
-        ordered: rig_T_flange, (4, 4), within SEARCH_RADIUS and MAX_ROTATION.
-
-    Returns:
-        Its status is "measured", "too_few_leds", "ambiguous_leds" or "outlier".
+    `ordered`: rig_T_flange, (4, 4), within SEARCH_RADIUS and MAX_ROTATION. The status is
+    "measured", "too_few_leds", "ambiguous_leds" or "outlier".
     """
     pans = pair.pan_left, pair.pan_right
     spots = (

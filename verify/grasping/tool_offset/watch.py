@@ -74,9 +74,8 @@ class FlangeWatch:
     ) -> tuple[tuple[FlangeMeasurement, ...], Array | None] | None:
         """Continue the measurement of an arm that was ordered to stand at q, (n,), rad.
 
-        Returns:
-            The measurements, and the mean of the joint angles read meanwhile, (n,), rad, None where
-            they show that it did not stand; or None: there is more to gather.
+        Returns the measurements, and the mean of the joint angles read meanwhile, (n,), rad, None
+        where they show that it did not stand; or None: there is more to gather.
         """
         if self._rest is None or np.abs(self._rest.q - q).max() > TOL_SAME_ORDER:
             self._rest = _RestSightings(np.array(q), now)

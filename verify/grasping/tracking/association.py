@@ -9,12 +9,6 @@ probability of the motion hypothesis, A the areas. The assignment of least total
 object out of sight costs HIDDEN_COST, a new object -2 ln(density). The margin to the next best
 assignment of the same candidate says how sure it is. Where two explanations are about as good,
 nothing is updated, and the target counts as out of sight until it is clear again.
-
-State of `TargetIdentity`:
-    target      the target's track, area and extent; None before the first find
-    others      confirmed objects of the same colour: what one of them explains is not the target
-    tentative   others in view too seldom to count
-    again       a lost target, in view but not confirmed
 """
 
 import math
@@ -85,13 +79,9 @@ class ObjectAssignment:
 def associate(
     known: list[ObjectTrack], candidates: list[StereoObject], t: float, density: float
 ) -> ObjectAssignment:
-    """Assign candidates to objects.
+    """Assign candidates in view at one instant t, s, to known objects.
 
-    Args:
-        known: objects.
-        candidates: in view at one instant.
-        t: s, that instant.
-        density: new objects to expect, a m³.
+    `density`: new objects to expect, a m³.
 
     Source: the global nearest neighbour, Blackman and Popoli, Design and Analysis of Modern
     Tracking Systems, 1999, sec. 6.4.
@@ -169,11 +159,11 @@ class TargetIdentity:
 
     def __init__(self, options: TrackingOptions, density: float) -> None:
         self._options, self._density = options, density
-        self.target: ObjectTrack | None = None
+        self.target: ObjectTrack | None = None  # before the first find
         self.tracked = False  # at the last pair: a window around its prediction will do
-        self._others: list[ObjectTrack] = []
-        self._tentative: list[ObjectTrack] = []
-        self._again: ObjectTrack | None = None
+        self._others: list[ObjectTrack] = []  # confirmed: what one explains is not the target
+        self._tentative: list[ObjectTrack] = []  # others in view too seldom to count
+        self._again: ObjectTrack | None = None  # a lost target, in view but not confirmed
 
     @property
     def settled(self) -> bool:
@@ -339,8 +329,7 @@ class TargetIdentity:
 def centre_uncertainty_ratio(ratio: float) -> float:
     """By how much of its extent a patch's centre may miss the target's, one standard deviation.
 
-    Args:
-        ratio: the patch's area over the target's. What lacks, or is too much, is all at one side.
+    The ratio is the patch's area over the target's. What lacks, or is too much, is all at one side.
     """
     return max(CERTAIN_AREA_RANGE[0] - ratio, ratio - CERTAIN_AREA_RANGE[1], 0.0)
 

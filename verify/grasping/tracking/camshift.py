@@ -68,18 +68,10 @@ class Blob:
 def camshift(
     image: Image, start: Box, region: Box, model: ColourModel, expected: Array | None = None
 ) -> Blob | None:
-    """Find the target from a start window, in the search region alone.
+    """Find the target in a search region alone, from a start window; None: nothing of its colour.
 
-    Args:
-        image: (h, w, 3) BGR.
-        start: the window from which CamShift begins.
-        region: the part of the picture that is searched.
-        model: the target's colours.
-        expected: (2,), px, the target's width and height, where they are known. What lies beyond
-            the window of that size which holds most colour is no part of it.
-
-    Returns:
-        The patch, or None where the region holds nothing of the colour.
+    The image is (h, w, 3) BGR. `expected` (2,), px: the target's width and height, where they are
+    known. What lies beyond the window of that size which holds most colour is no part of it.
 
     Raises:
         InputError: the picture is grey.

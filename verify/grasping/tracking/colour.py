@@ -83,11 +83,7 @@ def to_hsv(bgr: Image) -> Image:
 
 
 def named_colour(name: str) -> ColourModel:
-    """Make the model of a colour that is known by name alone.
-
-    Raises:
-        InputError: the name is not known.
-    """
+    """Make the model of a colour that is known by name alone; InputError: this one is not."""
     if name not in NAMED_HUES_DEG:
         names = ", ".join(NAMED_HUES_DEG)
         raise InputError("--target", f'"{name}" is not known', f"known colours: {names}")
@@ -106,8 +102,7 @@ def colour_histogram(hsv: Image, mask: Mask) -> Array:
     counts = cv2.calcHist(
         [hsv], [0, 1], mask, [N_HUE_BINS, N_SATURATION_BINS], [0, N_HUES, 0, N_SATURATIONS]
     )
-    shares: Array = counts.astype(float) / max(float(counts.sum()), 1.0)
-    return shares
+    return counts.astype(float) / max(float(counts.sum()), 1.0)
 
 
 SMOOTHING_SIGMA = (2.0, 14.0)  # hue steps, DN of saturation: noise, shading and interpolated chroma
@@ -122,13 +117,9 @@ BoolMask = NDArray[np.bool_]  # (h, w)
 def learn_colour(hsv: Image, inside: Mask, outside: Mask) -> ColourModel:
     """Learn which colours tell a target from what is around it.
 
-    The weight of a colour is the share of its pixels that are the target's: of those inside, those
-    outside, and as many of any colour, evenly, for colours without a pixel.
-
-    Args:
-        hsv: (h, w, 3).
-        inside: (h, w), where the target is, for the most part.
-        outside: (h, w), what surrounds it.
+    The weight of a colour is the share of its pixels that are the target's: of those inside (h, w),
+    where the target is for the most part, those outside (h, w), which surround it, and as many of
+    any colour, evenly, for colours without a pixel.
 
     Source: the ratio histogram of Swain and Ballard, Int. J. Computer Vision 7(1), 1991, sec. 4,
     smoothed.
@@ -204,5 +195,4 @@ def _count(hsv: Image, where: BoolMask) -> Array:
         sigmaY=SMOOTHING_SIGMA[0],
         borderType=cv2.BORDER_REFLECT,
     )
-    found: Array = smooth[margin:-margin].astype(float)
-    return found
+    return smooth[margin:-margin].astype(float)

@@ -6,12 +6,6 @@ Model, each coordinate by itself, tau = VELOCITY_TIME_CONSTANT, w white noise:
 
 Over a frame that is a constant velocity; over seconds out of sight the velocity is unknown, and its
 size stays bounded.
-
-State of `KalmanTrack`:
-    mean        x (d,), v (d,)          m, m/s in the rig (d = 3)
-    covariance  (2 d, 2 d)              of the mean
-    speed       standard deviation of v, m/s, learned from the track's own velocity
-    fastest     standard deviation of v, m/s, of any target
 """
 
 import math
@@ -30,12 +24,12 @@ ABRUPT_SPEED_RATIO = 2.0  # of `fastest`: pushed or snatched
 
 @dataclass(frozen=True, slots=True)
 class KalmanTrack:
-    """Position and velocity at one instant, in d dimensions."""
+    """Position and velocity at one instant, in d dimensions: m, m/s in the rig (d = 3)."""
 
     t: float  # s
     mean: Array  # (2 d,), position then velocity
     covariance: Array  # (2 d, 2 d)
-    speed: float  # standard deviation of the velocity, a coordinate, of this target
+    speed: float  # standard deviation of the velocity, a coordinate, learned of this target
     fastest: float  # standard deviation of the velocity, a coordinate, of any target
 
     @property
@@ -110,10 +104,9 @@ class KalmanTrack:
         return replace(self, speed=max(math.sqrt(square), MIN_SPEED_RATIO * self.fastest))
 
     def distance(self, position: Array, covariance: Array) -> tuple[float, float]:
-        """Distance of a measured position from the predicted one.
+        """Squared Mahalanobis distance of a measured position from the predicted one.
 
-        Returns:
-            The squared Mahalanobis distance, and ln det(2 pi S) of the innovation's covariance.
+        With it ln det(2 pi S) of the innovation's covariance.
         """
         spread = self.position_covariance + covariance
         off = position - self.position

@@ -12,16 +12,8 @@ from scipy.optimize import linear_sum_assignment
 
 from verify.core.records import Array, StereoPair
 from verify.core.rig import Rig
+from verify.grasping.tracking import stereo
 from verify.grasping.tracking.camshift import Blob
-from verify.grasping.tracking.stereo import (
-    LineOfSight,
-    StereoPoint,
-    line_of_sight,
-    locate,
-    object_size,
-    place_cameras,
-    ray_midpoint,
-)
 from verify.grasping.tracking.target import TrackingOptions
 from verify.measurement.alignment import spot_instants
 from verify.measurement.triangulation import triangulate
@@ -47,7 +39,7 @@ class StereoObject:
 
     left: Blob
     right: Blob
-    place: StereoPoint
+    place: stereo.StereoPoint
     areas: Array  # (2,), m², as the left and the right picture have it
     reaches: Array  # (2,), m², with what is connected with it
     size: Array  # (2,), m, width and height
@@ -101,34 +93,26 @@ def join_blobs(
     motion: ObjectMotion,
     doubt: tuple[float, float] = (0.0, 0.0),
 ) -> StereoObject | None:
-    """Make an object of two patches.
+    """Make an object of two patches; None where the rays do not meet before both cameras.
 
-    Args:
-        left: the patch in the left picture.
-        right: the patch in the right one.
-        pair: the pictures' instants and pans.
-        rig: the cameras.
-        motion: how the object moves, to bring both to the left picture's instant.
-        doubt: px, standard, left and right, by which a patch's centre may miss the object's.
-
-    Returns:
-        None where the rays do not meet before both cameras.
+    `pair` has the pictures' instants and pans, `motion` brings both to the left one's instant;
+    `doubt`, px, standard, left and right: by which a patch's centre may miss the object's.
     """
-    cameras = place_cameras(rig, pair)
+    cameras = stereo.place_cameras(rig, pair)
     blobs, times = (left, right), (pair.t_left, pair.t_right)
     sights = []
     for camera, blob, extra in zip(cameras, blobs, doubt, strict=True):
         covariance = blob.covariance + np.eye(2) * extra**2
-        sights.append(line_of_sight(camera, blob.centre, covariance, blob.extent))
-    start = ray_midpoint(sights[0], sights[1])
+        sights.append(stereo.line_of_sight(camera, blob.centre, covariance, blob.extent))
+    start = stereo.ray_midpoint(sights[0], sights[1])
     for i, (t, blob) in enumerate(zip(times, blobs, strict=True)):
         taken = spot_instants(t, blob.centre[None], cameras[i].camera, rig.image_size[1])
         sights[i] = _shift_in_time(sights[i], start, motion, float(taken[0]) - pair.t_left)
-    place = locate(sights[0], sights[1], rig, start)
+    place = stereo.locate(sights[0], sights[1], rig, start)
     if place is None:
         return None
     worth = np.array([pixel_area(s, z) for s, z in zip(sights, place.depth, strict=True)])
-    metres, uncertainty = object_size(sights[0], sights[1], place)
+    metres, uncertainty = stereo.object_size(sights[0], sights[1], place)
     return StereoObject(
         left,
         right,
@@ -140,7 +124,7 @@ def join_blobs(
     )
 
 
-def pixel_area(where: LineOfSight, depth: float) -> float:
+def pixel_area(where: stereo.LineOfSight, depth: float) -> float:
     """Area that a pixel covers at a depth, m, across its own, maybe oblique, line of sight; m²."""
     slant = float(np.sqrt(1.0 + where.xy @ where.xy))
     return float(depth**2 / (np.linalg.det(where.lens) * slant))
@@ -183,8 +167,8 @@ def _meeting_pairs(
 
 
 def _shift_in_time(
-    sight: LineOfSight, point: Array, motion: ObjectMotion, late: float
-) -> LineOfSight:
+    sight: stereo.LineOfSight, point: Array, motion: ObjectMotion, late: float
+) -> stereo.LineOfSight:
     """Bring a patch measured `late` s after the instant back to it."""
     if late == 0 or not np.isfinite(point).all():
         return sight

@@ -7,11 +7,7 @@ import numpy as np
 
 from verify.core.records import Array, Image, StereoPair
 from verify.core.rig import Camera, Rig
-from verify.grasping.tracking.association import (
-    COMPLETE_AREA_RANGE,
-    TargetIdentity,
-    centre_uncertainty_ratio,
-)
+from verify.grasping.tracking import association
 from verify.grasping.tracking.camshift import (
     MAX_EXTENT_RATIO,
     Blob,
@@ -50,18 +46,14 @@ class TargetSearch:
     rig: Rig
     options: TrackingOptions
     models: tuple[ColourModel, ColourModel]  # left, right
-    identity: TargetIdentity
+    identity: association.TargetIdentity
 
 
 def search_pair(now: TargetSearch, all_objects: bool) -> tuple[list[StereoObject], Windows]:
     """Find the objects of a pair: in the predicted windows alone, if that is enough.
 
-    Args:
-        now: the pair.
-        all_objects: search for others of the colour as well.
-
-    Returns:
-        The objects, and the windows that were searched for the target.
+    `all_objects`: search for others of the colour as well. With them, the windows that were
+    searched for the target.
     """
     identity = now.identity
     ahead = identity.predicted(now.pair.t_left)
@@ -115,12 +107,12 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
             return None, NO_WINDOWS
         blobs.append(blob)
         windows.append(region)
-        doubts.append(centre_uncertainty_ratio(share) * float(extent.max()))
+        doubts.append(association.centre_uncertainty_ratio(share) * float(extent.max()))
     thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, motion, (doubts[0], doubts[1]))
     if thing is None:
         return None, NO_WINDOWS
     # a finger may hide most of it from one camera alone; what is too large is not half hidden
-    hidden = thing.areas.max() < COMPLETE_AREA_RANGE[1] * target.area
+    hidden = thing.areas.max() < association.COMPLETE_AREA_RANGE[1] * target.area
     if not is_plausible(
         thing, now.options, -math.log(MIN_VISIBLE_SHARE) if hidden else MAX_LOG_AREA_RATIO
     ):
@@ -163,7 +155,7 @@ def _remeasure(now: TargetSearch, thing: StereoObject) -> StereoObject:
         )
     ]
     doubts = [
-        centre_uncertainty_ratio(float(area) / target.area) * float(blob.extent.max())
+        association.centre_uncertainty_ratio(float(area) / target.area) * float(blob.extent.max())
         for area, blob in zip(thing.areas, blobs, strict=True)
     ]
     return join_blobs(blobs[0], blobs[1], pair, now.rig, motion, (doubts[0], doubts[1])) or thing
@@ -184,5 +176,4 @@ def _camera_sides(
 
 def _extent_in_pixels(extent: Array, camera: Camera, depth: float) -> Array:
     """Image of an extent (2,), m, at a depth, m: (2,) px, with the rim of mixed pixels."""
-    pixels: Array = extent * np.diag(camera.matrix)[:2] / depth + 2 * RIM_WIDTH
-    return pixels
+    return extent * np.diag(camera.matrix)[:2] / depth + 2 * RIM_WIDTH

@@ -51,10 +51,9 @@ def parse_drawn(text: str, place: str) -> BoxSelection:
 def model_from_box(image: Image, box: Box, alike: ColourModel | None = None) -> ColourModel:
     """Learn a target's colours from a box around it, against its surroundings.
 
-    Args:
-        image: (h, w, 3) BGR.
-        box: x, y, width, height, px. What fills the ellipse inside it counts as the target.
-        alike: colours that are not learned as surroundings: another such object may stand there.
+    The image is (h, w, 3) BGR; what fills the ellipse inside the box (x, y, width, height, px)
+    counts as the target. `alike`: colours that are not learned as surroundings: another such object
+    may stand there.
 
     Raises:
         InputError: the picture is grey, the box reaches out of it, or nothing in the box has a
@@ -87,18 +86,10 @@ def counterpart(
 ) -> tuple[tuple[ColourModel, ColourModel], StereoObject | None]:
     """Learn a drawn target, and find it in the other picture.
 
-    There it lies on the epipolar line of its centre and has its colours and its size. Others that
-    look the same are told from it by what else stands in the picture that was drawn in.
-
-    Args:
-        pair: the pictures that it was drawn in.
-        rig: the cameras.
-        drawn: the box, and in which picture it is.
-        options: sizes and distances that a target may have.
-
-    Returns:
-        The colours in the left and in the right picture, and the target as both cameras see it;
-        None where nothing in the other picture fits, or more than one thing does.
+    There it lies on the epipolar line of its centre and has its colours and its size, within the
+    options' limits. Others that look the same are told from it by what else stands in the picture
+    that was drawn in. Returns the colours in the left and in the right picture, and the target as
+    both cameras see it; None where nothing in the other picture fits, or more than one thing does.
 
     Raises:
         InputError: see `model_from_box`; or nothing in the box hangs together.

@@ -33,8 +33,7 @@ class PannedCamera:
 
     def inside(self, points_rig: Array) -> Array:
         """Carry points of the rig into the camera, (..., 3) m."""
-        points: Array = (points_rig - self.rig_T_camera[:3, 3]) @ self.rig_T_camera[:3, :3]
-        return points
+        return (points_rig - self.rig_T_camera[:3, 3]) @ self.rig_T_camera[:3, :3]
 
     def slope(self, inside: Array) -> Array:
         """Derivative of x/z, y/z by a point of the rig, (2, 3), at a point (3,) in the camera."""
@@ -45,8 +44,7 @@ class PannedCamera:
 
     def lens(self, xy: Array) -> Array:
         """Derivative of the pixel by x/z and y/z, (2, 2) px."""
-        found: Array = self.camera.matrix[:2, :2] @ distortion_jacobian(xy, self.camera.distortion)
-        return found
+        return self.camera.matrix[:2, :2] @ distortion_jacobian(xy, self.camera.distortion)
 
 
 @dataclass(frozen=True, slots=True)
@@ -68,8 +66,7 @@ class LineOfSight:
     @property
     def slant(self) -> Array:
         """By how much a ball looks wider than on the optical axis, along rows and columns, (2,)."""
-        wider: Array = np.hypot(1.0, self.xy)
-        return wider
+        return np.hypot(1.0, self.xy)
 
 
 def place_camera(camera: Camera, pan: float) -> PannedCamera:
@@ -95,9 +92,8 @@ def line_of_sight(
 def project(camera: PannedCamera, point: Array) -> tuple[Array, Array, LineOfSight]:
     """Picture a point of the rig.
 
-    Returns:
-        The pixel (2,), its derivative by the point (2, 3), px/m, and the line of sight, exact and
-        of no extent.
+    Returns the pixel (2,), its derivative by the point (2, 3), px/m, and the line of sight, exact
+    and of no extent.
     """
     inside = camera.inside(point)
     xy = inside[:2] / inside[2]
@@ -126,14 +122,9 @@ def ray_midpoint(left: LineOfSight, right: LineOfSight) -> Array:
 def locate(left: LineOfSight, right: LineOfSight, rig: Rig, start: Array) -> StereoPoint | None:
     """Find the point of least reprojection error, and what is known of it.
 
-    Args:
-        left: what the left camera saw.
-        right: what the right camera saw, brought to the same instant.
-        rig: whose covariance is carried along where it states one.
-        start: (3,), m, from `ray_midpoint`.
-
-    Returns:
-        None where the rays do not meet before both cameras.
+    Both cameras' sights are of one instant; the rig's covariance is carried along where it states
+    one. It starts at (3,), m, from `ray_midpoint`. None where the rays do not meet before both
+    cameras.
     """
     if not np.isfinite(start).all():
         return None
@@ -170,9 +161,8 @@ def locate(left: LineOfSight, right: LineOfSight, rig: Rig, start: Array) -> Ste
 def object_size(left: LineOfSight, right: LineOfSight, place: StereoPoint) -> tuple[Array, Array]:
     """Measure an object across the line of sight.
 
-    Returns:
-        Width and height (2,), m, along the pictures' rows and columns, the mean of both cameras
-        weighted by what each pixel is worth, and their standard uncertainties (2,), m.
+    Returns width and height (2,), m, along the pictures' rows and columns, the mean of both cameras
+    weighted by what each pixel is worth, and their standard uncertainties (2,), m.
     """
     worth = np.array(
         [

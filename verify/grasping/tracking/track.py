@@ -40,10 +40,9 @@ RELEARN_PERIOD = 0.3  # s between two updates of the colours, where they adapt
 def track(
     pairs: Iterable[StereoPair], rig: Rig, target: Target, options: TrackingOptions = DEFAULTS
 ) -> Iterator[TargetObservation]:
-    """Track a coloured object through stereo pairs.
+    """Track a coloured object through stereo pairs, a record a pair.
 
-    Yields:
-        One record a pair; a pair that says nothing is a record whose status and reason say why.
+    A pair that says nothing is a record whose status and reason say why.
 
     Raises:
         InputError: grey pictures, an unknown colour, a box that lies outside the picture or holds

@@ -16,14 +16,7 @@ from verify.io import rig as io_rig
 from verify.io.fiducials import body_uncertainty
 from verify.io.poses import Poses
 from verify.io.series import FrameSeries, read_encoders
-from verify.io.session import keys
-from verify.io.session.folder import (
-    check_absorption,
-    file_digests,
-    load_arm,
-    recording_fields,
-    resolve_inside,
-)
+from verify.io.session import folder, keys
 from verify.io.session.keys import PosesSessionTable, PosesTable
 from verify.io.toml import MM, key_error, scaled
 from verify.io.video import Images
@@ -69,14 +62,14 @@ class MissingImages(Images):
 def read_pose_streams(path: Path) -> dict[str, Any]:
     """Read and check a session of poses: every field of a Session; InputError names the place."""
     table, warnings = keys.read_poses(path)
-    arm = load_arm(path, table)
+    arm = folder.load_arm(path, table)
     torn = table.recording == "open"
     named = {
-        table.poses.file: resolve_inside(path, "poses.file", table.poses.file),
-        table.encoders: resolve_inside(path, "encoders", table.encoders),
+        table.poses.file: folder.resolve_inside(path, "poses.file", table.poses.file),
+        table.encoders: folder.resolve_inside(path, "encoders", table.encoders),
     }
     rig, rig_warnings = _read_base(path, table, named)
-    check_absorption(path, rig, arm.dof)
+    folder.check_absorption(path, rig, arm.dof)
     poses, poses_warnings = io_poses.read(named[table.poses.file], torn)
     still = np.zeros(len(poses))  # no camera turns
     frames = FrameSeries(poses.t, poses.t, still, still, timed=poses.timed)
@@ -95,11 +88,11 @@ def read_pose_streams(path: Path) -> dict[str, Any]:
     none = MissingImages(named[table.poses.file])
     notes = (*warnings, *rig_warnings, *poses_warnings, *encoders_warnings)
     return {
-        **recording_fields(path, table, arm, timed=poses.timed),
+        **folder.recording_fields(path, table, arm, timed=poses.timed),
         "rig": rig,
         "frames": frames,
         "encoders": encoders,
-        "inputs": file_digests(path, table.robot, named),
+        "inputs": folder.file_digests(path, table.robot, named),
         "warnings": (*notes, _describe_instrument(instrument)),
         "left": none,
         "right": none,
@@ -123,7 +116,7 @@ def _read_base(
 ) -> tuple[Rig, tuple[str, ...]]:
     """Read where the robot stands in the poses' frame; a file read for it is added to `named`."""
     if table.rig is not None:
-        named[table.rig] = resolve_inside(path, "rig", table.rig)
+        named[table.rig] = folder.resolve_inside(path, "rig", table.rig)
         return io_rig.read(named[table.rig])
     covariance = None
     if table.covariance is not None:

@@ -17,15 +17,10 @@ REFERENCE = 0.5  # standard deviations of a pair: a change of twice that is foun
 
 
 def alarm_threshold(false_alarms_per_hour: float, rate: float, joints: int) -> float:
-    """Where the sums must stand for an alarm.
+    """Where the sums must stand for an alarm, in standard deviations of a pair.
 
-    Args:
-        false_alarms_per_hour: of the robot as a whole: all joints, both directions.
-        rate: pairs a second.
-        joints: how many are watched.
-
-    Returns:
-        h, in standard deviations of a pair.
+    False alarms are of the robot as a whole, all joints, both directions; the rate is pairs a
+    second.
     """
     pairs = 3600.0 * rate * 2 * joints / false_alarms_per_hour
     return float(brentq(lambda h: run_length(h) - pairs, 0.0, 200.0))
@@ -92,11 +87,7 @@ class ChangeAttribution:
 
 
 def attribute_change(innovations: InnovationFilter, joints: int, pairs: int) -> ChangeAttribution:
-    """Suppose each joint in turn to have changed some pairs ago, and compare.
-
-    Returns:
-        The change that explains those pairs best.
-    """
+    """Suppose each joint in turn to have changed some pairs ago; the change that explains best."""
     pairs = min(max(pairs, 1), MAX_REPEATED)
     best, late = 0, 0
     for _ in range(2):  # a second time from where the likeliest joint says that it began

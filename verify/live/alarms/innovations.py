@@ -82,16 +82,10 @@ class InnovationFilter:
         self._factors = _initial_inflation()
 
     def take(self, t: float, evidence: Evidence, clock: object) -> Innovation | None:
-        """Take a pair's evidence.
+        """Take a pair's evidence at t, s, cameras' clock.
 
-        Args:
-            t: s, cameras' clock.
-            evidence: what it says.
-            clock: which clock it rests on; another one than before has an error of its own.
-
-        Returns:
-            What was not foreseen of it; None for the first pair, and where the LEDs leave much
-            open.
+        Another clock than before has an error of its own. Returns what was not foreseen; None for
+        the first pair, and where the LEDs leave much open.
         """
         if evidence.determined.shape[1] < 6 or not np.all(np.isfinite(evidence.xi)):
             return None  # directions that the readings fill say nothing about the readings
@@ -106,14 +100,9 @@ class InnovationFilter:
     def suppose(self, joint: int, pairs: int, late: int = 0) -> tuple[float, float, float]:
         """Suppose that a joint's reading changed some pairs ago, and see how well that explains.
 
-        Args:
-            joint: counted from 0.
-            pairs: to go through again.
-            late: of them, how many came before the change.
-
-        Returns:
-            -2 log likelihood of those pairs (but for a constant), the change's size and its
-            standard uncertainty, rad.
+        The joint is counted from 0; `pairs` are gone through again, the first `late` of them came
+        before the change. Returns -2 log likelihood of those pairs (but for a constant), the
+        change's size and its standard uncertainty, rad.
         """
         kept = (self._x, self._p, self._t, self._clock)
         cost = self._again((joint,), self._last(pairs), late)
@@ -126,10 +115,8 @@ class InnovationFilter:
     def accept(self, joints: tuple[int, ...], pairs: int) -> None:
         """Take joints for known to be at fault from now on: their errors are learned.
 
-        Args:
-            joints: counted from 0.
-            pairs: since the fault began; they are gone through again, lest rig and base take its
-                blame.
+        They are counted from 0. The pairs since the fault began are gone through again, lest rig
+        and base take its blame.
         """
         self._open.update(joints)
         self._again(joints, self._last(pairs))
@@ -162,9 +149,8 @@ class InnovationFilter:
     ) -> tuple[Array, Array, Array, float]:
         """Predict, compare, learn.
 
-        Returns:
-            The whitened news, the joints' columns likewise, the news by the noise alone, and the
-            logarithm of its covariance's determinant.
+        Returns the whitened news, the joints' columns likewise, the news by the noise alone, and
+        the logarithm of its covariance's determinant.
         """
         self._advance(t, evidence, clock)
         design = np.concatenate(

@@ -151,11 +151,7 @@ class JointAlarms:
         return share
 
     def take(self, row: JointRow, now: float) -> list[Alarm]:
-        """Watch one row at `now`, s since the epoch.
-
-        Returns:
-            Alarms that are new, revised, or ended with it.
-        """
+        """Watch one row at `now`, s since the epoch; alarms that are new, revised, or ended."""
         if row.evidence is None or row.clock is None:
             return []
         self._begin_anew_after_a_break(row)

@@ -5,16 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from verify.calibration.quality.advice import (
-    COLUMN_NAMES,
-    EDGES,
-    MAX_EDGE_GAP,
-    MIN_DEPTH_RATIO,
-    MIN_PAIRS,
-    MIN_TILT,
-    MIN_TILT_OTHER_SIDE,
-    ROW_NAMES,
-)
+from verify.calibration.quality import advice
 from verify.calibration.quality.coverage import CELLS_ACROSS, REGIONS_PER_SIDE, BoardOrientation
 from verify.calibration.stereo.start import InitialLens, board_pose, start_lens
 from verify.core.fiducials import Board, BoardPair, BoardView
@@ -180,7 +171,7 @@ def goals(
 
     The limits are those by which the report judges (`quality_advice`).
     """
-    wanted = 2 * MIN_PAIRS
+    wanted = 2 * advice.MIN_PAIRS
     count = BoardGoal("pairs", len(taken) >= wanted, f"{len(taken)} of {wanted}")
     images = [_image_goal(side, c) for side, c in zip(SIDES, covered, strict=True)]
     stances = [s.stance for s in covered[0].standings]
@@ -196,8 +187,7 @@ def goals(
 
 def _count_corners(pixels: Array, size: tuple[int, int], cells: tuple[int, int]) -> Array:
     edges = [np.linspace(-0.5, extent - 0.5, n + 1) for extent, n in zip(size, cells, strict=True)]
-    counts: Array = np.histogram2d(pixels[:, 1], pixels[:, 0], bins=(edges[1], edges[0]))[0]
-    return counts
+    return np.histogram2d(pixels[:, 1], pixels[:, 0], bins=(edges[1], edges[0]))[0]
 
 
 def _image_goal(side: str, covered: CameraCoverage) -> BoardGoal:
@@ -205,15 +195,17 @@ def _image_goal(side: str, covered: CameraCoverage) -> BoardGoal:
     bare = np.argwhere(covered.regions < MIN_CORNERS_IN_REGION).tolist()
     if bare:
         row, column = bare[0]
-        where = f"{ROW_NAMES[row]} {COLUMN_NAMES[column]}".replace("middle middle", "middle")
+        where = f"{advice.ROW_NAMES[row]} {advice.COLUMN_NAMES[column]}".replace(
+            "middle middle", "middle"
+        )
         done = REGIONS_PER_SIDE * REGIONS_PER_SIDE - len(bare)
         words = (
             f"{done} of {REGIONS_PER_SIDE * REGIONS_PER_SIDE} parts; hold the board in the {where}"
         )
         return BoardGoal(name, False, words)
     far = int(np.argmax(covered.margins))
-    if covered.margins[far] > MAX_EDGE_GAP:
-        return BoardGoal(name, False, f"bring the board nearer to the {EDGES[far]} edge")
+    if covered.margins[far] > advice.MAX_EDGE_GAP:
+        return BoardGoal(name, False, f"bring the board nearer to the {advice.EDGES[far]} edge")
     return BoardGoal(name, True, "covered up to its edges")
 
 
@@ -221,7 +213,7 @@ def _tilt_goal(axis: str, angles: Sequence[float], edges: tuple[str, str]) -> Bo
     """Judge the tilts about one axis; a positive one brings the first edge nearer."""
     name = f"tilt, {edges[0]} and {edges[1]}"
     most = [max((sign * a for a in angles), default=0.0) for sign in (1, -1)]
-    reached = max(most) >= MIN_TILT and min(most) >= MIN_TILT_OTHER_SIDE
+    reached = max(most) >= advice.MIN_TILT and min(most) >= advice.MIN_TILT_OTHER_SIDE
     if reached:
         return BoardGoal(name, True, f"up to {np.rad2deg(max(most)):.0f}° about the {axis} axis")
     edge = edges[int(most[1] < most[0])]
@@ -232,9 +224,9 @@ def _distance_goal(distances: Sequence[float]) -> BoardGoal:
     if not distances:
         return BoardGoal("distance", False, "hold the board near, then far")
     near, far = min(distances), max(distances)
-    if far >= MIN_DEPTH_RATIO * near:
+    if far >= advice.MIN_DEPTH_RATIO * near:
         return BoardGoal("distance", True, f"{near:.2f} m to {far:.2f} m")
-    nearer, farther = far / MIN_DEPTH_RATIO, near * MIN_DEPTH_RATIO
+    nearer, farther = far / advice.MIN_DEPTH_RATIO, near * advice.MIN_DEPTH_RATIO
     words = f"hold the board at {nearer:.2f} m or nearer, or at {farther:.2f} m or farther"
     return BoardGoal("distance", False, words)
 

@@ -20,15 +20,10 @@ MIN_CORNERS = 6  # corners
 
 
 def find_board_coarsely(image: Image, board: Board) -> BoardView | None:
-    """Find a board, quickly; `find_board` measures it.
+    """Find a board in an image, (h, w) grey or (h, w, 3) BGR, quickly; `find_board` measures it.
 
-    Args:
-        image: (h, w) grey or (h, w, 3) BGR.
-        board: the pattern.
-
-    Returns:
-        Its corners, rough; None where it is not found at once, which is no proof that it is not
-        there.
+    Returns its corners, rough; None where it is not found at once, which is no proof that it is not
+    there.
     """
     grey = to_grey(image)
     scale = min(MAX_SIDE_PX / max(grey.shape), 1.0)

@@ -206,10 +206,7 @@ class MqttPublisher:
 
 
 def connect_mqtt(url: str) -> MqttPublisher:
-    """Connect to a broker; it is looked for again by itself when it is gone.
-
-    Args:
-        url: mqtt://HOST[:PORT]/TOPIC.
+    """Connect to a broker, mqtt://HOST[:PORT]/TOPIC; it is looked for again when it is gone.
 
     Raises:
         InputError: no such address, or paho-mqtt is not installed.

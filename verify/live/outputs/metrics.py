@@ -67,11 +67,7 @@ REQUEST_TIMEOUT = 5.0  # s for a request; who says nothing is let go
 
 
 class MetricsServer:
-    """Answers GET /metrics, and nothing else.
-
-    Args:
-        address: HOST:PORT, of this computer.
-        text: makes the answer.
+    """Answers GET /metrics at HOST:PORT of this computer with a text, and nothing else.
 
     Raises:
         InputError: no such address, or it is taken.

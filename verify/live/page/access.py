@@ -43,10 +43,8 @@ class PageAccess:
     ) -> str | None:
         """Say why a request is refused; None where it is not.
 
-        Args:
-            headers: of the request, names in lower case.
-            cookie: the token that the browser keeps, or that the request gave otherwise.
-            script: it comes from a script (a web socket), which must be this page's own.
+        Headers have their names in lower case; the cookie is the token that the browser keeps, or
+        that the request gave otherwise. A script (a web socket) must be this page's own.
         """
         host = headers.get("host", "")
         if self.token is None and host not in {f"{name}:{self.port}" for name in OWN_NAMES}:

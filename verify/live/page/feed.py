@@ -47,17 +47,12 @@ class PageSource(Protocol):
 
 
 class Page:
-    """A page that is being served.
+    """A page that is being served, at a port of this computer (0 takes a free one).
 
-    Args:
-        source: what there is to see.
-        port: to serve at; 0 takes a free one.
-        address: of this computer; another one than loopback needs a token.
-        token: what viewers must show.
-        asked: what viewers may ask for, by its word, and what is then done.
-        given: what they may say more about, by its first word; called with what follows that word.
-            Both are called in a thread of their own, and have to be quick.
-        moment: waits, for so many s at most, until what there is to tell holds nobody up.
+    Another address than loopback needs a token, which viewers must show. `asked`: what viewers may
+    ask for, by its word, and what is then done; `given`: what they may say more about, by its first
+    word, called with what follows that word. Both are called in a thread of their own, and have to
+    be quick. `moment` waits, for so many s at most, until what there is to tell holds nobody up.
 
     Raises:
         InputError: the port is taken, or the address is open to others without a token.

@@ -254,10 +254,8 @@ class _TimedHttp(H11Protocol):
 def serve(line: ParentLine, access: PageAccess, messages: ViewerMessages) -> None:
     """Serve until the run ends; the target of the server's process.
 
-    Args:
-        line: to the run.
-        access: where, and for whom; port 0 takes a free one. READY's value is the port.
-        messages: what viewers may send.
+    The line goes to the run; port 0 takes a free one, and READY's value is the port. `messages`:
+    what viewers may send.
     """
     if messages == ViewerMessages():  # nobody can send "stop": nothing is urgent
         lower_priority()

@@ -64,11 +64,7 @@ class MatroskaFile:
             raise
 
     def add(self, picture: bytes, t: float) -> None:
-        """Append a picture.
-
-        Args:
-            picture: as encoded.
-            t: s since the first one, for players.
+        """Append a picture as encoded, t s after the first one, for players.
 
         Raises:
             OSError: the system refuses it; the file is as before.
@@ -90,11 +86,7 @@ class MatroskaFile:
         return os.fstat(self._file).st_nlink > 0
 
     def close(self) -> None:
-        """Have the disk hold it, and close it.
-
-        Raises:
-            OSError: the system refuses it; it is closed all the same.
-        """
+        """Have the disk hold it, and close it; also closed where OSError says that it cannot."""
         sync_and_close(self._file)
 
     def _append(self, data: bytes) -> None:
@@ -104,11 +96,7 @@ class MatroskaFile:
 
 
 def write_all(file: int, data: bytes, at: int) -> None:
-    """Append to a file of length `at`: all of it, or nothing.
-
-    Raises:
-        OSError: the system refuses it; the file is as long as before.
-    """
+    """Append to a file of length `at`: all of it, or nothing and OSError."""
     rest = memoryview(data)
     try:
         while rest:
@@ -119,11 +107,7 @@ def write_all(file: int, data: bytes, at: int) -> None:
 
 
 def sync_and_close(file: int) -> None:
-    """Have the disk hold a file, and close it.
-
-    Raises:
-        OSError: the system refuses it; it is closed all the same.
-    """
+    """Have the disk hold a file, and close it; also closed where OSError says that it cannot."""
     try:
         os.fsync(file)
     finally:

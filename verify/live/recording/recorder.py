@@ -15,15 +15,7 @@ from pathlib import Path
 
 from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.errors import InputError
-from verify.live.recording.session import (
-    SessionFacts,
-    SessionWriter,
-    new_folder,
-    pair_as_written,
-    reading_as_written,
-    remove_folder,
-    write_error_text,
-)
+from verify.live.recording import session
 
 WRITE_TIMEOUT = 0.02  # s: a pair is measured after it, on the disk or not
 # a pair's encoding would take the time of its measurement: until that is through, or so long
@@ -59,22 +51,16 @@ class _WriteItem:
 class SessionRecorder:
     """Writes what a run sees as sessions that can be measured again.
 
-    A controller's clock that starts anew starts a new session folder: one session has one clock
-    offset. A folder is made with its first pair.
-
-    Args:
-        parent: where the session folders go.
-        name: pattern of their names, for strftime.
-        facts: what their session.toml says.
-        make: makes a folder; another one for tests.
+    A controller's clock that starts anew starts a new session folder, named for strftime: one
+    session has one clock offset. A folder is made with its first pair, by `make`.
     """
 
     def __init__(
         self,
         parent: Path,
         name: str,
-        facts: SessionFacts,
-        make: Callable[..., SessionWriter] = SessionWriter,
+        facts: session.SessionFacts,
+        make: Callable[..., session.SessionWriter] = session.SessionWriter,
     ) -> None:
         self._parent, self._name, self._facts, self._make = parent, name, facts, make
         self._items: deque[_WriteItem] = deque()
@@ -83,7 +69,7 @@ class SessionRecorder:
         self._wake = threading.Condition()
         self._closing = False
         self._trouble = ""  # why the recording has ended
-        self._current: SessionWriter | None = None
+        self._current: session.SessionWriter | None = None
         self._folders: list[Path] = []
         self._segment: int | None = None
         self._early: deque[EncoderReading] = deque()
@@ -101,21 +87,18 @@ class SessionRecorder:
     ) -> Iterator[CapturedPair]:
         """Record pairs as they pass; each is on the disk before it comes out.
 
-        Args:
-            pairs: as the cameras give them; JPEGs go to the file as they are.
-            meanwhile: called with each pair while it is being written; it must compute nothing
-                from it that outlives a kill.
-
-        Yields:
-            The pairs, numbered from 0, as the recording has them. Pairs whose times do not rise
-            are left out.
+        JPEGs go to the file as they are. `meanwhile` is called with each pair while it is being
+        written; it must compute nothing from it that outlives a kill. Pairs come out numbered from
+        0, as the recording has them; those whose times do not rise are left out.
         """
         for pair in pairs:
             if pair.t_left <= self._last[0] or pair.t_right <= self._last[1]:
                 self._dropped += 1
                 continue
             self._last = (pair.t_left, pair.t_right)
-            written = replace(pair_as_written(pair, self._facts.turning), frame=self._numbered)
+            written = replace(
+                session.pair_as_written(pair, self._facts.turning), frame=self._numbered
+            )
             self._numbered += 1
             item = self._hand_over(written)
             meanwhile(written)
@@ -131,7 +114,7 @@ class SessionRecorder:
 
     def reading(self, reading: EncoderReading) -> EncoderReading:
         """Record a reading; gives it as the recording has it."""
-        written = reading_as_written(reading)
+        written = session.reading_as_written(reading)
         self._hand_over(written)
         return written
 
@@ -222,7 +205,7 @@ class SessionRecorder:
             action()
         except (OSError, InputError) as error:
             folder = self._folders[-1] if self._folders else self._parent
-            self._fail(write_error_text(folder, error))
+            self._fail(session.write_error_text(folder, error))
         except Exception as error:  # a defect of ours must not stop an alarm
             self._fail(f"a defect of this program, {type(error).__name__}: {error}")
 
@@ -276,13 +259,13 @@ class SessionRecorder:
         while self._early[0].t_host < reading.t_host - READING_LEAD:
             self._early.popleft()
 
-    def _begin(self, pair: CapturedPair) -> SessionWriter:
+    def _begin(self, pair: CapturedPair) -> session.SessionWriter:
         started = datetime.now(UTC).replace(microsecond=0)
-        folder = new_folder(self._parent, started.astimezone().strftime(self._name))
+        folder = session.new_folder(self._parent, started.astimezone().strftime(self._name))
         try:
             part = self._make(folder, self._facts, started, pair)
         except (OSError, InputError):
-            remove_folder(folder)
+            session.remove_folder(folder)
             raise
         self._folders.append(folder)
         while self._early:

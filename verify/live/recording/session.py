@@ -24,13 +24,7 @@ from verify.io.files import write_whole
 from verify.io.toml import FORMAT, encode
 from verify.io.unfinished import NAME as PENDING
 from verify.io.unfinished import UnfinishedPairs, ring_bytes
-from verify.live.recording.matroska import (
-    MatroskaFile,
-    PictureEncoder,
-    picture_formats,
-    sync_and_close,
-    write_all,
-)
+from verify.live.recording import matroska
 
 
 class CsvWriter:
@@ -53,7 +47,7 @@ class CsvWriter:
             OSError: the system refuses it.
         """
         data = f"{row}\n".encode()
-        write_all(self._file, data, self._length)
+        matroska.write_all(self._file, data, self._length)
         self._length += len(data)
         self.count += 1
 
@@ -63,7 +57,7 @@ class CsvWriter:
         Raises:
             OSError: the system refuses it; it is closed all the same.
         """
-        sync_and_close(self._file)
+        matroska.sync_and_close(self._file)
 
 
 def pair_as_written(pair: CapturedPair, turning: bool) -> CapturedPair:
@@ -80,8 +74,7 @@ def reading_as_written(reading: EncoderReading) -> EncoderReading:
 
 
 def _as_written(angles: list[float]) -> Array:
-    written: Array = np.deg2rad([float(_degrees(angle)) for angle in angles])
-    return written
+    return np.deg2rad([float(_degrees(angle)) for angle in angles])
 
 
 def _degrees(angle: float) -> str:
@@ -109,8 +102,8 @@ class SessionFacts:
 class CameraFile:
     """One camera's file and what encodes for it."""
 
-    coder: PictureEncoder
-    file: MatroskaFile
+    coder: matroska.PictureEncoder
+    file: matroska.MatroskaFile
 
     def attempt(self, image: Image, raw: bytes | None, t: float) -> Exception | None:
         """Encode a picture and append it; returns the error, as both sides must know of it."""
@@ -122,13 +115,9 @@ class CameraFile:
 
 
 class SessionWriter:
-    """A session folder that is open.
+    """A session folder that is open; it is made here.
 
-    Args:
-        folder: is made.
-        facts: what session.toml says.
-        started: when.
-        first: the pair whose kinds of pictures the files hold; it is not written yet.
+    The files hold the kinds of pictures that the first pair has; it is not written yet.
 
     Raises:
         OSError, InputError: the system refuses it.
@@ -137,7 +126,7 @@ class SessionWriter:
     def __init__(
         self, folder: Path, facts: SessionFacts, started: datetime, first: CapturedPair
     ) -> None:
-        self._folder, self._kinds = folder, picture_formats(first)
+        self._folder, self._kinds = folder, matroska.picture_formats(first)
         self._facts, self._started = facts, started
         self._begin: float | None = None
         self._last_t = float("-inf")
@@ -146,9 +135,9 @@ class SessionWriter:
         for name, data in facts.files.items():
             write_whole(folder / name, data)
         self._write_header("open")
-        coders = [PictureEncoder(kind) for kind in self._kinds]
+        coders = [matroska.PictureEncoder(kind) for kind in self._kinds]
         self._sides = tuple(
-            CameraFile(coder, MatroskaFile(folder / f"{name}.mkv", coder.track))
+            CameraFile(coder, matroska.MatroskaFile(folder / f"{name}.mkv", coder.track))
             for name, coder in zip(("left", "right"), coders, strict=True)
         )
         pan = ",pan_left_deg,pan_right_deg" if facts.turning else ""
@@ -177,9 +166,8 @@ class SessionWriter:
     def set_aside(self, pair: CapturedPair) -> bool:
         """Put a pair on the disk as it is; `add_pair` encodes it, in its turn, when there is time.
 
-        Returns:
-            False where it is to be added at once: the first pair, so that every file holds
-            something; JPEGs, which need no encoding; and where the disk has little room.
+        False where it is to be added at once: the first pair, so that every file holds something;
+        JPEGs, which need no encoding; and where the disk has little room.
 
         Raises:
             OSError: the system refuses it.
@@ -198,7 +186,7 @@ class SessionWriter:
 
     def fits(self, pair: CapturedPair) -> bool:
         """Whether a pair's pictures are of the kind that its files hold."""
-        return self._kinds == picture_formats(pair)
+        return self._kinds == matroska.picture_formats(pair)
 
     def add_pair(self, pair: CapturedPair) -> None:
         """Append both pictures, then the row that makes them count.
@@ -249,7 +237,7 @@ class SessionWriter:
         """
         self._other.shutdown(wait=True)
         failure: OSError | None = None
-        files: list[MatroskaFile | CsvWriter] = [side.file for side in self._sides]
+        files: list[matroska.MatroskaFile | CsvWriter] = [side.file for side in self._sides]
         for file in (*files, self._frames, self._encoders):
             try:
                 file.close()

@@ -11,29 +11,23 @@ import msgspec
 from verify.core.fiducials import Board
 from verify.devices.protocols import CameraDevice, PanDevice
 from verify.io.toml import decode
-from verify.live.station import devices
+from verify.live.station import devices, keys
 from verify.live.station.file import SIM, check_cameras
-from verify.live.station.keys import (
-    SimSettings,
-    SimulatedDevices,
-    StationEncodersTable,
-    StationTable,
-)
 from verify.live.station.station import make_simulation
 
 
-class CamerasTable(StationTable, kw_only=True):
+class CamerasTable(keys.StationTable, kw_only=True):
     """A station file of which only cameras and bases are asked for; the rest may be missing."""
 
     robot: str = ""
     rig: str = ""
     marker: str = ""
-    encoders: StationEncodersTable = msgspec.field(
-        default_factory=lambda: StationEncodersTable(driver="")
+    encoders: keys.StationEncodersTable = msgspec.field(
+        default_factory=lambda: keys.StationEncodersTable(driver="")
     )
 
 
-class SimulatedCameras(SimulatedDevices, Protocol):
+class SimulatedCameras(keys.SimulatedDevices, Protocol):
     """Simulated cameras that see a board carried about."""
 
     @property
@@ -41,7 +35,7 @@ class SimulatedCameras(SimulatedDevices, Protocol):
         """The board that is carried."""
 
 
-SimulateCameras = Callable[[SimSettings, bool], SimulatedCameras]  # True: the bases are turned
+SimulateCameras = Callable[[keys.SimSettings, bool], SimulatedCameras]  # True: the bases are turned
 
 
 @dataclass(frozen=True, slots=True)

@@ -100,11 +100,7 @@ def camera_settings(
 
 
 def open_encoders(path: Path, table: StationEncodersTable, joints: int) -> EncoderDevice:
-    """Open the encoders that [encoders] names; not for `sim`.
-
-    Raises:
-        InputError: names the key, what stands there, what should, and what to do.
-    """
+    """Open the encoders that [encoders] names, not for `sim`; InputError: a key is wrong."""
     angles = _angle_map(path, "encoders", table, joints)
     try:
         return _make_encoders(path, table, angles, joints)
@@ -126,11 +122,7 @@ def open_cameras(
 
 
 def open_pan(path: Path, table: PanTable, sim: SimulatedDevices | None) -> PanDevice | None:
-    """Open the bases that [pan] names, with the right to turn them if they follow.
-
-    Raises:
-        InputError: names the key, what stands there, what should, and what to do.
-    """
+    """Open the bases of [pan], free to turn if they follow; InputError: a key is wrong."""
     if table.driver == "fixed":
         return None
     if sim is not None and table.driver == "sim":
@@ -142,11 +134,7 @@ def open_pan(path: Path, table: PanTable, sim: SimulatedDevices | None) -> PanDe
 
 
 def check_pan(path: Path, table: PanTable) -> None:
-    """Refuse wrong settings of [pan] before the run begins: a driver opens its port later.
-
-    Raises:
-        InputError: names the key, what stands there, what should, and what to do.
-    """
+    """Raise InputError for wrong keys of [pan] before the run: a driver opens its port later."""
     if table.driver != "sim" and (pan := open_pan(path, table, None)) is not None:
         pan.close()
 

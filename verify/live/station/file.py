@@ -20,8 +20,7 @@ _MQTT = re.compile(r"mqtts?://([^\s/@]+@)?[^\s/]+/\S+")
 def read(path: Path) -> tuple[StationTable, tuple[str, ...]]:
     """Read a station file and check what needs neither another file nor a device.
 
-    Returns:
-        Its keys, and a warning for each that has no meaning where it stands.
+    A warning for each key that has no meaning where it stands.
 
     Raises:
         InputError: names the key, what stands there, what should, and what to do.
@@ -53,11 +52,7 @@ def _n_tolerances(table: StationTable) -> int:
 
 
 def check_cameras(path: Path, table: StationTable) -> None:
-    """Check [left], [right], [pan].driver and [sim].
-
-    Raises:
-        InputError: names the key, what stands there, and what should.
-    """
+    """Raise InputError for a wrong key of [left], [right], [pan].driver or [sim]."""
     for side in ("left", "right"):
         _check_camera(path, side, getattr(table, side))
     _check_sources(path, table)

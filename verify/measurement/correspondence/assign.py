@@ -126,22 +126,16 @@ def assign_leds(
     expected: Callable[[], Sequence[Array]] = tuple,
     motion_tolerance_px: float = 2.0,
 ) -> Correspondence:
-    """Find which spot is which LED.
+    """Find which spot is which LED, of a marker of one to six in any arrangement.
 
-    Args:
-        spots: of the left and the right image, brightest first.
-        rig: the calibrated cameras.
-        pans: rad, readings of the left and the right base.
-        marker: the LEDs, one to six in any arrangement.
-        prediction: from the previous pairs; settles what geometry and colour leave open, and
-            finds LEDs where too few are seen for geometry alone.
-        expected: gives rig_T_flange (4, 4) from the encoders; the nearest settles what is still
-            open, and nothing else. Called only then, and where nothing is predicted.
-        motion_tolerance_px: px, how far LEDs may have moved between the two exposures.
-
-    Returns:
-        The assignment. Where several explain the spots equally it is empty, `ambiguous_leds`;
-        where none does, `too_few_leds`. An LED seen by one camera only is listed for that one.
+    Spots of the left and the right image come brightest first, at pans, rad, as read. The
+    prediction, from the previous pairs, settles what geometry and colour leave open, and finds LEDs
+    where too few are seen for geometry alone. `expected` gives rig_T_flange (4, 4) from the
+    encoders; the nearest settles what is still open, and nothing else; it is called only then, and
+    where nothing is predicted. LEDs may have moved by `motion_tolerance_px` between the two
+    exposures. Where several assignments explain the spots equally the result is empty,
+    `ambiguous_leds`; where none does, `too_few_leds`. An LED seen by one camera only is listed for
+    that one.
     """
     if len(spots[0]) == 0 or len(spots[1]) == 0:
         return _no_result("too_few_leds")

@@ -84,8 +84,7 @@ def select_highest(found: Array, tolerance: NDArray[np.intp], across: tuple[floa
     """
     width = 2.0 * found[:, 2]
     chosen = found[(width + tolerance >= across[0]) & (width - tolerance <= across[1])]
-    highest: Array = chosen[np.argsort(-chosen[:, 3], kind="stable")[:MAX_CANDIDATES]]
-    return highest
+    return chosen[np.argsort(-chosen[:, 3], kind="stable")[:MAX_CANDIDATES]]
 
 
 def find_in_small_windows(image: Image, windows: NDArray[np.int64], largest: float) -> Array:

@@ -210,8 +210,7 @@ def choose_spots(
     rank = -rows[:, COL_PEAK] / (1.0 + rows[:, COL_MISFIT])
     rank /= rows[:, COL_ELONGATION]
     best = single[np.argsort(rank, kind="stable")[:limit]]
-    chosen: NDArray[np.int64] = best[np.argsort(-assessed[best, COL_PEAK], kind="stable")]
-    return chosen
+    return best[np.argsort(-assessed[best, COL_PEAK], kind="stable")]
 
 
 def no_spots(noise: Noise) -> Spots:

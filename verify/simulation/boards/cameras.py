@@ -12,14 +12,7 @@ from scipy.spatial.transform import Rotation, Slerp
 
 from verify.core.fiducials import Board
 from verify.core.records import Array, Image
-from verify.devices.protocols import (
-    READ_TIMEOUT,
-    CameraFrame,
-    CameraSettings,
-    CameraState,
-    DeviceState,
-    PanReading,
-)
+from verify.devices import protocols
 from verify.errors import InputError
 from verify.live.station.keys import SimSettings
 from verify.simulation import library
@@ -87,7 +80,7 @@ class BoardScene:
         """Take a picture of a moment; None while it is still being computed, or long past."""
         with self._lock:
             pictures = self._pictures.get(moment.number)
-        if pictures is None or not wait([pictures[side]], READ_TIMEOUT).done:
+        if pictures is None or not wait([pictures[side]], protocols.READ_TIMEOUT).done:
             return None
         return None if pictures[side].cancelled() else pictures[side].result()
 
@@ -139,11 +132,8 @@ class BoardScene:
 class BoardCameras:
     """The simulated station of a calibration.
 
-    Args:
-        settings: which scenario, how fast. One with a robot lends its cameras: boards of the
-            usual kind are carried about before them.
-        turning: the bases are turned with the board; otherwise they stand.
-        clock: the cameras' clock; made here unless a test brings its own.
+    A scenario with a robot lends its cameras: boards of the usual kind are carried about before
+    them. `turning`: the bases are turned with the board; otherwise they stand.
 
     Raises:
         InputError: no such scenario, or one that contradicts itself.
@@ -166,7 +156,7 @@ class BoardCameras:
         """The board that is carried."""
         return self.scene.boards.board
 
-    def camera(self, side: int, settings: CameraSettings) -> "SimulatedBoardCamera":
+    def camera(self, side: int, settings: protocols.CameraSettings) -> "SimulatedBoardCamera":
         """Open the left (0) or right (1) camera."""
         return SimulatedBoardCamera(self.scene, side, settings.rate or DEFAULT_RATE)
 
@@ -184,27 +174,27 @@ class SimulatedBoardCamera:
         self._recent: deque[float] = deque(maxlen=256)
         self._closed = False
 
-    def read(self) -> CameraFrame | None:
+    def read(self) -> protocols.CameraFrame | None:
         """Give the newest picture; None after READ_TIMEOUT without one."""
         clock = self._scene.clock
         newest = floor((clock.now() - clock.began - TRANSFER_TIME) * self._rate)
         self._number = max(self._number, newest)
         t = clock.began + self._number / self._rate
-        if not clock.wait_until(t + TRANSFER_TIME, READ_TIMEOUT):
+        if not clock.wait_until(t + TRANSFER_TIME, protocols.READ_TIMEOUT):
             return None
         image = self._scene.picture(self._side, self._scene.moment(t))
         if image is None:
             return None
         self._recent.append(t)
         self._number, self._frames = self._number + 1, self._frames + 1
-        return CameraFrame(t, 0.0, image, None, self._frames - 1)
+        return protocols.CameraFrame(t, 0.0, image, None, self._frames - 1)
 
-    def state(self) -> CameraState:
+    def state(self) -> protocols.CameraState:
         """Say how the camera is."""
         now = self._scene.clock.now()
         recent = list(self._recent)  # at once: another thread reads the camera meanwhile
         within = sum(t > now - 1.0 for t in recent)
-        return CameraState(
+        return protocols.CameraState(
             connected=not self._closed,
             age=now - recent[-1] if recent else None,
             frames=self._frames,
@@ -228,7 +218,7 @@ class SimulatedBoardPan:
         self._next = ceil((scene.clock.now() - scene.clock.began) * PAN_RATE)
         self._count = 0
 
-    def read(self) -> list[PanReading]:
+    def read(self) -> list[protocols.PanReading]:
         """Give what has come since the last call, oldest first; waits for at most 20 ms."""
         clock = self._scene.clock
         clock.wait_until(clock.began + self._next / PAN_RATE, 1 / PAN_RATE)
@@ -237,14 +227,14 @@ class SimulatedBoardPan:
         for number in range(self._next, newest + 1):
             t = clock.began + number / PAN_RATE
             moment = self._scene.moment(t)
-            readings.append(PanReading(t, t, 0.0, 0, moment.pan, moment.carried))
+            readings.append(protocols.PanReading(t, t, 0.0, 0, moment.pan, moment.carried))
         self._next, self._count = max(self._next, newest + 1), self._count + len(readings)
         return readings
 
-    def state(self) -> DeviceState:
+    def state(self) -> protocols.DeviceState:
         """Say how the bases are."""
         age = 0.0 if self._count else None
-        return DeviceState(True, age, self._count, 0, {}, "simulated bases: reading")
+        return protocols.DeviceState(True, age, self._count, 0, {}, "simulated bases: reading")
 
     def close(self) -> None:
         """Leave them alone."""

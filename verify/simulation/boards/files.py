@@ -15,11 +15,7 @@ PAIR_INTERVAL_S = 4.0  # between two pairs: time to hold the board elsewhere
 
 
 def write(boards: SimulatedBoards, folder: Path, done: Callable[[], object] = lambda: None) -> None:
-    """Write every file into an empty folder.
-
-    Raises:
-        InputError: the disk refuses.
-    """
+    """Write every file into an empty folder; InputError: the disk refuses."""
     fiducials.write_board(folder / "board.toml", boards.board)
     rig.write(folder / "rig_true.toml", boards.rig)
     _write_frames(boards, folder / "frames.csv")

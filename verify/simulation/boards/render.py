@@ -37,16 +37,9 @@ class PrintedBoard:
     def render(
         self, camera: SimulatedCamera, pan: float, rig_T_board: Array, rng: np.random.Generator
     ) -> Image:
-        """Take one picture.
+        """Take one picture, (h, w), grey, of a board at rig_T_board (4, 4).
 
-        Args:
-            camera: its lens and sensor.
-            pan: rad, its base's true angle.
-            rig_T_board: (4, 4).
-            rng: of the sensor's noise.
-
-        Returns:
-            (h, w), grey.
+        `pan`, rad, is the base's true angle; `rng` gives the sensor's noise.
         """
         light = self.light(camera, pan, rig_T_board)
         noise = rng.standard_normal(light.shape, dtype=np.float32)
@@ -89,15 +82,9 @@ class PrintedBoard:
         return np.full(2, -around), (counts - 1) * self.board.square + around
 
     def _patch(self, u: Array, v: Array, lamp: Array) -> Picture:
-        """Render the pixels around some nodes.
+        """Render the pixels around some nodes, NODE_SPACING_PX a node and side, DN.
 
-        Args:
-            u: m, x of each node in the board's frame.
-            v: likewise y.
-            lamp: (3,), m, board's frame.
-
-        Returns:
-            NODE_SPACING_PX pixels a node and side, DN.
+        u and v, m, are x and y of each node in the board's frame, there is the lamp (3,), m.
         """
         light = _lambert(u, v, lamp, self._rim()) * self.table.white_dn
         size = (u.shape[1] * NODE_SPACING_PX, u.shape[0] * NODE_SPACING_PX)
@@ -145,15 +132,10 @@ class _Lattice:
 
 
 def _markers(board: Board, across: Picture, down: Picture) -> Picture:
-    """Ink the markers in the white squares, hard-edged: no corner of the pattern is theirs.
+    """Ink a ChArUco board's markers in the white squares, hard-edged: 1 where one is black, else 0.
 
-    Args:
-        board: a ChArUco board.
-        across: squares from the first inner corner, a grain each.
-        down: likewise.
-
-    Returns:
-        1 where a marker is black, else 0.
+    No corner of the pattern is theirs. `across` and `down`: squares from the first inner corner, a
+    grain each.
     """
     cells = _cells(board)
     size = cells.shape[-1]
@@ -209,11 +191,8 @@ def _on_board(camera: SimulatedCamera, camera_T_board: Array) -> tuple[Array, Ar
 def _lambert(u: Array, v: Array, lamp: Array, rim: tuple[Array, Array]) -> Array:
     """Light a matt plane by a point lamp and the room: 1 at the board's brightest place.
 
-    Args:
-        u: m, x of each node in the board's frame.
-        v: likewise y.
-        lamp: (3,), m.
-        rim: (2,) and (2,), m, the paper's least and greatest x and y.
+    u and v, m, are x and y of each node in the board's frame, there is the lamp (3,), m; the rim is
+    the paper's least and greatest x and y, (2,) each, m.
 
     Source: Lambert's law, cosine over distance squared.
     """

@@ -112,8 +112,7 @@ def _board(scenario: BoardScenario) -> Board:
 def board_pairs(scenario: BoardScenario) -> tuple[list[BoardPair], Rig]:
     """Make what a corner finder would hand over, without pictures: true corners and noise.
 
-    Returns:
-        The pairs, each corner's covariance that of the noise drawn; and the true rig.
+    Each corner's covariance is that of the noise drawn; with the pairs, the true rig.
 
     Raises:
         InputError: as `simulate_boards`.
@@ -211,8 +210,7 @@ def _draw_pose(
     tilted = rigid(tilt * np.array([np.cos(about), np.sin(about), 0.0]), np.zeros(3))
     rolled = rigid(np.array([0.0, 0.0, roll]), np.zeros(3))
     centred = rigid(np.zeros(3), -board.points.mean(axis=0))
-    pose: Array = facing @ tilted @ rolled @ centred
-    return pose
+    return facing @ tilted @ rolled @ centred
 
 
 def _is_in_view(

@@ -60,10 +60,6 @@ class CellArm:
         then = t - self._delay
         return np.array([np.interp(then, times, column) for column in angles.T])
 
-    def brake(self, t: float) -> None:
-        """Stand where it is, for good."""
-        self.braked = self.q(t)
-
 
 class SimMover:
     """A simulated controller: a `Mover` that takes a stream of set points too."""
@@ -137,7 +133,7 @@ class SimMover:
 
     def alarm(self, reason: str) -> None:
         """Fail as a controller does: the servo is off, the brakes are on."""
-        self._arm.brake(self._now())
+        self._arm.braked = self._arm.q(self._now())  # it stands there, for good
         self._way = None
         self._enter(MoverState.FAILED)
         self._reason = reason

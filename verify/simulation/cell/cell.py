@@ -105,8 +105,7 @@ class CellWorld:
     def pair(self, pans: tuple[float, float] | None = None) -> StereoPair | None:
         """Take both pictures; None where no camera delivers any more.
 
-        Args:
-            pans: rad, what was read of the bases, left and right; None: they stand as the rig says.
+        `pans`, rad: what was read of the bases, left and right; None: they stand as the rig says.
         """
         if self.happened("camera_gone"):
             return None

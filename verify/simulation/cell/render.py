@@ -81,14 +81,10 @@ class CellCamera:
         noise: float,
         board: Array | None = None,
     ) -> Image:
-        """Draw the cell.
+        """Draw the cell: the arm, caps that stand about, a board that hides what is behind it.
 
-        Args:
-            caps: what stands about.
-            posed: the arm.
-            light: share of the usual light.
-            noise: DN, standard deviation of a pixel.
-            board: (4, 3), m, corners of a board that hides what is behind it.
+        The light is a share of the usual one, the noise a pixel's standard deviation, DN, the board
+        its corners, (4, 3), m.
         """
         picture = self._background.copy()
         parts: list[tuple[float, Callable[[], None]]] = []

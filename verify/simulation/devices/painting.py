@@ -13,14 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from verify.core.processes import (
-    ChildLateError,
-    ChildLostError,
-    ChildProcess,
-    SharedPicture,
-    answer_requests,
-    picture_at,
-)
+from verify.core import processes
 from verify.core.records import Array, Image
 from verify.simulation import library
 from verify.simulation.scenario import BoardScenario, Distractor
@@ -50,17 +43,14 @@ class PeriodicMotion:
         """Last direction of travel, +1 or -1: (...,) to (..., joints)."""
         back = np.asarray(np.sin(self._phase(t)) < 0)
         way = np.where(back, -1.0, 1.0)[..., None]
-        direction: Array = way * self.motion.direction(self._place(t))
-        return direction
+        return way * self.motion.direction(self._place(t))
 
     def _phase(self, t: Array) -> Array:
-        phase: Array = np.pi * (np.asarray(t) - self.begin) / (self.end - self.begin)
-        return phase
+        return np.pi * (np.asarray(t) - self.begin) / (self.end - self.begin)
 
     def _place(self, t: Array) -> Array:
         half = (self.end - self.begin) / 2
-        place: Array = self.begin + half * (1 - np.cos(self._phase(t)))
-        return place
+        return self.begin + half * (1 - np.cos(self._phase(t)))
 
 
 LAMP_DN = 200.0  # as bright as an LED
@@ -141,11 +131,14 @@ class RemotePainter:
 
     def __init__(self, scenario: str, near: LocalPainter, timeout: float = ANSWER_TIMEOUT) -> None:
         self._near, self._timeout = near, timeout
-        self._process: ChildProcess[PaintRequest, None] | None = ChildProcess(
-            answer_requests, partial(_paint_remote, scenario), partial(_remote_painter, scenario),
-            name="simulated cameras", background=True,
-        )  # fmt: skip
-        self._rooms = (SharedPicture(), SharedPicture())
+        self._process: processes.ChildProcess[PaintRequest, None] | None = processes.ChildProcess(
+            processes.answer_requests,
+            partial(_paint_remote, scenario),
+            partial(_remote_painter, scenario),
+            name="simulated cameras",
+            background=True,
+        )
+        self._rooms = (processes.SharedPicture(), processes.SharedPicture())
         self._lock, self._closed = threading.Lock(), 0
         self.trouble = ""
 
@@ -158,9 +151,9 @@ class RemotePainter:
                 process.ask((sight, name, shape), self._timeout)
                 self.trouble = ""
                 return room.copy(shape)
-        except ChildLateError:
+        except processes.ChildLateError:
             self.trouble = LATE_NOTE
-        except ChildLostError as error:
+        except processes.ChildLostError as error:
             self.trouble = f"painted by the main process from now on: {error}"
             self._end()
         return self._near.paint(sight)
@@ -191,4 +184,4 @@ def _remote_painter(scenario: str) -> LocalPainter:
 
 def _paint_remote(scenario: str, request: PaintRequest) -> None:
     sight, name, shape = request
-    picture_at(name, shape)[...] = _remote_painter(scenario).paint(sight)
+    processes.picture_at(name, shape)[...] = _remote_painter(scenario).paint(sight)

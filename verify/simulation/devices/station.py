@@ -17,12 +17,8 @@ from verify.simulation.session.simulate import simulate_session
 class SimulatedStation:
     """Simulated hardware behind the same Protocols as the real one.
 
-    The scenario's motion goes to and fro without end. Its time begins when this is made.
-
-    Args:
-        settings: which scenario, how fast, what happens.
-        clock: the cameras' clock; made here unless a test brings its own.
-        apart: pictures are painted in a process of their own.
+    The scenario's motion goes to and fro without end. Its time begins when this is made. `apart`:
+    pictures are painted in a process of their own.
 
     Raises:
         InputError: no such scenario, or one that contradicts itself or the events.

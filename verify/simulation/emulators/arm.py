@@ -191,14 +191,9 @@ class MelfaArm:
     """An arm whose program plays a trajectory; STOP holds it, RUN lets it go on.
 
     While the program does not run, EXEC moves it; RUN then leads it back to where the program was.
-
-    Args:
-        trajectory: how the arm moves while the program runs.
-        joints: how many it has.
-        limits: (joints, 2), rad, as PARMEJAR tells them.
-        follows: whether JPOSF tells the "feedback" or the "command" (of the real one nobody says).
-        arm: its kinematics, for straight lines; None: it refuses them.
-        idle: no program runs and the servo is off, as at the start of a shift.
+    The limits (joints, 2), rad, are those that PARMEJAR tells. JPOSF `follows` the "feedback" or
+    the "command" (of the real one nobody says). Without an `arm` it refuses straight lines. `idle`:
+    no program runs and the servo is off, as at the start of a shift.
     """
 
     def __init__(

@@ -200,11 +200,7 @@ def add_crc(body: bytes) -> bytes:
 
 
 def address_and_count(span: bytes) -> tuple[int, int]:
-    """Take address and count apart, 16 bits each, high byte first.
-
-    Raises:
-        RequestRefusedError: they are not whole.
-    """
+    """Take address and count, 16 bits each, high byte first; RequestRefusedError: not whole."""
     if len(span) != 4:
         raise RequestRefusedError(ILLEGAL_VALUE)
     return int.from_bytes(span[:2], "big"), int.from_bytes(span[2:], "big")

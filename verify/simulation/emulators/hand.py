@@ -101,9 +101,8 @@ def contact_positions(width_mm: float) -> Array:
 class GripperHand:
     """Fingers that go where the outputs say, and stop at what they touch.
 
-    Args:
-        activation: s that it takes to be ready.
-        contacts: (4,), positions at which A, B, C and scissor meet the object while closing.
+    The activation takes so many s. The contacts (4,) are positions at which A, B, C and scissor
+    meet the object while closing.
     """
 
     def __init__(self, activation: float, contacts: Array = NO_CONTACT) -> None:

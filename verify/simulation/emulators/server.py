@@ -134,8 +134,7 @@ class UdpEndpoint:
 class PtyEndpoint:
     """A pseudo-terminal: a serial device to whoever opens it. Not on Windows.
 
-    Args:
-        link: a path that always leads to it; None: the system's name, which a replug changes.
+    A link always leads to it; without one it has the system's name, which a replug changes.
     """
 
     def __init__(self, link: Path | None) -> None:
@@ -210,12 +209,10 @@ class SerialEndpoint:
 
 
 def open_front(where: str, line: SerialLine) -> Endpoint:
-    """Open the endpoint that the user names.
+    """Open the endpoint that the user names; `line` is how a serial device is set.
 
-    Args:
-        where: `tcp:PORT`, `tcp:HOST:PORT`, `udp:…`, `pty`, `pty:LINK`, or a serial device's path.
-            Without a host only this computer can connect; port 0 takes a free one.
-        line: how a serial device is set.
+    It is `tcp:PORT`, `tcp:HOST:PORT`, `udp:…`, `pty`, `pty:LINK`, or a serial device's path.
+    Without a host only this computer can connect; port 0 takes a free one.
 
     Raises:
         InputError: it cannot be opened.
@@ -256,11 +253,7 @@ class EmulatorFaults:
 
 
 def parse_faults(texts: list[str], possible: frozenset[str]) -> EmulatorFaults:
-    """Read `noise=0.05`, `silence=10:3`, `reset=20` and the like.
-
-    Raises:
-        InputError: not known, or no numbers.
-    """
+    """Read `noise=0.05`, `silence=10:3`, `reset=20` and the like; InputError: none of these."""
     values: dict[str, Any] = {}
     for text in texts:
         name, _, value = text.partition("=")

@@ -21,14 +21,9 @@ from verify.simulation.world.world import SimulatedWorld
 def reading_error(t: Array, q: Array, direction: Array, faults: Sequence[ScenarioFault]) -> Array:
     """Reading less true angle: offset + gain q + backlash/2 d + ecc cos(n (q - phase)) + step.
 
-    Args:
-        t: (...,), s, cameras' clock.
-        q: (..., joints), rad, the true angles in the robot file's zero.
-        direction: (..., joints), +1 or -1, the last direction of travel, kept at rest.
-        faults: any number of them, also several on one joint.
-
-    Returns:
-        (..., joints), rad.
+    In rad, (..., joints), at t (...,), s, cameras' clock, by the true angles q, rad, in the robot
+    file's zero and the last direction of travel, +1 or -1, kept at rest; a joint may have several
+    faults.
     """
     error = np.zeros_like(q)
     for fault in faults:
@@ -218,8 +213,7 @@ def noisy_readings(
 ) -> Array:
     """Read the encoders at the cameras' instants t (n,), faults and noise included.
 
-    Returns:
-        (n, joints), rad, before any rounding to the encoders' resolution.
+    Returns (n, joints), rad, before any rounding to the encoders' resolution.
     """
     q = world.joints(t)
     q = q + reading_error(t, q, world.motion.direction(t), scenario.fault)

@@ -36,15 +36,13 @@ def rigid_from_table(rotation_deg: tuple[float, ...], position_mm: tuple[float, 
 
 def transform(a_T_b: Array, points_b: Array) -> Array:
     """Express points (..., 3), m, given in b in frame a."""
-    points_a: Array = points_b @ a_T_b[:3, :3].T + a_T_b[:3, 3]
-    return points_a
+    return points_b @ a_T_b[:3, :3].T + a_T_b[:3, 3]
 
 
 def look_at(eye: Array, target: Array) -> Array:
     """Stand at `eye`, z towards `target`, x level (or along -y, looking straight up or down).
 
-    Returns:
-        camera_T_world, (4, 4), of eye and target (3,), m, in a world whose z points up.
+    Returns camera_T_world, (4, 4), of eye and target (3,), m, in a world whose z points up.
     """
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, [0.0, 0.0, 1.0])
@@ -74,8 +72,7 @@ class SimulatedCamera:
     def rig_T_camera(self, pan: float) -> Array:
         """Place the camera for its base's true angle, rad; (4, 4)."""
         rig_T_turntable = rigid(self.pan_axis * (pan + self.pan_zero), self.pan_center)
-        placed: Array = rig_T_turntable @ self.turntable_T_camera
-        return placed
+        return rig_T_turntable @ self.turntable_T_camera
 
     def project(self, points_rig: Array, pan: float) -> Array:
         """Image of points in the rig frame: (..., 3) m to (..., 2) px, NaN where not in sight."""
@@ -165,12 +162,10 @@ class RobotPlacement:
 
 
 def place_rig(scenario: Scenario, points: Array, normals: Array) -> RobotPlacement:
-    """Take the scenario's placement, or look for one.
+    """Take the placement that the scenario's rig table asks for, or look for one.
 
-    Args:
-        scenario: its rig table says what is wanted.
-        points: (pairs, leds, 3), m, the LEDs in the robot's base frame.
-        normals: (pairs, leds, 3), where they shine.
+    `points` (pairs, leds, 3), m, are the LEDs in the robot's base frame, which shine along
+    `normals`.
 
     Raises:
         InputError: no direction shows every LED in every pair.
@@ -238,13 +233,11 @@ def _pan_towards(camera: SimulatedCamera, targets: Array) -> Array:
     ahead = camera.turntable_T_camera[:3, 2]
 
     def across(v: Array) -> Array:
-        flat: Array = v - (v @ axis)[..., None] * axis
-        return flat
+        return v - (v @ axis)[..., None] * axis
 
     start, toward = across(ahead), across(targets - camera.pan_center)
     sine = np.cross(start, toward) @ axis
-    angle: Array = np.arctan2(sine, toward @ start) - camera.pan_zero
-    return angle
+    return np.arctan2(sine, toward @ start) - camera.pan_zero
 
 
 def _all_inside(bench: Bench, pan: Array, points: Array) -> bool:

@@ -1,7 +1,7 @@
 """Render the LEDs in view of a camera: exposure, lens blur, sensor noise, black level, 8 bits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
@@ -33,11 +33,8 @@ class Light:
 def led_images(world: SimulatedWorld, side: int, t: float, pan: float) -> Array:
     """Image of every LED's centre, (leds, 2), px; NaN where it faces away or leaves the picture.
 
-    Args:
-        world: what is looked at.
-        side: 0 left, 1 right.
-        t: s, cameras' clock, mid-exposure of the middle row.
-        pan: rad, the base's true angle.
+    The side is 0 left, 1 right; t, s, cameras' clock, mid-exposure of the middle row; pan, rad, the
+    base's true angle.
     """
     camera, n = world.bench.cameras[side], len(world.leds)
     centres = camera.project(world.sources(_instants(world, camera, t, pan))[:n, 0], pan)
@@ -167,20 +164,19 @@ class Renderer:
         return (*size, 3) if self.table.colour else size
 
     def render(self, lights: Sequence[Light], frame: int, turned_px: float = 0.0) -> Image:
-        """Take one picture; the same frame comes out the same every time.
+        """Take one picture, (h, w) or, in colour, (h, w, 3) BGR; the same frame each time.
 
         `turned_px` is by how many pixels the camera's turn has shifted the far room.
-
-        Returns:
-            (h, w) or, in colour, (h, w, 3) BGR.
         """
         rng = generator(self.seed, RandomStream.PIXELS, self.side, frame)
         room = self._view(turned_px)
         if self.table.colour:
-            channels = [
-                self._expose(room, [self._dimmed(light, c) for light in lights], rng)
-                for c in range(3)
-            ]
+            channels = []
+            for c in range(3):
+                dimmed = [
+                    replace(light, peak=light.peak * BGR[light.colour][c]) for light in lights
+                ]
+                channels.append(self._expose(room, dimmed, rng))
             return np.stack(channels, axis=-1)
         return self._expose(room, lights, rng)
 
@@ -263,10 +259,6 @@ class Renderer:
             return self._room
         return np.roll(self._room, -round(turned_px), axis=1)[:, :width]
 
-    def _dimmed(self, light: Light, channel: int) -> Light:
-        peak = light.peak * BGR[light.colour][channel]
-        return Light(light.path, light.disc, peak, light.colour, light.hidden)
-
     def _glow(self, light: Light, shape: tuple[int, ...]) -> Glow | None:
         """Which part of a picture one light touches, and what it adds there."""
         (left, top), patch = render_light(light, self.table.blur_px)
@@ -292,14 +284,9 @@ def render_light(light: Light, blur_px: float) -> tuple[tuple[int, int], Picture
     """Render one light: disc, motion, lens blur and the pixels' own area.
 
     The disc is cut into grains about its own centre, so that it is as symmetric as it should be;
-    what each grain sends into each row and column of pixels is the Gaussian's exact integral.
-
-    Args:
-        light: where it was during the exposure, how large and how bright.
-        blur_px: standard deviation of the lens's Gaussian blur.
-
-    Returns:
-        The (x, y) of the patch's first pixel, and the patch (rows, columns), DN.
+    what each grain sends into each row and column of pixels is the Gaussian's exact integral,
+    `blur_px` its standard deviation. Returns the (x, y) of the patch's first pixel, and the patch
+    (rows, columns), DN.
     """
     half = np.linalg.norm(light.disc, axis=1)  # of the ellipse's bounding box, along x and y
     fine = max(GRAINS_PER_PX, int(np.ceil(3 / half.min())))  # three grains a radius at least
@@ -318,8 +305,7 @@ def _point_spread(first: int, last: int, places: Array, blur_px: float) -> Array
     """Say what share of a point's light each pixel of a row gets: (k, pixels, n) of (k, n)."""
     edges = np.arange(first, last + 2) - 0.5
     below = ndtr((edges[:, None] - places[:, None, :]) / blur_px)
-    received: Array = np.diff(below, axis=1)
-    return received
+    return np.diff(below, axis=1)
 
 
 def _cover(x: Array, y: Array, light: Light, fine: int) -> Array:

@@ -118,8 +118,7 @@ class StationaryPoses:
         for i in range(1, len(self.poses)):
             step = np.sign(self.poses[i] - self.poses[i - 1])
             last[i] = np.where(step == 0, last[i - 1], step)
-        picked: Array = last[self._station(t)]
-        return picked
+        return last[self._station(t)]
 
     def _station(self, t: Array) -> NDArray[np.int64]:
         return np.maximum(np.searchsorted(self.depart, t, side="right") - 1, 0)
@@ -143,11 +142,7 @@ class ConstantVelocity:
 
 
 def plan_motion(scenario: Scenario, begin: float, end: float) -> MotionProfile:
-    """Make the scenario's motion fill the time from the first pair (begin, s) to the last (end).
-
-    Returns:
-        The motion, defined for every instant.
-    """
+    """Make the scenario's motion, defined for every instant, fill the time between two pairs, s."""
     table = scenario.motion
     home = np.radians(np.asarray(table.home_deg, dtype=float))
     rng = generator(scenario.seed, RandomStream.MOTION)

@@ -28,12 +28,9 @@ class TrueDeviation:
 def stated_cameras(
     cameras: tuple[SimulatedCamera, SimulatedCamera], pan: Array, pan_deg: float
 ) -> tuple[Camera, Camera]:
-    """Describe the cameras as rig.toml does.
+    """Describe both cameras as rig.toml does, with pan (2,), rad, as read.
 
-    Args:
-        cameras: left, right.
-        pan: (2,), rad, as read.
-        pan_deg: standard uncertainty of a reading; 0: none is stated.
+    `pan_deg`: standard uncertainty of a reading; 0: none is stated.
     """
     left, right = (
         Camera(
@@ -118,5 +115,4 @@ def _scale_focal(camera: SimulatedCamera, change: Array) -> Array:
 
 def _twist(length_mm: float, angle_deg: float, numbers: Array) -> Array:
     scale = np.repeat([length_mm / 1000, float(np.radians(angle_deg))], 3)
-    scaled: Array = scale * numbers
-    return scaled
+    return scale * numbers

@@ -34,23 +34,20 @@ class SimulatedWorld:
 
     def rig_T_flange(self, t: Array) -> Array:
         """True flange poses in the rig: (...,) s to (..., 4, 4)."""
-        placed: Array = self.bench.rig_T_base @ robots.forward(self.arm, self.joints(t))
-        return placed
+        return self.bench.rig_T_base @ robots.forward(self.arm, self.joints(t))
 
     def led_points(self, t: Array) -> Array:
         """True LED centres in the rig: (...,) s to (..., leds, 3), m."""
         rig_T_flange = self.rig_T_flange(t)
         turned = self.bench.leds @ np.swapaxes(rig_T_flange[..., :3, :3], -1, -2)
-        centres: Array = turned + rig_T_flange[..., None, :3, 3]
-        return centres
+        return turned + rig_T_flange[..., None, :3, 3]
 
     def led_normals(self, t: Array) -> Array:
         """Directions in which the LEDs shine, unit vectors in the rig: (...,) to (..., leds, 3)."""
         normals = np.array([led.normal for led in self.leds], dtype=float)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
         rotation = self.rig_T_flange(t)[..., :3, :3]
-        turned: Array = normals @ np.swapaxes(rotation, -1, -2)
-        return turned
+        return normals @ np.swapaxes(rotation, -1, -2)
 
     @property
     def colours(self) -> list[Colour]:

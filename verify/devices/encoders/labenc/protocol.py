@@ -107,11 +107,9 @@ def sample_values(
 ) -> tuple[tuple[float, ...], int] | None:
     """Take the axes' values and the status out of a sample; None if it does not hold them.
 
-    Args:
-        sample: J or C.
-        axes: how many, as H says.
-        decimal: the values are degrees, with a decimal point; else counts, without.
-        exact: nothing may follow the status (a board of a newer minor version may add fields).
+    `axes`: how many, as H says; `decimal`: the values are degrees, with a decimal point, else
+    counts; `exact`: nothing may follow the status (a board of a newer minor version may add
+    fields).
     """
     if len(sample.fields) < axes + 1 or (exact and len(sample.fields) != axes + 1):
         return None

@@ -7,13 +7,7 @@ from typing import ClassVar
 import numpy as np
 
 from verify.core.records import Array
-from verify.devices.encoders.intake import (
-    AngleMap,
-    ControllerClock,
-    ControllerInstant,
-    PortDriver,
-    ReadingIntake,
-)
+from verify.devices.encoders import intake
 from verify.devices.encoders.labenc import protocol as lines
 from verify.devices.encoders.labenc.protocol import UNUSABLE
 from verify.devices.ports import DEFAULT_LINE, LineBuffer, SerialLine, link_to
@@ -44,13 +38,13 @@ class LabencSettings:
 class LabencReading:
     """All axes at one tick, checked."""
 
-    instant: ControllerInstant
+    instant: intake.ControllerInstant
     t_host: float  # s
     angle: Array  # (axes,), rad, sign and zero of the board
     status: int  # bits of LABENC
 
 
-class LabencBoard(PortDriver):
+class LabencBoard(intake.PortDriver):
     """One board on one line: greeting, clock, sequence, checks. Drivers build on it.
 
     Closing leaves the board as it is: it may stream to a logger too.
@@ -58,14 +52,14 @@ class LabencBoard(PortDriver):
 
     orders: ClassVar[frozenset[str]] = READ_COMMANDS  # message types; no other may be sent
 
-    def __init__(self, settings: LabencSettings, angles: AngleMap) -> None:
+    def __init__(self, settings: LabencSettings, angles: intake.AngleMap) -> None:
         super().__init__(link_to(settings.port, settings.line))
         self._settings, self._angles = settings, angles
         self._half_width = settings.latch_span / 2
         self._greeting: lines.LabencGreeting | None = None
         self._lines = LineBuffer()
         self._scale: dict[int, lines.LabencAxis] = {}
-        self._clock = ControllerClock(None)
+        self._clock = intake.ControllerClock(None)
         self._sequence: tuple[int, int] | None = None  # and its clock segment
         self._scale_missing = False
         # requests for a greeting: how many, when the next is due, when the last was sent
@@ -86,11 +80,7 @@ class LabencBoard(PortDriver):
         return samples
 
     def send(self, kind: str, *fields: str) -> bool:
-        """Send a message; False if the line is down.
-
-        Raises:
-            ValueError: this driver may not send that type.
-        """
+        """Send a message; False: the line is down; ValueError: a type that may not be sent."""
         if kind not in self.orders:
             raise ValueError(f"{kind} is not among the messages that this driver may send")
         return self.link.send(lines.frame_line(",".join((kind, *fields)), self._settings.checksum))
@@ -207,9 +197,9 @@ class LabencBoard(PortDriver):
 class LabencEncoders(LabencBoard):
     """Joint readings from a LABENC board; see `LabencBoard`."""
 
-    def __init__(self, settings: LabencSettings, angles: AngleMap) -> None:
+    def __init__(self, settings: LabencSettings, angles: intake.AngleMap) -> None:
         super().__init__(settings, angles)
-        self._intake = ReadingIntake(angles, self.counts)
+        self._intake = intake.ReadingIntake(angles, self.counts)
 
     def read(self) -> list[EncoderReading]:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""

@@ -15,16 +15,9 @@ import numpy as np
 from verify.core.records import Array
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.ports import ClockFunction, Port, open_port
+from verify.grasping.actuators.melfa import orders
 from verify.grasping.actuators.melfa.answers import AnswerParser
 from verify.grasping.actuators.melfa.dialogue import Dialogue
-from verify.grasping.actuators.melfa.orders import (
-    MotionCommand,
-    MotionSettings,
-    MoveLimits,
-    joint_move,
-    line_move,
-    refusal_reason,
-)
 from verify.grasping.actuators.melfa.states import MOVING_STATES, Arrival, Controls
 from verify.grasping.actuators.protocols import (
     ACCEPTING_STATES,
@@ -44,9 +37,9 @@ class MelfaMover:
 
     def __init__(
         self,
-        settings: MotionSettings,
+        settings: orders.MotionSettings,
         angles: AngleMap,
-        limits: MoveLimits,
+        limits: orders.MoveLimits,
         right: ExecutePermission,
         port: Callable[[], Port] | None = None,
         now: ClockFunction = time.monotonic,
@@ -73,18 +66,18 @@ class MelfaMover:
 
     def move_joints(self, q: Array) -> None:
         """Go to joint angles by joint interpolation. See `Mover.move_joints`."""
-        self._move(joint_move, q)
+        self._move(orders.joint_move, q)
 
     def move_line(self, q: Array) -> None:
         """Go to joint angles with the hand on a straight line. See `Mover.move_line`."""
-        self._move(line_move, q)
+        self._move(orders.line_move, q)
 
     def hold(self) -> None:
         """Stop where it is and keep the controls. See `Mover.hold`."""
         controls = self._controls
         if controls.state in ACCEPTING_STATES | MOVING_STATES:
             controls.still = False
-            controls.enter(MoverState.STOPPING, STOP_TIMEOUT, MotionCommand("STOP"))
+            controls.enter(MoverState.STOPPING, STOP_TIMEOUT, orders.MotionCommand("STOP"))
             controls.line.urge()
 
     def release(self) -> None:
@@ -116,7 +109,7 @@ class MelfaMover:
         self._controls = Controls(Dialogue(settings, self._open_port, now), settings.client, now)
         self._answers = AnswerParser(settings, self._angles, self._limits, self._controls)
 
-    def _move(self, worded: Callable[[Array], list[MotionCommand]], q: Array) -> None:
+    def _move(self, worded: Callable[[Array], list[orders.MotionCommand]], q: Array) -> None:
         controls, q_now = self._controls, self._answers.q
         if controls.state not in ACCEPTING_STATES:
             why = f": {controls.reason}" if controls.reason else ""
@@ -127,7 +120,7 @@ class MelfaMover:
         assert q_now is not None
         assert own is not None  # both were read before the controls were taken
         target_deg = np.rad2deg(self._angles.sign * (q - self._angles.offset))
-        refusal = refusal_reason(self._limits, own, q_now, q, target_deg)
+        refusal = orders.refusal_reason(self._limits, own, q_now, q, target_deg)
         if refusal:
             raise MotionRefusedError(refusal)
         controls.arrival = Arrival(target_deg)

@@ -14,12 +14,7 @@ from typing import Final
 import numpy as np
 
 from verify.core.records import Array
-from verify.devices.melfa.protocol import (
-    ERROR_MEANINGS,
-    ControllerCommand,
-    ReadCommand,
-    RunState,
-)
+from verify.devices.melfa import protocol
 from verify.devices.melfa.reader import DEFAULT_MELFA_LINE
 from verify.devices.ports import SerialLine
 
@@ -42,13 +37,13 @@ MOVE_COMMANDS: Final = MappingProxyType(
 _PARAMETER = re.compile(r"[A-Za-z0-9]+;([-+0-9.,;]+)")
 
 
-class MotionCommand(ControllerCommand):
+class MotionCommand(protocol.ControllerCommand):
     """A command that moves the robot, or gives the right and the power to."""
 
     allowed = MOVE_COMMANDS
 
 
-Request = ReadCommand | MotionCommand
+Request = protocol.ReadCommand | MotionCommand
 
 
 def joint_move(angle_deg: Array) -> list[MotionCommand]:
@@ -115,12 +110,8 @@ def refusal_reason(
 ) -> str:
     """Say why a target is refused; empty where it is not.
 
-    Args:
-        limits: the station's.
-        own_deg: (joints, 2), the controller's own.
-        q_now: (joints,), rad, where the arm stands.
-        q: (joints,), rad, the target.
-        angle_deg: (joints,), the target in the controller's own angles.
+    The limits are the station's and, `own_deg` (joints, 2), the controller's own. The arm stands at
+    q_now (joints,), rad, its target is q, in the controller's own angles `angle_deg`.
     """
     lower, upper = limits.joints.T
     if q.shape != lower.shape or not np.all((q >= lower) & (q <= upper)):
@@ -138,15 +129,15 @@ SLOT_ERRORS = frozenset({4160, 5100, 5640})
 
 def refusal_text(name: str, error: int) -> str:
     """Word a refusal."""
-    text = f"{name} was refused, error {error}: {ERROR_MEANINGS.get(error, 'not known')}"
+    text = f"{name} was refused, error {error}: {protocol.ERROR_MEANINGS.get(error, 'not known')}"
     if name == "EXEC" and error in SLOT_ERRORS:
         return f"{text}; reset the program at the pendant"
     return text
 
 
-def alarm_text(state: RunState) -> str:
+def alarm_text(state: protocol.RunState) -> str:
     """Word what STATE tells of an alarm; empty where there is none."""
     if state.error:
-        meaning = ERROR_MEANINGS.get(state.error, "not known")
+        meaning = protocol.ERROR_MEANINGS.get(state.error, "not known")
         return f"alarm {state.error} is standing: {meaning}; clear it at the controller"
     return "the emergency stop is pressed" if state.emergency_stop else ""
