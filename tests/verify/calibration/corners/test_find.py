@@ -104,8 +104,7 @@ def test_a_symmetric_pattern_starts_at_the_top_left(
 
 def test_white_at_the_first_square_turns_an_unambiguous_board_round() -> None:
     camera_T_board = placed((0.0, 0.0, 0.1), (0, 0, 1.0), UNIQUE)
-    look = Look(inverted=True)
-    view = found(picture(UNIQUE, CAMERA, camera_T_board, None, look), UNIQUE)
+    view = found(picture(UNIQUE, CAMERA, camera_T_board, None, Look(inverted=True)), UNIQUE)
     truth = corners(UNIQUE, CAMERA, camera_T_board)[::-1]
     assert np.abs(view.centre - truth).max() < 0.01
 
@@ -122,8 +121,7 @@ def test_a_charuco_board_may_be_partly_out_of_view() -> None:
 
 def test_a_plain_board_partly_out_of_view_is_not_found() -> None:
     camera_T_board = placed((0.0, 0.0, 0.0), (0.5, 0.0, 0.8), UNIQUE)
-    image = picture(UNIQUE, CAMERA, camera_T_board, None)
-    assert find_board(image, UNIQUE) is None
+    assert find_board(picture(UNIQUE, CAMERA, camera_T_board, None), UNIQUE) is None
 
 
 def test_a_covered_corner_is_left_out_and_colour_does_not_matter() -> None:
@@ -138,8 +136,7 @@ def test_a_covered_corner_is_left_out_and_colour_does_not_matter() -> None:
     view = found(np.repeat(image[..., None], 3, axis=2), PLAIN)
     error = view.centre - truth[view.corner]
     assert 31 not in view.corner or squared(view, error)[list(view.corner).index(31)] < 25
-    others = view.corner != 31
-    assert np.abs(error[others]).max() < 0.05
+    assert np.abs(error[view.corner != 31]).max() < 0.05
     assert len(view) >= 62
 
 
