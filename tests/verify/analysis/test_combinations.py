@@ -77,8 +77,7 @@ def _sum(session: InMemory, q: np.ndarray, own: int, held: int) -> np.ndarray:
 
 
 def test_the_report_lists_the_sums(panda: tuple[InMemory, Results]) -> None:
-    words = "of more than six joints a pose determines six sums"
-    assert words in render_html(panda[1])
+    assert "of more than six joints a pose determines six sums" in render_html(panda[1])
 
 
 @pytest.mark.slow

@@ -357,8 +357,7 @@ def test_identified_on_70_percent_the_others_are_met(name: str, every: int) -> N
     found = identify_arm(chain_of(robots.load("ur10")), series(name, every))
     assert found.chosen.name == "geometry"
     assert found.chosen.support.rank == 30
-    held = found.chosen.held_out
-    assert held.position[0] * 1e3 <= IDENTIFIED_MM
+    assert found.chosen.held_out.position[0] * 1e3 <= IDENTIFIED_MM
 
 
 def test_a_model_of_series_a_serves_series_b() -> None:

@@ -144,8 +144,7 @@ def test_a_video_without_checksums_is_taken(tmp_path: Path) -> None:
         stream = container.add_stream("ffv1", rate=30, options={"level": "3", "slicecrc": "0"})
         stream.width, stream.height, stream.pix_fmt = 64, 48, "gray"
         for image in images(3, colour=False):
-            grey = np.ascontiguousarray(image[:48, :64])
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, "gray")))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, "gray")))
         container.mux(stream.encode(None))
     assert open_images(path).count() == 3
 

@@ -134,11 +134,9 @@ def test_axes_lie_as_in_the_table(faulty: tuple[InMemory, SweepResult]) -> None:
 
 def test_the_base_is_found_by_the_arm_s_own_axes(faulty: tuple[InMemory, SweepResult]) -> None:
     _, found = faulty
-    d2 = float(
-        found.base.difference @ np.linalg.solve(found.base.covariance, found.base.difference)
-    )
-    assert d2 < chi2.isf(1e-3, 6)
-    assert np.linalg.norm(found.base.difference[:3]) < 5e-4
+    off = found.base.difference
+    assert off @ np.linalg.solve(found.base.covariance, off) < chi2.isf(1e-3, 6)
+    assert np.linalg.norm(off[:3]) < 5e-4
     assert any("rests on joint 1's encoder" in d for d in found.decisions)
 
 

@@ -45,8 +45,7 @@ def test_without_noise_the_base_is_where_it_is() -> None:
 
 @pytest.mark.slow
 def test_repeats_do_not_average_the_fixture_out() -> None:
-    rng = np.random.default_rng(1)
-    pairs = [pair(RIG, placed(), rng, frame=i) for i in range(12)]
+    pairs = [pair(RIG, placed(), np.random.default_rng(i), frame=i) for i in range(12)]
     one = register_fixture(RIG, pairs[:1], BOARD, BASE_T_BOARD, FIXED)
     many = register_fixture(RIG, pairs, BOARD, BASE_T_BOARD, FIXED)
     assert np.trace(many.board_covariance) < np.trace(one.board_covariance) / 8

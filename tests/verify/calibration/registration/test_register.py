@@ -177,13 +177,11 @@ def registered(simulated: InMemory) -> MotionRegistration:
 def test_a_healthy_simulated_arm_is_registered_to_within_its_uncertainty(
     simulated: InMemory, registered: MotionRegistration
 ) -> None:
-    found = registered
-    error = off(found, simulated.rig.rig_T_base, simulated.marker)
-    _, covariance = base_and_leds(found.rig)
+    error = off(registered, simulated.rig.rig_T_base, simulated.marker)
+    _, covariance = base_and_leds(registered.rig)
     assert error @ np.linalg.solve(covariance, error) < chi2.ppf(0.99, len(error))
-    u = found.clock_standard_uncertainty
-    assert abs(found.clock_offset - 0.085) < 3 * u
-    assert abs(found.skew) < 4 * found.skew_standard_uncertainty
+    assert abs(registered.clock_offset - 0.085) < 3 * registered.clock_standard_uncertainty
+    assert abs(registered.skew) < 4 * registered.skew_standard_uncertainty
 
 
 def test_results_are_laid_out_in_the_file_s_units(registered: MotionRegistration) -> None:

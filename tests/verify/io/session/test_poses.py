@@ -228,8 +228,7 @@ def test_a_point_off_the_flange_determines_its_motion(watched: Watched, tmp_path
     summary = analyse(session).summary
     # 60 mm off joint 6's axis: its offset moves the point, and shows
     assert summary["joints"][5]["mean_error_deg"] is not None
-    named = [(c["joint"], c["kind"]) for c in summary["diagnosis"]]
-    assert named == [(2, "offset")]
+    assert [(c["joint"], c["kind"]) for c in summary["diagnosis"]] == [(2, "offset")]
 
 
 @pytest.mark.parametrize(
