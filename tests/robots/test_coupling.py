@@ -21,11 +21,6 @@ def found(arm: robots.DhArm, **theta: float) -> robots.Coupling | None:
     return robots.coupled(arm, arm.joint_angles(angles))
 
 
-@EVERY_ARM
-def test_away_from_singularities_no_joints_are_coupled(arm: robots.DhArm) -> None:
-    assert found(arm) is None
-
-
 @pytest.mark.parametrize(
     ("name", "label", "joints"),
     [

@@ -1,7 +1,4 @@
-"""Every way to a pose, and no other, at and near singularities too.
-
-Limits, whole turns, and the branch nearest to a reading.
-"""
+"""Every way to a pose, and no other, at and near singularities; limits, turns, the nearest."""
 
 import numpy as np
 import pytest
@@ -130,8 +127,7 @@ def test_a_straight_wrist_keeps_the_free_joint_and_flags_it(
     name: str, joint: int, theta5: float
 ) -> None:
     arm = ARMS[name]
-    theta = np.array([0.3, -0.7, 1.4, 0.2, theta5, -0.4])
-    q = arm.joint_angles(theta)
+    q = arm.joint_angles(np.array([0.3, -0.7, 1.4, 0.2, theta5, -0.4]))
     pose = robots.forward(arm, q)
     for angle in (q[joint], q[joint] + 0.05):
         hold = q.copy()

@@ -6,41 +6,10 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from robots.transforms import Array
 from tests.support.postures import linked, with_signs
 
 ARMS = {name: robots.load(name) for name in robots.names()}
 EVERY_ARM = pytest.mark.parametrize("arm", ARMS.values(), ids=str)
-
-
-def flange(name: str, theta_deg: list[float]) -> Array:
-    arm = ARMS[name]
-    return robots.forward(arm, arm.joint_angles(np.radians(theta_deg)))
-
-
-@pytest.mark.parametrize(
-    ("name", "zero", "zero_mm", "turned_mm"),
-    [
-        (
-            "iust_6r", [[1, 0, 0], [0, 0, 1], [0, -1, 0]], [505, 152.8, 438],
-            [330.760163, 158.055058, 281.277969],
-        ),
-        ("rv_3sd", np.eye(3), [475, 0, 705], [674.957274, 161.513178, 333.251339]),
-        (
-            "rv_3sd_melfa", np.diag([1, -1, -1]), [475, 0, -5],
-            [121.990467, 64.010211, -7.673209],
-        ),
-    ],
-)  # fmt: skip
-def test_flange_poses_are_the_recorded_ones(
-    name: str, zero: Array, zero_mm: list[float], turned_mm: list[float]
-) -> None:
-    assert_allclose(flange(name, [0] * 6)[:3, :3], zero, atol=0)
-    assert_allclose(flange(name, [0] * 6)[:3, 3] * 1000, zero_mm, atol=1e-9)
-    turned = flange(name, [10, 20, 30, 40, 50, 60])
-    assert_allclose(turned[:3, 3] * 1000, turned_mm, atol=1e-6)  # as many digits as are on record
-    if name == "iust_6r":
-        assert_allclose(turned[:3, 2], [-0.111619, 0.633022, 0.766044], atol=1e-6)
 
 
 def test_at_the_controllers_zero_upper_arm_and_forearm_stand_upright_the_elbow_offset_behind() -> (

@@ -1,7 +1,4 @@
-"""Trajectories and streams: their limits are checked by differentiation, not by ruckig's word.
-
-Limits of the joints, and words for what would break them.
-"""
+"""Trajectories and streams: their limits are checked by differentiation, not by ruckig's word."""
 
 import dataclasses
 
@@ -210,8 +207,7 @@ def test_a_goal_at_rest_is_reached_and_one_that_moves_is_kept_up_with() -> None:
         # the goal of the end of this step: what is ordered is where the arm will then be
         goal = HOME + 0.2 + velocity * (step + 1) * PERIOD
         follower.step(goal, velocity)
-    behind = np.abs(follower.motion.q - goal).max()
-    assert behind <= 0.1 * PERIOD + 1e-6  # one step of the goal's
+    assert np.abs(follower.motion.q - goal).max() <= 0.1 * PERIOD + 1e-6  # one step of the goal's
 
 
 def test_a_goal_beyond_a_limit_leads_up_to_it_and_the_other_joints_to_theirs() -> None:
@@ -229,8 +225,7 @@ def test_an_obstructed_motion_stops_before_the_obstacle_with_a_reason() -> None:
         return "the wall" if q[:, 0].max() > 0.3 else ""
 
     follower = TrajectoryFollower(LIMITS, HOME, PERIOD, clear)
-    goal = HOME + np.eye(6)[0]
-    steps = [follower.step(goal) for _ in range(90)]
+    steps = [follower.step(HOME + np.eye(6)[0]) for _ in range(90)]
     assert max(step.motion.q[0] for step in steps) <= 0.3
     assert steps[-1].reason == "the wall"
     assert steps[-1].motion.q[0] > 0.2

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -9,11 +11,12 @@ from scipy.spatial.transform import Rotation
 import robots
 from tests.support.scene import make_marker, make_rig
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.comparison import Comparison, compare
-from verify.analysis.model import JointErrorModel, build_model
+from verify.analysis.comparison import Comparison, compare, solve_joints
+from verify.analysis.model import JointErrorModel, SessionComparison, build_model
 from verify.core.readings import Readings
 from verify.core.records import Array
-from verify.measurement.systematics import stated_systematics
+from verify.io.session.session import Session
+from verify.measurement.systematics import Systematics, stated_systematics
 from verify.measurement.track import Track
 
 ARM = robots.load("iust_6r")
@@ -87,6 +90,17 @@ def compared(seed: int, error: Array | float = 0.0) -> tuple[Track, Comparison]:
     rng = np.random.default_rng(seed)
     track = make_track(PAIRS, swinging(PAIRS), rng)
     return track, compare(track, ARM, read(swinging, LOG, 0.0, rng, error), 0.0)
+
+
+def compared_session(
+    track: Track, comparison: Comparison, stated: Systematics, clock: ClockEstimate, **of: Any
+) -> SessionComparison:
+    """A compared session without a folder; `of` is what its files state, ARM by default."""
+    unknown = ("encoder_resolution", "encoder_time_standard_uncertainty", "instrument")
+    known = {"arm": ARM, **dict.fromkeys(unknown), **of}
+    joints = solve_joints(comparison, known["arm"])
+    session = cast("Session", SimpleNamespace(**known))
+    return SessionComparison(session, track, stated, clock, comparison, joints)
 
 
 def model_of(

@@ -20,12 +20,13 @@ def measured_at_spots(
     systematics: Systematics,
     rng: np.random.Generator,
     spots: list[Array] | None = None,
+    sigma: float = SPOT_PX,
 ) -> Iterator[Measurement]:
     """Fit a pose to the spots of each pair; `spots`, px, (n, LEDs, 2) a side, replace true ones."""
     rig, marker, played = session.rig, session.marker, session.simulated
     spots = spots or [played.spots(side) for side in (0, 1)]
     for i, q in enumerate(session.truth):
-        left, right = (_sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
+        left, right = (_sighting(played, spots[side][i], side, i, rng, sigma) for side in (0, 1))
 
         def columns(
             pose: Array, by_point: Array, pair: tuple[Sighting, Sighting] = (left, right)
@@ -38,8 +39,9 @@ def measured_at_spots(
 
 
 def _sighting(
-    played: SimulatedSession, centre: Array, side: int, index: int, rng: np.random.Generator
-) -> Sighting:
-    noisy = centre + SPOT_PX * rng.standard_normal(centre.shape)
+    played: SimulatedSession, centre: Array, side: int, index: int, rng: np.random.Generator,
+    sigma: float,
+) -> Sighting:  # fmt: skip
+    noisy = centre + sigma * rng.standard_normal(centre.shape)
     t, pan = float(played.t[index, side]), float(played.pan[index, side])
-    return sighting(list(range(len(centre))), noisy, SPOT_PX, t, pan)
+    return sighting(list(range(len(centre))), noisy, sigma, t, pan)

@@ -73,7 +73,7 @@ def encoders_csv(t: Array, q: Array) -> str:
 
 
 def write_posed(
-    folder: Path, like: Path, poses: str, *, frame: str = "rig", more: str = ""
+    folder: Path, like: Path, poses: str, *, frame: str = "rig", more: str = "", encoders: str = ""
 ) -> Path:
     """Write a session of poses with the robot, rig and readings of a session of pictures.
 
@@ -83,9 +83,10 @@ def write_posed(
         poses: the text of poses.csv.
         frame: that they are in.
         more: further lines of session.toml, first those of [poses].
+        encoders: the text of encoders.csv, if not that of the session of pictures.
     """
     folder.mkdir()
-    shutil.copy(like / "encoders.csv", folder)
+    (folder / "encoders.csv").write_text(encoders or (like / "encoders.csv").read_text())
     rig = ""
     if frame == "rig":
         shutil.copy(like / "rig.toml", folder)

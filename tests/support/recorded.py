@@ -1,12 +1,15 @@
 """A small recorded session, written by other code than the readers under test."""
 
+from collections.abc import Callable
 from pathlib import Path
 
 import cv2
 import numpy as np
+import pytest
 
 from tests.support.beside import shared
 from verify.core.records import Image
+from verify.errors import InputError
 
 PAIRS, WIDTH, HEIGHT = 6, 64, 48
 
@@ -105,6 +108,14 @@ def replace(path: Path, old: str, new: str) -> None:
     text = path.read_text()
     assert text.count(old) == 1, f"{old!r} stands {text.count(old)} times"
     path.write_text(text.replace(old, new))
+
+
+def refusal(read: Callable[..., object], *given: object) -> InputError:
+    """What is said of something that is refused, in one line."""
+    with pytest.raises(InputError) as caught:
+        read(*given)
+    assert str(caught.value).isprintable()
+    return caught.value
 
 
 def require_shared() -> Path:

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 import robots
 from tests.support.motions import ARM, HOME, SIGMA, make_track
 from verify.analysis.comparison import compare
+from verify.analysis.performance.poses import PoseVisits
 from verify.core.readings import Readings
 from verify.core.records import Array
 
@@ -74,6 +75,17 @@ def measured_poses(run: Repeated, t: Array) -> Array:
     poses[:, :3, :3] = turn @ poses[:, :3, :3]
     poses[:, :3, 3] += OFF + rng.normal(0, SIGMA[0], (len(t), 3))
     return poses
+
+
+def stands(
+    places: Array, came_from: tuple[int, ...] = (), *, read: float = 0.0, begin: float = 0.0
+) -> PoseVisits:
+    """Visits of a pose a minute apart, at places (n, 3), m, where the readings put it at x."""
+    n = len(places)
+    attained, there = np.tile(np.eye(4), (2, n, 1, 1))
+    attained[:, :3, 3], there[:, 0, 3] = places, read
+    t, ways = begin + 60.0 * np.arange(n), came_from or (0,) * n
+    return PoseVisits("A", t, attained, there, np.ones(n), ways, np.zeros((6, 1)))
 
 
 def model_of(run: Repeated, t: Array, readings: Readings) -> Any:

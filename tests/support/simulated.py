@@ -16,6 +16,7 @@ from verify.core.records import Array, StereoPair
 from verify.io.series import EncoderSeries, FrameSeries
 from verify.io.session.keys import Clock
 from verify.io.session.session import Session
+from verify.simulation import library
 from verify.simulation.scenario import (
     MultiJoint,
     Scenario,
@@ -112,6 +113,13 @@ def scene(**changes: Any) -> Scenario:
         encoders=ScenarioEncoders(noise_deg=0.0),
     )
     return msgspec.structs.replace(plain, **changes)
+
+
+def sample(**recording: Any) -> Scenario:
+    """The built-in session with a fault of joint 2, its recording changed."""
+    built = library.load("multi_joint_fault_6r")
+    changed = msgspec.structs.replace(built.recording, **recording)
+    return msgspec.structs.replace(built, recording=changed)
 
 
 MINIMAL = """

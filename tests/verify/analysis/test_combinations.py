@@ -5,40 +5,36 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from reports import Results
-from tests.support.simulated import InMemory, in_memory
+from reports import Results, render_html
+from tests.support.simulated import InMemory, in_memory, marker_of, scene
 from verify.analysis.session import analyse
 from verify.simulation.scenario import (
     MultiJoint,
-    Scenario,
     ScenarioClock,
     ScenarioEncoders,
     ScenarioFault,
-    ScenarioLed,
-    ScenarioMarker,
     ScenarioRecording,
 )
 
 FAULT_DEG = 0.5
-LEDS = [(60, 0, 10), (-45, 40, 15), (-10, -55, 25), (20, 45, -5)]
 FAULT = ScenarioFault(joint=4, offset_deg=FAULT_DEG)
 
 
-def scenario(robot: str, home_deg: list[float], pairs: int, *fault: ScenarioFault) -> Scenario:
-    leds = [ScenarioLed(name=n, position_mm=p) for n, p in zip("ABCD", LEDS, strict=True)]
-    return Scenario(
-        format=1, robot=robot, seed=4, clock=ScenarioClock(), fault=[*fault],
+def played(robot: str, home_deg: list[float], pairs: int, *fault: ScenarioFault) -> InMemory:
+    scenario = scene(
+        robot=robot, clock=ScenarioClock(), fault=[*fault], marker=marker_of("ABCD"),
         motion=MultiJoint(home_deg=home_deg, amplitude_deg=[8.0] * len(home_deg)),
-        recording=ScenarioRecording(pairs=pairs, rate_hz=5.0), marker=ScenarioMarker(led=leds),
+        recording=ScenarioRecording(pairs=pairs, rate_hz=5.0),
         encoders=ScenarioEncoders(noise_deg=0.002),
     )  # fmt: skip
+    return in_memory(scenario)
 
 
 @pytest.fixture(scope="module")
 def panda() -> tuple[InMemory, Results]:
     """Seven joints, the fourth encoder half a degree off."""
     home_deg = [10.0, -20.0, 15.0, -110.0, 10.0, 100.0, 40.0]
-    session = in_memory(scenario("panda", home_deg, 30, FAULT))
+    session = played("panda", home_deg, 30, FAULT)
     return session, analyse(session)
 
 
@@ -81,15 +77,11 @@ def _sum(session: InMemory, q: np.ndarray, own: int, held: int) -> np.ndarray:
 
 
 def test_the_report_lists_the_sums(panda: tuple[InMemory, Results]) -> None:
-    from reports import render_html
-
-    page = render_html(panda[1])
-    assert "of more than six joints a pose determines six sums" in page
+    assert "of more than six joints a pose determines six sums" in render_html(panda[1])
 
 
 @pytest.mark.slow
 def test_no_sums_of_self_motion_for_six_joints() -> None:
-    session = scenario("ur5", [20.0, -70.0, 60.0, 20.0, 60.0, 10.0], 12)
-    results = analyse(in_memory(session))
+    results = analyse(played("ur5", [20.0, -70.0, 60.0, 20.0, 60.0, 10.0], 12))
     assert not [c for c in results.summary["combinations"] if c["why"] == "self_motion"]
     assert_allclose([j["mean_error_deg"] for j in results.summary["joints"]], 0, atol=0.3)

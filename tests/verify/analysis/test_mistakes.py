@@ -29,8 +29,7 @@ def recording() -> tuple[Session, Track]:
 def judge(recording: tuple[Session, Track], q: Array) -> None:
     session, track = recording
     readings = Readings(session.encoders.t, q)
-    clock = estimate_clock(track, session.arm, readings)
-    refuse_other_motion(session, track, readings, clock)
+    refuse_other_motion(session, track, readings, estimate_clock(track, session.arm, readings))
 
 
 def reverse_first(q: Array) -> Array:

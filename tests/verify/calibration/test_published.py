@@ -18,9 +18,9 @@ import robots
 from reports import render_html
 from robots.transforms import difference, invert
 from tests.bench.registration import spot_stack
+from tests.support.beside import shared
 from tests.support.motions import track_of
 from tests.support.published import concatenate, series, write_session
-from tests.support.recorded import require_shared
 from tests.support.scene import project
 from verify.analysis.clock.estimate import estimate_clock
 from verify.analysis.session import analyse
@@ -55,10 +55,6 @@ SHIFT = 0.35  # s, put into the recording with two clocks
 COMFORTABLE = np.array([0.13, -0.92, 1.65, -0.08, 1.78, -0.60])  # rad, a UR10 far from singular
 FOCAL, DISTANCE = 1e4, 10.0  # px, and body sizes from which two cameras see it
 BODY = np.array([[1.0, 1.0, 1.0], [1.0, -1.0, -1.0], [-1.0, 1.0, -1.0], [-1.0, -1.0, 1.0]])
-
-
-def data(*parts: str) -> Path:
-    return require_shared().parent.joinpath("data", *parts)
 
 
 def pose(place: Array, vector: Array) -> Array:
@@ -186,7 +182,7 @@ def joints_of(arm: robots.Arm, base_T_hand: Array) -> tuple[Array, Array]:
 
 def franka(kind: str, corners: Callable[[Array], Array], points: Array) -> tuple[Array, Array]:
     """camera_T_target and base_T_hand of the eight images; each pose of most likely corners."""
-    folder = data("handeye_franka_visp", kind)
+    folder = shared("data", "handeye_franka_visp") / kind
     text = (folder / "franka_camera.xml").read_text()
     fx, fy, cx, cy = (
         float(re.findall(f"<{k}>(.*?)</{k}>", text)[0]) for k in ("px", "py", "u0", "v0")
@@ -279,8 +275,8 @@ class Streams:
 
 
 def stream(name: str, every: int) -> tuple[Array, Array]:
-    stem = "robot_arm_complete_bag_color_and_ir_"
-    rows = np.loadtxt(data("handeye_timeoffset_asl", f"{stem}{name}.csv"), delimiter=",")[::every]
+    file = f"robot_arm_complete_bag_color_and_ir_{name}.csv"
+    rows = np.loadtxt(shared("data", "handeye_timeoffset_asl") / file, delimiter=",")[::every]
     poses = np.tile(np.eye(4), (len(rows), 1, 1))
     poses[:, :3, :3] = Rotation.from_quat(rows[:, 4:8]).as_matrix()
     poses[:, :3, 3] = rows[:, 1:4]
@@ -297,8 +293,7 @@ def streams() -> Streams:
 
 
 def register_hand_eye(streams: Streams, shift: float) -> Fitted:
-    readings = streams.readings(shift)
-    return fitted(streams.seen_t, streams.seen, streams.arm, readings, STREAM)
+    return fitted(streams.seen_t, streams.seen, streams.arm, streams.readings(shift), STREAM)
 
 
 @pytest.fixture(scope="module")
@@ -362,8 +357,7 @@ def test_identified_on_70_percent_the_others_are_met(name: str, every: int) -> N
     found = identify_arm(chain_of(robots.load("ur10")), series(name, every))
     assert found.chosen.name == "geometry"
     assert found.chosen.support.rank == 30
-    held = found.chosen.held_out
-    assert held.position[0] * 1e3 <= IDENTIFIED_MM
+    assert found.chosen.held_out.position[0] * 1e3 <= IDENTIFIED_MM
 
 
 def test_a_model_of_series_a_serves_series_b() -> None:
@@ -386,7 +380,6 @@ def test_each_of_two_recordings_lies_within_what_both_together_state() -> None:
     arm, rows = chain_of(robots.load("ur10")), [series("A", 8), series("B")]
     options = IdentificationOptions(level="geometry", splits=0)
     both = identify_arm(arm, concatenate(rows), options).chosen.fit
-    assert both.scatter is not None
     assert both.scatter > 3
     for fit in (identify_arm(arm, one, options).chosen.fit for one in rows):
         away = np.abs(fit.change - both.change[[both.parameters.index(p) for p in fit.parameters]])

@@ -7,10 +7,10 @@ import sys
 import threading
 import time
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 
+from tests.support.processes import running, wait_until
 from verify.core.processes import (
     NICENESS,
     READY,
@@ -115,13 +115,6 @@ def test_stopping_terminates_what_does_not_end_by_itself() -> None:
     assert not running(child._process.pid)
 
 
-def running(pid: int) -> bool:
-    try:
-        return "State:\tZ" not in Path(f"/proc/{pid}/status").read_text()
-    except OSError:
-        return False
-
-
 linux = pytest.mark.skipif(sys.platform != "linux", reason="a matter of Linux")
 
 
@@ -150,10 +143,7 @@ def test_a_child_process_ends_with_the_process_that_started_it() -> None:
     ) as parent:
         child = int(parent.stdout.readline())
         parent.kill()
-    end = time.monotonic() + LIMIT
-    while running(child):
-        assert time.monotonic() < end
-        time.sleep(0.02)
+    wait_until(lambda: not running(child), LIMIT)
 
 
 def test_outside_linux_no_priority_is_changed(monkeypatch: pytest.MonkeyPatch) -> None:

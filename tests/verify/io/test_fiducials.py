@@ -2,18 +2,16 @@
 
 from pathlib import Path
 
-import cv2
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose
 
-from tests.support.recorded import MARKER, replace
+from tests.support.recorded import MARKER, refusal, replace
 from tests.support.strategies import assert_same, every_disk, finite, positive, texts
 from verify.core import fiducials as core_fiducials
 from verify.core.fiducials import COLOURS, Board, Marker
-from verify.errors import InputError
 from verify.io import fiducials
 
 
@@ -72,7 +70,6 @@ def test_millimetres_and_degrees_become_metres_and_radians(path: Path) -> None:
     assert marker.led_diameter == pytest.approx(0.005)
     assert marker.led_standard_uncertainty == pytest.approx(5e-5)
     assert marker.centre_shift_standard_uncertainty == pytest.approx(1e-5)
-    assert marker.body_standard_uncertainty is not None
     assert_allclose(
         marker.body_standard_uncertainty, [0.001, 0.002, 0.003, np.pi, np.pi / 2, np.pi / 4]
     )
@@ -109,9 +106,7 @@ NEGATIVE = "{x_mm=-1, y_mm=0, z_mm=0, rx_deg=0, ry_deg=0, rz_deg=0}"
 )
 def test_a_wrong_marker_is_refused_by_its_key(path: Path, old: str, new: str, message: str) -> None:
     replace(path, old, new)
-    with pytest.raises(InputError) as caught:
-        fiducials.read_marker(path)
-    assert message in str(caught.value)
+    assert message in str(refusal(fiducials.read_marker, path))
 
 
 PLAIN = "format = 1\ninner_corners = [9, 7]\nsquare_mm = 40.0\n"
@@ -183,10 +178,9 @@ def test_a_wrong_board_is_refused_by_its_key(
     board_path: Path, old: str, new: str, message: str
 ) -> None:
     replace(board_path, old, new)
-    with pytest.raises(InputError) as caught:
-        fiducials.read_board(board_path)
-    assert message in str(caught.value)
-    assert str(board_path) in str(caught.value)
+    found = str(refusal(fiducials.read_board, board_path))
+    assert message in found
+    assert str(board_path) in found
 
 
 def test_squares_that_agree_with_the_corners_do_no_harm(board_path: Path) -> None:
@@ -214,4 +208,3 @@ def test_the_corners_come_in_the_order_of_opencvs_charuco_board(board_path: Path
     drawn = core_fiducials.charuco_board(board)
     assert_allclose(drawn.getChessboardCorners() - [0.04, 0.04, 0.0], board.points, atol=1e-8)
     assert len(drawn.getIds()) == core_fiducials.count_white_squares(board)
-    assert isinstance(drawn, cv2.aruco.CharucoBoard)

@@ -16,7 +16,6 @@ from unittest.mock import Mock
 import pytest
 
 from tests.support.command import verify
-from tests.support.small_disk import mounted
 from verify.errors import InputError
 from verify.io import files
 from verify.io.files import write_folder_whole, write_whole, written_together
@@ -25,13 +24,6 @@ from verify.io.files import write_folder_whole, write_whole, written_together
 def names(folder: Path) -> list[str]:
     """Everything below a folder, hidden files too."""
     return sorted(str(path.relative_to(folder)) for path in folder.rglob("*"))
-
-
-@pytest.fixture
-def full_disk(tmp_path: Path) -> Iterator[Path]:
-    """A disk of 64 kB."""
-    with mounted(tmp_path / "disk", "-o", "size=64k") as disk:
-        yield disk
 
 
 def build(out: Path, force: bool = False, then: Callable[[], object] = lambda: None) -> None:
@@ -110,19 +102,6 @@ def test_an_interrupt_leaves_what_was_there(
     with pytest.raises(KeyboardInterrupt):
         write_whole(tmp_path / "rig.toml", b"after")
     assert names(tmp_path) == []
-
-
-def test_a_full_disk_is_reported_in_one_line(full_disk: Path) -> None:
-    write_whole(full_disk / "rig.toml", b"before")
-    with pytest.raises(InputError, match="no space left on device"):
-        write_whole(full_disk / "rig.toml", bytes(200_000))
-    assert (full_disk / "rig.toml").read_bytes() == b"before"
-    with (
-        pytest.raises(InputError, match=r"out: no space left on device\. Free some space"),
-        write_folder_whole(full_disk / "out") as folder,
-    ):
-        (folder / "frames.csv").write_bytes(bytes(200_000))
-    assert names(full_disk) == ["rig.toml"]
 
 
 @pytest.mark.parametrize("place", ["nowhere/rig.toml", "file/rig.toml", "folder", "n" * 300])

@@ -10,11 +10,10 @@ from hypothesis.extra.numpy import arrays
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
-from tests.support.recorded import RIG, replace
+from tests.support.recorded import RIG, refusal, replace
 from tests.support.strategies import assert_same, every_disk, finite, positive, texts
 from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
-from verify.errors import InputError
 from verify.io import rig as io_rig
 
 triples = st.tuples(finite, finite, finite).map(np.array)
@@ -192,11 +191,10 @@ def test_a_wrong_rig_is_refused_by_its_key(
 ) -> None:
     assert old in path.read_text()
     path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(InputError) as caught:
-        io_rig.read(path)
+    found = str(refusal(io_rig.read, path))
     for words in message:
-        assert words in str(caught.value)
-    assert str(caught.value).startswith(str(path))
+        assert words in found
+    assert found.startswith(str(path))
 
 
 @pytest.mark.parametrize(
@@ -219,9 +217,9 @@ def test_a_wrong_covariance_is_refused(path: Path, old: str, new: str, message: 
     path.write_text(RIG + COVARIANCE)
     assert io_rig.read(path)[0].covariance is not None
     replace(path, old, new)
-    with pytest.raises(InputError, match="covariance") as caught:
-        io_rig.read(path)
-    assert message in str(caught.value)
+    found = str(refusal(io_rig.read, path))
+    assert "covariance" in found
+    assert message in found
 
 
 def test_what_is_written_reads_like_what_a_person_would_write(path: Path) -> None:

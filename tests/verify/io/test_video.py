@@ -144,8 +144,7 @@ def test_a_video_without_checksums_is_taken(tmp_path: Path) -> None:
         stream = container.add_stream("ffv1", rate=30, options={"level": "3", "slicecrc": "0"})
         stream.width, stream.height, stream.pix_fmt = 64, 48, "gray"
         for image in images(3, colour=False):
-            grey = np.ascontiguousarray(image[:48, :64])
-            container.mux(stream.encode(av.VideoFrame.from_ndarray(grey, "gray")))
+            container.mux(stream.encode(av.VideoFrame.from_ndarray(image, "gray")))
         container.mux(stream.encode(None))
     assert open_images(path).count() == 3
 
@@ -193,19 +192,6 @@ def test_more_than_eight_bits_are_refused_not_squeezed(tmp_path: Path) -> None:
     cv2.imwrite(str(tmp_path / "deep" / "000000.png"), np.full((4, 4), 4095, dtype=np.uint16))
     with pytest.raises(InputError, match="has 16 bits a sample; 8 are expected"):
         next(open_images(tmp_path / "deep").images())
-
-
-def test_a_bad_file_gives_no_line_of_its_own(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
-) -> None:
-    write_video(tmp_path / "left.mkv", images(5))
-    data = (tmp_path / "left.mkv").read_bytes()
-    (tmp_path / "left.mkv").write_bytes(data[:3000] + bytes(3000) + data[6000:])
-    assert len(list(open_images(tmp_path / "left.mkv").images())) <= 5  # the decoder complains here
-    (tmp_path / "junk.mkv").write_bytes(b"\x1a\x45\xdf\xa3" + bytes(1000))
-    with pytest.raises(InputError, match="no video"):
-        open_images(tmp_path / "junk.mkv").count()
-    assert capfd.readouterr() == ("", "")
 
 
 @pytest.mark.shared

@@ -38,8 +38,7 @@ class Station:
         lens = self.C + self.F * np.array([np.sin(self.beta), 0, np.cos(self.beta)])
         matrix = np.diag([self.F / PIXEL, self.F / PIXEL, 1.0])
         matrix[:2, 2] = CENTRE
-        axis = np.array([0.0, 1.0, 0.0])
-        return Camera(matrix, np.zeros(5), lens / 1000, axis, 0.0, np.eye(4))
+        return Camera(matrix, np.zeros(5), lens / 1000, np.array([0.0, 1.0, 0.0]), 0.0, np.eye(4))
 
     @property
     def pixels(self) -> Array:

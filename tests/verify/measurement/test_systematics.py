@@ -46,17 +46,14 @@ def moved(rig: Rig, marker: Marker, name: str, step: float) -> tuple[Rig, Marker
     return rig, replace(marker, leds=leds)
 
 
-def base_T_flange(
-    rig: Rig, marker: Marker, views: tuple[Sighting, Sighting], start: Array
-) -> Array:
-    pose = fit_pose(*views, rig, marker, start)
-    return np.linalg.inv(rig.rig_T_base) @ pose.rig_T_flange
-
-
 def by_refit(
     rig: Rig, marker: Marker, views: tuple[Sighting, Sighting], start: Array, name: str
 ) -> Array:
-    ends = [base_T_flange(*moved(rig, marker, name, s * STEP), views, start) for s in (1, -1)]
+    ends = []  # base_T_flange
+    for sign in (1, -1):
+        there = moved(rig, marker, name, sign * STEP)
+        fitted = fit_pose(*views, *there, start)
+        ends.append(np.linalg.inv(there[0].rig_T_base) @ fitted.rig_T_flange)
     return difference(*ends) / (2 * STEP)
 
 
@@ -89,7 +86,6 @@ def test_an_unknown_name_is_returned() -> None:
 
 def test_what_is_not_stated_is_listed_as_taken_as_exact() -> None:
     marker = make_marker(led_standard_uncertainty=5e-5)
-    parameters = stated_systematics(make_rig(), marker, turning=True)
-    assert parameters.uncounted == (
+    assert stated_systematics(make_rig(), marker, turning=True).uncounted == (
         "rig", "robot base", "LED body", "apparent LED centre", "pan angle", "robot table",
     )  # fmt: skip

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 import robots
-from tests.support.planning import wish
-from verify.core.records import Array
+from tests.support.planning import conditions, planned, wish
 from verify.planning.constraints import PostureConstraints
 from verify.planning.design import DesignInformation, choose_poses, log_information
 from verify.planning.plan import SessionPlan
@@ -66,8 +65,7 @@ def test_the_motion_keeps_every_limit(bench: PlanningSetup, made: SessionPlan) -
 
 def test_the_whole_way_is_clear_and_in_view(bench: PlanningSetup, made: SessionPlan) -> None:
     q = np.array([stop.q for stop in made.timed.stops])
-    constraints = PostureConstraints(bench, wish())
-    assert clear_legs(constraints, q[:-1], q[1:]).all()
+    assert clear_legs(PostureConstraints(bench, wish()), q[:-1], q[1:]).all()
     assert {m.status for m in made.prediction.session.measurements} == {"measured"}
 
 
@@ -98,12 +96,9 @@ def test_the_arm_s_own_rates_hold() -> None:
         (arm.speed, arm.acceleration, arm.jerk),
         strict=True,
     ):
-        assert file is not None
         assert (own <= file).all()
 
 
 def test_the_same_seed_gives_the_same_plan(bench: PlanningSetup, made: SessionPlan) -> None:
-    from tests.support import planning
-
-    again: Array = planning.planned(bench, planning.wish(), planning.conditions()).timed.arrive
-    np.testing.assert_array_equal(again, made.timed.arrive)
+    again = planned(bench, wish(), conditions())
+    np.testing.assert_array_equal(again.timed.arrive, made.timed.arrive)

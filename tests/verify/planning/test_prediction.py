@@ -1,11 +1,7 @@
-"""Predictions against the results of the recorded session, and brute force.
-
-The coverage factor that a plan foretells is the one that a session's budget states.
-"""
+"""Predictions against the results of the recorded session, and brute force."""
 
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import cast
+from functools import partial
 
 import msgspec
 import numpy as np
@@ -13,21 +9,22 @@ import pytest
 from numpy.testing import assert_allclose
 
 from tests.support import planning
-from verify.analysis.comparison import compare, solve_joints
+from tests.support.motions import compared_session
+from verify.analysis.comparison import compare
 from verify.analysis.joint_errors import resolve_errors
 from verify.analysis.least_squares import solve
-from verify.analysis.model import SessionComparison, build_model
+from verify.analysis.model import build_model
 from verify.analysis.session import analyse
 from verify.analysis.uncertainty.budget import budget
 from verify.core.readings import Readings
 from verify.core.records import Array
-from verify.io.session.session import Session
 from verify.planning.design import fault_kind
 from verify.planning.foresight import PredictedSession, estimate_means
 from verify.planning.plan import SessionPlan, predict_session
 from verify.planning.prediction import RANDOM_SOURCE, predict_faults, uncertainty_sources
 from verify.planning.request import FAULT_KINDS, PlanningSetup
 
+PLAN_MOTION = "verify.simulation.session.simulate.plan_motion"
 AGREES = 0.2  # of an uncertainty: noise of the pictures is taken as one number
 
 
@@ -36,11 +33,7 @@ def test_a_recorded_session_agrees_with_the_prediction(
     bench: PlanningSetup, made: SessionPlan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Through rendered pictures, detection, identification, and cameras that are off as stated."""
-    session = planning.recorded(
-        bench,
-        made,
-        lambda plan: monkeypatch.setattr("verify.simulation.session.simulate.plan_motion", plan),
-    )
+    session = planning.recorded(bench, made, partial(monkeypatch.setattr, PLAN_MOTION))
     np.testing.assert_allclose(session.rig.rig_T_base, bench.rig.rig_T_base, atol=1e-9)
     summary = analyse(session).summary
     foretold = made.prediction.analysis
@@ -60,16 +53,11 @@ def test_a_recorded_sessions_clock_agrees_with_the_prediction(
 ) -> None:
     """What it states grows with what offsets do not explain, which is another in every world."""
     made = planning.planned(bench, planning.wish(), planning.conditions(clock_uncertainty=None))
-    session = planning.recorded(
-        bench,
-        made,
-        lambda plan: monkeypatch.setattr("verify.simulation.session.simulate.plan_motion", plan),
-        msgspec.structs.replace(planning.SCENARIO, clock=None),
-    )
+    unknown = msgspec.structs.replace(planning.SCENARIO, clock=None)
+    session = planning.recorded(bench, made, partial(monkeypatch.setattr, PLAN_MOTION), unknown)
     stated = analyse(session).summary["clock"]["standard_uncertainty_s"]
     foretold = made.prediction.clock.standard_uncertainty
     assert made.prediction.clock.source == "estimated"
-    assert foretold is not None
     assert 0.5 < foretold / stated < 2.0
 
 
@@ -113,7 +101,6 @@ def test_a_registration_through_the_encoders_hides_joints_1_and_6(bench: Plannin
 def test_an_error_of_a_given_clock_would_be_noticed(made: SessionPlan) -> None:
     clock = made.prediction.clock
     assert (clock.source, clock.standard_uncertainty) == ("given", 0.0)
-    assert clock.detectable is not None
     assert 1e-5 < clock.detectable < 1e-2
 
 
@@ -221,19 +208,13 @@ def test_a_plan_s_coverage_factor_is_the_budget_s(
 ) -> None:
     """A calibration from few boards rules some joints and not others."""
     seen = made.prediction.session
-    assert bench.rig.covariance is not None
     rig = replace(bench.rig, covariance=replace(bench.rig.covariance, degrees_of_freedom=degrees))
     systematics = replace(seen.systematics, degrees_of_freedom=degrees)
     model = build_model(seen.comparison, seen.track, rig, bench.marker, seen.clock, systematics)
     judged = estimate_means(replace(seen, systematics=systematics, model=model))
-    session = SimpleNamespace(
-        arm=bench.arm, rig=rig, encoder_resolution=None, encoder_time_standard_uncertainty=None,
-        instrument=None,
-    )  # fmt: skip
-    compared = SessionComparison(
-        cast("Session", session), seen.track, systematics, seen.clock, seen.comparison,
-        solve_joints(seen.comparison, bench.arm),
-    )  # fmt: skip
+    compared = compared_session(
+        seen.track, seen.comparison, systematics, seen.clock, arm=bench.arm, rig=rig
+    )
     stated = budget(model, compared, judged.means, resolve_errors(model)).coverage_factor
     assert_allclose(judged.means.coverage_factor, stated, rtol=1e-9)
     assert np.all(stated < 2.65)

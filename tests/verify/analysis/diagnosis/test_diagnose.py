@@ -1,13 +1,10 @@
 """The diagnosis on tracks with known truth: every kind of fault, several at once, outlying pairs.
 
-Faults of joints are put into the readings by the law of docs/results.md; those of the arm, the base
-and the LED body into the poses, by forward kinematics of the changed arm and by rigid motions.
+Faults of joints are put into readings by the law of docs/results.md, the others into poses.
 """
 
 from collections.abc import Callable
 from dataclasses import replace
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pytest
@@ -15,20 +12,17 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 import robots
-from tests.support.motions import ARM, HOME, PERIOD, make_track
+from tests.support.motions import ARM, GIVEN, HOME, PERIOD, compared_session, make_track, model_of
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.comparison import compare, solve_joints
+from verify.analysis.comparison import compare
 from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
 from verify.analysis.diagnosis.link_faults import link_displacements
 from verify.analysis.joint_errors import ResolvedErrors, resolve_errors
 from verify.analysis.model import (
-    SessionComparison,
     base_motion,
     body_motion,
-    build_model,
     visibility,
 )
 from verify.analysis.results.entries import cause_entry
@@ -36,14 +30,12 @@ from verify.analysis.session import session_model
 from verify.analysis.verdict import judge_joint
 from verify.core.readings import Readings
 from verify.core.records import Array
-from verify.io.session.session import Session
 from verify.measurement.systematics import stated_systematics
 from verify.measurement.track import Track
 
 T = np.linspace(1.0, 13.0, 90)
 LOG = np.arange(0.0, 14.0, 0.02)
 SWING = np.deg2rad([40.0, 25.0, 30.0, 30.0, 40.0, 60.0])
-GIVEN = ClockEstimate(0.0, None, "given", np.zeros((0, 2)))
 Error = Callable[[Array, Array], Array]  # of t (n,) and q (n, 6), rad: (n, 6)
 
 
@@ -71,13 +63,9 @@ def found(
     q = motion(LOG) + rng.normal(0, np.deg2rad(0.005), (len(LOG), 6))
     if error is not None:
         q = q + error(LOG, motion(LOG))
-    rig = replace(make_rig(), base_source=source)
-    marker = make_marker(source="jig" if source == "fixture" else source)
     comparison = compare(track, ARM, Readings(clock(LOG), q), 0.0)
-    model = build_model(
-        comparison, track, rig, marker, GIVEN, stated_systematics(rig, marker, turning=False)
-    )
-    return find_causes(model, resolve_errors(model), ARM, rig)
+    model = model_of(track, comparison, source, "jig" if source == "fixture" else source)
+    return find_causes(model, resolve_errors(model), ARM, replace(make_rig(), base_source=source))
 
 
 def names(seen: Diagnosis) -> list[tuple[str, int | None]]:
@@ -164,12 +152,9 @@ def judged(q: Array, place: Array) -> tuple[Diagnosis, ResolvedErrors, list[str 
     rig, marker = replace(make_rig(), base_source="fixture"), make_marker(source="jig")
     track = make_track(T, motion(T), rng)
     track = replace(track, base_T_flange=place @ track.base_T_flange)
-    session = cast("Session", SimpleNamespace(arm=ARM, rig=rig, marker=marker))
     stated = stated_systematics(rig, marker, turning=False)
     comparison = compare(track, ARM, Readings(LOG, q), 0.0)
-    compared = SessionComparison(
-        session, track, stated, GIVEN, comparison, solve_joints(comparison, ARM)
-    )
+    compared = compared_session(track, comparison, stated, GIVEN, rig=rig, marker=marker)
     model, seen, resolved = session_model(compared)
     smallest = visibility(model).detectable
     limit = np.deg2rad(0.1)
@@ -206,7 +191,6 @@ def test_a_base_that_had_moved_is_no_error_of_sound_joints_and_hides_no_large_on
 def test_a_wrong_link_is_named_with_what_to_add_to_the_robot_file(
     key: str, joint: int, value: float, unit: float
 ) -> None:
-    assert isinstance(ARM, robots.DhArm)
     column = getattr(ARM, key) + value * np.eye(6)[joint - 1]
     bent = replace(ARM, **{key: column})
 
@@ -218,7 +202,6 @@ def test_a_wrong_link_is_named_with_what_to_add_to_the_robot_file(
 
 
 def test_many_wrong_links_are_one_finding_and_no_joint_fault() -> None:
-    assert isinstance(ARM, robots.DhArm)
     rng = np.random.default_rng(3)
     bent = replace(
         ARM,

@@ -1,13 +1,11 @@
-"""The formulas against examples small enough for pencil and paper, and against laws.
-
-Intervals by the one thing that proves them: how often they hold the truth.
-"""
+"""Formulas against pencil and paper and against laws; intervals by how often they hold."""
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi
 
+from tests.support.repeated_poses import stands
 from verify.analysis.performance import indices
 from verify.analysis.performance.indices import (
     length_interval,
@@ -17,7 +15,7 @@ from verify.analysis.performance.indices import (
     repeatability_of,
     spread_interval,
 )
-from verify.analysis.performance.poses import PoseVisits, assess_distance
+from verify.analysis.performance.poses import assess_distance
 from verify.core.records import Array
 
 CROSS = np.array([[3.0, 0, 0], [-3, 0, 0], [0, 4, 0], [0, -4, 0]])
@@ -53,21 +51,11 @@ def test_variation_is_the_longest_side() -> None:
 
 def test_distances_by_hand() -> None:
     """Visits 9.5 and 11.5 m apart, 10 m as read."""
-    far = np.array([9.0, 11.0, 9.0, 11.0, 9.0, 11.0])
-    one, other = stands("one", 0.0, np.zeros(6), 0.0), stands("other", 0.5, far + 0.5, 10.0)
-    found = assess_distance(one, other)
+    far = np.outer([9.5, 11.5] * 3, [1.0, 0.0, 0.0])
+    found = assess_distance(stands(np.zeros((6, 3))), stands(far, read=10.0, begin=30.0))
     assert found.commanded == pytest.approx(10.0)
     assert found.accuracy.value == pytest.approx(0.5)
     assert found.repeatability.value == pytest.approx(3 * np.sqrt(6 / 5))
-
-
-def stands(name: str, begin: float, x: Array, read: float) -> PoseVisits:
-    """Visits of a pose a second apart, along x."""
-    attained, there = np.tile(np.eye(4), (2, len(x), 1, 1))
-    attained[:, 0, 3], there[:, 0, 3] = x, read
-    t = begin + np.arange(len(x))
-    once = np.ones(len(x), dtype=int)
-    return PoseVisits(name, t, attained, there, once, (-1,) * len(x), np.zeros((6, 0)))
 
 
 def test_a_path_is_as_bad_as_its_worst_station() -> None:
@@ -134,16 +122,15 @@ def hits_of_repeatability(shape: Array, n: int, draws: int) -> int:
 
 
 @pytest.mark.slow
-def test_the_interval_of_repeatability_holds_the_truth_of_round_scatter() -> None:
-    """Its shape is found uneven by chance, which widens it: at least 95 %, at most 99 %."""
-    assert LEAST <= hits_of_repeatability(ROUND, 10, DRAWS) <= 0.99 * DRAWS
-
-
-@pytest.mark.slow
-def test_the_interval_of_repeatability_holds_the_truth_of_uneven_scatter() -> None:
-    draws = 400
-    least, most = binom.ppf([0.0005, 0.9995], draws, 0.95)
-    assert least <= hits_of_repeatability(DEEP, 10, draws) <= most
+@pytest.mark.parametrize(
+    ("shape", "draws", "most"),
+    [(ROUND, DRAWS, 0.99 * DRAWS), (DEEP, 400, binom.ppf(0.9995, 400, 0.95))],
+    ids=["round", "uneven"],
+)
+def test_the_interval_of_repeatability_holds_the_truth(shape: Array, draws: int, most: float):
+    """A round shape is found uneven by chance, which widens it: at least 95 %, at most 99 %."""
+    least = binom.ppf(0.0005, draws, 0.95)
+    assert least <= hits_of_repeatability(shape, 10, draws) <= most
 
 
 def hits_of_length(shape: Array, n: int, sizes: float) -> int:

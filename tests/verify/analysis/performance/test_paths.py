@@ -18,8 +18,7 @@ def arc(t: Array, radius: float = RADIUS) -> Array:
 
 
 def passage(attained: Array) -> PathRun:
-    still = np.tile(np.eye(3), (len(T), 1, 1))
-    return PathRun(T, attained, arc(T), np.zeros((len(T), 3)), still)
+    return PathRun(T, attained, arc(T), np.zeros((len(T), 3)), np.tile(np.eye(3), (len(T), 1, 1)))
 
 
 def judged(*attained: Array):

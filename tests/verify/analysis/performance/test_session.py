@@ -6,8 +6,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from tests.support.command import SAMPLES
 from tests.support.motions import ARM, SIGMA, swinging
-from tests.support.posed import encoders_csv, poses_csv
+from tests.support.posed import encoders_csv, poses_csv, write_posed
+from tests.support.recorded import refusal
 from tests.support.repeated_poses import (
     OFF,
     Repeated,
@@ -15,15 +17,15 @@ from tests.support.repeated_poses import (
     model_of,
     readings_of,
     repeated,
+    stands,
 )
 from verify.analysis.performance.conditions import condition_deviations
 from verify.analysis.performance.holds import HoldNoise
 from verify.analysis.performance.indices import repeatability
-from verify.analysis.performance.poses import PoseVisits, assess_pose
+from verify.analysis.performance.poses import assess_pose
 from verify.analysis.performance.session import Performance, performance
 from verify.analysis.session import analyse
 from verify.core.records import Array
-from verify.errors import InputError
 from verify.io.session.keys import TimeInterval
 from verify.io.session.session import open_session
 
@@ -81,8 +83,7 @@ def test_the_noise_is_that_of_the_holds(found: Performance) -> None:
 
 def test_an_arm_that_repeats_exactly_shows_the_floor_alone() -> None:
     exact = repeated(CYCLES, servo=0.0)
-    judged = of(exact, followed(exact))
-    shares = [p.repeatability for p in judged.poses]
+    shares = [p.repeatability for p in of(exact, followed(exact)).poses]
     assert sum(one.robot is None for one in shares) >= 4  # at 95 %, as it should be
     assert all(one.robot_at_most < 2 * one.floor for one in shares)
     for one in shares:
@@ -109,8 +110,7 @@ def test_no_drift_is_no_sign_of_drift(found: Performance) -> None:
 
 
 def test_paths_are_recognised_and_off_by_what_lies_across_them(found: Performance) -> None:
-    names = [p.name for p in found.paths]
-    assert names == ["P1 → P2", "P2 → P3", "P3 → P4", "P4 → P5", "P5 → P1"]
+    assert [p.name for p in found.paths] == ["P1 → P2", "P2 → P3", "P3 → P4", "P4 → P5", "P5 → P1"]
     for path in found.paths:
         assert path.passages == CYCLES
         tangent = path.crossings.tangent
@@ -121,21 +121,6 @@ def test_paths_are_recognised_and_off_by_what_lies_across_them(found: Performanc
 
 
 STILL = HoldNoise(np.eye(3) * 1e-12, np.eye(3) * 1e-14, 1.0, "holds", 100)
-
-
-def stands(deviations_m: Array, came_from: tuple[int, ...] | None = None) -> PoseVisits:
-    n = len(deviations_m)
-    attained = np.tile(np.eye(4), (n, 1, 1))
-    attained[:, :3, 3] += deviations_m
-    return PoseVisits(
-        name="A",
-        t=np.arange(n, dtype=float) * 60,
-        attained=attained,
-        read=np.tile(np.eye(4), (n, 1, 1)),
-        counts=np.ones(n),
-        came_from=came_from or (0,) * n,
-        systematic=np.zeros((6, 1)),
-    )
 
 
 def test_a_pose_approached_from_two_sides_varies_by_the_backlash() -> None:
@@ -250,34 +235,19 @@ def test_what_differs_from_the_standard_is_listed(found: Performance) -> None:
     assert not {"temperature", "temperature_unknown", "registration"} & {d["kind"] for d in known}
 
 
-SESSION = """format = 1
-robot = "iust_6r"
-encoders = "encoders.csv"
-{more}
-[clock]
-encoder_offset_s = 0.0
-
-[poses]
-file = "poses.csv"
-instrument = "a laser tracker"
-frame = "robot_base"
-position_standard_uncertainty_mm = 0.05
-{turns}
-"""
-TURNS = "orientation_standard_uncertainty_deg = 0.02"
+STATED = "position_standard_uncertainty_mm = 0.05\n"
+TURNS = "orientation_standard_uncertainty_deg = 0.02\n"
+POINT = "point_mm = [40.0, 0.0, 10.0]\n"
 
 
 def written(folder: Path, *, more: str = "", positions_alone: bool = False) -> Path:
     run = repeated(6)
-    t = followed(run)
-    folder.mkdir()
+    t, readings = followed(run), readings_of(run)
     poses = poses_csv(t, measured_poses(run, t), positions_alone=positions_alone)
-    (folder / "poses.csv").write_text(poses)
-    readings = readings_of(run)
-    (folder / "encoders.csv").write_text(encoders_csv(readings.t, readings.q))
-    turns = "point_mm = [40.0, 0.0, 10.0]" if positions_alone else TURNS
-    (folder / "session.toml").write_text(SESSION.format(more=more, turns=turns))
-    return folder
+    stated = STATED + (POINT if positions_alone else TURNS)
+    stated += f"[clock]\nencoder_offset_s = 0.0\n{more}\n"
+    like, encoders = SAMPLES / "multi_joint_fault_6r", encoders_csv(readings.t, readings.q)
+    return write_posed(folder, like, poses, frame="robot_base", more=stated, encoders=encoders)
 
 
 def test_a_session_carries_its_repeated_poses(tmp_path: Path) -> None:
@@ -311,11 +281,9 @@ def test_positions_alone_are_judged_at_their_point(tmp_path: Path) -> None:
     ],
 )
 def test_a_wrong_name_is_refused(tmp_path: Path, more: str, place: str, found: str) -> None:
-    folder = written(tmp_path / "session", more=more)
-    with pytest.raises(InputError) as refused:
-        open_session(folder)
-    assert place in str(refused.value)
-    assert found in str(refused.value)
+    message = str(refusal(open_session, written(tmp_path / "session", more=more)))
+    assert place in message
+    assert found in message
 
 
 def test_a_sessions_named_poses_count_and_a_misspelt_key_is_warned_of(tmp_path: Path) -> None:

@@ -3,8 +3,6 @@
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
-from typing import cast
 
 import numpy as np
 import pinocchio
@@ -14,16 +12,15 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2, kstest
 
 import robots
-from tests.support.motions import ARM, ESTIMATED, GIVEN, HOME, make_track, model_of, swinging
+from tests.support import motions
+from tests.support.motions import ARM, ESTIMATED, GIVEN, HOME, make_track, model_of
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.comparison import ReadingUncertainty, compare, solve_joints
-from verify.analysis.model import SessionComparison
+from verify.analysis.comparison import ReadingUncertainty, compare
 from verify.analysis.sweeps.axis import SweepData, fit_axis, fit_circles
 from verify.analysis.sweeps.segments import comparison_segments
 from verify.analysis.sweeps.sweeps import JointSweep, judge_sweeps
 from verify.core.readings import Readings
 from verify.core.records import Array
-from verify.io.session.session import Session
 from verify.measurement.systematics import stated_systematics
 from verify.simulation.scenario import ScenarioFault
 from verify.simulation.session.simulate import reading_error
@@ -65,12 +62,9 @@ def swept(
     )
     clock = GIVEN if clock_off is None else ESTIMATED
     model = model_of(track, comparison, "fixture", "jig", clock)
-    session = SimpleNamespace(encoder_resolution=grain, encoder_time_standard_uncertainty=None)
-    systematics = stated_systematics(make_rig(), make_marker(), turning=False)
-    joints = solve_joints(comparison, ARM)
+    stated = stated_systematics(make_rig(), make_marker(), turning=False)
     return judge_sweeps(
-        model,
-        SessionComparison(cast("Session", session), track, systematics, clock, comparison, joints),
+        model, motions.compared_session(track, comparison, stated, clock, encoder_resolution=grain)
     )
 
 
@@ -83,20 +77,8 @@ def pull(value: float, uncertainty: float, truth: float = 0.0) -> float:
     return (value - truth) / uncertainty
 
 
-def test_every_joint_that_moves_alone_is_found_once() -> None:
-    found = swept(1)
-    assert [s.joint for s in found] == [0, 1, 2, 3, 4, 5]
-    assert all(s.span > np.deg2rad(48) for s in found)
-    assert all(len(np.unique(s.direction)) == 2 for s in found)
-
-
 def test_when_all_joints_move_there_is_no_sweep() -> None:
-    t, log = np.arange(1.0, 7.0, 0.1), np.arange(0.0, 8.0, 0.02)
-    rng = np.random.default_rng(1)
-    track = make_track(t, swinging(t), rng)
-    noise = rng.normal(0, np.deg2rad(0.005), (len(log), 6))
-    comparison = compare(track, ARM, Readings(log, swinging(log) + noise), 0.0)
-    assert comparison_segments(comparison, None) == []
+    assert comparison_segments(motions.compared(1)[1], None) == []
 
 
 def test_faults_come_back_with_the_uncertainty_that_is_stated() -> None:

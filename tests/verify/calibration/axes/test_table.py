@@ -9,22 +9,19 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
-import robots
 from robots.transforms import rotation_exp
 from tests.support.motions import HOME
-from tests.support.scene import sighting
-from tests.support.simulated import InMemory, in_memory
+from tests.support.noisy_poses import measured_at_spots
+from tests.support.simulated import InMemory, in_memory, sample
 from verify.analysis.sweeps.segments import find_sweeps
 from verify.calibration.axes.axis import fit_axis
 from verify.calibration.axes.table import SweepResult, axes_from_sweeps
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement
 from verify.errors import InputError
-from verify.measurement.pose import fit_pose
-from verify.simulation import library
+from verify.measurement.systematics import stated_systematics
 from verify.simulation.scenario import Scenario, ScenarioFault, SingleJoint
 
-SIGMA_PX = 0.02
 REPLICATES = 60
 POSE_SIGMA = np.array([2e-5, 2e-5, 8e-5, 4e-4, 4e-4, 2e-4])  # m and rad
 
@@ -94,31 +91,14 @@ def test_sweeps_are_found_and_joints_that_move_together_are_named() -> None:
 
 def scenario(faults: list[ScenarioFault], amplitude: float = 15.0, pairs: int = 150) -> Scenario:
     """One joint after the other, both cameras at one instant."""
-    built = library.load("multi_joint_fault_6r")
-    recording = msgspec.structs.replace(
-        built.recording, pairs=pairs, rate_hz=5.0, skew_s=0.0, skew_jitter_s=0.0
-    )
+    built = sample(pairs=pairs, rate_hz=5.0, skew_s=0.0, skew_jitter_s=0.0)
     motion = SingleJoint(home_deg=built.motion.home_deg, amplitude_deg=[amplitude] * 6)
-    return msgspec.structs.replace(built, motion=motion, recording=recording, fault=faults)
+    return msgspec.structs.replace(built, motion=motion, fault=faults)
 
 
-def measured(session: InMemory, seed: int = 0) -> list[Measurement]:
-    """Poses from the true spots of the simulation with white noise, without rendering."""
-    rng = np.random.default_rng(seed)
-    sides = [session.simulated.spots(side) for side in (0, 1)]
-    truth = session.rig.rig_T_base @ robots.forward(session.arm, session.truth)
-    found = []
-    leds = list(range(len(session.marker)))
-    for i, t in enumerate(session.frames.t_left.tolist()):
-        views = [
-            sighting(
-                leds, side[i] + rng.normal(0, SIGMA_PX, side[i].shape), SIGMA_PX, t, float(pan)
-            )
-            for side, pan in zip(sides, session.simulated.pan[i], strict=True)
-        ]
-        pose = fit_pose(*views, session.rig, session.marker, truth[i])
-        found.append(Measurement(i, t, "measured", len(session.marker), pose, *views))
-    return found
+def measured(session: InMemory) -> list[Measurement]:
+    stated = stated_systematics(session.rig, session.marker, turning=False)
+    return list(measured_at_spots(session, stated, np.random.default_rng(0), sigma=0.02))
 
 
 @pytest.fixture(scope="module")
@@ -143,7 +123,6 @@ def test_all_encoders_but_the_faulty_one_agree_with_the_rotation(
 
 def test_axes_lie_as_in_the_table(faulty: tuple[InMemory, SweepResult]) -> None:
     session, found = faulty
-    assert isinstance(session.arm, robots.DhArm)
     assert [p.joints for p in found.pairs] == [(i, i + 1) for i in range(1, 6)]
     assert [p.parallel for p in found.pairs] == [False, True, True, False, False]
     for joint, pair in enumerate(found.pairs):
@@ -155,21 +134,17 @@ def test_axes_lie_as_in_the_table(faulty: tuple[InMemory, SweepResult]) -> None:
 
 def test_the_base_is_found_by_the_arm_s_own_axes(faulty: tuple[InMemory, SweepResult]) -> None:
     _, found = faulty
-    d2 = float(
-        found.base.difference @ np.linalg.solve(found.base.covariance, found.base.difference)
-    )
-    assert d2 < chi2.isf(1e-3, 6)
-    assert np.linalg.norm(found.base.difference[:3]) < 5e-4
+    off = found.base.difference
+    assert off @ np.linalg.solve(found.base.covariance, off) < chi2.isf(1e-3, 6)
+    assert np.linalg.norm(off[:3]) < 5e-4
     assert any("rests on joint 1's encoder" in d for d in found.decisions)
 
 
 def test_a_link_longer_than_in_the_table_is_found(faulty: tuple[InMemory, SweepResult]) -> None:
     session, _ = faulty
-    assert isinstance(session.arm, robots.DhArm)
     shorter = session.arm.a - np.array([0, 1e-3, 0, 0, 0, 0])
     output = replace(session, arm=replace(session.arm, a=shorter))
-    found = axes_from_sweeps(output, measured(session))
-    wrong = [p for p in found.pairs if not p.agrees]
+    wrong = [p for p in axes_from_sweeps(output, measured(session)).pairs if not p.agrees]
     assert [p.joints for p in wrong] == [(2, 3)]
     assert_allclose(wrong[0].distance - wrong[0].distance_table, 1e-3, atol=2e-4)
 
@@ -184,8 +159,6 @@ def test_spans_that_are_too_small_are_left_out_and_none_left_is_refused() -> Non
 
 
 def test_a_motion_of_all_joints_is_refused() -> None:
-    built = library.load("multi_joint_fault_6r")
-    recording = msgspec.structs.replace(built.recording, skew_s=0.0, skew_jitter_s=0.0, pairs=30)
-    session = in_memory(msgspec.structs.replace(built, recording=recording))
+    session = in_memory(sample(skew_s=0.0, skew_jitter_s=0.0, pairs=30))
     with pytest.raises(InputError, match="no joint is swept alone"):
         axes_from_sweeps(session, measured(session))

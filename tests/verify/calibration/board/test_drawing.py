@@ -12,6 +12,7 @@ import typer
 from numpy.testing import assert_allclose
 from typer.testing import CliRunner
 
+from tests.support.recorded import refusal
 from verify.calibration.board import drawing
 from verify.calibration.board.drawing import PAPERS_MM, QUIET_ZONE_MM, PageLayout, lay_out
 from verify.cli.board import board as command
@@ -102,9 +103,8 @@ def test_the_default_is_the_papers_board_on_a2() -> None:
 @pytest.mark.parametrize("paper", PAPERS_MM)
 @pytest.mark.parametrize("counts", [(9, 7), (5, 11), (3, 3)])
 def test_the_largest_square_that_is_named_does_fit(paper: str, counts: tuple[int, int]) -> None:
-    with pytest.raises(InputError) as refused:
-        lay_out(Board(*counts, square=0.5), paper)
-    named = re.search(r"would are ([\d.]+) mm", str(refused.value))
+    refused = refusal(lay_out, Board(*counts, square=0.5), paper)
+    named = re.search(r"would are ([\d.]+) mm", str(refused))
     layout = lay_out(Board(*counts, square=float(named[1]) / 1000), paper)
     x, y, width, height = layout.pattern
     assert min(x, y, layout.page[0] - x - width, layout.page[1] - y - height) >= QUIET_ZONE_MM
@@ -150,16 +150,11 @@ def test_the_command_writes_three_files_and_the_same_ones_again(tmp_path: Path) 
     [
         (["--corners", "9"], '--corners: is "9"; two counts are expected'),
         (["--corners", "9x2"], "at least 3 a side"),
-        (["--square-mm", "-4"], "square_mm: is -4"),
         (["--square-mm", "nan"], "square_mm: is nan"),
         (["--marker-mm", "20"], "a plain board has no markers"),
-        (["--charuco", "DICT_5X5_10"], "Did you mean `DICT_5X5_100`"),
-        (["--charuco", "DICT_5X5_100", "--marker-mm", "40"], "a marker fits into"),
         (["--paper", "A4"], "the largest squares that would are"),
     ],
 )
 def test_wrong_options_leave_nothing_behind(tmp_path: Path, words: list[str], message: str) -> None:
-    with pytest.raises(InputError) as refused:
-        run("-o", str(tmp_path / "board"), *words)
-    assert message in str(refused.value)
+    assert message in str(refusal(run, "-o", str(tmp_path / "board"), *words))
     assert not list(tmp_path.iterdir())

@@ -98,14 +98,12 @@ def test_a_symmetric_pattern_starts_at_the_top_left(
     assert is_ambiguous(board)
     camera_T_board = placed((0.0, 0.0, np.deg2rad(turn)), (0, 0, 1.0), board)
     view = found(picture(board, CAMERA, camera_T_board, rng), board)
-    truth = corners(board, CAMERA, camera_T_board)
-    assert np.linalg.norm(view.centre[0] - truth[label]) < 0.1
+    assert np.linalg.norm(view.centre[0] - corners(board, CAMERA, camera_T_board)[label]) < 0.1
 
 
 def test_white_at_the_first_square_turns_an_unambiguous_board_round() -> None:
     camera_T_board = placed((0.0, 0.0, 0.1), (0, 0, 1.0), UNIQUE)
-    look = Look(inverted=True)
-    view = found(picture(UNIQUE, CAMERA, camera_T_board, None, look), UNIQUE)
+    view = found(picture(UNIQUE, CAMERA, camera_T_board, None, Look(inverted=True)), UNIQUE)
     truth = corners(UNIQUE, CAMERA, camera_T_board)[::-1]
     assert np.abs(view.centre - truth).max() < 0.01
 
@@ -122,24 +120,20 @@ def test_a_charuco_board_may_be_partly_out_of_view() -> None:
 
 def test_a_plain_board_partly_out_of_view_is_not_found() -> None:
     camera_T_board = placed((0.0, 0.0, 0.0), (0.5, 0.0, 0.8), UNIQUE)
-    image = picture(UNIQUE, CAMERA, camera_T_board, None)
-    assert find_board(image, UNIQUE) is None
+    assert find_board(picture(UNIQUE, CAMERA, camera_T_board, None), UNIQUE) is None
 
 
 def test_a_covered_corner_is_left_out_and_colour_does_not_matter() -> None:
     rng = np.random.default_rng(11)
     camera_T_board = placed((0.0, 0.2, 0.1), (0, 0, 1.0), PLAIN)
-    image, truth = (
-        picture(PLAIN, CAMERA, camera_T_board, rng),
-        corners(PLAIN, CAMERA, camera_T_board),
-    )
+    image = picture(PLAIN, CAMERA, camera_T_board, rng)
+    truth = corners(PLAIN, CAMERA, camera_T_board)
     x, y = np.rint(truth[31]).astype(int)
     image[y - 3 : y + 12, x - 4 : x + 12] = 120
     view = found(np.repeat(image[..., None], 3, axis=2), PLAIN)
     error = view.centre - truth[view.corner]
     assert 31 not in view.corner or squared(view, error)[list(view.corner).index(31)] < 25
-    others = view.corner != 31
-    assert np.abs(error[others]).max() < 0.05
+    assert np.abs(error[view.corner != 31]).max() < 0.05
     assert len(view) >= 62
 
 

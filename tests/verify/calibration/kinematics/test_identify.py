@@ -15,15 +15,25 @@ from verify.calibration.kinematics.identify import (
 )
 from verify.calibration.kinematics.model import predict_with_jacobian
 from verify.calibration.kinematics.poses import build_poses
+from verify.core.records import Array
 
 RUNS = 8
+GEOMETRY = IdentificationOptions(level="geometry", splits=0)
+THREE_SPLITS = IdentificationOptions(splits=3)
+
+
+def identify(
+    truth: TrueArm, *measurements: Array, wish: IdentificationOptions = GEOMETRY, **more: Array
+) -> IdentificationResult:
+    """Identify from readings (n, 6), what was seen at them and, if given, its covariance."""
+    return identify_arm(chain_of(truth.arm), build_poses(*measurements, **more), wish)
 
 
 def identified(
-    truth: TrueArm, count: int, seed: int, wish: IdentificationOptions | None = None
+    truth: TrueArm, count: int, seed: int, wish: IdentificationOptions = GEOMETRY
 ) -> IdentificationResult:
     q = readings(truth.arm, count, seed)
-    return identify_arm(chain_of(truth.arm), build_poses(q, *measured(truth, q, seed + 1)), wish)
+    return identify(truth, q, *measured(truth, q, seed + 1), wish=wish)
 
 
 def predicted_less_true(found: IdentificationResult, truth: TrueArm, q: np.ndarray) -> float:
@@ -46,9 +56,7 @@ def test_predictions_meet_the_true_arm_within_the_stated_uncertainty(name: str) 
     total = 0.0
     for run in range(RUNS):
         truth = true_arm(name, seed=100 + run)
-        found = identified(
-            truth, 60, 200 + 10 * run, IdentificationOptions(level="geometry", splits=0)
-        )
+        found = identified(truth, 60, 200 + 10 * run)
         assert len(found.chosen.support.supported) == found.chosen.support.rank == 30
         total += predicted_less_true(found, truth, readings(truth.arm, 40, 300 + run))
     low, high = chi2.ppf([0.001, 0.999], 30 * RUNS)
@@ -56,7 +64,7 @@ def test_predictions_meet_the_true_arm_within_the_stated_uncertainty(name: str) 
 
 
 def test_errors_of_geometry_are_called_for_and_carry_over_to_poses_held_out() -> None:
-    found = identified(true_arm("iust_6r", seed=1), 80, 2, IdentificationOptions(splits=3))
+    found = identified(true_arm("iust_6r", seed=1), 80, 2, THREE_SPLITS)
     assert found.chosen.name == "geometry"
     before, after = (found.level(n).held_out for n in ("registration", "geometry"))
     assert before.position[0] > 1e-3
@@ -64,28 +72,23 @@ def test_errors_of_geometry_are_called_for_and_carry_over_to_poses_held_out() ->
 
 
 def test_a_healthy_arm_is_left_as_it_is() -> None:
-    truth = true_arm("iust_6r", seed=3, geometry=0.0, offsets=0.0)
-    found = identified(truth, 60, 4, IdentificationOptions(splits=3))
+    found = identified(true_arm("iust_6r", seed=3, geometry=0.0, offsets=0.0), 60, 4, THREE_SPLITS)
     assert found.chosen.name == "registration"
     assert not found.chain.correction.any()
 
 
 def test_a_handful_of_poses_calls_for_no_geometry() -> None:
     """6 poses are 36 numbers: 29 parameters would fit them, and mean nothing."""
-    found = identified(true_arm("iust_6r", seed=1), 6, 2, IdentificationOptions(splits=3))
-    assert found.chosen.name != "geometry"
+    assert identified(true_arm("iust_6r", seed=1), 6, 2, THREE_SPLITS).chosen.name != "geometry"
 
 
 def test_offsets_are_distinguished_from_geometry_with_the_sign_to_add() -> None:
     truth = true_arm("rv_3sd_melfa", seed=5, geometry=0.0)
-    found = identified(truth, 60, 6, IdentificationOptions(splits=3))
+    found = identified(truth, 60, 6, THREE_SPLITS)
     assert found.chosen.name == "offsets"
-    for parameter, value, u in zip(
-        found.chosen.fit.parameters,
-        found.chosen.fit.change,
-        np.sqrt(np.diag(found.chosen.fit.covariance)),
-        strict=True,
-    ):
+    fit = found.chosen.fit
+    each = zip(fit.parameters, fit.change, np.sqrt(np.diag(fit.covariance)), strict=True)
+    for parameter, value, u in each:
         if parameter.kind == "correction":
             assert abs(value - truth.correction[parameter.place]) < 4 * u, parameter.name
 
@@ -110,11 +113,8 @@ def test_positions_of_a_point_support_27_parameters() -> None:
     truth = true_arm("iust_6r", seed=9)
     q = readings(truth.arm, 80, 10)
     seen, covariance = measured(truth, q, 11)
-    found = identify_arm(
-        chain_of(truth.arm),
-        build_poses(q, seen[:, :3, 3], covariance[:, :3, :3]),
-        IdentificationOptions(splits=2, level="geometry"),
-    )
+    wish = IdentificationOptions(splits=2, level="geometry")
+    found = identify(truth, q, seen[:, :3, 3], covariance[:, :3, :3], wish=wish)
     assert found.chosen.support.rank == len(found.chosen.support.supported) == 27
     assert found.chosen.held_out.position[0] < 3e-4
     assert np.isnan(found.chosen.held_out.orientation).all()
@@ -126,12 +126,7 @@ def test_positions_of_a_point_support_27_parameters() -> None:
 def test_noise_that_is_not_stated_is_found() -> None:
     truth = true_arm("iust_6r", seed=12)
     q = readings(truth.arm, 200, 13)
-    found = identify_arm(
-        chain_of(truth.arm),
-        build_poses(q, measured(truth, q, 14)[0]),
-        IdentificationOptions(splits=0, level="geometry"),
-    )
-    scale = found.chosen.fit.scale
+    scale = identify(truth, q, measured(truth, q, 14)[0]).chosen.fit.scale
     assert scale.position == pytest.approx(1e-4, rel=0.15)
     assert np.degrees(scale.orientation) == pytest.approx(0.05, rel=0.15)
 
@@ -142,8 +137,7 @@ def test_never_more_than_a_tenth_is_left_out_and_doubt_grows_instead() -> None:
     q = readings(truth.arm, 60, 16)
     seen, covariance = measured(truth, q, 17)
     seen[::5, :3, 3] += np.random.default_rng(1).normal(0, 3e-3, (12, 3))
-    options = IdentificationOptions(level="geometry", splits=0)
-    fit = identify_arm(chain_of(truth.arm), build_poses(q, seen, covariance), options).chosen.fit
+    fit = identify(truth, q, seen, covariance).chosen.fit
     assert (~fit.used).sum() == 6
     assert set(np.flatnonzero(~fit.used)) <= set(range(0, 60, 5))
     assert fit.scale.position > 3
@@ -155,13 +149,9 @@ def test_outlying_poses_are_listed_and_do_no_harm() -> None:
     seen, covariance = measured(truth, q, 17)
     for row, by in ((5, 3e-3), (17, 20e-3), (40, 0.5)):
         seen[row, :3, 3] += by
-    rows = build_poses(q, seen, covariance)
-    found = identify_arm(
-        chain_of(truth.arm), rows, IdentificationOptions(level="geometry", splits=0)
-    )
+    found = identify(truth, q, seen, covariance)
     assert np.flatnonzero(~found.chosen.fit.used).tolist() == [5, 17, 40]
-    distance = predicted_less_true(found, truth, readings(truth.arm, 40, 18))
-    assert distance < chi2.ppf(0.999, 30)
+    assert predicted_less_true(found, truth, readings(truth.arm, 40, 18)) < chi2.ppf(0.999, 30)
 
 
 def test_little_motion_leaves_parameters_to_their_priors() -> None:
@@ -170,11 +160,7 @@ def test_little_motion_leaves_parameters_to_their_priors() -> None:
     q = np.radians([10.0, -60, 80, 30, 50, 20]) + np.random.default_rng(20).uniform(
         -0.035, 0.035, (30, 6)
     )
-    found = identify_arm(
-        chain_of(truth.arm),
-        build_poses(q, *measured(truth, q, 21)),
-        IdentificationOptions(level="geometry", splits=0),
-    )
+    found = identify(truth, q, *measured(truth, q, 21))
     assert found.chosen.support.rank == 30
     weak = found.chosen.weak
     assert {"d_4", "a_2"} <= {w.parameter.name for w in weak}
@@ -192,17 +178,10 @@ def test_two_placings_of_one_arm_share_its_parameters() -> None:
     # the same arm in another place: only where its base stands changes
     shift = other.world_T_base @ np.linalg.inv(truth.world_T_base)
     seen[40:] = shift @ seen[40:]
-    place = np.repeat([0, 1], 40)
-    rows = build_poses(q, seen, covariance, base=place)
-    found = identify_arm(
-        chain_of(truth.arm), rows, IdentificationOptions(level="geometry", splits=2)
-    )
+    found = identify(truth, q, seen, covariance, base=np.repeat([0, 1], 40))
     assert found.chosen.support.rank == 36
-    assert np.allclose(
-        difference(found.chosen.fit.state.base[1:], (shift @ found.chosen.fit.state.base[0])[None]),
-        0.0,
-        atol=1e-3,
-    )
+    first, second = found.chosen.fit.state.base
+    assert np.allclose(difference(second[None], (shift @ first)[None]), 0.0, atol=1e-3)
 
 
 def test_the_indexes_are_their_definitions() -> None:

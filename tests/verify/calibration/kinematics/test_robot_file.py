@@ -43,8 +43,7 @@ def test_a_corrected_arm_is_read_back(name: str, geometry: bool, tmp_path: Path)
     (tmp_path / file).write_bytes(content)
     again = robots.load(str(tmp_path / file))
     q, none = readings(arm, 10, seed=2), np.zeros(10, dtype=np.int64)
-    expected = predict_poses(state, q, none, none)
-    assert np.allclose(robots.forward(again, q), expected, atol=1e-10)
+    assert np.allclose(robots.forward(again, q), predict_poses(state, q, none, none), atol=1e-10)
     assert np.allclose([again.lower, again.upper], [arm.lower, arm.upper])
     assert b"sha256:00" in content
     assert b"Identified from a" in content

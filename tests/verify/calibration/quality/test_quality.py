@@ -9,7 +9,6 @@ import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.spatial.transform import Rotation
 
 import reports
 from tests.bench.halves import SETS
@@ -24,14 +23,8 @@ from verify.calibration.quality.quality import (
     view_residuals,
 )
 from verify.calibration.quality.results import calibration_results
-from verify.calibration.registration.fixture import FixtureRegistration
-from verify.calibration.registration.records import MotionRegistration, SpotResiduals
-from verify.calibration.registration.results import fixture_results, motion_results
 from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES
 from verify.calibration.stereo.records import Calibration, rms
-from verify.core.fiducials import Marker
-from verify.core.rig import Covariance, Rig
-from verify.measurement.systematics import BODY
 
 
 def test_every_view_is_summed_up_and_a_bad_one_is_named() -> None:
@@ -125,8 +118,7 @@ def test_corners_missing_at_an_edge_give_the_advice_to_reach_it() -> None:
 
 
 def test_squares_that_come_out_wrong_are_a_doubt() -> None:
-    found = made.calibration()
-    wrong = replace(found, square_found=(0.0402, 0.00001, 0.00004))
+    wrong = replace(made.calibration(), square_found=(0.0402, 0.00001, 0.00004))
     assert [s for s in calibration_doubts(wrong, judge_calibration(wrong)) if "40.200 mm" in s]
     loose = replace(wrong, board=replace(made.BOARD, square_standard_uncertainty=0.0001))
     assert not calibration_doubts(loose, judge_calibration(loose))
@@ -194,67 +186,3 @@ def test_every_parameter_of_the_model_is_listed_with_what_became_of_it() -> None
     assert rows.loc[("left", "mount_x_mm"), "state"] == "gauge"
     found = table["state"] == "found"
     assert (table["standard_uncertainty"] > 0).tolist() == found.tolist()
-
-
-def _registered() -> Rig:
-    """The made rig with a robot's base, and the uncertainty of base and LED A."""
-    base = np.eye(4)
-    base[:3, :3] = Rotation.from_rotvec([0.0, 0.0, 0.5]).as_matrix()
-    base[:3, 3] = [0.1, 0.2, 1.2]
-    names = (*(f"robot_base.{key}" for key in BODY), *(f"led.A.{a}_mm" for a in "xyz"))
-    covariance = Covariance(names, np.arange(1.0, 10.0), np.eye(9))
-    return replace(
-        made.calibration().rig, rig_T_base=base, base_source="motion", covariance=covariance,
-        registration="sha256:" + "5c" * 32,
-    )  # fmt: skip
-
-
-def _moved_robot() -> MotionRegistration:
-    each = np.array([0, 1])
-    spots = SpotResiduals(
-        frame=each, camera=each, led=each, used=np.array([True, False]),
-        observed=np.array([[10.0, 20.0], [30.0, 40.0]]),
-        residual=np.array([[0.1, 0.0], [0.0, -0.2]]),
-    )  # fmt: skip
-    leds = np.array([[0.06, 0.0, 0.01], [0.0, 0.05, 0.02]])
-    return MotionRegistration(
-        rig=_registered(), marker=Marker(("A", "B"), leds, ("", "red"), 5e-3),
-        clock_offset=0.137, clock_standard_uncertainty=None, skew=1e-4,
-        skew_standard_uncertainty=2e-5, visible_fractions=np.array([0.0, 0.3]), rms_px=0.1,
-        fit_rms_px=0.1, held_out_rms_px=0.11, misfit=1.1, pairs_used=2,
-        left_out={5: "why", 6: "why"}, residuals=spots, decisions=("note",), warnings=("warned",),
-    )  # fmt: skip
-
-
-def test_a_registration_from_motion_is_laid_out_in_the_file_s_units() -> None:
-    found = motion_results(
-        _moved_robot(), robot="iust_6r", origin=ResultsOrigin("s", inputs=made.INPUTS)
-    )
-    base = found.summary["base"]
-    assert_allclose(base["position_mm"], [100.0, 200.0, 1200.0])
-    assert_allclose(base["rotation_vector_deg"], [0, 0, np.rad2deg(0.5)], atol=1e-12)
-    assert_allclose(base["standard_uncertainty_mm"], [1.0, 2.0, 3.0])
-    assert_allclose(base["standard_uncertainty_deg"], [4.0, 5.0, 6.0])
-    a, b = found.summary["leds"]
-    assert (a["x_mm"], a["u_x_mm"], a["u_z_mm"]) == (60.0, 7.0, 9.0)
-    assert b["u_x_mm"] is None
-    assert found.summary["pairs"] == {"used": 2, "left_out": {"why": 2}}
-    assert found.tables["residuals"]["led"].tolist() == ["A", "B"]
-    assert "registered, and blind" in reports.render_html(found)
-
-
-def test_a_registration_by_a_fixture_is_laid_out_in_the_file_s_units() -> None:
-    given = FixtureRegistration(
-        rig=replace(_registered(), base_source="fixture"), registration="sha256:" + "5c" * 32,
-        rig_T_board=np.eye(4), board_covariance=np.eye(6) * 1e-8,
-        base_covariance=np.diag([1e-8] * 3 + [1e-6] * 3), frames=np.array([0, 3]),
-        pair_difference=np.tile([1e-3, 0, 0, 0, 0, 0.01], (2, 1)), pair_chi2=np.array([5.0, 7.0]),
-        residual_rms_px=0.05, noise=1.2, decisions=(), warnings=(),
-    )  # fmt: skip
-    found = fixture_results(given, robot="iust_6r")
-    assert_allclose(found.summary["base"]["standard_uncertainty_mm"], 0.1)
-    assert_allclose(found.summary["base"]["standard_uncertainty_deg"], np.rad2deg(1e-3))
-    pairs = found.tables["pairs"]
-    assert_allclose(pairs["x_mm"], 1.0)
-    assert_allclose(pairs["rz_deg"], np.rad2deg(0.01))
-    assert "It hides nothing." in reports.render_html(found)

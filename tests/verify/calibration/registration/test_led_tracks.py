@@ -2,7 +2,7 @@ import msgspec
 import numpy as np
 import pytest
 
-from tests.support.simulated import InMemory, in_memory
+from tests.support.simulated import InMemory, in_memory, sample
 from verify.calibration.registration.led_tracks import (
     PairSpots,
     drop_still_spots,
@@ -11,7 +11,6 @@ from verify.calibration.registration.led_tracks import (
 )
 from verify.core.records import Array
 from verify.errors import InputError
-from verify.simulation import library
 from verify.simulation.scenario import Distractor, Mirror
 
 PAIRS = 14
@@ -20,16 +19,13 @@ PAIRS = 14
 @pytest.fixture(scope="module")
 def session() -> InMemory:
     """A healthy arm before a mirror that shows every LED again, with two lamps beside it."""
-    sample = library.load("multi_joint_fault_6r")
-    recording = msgspec.structs.replace(sample.recording, pairs=PAIRS)
-    healthy = msgspec.structs.replace(sample, fault=[], recording=recording)
-    plain = in_memory(healthy)
+    plain = in_memory(msgspec.structs.replace(sample(pairs=PAIRS), fault=[]))
     middle = plain.simulated.world.led_points(plain.frames.t_left).reshape(-1, 3).mean(axis=0)
     x, y, z = (middle * 1e3).tolist()
     return in_memory(
         msgspec.structs.replace(
-            healthy,
-            recording=msgspec.structs.replace(recording, rate_hz=5.0),
+            sample(pairs=PAIRS, rate_hz=5.0),
+            fault=[],
             distractor=[
                 Distractor(position_mm=(x - 110, y + 60, z + 50)),
                 Distractor(position_mm=(x + 120, y - 70, z + 20)),

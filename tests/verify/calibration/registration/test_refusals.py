@@ -7,6 +7,7 @@ import pytest
 
 import robots
 from robots.transforms import rotation_exp
+from tests.support.recorded import refusal
 from verify.calibration.registration.refusals import refuse_other_robot
 from verify.calibration.registration.start import RegistrationStart, start_registration
 from verify.core.readings import Readings
@@ -45,23 +46,20 @@ def judge(moved: robots.Arm, robot: str, q: Array, read: Array, mirror: Array = 
     refuse_other_robot(restart(readings), FOLDER, robot, readings, restart)
 
 
-def refusal(
+def complaint(
     moved: robots.Arm, robot: str, q: Array, read: Array, mirror: Array = NO_MIRROR
 ) -> InputError:
-    with pytest.raises(InputError) as caught:
-        judge(moved, robot, q, read, mirror)
-    assert "\n" not in str(caught.value)
-    assert f'"{robot}" is the robot that moved' in caught.value.remedy
-    assert "order" in caught.value.remedy
-    return caught.value
+    error = refusal(judge, moved, robot, q, read, mirror)
+    assert f'"{robot}" is the robot that moved' in error.remedy
+    assert "order" in error.remedy
+    return error
 
 
 @pytest.mark.parametrize("moved", ["iust_6r", "rv_3sd_melfa"])
 def test_its_own_readings_are_taken_up_to_some_degrees_of_joint_error(moved: str) -> None:
     arm = robots.load(moved)
     q = motion(arm)
-    error = np.deg2rad([1.0, -1.5, 2.0, -1.0, 1.5, 2.0])
-    judge(arm, moved, q, q + error)
+    judge(arm, moved, q, q + np.deg2rad([1.0, -1.5, 2.0, -1.0, 1.5, 2.0]))
 
 
 @pytest.mark.parametrize(
@@ -70,14 +68,13 @@ def test_its_own_readings_are_taken_up_to_some_degrees_of_joint_error(moved: str
 def test_another_robot_is_the_first_cause_named(moved: str, named: str) -> None:
     arm = robots.load(moved)
     q = motion(arm)
-    error = refusal(arm, named, q, q)
-    assert "turns otherwise than its LEDs" in error.found
+    assert "turns otherwise than its LEDs" in complaint(arm, named, q, q).found
 
 
 def test_columns_in_another_order_are_named_as_cause() -> None:
     arm = robots.load("rv_3sd_melfa")
     q = motion(arm)
-    refusal(arm, "rv_3sd_melfa", q, q[:, ::-1])
+    complaint(arm, "rv_3sd_melfa", q, q[:, ::-1])
     for order, joints in (([1, 0, 2, 3, 4, 5], "1 and 2"), ([0, 1, 2, 3, 5, 4], "5 and 6")):
         with pytest.raises(InputError, match=f"joints {joints} exchanged fits"):
             judge(arm, "rv_3sd_melfa", q, q[:, order])
@@ -86,13 +83,12 @@ def test_columns_in_another_order_are_named_as_cause() -> None:
 def test_radians_read_as_degrees_are_named_as_cause() -> None:
     arm = robots.load("iust_6r")
     q = motion(arm)
-    error = refusal(arm, "iust_6r", q, np.deg2rad(q))
-    assert "degrees" in error.remedy
+    assert "degrees" in complaint(arm, "iust_6r", q, np.deg2rad(q)).remedy
 
 
 def test_mirrored_leds_are_still_reported_as_mirrored() -> None:
     arm = robots.load("iust_6r")
     q = motion(arm)
-    error = refusal(arm, "iust_6r", q, q, MIRROR)
+    error = complaint(arm, "iust_6r", q, q, MIRROR)
     assert "mirror image" in error.found
     assert "shiny surface" in error.remedy

@@ -8,6 +8,7 @@ import pytest
 
 from robots.transforms import difference
 from tests.bench.registration import adjusted, spot_level
+from tests.support.simulated import sample
 from verify.calibration.registration.adjustment import AdjustedRegistration
 from verify.calibration.registration.uncertainty import (
     absorbed_offsets,
@@ -15,7 +16,6 @@ from verify.calibration.registration.uncertainty import (
     visible_fractions,
 )
 from verify.core.records import Array
-from verify.simulation import library
 from verify.simulation.session.simulate import SimulatedSession, simulate_session
 
 OFFSET = np.deg2rad(0.1)
@@ -23,8 +23,7 @@ OFFSET = np.deg2rad(0.1)
 
 @pytest.fixture(scope="module")
 def session() -> SimulatedSession:
-    sample = library.load("multi_joint_fault_6r")
-    return simulate_session(msgspec.structs.replace(sample, fault=[]))
+    return simulate_session(msgspec.structs.replace(sample(), fault=[]))
 
 
 @pytest.fixture(scope="module")

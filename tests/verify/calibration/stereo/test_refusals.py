@@ -16,6 +16,7 @@ from tests.support.boards.made_views import (
     poses,
     turning_rig,
 )
+from tests.support.recorded import refusal
 from verify.calibration.stereo.calibrate import calibrate
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array
@@ -27,23 +28,12 @@ def good_pairs(count: int = 10, seed: int = 21) -> list[BoardPair]:
     return make_pairs(fixed_rig(), poses(rng, count), rng)
 
 
-def refusal(pairs: Sequence[BoardPair]) -> InputError:
-    with pytest.raises(InputError) as caught:
-        calibrate(pairs, BOARD, SIZE)
-    assert "\n" not in str(caught.value)
-    return caught.value
-
-
-def turned(view: BoardView | None) -> BoardView:
-    assert view is not None
-    return half_turned(view)
-
-
 @pytest.mark.parametrize(
     ("place", "blind"), [("pairs", ("left", "right")), ("left", ("left",)), ("right", ("right",))]
 )
 def test_no_board_in_a_camera(place: str, blind: Sequence[str]) -> None:
-    error = refusal([replace(p, **dict.fromkeys(blind)) for p in good_pairs(4)])
+    pairs = [replace(p, **dict.fromkeys(blind)) for p in good_pairs(4)]
+    error = refusal(calibrate, pairs, BOARD, SIZE)
     assert error.place == place
     assert "no board in any of 4" in str(error)
 
@@ -51,7 +41,7 @@ def test_no_board_in_a_camera(place: str, blind: Sequence[str]) -> None:
 def test_fewer_than_three_pairs_in_which_both_cameras_see_the_board() -> None:
     pairs = good_pairs(6)
     pairs[2:] = [replace(p, right=None) for p in pairs[2:]]
-    error = refusal(pairs)
+    error = refusal(calibrate, pairs, BOARD, SIZE)
     assert error.place == "pairs"
     assert "in both cameras 2 times" in str(error)
 
@@ -76,7 +66,8 @@ def test_boards_that_all_face_the_cameras_leave_the_focal_length_open(
     toe_in_deg: float, distances: Sequence[float]
 ) -> None:
     rng = np.random.default_rng(23)
-    error = refusal(make_pairs(fixed_rig(toe_in_deg), parallel((0.0, 0.0), distances), rng))
+    pairs = make_pairs(fixed_rig(toe_in_deg), parallel((0.0, 0.0), distances), rng)
+    error = refusal(calibrate, pairs, BOARD, SIZE)
     assert error.place in ("left", "right")
     assert "focal length" in error.found
     assert "parallel" in error.found
@@ -106,8 +97,7 @@ def test_few_tilted_boards_show_the_focal_length_to_2_percent_and_its_uncertaint
 
 def test_boards_at_one_distance_do_where_their_tilts_are_many() -> None:
     rng = np.random.default_rng(25)
-    boards = poses(rng, 12, (1.0, 1.0001))
-    found = calibrate(make_pairs(fixed_rig(), boards, rng), BOARD, SIZE)
+    found = calibrate(make_pairs(fixed_rig(), poses(rng, 12, (1.0, 1.0001)), rng), BOARD, SIZE)
     assert found.rig.left.matrix[0, 0] == pytest.approx(1014.4, abs=1.0)
 
 
@@ -115,7 +105,7 @@ TEN, TWELVE = good_pairs(10), good_pairs(12)
 SWAPPED = [
     replace(p, left=p.right, right=p.left, pan_left=p.pan_right, pan_right=p.pan_left) for p in TEN
 ]
-HALF_TURNED = [replace(p, right=turned(p.right)) for p in TEN]
+HALF_TURNED = [replace(p, right=half_turned(p.right)) for p in TEN]
 OUT_OF_STEP = [replace(p, right=TWELVE[(5 * i + 3) % 12].right) for i, p in enumerate(TWELVE)]
 
 
@@ -131,7 +121,7 @@ OUT_OF_STEP = [replace(p, right=TWELVE[(5 * i + 3) % 12].right) for i, p in enum
 def test_pairs_that_contradict_each_other(
     pairs: list[BoardPair], place: str, found: str, remedy: str
 ) -> None:
-    error = refusal(pairs)
+    error = refusal(calibrate, pairs, BOARD, SIZE)
     assert error.place == place
     assert found in error.found
     assert remedy in error.remedy
@@ -145,8 +135,8 @@ def test_a_board_turned_by_180_degrees_in_one_camera_names_the_pairs(kind: str, 
     rig = turning_rig() if kind == "turning" else fixed_rig()
     pairs = make_pairs(rig, poses(rng, 10), rng, pan)
     for i in (2, 7):
-        pairs[i] = replace(pairs[i], **{side: turned(getattr(pairs[i], side))})
-    error = refusal(pairs)
+        pairs[i] = replace(pairs[i], **{side: half_turned(getattr(pairs[i], side))})
+    error = refusal(calibrate, pairs, BOARD, SIZE)
     assert error.place == side
     assert "turned by 180° in pairs 2, 7" in error.found
 
@@ -154,7 +144,7 @@ def test_a_board_turned_by_180_degrees_in_one_camera_names_the_pairs(kind: str, 
 def test_three_pairs_are_enough_and_a_board_turned_in_both_pictures_is_one_more() -> None:
     assert calibrate(good_pairs(3), BOARD, SIZE).noise == pytest.approx(1.0, abs=0.2)
     pairs = good_pairs()
-    pairs[1] = replace(pairs[1], left=turned(pairs[1].left), right=turned(pairs[1].right))
+    pairs[1] = replace(pairs[1], left=half_turned(pairs[1].left), right=half_turned(pairs[1].right))
     assert calibrate(pairs, BOARD, SIZE).noise == pytest.approx(1.0, abs=0.05)
 
 
@@ -169,8 +159,7 @@ def test_a_pair_of_two_instants_is_left_out_and_named() -> None:
 def test_a_view_that_shows_no_board_is_left_out_and_named() -> None:
     pairs = good_pairs(10)
     seen = pairs[3].left
-    scrambled = replace(seen, centre=np.roll(seen.centre, 1, axis=0))
-    pairs[3] = replace(pairs[3], left=scrambled)
+    pairs[3] = replace(pairs[3], left=replace(seen, centre=np.roll(seen.centre, 1, axis=0)))
     found = calibrate(pairs, BOARD, SIZE)
     assert any(d.startswith("left camera: pair 3 left out") for d in found.decisions)
     assert found.noise == pytest.approx(1.0, abs=0.05)

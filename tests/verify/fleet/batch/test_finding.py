@@ -7,7 +7,7 @@ from pathlib import Path
 import fsspec
 import pytest
 
-from verify.errors import InputError
+from tests.support.recorded import refusal
 from verify.fleet.batch import finding
 from verify.fleet.batch.finding import find_sessions
 from verify.fleet.batch.records import SessionFailure
@@ -55,8 +55,7 @@ def test_hostile_names_stay_what_they_are_and_failures_csv_can_be_read(tmp_path:
     (tmp_path / os.fsdecode(b"\xff\xfe") / "session.toml").write_text("")
     found, _ = find_sessions([str(tmp_path)], NOWHERE)
     names = [one.session for one in found]
-    given = {name.removeprefix(f"{tmp_path}/") for name in names}
-    assert given == {*HOSTILE, "\\udcff\\udcfe"}
+    assert {name.removeprefix(f"{tmp_path}/") for name in names} == {*HOSTILE, "\\udcff\\udcfe"}
     formulas = [f"{sign}1+1" for sign in "=+-@\t"]  # to a spreadsheet, as folders may be called
     listed = [*names, *formulas]
     write_failures(tmp_path, [SessionFailure(name, "refused", 'why, "so"') for name in listed])
@@ -94,9 +93,7 @@ def test_a_folder_without_permission_is_reported_and_the_rest_found(
 def test_a_root_that_is_no_folder_with_sessions_is_refused(root: str, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(InputError) as problem:
-        find_sessions([root if "://" in root else str(tmp_path / root)], NOWHERE)
-    assert "\n" not in str(problem.value)
+    refusal(find_sessions, [root if "://" in root else str(tmp_path / root)], NOWHERE)
 
 
 def test_sessions_behind_a_url_are_found_fetched_and_distinguished() -> None:

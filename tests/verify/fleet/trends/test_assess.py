@@ -141,8 +141,7 @@ def test_a_series_too_short_for_a_change_has_none() -> None:
 
 
 def test_before_and_after_a_day_compares_each_joint() -> None:
-    sessions = rows(10, step=0.3)
-    table = assessed(sessions, since=date(2025, 6, 10)).table("contrasts")
+    table = assessed(rows(10, step=0.3), since=date(2025, 6, 10)).table("contrasts")
     assert len(table) == 18
     shown = table[table["shown"]]
     assert [(r.arm, r.joint) for r in shown.itertuples()] == [("arm_b", 5)]

@@ -38,10 +38,9 @@ def test_every_asymmetric_marker_with_three_leds_in_both_images_is_identified() 
     for trial in range(240):
         rng = np.random.default_rng(trial)
         count = 3 + trial % 3
-        leds = random_leds(rng, count, SEES)
         scene = make_scene(
             rng,
-            leds,
+            random_leds(rng, count, SEES),
             clutter=int(rng.integers(0, 11)),
             lamps=int(rng.integers(0, 4)),
             skew_px=rng.uniform(0, 2),
@@ -49,7 +48,6 @@ def test_every_asymmetric_marker_with_three_leds_in_both_images_is_identified() 
         )
         found = scene.identify()
         assert (scene.outcome(found), found.choice) == ("complete", "geometry")
-        assert found.rig_T_flange is not None
         off = np.linalg.inv(scene.rig_T_flange) @ found.rig_T_flange
         assert np.linalg.norm(off[:3, 3]) < 0.015  # coarse: 2 px of skew are 4-10 mm of depth
         assert Rotation.from_matrix(off[:3, :3]).magnitude() < 0.1
@@ -105,8 +103,7 @@ def test_a_symmetric_marker_is_ambiguous_until_the_past_or_the_encoders_choose(
     assert scene.outcome(found) == "complete"
     assert (found.choice, found.alternatives) == ("continuity", alternatives)
 
-    encoders = near(scene.rig_T_flange, rng, 0.06, 0.1)
-    found = scene.identify(expected=(encoders,))
+    found = scene.identify(expected=(near(scene.rig_T_flange, rng, 0.06, 0.1),))
     assert scene.outcome(found) == "complete"
     assert (found.choice, found.alternatives) == ("encoders", alternatives)
 
@@ -123,8 +120,7 @@ def test_the_encoders_choose_and_leave_no_trace_in_the_pose() -> None:
 
 
 def test_encoders_that_fit_no_candidate_choose_none() -> None:
-    rng = np.random.default_rng(3)
-    scene = make_scene(rng, TWO)
+    scene = make_scene(np.random.default_rng(3), TWO)
     far = moved(scene.rig_T_flange, np.array([0.6, 0, 0]), np.zeros(3))
     assert scene.identify(expected=(far,)).status == "ambiguous_leds"
     across = scene.rig_T_flange.copy()
@@ -229,8 +225,7 @@ def test_clutter_is_seldom_taken_for_leds(
 
 def test_one_led_of_several_is_taken_only_where_the_past_expects_it() -> None:
     rng = np.random.default_rng(9)
-    leds = random_leds(rng, 4, SEES)
-    scene = make_scene(rng, leds, missing=((0, 1, 3), (0, 1, 3)))
+    scene = make_scene(rng, random_leds(rng, 4, SEES), missing=((0, 1, 3), (0, 1, 3)))
     assert scene.identify().status == "too_few_leds"
     assert scene.identify(expected=(scene.rig_T_flange,)).status == "too_few_leds"
     found = scene.identify(PosePrediction(near(scene.rig_T_flange, rng, 0.004, 0.04), 0.005, 0.05))
@@ -268,8 +263,7 @@ FLAT = np.array([[0.06, 0.005, 0], [-0.045, 0.04, 0], [-0.02, -0.055, 0], [0.03,
 @pytest.mark.parametrize(("leds", "clutter"), [(FLAT, 5), (ROW, 8)], ids=["flat", "on one line"])
 def test_flat_markers_are_identified_from_their_true_side(leds: Array, clutter: int) -> None:
     for seed in range(30):
-        rng = np.random.default_rng(seed)
-        scene = make_scene(rng, leds, clutter=clutter, skew_px=0.5)
+        scene = make_scene(np.random.default_rng(seed), leds, clutter=clutter, skew_px=0.5)
         found = scene.identify(skew=0.5)
         assert (scene.outcome(found), found.choice) == ("complete", "geometry")
         off = scene.rig_T_flange[:3, :3].T @ found.rig_T_flange[:3, :3]

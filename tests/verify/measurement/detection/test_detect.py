@@ -74,19 +74,6 @@ def test_four_leds_a_frame_suffice_to_know_their_uncertainty(floor: float | Arra
     assert np.mean(normal) == pytest.approx(1.0, abs=0.15)  # 480 errors: 6.5 % is one sigma
 
 
-def test_the_noise_of_an_image_is_the_sensors() -> None:
-    sensor, rng = Sensor(read=1.8, gain=0.04), np.random.default_rng(8)
-    spot = Spot(200, 2.5)
-    noises = [
-        detect(picture([spot] * 4, scattered(2, 2, rng, pitch=150.0), sensor, rng)).noise
-        for _ in range(12)
-    ]
-    for level in (6.0, 150.0):
-        truth = sensor.read**2 + 1 / 12 + sensor.gain * level
-        estimate = np.mean([n.read**2 + n.gain * (level - n.black) for n in noises])
-        assert estimate == pytest.approx(truth, rel=0.08)  # four spots know their noise to 8 %
-
-
 def test_windows_find_the_same_spots_as_the_whole_image() -> None:
     rng = np.random.default_rng(3)
     centres = scattered(2, 2, rng, pitch=150.0)

@@ -3,27 +3,20 @@
 Pixels near a limit of the sensor, against numerical integration of the clipped normal law.
 """
 
-import math
-
 import cv2
 import numpy as np
 import pytest
 from numpy.testing import assert_array_equal
 from scipy.integrate import quad
 from scipy.signal import savgol_filter
-from scipy.special import log_ndtr
 from scipy.stats import norm
 
 from verify.core.records import Image
 from verify.measurement.detection.kernels.candidates import find_blobs, flood_fill, top_hat
 from verify.measurement.detection.kernels.noise import stencils, variance_line
-from verify.measurement.detection.kernels.occlusion import depth_profile, log_normal_cdf
 from verify.measurement.detection.kernels.pixels import (
-    CLIP_REACH,
-    MIN_Z,
     N_FREE_ROWS,
     clip,
-    normal_law,
 )
 
 
@@ -32,13 +25,6 @@ def cloud(seed: int, blur: float) -> Image:
     noise = cv2.GaussianBlur(np.random.default_rng(seed).normal(size=(40, 50)), (0, 0), blur)
     stretched = 255 * (noise - noise.min()) / np.ptp(noise)
     return np.asarray(np.clip(1.5 * stretched - 120, 0, 255), np.uint8)
-
-
-def test_a_bites_bump_is_the_exponential_to_what_it_promises() -> None:
-    angle, sharp = np.linspace(0, 2 * np.pi, 999), 1 / 0.3**2
-    sunk = np.empty_like(angle)
-    depth_profile(np.cos(angle), np.sin(angle), np.full_like(angle, 3.0), 1.0, 0.0, sharp, sunk)
-    np.testing.assert_allclose(sunk, 3.0 * np.exp((np.cos(angle) - 1) * sharp), rtol=2e-9)
 
 
 @pytest.mark.parametrize("level", [60, 120, 200])
@@ -67,12 +53,6 @@ def test_a_blob_is_found_once_at_its_highest_level_and_where_it_is_in_the_pictur
     # of more than are listed, the brightest
     blobs = find_blobs(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), 1)
     np.testing.assert_array_equal(blobs[:, 3], [220])
-
-
-def test_the_logarithm_of_a_normal_share_is_that_of_scipy() -> None:
-    z = np.linspace(-80, 10, 1801)
-    output = [log_normal_cdf(value) for value in z]
-    np.testing.assert_allclose(output, log_ndtr(z), rtol=1e-12, atol=1e-15)
 
 
 @pytest.mark.parametrize("width", [5, 67, 68, 69, 300])
@@ -151,12 +131,3 @@ def test_moments_are_those_of_the_clipped_law(z: float, sigma: float, top: bool)
     assert mean == pytest.approx(true_mean, abs=1e-7)
     assert share == pytest.approx(true_share, abs=1e-7)
     assert variance == pytest.approx(max(true_variance, 1 / 12), abs=1e-6)  # or rounding's
-
-
-def test_the_normal_distribution_is_exact_over_its_range() -> None:
-    z = np.append(np.linspace(MIN_Z, CLIP_REACH, 4321), 0.0)
-    below, here = np.empty_like(z), np.empty_like(z)
-    normal_law(z, below, here)
-    assert np.abs(below - norm.cdf(z)).max() < 1e-9
-    assert np.abs(here - norm.pdf(z)).max() < 1e-8
-    assert math.isclose(below[-1], 0.5, abs_tol=1e-12)

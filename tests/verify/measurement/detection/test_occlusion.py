@@ -12,9 +12,7 @@ from verify.measurement.detection.detect import detect
 from verify.measurement.detection.kernels.occlusion import (
     PRIOR_DEPTH,
     depth_posterior,
-    occlusion_probability,
 )
-from verify.measurement.detection.occlusion import N_DIRECTIONS
 
 BLUR, RADIUS, PEAK, FLOOR = 0.6, 4.2, 210.0, 6.0
 FINE = 8  # sub-pixels a side
@@ -134,14 +132,3 @@ def test_the_depth_of_a_bite_is_its_posterior_mean() -> None:
         assert evidence[0, k] == pytest.approx(np.log(moment(0)), abs=1e-6)
         assert mean[0, k] == pytest.approx(moment(1) / moment(0), rel=1e-6)
         assert square[0, k] == pytest.approx(moment(2) / moment(0), rel=1e-6)
-
-
-def test_evidence_of_several_leds_is_shared() -> None:
-    evidence = np.full((3, N_DIRECTIONS), -2.0)
-    evidence[0, 5] = 4.0
-    alone = occlusion_probability(evidence)
-    evidence[1:, 5] = 4.0
-    together = occlusion_probability(evidence)
-    assert together[0, 5] > 0.9 > 0.5 > alone[0, 5]
-    for probability in (alone, together):
-        assert probability.sum(axis=1).max() <= 1 + 1e-12
