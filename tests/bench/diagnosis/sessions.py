@@ -25,11 +25,7 @@ from verify.analysis.session import session_model
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
-from verify.measurement.systematics import (
-    Systematics,
-    sensitivities,
-    stated_systematics,
-)
+from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
 from verify.measurement.track import Track, collect_track
 from verify.simulation.scenario import (
     MultiJoint,

@@ -78,17 +78,6 @@ def test_a_selection_waits_for_pictures_and_the_newest_counts() -> None:
     assert requests.taken(0, pictures=True).drawn is None
 
 
-def test_without_a_target_no_search_begins_until_one_is_selected() -> None:
-    grab = started()
-    grab.loop.look_for(None)
-    turned(grab, GraspState.SEARCHING)
-    for _ in range(10):
-        assert cycled(grab).observation is None
-    assert grab.loop.machine.state is GraspState.SEARCHING
-    assert chosen(grab, CAP) == ""
-    turned(grab, GraspState.FOLLOWING)
-
-
 def test_a_box_without_a_colour_keeps_the_last_target() -> None:
     grab = started(execute=False)
     turned(grab, GraspState.TRACKING)

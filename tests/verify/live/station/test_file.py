@@ -68,9 +68,6 @@ def test_the_template_runs_as_it_is(tmp_path: Path) -> None:
     reading = made.open_encoders().read()
     assert len(reading) > 0
     assert made.open_pan() is None
-    recorder = made.open_recorder()
-    recorder.close()
-    assert not (tmp_path / "recordings").exists()
 
 
 def test_the_template_names_every_key_and_no_other(tmp_path: Path) -> None:
@@ -146,13 +143,6 @@ def test_bases_follow_on_request_only(tmp_path: Path) -> None:
     assert isinstance(turning.open_pan(), PanServo)
     assert isinstance(turning.open_pan(), PanDrive)
     assert turning.facts.turning
-
-
-def test_simulated_bases_can_be_turned(tmp_path: Path) -> None:
-    text = file.template().replace(
-        'driver = "fixed"                  #', 'driver = "sim"\nfollow = true #'
-    )
-    assert isinstance(station(tmp_path, text).open_pan(), PanDrive)
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,5 @@
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -15,7 +15,6 @@ from verify.simulation.emulators.hand import NO_CONTACT, contact_positions, spee
 
 PORTS = ["tcp:0", "pty"]
 ACTIVATE = [0x0100, 0, 0]
-OPEN = [0x0900, 0x0000, 0xFFFF]
 ACTIVATION = 0.2  # s: tests cannot wait
 
 
@@ -108,43 +107,12 @@ def order(modbus: ModbusBaseSyncClient, registers: list[int]) -> None:
     time.sleep(0.01)  # two of the gripper's cycles: the echo
 
 
-def until(modbus: ModbusBaseSyncClient, satisfied: Callable[[bytes], bool]) -> bytes:
-    end = time.monotonic() + 5.0
-    while not satisfied(found := inputs(modbus)):
-        assert time.monotonic() < end, found.hex(" ")
-    return found
-
-
 def stage(found: bytes) -> int:
     return found[0] >> 4 & 3
 
 
 def overall(found: bytes) -> int:
     return found[0] >> 6
-
-
-@pytest.mark.parametrize("where", PORTS)
-@pytest.mark.parametrize(("width_mm", "output"), [(None, 3), (115.0, 2)])
-def test_the_client_of_pymodbus_activates_grasps_and_opens(
-    where: str, width_mm: float | None, output: int
-) -> None:
-    contacts = None if width_mm is None else contact_positions(width_mm)
-    with running(quick(contacts), where) as emulated, client(emulated.address) as modbus:
-        order(modbus, ACTIVATE)
-        assert stage(inputs(modbus)) == 1
-        until(modbus, lambda found: stage(found) == 3)
-        order(modbus, [0x0900, 0x0064, 0xFFFF])  # to position 100
-        assert overall(inputs(modbus)) == 0
-        found = until(modbus, lambda found: overall(found) != 0)
-        assert overall(found) == output
-        fingers = [found[1] >> 2 * axis & 3 for axis in range(3)]
-        assert fingers == [output] * 3
-        at = 100 if width_mm is None else round(255 * (1 - width_mm / 155))
-        assert [found[4], found[7], found[10]] == [at] * 3
-        order(modbus, OPEN)
-        until(modbus, lambda found: overall(found) == 3 and found[4] == 7)
-        read = modbus.read_holding_registers(1000, count=3, device_id=SLAVE)
-        assert read.registers == OPEN
 
 
 @pytest.mark.realtime

@@ -26,19 +26,9 @@ FOUR_ERRORS = 4 / np.sqrt(2 * SEEDS)  # of a standard deviation from so many dra
 def test_draws_have_the_spread_and_correlation_that_the_rig_states() -> None:
     drawn = [draw_departure(STATED, 4, generator(s, RandomStream.SYSTEMATIC)) for s in range(SEEDS)]
     stated = stated_covariance(STATED)
+    bases = ([1e3 * d.base[:3], np.degrees(d.base[3:])] for d in drawn)
     columns = np.array(
-        [
-            np.concatenate(
-                [
-                    d.camera[0],
-                    d.camera[1],
-                    np.degrees(d.turn),
-                    1e3 * d.base[:3],
-                    np.degrees(d.base[3:]),
-                ]
-            )
-            for d in drawn
-        ]
+        [np.hstack([*d.camera, np.degrees(d.turn), *b]) for d, b in zip(drawn, bases, strict=True)]
     )
     assert len(stated.parameters) == columns.shape[1]
     assert_allclose(columns.std(axis=0) / stated.standard_uncertainty, 1, atol=FOUR_ERRORS)

@@ -1,10 +1,7 @@
 from collections import deque
 
 import pytest
-from pymodbus.pdu.register_message import (
-    ReadHoldingRegistersRequest,
-    WriteMultipleRegistersRequest,
-)
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, WriteMultipleRegistersRequest
 
 from verify.grasping.actuators.gripper.modbus import MAX_BUFFER_BYTES, GripperSettings, ModbusLine
 
