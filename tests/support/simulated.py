@@ -3,7 +3,7 @@
 Small scenarios that several tests start from.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,13 @@ import msgspec
 import numpy as np
 
 import robots
-from verify.core.records import Array, StereoPair
+from tests.support.scene import sighting
+from verify.core.records import Array, Measurement, Sighting, StereoPair
 from verify.io.series import EncoderSeries, FrameSeries
 from verify.io.session.keys import Clock
 from verify.io.session.session import Session
+from verify.measurement.pose import fit_pose
+from verify.measurement.systematics import Systematics, spot_columns
 from verify.simulation.scenario import (
     MultiJoint,
     Scenario,
@@ -85,6 +88,39 @@ def in_memory(scenario: Scenario) -> InMemory:
     )
 
 
+SPOT_PX = 0.03
+
+
+def measured_at_spots(
+    session: InMemory,
+    systematics: Systematics,
+    rng: np.random.Generator,
+    spots: list[Array] | None = None,
+) -> Iterator[Measurement]:
+    """Fit a pose to the spots of each pair; `spots`, px, (n, LEDs, 2) a side, replace true ones."""
+    rig, marker, played = session.rig, session.marker, session.simulated
+    spots = spots or [played.spots(side) for side in (0, 1)]
+    for i, q in enumerate(session.truth):
+        left, right = (_sighting(played, spots[side][i], side, i, rng) for side in (0, 1))
+
+        def columns(
+            pose: Array, by_point: Array, pair: tuple[Sighting, Sighting] = (left, right)
+        ) -> Array:
+            return spot_columns(systematics, rig, marker, *pair, pose, by_point)
+
+        start: Array = rig.rig_T_base @ robots.forward(session.arm, q)
+        pose = fit_pose(left, right, rig, marker, start, columns)
+        yield Measurement(i, left.t, "measured", len(marker), pose, left, right)
+
+
+def _sighting(
+    played: SimulatedSession, centre: Array, side: int, index: int, rng: np.random.Generator
+) -> Sighting:
+    noisy = centre + SPOT_PX * rng.standard_normal(centre.shape)
+    t, pan = float(played.t[index, side]), float(played.pan[index, side])
+    return sighting(list(range(len(centre))), noisy, SPOT_PX, t, pan)
+
+
 HOME_DEG = [30.0, -62.0, 46.0, 8.0, -84.0, 24.0]
 
 
@@ -112,6 +148,11 @@ def scene(**changes: Any) -> Scenario:
         encoders=ScenarioEncoders(noise_deg=0.0),
     )
     return msgspec.structs.replace(plain, **changes)
+
+
+def played(**changes: Any) -> SimulatedSession:
+    """That session, played."""
+    return simulate_session(scene(**changes))
 
 
 MINIMAL = """

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import invert
-from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
-from tests.support.simulated import InMemory, in_memory
+from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.diagnosis.diagnose import Diagnosis

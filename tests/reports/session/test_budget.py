@@ -6,11 +6,12 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from reports.document.blocks import Bullets, Figure, Paragraph, Section, Table
+from reports.document.blocks import Figure, Paragraph, Section, Table, to_template_data
 from reports.document.charts import Chart, Points
 from reports.results import Results
 from reports.session import document
 from tests.support.reports import session as made
+from tests.support.reports.page import strings
 
 
 def holding() -> Results:
@@ -94,16 +95,7 @@ def section(results: Results, name: str) -> Section:
 
 
 def texts(part: Section) -> str:
-    found: list[str] = []
-    for block in part.blocks:
-        if isinstance(block, Paragraph):
-            found.append(block.text)
-        if isinstance(block, Bullets):
-            found += block.items
-        if isinstance(block, Table):
-            found += [block.caption, *block.notes]
-            found += [cell.text for row in block.rows for cell in row]
-    return "\n".join(found)
+    return "\n".join(strings(to_template_data(part)))
 
 
 def test_the_budget_adds_what_a_reader_checks_it_by() -> None:

@@ -36,8 +36,10 @@ class HandClock:
         self.t += min(seconds, 1e6)
 
 
-def station(*events: SimEvent, speed: float = 1.0) -> SimulatedStation:
-    hand = HandClock()
+def station(
+    *events: SimEvent, speed: float = 1.0, hand: HandClock | None = None
+) -> SimulatedStation:
+    hand = hand or HandClock()
     clock = SimClock(speed, hand.now, hand.sleep)
     return SimulatedStation(SimSettings(SCENARIO, speed, events), clock)
 
@@ -81,13 +83,9 @@ class Busy:
     def close(self) -> None: ...
 
 
-def by_hand() -> tuple[HandClock, SimulatedStation]:
-    hand = HandClock()
-    return hand, SimulatedStation(SimSettings(SCENARIO), SimClock(1.0, hand.now, hand.sleep))
-
-
 def test_a_camera_whose_pictures_come_late_is_not_silent() -> None:
-    hand, made = by_hand()
+    hand = HandClock()
+    made = station(hand=hand)
     painter = Busy(hand, made.scene.painter, late=0.45)
     camera = SimulatedCameraDevice(made.scene, 0, painter, SIM)
     ages: list[float | None] = []
@@ -108,7 +106,8 @@ def test_a_camera_whose_pictures_come_late_is_not_silent() -> None:
 def test_two_cameras_that_are_late_differently_still_show_the_same_instants() -> None:
     shown = []
     for side, late in enumerate((0.41, 0.67)):  # 12 and 20 pictures
-        hand, made = by_hand()
+        hand = HandClock()
+        made = station(hand=hand)
         painter = Busy(hand, made.scene.painter, late=late)
         camera = SimulatedCameraDevice(made.scene, side, painter, SIM)
         pictures = frames(camera, 60.0, made)

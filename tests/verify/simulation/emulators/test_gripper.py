@@ -1,5 +1,5 @@
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 
 import numpy as np
@@ -11,7 +11,7 @@ from pymodbus.client.base import ModbusBaseSyncClient
 from tests.support.command import verify
 from tests.support.devices.bench import emulate_command, running
 from verify.simulation.emulators.gripper import SLAVE, GripperEngine, GripperOptions, add_crc
-from verify.simulation.emulators.hand import NO_CONTACT, contact_positions, speed_in_positions
+from verify.simulation.emulators.hand import contact_positions, speed_in_positions
 
 PORTS = ["tcp:0", "pty"]
 ACTIVATE = [0x0100, 0, 0]
@@ -107,6 +107,13 @@ def order(modbus: ModbusBaseSyncClient, registers: list[int]) -> None:
     time.sleep(0.01)  # two of the gripper's cycles: the echo
 
 
+def until(modbus: ModbusBaseSyncClient, satisfied: Callable[[bytes], bool]) -> bytes:
+    end = time.monotonic() + 20.0
+    while not satisfied(found := inputs(modbus)):
+        assert time.monotonic() < end, found.hex(" ")
+    return found
+
+
 def stage(found: bytes) -> int:
     return found[0] >> 4 & 3
 
@@ -192,20 +199,6 @@ def test_fingers_move_at_the_speed_that_is_ordered(speed: int) -> None:
     assert speed_in_positions(speed) == pytest.approx(mm_s * 255 / 155)
 
 
-def test_fingers_singly_an_object_beside_the_middle_and_one_that_falls() -> None:
-    engine = active(np.array([np.inf, 100.0, np.inf, np.inf]))
-    write(engine, "0006 0C 0904 0050 FF00 B0FF 00C0 FF00", 0.3)
-    passed(engine, 0.3, 3.0)
-    found = engine.hand.inputs()
-    assert [found[3], found[6], found[9]] == [0x50, 0xB0, 0xC0]  # each echoes its own
-    assert [found[4], found[7], found[10]] == [0x50, 100, 0xC0]
-    assert overall(found) == 1
-    assert found[1] & 0x3F == 0b11_10_11
-    engine.hand.contacts = NO_CONTACT
-    passed(engine, 3.0, 4.0)
-    assert overall(engine.hand.inputs()) == 3
-
-
 def test_in_scissor_mode_the_scissor_axis_moves_and_the_fingers_do_not() -> None:
     engine = quick(contact_positions(40.0))
     write(engine, "0001 02 0700", 0.0)
@@ -224,4 +217,9 @@ def test_the_command_serves_an_object_between_the_fingers_and_refuses_one_elsewh
     with emulated as address, client(address) as modbus:
         order(modbus, ACTIVATE)
         assert stage(inputs(modbus)) == 1
+        until(modbus, lambda found: stage(found) == 3)
+        order(modbus, [0x0900, 0x00FF, 0xFFFF])
+        found = until(modbus, lambda found: overall(found) != 0)
+        assert (overall(found), found[1] & 0x3F) == (2, 0b10_10_10)
+        assert [found[4], found[7], found[10]] == [round(255 * (1 - 60 / 155))] * 3
     assert "melfa has no fingers" in verify("emulate", "melfa", "--object-mm", "60").err

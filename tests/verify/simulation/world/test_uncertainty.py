@@ -2,9 +2,8 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tests.support.simulated import scene
+from tests.support.simulated import played
 from verify.simulation.scenario import ScenarioUncertainty
-from verify.simulation.session.simulate import simulate_session
 from verify.simulation.world.motion import RandomStream, generator
 from verify.simulation.world.uncertainty import draw_departure, stated_covariance
 
@@ -41,7 +40,7 @@ def test_draws_have_the_spread_and_correlation_that_the_rig_states() -> None:
 
 
 def test_the_truth_lies_off_the_belief_in_the_formats_own_sense() -> None:
-    session = simulate_session(scene(uncertainty=STATED))
+    session = played(uncertainty=STATED)
     departure = draw_departure(STATED, 3, generator(session.scenario.seed, RandomStream.SYSTEMATIC))
     true, rig = session.world.bench, session.rig
     # rotations act on the left: R_true = exp(phi) R_stated, in the frame that holds them
@@ -60,16 +59,14 @@ def test_the_truth_lies_off_the_belief_in_the_formats_own_sense() -> None:
 
 
 def test_without_a_draw_the_world_is_that_of_the_files() -> None:
-    session = simulate_session(
-        scene(uncertainty=ScenarioUncertainty(focal_px=1.0, led_mm=1.0, draw=False))
-    )
+    session = played(uncertainty=ScenarioUncertainty(focal_px=1.0, led_mm=1.0, draw=False))
     assert session.rig.covariance is not None
     assert_allclose(session.world.bench.leds, session.marker.leds, atol=0)
     assert_allclose(session.world.bench.left.matrix, session.rig.left.matrix, atol=0)
 
 
 def test_nothing_stated_writes_no_covariance() -> None:
-    session = simulate_session(scene())
+    session = played()
     assert session.rig.covariance is None
     assert session.marker.body_standard_uncertainty is None
     assert session.marker.led_standard_uncertainty is None
