@@ -32,14 +32,10 @@ from verify.simulation.session.simulate import SimulatedSession, simulate_sessio
 
 # a camera with nothing upright or in the middle
 AWKWARD = ScenarioCamera(
-    focal_px=(1012.4, 1003.7),
-    principal_point_px=(655.0, 341.0),
-    distortion=(-0.12, 0.08, 0.002, -0.003, 0.02),
-    pan_axis=(0.05, 0.99, -0.08),
-    pan_zero_deg=1.7,
-    mount_rotation_deg=(3.0, -2.0, 2.0),
-    mount_offset_mm=(4.0, -6.0, 12.0),
-)
+    focal_px=(1012.4, 1003.7), principal_point_px=(655.0, 341.0),
+    distortion=(-0.12, 0.08, 0.002, -0.003, 0.02), pan_axis=(0.05, 0.99, -0.08), pan_zero_deg=1.7,
+    mount_rotation_deg=(3.0, -2.0, 2.0), mount_offset_mm=(4.0, -6.0, 12.0),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -311,13 +311,7 @@ def _at_spots(session: InMemory, noise_seed: int) -> tuple[Array, Array]:
     output = session.clock.encoder_offset, session.clock.standard_uncertainty
     readings = Readings(session.encoders.t, session.encoders.q)
     comparison = compare(track, arm, readings, output[0])
-    model = build_model(
-        comparison,
-        track,
-        rig,
-        marker,
-        ClockEstimate(*output, "given", np.zeros((0, 2))),
-        parameters,
-    )
+    clock = ClockEstimate(*output, "given", np.zeros((0, 2)))
+    model = build_model(comparison, track, rig, marker, clock, parameters)
     means = mean_errors(model, resolve_errors(model), parameters)
     return means.mean, means.covariance

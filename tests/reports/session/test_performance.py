@@ -85,9 +85,8 @@ def test_every_deviation_is_listed() -> None:
     bullets = next(b for b in performance(repeated()).blocks if isinstance(b, Bullets))
     assert len(bullets.items) == len(FOUND)
     assert not any("{" in text or "–" in text for text in bullets.items[: len(WITH_FIGURES)])
-    assert deviation({"kind": "drift", "found_s": 182.0}).startswith(
-        "Drift was followed for 0.051 h"
-    )
+    drift = deviation({"kind": "drift", "found_s": 182.0})
+    assert drift.startswith("Drift was followed for 0.051 h")
     assert deviation({"kind": "something_new"}) == "something new"
 
 

@@ -131,9 +131,7 @@ def test_a_hold_before_the_beginning_holds_from_the_beginning() -> None:
     grab = started()
     assert grab.loop.tell(GraspEvent.HOLD) == ""
     turned(grab, GraspState.HOLDING_OPERATOR)
-    assert [p.target for p in grab.loop.machine.log] == [
-        GraspState.SEARCHING,
-        GraspState.HOLDING_OPERATOR,
-    ]
+    entered = [p.target for p in grab.loop.machine.log]
+    assert entered == [GraspState.SEARCHING, GraspState.HOLDING_OPERATOR]
     assert grab.loop.tell(GraspEvent.RESUME) == ""
     turned(grab, GraspState.FOLLOWING)

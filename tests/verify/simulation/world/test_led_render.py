@@ -28,13 +28,9 @@ from verify.simulation.world.led_render import (
 def twin(camera: SimulatedCamera) -> Camera:
     """The same camera in the measurement's own code."""
     return Camera(
-        camera.matrix,
-        camera.distortion,
-        camera.pan_center,
-        camera.pan_axis,
-        camera.pan_zero,
+        camera.matrix, camera.distortion, camera.pan_center, camera.pan_axis, camera.pan_zero,
         camera.turntable_T_camera,
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("pan_deg", [-25.0, 0.0, 11.3])

@@ -8,16 +8,9 @@ from verify.simulation.world.motion import RandomStream, generator
 from verify.simulation.world.uncertainty import draw_departure, stated_covariance
 
 STATED = ScenarioUncertainty(
-    focal_px=0.3,
-    principal_point_px=0.2,
-    camera_rotation_deg=0.01,
-    base_position_mm=0.3,
-    base_rotation_deg=0.05,
-    led_body_mm=0.1,
-    led_body_deg=0.08,
-    led_mm=0.05,
-    pan_deg=0.02,
-)
+    focal_px=0.3, principal_point_px=0.2, camera_rotation_deg=0.01, base_position_mm=0.3,
+    base_rotation_deg=0.05, led_body_mm=0.1, led_body_deg=0.08, led_mm=0.05, pan_deg=0.02,
+)  # fmt: skip
 SEEDS = 2000
 FOUR_ERRORS = 4 / np.sqrt(2 * SEEDS)  # of a standard deviation from so many draws
 
