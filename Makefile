@@ -82,8 +82,8 @@ bench-diagnosis: $(DEV)
 	$(BIN)/python -m tests.bench.diagnosis.shares
 
 bench-grab: $(DEV)
-	$(BIN)/python -m tests.bench.grasp.open_loop --full
-	$(BIN)/python -m tests.bench.grasp.closed_loop
+	$(BIN)/python -m tests.bench.grasping --full
+	$(BIN)/python -m tests.bench.grasping corrected --full
 
 fuzz: $(DEV)
 	$(BIN)/python -m tests.fuzz $(or $(N),2000)

@@ -15,14 +15,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.bench import cells
-from tests.support.boards.made_views import (
-    BOARD,
-    SIGMA,
-    SIZE,
-    levelled,
-    make_pairs,
-    poses,
-)
+from tests.support.boards.made_views import BOARD, SIGMA, SIZE, levelled, make_pairs, poses
 from verify.calibration.stereo.calibrate import calibrate
 from verify.calibration.stereo.records import covariance_in_si
 from verify.core.rig import Camera, Rig

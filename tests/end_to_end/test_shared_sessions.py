@@ -129,13 +129,8 @@ def test_a_registration_by_motion_hides_the_published_shares(
     found = measure(session.pairs(), Setup(session.rig, session.marker), causal=True)
     # the shares are whitened by the poses' covariance: the table's is that of one neighbour
     by_one = dataclasses.replace(multi_joint, measurements=[m for m in found if not m.settled])
-    for place, (base, leds, expected) in enumerate(
-        (
-            (True, True, BOTH_FROM_MOTION),
-            (False, True, LEDS_FROM_MOTION),
-            (True, False, BASE_FROM_MOTION),
-        )
-    ):
+    table = (True, True, BOTH_FROM_MOTION), (False, True, LEDS_FROM_MOTION)
+    for place, (base, leds, expected) in enumerate((*table, (True, False, BASE_FROM_MOTION))):
         summary = registered(by_one, tmp_path / str(place), base=base, leds=leds)
         assert shares(summary) == pytest.approx(expected, abs=TABLE)
     assert np.all(multi_joint.joints("visible_fraction") >= 0.985)  # .99 to 1 in the table
@@ -165,6 +160,5 @@ def test_hidden_joints_get_no_figure_and_the_others_their_fault(
     since = [joint["visible_fraction_since_registration"] for joint in summary["joints"]]
     assert min(since) > 0.98
     # residuals of such a registration accuse joint 4 (metrology.md: −0.114° and +0.154°)
-    fault = np.array([0, 0, 0.40, 0, 0, 0])
-    for joint, true in list(zip(summary["joints"], fault, strict=True))[1:5]:
+    for joint, true in list(zip(summary["joints"], FAULT_DEG, strict=True))[1:5]:
         assert abs(joint["mean_error_deg"] - true) <= joint["expanded_uncertainty_deg"]

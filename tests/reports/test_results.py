@@ -13,9 +13,7 @@ from reports.results import MANIFEST, to_json_value
 from tests.support.reports import session as made
 
 
-def test_a_results_folder_gives_back_what_was_written_always_alike(
-    tmp_path: Path,
-) -> None:
+def test_a_results_folder_gives_back_what_was_written_always_alike(tmp_path: Path) -> None:
     results = made.nonconforming()
     reports.write(results, tmp_path / "results")
     again = reports.read(tmp_path / "results")

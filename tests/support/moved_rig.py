@@ -6,7 +6,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from tests.support.drawn_rig import SPOT_SIGMA
-from tests.support.scene import facing, sight
+from tests.support.scene import facing, move_camera, sight
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
 from verify.core.rig import Camera, Rig
@@ -38,10 +38,7 @@ def seen_by(
 
 
 def turned(camera: Camera, axis: int, angle_deg: float) -> Camera:
-    mount = camera.mount.copy()
-    turn = Rotation.from_rotvec(np.eye(3)[axis] * np.deg2rad(angle_deg)).as_matrix()
-    mount[:3, :3] = turn @ mount[:3, :3]
-    return replace(camera, mount=mount)
+    return move_camera(camera, f"mount_r{'xyz'[axis]}_deg", np.deg2rad(angle_deg))
 
 
 def stretched(rig: Rig, factor: float) -> Rig:

@@ -42,16 +42,10 @@ SCENARIO = Scenario(
     encoders=ScenarioEncoders(),
     clock=ScenarioClock(),
     uncertainty=ScenarioUncertainty(
-        focal_px=0.1,
-        principal_point_px=0.1,
-        camera_rotation_deg=0.002,
-        base_position_mm=0.1,
-        base_rotation_deg=0.01,
-        led_body_mm=0.03,
-        led_body_deg=0.02,
-        led_mm=0.02,
+        focal_px=0.1, principal_point_px=0.1, camera_rotation_deg=0.002, base_position_mm=0.1,
+        base_rotation_deg=0.01, led_body_mm=0.03, led_body_deg=0.02, led_mm=0.02,
     ),
-)
+)  # fmt: skip
 
 
 @contextmanager

@@ -103,19 +103,13 @@ def _draw(rng: np.random.Generator, arm_name: str, leds: int, pairs: int) -> Sce
 
 def _camera(rng: np.random.Generator) -> ScenarioCamera:
     focal = rng.uniform(950, 1100)
+    both = np.round([focal, focal * rng.uniform(0.997, 1.003)], 1)
+    centre = np.round(np.array([639.5, 359.5]) + rng.uniform(-12, 12, 2), 1)
+    lens = rng.uniform([-0.12, -0.05, -8e-4, -8e-4], [0.05, 0.08, 8e-4, 8e-4])
     return ScenarioCamera(
-        focal_px=(float(np.round(focal, 1)), float(np.round(focal * rng.uniform(0.997, 1.003), 1))),
-        principal_point_px=(
-            float(np.round(639.5 + rng.uniform(-12, 12), 1)),
-            float(np.round(359.5 + rng.uniform(-12, 12), 1)),
-        ),
-        distortion=(
-            float(np.round(rng.uniform(-0.12, 0.05), 3)),
-            float(np.round(rng.uniform(-0.05, 0.08), 3)),
-            float(np.round(rng.uniform(-0.0008, 0.0008), 5)),
-            float(np.round(rng.uniform(-0.0008, 0.0008), 5)),
-            0.0,
-        ),
+        focal_px=tuple(both.tolist()),
+        principal_point_px=tuple(centre.tolist()),
+        distortion=(*np.round(lens[:2], 3).tolist(), *np.round(lens[2:], 5).tolist(), 0.0),
     )
 
 

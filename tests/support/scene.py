@@ -105,6 +105,13 @@ def sight(
     return sides[0], sides[1]
 
 
+def off_axis(camera: Camera) -> Camera:
+    """The camera with its optical centre off its base's axis."""
+    mount = camera.mount.copy()
+    mount[:3, 3] = [0.03, 0.05, -0.04]
+    return replace(camera, mount=mount)
+
+
 def turned(rotation: Array, axis: str, angle: float) -> Array:
     vector = np.eye(3)["xyz".index(axis)] * angle
     return Rotation.from_rotvec(vector).as_matrix() @ rotation

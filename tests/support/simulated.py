@@ -3,7 +3,7 @@
 Small scenarios that several tests start from.
 """
 
-from collections.abc import Generator
+from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,10 +12,13 @@ import msgspec
 import numpy as np
 
 import robots
-from verify.core.records import Array, StereoPair
+from tests.support.scene import sighting
+from verify.core.records import Array, Measurement, Sighting, StereoPair
 from verify.io.series import EncoderSeries, FrameSeries
 from verify.io.session.keys import Clock
 from verify.io.session.session import Session
+from verify.measurement.pose import fit_pose
+from verify.measurement.systematics import Systematics, spot_columns
 from verify.simulation import library
 from verify.simulation.scenario import (
     MultiJoint,
@@ -30,14 +33,10 @@ from verify.simulation.session.simulate import SimulatedSession, simulate_sessio
 
 # a camera with nothing upright or in the middle
 AWKWARD = ScenarioCamera(
-    focal_px=(1012.4, 1003.7),
-    principal_point_px=(655.0, 341.0),
-    distortion=(-0.12, 0.08, 0.002, -0.003, 0.02),
-    pan_axis=(0.05, 0.99, -0.08),
-    pan_zero_deg=1.7,
-    mount_rotation_deg=(3.0, -2.0, 2.0),
-    mount_offset_mm=(4.0, -6.0, 12.0),
-)
+    focal_px=(1012.4, 1003.7), principal_point_px=(655.0, 341.0),
+    distortion=(-0.12, 0.08, 0.002, -0.003, 0.02), pan_axis=(0.05, 0.99, -0.08), pan_zero_deg=1.7,
+    mount_rotation_deg=(3.0, -2.0, 2.0), mount_offset_mm=(4.0, -6.0, 12.0),
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -86,6 +85,41 @@ def in_memory(scenario: Scenario) -> InMemory:
     )
 
 
+SPOT_PX = 0.03
+
+
+def measured_at_spots(
+    session: InMemory,
+    systematics: Systematics,
+    rng: np.random.Generator,
+    spots: list[Array] | None = None,
+    sigma: float = SPOT_PX,
+) -> Iterator[Measurement]:
+    """Fit a pose to the spots of each pair; `spots`, px, (n, LEDs, 2) a side, replace true ones."""
+    rig, marker, played = session.rig, session.marker, session.simulated
+    spots = spots or [played.spots(side) for side in (0, 1)]
+    for i, q in enumerate(session.truth):
+        left, right = (_sighting(played, spots[side][i], side, i, rng, sigma) for side in (0, 1))
+
+        def columns(
+            pose: Array, by_point: Array, pair: tuple[Sighting, Sighting] = (left, right)
+        ) -> Array:
+            return spot_columns(systematics, rig, marker, *pair, pose, by_point)
+
+        start: Array = rig.rig_T_base @ robots.forward(session.arm, q)
+        pose = fit_pose(left, right, rig, marker, start, columns)
+        yield Measurement(i, left.t, "measured", len(marker), pose, left, right)
+
+
+def _sighting(
+    played: SimulatedSession, centre: Array, side: int, index: int, rng: np.random.Generator,
+    sigma: float,
+) -> Sighting:  # fmt: skip
+    noisy = centre + sigma * rng.standard_normal(centre.shape)
+    t, pan = float(played.t[index, side]), float(played.pan[index, side])
+    return sighting(list(range(len(centre))), noisy, sigma, t, pan)
+
+
 HOME_DEG = [30.0, -62.0, 46.0, 8.0, -84.0, 24.0]
 
 
@@ -120,6 +154,11 @@ def sample(**recording: Any) -> Scenario:
     built = library.load("multi_joint_fault_6r")
     changed = msgspec.structs.replace(built.recording, **recording)
     return msgspec.structs.replace(built, recording=changed)
+
+
+def played(**changes: Any) -> SimulatedSession:
+    """That session, played."""
+    return simulate_session(scene(**changes))
 
 
 MINIMAL = """

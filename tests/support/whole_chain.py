@@ -18,9 +18,8 @@ from robots.transforms import difference, invert
 from tests.bench.calibration import deviation
 from tests.bench.cells import Checked, checked
 from tests.support.boards.calibrated import squared_distance
-from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
-from tests.support.simulated import InMemory, in_memory
+from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare
 from verify.analysis.joint_errors import mean_errors, resolve_errors
@@ -312,13 +311,7 @@ def _at_spots(session: InMemory, noise_seed: int) -> tuple[Array, Array]:
     output = session.clock.encoder_offset, session.clock.standard_uncertainty
     readings = Readings(session.encoders.t, session.encoders.q)
     comparison = compare(track, arm, readings, output[0])
-    model = build_model(
-        comparison,
-        track,
-        rig,
-        marker,
-        ClockEstimate(*output, "given", np.zeros((0, 2))),
-        parameters,
-    )
+    clock = ClockEstimate(*output, "given", np.zeros((0, 2)))
+    model = build_model(comparison, track, rig, marker, clock, parameters)
     means = mean_errors(model, resolve_errors(model), parameters)
     return means.mean, means.covariance

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import invert
-from tests.support.noisy_poses import measured_at_spots
 from tests.support.random_scenarios import random_scenario
-from tests.support.simulated import InMemory, in_memory
+from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare, solve_joints
 from verify.analysis.diagnosis.diagnose import Diagnosis
@@ -25,11 +24,7 @@ from verify.analysis.session import session_model
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
-from verify.measurement.systematics import (
-    Systematics,
-    sensitivities,
-    stated_systematics,
-)
+from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
 from verify.measurement.track import Track, collect_track
 from verify.simulation.scenario import (
     MultiJoint,
@@ -44,15 +39,9 @@ PAIRS = 60
 WIDE = 2.0  # times the swings of a plain session
 ATTEMPTS = 50
 STATED = ScenarioUncertainty(
-    focal_px=0.2,
-    principal_point_px=0.2,
-    camera_rotation_deg=0.005,
-    base_position_mm=0.1,
-    base_rotation_deg=0.01,
-    led_body_mm=0.03,
-    led_body_deg=0.02,
-    led_mm=0.02,
-)
+    focal_px=0.2, principal_point_px=0.2, camera_rotation_deg=0.005, base_position_mm=0.1,
+    base_rotation_deg=0.01, led_body_mm=0.03, led_body_deg=0.02, led_mm=0.02,
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -91,12 +80,9 @@ def watched(seed: int) -> Watched:
             swings = [WIDE * a for a in motion.amplitude_deg]
             motion = msgspec.structs.replace(motion, amplitude_deg=swings)
             rig = msgspec.structs.replace(rig, bases="follow")
+        recording = ScenarioRecording(pairs=PAIRS, rate_hz=float(rng.choice([5.0, 10.0])))
         scenario = msgspec.structs.replace(
-            scenario,
-            motion=motion,
-            rig=rig,
-            uncertainty=STATED,
-            recording=ScenarioRecording(pairs=PAIRS, rate_hz=float(rng.choice([5.0, 10.0]))),
+            scenario, motion=motion, rig=rig, uncertainty=STATED, recording=recording
         )
         try:
             session = in_memory(scenario)
@@ -108,11 +94,8 @@ def watched(seed: int) -> Watched:
     else:
         raise RuntimeError(f"{ATTEMPTS} sessions of {arm} drawn, none of them in view")
     if rng.random() < 0.3:
-        session = replace(
-            session,
-            rig=replace(session.rig, base_source="motion"),
-            marker=replace(session.marker, source="motion"),
-        )
+        rig = replace(session.rig, base_source="motion")
+        session = replace(session, rig=rig, marker=replace(session.marker, source="motion"))
     output = session.simulated.scenario.encoders.clock_offset_s
     given = rng.random() < 0.5
     clock = ClockEstimate(

@@ -12,15 +12,23 @@ import reports
 from reports.calibration import document as calibration_document
 from reports.calibration.figures import arrows
 from reports.document import charts
-from reports.document.blocks import Bullets, to_template_data
+from reports.document.blocks import Bullets, collect_figures, to_template_data
 from reports.document.charts import Chart, Line
 from reports.document.formatting import decimals_of, number
 from reports.format import matplotlib
 from reports.registration import document as registration
 from reports.results import Results
 from tests.support.reports import calibration as made
-from tests.support.reports.page import chart_of, document_of, luminance, made_of, strings, tables
-from tests.support.reports.registration import motion
+from tests.support.reports.page import (
+    Page,
+    chart_of,
+    document_of,
+    html_of,
+    luminance,
+    made_of,
+    strings,
+    tables,
+)
 
 
 def words(name: str) -> str:
@@ -161,9 +169,31 @@ def test_text_in_a_cell_contrasts_with_its_colour(value: float, role: str) -> No
 
 
 def test_a_registration_that_does_not_carry_over_is_in_doubt() -> None:
-    given = motion()
+    given = made.motion()
     given.summary["fit"]["held_out_rms_px"] = 0.5
     given.summary["joints"] = []
     section = registration.verdict(given)
     assert to_template_data(section.blocks[0])["tone"] == "undecided"
     assert "held out fit clearly worse" in str(to_template_data(section.blocks[0]))
+
+
+def test_the_verdict_is_the_check_s_and_names_what_is_off() -> None:
+    good, bad = ("".join(Page(html_of(name)).text) for name in ("held", "not_held"))
+    assert "The calibration holds" in good
+    assert "Every figure lies within its uncertainty" in good
+    assert "The calibration does not hold" in bad
+    assert "Scale of known lengths is off by more than the uncertainty explains" in bad
+
+
+def test_each_length_has_its_error_and_uncertainty() -> None:
+    lengths = made_of("not_held").table("lengths")
+    assert (lengths["error_mm"] < 0).all()  # all too short, as the yaw makes them
+    np.testing.assert_allclose(
+        lengths["measured_mm"] - lengths["known_mm"], lengths["error_mm"], atol=1e-12
+    )
+    assert (lengths["standard_uncertainty_mm"] > 0).all()
+
+
+def test_one_pair_of_a_board_shows_its_square_and_no_strips() -> None:
+    assert "over_pairs" not in collect_figures(document_of("board"))
+    assert "Square as measured" in html_of("board")

@@ -38,8 +38,8 @@ def test_every_text_of_the_document_is_on_the_page_in_its_sections(name: str) ->
     assert found == [title.replace("&", "&amp;") for title in titles]
 
 
-def test_only_repeated_poses_have_no_section_where_nothing_is_repeated() -> None:
-    names = [section.name for section in document_of("nonconforming").sections]
+def test_only_repeated_poses_have_no_section_in_results_of_before_they_were_sought() -> None:
+    names = [section.name for section in document_of("nothing").sections]
     assert ("performance" in names, len(names)) == (False, len(SECTIONS) - 1)
 
 

@@ -2,6 +2,7 @@
 
 from typing import Any
 
+import numpy as np
 import pandas as pd
 import pytest
 
@@ -9,8 +10,70 @@ from reports.document.blocks import Facts, collect_figures
 from reports.grasp import figures as grasp_figures
 from reports.grasp.document import document, outcome
 from reports.results import Results
-from tests.support.reports import grasp as made_grasp
 from tests.support.reports.page import tables
+from verify.grasping.control.states import TRANSITIONS, GraspEvent, GraspState
+from verify.grasping.planning.postures import branch_name
+
+SUMMARY: dict[str, Any] = {
+    "kind": "grab", "tool": {"name": "verify", "version": "0.1"}, "robot": "rv_3sd_melfa",
+    "cell": "simulated", "target": "blue object", "execute": True, "state": "lifted",
+    "reason": "the object came along", "released": True, "cycles": 40, "seen_from_grip_mm": 1.2,
+    "seen_from_grip_expanded_uncertainty_mm": 5.4, "seen_raised_mm": 118.2, "film": "grab.mp4",
+    "session": "session", "warnings": [],
+}  # fmt: skip
+MARGIN = {
+    "across_mm": 40.0, "across_needed_mm": 3.0, "along_mm": 12.0, "along_needed_mm": 2.0,
+    "raised_mm": 6.0,
+}  # fmt: skip
+PLACE = [440.0, 1.0, 120.0]
+HAND = {
+    "used": True, "reason": "the LEDs show the hand 0.52 mm ± 0.21 mm (k = 2) off",
+    "pictures": 12, "measured": 8, "told_mm": PLACE, "read_mm": PLACE, "seen_mm": PLACE,
+    "off_mm": [0.1, 0.2, 0.3], "off_expanded_uncertainty_mm": [0.2, 0.2, 0.3],
+}  # fmt: skip
+PLAN = {
+    "branch": branch_name(0), "score": 0.41, "duration_s": 6.2, "margin": MARGIN,
+    "parts": {"limits": 0.8, "dexterity": 0.7, "nearness": 0.9, "clearance": 0.8},
+    "rejected": [{"branch": branch_name(4), "reason": "next to a singularity (wrist)"}],
+}  # fmt: skip
+
+
+def grabbed(changes: dict[str, Any]) -> Results:
+    """A whole grab with other words in its summary: planned, the hand measured, lifted."""
+    tables = {"cycles": _cycles(), "plan": _planned(), "passages": _every_passage()}
+    return Results(SUMMARY | {"plan": PLAN, "hand": HAND} | changes, {}, tables, {})
+
+
+def _cycles() -> pd.DataFrame:
+    """Cycles through every state."""
+    count = SUMMARY["cycles"]
+    t, states = np.linspace(0.0, 8.0, count), [state.value for state in GraspState]
+    columns: dict[str, Any] = {"t_s": t, "quality": 0.8, "took_ms": 5.0}
+    columns["state"] = [states[i * len(states) // count] for i in range(count)]
+    for k, axis in enumerate("xyz"):
+        columns |= {f"target_{axis}_mm": 400.0 + k + t, f"grip_{axis}_mm": 420.0 + k - t}
+        columns[f"u_{axis}_mm"] = 0.4 + 0.01 * t
+    for side in ("left", "right"):
+        columns |= {f"{side}_{name}_px": 30 + t for name in ("x", "y", "width", "height")}
+    for joint in range(1, 7):
+        columns |= {f"q{joint}_deg": joint * t, f"q{joint}_ordered_deg": joint * t + 0.1}
+    return pd.DataFrame(columns)
+
+
+def _planned() -> pd.DataFrame:
+    """A plan of three parts."""
+    t = np.linspace(0.0, 3.0, 30)
+    columns: dict[str, Any] = {"t_s": t, "part": np.repeat(["over", "down", "up"], 10)}
+    columns |= {f"q{joint}_deg": joint * t for joint in range(1, 7)}
+    return pd.DataFrame(columns | {f"grip_{axis}_mm": 400 + t for axis in "xyz"})
+
+
+def _every_passage() -> pd.DataFrame:
+    """Every transition of the table, and every event."""
+    rows = [[0.0, w.source.value, w.event.value, w.target.value, w.because] for w in TRANSITIONS]
+    rows += [[1.0, "idle", event.value, "idle", "started"] for event in GraspEvent]
+    return pd.DataFrame(rows, columns=["t_s", "from_state", "event", "to_state", "reason"])
+
 
 BARE = {"kind": "grab", "robot": "an arm", "target": "blue object", "cell": "simulated"}
 
@@ -59,8 +122,8 @@ def test_the_verdict_names_the_evidence_for_the_lift(
     changes: dict[str, Any], sentence: str | None, fact: str | None
 ) -> None:
     if sentence is not None:
-        assert outcome(made_grasp.SUMMARY | changes).sentence == sentence
-    output = document(made_grasp.results(changes))
+        assert outcome(SUMMARY | changes).sentence == sentence
+    output = document(grabbed(changes))
     (facts,) = [block for block in output.sections[0].blocks if isinstance(block, Facts)]
     assert dict(facts.items).get("Object from the grip point, seen") == fact
     assert "– mm" not in str(facts)
@@ -68,8 +131,8 @@ def test_the_verdict_names_the_evidence_for_the_lift(
 
 def test_small_scores_keep_their_digits() -> None:
     parts = {"limits": 0.45, "dexterity": 0.2319, "nearness": 0.99992, "clearance": 0.001}
-    plan = made_grasp.PLAN | {"score": 0.000104327, "parts": parts}
-    every = tables(document(made_grasp.results({"plan": plan}))).values()
+    plan = PLAN | {"score": 0.000104327, "parts": parts}
+    every = tables(document(grabbed({"plan": plan}))).values()
     (message,) = [str(cell) for table in every for row in table.rows for cell in row
                   if "score 0" in str(cell)]  # fmt: skip
     for words in ("score 0.00010 (", "clearance 0.0010", "dexterity 0.23"):
@@ -77,7 +140,7 @@ def test_small_scores_keep_their_digits() -> None:
 
 
 def test_time_is_written_once_below_panels_that_share_it() -> None:
-    results = made_grasp.results({})
+    results = grabbed({})
     for chart, lowest in (
         (grasp_figures.windows(results), 1),
         (grasp_figures.joints(results), 2),

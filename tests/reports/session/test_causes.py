@@ -14,7 +14,7 @@ from reports.session.combinations import detectable
 from reports.session.headline import headline
 from tests.support.reports import session as made
 
-KINDS = {entry["kind"]: entry for entry in made.every_cause().summary["diagnosis"]}
+KINDS = {entry["kind"]: entry for entry in made.CAUSES}
 UNCLEAR = {
     "joint": None, "kind": "ambiguous", "value": 0.1, "unit": "deg", "explains": 0.3,
     "candidates": [

@@ -1,7 +1,9 @@
 """Hidden offsets and missing statements on the first page and in the setup."""
 
 import shutil
+from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import pytest
@@ -53,40 +55,47 @@ def _results(changes: dict[int, dict[str, Any]], **more: Any) -> Results:
 
 
 MOTION = {"rig": {"base_source": "motion"}, "marker": {"source": "motion"}}
+WRIST = [{"label": "q4+q6", "joints": [4, 6], "why": "singularity"}]
 BLIND = {"encoder_offset_s": None, "source": "none", "observable": False}
-CASES: dict[str, tuple[Results, str, str, str]] = {
+CASES: dict[str, tuple[Callable[[], Results], str, str, str]] = {
     "base and LEDs": (
-        _results({1: UNSEEN, 6: UNSEEN}, setup=MOTION),
+        partial(_results, {1: UNSEEN, 6: UNSEEN}, setup=MOTION),
         "joints 1 and 6",
         "the robot base and the LED positions were found through the same encoders",
         "first give the robot base and the LED positions by a fixture",
     ),
     "LEDs alone": (
-        _results({6: UNSEEN}, setup={"marker": {"source": "motion"}}),
+        partial(_results, {6: UNSEEN}, setup={"marker": {"source": "motion"}}),
         "joint 6",
         "the LED positions were found through the same encoders",
         "first give the LED positions by a fixture",
     ),
     "a tracker's target": (
-        _results({6: UNSEEN}, setup={"marker": {"source": "motion", "point_mm": [0.0, 0.0, 1.0]}}),
+        partial(
+            _results,
+            {6: UNSEEN},
+            setup={"marker": {"source": "motion", "point_mm": [0.0, 0.0, 1.0]}},
+        ),
         "joint 6",
         "the measured point was found through the same encoders",
         "first give the measured point by a fixture",
     ),
     "the clock": (
-        _results({1: UNSEEN | {"visible_fraction_since_registration": 0.0}}, clock=BLIND),
+        partial(_results, {1: UNSEEN | {"visible_fraction_since_registration": 0.0}}, clock=BLIND),
         "joint 1",
         "the motion does not tell it from an offset of the encoder clock",
         "first give the clock offset",
     ),
     "a singularity": (
-        _results({4: {"reason": "not_observable"}}),
+        partial(_results, {4: {"reason": "not_observable"}}, combinations=WRIST),
         "joint 4",
         "near a singularity only the sum q4+q6 is determined",
         "first record poses away from the singularity",
     ),
     "a single LED on the last axis": (
-        _results({6: {"reason": "not_observable", "visible_fraction": None}}, combinations=[]),
+        partial(
+            _results, {6: {"reason": "not_observable", "visible_fraction": None}}, combinations=[]
+        ),
         "joint 6",
         "the measured poses do not determine it",
         "first record other poses",
@@ -96,7 +105,8 @@ CASES: dict[str, tuple[Results, str, str, str]] = {
 
 @pytest.mark.parametrize("name", CASES)
 def test_hidden_offsets_are_stated_with_every_verdict(name: str) -> None:
-    results, named, why, _ = CASES[name]
+    made_results, named, why, _ = CASES[name]
+    results = made_results()
     for verdict in ("conform", "nonconform", "undecided", None):
         message = headline(replace(results, summary=results.summary | {"verdict": verdict}))
         assert f"A constant offset of {named} cannot show here: {why}." in message.remarks, verdict
@@ -104,7 +114,8 @@ def test_hidden_offsets_are_stated_with_every_verdict(name: str) -> None:
 
 @pytest.mark.parametrize("name", CASES)
 def test_an_undecided_verdict_names_what_would_decide_it(name: str) -> None:
-    results, named, _, remedy = CASES[name]
+    made_results, named, _, remedy = CASES[name]
+    results = made_results()
     rows = [
         row | ({"verdict": "undecided"} if row["reason"] == "not_observable" else {})
         for row in results.summary["joints"]

@@ -13,15 +13,14 @@ def _with(results: Results, **summary: Any) -> Results:
     return replace(results, summary=results.summary | summary)
 
 
-OFFSET = made.nonconforming().summary["diagnosis"][0]
-AMBIGUOUS = made.undecided().summary["diagnosis"]
+OFFSET = made.CAUSES[0]
 
 
 @pytest.mark.parametrize(
     ("value", "sentence"),
     [
-        (0.4, "Joint 3 reads 0.400° ± 0.015° (k = 2) too high: add −0.400° to its reading."),
-        (-0.25, "Joint 3 reads 0.250° ± 0.015° (k = 2) too low: add +0.250° to its reading."),
+        (0.4, "Joint 2 reads 0.400° ± 0.015° (k = 2) too high: add −0.400° to its reading."),
+        (-0.25, "Joint 2 reads 0.250° ± 0.015° (k = 2) too low: add +0.250° to its reading."),
     ],
 )
 def test_an_offset_is_stated_with_its_correction(value: float, sentence: str) -> None:
@@ -33,8 +32,8 @@ def test_an_offset_is_stated_with_its_correction(value: float, sentence: str) ->
 @pytest.mark.parametrize(
     ("diagnosis", "parts"),
     [
-        ([OFFSET | {"joint": 5}], ("Joint 3 exceeds ±0.2°", "no single cause")),
-        (AMBIGUOUS, ("offset of joint 3", "offset of joint 4, −0.050° ± 0.060° (k = 2)")),
+        ([OFFSET | {"joint": 5}], ("Joint 2 exceeds ±0.2°", "no single cause")),
+        (made.UNCLEAR, ("offset of joint 3", "offset of joint 4, −0.050° ± 0.060° (k = 2)")),
     ],
     ids=["a cause elsewhere explains nothing", "rivals are both named"],
 )
@@ -44,7 +43,9 @@ def test_an_unclear_cause_is_stated(diagnosis: list[Any], parts: tuple[str, ...]
 
 
 def test_conformity_is_stated_with_its_probability_rounded_down() -> None:
-    message = headline(made.conforming())
+    rows = made.conforming().summary["joints"]
+    unsure = rows[0] | {"conformance_probability": 0.99312}
+    message = headline(_with(made.conforming(), joints=[unsure, *rows[1:]]))
     assert "within ±0.5° at every pose" in message.sentence
     assert "at least 99.3 %" in message.sentence  # 0.99312, rounded down
     assert "no others" in " ".join(message.remarks)
@@ -66,7 +67,7 @@ def test_an_undecided_verdict_names_the_largest_source_to_improve() -> None:
         for row in made.conforming().summary["joints"]
     ]
     message = headline(_with(made.conforming(), verdict="undecided", joints=rows))
-    assert "improve first is relative yaw of the cameras" in message.sentence
+    assert "improve first is LED body, which alone" in message.sentence
 
 
 def test_a_joint_hidden_by_the_clock_requires_the_clock_offset() -> None:
@@ -97,7 +98,7 @@ def test_every_verdict_has_a_sentence_for_any_results(name: str, verdict: str | 
 
 
 def test_backlash_gain_and_eccentricity_have_their_own_sentences() -> None:
-    message = [causes.finding(entry) for entry in made.every_cause().summary["diagnosis"]]
+    message = [causes.finding(entry) for entry in made.CAUSES]
     assert "joint 2's reading turns 0.520 ± 0.040 % (k = 2) more than the joint" in message[1]
     backlash = "joint 4 has 0.310° ± 0.040° (k = 2) of backlash, its encoder on the motor's side"
     assert backlash in message[2]

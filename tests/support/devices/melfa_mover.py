@@ -119,12 +119,8 @@ def under_way(arm: MelfaMover, q: Array) -> None:
     assert begin is not None
     arm.move_joints(q)
     far = float(np.max(np.abs(q - begin)))
-    stepped(
-        arm,
-        lambda status: (
-            status.q is not None and 0.2 * far < np.max(np.abs(status.q - begin)) < 0.8 * far
-        ),
-    )
+    low, high = 0.2 * far, 0.8 * far
+    stepped(arm, lambda s: s.q is not None and low < np.max(np.abs(s.q - begin)) < high)
 
 
 def names(engine: MelfaEngine) -> list[str]:

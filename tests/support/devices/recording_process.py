@@ -1,8 +1,7 @@
 """A recording process to be killed: prints the pairs that it has handed on, of what time,
 and how many of them before they were on the disk.
 
-python -m tests.support.devices.recording_process FOLDER RATE    pairs of noise
-python -m tests.support.devices.recording_process FOLDER sim     the simulated station
+python -m tests.support.devices.recording_process FOLDER RATE
 """
 
 import sys
@@ -57,47 +56,9 @@ def of_noise(folder: Path, rate: float) -> None:
             yield pair(number, t)
             number += 1
 
-    hand_on(recorder, pairs())
-
-
-def of_the_simulated_station(folder: Path) -> None:
-    """The template's station; cameras are read one after the other, which 15 Hz allows."""
-    # here: a process that records noise begins sooner without
-    from verify.live.station import file
-    from verify.live.station.station import open_station
-    from verify.simulation.devices.station import SimulatedStation
-
-    folder.mkdir(parents=True)
-    text = file.template().replace("rate_hz = 30.0", "rate_hz = 15.0")
-    (folder / "station.toml").write_text(text)
-    station = open_station(folder / "station.toml", SimulatedStation)
-    recorder, rig = station.open_recorder(), station.rig
-    left, right = station.open_cameras()
-    encoders = station.open_encoders()
-
-    def pairs() -> Iterator[CapturedPair]:
-        number = 0
-        while True:
-            pictures = left.read(), right.read()
-            for came in encoders.read():
-                recorder.reading(came)
-            if pictures[0] is None or pictures[1] is None:
-                continue
-            one, other = pictures
-            assert one.sequence == other.sequence
-            pans = (rig.left.pan, rig.right.pan)
-            yield CapturedPair(number, one.t, other.t, *pans, one.image, other.image)
-            number += 1
-
-    hand_on(recorder, pairs())
-
-
-def hand_on(recorder: SessionRecorder, pairs: Iterator[CapturedPair]) -> None:
-    for kept in recorder.keep(pairs):
+    for kept in recorder.keep(pairs()):
         print(kept.frame, kept.t_left, recorder.state().late, flush=True)
 
 
 if __name__ == "__main__":
-    if sys.argv[2] == "sim":
-        of_the_simulated_station(Path(sys.argv[1]))
     of_noise(Path(sys.argv[1]), float(sys.argv[2]))

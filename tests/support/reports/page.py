@@ -17,7 +17,7 @@ from reports.document.charts import Chart, Path
 from reports.format import pdf as pdf_format
 from reports.render import DOCUMENTS
 from reports.results import Results
-from tests.support.reports import boards, check, fleet, registration, session
+from tests.support.reports import calibration, fleet, session
 
 
 def tables(of: Document) -> dict[str, Table]:
@@ -33,11 +33,11 @@ def tables(of: Document) -> dict[str, Table]:
 LIBRARY = get_plotlyjs()  # left out of what is tested: five million letters
 EVERY: dict[str, Callable[[], Results]] = {
     **session.EVERY,
-    "good": boards.good, "doubtful": boards.doubtful,
+    "good": calibration.good, "doubtful": calibration.doubtful,
     "uncalibrated": partial(Results, {"kind": "calibration"}, {}, {}),
-    "motion": registration.motion, "fixture": registration.fixture,
+    "motion": calibration.motion, "fixture": calibration.fixture,
     "bare": partial(Results, {"kind": "registration"}, {}, {}),
-    "held": check.held, "not_held": check.not_held, "board": check.board,
+    "held": calibration.held, "not_held": calibration.not_held, "board": calibration.board,
     "unchecked": partial(Results, {"kind": "calibration", "method": "check"}, {}, {}),
     "fleet": fleet.changed,
 }  # fmt: skip

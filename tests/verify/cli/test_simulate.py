@@ -48,8 +48,3 @@ def test_a_scenario_that_cannot_be_played_leaves_nothing_behind(
     with pytest.raises(InputError, match=words):
         simulate(str(path), tmp_path / "out")
     assert [p.name for p in tmp_path.iterdir()] == ["mine.toml"]
-
-
-def test_an_unknown_scenario_lists_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"did you mean.*multi_joint_fault_6r"):
-        simulate("multi_joint_fault", tmp_path / "out")

@@ -13,7 +13,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from websockets.exceptions import ConnectionClosed, InvalidStatus
 from websockets.sync.client import connect
 
 from tests.support.grasp.page import STANDS, Cell, grabbing
@@ -146,7 +145,7 @@ BAD = [
 
 
 @pytest.mark.realtime
-def test_bad_messages_and_other_origins_are_refused_and_change_nothing() -> None:
+def test_bad_messages_are_refused_and_change_nothing() -> None:
     with grabbing(selects=True) as cell, cell.line() as line:
         cell.until(lambda: cell.state is GraspState.SEARCHING)
         for text in BAD:
@@ -158,10 +157,6 @@ def test_bad_messages_and_other_origins_are_refused_and_change_nothing() -> None
         assert row["stops"] == 0
         line.send("select left 20,20,40,40")  # a refusal is shown
         latest(line, lambda row: "no colour that its surroundings have not" in row["answer"])
-        with pytest.raises((InvalidStatus, ConnectionClosed)):  # noqa: SIM117, PT012
-            with connect(f"ws://127.0.0.1:{cell.port}/live", origin="null") as other:
-                other.send("hold")
-                other.recv(timeout=5)
         cell.turns(3)
         assert cell.page._requests.stops == 0
         assert cell.state is GraspState.SEARCHING

@@ -1,4 +1,4 @@
-"""The clock while it runs: drift followed, jumps believed, resets begun anew."""
+"""The clock while it runs and its readings: drift followed, jumps believed, resets begun anew."""
 
 from dataclasses import replace
 
@@ -10,7 +10,7 @@ from tests.support.spot_level import OFFSET, SpotRun, facing_rig
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.devices.protocols import EncoderReading
 from verify.live.alarms.joints import AlarmLimits
-from verify.live.buffers import ReadingBuffer
+from verify.live.buffers import ReadingBuffer, ReadingSeries
 from verify.live.clock import U_ARRIVAL, ClockLine, clock_from_arrivals
 
 
@@ -109,6 +109,35 @@ def test_no_one_waits_longer_than_agreed_for_a_reading() -> None:
     assert book.wait_past(1.0, deadline=0.0) is None
     found = book.wait_past(0.0, deadline=0.0)
     assert found.t == 0.0
+
+
+def test_a_series_of_readings_holds_what_a_list_would() -> None:
+    rng, store, kept = np.random.default_rng(4), ReadingSeries(), []
+    assert store.copied(0) is None
+    for number in range(3000):
+        q = rng.normal(size=6)
+        store.add(0.01 * number, q)
+        kept.append((0.01 * number, q))
+        if number % 7 == 0:
+            store.drop_before(0.01 * (number - 500))
+            kept = [row for row in kept if row[0] >= 0.01 * (number - 500)]
+        if number % 101 == 0:
+            begin = int(rng.integers(0, len(kept)))
+            copied = store.copied(begin)
+            assert copied.t.tolist() == [t for t, _ in kept[begin:]]
+            np.testing.assert_array_equal(copied.q, [q for _, q in kept[begin:]])
+    assert store.copied(len(kept)) is None
+
+
+def test_readings_that_were_copied_stay_as_they_were() -> None:
+    store = ReadingSeries()
+    store.add(1.0, np.ones(6))
+    copied = store.copied(0)
+    store.clear()
+    store.add(2.0, np.zeros(6))
+    assert copied.t.tolist() == [1.0]
+    assert copied.q.tolist() == [[1.0] * 6]
+    assert store.t.tolist() == pytest.approx([2.0])
 
 
 def test_the_offset_is_found_while_the_robot_moves() -> None:

@@ -45,7 +45,6 @@ class Stage:
     run: SpotRun
     began: float = field(default_factory=time.monotonic)
     away: dict[str, tuple[float, float]] = field(default_factory=dict)
-    reset_at: float = float("inf")
     ends_at: float = float("inf")
 
     def now(self) -> float:
@@ -99,9 +98,7 @@ class PlayedEncoders:
             if self._stage.gone("encoders"):
                 continue
             t_host = self._stage.began + self._number * READ_EVERY
-            segment = int(reading.t_host >= self._stage.reset_at)
-            t = reading.t - 7.0 * segment
-            found.append(EncoderReading(t, t_host, 50e-6, segment, reading.q))
+            found.append(EncoderReading(reading.t, t_host, 50e-6, 0, reading.q))
         if found:
             self._last = time.monotonic()
         return found
@@ -263,17 +260,6 @@ def test_silent_encoders_leave_pairs_without_error_and_are_named() -> None:
     assert [a.device for a in listener.alarms if a.kind == "device"] == ["encoders"]
     late = [r for r in listener.rows if r.status == "no_encoder"]
     assert all(np.isnan(r.error).all() for r in late)
-
-
-@pytest.mark.realtime
-def test_a_reset_controller_begins_a_new_clock_without_an_alarm() -> None:
-    _, _, listener = watched(5.0, stage(reset_at=2.5))
-    segments = [r.clock.segment for r in listener.rows if r.clock is not None]
-    assert segments[0] == 0
-    assert segments[-1] == 1
-    assert not [a for a in listener.alarms if a.kind == "change"]
-    late = [r for r in listener.rows[-5:] if r.status == "measured"]
-    assert np.nanmax(np.abs(np.rad2deg([r.error[0] for r in late]))) < 0.5
 
 
 @pytest.mark.realtime

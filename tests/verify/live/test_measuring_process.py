@@ -70,10 +70,8 @@ def test_a_lost_process_costs_no_pair_and_is_reported(
         found = list(process.measure(given(process), nothing))
     assert [m.frame for m in found if not m.settled] == list(range(PAIRS))
     # the last pair before the loss has no successor to settle it
-    assert [m.frame for m in found if m.settled] == [
-        *range(LOST_AFTER - 1),
-        *range(LOST_AFTER, PAIRS),
-    ]
+    settled = [m.frame for m in found if m.settled]
+    assert settled == [*range(LOST_AFTER - 1), *range(LOST_AFTER, PAIRS)]
     assert all(m.status == "measured" for m in found)
     before = 2 * LOST_AFTER - 1
     alike(found[:before], here[:before])

@@ -1,7 +1,8 @@
 """What an emulated Robotiq 3-finger gripper controls: fingers, scissor axis, and what is between.
 
 Register layout, states and faults: Robotiq 3-Finger Adaptive Robot Gripper Instruction Manual,
-section 4. A position is 0 (open) to 255 (closed), as a real number inside.
+section 4; fingers are ordered together, not singly. A position is 0 (open) to 255 (closed), as a
+real number inside.
 """
 
 from dataclasses import dataclass
@@ -53,37 +54,23 @@ class GripperOutputs:
     mode: int
     go: bool
     release: bool
-    request: Array  # (4,), positions of A, B, C and scissor as asked for, before any limit
-    speed: Array  # (4,), positions a second
-    echo: tuple[int, int, int, int]  # gPRA to gPRS
+    request: int  # position as asked for, before any limit
+    speed: float  # positions a second
     driven: tuple[bool, bool, bool, bool]  # the axes that the request moves
 
 
 def decode_outputs(outputs: bytes) -> GripperOutputs:
     """Read the 16 output bytes."""
-    action, options = outputs[0], outputs[1]
-    mode, singly, scissor_singly = action >> 1 & 3, bool(options & 4), bool(options & 8)
-    triples = [outputs[3 + 3 * axis : 6 + 3 * axis] for axis in range(4)]
-    if not singly:
-        triples[1] = triples[2] = triples[0]
-    if not scissor_singly:
-        triples[3] = triples[0]
-    scissor = scissor_singly or mode == SCISSOR_MODE
-    fingers = mode != SCISSOR_MODE or singly
+    action, mode = outputs[0], outputs[0] >> 1 & 3
+    fingers = mode != SCISSOR_MODE
     return GripperOutputs(
         bool(action & 1),
         mode,
         bool(action & 8),
         bool(action & 16),
-        np.array([triple[0] for triple in triples], dtype=float),
-        np.array([speed_in_positions(triple[1]) for triple in triples]),
-        (
-            outputs[3],
-            outputs[6] if singly else 0,
-            outputs[9] if singly else 0,
-            outputs[12] if scissor_singly else 0,
-        ),
-        (fingers, fingers, fingers, scissor),
+        outputs[3],
+        speed_in_positions(outputs[4]),
+        (fingers, fingers, fingers, not fingers),
     )
 
 
@@ -171,7 +158,8 @@ class GripperHand:
         for axis in range(4):
             moving = self.stage is GripperStage.READY and orders.go and codes[axis] == 0
             current = CURRENT_MOVING if moving else 0
-            answer += bytes([orders.echo[axis], round(self.position[axis]), current])
+            echo = 0 if axis else orders.request
+            answer += bytes([echo, round(self.position[axis]), current])
         return bytes(answer) + b"\0"
 
     def _update_stage(self, t: float) -> None:
@@ -221,7 +209,7 @@ class GripperHand:
         arrived = self.position == reachable
         return np.where(arrived, np.where(reachable < goal, 2, 3), 0)
 
-    def _move(self, goal: Array, speed: Array, seconds: float) -> None:
+    def _move(self, goal: Array, speed: Array | float, seconds: float) -> None:
         step = np.clip(goal - self.position, -speed * seconds, speed * seconds)
         close = np.abs(goal - self.position) <= speed * seconds
         self.position = np.where(close, goal, self.position + step)

@@ -11,8 +11,7 @@ from scipy.stats import chi2
 
 from robots.transforms import rotation_exp
 from tests.support.motions import HOME
-from tests.support.noisy_poses import measured_at_spots
-from tests.support.simulated import InMemory, in_memory, sample
+from tests.support.simulated import InMemory, in_memory, measured_at_spots, sample
 from verify.analysis.sweeps.segments import find_sweeps
 from verify.calibration.axes.axis import fit_axis
 from verify.calibration.axes.table import SweepResult, axes_from_sweeps

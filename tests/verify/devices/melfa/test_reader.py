@@ -1,5 +1,4 @@
 import re
-import socket
 import time
 from pathlib import Path
 from typing import Any
@@ -160,25 +159,6 @@ def test_a_port_that_vanishes_is_named_and_taken_up_again(kind: str, tmp_path: P
         gather(encoders, lambda _: not encoders.state().connected)
         assert f"{emulated.address}: not connected: " in encoders.state().sentence
         require_true(gather(encoders, lambda found: len(found) >= 3), emulated)
-
-
-@pytest.mark.realtime
-def test_a_second_reader_is_refused() -> None:
-    with running(controller()) as emulated:
-        first, second = driver(emulated.address), driver(emulated.address)
-        gather(first, lambda found: len(found) >= 2)
-        gather(second, lambda _: "another program may have the line" in second.state().sentence)
-        gather(first, lambda found: len(found) >= 2)
-
-
-@pytest.mark.realtime
-def test_a_missing_controller_is_reported() -> None:
-    with socket.create_server(("127.0.0.1", 0)) as unused:
-        port = unused.getsockname()[1]
-    encoders = driver(f"tcp:127.0.0.1:{port}")
-    gather(encoders, lambda _: "nobody listens there" in encoders.state().sentence)
-    missing = driver("/dev/there-is-none")
-    gather(missing, lambda _: "is it plugged in" in missing.state().sentence)
 
 
 @pytest.mark.realtime

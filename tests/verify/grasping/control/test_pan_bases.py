@@ -11,8 +11,8 @@ import pytest
 
 from robots.transforms import carry, invert
 from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
+from tests.support.scene import off_axis
 from verify.cli.grab.station import LivePairs
-from verify.core.rig import Camera
 from verify.devices.protocols import CameraFrame, DeviceState, PanReading
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import LoopCycle
@@ -118,12 +118,6 @@ class GivenPan(Given):
         return [self.things.popleft()] if self.things else []  # type: ignore[list-item]
 
 
-def pairs(pan: GivenPan) -> tuple[LivePairs, list[GivenCamera]]:
-    cameras = [GivenCamera(), GivenCamera()]
-    live = LivePairs((cameras[0], cameras[1]), pan, SETUP.rig, 30.0, 100.0)  # type: ignore[arg-type]
-    return live, cameras
-
-
 def frame(t: float) -> CameraFrame:
     return CameraFrame(t, 1e-3, np.zeros((4, 4, 3), np.uint8), raw=None, sequence=0)
 
@@ -143,7 +137,8 @@ def reading(t: float, left: float, *, moving: bool = False) -> PanReading:
 @pytest.mark.realtime
 def test_a_stations_pairs_carry_the_angles_of_their_instant_and_none_of_a_turning_base() -> None:
     pan = GivenPan(*(reading(101.0 + 0.01 * i, 0.02) for i in range(60)))
-    live, cameras = pairs(pan)
+    cameras = (GivenCamera(), GivenCamera())
+    live = LivePairs(cameras, pan, SETUP.rig, 30.0, 100.0)  # type: ignore[arg-type]
     try:
         assert soon(lambda: None if pan.things else True)
         for camera in cameras:
@@ -171,16 +166,9 @@ def test_a_stations_pairs_carry_the_angles_of_their_instant_and_none_of_a_turnin
     assert all(camera.closed for camera in cameras)
 
 
-def offset(camera: Camera) -> Camera:
-    """A camera whose optical centre is off its base's axis."""
-    mount = np.eye(4)
-    mount[:3, 3] = [0.03, 0.05, -0.04]
-    return replace(camera, mount=mount)
-
-
 def test_the_arm_keeps_away_from_every_place_that_a_turning_camera_can_have() -> None:
     rig = SETUP.rig
-    moved = replace(rig, left=offset(rig.left), right=offset(rig.right))
+    moved = replace(rig, left=off_axis(rig.left), right=off_axis(rig.right))
     arm, cell = SETUP.planner.arm, cell_setup(SMALL_SIZE).cell
     turning = planner_with_cameras(arm, cell, moved, turning=True).workspace
     q = np.random.default_rng(3).uniform(arm.lower, arm.upper, (40, arm.dof))

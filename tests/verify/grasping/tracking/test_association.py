@@ -58,10 +58,6 @@ def watched(*others: StereoObject) -> Film:
     return film
 
 
-def test_one_object_of_the_colour_is_found_after_a_few_pairs() -> None:
-    assert Film().statuses(seen(*HERE), 4) == ["searching", "searching", "tracked", "tracked"]
-
-
 @pytest.mark.parametrize(
     ("hidden", "place"), [(60, HERE), (900, (0.4, 0.1, 0.9))], ids=["in place", "anywhere, later"]
 )

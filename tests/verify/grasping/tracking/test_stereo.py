@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 
-import cv2
 import numpy as np
 import pytest
 
+from tests.support.boards.calibrated import moved
 from tests.support.scene import make_rig, project
 from verify.core.records import Array
 from verify.core.rig import Covariance, Rig
@@ -102,21 +102,10 @@ def erring(rig: Rig, rng: np.random.Generator) -> Rig:
     """A rig whose stated parameters are off by a draw; small rotations act on the left."""
     mixed = np.linalg.cholesky(np.array([[1.0, 0.4], [0.4, 1.0]])) @ rng.normal(size=2)
     draws = dict(zip(STATED, [*mixed, *rng.normal(size=4)], strict=True))
-    off = {name: draws[name] * sigma for name, sigma in STATED.items()}
-    left, right = rig.left.matrix.copy(), rig.right.matrix.copy()
-    left[0, 0] += off["left.fx_px"]
-    left[0, 2] += off["left.cx_px"]
-    right[1, 2] += off["right.cy_px"]
-    lens = rig.left.distortion + np.array([off["left.k1"], 0, 0, 0, 0])
-    mount = rig.right.mount.copy()
-    turn = cv2.Rodrigues(np.array([0.0, np.deg2rad(off["right.mount_ry_deg"]), 0.0]))[0]
-    mount[:3, :3] = turn @ mount[:3, :3]
-    centre = rig.right.pan_center + np.array([1e-3 * off["right.pan_center_x_mm"], 0, 0])
-    return replace(
-        rig,
-        left=replace(rig.left, matrix=left, distortion=lens),
-        right=replace(rig.right, matrix=right, mount=mount, pan_center=centre),
-    )
+    units = {"_mm": 1e-3, "deg": np.pi / 180}
+    for name, sigma in STATED.items():
+        rig = moved(rig, name, draws[name] * sigma * units.get(name[-3:], 1.0))
+    return rig
 
 
 def test_what_the_rig_states_of_itself_is_carried_to_the_point() -> None:

@@ -19,7 +19,6 @@ from verify.calibration.corners.folder import find_boards
 from verify.cli.calibrate.live import BoardRunOptions, board_of, take_pictures
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array, StereoPair
-from verify.devices.protocols import CameraSettings
 from verify.errors import InputError
 from verify.io.board.folder import open_board_folder
 from verify.live.boards import pictures as boards_pictures
@@ -41,7 +40,6 @@ from verify.live.station.keys import SimSettings
 from verify.simulation import library
 from verify.simulation.boards.cameras import BoardCameras
 from verify.simulation.boards.simulate import board_pairs, simulate_boards
-from verify.simulation.devices.scene import SimClock
 from verify.simulation.scenario import BoardScenario
 from verify.simulation.world.bench import rigid
 
@@ -299,24 +297,6 @@ def test_the_written_station_file_shows_boards_to_its_own_cameras() -> None:
     assert cameras.scene.boards.scenario.rig.left == session.rig.left
     assert not np.ptp(cameras.scene.boards.pan, axis=0).any()
     cameras.scene.close()
-
-
-def test_simulated_cameras_take_their_pictures_together() -> None:
-    now = [0.0]
-
-    def sleep(seconds: float) -> None:
-        now[0] += seconds
-
-    clock = SimClock(1.0, lambda: now[0], sleep)
-    cameras = BoardCameras(SimSettings("boards_turning"), turning=True, clock=clock)
-    left, right = (cameras.camera(side, CameraSettings("sim")) for side in range(2))
-    taken = 0
-    while taken < 2:
-        one, other = left.read(), right.read()
-        if one is not None and other is not None:
-            assert abs(one.t - other.t) < 0.25
-            taken += 1
-    left.close()
 
 
 def test_pairs_are_taken_unattended_and_are_what_a_calibration_reads(

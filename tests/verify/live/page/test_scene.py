@@ -8,9 +8,10 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from tests.support.grasp.cells import quick_cell
+from tests.support.scene import off_axis
 from tests.support.spot_level import HOME, facing_rig
 from verify.core.records import Array, Measurement, StereoPair
-from verify.core.rig import Camera, Rig
+from verify.core.rig import Rig
 from verify.grasping.control.run import StopConditions, run
 from verify.grasping.page import GraspFacts, GraspPageSource
 from verify.live.buffers import PanBuffer
@@ -43,12 +44,6 @@ def assert_drawn(
     for drawn, pose in zip(cameras, expected, strict=True):
         np.testing.assert_allclose(drawn["rotation"], pose[:3, :3], atol=turn)
         np.testing.assert_allclose(drawn["at_mm"], 1e3 * pose[:3, 3], atol=mm)
-
-
-def off_axis(camera: Camera) -> Camera:
-    mount = camera.mount.copy()
-    mount[:3, 3] += [0.03, 0.05, -0.04]
-    return replace(camera, mount=mount)
 
 
 def test_a_run_draws_them_as_they_stood_for_the_pair_on_the_page() -> None:

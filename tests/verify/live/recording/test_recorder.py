@@ -113,7 +113,7 @@ def test_jpegs_go_to_the_file_as_they_came_and_are_read_as_they_were_measured(
     assert all(p.left_raw is not None and p.left_raw in data for p in pairs)
 
 
-def start(folder: Path, rate: float | str) -> subprocess.Popen[str]:
+def start(folder: Path, rate: float) -> subprocess.Popen[str]:
     return subprocess.Popen(
         [sys.executable, "-m", "tests.support.devices.recording_process", str(folder), str(rate)],
         cwd=ROOT, stdout=subprocess.PIPE, text=True,

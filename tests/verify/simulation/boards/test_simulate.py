@@ -210,8 +210,6 @@ MINIMAL = "format = 1\nseed = 1\n[boards]\npairs = 2\n"
     ("extra", "words"),
     [
         ("square = 30.0\n", "square_mm.*boards_turning.toml shows every key"),
-        ("inner_corners = [9, 2]\n", "inner_corners"),
-        ("tilt_deg = 90.0\n", "tilt_deg"),
         ("[bases]\nrange = 20.0\n", "range_deg"),
         ("distance_mm = [900.0, 600.0]\n", "distance_mm.*the nearest comes first"),
         ("distance_mm = [150.0, 160.0]\n", "no place shows the whole board"),

@@ -69,24 +69,6 @@ def test_nothing_is_taken_without_controls_or_beyond_a_limit() -> None:
         mover.stream(SETUP.home + 4.0 * np.eye(6)[0])
 
 
-@pytest.mark.parametrize("between", [0.0, 0.03])
-def test_fingers_stop_at_an_object_and_report_it(between: float) -> None:
-    now = [0.0]
-    hand = CellHand(0.07)
-    gripper = SimGripper(hand, lambda: now[0], RIGHT)
-    gripper.activate()
-    states = []
-    hand.between = between
-    for _ in range(120):
-        now[0] += 1 / RATE
-        hand.advance(1 / RATE)
-        states.append(gripper.step().state)
-        if states[-1] is GripperState.READY:
-            gripper.close_to(0.0)
-    assert hand.opening == pytest.approx(between)
-    assert states[-1] is (GripperState.GRIPPED if between else GripperState.REACHED)
-
-
 def test_an_object_that_slips_out_is_reported_as_lost() -> None:
     now = [0.0]
     hand = CellHand(0.07)

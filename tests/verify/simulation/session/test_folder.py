@@ -9,7 +9,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 import robots
-from tests.support.simulated import scene
+from tests.support.simulated import played, scene
 from verify.core.records import Image
 from verify.io.session.session import open_session
 from verify.simulation.scenario import (
@@ -22,23 +22,21 @@ from verify.simulation.scenario import (
     ScenarioUncertainty,
 )
 from verify.simulation.session.folder import write_session
-from verify.simulation.session.simulate import SimulatedSession, simulate_session
+from verify.simulation.session.simulate import SimulatedSession
 
 RECORDING = ScenarioRecording(pairs=8, rate_hz=10.0, skew_s=0.003, dropped=[2, 5])
 
 
 def rich_session() -> SimulatedSession:
-    return simulate_session(
-        scene(
-            recording=RECORDING,
-            rig=ScenarioRig(bases="follow"),
-            encoders=ScenarioEncoders(resolution_deg=0.01, clock_offset_s=0.05),
-            clock=ScenarioClock(encoder_offset_standard_uncertainty_s=0.001),
-            tolerance=ScenarioTolerance(joints_deg=0.2, position_mm=1.0),
-            uncertainty=ScenarioUncertainty(
-                focal_px=0.2, base_rotation_deg=0.02, led_body_mm=0.05, led_mm=0.05, pan_deg=0.01
-            ),
-        )
+    return played(
+        recording=RECORDING,
+        rig=ScenarioRig(bases="follow"),
+        encoders=ScenarioEncoders(resolution_deg=0.01, clock_offset_s=0.05),
+        clock=ScenarioClock(encoder_offset_standard_uncertainty_s=0.001),
+        tolerance=ScenarioTolerance(joints_deg=0.2, position_mm=1.0),
+        uncertainty=ScenarioUncertainty(
+            focal_px=0.2, base_rotation_deg=0.02, led_body_mm=0.05, led_mm=0.05, pan_deg=0.01
+        ),
     )
 
 
@@ -96,9 +94,7 @@ def test_a_folder_holds_the_sessions_own_numbers_and_reads_back(tmp_path: Path) 
 @pytest.mark.parametrize("colour", [False, True])
 def test_the_video_is_lossless(tmp_path: Path, colour: bool) -> None:
     image = ScenarioImage(colour=colour, background_dn=30.0, black_level_dn=5.0)
-    session = simulate_session(
-        scene(recording=ScenarioRecording(pairs=2, rate_hz=5.0), image=image)
-    )
+    session = played(recording=ScenarioRecording(pairs=2, rate_hz=5.0), image=image)
     write_session(session, tmp_path)
     for side, name in enumerate(("left.mkv", "right.mkv")):
         images = decoded(tmp_path / name)
@@ -110,7 +106,7 @@ def test_the_video_is_lossless(tmp_path: Path, colour: bool) -> None:
 
 def test_pictures_can_be_numbered_png_files(tmp_path: Path) -> None:
     recording = msgspec.structs.replace(RECORDING, format="png")
-    session = simulate_session(scene(recording=recording))
+    session = played(recording=recording)
     write_session(session, tmp_path)
     assert tomllib.loads((tmp_path / "session.toml").read_text())["left"] == "left"
     names = sorted(p.name for p in (tmp_path / "left").iterdir())
@@ -125,7 +121,7 @@ def test_the_same_scenario_writes_the_same_bytes_and_another_seed_other_ones(
     recording = ScenarioRecording(pairs=2, rate_hz=5.0)
     for name, seed in (("one", 1), ("again", 1), ("other", 2)):
         (tmp_path / name).mkdir()
-        write_session(simulate_session(scene(recording=recording, seed=seed)), tmp_path / name)
+        write_session(played(recording=recording, seed=seed), tmp_path / name)
     for path in (tmp_path / "one").iterdir():
         assert path.read_bytes() == (tmp_path / "again" / path.name).read_bytes(), path.name
     for name in ("left.mkv", "encoders.csv", "truth.csv"):
@@ -136,8 +132,8 @@ def test_the_same_scenario_writes_the_same_bytes_and_another_seed_other_ones(
 def test_a_robots_own_file_travels_with_the_session(tmp_path: Path) -> None:
     known = Path(robots.__file__).parent / "iust_6r.toml"
     (tmp_path / "rig.toml").write_bytes(known.read_bytes())  # an awkward name on purpose
-    session = simulate_session(
-        scene(robot=str(tmp_path / "rig.toml"), recording=ScenarioRecording(pairs=1, rate_hz=5.0))
+    session = played(
+        robot=str(tmp_path / "rig.toml"), recording=ScenarioRecording(pairs=1, rate_hz=5.0)
     )
     out = tmp_path / "out"
     out.mkdir()
@@ -151,9 +147,7 @@ def test_visits_far_apart_log_encoders_around_each_visit_only(tmp_path: Path) ->
     from verify.simulation.scenario import Visits
 
     table = Visits(home_deg=scene().motion.home_deg, amplitude_deg=[8.0] * 6)
-    session = simulate_session(
-        scene(motion=table, recording=ScenarioRecording(pairs=5, rate_hz=0.02))
-    )
+    session = played(motion=table, recording=ScenarioRecording(pairs=5, rate_hz=0.02))
     assert np.all(np.diff(session.t[:, 0]) == pytest.approx(50.0))
     distance = np.abs(session.encoder_t[:, None] - session.t[:, 0]).min(axis=1)
     assert distance.max() <= 0.61

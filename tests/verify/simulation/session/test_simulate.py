@@ -2,10 +2,10 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.support.simulated import scene
+from tests.support.simulated import played
 from verify.core.records import Array
 from verify.simulation.scenario import ScenarioEncoders, ScenarioFault, ScenarioRecording
-from verify.simulation.session.simulate import SimulatedSession, simulate_session
+from verify.simulation.session.simulate import SimulatedSession
 
 # Encoders tick every 20 ms from 0 and pairs fall on ticks: reading and truth at one instant.
 RECORDING = ScenarioRecording(pairs=60, rate_hz=25.0)
@@ -20,12 +20,12 @@ def error_deg(session: SimulatedSession) -> tuple[Array, Array, Array]:
     return np.degrees(session.encoder_q[at]) - truth, truth, direction
 
 
-def played(*faults: ScenarioFault) -> SimulatedSession:
-    return simulate_session(scene(recording=RECORDING, fault=list(faults)))
+def faulty(*faults: ScenarioFault) -> SimulatedSession:
+    return played(recording=RECORDING, fault=list(faults))
 
 
 def test_each_fault_is_what_the_interface_defines_and_leaves_the_other_joints_alone() -> None:
-    session = played(
+    session = faulty(
         ScenarioFault(joint=1, offset_deg=0.4),
         ScenarioFault(joint=2, gain=0.01),
         ScenarioFault(joint=3, backlash_deg=0.6),
@@ -46,7 +46,7 @@ def test_each_fault_is_what_the_interface_defines_and_leaves_the_other_joints_al
 
 def test_faults_of_one_joint_add_up() -> None:
     error, truth, _ = error_deg(
-        played(
+        faulty(
             ScenarioFault(joint=5, offset_deg=0.2),
             ScenarioFault(joint=5, offset_deg=0.1, gain=-0.02),
         )
@@ -56,7 +56,7 @@ def test_faults_of_one_joint_add_up() -> None:
 
 def test_the_clock_offset_is_what_brings_encoder_time_to_camera_time() -> None:
     encoders = ScenarioEncoders(noise_deg=0.0, clock_offset_s=0.137, clock_drift_ppm=200.0)
-    session = simulate_session(scene(recording=RECORDING, encoders=encoders))
+    session = played(recording=RECORDING, encoders=encoders)
     # the offset grows with the cameras' time: t = stamp + offset + drift t
     t = session.encoder_t + 0.137
     for _ in range(5):
@@ -67,18 +67,14 @@ def test_the_clock_offset_is_what_brings_encoder_time_to_camera_time() -> None:
 
 
 def test_readings_are_multiples_of_the_resolution() -> None:
-    session = simulate_session(
-        scene(encoders=ScenarioEncoders(noise_deg=0.01, resolution_deg=0.05))
-    )
+    session = played(encoders=ScenarioEncoders(noise_deg=0.01, resolution_deg=0.05))
     counts = np.degrees(session.encoder_q) / 0.05
     assert_allclose(counts, np.round(counts), atol=1e-8)
 
 
 def test_encoder_noise_has_the_stated_spread() -> None:
     exact, noisy = (
-        simulate_session(
-            scene(recording=RECORDING, encoders=ScenarioEncoders(noise_deg=noise, rate_hz=500.0))
-        )
+        played(recording=RECORDING, encoders=ScenarioEncoders(noise_deg=noise, rate_hz=500.0))
         for noise in (0.0, 0.02)
     )
     spread = np.degrees(noisy.encoder_q - exact.encoder_q)

@@ -1,12 +1,10 @@
-""""""
-
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import j1
 
 import robots
-from tests.support.simulated import AWKWARD, scene
+from tests.support.simulated import AWKWARD, played
 from verify.core.records import Array
 from verify.core.rig import Camera
 from verify.simulation.scenario import (
@@ -17,7 +15,6 @@ from verify.simulation.scenario import (
     ScenarioRig,
     ScenarioUncertainty,
 )
-from verify.simulation.session.simulate import simulate_session
 from verify.simulation.world.bench import SimulatedCamera, build_camera
 from verify.simulation.world.led_render import (
     Light,
@@ -31,13 +28,9 @@ from verify.simulation.world.led_render import (
 def twin(camera: SimulatedCamera) -> Camera:
     """The same camera in the measurement's own code."""
     return Camera(
-        camera.matrix,
-        camera.distortion,
-        camera.pan_center,
-        camera.pan_axis,
-        camera.pan_zero,
+        camera.matrix, camera.distortion, camera.pan_center, camera.pan_axis, camera.pan_zero,
         camera.turntable_T_camera,
-    )
+    )  # fmt: skip
 
 
 @pytest.mark.parametrize("pan_deg", [-25.0, 0.0, 11.3])
@@ -58,9 +51,7 @@ def test_points_behind_the_camera_are_not_in_the_picture() -> None:
 
 
 def test_spots_are_where_rig_marker_and_truth_put_them() -> None:
-    session = simulate_session(
-        scene(rig=ScenarioRig(bases="follow", left=AWKWARD, right=ScenarioCamera()))
-    )
+    session = played(rig=ScenarioRig(bases="follow", left=AWKWARD, right=ScenarioCamera()))
     arm = robots.load("iust_6r")
     for side, camera in enumerate((session.rig.left, session.rig.right)):
         seen = session.spots(side)
@@ -76,8 +67,8 @@ def test_spots_are_where_rig_marker_and_truth_put_them() -> None:
 def test_a_rolling_shutter_takes_each_led_at_its_own_row() -> None:
     line_time = 3e-5
     rolling = ScenarioCamera(line_time_s=line_time)
-    session = simulate_session(scene(rig=ScenarioRig(left=rolling, right=rolling)))
-    still = simulate_session(scene())
+    session = played(rig=ScenarioRig(left=rolling, right=rolling))
+    still = played()
     for i in range(len(session)):
         t, pan = float(session.t[i, 0]), float(session.true_pan[i, 0])
         seen = led_images(session.world, 0, t, pan)
@@ -88,7 +79,7 @@ def test_a_rolling_shutter_takes_each_led_at_its_own_row() -> None:
 
 def test_motion_blur_covers_the_path_of_the_exposure_evenly() -> None:
     exposed = ScenarioCamera(exposure_s=0.02)
-    session = simulate_session(scene(rig=ScenarioRig(left=exposed, right=exposed)))
+    session = played(rig=ScenarioRig(left=exposed, right=exposed))
     t, pan = float(session.t[5, 0]), float(session.true_pan[5, 0])
     light = visible_lights(session.world, 0, t, pan)[0]
     k = len(light.path)
@@ -99,10 +90,8 @@ def test_motion_blur_covers_the_path_of_the_exposure_evenly() -> None:
 
 
 def test_the_right_camera_fires_later_by_the_skew() -> None:
-    session = simulate_session(
-        scene(
-            recording=ScenarioRecording(pairs=200, rate_hz=10.0, skew_s=0.004, skew_jitter_s=0.0006)
-        )
+    session = played(
+        recording=ScenarioRecording(pairs=200, rate_hz=10.0, skew_s=0.004, skew_jitter_s=0.0006)
     )
     skew = session.t[:, 1] - session.t[:, 0]
     assert abs(skew.mean() - 0.004) < 4 * 0.0006 / np.sqrt(200)
@@ -110,12 +99,10 @@ def test_the_right_camera_fires_later_by_the_skew() -> None:
 
 
 def test_the_true_bases_lie_off_the_pan_readings_by_the_stated_spread() -> None:
-    session = simulate_session(
-        scene(
-            recording=ScenarioRecording(pairs=200, rate_hz=10.0),
-            rig=ScenarioRig(bases="follow"),
-            uncertainty=ScenarioUncertainty(pan_deg=0.01),
-        )
+    session = played(
+        recording=ScenarioRecording(pairs=200, rate_hz=10.0),
+        rig=ScenarioRig(bases="follow"),
+        uncertainty=ScenarioUncertainty(pan_deg=0.01),
     )
     off = np.degrees(session.true_pan - session.pan)
     assert 0.85 < off.std() / 0.01 < 1.15  # four standard errors of a spread from 400
@@ -216,7 +203,7 @@ def test_a_colour_picture_shows_each_led_in_its_colour() -> None:
 
 
 def test_the_same_frame_has_the_same_bytes_and_others_have_other_noise() -> None:
-    session, again = simulate_session(scene()), simulate_session(scene())
+    session, again = played(), played()
     assert_array_equal(session.image(1, 7), again.image(1, 7))
     assert_array_equal(session.image(1, 7), session.image(1, 7))
     dark = session.renderers[0]
@@ -226,7 +213,7 @@ def test_the_same_frame_has_the_same_bytes_and_others_have_other_noise() -> None
 
 def test_an_occlusion_hides_its_share_of_the_led_in_its_frames_alone() -> None:
     occlusion = Occlusion(led="B", first=3, last=5, camera="left", share=0.5)
-    session, free = simulate_session(scene(occlusion=[occlusion])), simulate_session(scene())
+    session, free = played(occlusion=[occlusion]), played()
 
     def light_of_b(played: object, side: int, index: int) -> float:
         x, y = free.spots(side)[index, 1].astype(int)

@@ -2,23 +2,15 @@ import numpy as np
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
-from tests.support.simulated import scene
+from tests.support.simulated import played
 from verify.simulation.scenario import ScenarioUncertainty
-from verify.simulation.session.simulate import simulate_session
 from verify.simulation.world.motion import RandomStream, generator
 from verify.simulation.world.uncertainty import draw_departure, stated_covariance
 
 STATED = ScenarioUncertainty(
-    focal_px=0.3,
-    principal_point_px=0.2,
-    camera_rotation_deg=0.01,
-    base_position_mm=0.3,
-    base_rotation_deg=0.05,
-    led_body_mm=0.1,
-    led_body_deg=0.08,
-    led_mm=0.05,
-    pan_deg=0.02,
-)
+    focal_px=0.3, principal_point_px=0.2, camera_rotation_deg=0.01, base_position_mm=0.3,
+    base_rotation_deg=0.05, led_body_mm=0.1, led_body_deg=0.08, led_mm=0.05, pan_deg=0.02,
+)  # fmt: skip
 SEEDS = 2000
 FOUR_ERRORS = 4 / np.sqrt(2 * SEEDS)  # of a standard deviation from so many draws
 
@@ -26,19 +18,9 @@ FOUR_ERRORS = 4 / np.sqrt(2 * SEEDS)  # of a standard deviation from so many dra
 def test_draws_have_the_spread_and_correlation_that_the_rig_states() -> None:
     drawn = [draw_departure(STATED, 4, generator(s, RandomStream.SYSTEMATIC)) for s in range(SEEDS)]
     stated = stated_covariance(STATED)
+    bases = ([1e3 * d.base[:3], np.degrees(d.base[3:])] for d in drawn)
     columns = np.array(
-        [
-            np.concatenate(
-                [
-                    d.camera[0],
-                    d.camera[1],
-                    np.degrees(d.turn),
-                    1e3 * d.base[:3],
-                    np.degrees(d.base[3:]),
-                ]
-            )
-            for d in drawn
-        ]
+        [np.hstack([*d.camera, np.degrees(d.turn), *b]) for d, b in zip(drawn, bases, strict=True)]
     )
     assert len(stated.parameters) == columns.shape[1]
     assert_allclose(columns.std(axis=0) / stated.standard_uncertainty, 1, atol=FOUR_ERRORS)
@@ -51,7 +33,7 @@ def test_draws_have_the_spread_and_correlation_that_the_rig_states() -> None:
 
 
 def test_the_truth_lies_off_the_belief_in_the_formats_own_sense() -> None:
-    session = simulate_session(scene(uncertainty=STATED))
+    session = played(uncertainty=STATED)
     departure = draw_departure(STATED, 3, generator(session.scenario.seed, RandomStream.SYSTEMATIC))
     true, rig = session.world.bench, session.rig
     # rotations act on the left: R_true = exp(phi) R_stated, in the frame that holds them
@@ -70,16 +52,14 @@ def test_the_truth_lies_off_the_belief_in_the_formats_own_sense() -> None:
 
 
 def test_without_a_draw_the_world_is_that_of_the_files() -> None:
-    session = simulate_session(
-        scene(uncertainty=ScenarioUncertainty(focal_px=1.0, led_mm=1.0, draw=False))
-    )
+    session = played(uncertainty=ScenarioUncertainty(focal_px=1.0, led_mm=1.0, draw=False))
     assert session.rig.covariance is not None
     assert_allclose(session.world.bench.leds, session.marker.leds, atol=0)
     assert_allclose(session.world.bench.left.matrix, session.rig.left.matrix, atol=0)
 
 
 def test_nothing_stated_writes_no_covariance() -> None:
-    session = simulate_session(scene())
+    session = played()
     assert session.rig.covariance is None
     assert session.marker.body_standard_uncertainty is None
     assert session.marker.led_standard_uncertainty is None

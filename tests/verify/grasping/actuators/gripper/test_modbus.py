@@ -1,12 +1,12 @@
+import threading
 from collections import deque
 
 import pytest
-from pymodbus.pdu.register_message import (
-    ReadHoldingRegistersRequest,
-    WriteMultipleRegistersRequest,
-)
+from pymodbus.pdu.register_message import ReadHoldingRegistersRequest, WriteMultipleRegistersRequest
 
+from verify.devices.ports import Port
 from verify.grasping.actuators.gripper.modbus import MAX_BUFFER_BYTES, GripperSettings, ModbusLine
+from verify.grasping.actuators.protocols import BackgroundOpener
 
 # frames of the manual, section 4.7
 READ = bytes.fromhex("09 03 07D0 0001 85 CF")
@@ -86,3 +86,22 @@ def test_an_invalid_answer_is_skipped_and_the_request_repeated(wrong: bytes) -> 
     assert port.sent == [READ, READ]
     port.to_come.append(READY)
     assert made.step() is not None
+
+
+@pytest.mark.realtime
+def test_a_port_that_opens_too_late_is_closed_again() -> None:
+    closed, may_open = threading.Event(), threading.Event()
+
+    class Late:
+        close = closed.set
+
+    def opening() -> Port:
+        may_open.wait(5.0)
+        return Late()  # type: ignore[return-value]
+
+    slow = BackgroundOpener(opening)
+    with pytest.raises(OSError, match="being opened"):
+        slow()
+    slow.close()
+    may_open.set()
+    assert closed.wait(5.0)
