@@ -157,7 +157,7 @@ def film(folder: Path, seconds: float) -> None:
     facts = SessionFacts(ROBOT, 6, files, {}, turning=False)
     pans = (pair.pan_left, pair.pan_right)
     pairs = [
-        CapturedPair(frame, frame / 30, frame / 30, *pans, pair.left, pair.right, *raws)
+        CapturedPair(frame, frame / 30, frame / 30, *pans, *rows, (True, True), *raws)
         for frame in range(round(30 * seconds))
     ]
     part = SessionWriter(folder, facts, datetime.now(UTC), pairs[0])

@@ -52,7 +52,7 @@ def picture(spots: Array) -> Image:
 LEVELS = cycle(range(7))  # an odd number: of both cameras in turn
 
 
-def seen_spots(image: Image, _windows: Array | None = None) -> Spots:
+def seen_spots(image: Image, _windows: Array | None = None, **_: bool) -> Spots:
     """Stand in for detection."""
     centre: Array = image.spots  # type: ignore[attr-defined]
     return make_spots(centre, np.full((len(centre), 3), 200.0), sigma=SIGMA)

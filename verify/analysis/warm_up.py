@@ -30,7 +30,7 @@ def warm_up(detector: Detector = detect_in_turn) -> None:
     The detector is what will look for spots; in another process too.
     """
     rig, marker = _rig(), _marker()
-    pictures = [_render(camera) for camera in (rig.left, rig.right)]
+    pictures = _render(rig.left), _render(rig.right)
     times = (number / RATE for number in range(N_PAIRS))
     pairs = (StereoPair(n, t, t + 1e-3, 0.0, 0.0, *pictures) for n, t in enumerate(times))
     for _ in measure(pairs, Setup(rig, marker, detect=detector)):

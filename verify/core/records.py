@@ -35,6 +35,7 @@ class StereoPair:
     pan_right: float
     left: Image  # (h, w) grey or (h, w, 3) BGR
     right: Image
+    lossy: tuple[bool, bool] = (False, False)  # left, right: decoded from a JPEG
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
+from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
@@ -96,6 +97,11 @@ class Images(ABC):
     def __init__(self, path: Path) -> None:
         self.path = path
 
+    @cached_property
+    def lossy(self) -> bool:
+        """Whether they come from JPEGs; of other lossy streams no law of the noise is known."""
+        return False
+
     @abstractmethod
     def count(self, torn: bool = False) -> int:
         """Count the images.
@@ -114,6 +120,12 @@ class Images(ABC):
 
 class Video(Images):
     """A video file."""
+
+    @cached_property
+    def lossy(self) -> bool:
+        """Whether the stream is MJPEG."""
+        with self._opened() as capture:
+            return int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") == b"MJPG"
 
     def count(self, torn: bool = False) -> int:
         """Count the images without decoding them; FFV1's checksums are checked as they pass."""

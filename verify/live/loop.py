@@ -255,6 +255,7 @@ class LiveLoop:
                 pan_right=pan[1],
                 left=pair.left.image,
                 right=pair.right.image,
+                lossy=(pair.left.raw is not None, pair.right.raw is not None),
                 left_raw=pair.left.raw,
                 right_raw=pair.right.raw,
             )

@@ -33,7 +33,7 @@ from verify.core.processes import (
 from verify.core.records import Array, Image, Measurement, Spots, StereoPair
 from verify.core.rig import Rig
 from verify.live.protocols import ExpectedPoses
-from verify.measurement.chain import Setup, measure
+from verify.measurement.chain import Setup, detect_in_turn, measure
 from verify.measurement.detection.detect import detect
 
 START_TIMEOUT = 120.0  # s: the first start after an installation compiles
@@ -42,7 +42,8 @@ MEASUREMENT_TIMEOUT = 2.0  # s a pair, twenty times what a whole frame takes
 JOIN_TIMEOUT = 2.0  # s
 NO_PICTURE: Image = np.zeros((0, 0), dtype=np.uint8)
 
-DetectionRequest = tuple[str, tuple[int, ...], Array | None]  # shared memory, shape, windows
+# shared memory, shape, windows, lossy
+DetectionRequest = tuple[str, tuple[int, ...], Array | None, bool]
 PairMessage = tuple[StereoPair, Place, Place]  # without its pictures, and where those are
 
 
@@ -68,22 +69,16 @@ class ParallelDetector:
         self._lock = threading.Lock()
 
     def __call__(
-        self, left: Image, right: Image, left_windows: Array | None, right_windows: Array | None
+        self, pair: StereoPair, left_windows: Array | None, right_windows: Array | None
     ) -> tuple[Spots, Spots]:
-        """Find the spots of a pair.
-
-        Args:
-            left: (h, w) grey or (h, w, 3) BGR.
-            right: as the left one.
-            left_windows: (m, 4) px, where to search; None: everywhere.
-            right_windows: (m, 4) px or None.
-        """
+        """Find the spots of a pair; windows (m, 4) px, where to search; None: everywhere."""
         process = self._process
         if process is None:
-            return detect(left, left_windows), detect(right, right_windows)
+            return detect_in_turn(pair, left_windows, right_windows)
+        right = location_of(pair.right) or self._picture.put(pair.right)
         try:
-            process.begin((*(location_of(right) or self._picture.put(right)), right_windows))
-            spots = detect(left, left_windows)
+            process.begin((*right, right_windows, pair.lossy[1]))
+            spots = detect(pair.left, left_windows, lossy=pair.lossy[0])
             return spots, process.finish(DETECTION_TIMEOUT)
         except ChildLateError as error:
             if not self._warned:
@@ -92,7 +87,7 @@ class ParallelDetector:
         except ChildLostError as error:
             self._warn(f"pictures are searched one after the other from now on: {error}")
             self.close()
-        return detect(left, left_windows), detect(right, right_windows)
+        return detect_in_turn(pair, left_windows, right_windows)
 
     def close(self) -> None:
         """End the second process."""
@@ -104,8 +99,8 @@ class ParallelDetector:
 
 
 def _detect_shared_picture(request: DetectionRequest) -> Spots:
-    name, shape, windows = request
-    return detect(picture_at(name, shape), windows)
+    name, shape, windows, lossy = request
+    return detect(picture_at(name, shape), windows, lossy=lossy)
 
 
 class MeasuringProcess:
@@ -176,7 +171,8 @@ class MeasuringProcess:
             return self._prepared[1]
         left, right = self._pictures
         times = (pair.frame, pair.t_left, pair.t_right, pair.pan_left, pair.pan_right)
-        bare = StereoPair(*times, NO_PICTURE, NO_PICTURE)  # a recorded pair holds JPEGs as well
+        # a recorded pair holds JPEGs as well
+        bare = StereoPair(*times, NO_PICTURE, NO_PICTURE, pair.lossy)
         return bare, left.put(pair.left), right.put(pair.right)
 
     def _measured(

@@ -39,7 +39,7 @@ UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 # whatever uncertainty the acceleration's prior lends it.
 MAX_REPROJECTION_PX = 2.0
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
-Detector = Callable[[Image, Image, Array | None, Array | None], tuple[Spots, Spots]]
+Detector = Callable[[StereoPair, Array | None, Array | None], tuple[Spots, Spots]]
 
 
 def led_windows(
@@ -61,10 +61,11 @@ def led_windows(
 
 
 def detect_in_turn(
-    left: Image, right: Image, left_windows: Array | None, right_windows: Array | None
+    pair: StereoPair, left_windows: Array | None, right_windows: Array | None
 ) -> tuple[Spots, Spots]:
     """Find the spots of both pictures of a pair; windows (m, 4) px, None for the whole frame."""
-    return detect(left, left_windows), detect(right, right_windows)
+    left = detect(pair.left, left_windows, lossy=pair.lossy[0])
+    return left, detect(pair.right, right_windows, lossy=pair.lossy[1])
 
 
 def no_expected_poses(_t: float) -> Sequence[Array]:
@@ -176,11 +177,11 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: Measurement | None) -> _A
                 (setup.rig.right, pair.pan_right, pair.right),
             )
         ]
-        spots = setup.detect(pair.left, pair.right, *windows)
+        spots = setup.detect(pair, *windows)
         assigned = _assign(pair, spots, setup, memory, prediction, whole_frame=False)
         if _shows_all_leds(assigned, setup):
             return assigned
-    spots = setup.detect(pair.left, pair.right, None, None)
+    spots = setup.detect(pair, None, None)
     # with an LED missing the prediction may follow a reflection: pictures that show the whole
     # marker elsewhere overrule it
     fresh = _assign(pair, spots, setup, memory, None, whole_frame=True)

@@ -178,7 +178,7 @@ class _SyntheticPairs:
             self._setup.rig,
             self._setup.marker,
             expected=lambda t: list(self._setup.rig.rig_T_base @ self._flange(np.array([t]))),
-            detect=lambda _left, _right, _in_left, _in_right: self._now,
+            detect=lambda _pair, _in_left, _in_right: self._now,
         )
 
     def pairs(self, t: Array) -> Iterator[StereoPair]:

@@ -39,7 +39,7 @@ def assert_recorded(session: Any, pairs: list[CapturedPair]) -> None:
     """A session holds these pairs and no others."""
     assert len(session) == len(pairs)
     for before, after in zip(pairs, session.pairs(), strict=True):
-        for name in ("frame", "t_left", "t_right", "left", "right"):
+        for name in ("frame", "t_left", "t_right", "left", "right", "lossy"):
             assert_array_equal(getattr(after, name), getattr(before, name))
 
 

@@ -330,9 +330,10 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
         cv2.circle(image, (x, 120), 4, 200, -1, cv2.LINE_AA)
         cv2.GaussianBlur(image, (0, 0), 1.2, dst=image)
     windows = np.array([[60.0, 80.0, 200.0, 160.0]])
+    pair = StereoPair(0, 0.0, 0.0, 0.0, 0.0, *pictures)
     detector = ParallelDetector(message.append)
     for where in (None, windows):
-        found = detector(pictures[0], pictures[1], where, where)
+        found = detector(pair, where, where)
         for image, spots in zip(pictures, found, strict=True):
             expected = detect(image, where)
             np.testing.assert_array_equal(spots.centre, expected.centre)
@@ -340,13 +341,13 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
     process = detector._process
     os.kill(process._process.pid, signal.SIGSTOP)
     for _ in range(3):  # waited for once
-        assert len(detector(pictures[0], pictures[1], None, None)[1]) == 1
+        assert len(detector(pair, None, None)[1]) == 1
     assert len(message) == 1
     assert "now and then: no answer within 1 s" in message[0]
     assert detector._process is process
     process._process.kill()
     process._process.join()
-    found = detector(pictures[0], pictures[1], None, None)
+    found = detector(pair, None, None)
     assert len(found[1]) == 1
     assert len(message) == 2
     assert "from now on" in message[1]

@@ -19,8 +19,7 @@ from verify.core.records import Array, Spots
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io.session.session import Recording
-from verify.measurement.chain import MIN_DEPTH, MIN_MOTION_PX, UNKNOWN_SPEED_PX
-from verify.measurement.detection.detect import detect
+from verify.measurement.chain import MIN_DEPTH, MIN_MOTION_PX, UNKNOWN_SPEED_PX, detect_in_turn
 from verify.measurement.triangulation import fit_rigid, rays, triangulate
 
 MAX_LEDS = 6  # that correspondence can assign
@@ -76,7 +75,7 @@ def find_spots(recording: Recording, progress: Progress) -> list[PairSpots]:
                 frame=pair.frame,
                 t=(pair.t_left, pair.t_right),
                 pan=(pair.pan_left, pair.pan_right),
-                spots=(detect(pair.left), detect(pair.right)),
+                spots=detect_in_turn(pair, None, None),
                 height=pair.left.shape[0],
             )
         )

@@ -93,7 +93,8 @@ class LivePairs:
         self._frame += 1
         left, right, pans = taken[0].left, taken[0].right, taken[1]
         times = (left.t - self._began, right.t - self._began)
-        return StereoPair(self._frame - 1, *times, *pans, left.image, right.image)
+        lossy = left.raw is not None, right.raw is not None
+        return StereoPair(self._frame - 1, *times, *pans, left.image, right.image, lossy)
 
     def wait(self) -> None:
         """Wait until the next cycle is due."""

@@ -175,7 +175,8 @@ def _lift_check(
 
 def _compressed(pair: StereoPair) -> CapturedPair:
     times = (pair.frame, pair.t_left, pair.t_right, pair.pan_left, pair.pan_right)
-    return CapturedPair(*times, pair.left, pair.right, _jpeg(pair.left), _jpeg(pair.right))
+    raws = _jpeg(pair.left), _jpeg(pair.right)
+    return CapturedPair(*times, pair.left, pair.right, pair.lossy, *raws)
 
 
 def _jpeg(image: Image) -> bytes:

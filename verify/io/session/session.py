@@ -62,7 +62,7 @@ class Recording:
 
     def pairs(self) -> Generator[StereoPair]:
         """Stream the pairs in step, a few in memory; InputError: one damaged or of another size."""
-        frames = self.frames
+        frames, lossy = self.frames, (self.left.lossy, self.right.lossy)
         with closing(decode_in_step(self.left, self.right, len(self))) as images:
             for frame, (left, right) in enumerate(images):
                 self._require_size(self.left, frame, left)
@@ -75,6 +75,7 @@ class Recording:
                     pan_right=float(frames.pan_right[frame]),
                     left=left,
                     right=right,
+                    lossy=lossy,
                 )
 
     def _require_size(self, side: Images, frame: int, image: Image) -> None:

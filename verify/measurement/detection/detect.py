@@ -61,13 +61,14 @@ def detect(
     noise: Noise | None = None,
     diameter_px: tuple[float, float] | None = None,
     limit: int = 24,
+    lossy: bool = False,
 ) -> Spots:
     """Find the LED-like spots of an image and measure their centres.
 
     `image`: (h, w) grey or (h, w, 3) BGR, uint8. `windows` (m, 4), x0, y0, x1, y1, px: search there
     only. `noise` is of a pixel of one channel; None estimates it on this image. `diameter_px`:
     plausible least and largest full width at half height. At most `limit` spots are returned, the
-    most LED-like ones.
+    most LED-like ones. `lossy`: the image was a JPEG, whose errors are not white.
 
     Returns:
         Spots by falling peak. Those whose shape no single LED has are flagged `merged` and their
@@ -80,7 +81,7 @@ def detect(
     """
     check_image(image, windows)
     candidates = find_candidates(image, clip_windows(windows, image), diameter_px)
-    background, spread = (noise, 0.0) if noise is not None else background_noise(image)
+    background, spread = (noise, 0.0) if noise is not None else background_noise(image, lossy=lossy)
     batches = fit_candidates(image, candidates, background, glance=windows is None)
     if not batches:
         return no_spots(background)
@@ -89,10 +90,12 @@ def detect(
         background = refine_noise(background, spread, *spot_residuals(batches, assessed))
     for cut, fit in batches:
         continue_fit(cut.patches, fit, background, 2, TOL_LAST_STEP)
-    assessed = assess_spots(batches, image.shape)
+    assessed = assess_spots(batches, image.shape, lossy=lossy)
     kept = choose_spots(assessed, diameter_px or DEFAULT_DIAMETER, limit)
     colour = np.concatenate([cut.colour for cut, _ in batches])[kept]
     assessed = assessed[kept]
+    if lossy:
+        assessed[:, COVARIANCE] *= quality.lossy_scale(assessed)[:, None]
     scores = score_rims([fit for _, fit in batches], kept, assessed)
     shift, covariance = unoccluded_centres(scores)
     one_led = np.where(assessed[:, COL_MERGED] > 0, -1, kept)
@@ -157,13 +160,14 @@ def fit_candidates(
     ]
 
 
-def assess_spots(batches: Sequence[Batch], shape: tuple[int, ...]) -> Array:
+def assess_spots(batches: Sequence[Batch], shape: tuple[int, ...], *, lossy: bool = False) -> Array:
     """Assess fits, (n, 14), columns as in kernels/quality.py; `shape` is the image's."""
+    excess = 0.0 if lossy else quality.CORRELATED_PIXELS
     return np.concatenate(
         [
             quality.assess_all(
                 fit.parameters, fit.information, cut.patches.pixels, fit.model, cut.patches.scale,
-                cut.origin, (shape[1], shape[0]),
+                cut.origin, (shape[1], shape[0]), excess,
             )
             for cut, fit in batches
         ]

@@ -28,12 +28,12 @@ TYPICAL_SPREAD = 1.0  # relative, how far a sensor may be from typical
 TEXTURE_SHARE = 0.1  # relative: what unseen texture may add to the dark variance
 
 
-def background_noise(image: Image) -> tuple[Noise, float]:
+def background_noise(image: Image, *, lossy: bool = False) -> tuple[Noise, float]:
     """Noise of the quietest part of an image, with the relative uncertainty of its dark variance.
 
     The image is (h, w) grey or (h, w, 3) BGR, where the green channel stands for all. The
     shot-noise gain is a usual one. Texture only ever adds to differences, so the quietest class of
-    brightness is believed.
+    brightness is believed; of a JPEG, which smooths what is dark, none.
     """
     grey = image if image.ndim == 2 else image[..., 1]
     rows = np.ascontiguousarray(grey[:: max(len(grey) // N_SAMPLE_ROWS, 1)])
@@ -43,6 +43,8 @@ def background_noise(image: Image) -> tuple[Noise, float]:
     level, difference = kernel.stencils(rows)
     mostly_unclipped = len(level) > rows.size // 2
     black = kernel.level_quantile(level, 0.01) if mostly_unclipped else 0.0
+    if lossy:
+        return Noise(TYPICAL_READ, TYPICAL_GAIN, black), TYPICAL_SPREAD
     best, spread, at = kernel.quietest_class(level, difference, black)
     if not np.isfinite(best) or (len(level) < rows.size // 2 and at > TYPICAL_READ**2):
         # nothing unclipped, or what is not black here may be all texture

@@ -122,7 +122,8 @@ class CellWorld:
             board = self._board() if self.happened("hidden") else None
             pictures.append(camera.picture(caps, posed, self._light(t), scene.noise, board))
         pan_readings = (rig.left.pan, rig.right.pan) if pans is None else pans
-        pair = StereoPair(self._frame, self.t, self.t + RIGHT_DELAY, *pan_readings, *pictures)
+        times = self.t, self.t + RIGHT_DELAY
+        pair = StereoPair(self._frame, *times, *pan_readings, pictures[0], pictures[1])
         self._frame += 1
         return pair
 

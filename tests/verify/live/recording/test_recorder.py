@@ -106,7 +106,8 @@ def test_jpegs_go_to_the_file_as_they_came_and_are_read_as_they_were_measured(
             raws.append(raw)
             images.append(image)
         t = 5 + number / 30
-        pairs.append(CapturedPair(number, t, t, 0.0, 0.0, images[0], images[1], raws[0], raws[1]))
+        lossy = True, True
+        pairs.append(CapturedPair(number, t, t, 0.0, 0.0, *images, lossy, *raws))
     record(tmp_path, pairs)
     assert_recorded(open_session(tmp_path / "session"), pairs)
     data = (tmp_path / "session" / "left.mkv").read_bytes()

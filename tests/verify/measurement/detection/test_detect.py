@@ -1,5 +1,6 @@
 """Spot centres against the Cramér-Rao bound, and what must never be reported."""
 
+import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
@@ -53,6 +54,22 @@ def test_centres_reach_the_bound_and_the_claimed_covariance_is_the_scatter(name:
     assert rms < 1.1 * bound  # 512 errors: their rms is known to 3 %
     assert sigma == pytest.approx(rms, rel=0.10)
     assert np.abs(np.mean(errors, axis=(0, 1))).max() < 4 * rms / 16  # 4 sigma of 256 errors' mean
+
+
+@pytest.mark.parametrize("quality", [75, 90])
+def test_the_centres_of_a_jpeg_scatter_as_claimed(quality: int) -> None:
+    rng, normal = np.random.default_rng(21), []
+    for spot in (DISC, Spot(200, 0.8, radius=2.5), Spot(210, 1.0, radius=4.2), Spot(200, 2.5)) * 2:
+        centres = scattered(4, 8, rng)
+        image = picture([spot] * 32, centres, Sensor(black=3.5), rng, floor=0.0)
+        packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+        decoded = np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), dtype=np.uint8)
+        spots = detect(decoded, limit=32, lossy=True)
+        nearest, error = matched(spots, centres)
+        claimed = np.sqrt(np.diagonal(spots.covariance[nearest], axis1=1, axis2=2))
+        normal.append(error / claimed)
+    within = np.mean(np.abs(normal) < 1.96)  # of 512: 1 % is one sigma; no shape is the others'
+    assert within == pytest.approx(0.95, abs=0.03)
 
 
 COARSE = gaussian_filter(np.random.default_rng(4).normal(size=(360, 640)), 12, mode="mirror")
