@@ -125,9 +125,22 @@ def budget(results: Results) -> doc.Section:
             "They are taken as exact, and every uncertainty here holds on that condition."
         )
         blocks.append(doc.Bullets((text,), "warning"))
+        blocks += _unstated_table(results.summary["budget"].get("unstated") or [])
     else:
         blocks.append(doc.Paragraph("Every source that is known of is counted."))
     return doc.Section("budget", "Uncertainty budget", tuple(blocks))
+
+
+def _unstated_table(effects: list[dict[str, Any]]) -> list[doc.Block]:
+    """What errors of the sources that are not counted would do."""
+    columns = (
+        doc.Column("Source", "l", doc.field("source", text_or_dash)),
+        doc.Column("An error of its", "l", doc.field("error", text_or_dash), wide=True),
+        doc.Column("Joint", "r", doc.field("joint", count)),
+        doc.Column("moved by [°]", "r", doc.field("moves_mean_error_deg", significant)),
+    )
+    title = "What it would take to matter: the mean error that each would move the most."
+    return [doc.tabulate(title, columns, effects)] if effects else []
 
 
 def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[doc.Block]:

@@ -74,6 +74,8 @@ def kill(after: float, *, whole_group: bool) -> Kill:
 
 def strike(count: int) -> bool:
     """Kill so often, and print the figures beside their goals; whether all are met."""
+    if count < 1:
+        raise SystemExit(f"kills {count}: a number of at least 1 is expected")
     draw = np.random.default_rng()
     found = []
     for number in range(count):

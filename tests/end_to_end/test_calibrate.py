@@ -78,6 +78,8 @@ def test_pictures_of_a_board_become_a_rig_and_a_report(
     assert verify("report", report).status == 0
     assert (report / "report.html").read_bytes() == before
     assert "exists" in calibrate_boards(pictures, rig.parent).refusal
+    refusal = calibrate_boards(pictures / "none", rig.parent / "none").refusal  # before any search
+    assert "none/rig.toml: cannot be made" in refusal
 
 
 def test_the_rig_holds_the_truth_within_what_it_states(

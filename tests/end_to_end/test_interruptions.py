@@ -165,3 +165,25 @@ def test_what_libraries_print_themselves_is_not_shown(tmp_path: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     verbose = subprocess.run([*words, "--verbose"], capture_output=True, text=True)
     assert "inertia" in verbose.stderr  # urdfdom's own words
+
+
+@pytest.mark.parametrize(
+    ("ending", "status", "words"),
+    [("sys.exit(70)", 70, "last words"), ("os.abort()", -signal.SIGABRT, "Aborted")],
+)
+def test_what_was_printed_past_python_is_shown_of_a_crash(
+    ending: str, status: int, words: str
+) -> None:
+    script = f"""
+import os, sys
+from verify import __main__
+from verify.cli import main
+def crash():
+    os.write(2, b"last words\\n")
+    {ending}
+main.main = crash
+__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert done.returncode == status
+    assert words in done.stderr

@@ -16,8 +16,10 @@ from scipy.spatial.transform import Rotation
 import robots
 from robots.transforms import cross_matrix
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare
+from verify.core.fiducials import Marker
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, Pose
+from verify.core.rig import Rig
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.alignment import MAX_GAP
@@ -123,9 +125,7 @@ def measure_poses(
     measurements = list(_measurements(session, instrument, readings, noise, offset))
     systematics = _stated_uncertainties(session, noise)
     moved = [
-        _sensitivities(systematics, m.pose.rig_T_flange, session.rig.rig_T_base)
-        for m in measurements
-        if m.pose is not None
+        instrument_sensitivities(systematics, m, session.rig, session.marker) for m in measurements
     ]
     return MeasuredSession(
         measurements, collect_track(measurements, session.rig, moved), systematics
@@ -219,11 +219,16 @@ def _stated_uncertainties(session: Session, noise: InstrumentNoise) -> Systemati
     )
 
 
-def _sensitivities(parameters: Systematics, rig_T_flange: Array, rig_T_base: Array) -> Array:
+def instrument_sensitivities(
+    parameters: Systematics, measurement: Measurement, rig: Rig, _marker: Marker
+) -> Array:
     """How the measured pose in the robot's base changes with each parameter; (6, p + 2).
 
     As `systematics.sensitivities`; its last two columns are pan readings, which there are none of.
     """
+    if measurement.pose is None:
+        raise ValueError("only a measured pose has sensitivities")
+    rig_T_flange, rig_T_base = measurement.pose.rig_T_flange, rig.rig_T_base
     columns = np.zeros((6, len(parameters.names) + 2))
     for i, name in enumerate(parameters.names):
         head, _, key = name.partition(".")

@@ -281,9 +281,9 @@ def _estimate(
         clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
     )
     means = mean_errors(model, resolved, compared.systematics)
-    sources = budget(model, compared, means, resolved)
-    means = replace(means, coverage_factor=sources.coverage_factor)
     used = [m for m in measured.measurements if m.status == "measured"]
+    sources = budget(model, compared, means, resolved, used)
+    means = replace(means, coverage_factor=sources.coverage_factor)
     return SessionAnalysis(
         compared=compared,
         model=model,

@@ -99,6 +99,8 @@ def _print_summary(results: Results, target: Path) -> None:
     terminal.say(f"{verdict.label}: {verdict.sentence}")
     for joint in summary["joints"]:
         terminal.say(_joint_line(joint))
+    for largest in summary["budget"]["unstated"][:1]:
+        terminal.say(f"  not counted: {largest['source']}: {largest['text']}")
     for line in _verbose_lines(summary):
         terminal.detail(line)
     terminal.say(f"Report: {report_files(target)}")

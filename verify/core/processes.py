@@ -5,11 +5,15 @@ the process that started it, and ends with it. Nothing else in this program star
 Python code.
 """
 
+import faulthandler
 import gc
+import hashlib
 import math
 import multiprocessing
 import os
+import secrets
 import signal
+import socket
 import sys
 import threading
 import time
@@ -19,6 +23,7 @@ from contextlib import contextmanager, suppress
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection, wait
 from multiprocessing.shared_memory import SharedMemory
+from pathlib import Path
 from typing import Any, Generic, NoReturn, TypeVar
 
 import numpy as np
@@ -235,6 +240,7 @@ def _run(
     target: Callable[..., None], line: ParentLine, args: tuple[Any, ...], background: bool
 ) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
+    faulthandler.enable()
     threading.Thread(target=_exit_with_parent, name="parent", daemon=True).start()
     if background:
         lower_priority()
@@ -292,6 +298,16 @@ def lower_priority() -> None:
 
 
 Place = tuple[str, tuple[int, ...]]  # name and shape
+_BLOCK = f"verify-{hashlib.sha256(socket.gethostname().encode()).hexdigest()[:4]}-"
+
+
+def _new_block(size: int) -> SharedMemory:
+    """Make a block that is named for this process, and remove what killed ones have left."""
+    for left in Path("/dev/shm").glob(f"{_BLOCK}*"):  # on Linux; elsewhere none are listed
+        if not Path("/proc", left.name.removeprefix(_BLOCK).partition("-")[0]).exists():
+            with suppress(OSError):  # another user's
+                left.unlink()
+    return SharedMemory(f"{_BLOCK}{os.getpid()}-{secrets.token_hex(4)}", create=True, size=size)
 
 
 class SharedPicture:
@@ -305,7 +321,7 @@ class SharedPicture:
         size = math.prod(shape)
         if self._memory is None or self._memory.size < size:
             self.close()
-            self._memory = SharedMemory(create=True, size=size)
+            self._memory = _new_block(size)
         return self._memory.name, shape
 
     def put(self, image: Image) -> Place:

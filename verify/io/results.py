@@ -1,13 +1,15 @@
 """Write and read a report folder: reports, summary.json, and the tables they are rendered from."""
 
+import errno
 import json
+import os
 from pathlib import Path
 
 import reports
 from reports import ReportError, Results
 from reports.results import to_json_value
 from verify.errors import InputError
-from verify.io.files import write_folder_whole
+from verify.io.files import output_refusal, write_folder_whole
 
 RESULTS = "results"
 
@@ -21,7 +23,12 @@ def refuse_existing(out: Path, *, force: bool) -> None:
 
 
 def refuse_file(path: Path, *, force: bool) -> None:
-    """Raise InputError, before hours of work, if `path` is a folder or, unless `force`, a file."""
+    """Raise InputError, before hours of work, if `path` cannot be written or, unless `force`, is.
+
+    Its folder is missing, or it is a folder itself.
+    """
+    if not path.parent.is_dir():
+        raise output_refusal(path, OSError(errno.ENOENT, os.strerror(errno.ENOENT)))
     if path.is_dir():
         raise InputError(path, "is a folder", "the name of a file is expected", "")
     if path.exists() and not force:

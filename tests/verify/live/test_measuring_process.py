@@ -1,7 +1,12 @@
 """A measurement in a process of its own gives what one here gives, and its loss costs no pair."""
 
+import os
+import signal
+import subprocess
+import sys
 from collections.abc import Iterator
 from contextlib import closing
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -51,6 +56,24 @@ def test_it_gives_the_same_figures_and_ends(
         alike(list(process.measure(pairs(session), nothing)), here)
     assert not message
     assert not process._process._process.is_alive()
+
+
+def test_memory_that_a_killed_process_group_has_left_is_removed() -> None:
+    script = "from verify.core.processes import SharedPicture as P; print(*P().room((9,))); input()"
+    killed = subprocess.Popen(
+        [sys.executable, "-uc", script], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True,
+        start_new_session=True,
+    )  # fmt: skip
+    assert killed.stdout is not None
+    left = Path("/dev/shm", killed.stdout.readline().split()[0])
+    with closing(SharedPicture()) as alive, closing(SharedPicture()) as later:
+        mine = alive.room((9,))
+        assert left.exists()  # its process is running
+        os.killpg(killed.pid, signal.SIGKILL)
+        killed.communicate()
+        later.room((9,))
+        assert not left.exists()
+        assert picture_at(*mine).shape == (9,)
 
 
 @pytest.mark.realtime

@@ -27,8 +27,8 @@ SWEEP_COLUMNS = [
 ]  # fmt: skip
 
 
-def budget_entry(found: Budget, uncounted: tuple[str, ...]) -> dict[str, Any]:
-    """What summary.json says of the budget: a joint's lines, and what they add up to."""
+def budget_entry(found: Budget) -> dict[str, Any]:
+    """What summary.json says of the budget: a joint's lines, their sum, and what is not in it."""
     columns = [found.lines[name].tolist() for name in BUDGET_COLUMNS]
     lines = [dict(zip(BUDGET_COLUMNS, line, strict=True)) for line in zip(*columns, strict=True)]
     joints = [
@@ -42,7 +42,14 @@ def budget_entry(found: Budget, uncounted: tuple[str, ...]) -> dict[str, Any]:
         }
         for j in range(len(found.random))
     ]
-    return {"uncounted": list(uncounted), "joints": joints}
+    unstated = [
+        {
+            "source": effect.source, "error": effect.error, "joint": effect.joint + 1,
+            "moves_mean_error_deg": float(np.rad2deg(effect.moved)), "text": str(effect),
+        }
+        for effect in found.unstated
+    ]  # fmt: skip
+    return {"uncounted": list(found.uncounted), "unstated": unstated, "joints": joints}
 
 
 def _source_entry(line: dict[str, Any]) -> dict[str, Any]:

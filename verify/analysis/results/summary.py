@@ -25,7 +25,6 @@ from verify.analysis.results.entries import (
     monte_carlo_entry,
     sweep_entries,
 )
-from verify.analysis.results.warnings import unstated_sources
 from verify.analysis.sweeps.sweeps import JointSweep
 from verify.analysis.uncertainty.budget import Budget
 from verify.analysis.uncertainty.monte_carlo import MonteCarlo
@@ -123,9 +122,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "diagnosis": _diagnosis(judged),
         "outlying_pairs": [int(f) for f in judged.frame[judged.diagnosis.outlying]],
         "budget": {
-            **budget_entry(
-                judged.sources, unstated_sources(judged.compared.systematics, judged.compared.clock)
-            ),
+            **budget_entry(judged.sources),
             "monte_carlo": monte_carlo_entry(judged.drawn, judged.frame),
         },
         "sweeps": sweep_entries(judged.sweeps, judged.frame),

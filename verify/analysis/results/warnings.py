@@ -7,19 +7,13 @@ import numpy as np
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.rig_check.check import consistency, moved_warning
+from verify.analysis.uncertainty.sources import unstated_sources
 from verify.core.records import Measurement
 from verify.io.session.session import Session
 from verify.measurement.systematics import Systematics
 
 POSE_DOF = 6  # degrees of freedom of a pose
 MAX_RIVALS_NAMED = 4  # of a periodic motion's clock offsets; the list goes on for ever
-
-
-def unstated_sources(systematics: Systematics, clock: ClockEstimate) -> tuple[str, ...]:
-    """Sources that state no uncertainty and are taken as exact."""
-    if clock.standard_uncertainty is None:  # given without one, or not observable
-        return (*systematics.uncounted, "clock")
-    return systematics.uncounted
 
 
 def result_warnings(

@@ -30,11 +30,14 @@ from verify.analysis.uncertainty.sources import (
     ROBOT_TABLE,
     RandomSource,
     SystematicSources,
+    UnstatedEffect,
     random_sources,
     robot_table_columns,
     systematic_sources,
+    unstated_effects,
+    unstated_sources,
 )
-from verify.core.records import Array
+from verify.core.records import Array, Measurement
 from verify.measurement.systematics import unit
 
 __all__ = ["ALIGNMENT", "BUDGET_COLUMNS", "CLOCK", "PAN", "Budget", "budget"]
@@ -60,6 +63,8 @@ class Budget:
     systematic: Array  # (j,), from what does not
     degrees: Array  # (j,), effective degrees of freedom; inf: without bound
     coverage_factor: Array  # (j,)
+    uncounted: tuple[str, ...]  # sources that state no uncertainty and are taken as exact
+    unstated: tuple[UnstatedEffect, ...]  # what errors of theirs would do
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,16 +77,22 @@ class _BudgetLine:
 
 
 def budget(
-    model: JointErrorModel, compared: SessionComparison, means: MeanErrors, resolved: ResolvedErrors
+    model: JointErrorModel,
+    compared: SessionComparison,
+    means: MeanErrors,
+    resolved: ResolvedErrors,
+    used: list[Measurement],
 ) -> Budget:
     """Take apart the uncertainties of the means that `resolved`, the fit, gave.
 
-    `compared` is the session before pairs that repeat each other were counted for fewer.
+    `compared` is the session before pairs that repeat each other were counted for fewer; `used` are
+    the track's pairs.
     """
     by_row = mean_sensitivities(model, resolved)
     by_pair = _by_pair(model, by_row)
     varying = random_sources(model, compared)
     held = systematic_sources(model.comparison, compared)
+    exact = unstated_sources(compared.systematics, compared.clock)
     own = np.full(len(means.mean), max(float(resolved.fit.degrees_of_freedom), 1.0))
     lines = [*_random_lines(varying, by_pair, own), *_systematic_lines(held, by_pair)]
     if resolved.common.shape[1]:
@@ -106,6 +117,8 @@ def budget(
         systematic=np.sqrt(np.maximum(systematic, 0.0)),
         degrees=degrees,
         coverage_factor=coverage_factor(degrees),
+        uncounted=exact,
+        unstated=tuple(unstated_effects(model.comparison, compared, used, exact, by_pair)),
     )
 
 

@@ -1,15 +1,20 @@
 """The sources of uncertainty of a session: what varies from pair to pair, and what does not."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 import robots
+from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import Comparison, alignment_scale, twist_transport
 from verify.analysis.diagnosis.link_faults import rotation_twist, translation_twist
+from verify.analysis.instrument import CALIBRATION_SOURCE, instrument_sensitivities
+from verify.analysis.instrument import NOISE as INSTRUMENT_NOISE
 from verify.analysis.model import JointErrorModel, SessionComparison, clock_effect, pan_columns
-from verify.core.records import Array
+from verify.core.records import Array, Measurement
+from verify.measurement.sensitivities import AXES
+from verify.measurement.systematics import BODY, PAN_READINGS, SOURCES, Systematics, sensitivities
 
 PIXELS, INSTRUMENT, SKEW = "pixels", "instrument", "camera skew"
 NOISE, RESOLUTION, TIME_STAMPS = "readings' noise", "encoder resolution", "encoder time stamps"
@@ -18,6 +23,9 @@ CLOCK, PAN, ALIGNMENT = "clock", "pan angle", "alignment of the two instants"
 ROBOT_TABLE = "robot table"
 INFINITE_DOF = float("inf")  # degrees of freedom of what is stated without any
 TABLE_ENTRIES = (("a", "mm"), ("d", "mm"), ("alpha", "deg"))
+# what is asked after of a source that states no uncertainty: m, rad, s, shares
+LENGTH, ANGLE, DELAY, BASELINE, SCALE = 1e-3, float(np.radians(0.1)), 1e-3, 1e-2, 1e-3
+MIN_EFFECT = 1e-9  # rad: less is rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,6 +47,92 @@ class SystematicSources:
     degrees: Array  # (p,), degrees of freedom
     columns: Array  # (n, 6, p), d xi / d parameter, SI
     covariance: Array  # (p, p), SI
+
+
+@dataclass(frozen=True, slots=True)
+class UnstatedEffect:
+    """What an error that nobody states an uncertainty of would do."""
+
+    source: str  # whose
+    error: str  # "a baseline off by 1 %", "1 mm", "0.1°"
+    joint: int  # from 0: whose mean error, or offset, it would move the most
+    moved: float  # rad, by how much
+
+    def __str__(self) -> str:
+        return f"{self.error} would move joint {self.joint + 1} by {np.degrees(self.moved):.2g}°"
+
+
+def unstated_sources(systematics: Systematics, clock: ClockEstimate) -> tuple[str, ...]:
+    """Sources that state no uncertainty and are taken as exact."""
+    if clock.standard_uncertainty is None:  # given without one, or not observable
+        return (*systematics.uncounted, CLOCK)
+    return systematics.uncounted
+
+
+def unstated_effects(
+    comparison: Comparison,
+    compared: SessionComparison,
+    used: list[Measurement],
+    exact: tuple[str, ...],
+    by_pair: Array,
+) -> list[UnstatedEffect]:
+    """What an error of each source in `exact` would move, the largest first.
+
+    The comparison is the model's; `used` are the track's pairs; `by_pair` (n, j, 6) takes xi to the
+    mean errors. What the session fits beside the joints moves nothing.
+    """
+    effects = []
+    for source in exact:
+        for error, columns in _unstated_columns(source, comparison, compared, used):
+            moved = np.abs(np.einsum("njk,nkp->jp", by_pair, columns)).max(axis=1, initial=0.0)
+            joint = int(np.argmax(np.nan_to_num(moved)))
+            if moved[joint] > MIN_EFFECT:
+                effects.append(UnstatedEffect(source, error, joint, float(moved[joint])))
+    return sorted(effects, key=lambda effect: -effect.moved)
+
+
+def _unstated_columns(
+    source: str, comparison: Comparison, compared: SessionComparison, used: list[Measurement]
+) -> Iterator[tuple[str, Array]]:
+    """The errors that are asked after of a source, and what each does to xi, (n, 6, ways)."""
+    session = compared.session
+
+    def of(*names: str) -> Array:
+        asked = replace(compared.systematics, names=names)
+        moves = sensitivities if session.instrument is None else instrument_sensitivities
+        there = [used[i] for i in comparison.index.tolist()]
+        columns = np.array([moves(asked, m, session.rig, session.marker) for m in there])
+        place = compared.track.base_T_flange[comparison.index, :3, 3]
+        carry = twist_transport(comparison.base_T_measured[:, :3, 3] - place)
+        carried: Array = carry @ columns[:, :, : len(names)]
+        return carried
+
+    head = {name: key for key, name in SOURCES.items()}.get(source, "body")
+    if source == CLOCK:
+        yield "1 ms", DELAY * clock_effect(comparison)
+    elif source == ROBOT_TABLE:
+        names, columns = robot_table_columns(session.arm, comparison)
+        long = np.array([name.endswith("_mm") for name in names], dtype=np.bool_)
+        yield "a length off by 1 mm", LENGTH * columns[:, :, long]
+        yield "a twist off by 0.1°", ANGLE * columns[:, :, ~long]
+    elif source == CALIBRATION_SOURCE:
+        yield (
+            "0.1 % of scale",
+            SCALE * np.pad(comparison.base_T_measured[:, :3, [3]], ((0, 0), (0, 3), (0, 0))),
+        )
+    elif source == "rig":
+        half = (session.rig.right.pan_center - session.rig.left.pan_center)[0] * BASELINE / 2
+        apart = of("left.pan_center_x_mm", "right.pan_center_x_mm") @ np.array([[-half], [half]])
+        yield "a baseline off by 1 %", apart
+        yield "a camera turned by 0.1°", ANGLE * of(*PAN_READINGS)
+    elif source == PAN:
+        yield "0.1°", ANGLE * of(*PAN_READINGS)
+    elif head in ("led", "centre"):
+        places = [f"led.{name}.{axis}_mm" for name in session.marker.names for axis in AXES]
+        yield "an LED off by 1 mm", LENGTH * of(*places)
+    elif source != INSTRUMENT_NOISE:
+        yield "1 mm", LENGTH * of(*(f"{head}.{axis}" for axis in BODY[:3]))
+        yield "0.1°", ANGLE * of(*(f"{head}.{axis}" for axis in BODY[3:]))
 
 
 def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[RandomSource]:

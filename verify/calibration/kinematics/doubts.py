@@ -7,10 +7,10 @@ makes to the measured poses. No data tell how far it is off; this tells how far 
 """
 
 from collections.abc import Iterable
-from dataclasses import dataclass
 
 import numpy as np
 
+from verify.analysis.uncertainty.sources import UnstatedEffect
 from verify.calibration.kinematics.chain import AXES, Parameter
 from verify.calibration.kinematics.fit import KinematicFit, scaled_columns, tolerances
 from verify.calibration.kinematics.model import predict_with_jacobian
@@ -18,20 +18,6 @@ from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
 from verify.core.records import Array
 
 SCALE, LENGTH, ANGLE = 1e-3, 1e-3, float(np.radians(0.1))  # share, m, rad: what is asked after
-
-
-@dataclass(frozen=True, slots=True)
-class UnstatedEffect:
-    """What an error that nobody states would do."""
-
-    source: str  # whose
-    error: str  # "0.1 % of scale", "1 mm", "0.1°"
-    joint: int  # from 0: whose offset it would move the most
-    offset: float  # rad, by how much
-
-    def __str__(self) -> str:
-        moved = f"{np.degrees(self.offset):.2g}°"
-        return f"{self.error} would move the offset of joint {self.joint + 1} by {moved}"
 
 
 def unstated_effects(

@@ -1,11 +1,13 @@
 """The budget: its lines add up, its sensitivities are those of brute force and of other hands."""
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from types import SimpleNamespace
 from typing import Any, cast
 
 import numpy as np
 import pytest
+from msgspec.structs import replace as replaced
 from numpy.testing import assert_allclose
 from scipy.stats import t as student
 
@@ -14,6 +16,7 @@ from robots.transforms import difference
 from tests.support.beside import shared
 from tests.support.motions import ARM, compared_session, make_track, read, swinging
 from tests.support.scene import make_marker, make_rig
+from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify import analyse, measure, open_session
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import (
@@ -34,9 +37,11 @@ from verify.analysis.model import (
 from verify.analysis.uncertainty.budget import Budget, budget
 from verify.analysis.uncertainty.sources import robot_table_columns
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Measurement, StereoPair
 from verify.core.rig import Covariance
-from verify.measurement.systematics import Systematics
+from verify.measurement.chain import Setup
+from verify.measurement.systematics import Systematics, stated_systematics
+from verify.simulation import library
 
 PAIRS = np.arange(1.0, 6.0, 1 / 10)
 LOG = np.arange(0.0, 8.0, 0.02)
@@ -109,7 +114,7 @@ def made(
     )  # fmt: skip
     resolved = resolve_errors(model)
     means = mean_errors(model, resolved, systematics)
-    found = budget(model, compared, means, resolved)
+    found = budget(model, compared, means, resolved, [])
     return Made(model, plain, means, found, systematics)
 
 
@@ -192,6 +197,44 @@ def changed(arm: robots.DhArm, key: str, joint: int, step: float) -> robots.DhAr
     entry = getattr(arm, key).copy()
     entry[joint] += step
     return replace(arm, **{key: entry})
+
+
+def test_a_baseline_off_by_a_percent_moves_the_pairs_by_what_is_said() -> None:
+    """Finite difference: the same spots, measured with a rig or a base that is off.
+
+    Plain means: a cause that the search finds in such pairs takes it off the resolved errors.
+    """
+    sample = library.load("multi_joint_fault_6r")
+    recording = replaced(sample.recording, skew_s=0.0, skew_jitter_s=0.0, pairs=30)
+    session = in_memory(replaced(sample, recording=recording))
+    means, unstated = _at_spots(session)
+    said = {(effect["source"], effect["error"]): effect for effect in unstated}
+    rig = session.rig
+    wider = {
+        side: replace(camera, pan_center=camera.pan_center * [1.01, 1.0, 1.0])
+        for side, camera in (("left", rig.left), ("right", rig.right))
+    }
+    bases = np.tile(rig.rig_T_base, (3, 1, 1))
+    bases[range(3), range(3), 3] += 1e-3
+    for error, rigs in {
+        ("rig", "a baseline off by 1 %"): [replace(rig, **wider)],
+        ("robot base", "1 mm"): [replace(rig, rig_T_base=base) for base in bases],
+    }.items():
+        j = said[error]["joint"] - 1
+        moved = [abs(_at_spots(replace(session, rig=off))[0][j] - means[j]) for off in rigs]
+        assert max(moved) == pytest.approx(said[error]["moves_mean_error_deg"], rel=0.2), error
+
+
+def _at_spots(session: InMemory) -> tuple[list[float], list[dict[str, Any]]]:
+    """Plain mean errors and what is unstated, at spot level and with the same noise each time."""
+
+    def measured(_pairs: Iterable[StereoPair], _setup: Setup) -> Iterator[Measurement]:
+        systematics = stated_systematics(session.rig, session.marker, turning=False)
+        yield from measured_at_spots(session, systematics, np.random.default_rng(3))
+
+    summary = analyse(session, chain=measured).summary
+    means = [joint["plain_mean_error_deg"] for joint in summary["joints"]]
+    return means, summary["budget"]["unstated"]
 
 
 def test_degrees_of_freedom_by_welch_and_satterthwaite_and_student_below_fifty() -> None:
