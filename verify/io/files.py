@@ -33,7 +33,7 @@ _NO_MEMORY = re.compile(  # in libraries' own words
     re.IGNORECASE,
 )
 SPARE_BYTES = 200_000_000  # what decoding a video takes
-MAX_TABLE_BYTES = 2_000_000_000  # of a CSV file or a picture: what is larger is something else
+MAX_TABLE_BYTES = 2_000_000_000  # of a CSV file, a picture, a ring of pairs: more is no such file
 
 
 def system_refusal(path: str | Path, error: OSError) -> InputError:

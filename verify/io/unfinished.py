@@ -22,7 +22,7 @@ import numpy as np
 
 from verify.core.records import Image, StereoPair
 from verify.errors import InputError
-from verify.io.files import refused_as_input_error, require_file
+from verify.io.files import MAX_TABLE_BYTES, refused_as_input_error, require_file
 from verify.io.series import FrameSeries
 from verify.io.video import Images
 
@@ -179,7 +179,7 @@ def _read_slots(path: Path) -> dict[int, _Pair]:
     pairs: dict[int, _Pair] = {}
     if path.is_file() and not path.stat().st_size:
         return pairs
-    require_file(path)
+    require_file(path, MAX_TABLE_BYTES)
     with refused_as_input_error(path), path.open("rb") as file:
         head = file.read(HEADER.size).ljust(HEADER.size, b"\0")
         if not any(head):  # the power went before the disk had it

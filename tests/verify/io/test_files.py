@@ -259,20 +259,6 @@ def test_a_folder_below_a_file(tmp_path: Path, below: str) -> None:
     assert (tmp_path / "notes.txt").read_text() == "mine"
 
 
-def test_a_folder_with_what_is_too_large_for_a_picture_is_refused(tmp_path: Path) -> None:
-    (tmp_path / "000000.png").touch()
-    os.truncate(tmp_path / "000000.png", 20_000_000_000)
-    with pytest.raises(InputError, match=r"000000\.png: has 20000000000 bytes"):
-        files.digest(tmp_path)
-
-
-def test_a_link_that_leads_to_itself(tmp_path: Path) -> None:
-    (tmp_path / "loop").symlink_to("loop")
-    for words in (("grab", "--sim", "-o"), ("calibrate", "boards")):
-        message = verify(*words, tmp_path / "loop").refusal
-        assert "loop: too many levels of symbolic links. Put the file itself there" in message
-
-
 @pytest.mark.skipif(not Path("/proc/self").exists(), reason="needs /proc")
 def test_a_place_that_takes_no_folders() -> None:
     message = refusal(Path("/proc/verify-report"))

@@ -95,13 +95,6 @@ def test_another_file_of_that_name_is_refused(content: bytes | None, tmp_path: P
         open_session(tmp_path / "session")
 
 
-@pytest.mark.parametrize("content", [b"", bytes(9000)])
-def test_a_ring_that_never_reached_the_disk_holds_no_pairs(content: bytes, tmp_path: Path) -> None:
-    pairs = cut_off(tmp_path / "session", 2, 3)
-    (tmp_path / "session" / NAME).write_bytes(content)
-    assert_recorded(open_session(tmp_path / "session"), pairs[:2])
-
-
 @pytest.mark.parametrize("t", [np.nan, -1.0])
 def test_pending_pairs_without_rising_times_are_refused(t: float, tmp_path: Path) -> None:
     cut_off(tmp_path / "session", 2, 3)
