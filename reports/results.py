@@ -130,7 +130,7 @@ def rebuild_command(folder: Path) -> str:
             content = json.loads(_read_plain(place))
             summary = content if key is None else content[key]
             kind = summary.get("kind", "run"), summary.get("method")
-        except (OSError, ValueError, AttributeError, KeyError, TypeError):
+        except (OSError, ValueError, RecursionError, AttributeError, KeyError, TypeError):
             continue
         command = REBUILD_COMMANDS.get(kind) or REBUILD_COMMANDS.get((kind[0], None))
         if command:
@@ -212,7 +212,7 @@ def _manifest(folder: Path) -> dict[str, Any]:
     except OSError as problem:
         found = f"cannot be read ({problem.strerror})"
         raise _damaged(folder, MANIFEST, found, "a readable file is needed") from problem
-    except ValueError as problem:
+    except (ValueError, RecursionError) as problem:
         expected = "it is damaged or cut short"
         raise _damaged(folder, MANIFEST, "it is not JSON", expected) from problem
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT_VERSION:

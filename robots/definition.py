@@ -22,6 +22,7 @@ RATE_KEYS = {  # optional: what moves the arm needs them, what watches it does n
     "jerk": "jerk_deg_s3",
 }
 MAX_NUMBER = 1e6  # mm, deg, deg/s²…: more is a slip of the unit
+DEEP_KEY = re.compile(rb"""(?<![\w"'-])(?:[\w"'-]++[ \t]*+\.[ \t]*+){20}""")  # slow to parse
 WHOLE = re.compile(r"[+-]?\d{1,3}")
 JOINT = {*NUMBER_KEYS, *RATE_KEYS.values(), "limits_deg", "linkage"}
 
@@ -66,6 +67,8 @@ def read(path: Path) -> DhArm:
 def _parse(path: Path) -> tuple[bytes, dict[str, Any]]:
     try:
         content = path.read_bytes()
+        if DEEP_KEY.search(content):
+            raise RobotError(path, "is nested too deeply", "", "Write it as docs/arms.md shows.")
         return content, tomllib.loads(content.decode())
     except OSError as error:
         remedy = "Check the path, or give the name of a known robot."

@@ -20,6 +20,8 @@ GRIPPER_NAMES = re.compile(r"grip|finger|jaw|knuckle|thumb", re.IGNORECASE)
 MAX_CONTINUOUS_ANGLE = 2 * np.pi
 
 
+MAX_LIMIT = 1000.0  # rad; more is no angle
+MAX_LENGTH = 1000.0  # m, from a link to the next; more is another unit
 MAX_JOINTS = 16  # of an arm
 MAX_PARTS = 1000  # joints in a file: a humanoid with its hands has a tenth
 
@@ -62,7 +64,7 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
             path, found, f"an arm has at most {MAX_JOINTS}", "Name base and tip of the arm."
         )
     model = _lock_other_joints(path, chain)
-    limits = np.array([_limits(model, joint) for joint in chain])
+    limits = np.array([_limits(path, model, joint) for joint in chain])
     names = [joint.name for joint in chain]
     return UrdfArm(
         name=name,
@@ -82,11 +84,16 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
     )
 
 
-def _limits(model: pinocchio.Model, joint: Joint) -> tuple[float, float]:
+def _limits(path: Path, model: pinocchio.Model, joint: Joint) -> tuple[float, float]:
     if joint.kind == "continuous":
         return -MAX_CONTINUOUS_ANGLE, MAX_CONTINUOUS_ANGLE
     place = model.joints[model.getJointId(joint.name)].idx_q
-    return float(model.lowerPositionLimit[place]), float(model.upperPositionLimit[place])
+    lower, upper = (float(q[place]) for q in (model.lowerPositionLimit, model.upperPositionLimit))
+    if not -MAX_LIMIT <= lower < upper <= MAX_LIMIT:
+        found = f"lower {lower:g}, upper {upper:g}"
+        expected = f"radians within ±{MAX_LIMIT:g}, the lower one less"
+        raise RobotError(f'{path}, joint "{joint.name}", limit', found, expected)
+    return lower, upper
 
 
 def _parse(path: Path) -> tuple[bytes, list[Joint], set[str]]:
@@ -186,11 +193,17 @@ def _chain(path: Path, joints: list[Joint], base: str, tip: str) -> list[Joint]:
 
 
 def _lock_other_joints(path: Path, chain: list[Joint]) -> pinocchio.Model:
-    """Load the file, and lock all but the chain's joints at 0."""
+    """Load the file, and lock all but the chain's joints at 0; RobotError: it is no robot."""
     try:
         model = pinocchio.buildModelFromUrdf(str(path))
         kept = {joint.name for joint in chain}
         locked = [i for i in range(1, model.njoints) if model.names[i] not in kept]
-        return pinocchio.buildReducedModel(model, locked, pinocchio.neutral(model))
+        reduced = pinocchio.buildReducedModel(model, locked, pinocchio.neutral(model))
     except (ValueError, RuntimeError) as error:
         raise RobotError(path, f"pinocchio refuses it: {error}", "", "Mend the URDF.") from error
+    placements = [*reduced.jointPlacements, *(frame.placement for frame in reduced.frames)]
+    longest = max(np.abs(placement.translation).max() for placement in placements)
+    if not longest <= MAX_LENGTH:
+        expected = f"at most {MAX_LENGTH:g} m is plausible"
+        raise RobotError(path, f"an origin is {longest:g} m away", expected, "Write metres.")
+    return reduced

@@ -92,7 +92,7 @@ def check_templates(folder: Path) -> Path:
         raise ReportError(
             folder, found,
             f"a folder with {', '.join(TEMPLATE_FILES)}, or one of them, is expected",
-            "docs/reports.md says how to write one.",
+            "Put one there: docs/reports.md says how it is written.",
         )  # fmt: skip
     return folder
 

@@ -96,7 +96,7 @@ def _template_line(problem: Exception, folder: Path) -> str:
 def _template_error(place: str, problem: Exception) -> ReportError:
     found = f"{problem}".rstrip(".") or type(problem).__name__
     expected = "a Jinja2 template is expected"
-    return ReportError(place, found, expected, "docs/reports.md says what a template is given.")
+    return ReportError(place, found, expected, "Mend it: docs/reports.md says what it is given.")
 
 
 def _custom_style(look: Look) -> str:

@@ -48,7 +48,7 @@ def _typeset_custom(folder: Path, files: dict[str, bytes]) -> bytes:
         return _compile(own, format="pdf", timestamp=0, root=str(folder), **FONTS)
     except (typst.TypstError, RuntimeError) as problem:
         place = _diagnostic_place(folder, str(getattr(problem, "diagnostic", "")))
-        remedy = "docs/reports.md says what a template is given."
+        remedy = "Mend it: docs/reports.md says what it is given."
         raise ReportError(place, str(problem), "a typst template is expected", remedy) from None
 
 

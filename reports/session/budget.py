@@ -134,10 +134,10 @@ def budget(results: Results) -> doc.Section:
 def _unstated_table(effects: list[dict[str, Any]]) -> list[doc.Block]:
     """What errors of the sources that are not counted would do."""
     columns = (
-        doc.Column("Source", "l", doc.field("source", text_or_dash)),
-        doc.Column("An error of its", "l", doc.field("error", text_or_dash), wide=True),
-        doc.Column("Joint", "r", doc.field("joint", count)),
-        doc.Column("moved by [°]", "r", doc.field("moves_mean_error_deg", significant)),
+        doc.Column("Source", "l", doc.field("source", fmt.text_or_dash)),
+        doc.Column("An error of its", "l", doc.field("error", fmt.text_or_dash), wide=True),
+        doc.Column("Joint", "r", doc.field("joint", fmt.count)),
+        doc.Column("moved by [°]", "r", doc.field("moves_mean_error_deg", fmt.significant)),
     )
     title = "What it would take to matter: the mean error that each would move the most."
     return [doc.tabulate(title, columns, effects)] if effects else []

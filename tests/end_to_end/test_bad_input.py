@@ -1,5 +1,6 @@
 """Each kind of bad input: one clear line that names the place, status 2, nothing written."""
 
+import os
 import re
 import shutil
 from collections.abc import Callable
@@ -66,6 +67,12 @@ def without_leds(folder: Path) -> None:
     pd.read_csv(folder / "frames.csv").head(3).to_csv(folder / "frames.csv", index=False)
 
 
+def huge_cut_video(folder: Path) -> None:
+    edit("session.toml", "format = 1", 'format = 1\nrecording = "open"')(folder)
+    (folder / "left.mkv").write_bytes(b"")
+    os.truncate(folder / "left.mkv", 20_000_000_000)  # no block of it stands on the disk
+
+
 CASES = {
     "no folder": (shutil.rmtree, "session"),
     "no session.toml": (remove("session.toml"), "session.toml"),
@@ -80,6 +87,9 @@ CASES = {
     "another format": (edit("session.toml", "format = 1", "format = 7"), "format"),
     "readings in radians": (in_radians, "radians"),
     "pictures without an LED": (without_leds, "4 LEDs"),
+    "a huge file as a cut video": (huge_cut_video, "left.mkv: is no video"),
+    "keys within keys": (edit("rig.toml", "format = 1", "format = 1\n" + '"a".' * 20_000 + "b = 1"),
+                         "rig.toml: is nested too deeply"),
 }  # fmt: skip
 
 

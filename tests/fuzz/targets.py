@@ -7,6 +7,7 @@ import shutil
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from itertools import chain
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -24,6 +25,7 @@ from tests.support.simulated import FIXTURE, MINIMAL, SMALL_BOARDS
 from verify.fleet.batch.records import perform
 from verify.io.session.session import open_session
 from verify.io.unfinished import NAME, UnfinishedPairs
+from verify.io.video import open_images
 
 SESSION = """
 [[marker.led]]
@@ -59,6 +61,8 @@ joints_deg = 0.2
 AMPLITUDES = "15.0, 12.0, 15.0, 20.0, 20.0, 30.0"
 NEAR = "--near 30,-62,46,8,-84,24 --within-deg 35 --poses 4 --rate-hz 4 --clock-uncertainty-ms 0.5"
 REPORT = "report {in}"
+SAME_REPORT = ("run PNGs", "run MJPEG", "run open", "film of boards", "run registered")
+RUN = "run {in} -o {out} --tolerance 0.5"
 
 
 @dataclass(frozen=True)
@@ -80,13 +84,13 @@ def make_targets(folder: Path) -> list[Target]:
     """Make the folders that are broken, and what the commands write of them whole: more folders."""
     folder.mkdir(exist_ok=True)
     with quick():
-        sources = [*_sessions(folder), *_files(folder)]
-        reports = []
-        for target in sources:
+        sources, reports = [], []
+        for target in chain(_sessions(folder), _files(folder), _outputs(folder)):
+            sources.append(target)
             whole = whole_out(target)
             done = verify(*target.command(target.folder, whole))
             assert done.status in (0, 1, 3), (target, done)
-            if (whole / "results").exists() and target.name not in ("run PNGs", "run open"):
+            if (whole / "results").exists() and target.name not in SAME_REPORT:
                 reports.append(Target(f"report of {target.name}", whole, REPORT, 0.5))
         own = folder / "own look"
         shutil.copytree(reports[0].folder, own)
@@ -114,7 +118,6 @@ def _simulated(folder: Path, name: str, text: str) -> Path:
 
 def _sessions(folder: Path) -> Iterator[Target]:
     """Sessions of pictures and of poses, and what is made of them."""
-    run = "run {in} -o {out} --tolerance 0.5"
     rig = SMALL_BOARDS.partition("\n[rig]")[2].replace(
         "[640, 360]", "[640, 360]\ndistance_mm = 650.0"
     )
@@ -124,11 +127,12 @@ def _sessions(folder: Path) -> Iterator[Target]:
     text = text.replace("5.0, 5.0, 5.0, 5.0, 5.0, 5.0", AMPLITUDES) + f"{SESSION}[rig]{rig}"
     video = _simulated(folder, "video", text)
     pngs = _simulated(folder, "pngs", text.replace("[recording]", '[recording]\nformat = "png"'))
-    yield Target("run", video, run, 2)
-    yield Target("run PNGs", pngs, run)
-    yield Target("run open", _open_recording(folder / "open", video), run)
+    yield Target("run", video, RUN, 2)
+    yield Target("run PNGs", pngs, RUN)
+    yield Target("run MJPEG", _filmed(folder / "mjpeg", video, "MJPG"), RUN, 0.5)
+    yield Target("run open", _open_recording(folder / "open", video), RUN)
     poses = _poses(folder / "poses", video)
-    yield Target("run poses", poses, run)
+    yield Target("run poses", poses, RUN)
     yield Target("identify", poses, "identify {in} -o {out}")
     yield Target("simulate", video.with_name("video scenario"),
                  "simulate {in}/scenario.toml -o {out}")  # fmt: skip
@@ -178,6 +182,8 @@ def _files(folder: Path) -> Iterator[Target]:
     boards = _simulated(folder, "boards", SMALL_BOARDS.format(pairs=6))
     where = "-o {out}.toml --report {out}"
     yield Target("boards", boards, f"calibrate boards {{in}} {where}", 0.3)
+    filmed = _filmed(folder / "film of boards", boards, "FFV1")
+    yield Target("film of boards", filmed, f"calibrate boards {{in}} {where}", 0.2)
     checked = "calibrate check {in} --rig {in}/rig_true.toml -o {out}"
     yield Target("check boards", boards, checked, 0.3)
     fixture = _simulated(folder, "fixture", SMALL_BOARDS.format(pairs=2) + FIXTURE)
@@ -202,6 +208,35 @@ def _files(folder: Path) -> Iterator[Target]:
     text = STATION.format(robot="rv_3sd_melfa", port="tcp:127.0.0.1:9")
     (grab / "station.toml").write_text(text)
     yield Target("grab", grab, "grab {in}/station.toml --target blue -o {out}")
+
+
+def _filmed(folder: Path, pictures: Path, codec: str) -> Path:
+    """The same with its pictures in videos of another codec, as a webcam gives them."""
+    shutil.copytree(pictures, folder)
+    for side in ("left", "right"):
+        (old,) = folder.glob(f"{side}*")
+        images = list(open_images(old).images())
+        kind, size = cv2.VideoWriter.fourcc(*codec), images[0].shape[1::-1]
+        film = cv2.VideoWriter(str(folder / f"{side}.avi"), kind, 10.0, size, images[0].ndim == 3)
+        for image in images:
+            film.write(image)
+        film.release()
+        shutil.rmtree(old) if old.is_dir() else old.unlink()
+    if (facts := folder / "session.toml").exists():
+        facts.write_text(facts.read_text().replace(".mkv", ".avi"))
+    return folder
+
+
+def _outputs(folder: Path) -> Iterator[Target]:
+    """What some of the commands above wrote, as the input of others."""
+    registered = folder / "registered"
+    shutil.copytree(folder / "video", registered)
+    shutil.copy(folder / "register whole.toml", registered / "rig.toml")
+    shutil.copy(folder / "register whole-leds.toml", registered / "marker.toml")
+    yield Target("run registered", registered, RUN, 0.5)
+    yield Target("run identified", folder / "identify whole" / "sessions" / "poses", RUN, 0.5)
+    verify("grab", "--sim", "--small", "--seed", "4", "-o", folder / "grabbed")
+    yield Target("report of grab", folder / "grabbed", REPORT, 0.3)
 
 
 class _PoolHere:

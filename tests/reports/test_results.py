@@ -69,7 +69,9 @@ def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
     assert "no results.json" in _complaint(tmp_path / "absent")
 
 
-@pytest.mark.parametrize("text", [b"", b"\xff\xfe", b"[1]", b'{"format": 99}', b'{"format": 1}'])
+@pytest.mark.parametrize(
+    "text", [b"", b"\xff\xfe", b"[1]", b'{"format": 99}', b'{"format": 1}', b"[" * 100_000]
+)
 def test_a_damaged_or_foreign_manifest_is_refused_in_one_line(folder: Path, text: bytes) -> None:
     (folder / MANIFEST).write_bytes(text)
     assert MANIFEST in _complaint(folder)

@@ -91,6 +91,7 @@ def test_a_path_counts_from_the_folder(tmp_path: Path) -> None:
         ("format = 1", "format = 2", ["format", "2", "reads 1"]),
         ("format = 1", "format = 1\ncolour = 1", ["colour", "unknown key", "Remove it"]),
         ("format = 1", "format = ", ["not valid TOML", "line 1"]),
+        ("a_mm = 36.5", "x = {" + '"a".' * 20_000 + "b = 1}", ["is nested too deeply"]),
         ("[[joint]]", "[[joint]]\na_mm = 1\n[[joint]]", ["7 joints", "6", "URDF"]),
     ],
 )
@@ -192,6 +193,14 @@ def test_what_is_wrong_with_a_urdf_is_named(tmp_path: Path) -> None:
     assert 'no link "hand"' in complaint(str(path), tip="hand")
     assert 'no chain from "tip" to "base"' in complaint(str(path), base="tip", tip="base")
     assert "no single chain" in complaint(str(urdf(tmp_path, a="prismatic")))
+    for old, new, words in (
+        ('lower="-1"', 'lower="5"', 'joint "a", limit: lower 5, upper 2; radians within'),
+        ('lower="-1" upper="2"', "", 'joint "a", limit: lower 0, upper 0'),
+        ('upper="2"', 'upper="1e300"', "upper 1e+300"),
+        ('xyz="0 0 0.3"', 'xyz="0 0 1e300"', "1e+300 m away; at most 1000 m is plausible. Write"),
+    ):
+        path.write_text(URDF.format(a="revolute", b="revolute", mimic="").replace(old, new))
+        assert words in complaint(str(path))
     path.write_text("<robot><link/>")
     assert "not valid XML" in complaint(str(path))
     path.write_text("<sdf/>")

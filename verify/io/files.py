@@ -33,7 +33,7 @@ _NO_MEMORY = re.compile(  # in libraries' own words
     re.IGNORECASE,
 )
 SPARE_BYTES = 200_000_000  # what decoding a video takes
-MAX_TABLE_BYTES = 2_000_000_000  # of a CSV file or a picture: what is larger is something else
+MAX_TABLE_BYTES = 2_000_000_000  # of a CSV file, a picture, a ring of pairs: more is no such file
 
 
 def system_refusal(path: str | Path, error: OSError) -> InputError:
@@ -105,9 +105,20 @@ def require_file(path: Path, max_bytes: int | None = None) -> None:
         raise InputError(path, f"is {kind}", "a file is expected", "Name the file itself.")
     if size == 0:
         raise InputError(path, "is empty", "", "Record or export it again.")
-    if max_bytes is not None and size > max_bytes:
+    if max_bytes is not None:
+        _require_size(path, size, max_bytes)
+
+
+def _require_size(path: Path, size: int, max_bytes: int) -> None:
+    if size > max_bytes:
         found, expected = f"has {size} bytes", f"a file of its kind has at most {max_bytes}"
-        raise InputError(path, found, expected, "Name the right file.")
+        raise InputError(path, found, expected, "Put the right file there.")
+
+
+def real_path(path: Path) -> Path:
+    """Follow links; raises InputError: one leads to itself."""
+    with refused_as_input_error(path):
+        return path.resolve()
 
 
 def require_folder(folder: Path, expected: str, remedy: str) -> None:
@@ -127,7 +138,7 @@ def read_bytes(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> bytes:
 
 
 def digest(path: Path) -> str:
-    """SHA-256 of a file, as `sha256:…`; raises InputError where the system refuses it.
+    """SHA-256 of a file, as `sha256:…`; InputError: the system refuses it, too large a picture.
 
     A folder's is that of the lines that `sha256sum *` prints inside it, names in byte order, so
     that `cd left; sha256sum * | sha256sum` (LC_ALL=C) makes it again.
@@ -140,6 +151,8 @@ def digest(path: Path) -> str:
             (entry for entry in path.iterdir() if entry.is_file() and entry.name[0] != "."),
             key=lambda entry: entry.name.encode(errors="surrogateescape"),
         )
+        for entry in files:
+            _require_size(entry, entry.stat().st_size, MAX_TABLE_BYTES)
         lines = "".join(f"{digest(file).partition(':')[2]}  {file.name}\n" for file in files)
     except OSError as error:
         raise system_refusal(error.filename or path, error) from error
@@ -212,7 +225,7 @@ def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
             no permission.
     """
     out = Path(out)
-    target = out.resolve()
+    target = real_path(out)
     exists = _check_vacant(out, target, force)
     # on the disk of what it becomes, so that a rename suffices: `out` may be a mount of its own
     beside = target if exists else next(p for p in target.parents if p.exists())

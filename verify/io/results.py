@@ -9,13 +9,14 @@ import reports
 from reports import ReportError, Results
 from reports.results import to_json_value
 from verify.errors import InputError
-from verify.io.files import output_refusal, write_folder_whole
+from verify.io.files import output_refusal, real_path, write_folder_whole
 
 RESULTS = "results"
 
 
 def refuse_existing(out: Path, *, force: bool) -> None:
     """Raise InputError, before hours of work, if `out` is a file or, unless `force`, not empty."""
+    real_path(out)
     if out.is_file() or (out.is_dir() and any(out.iterdir()) and not force):
         found = "is a file" if out.is_file() else "exists and is not empty"
         raise InputError(out, found, "results need a folder of their own",
@@ -29,8 +30,8 @@ def refuse_file(path: Path, *, force: bool) -> None:
     """
     if not path.parent.is_dir():
         raise output_refusal(path, OSError(errno.ENOENT, os.strerror(errno.ENOENT)))
-    if path.is_dir():
-        raise InputError(path, "is a folder", "the name of a file is expected", "")
+    if real_path(path).is_dir():
+        raise InputError(path, "is a folder", "a file is expected", "Choose another name.")
     if path.exists() and not force:
         remedy = "Choose another name, or give --force."
         raise InputError(path, "exists", "nothing is overwritten unasked", remedy)

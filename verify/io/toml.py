@@ -43,7 +43,10 @@ MM = 1e-3  # m
 
 S = TypeVar("S", bound=msgspec.Struct)
 
-_DEEP_KEY = re.compile(rb"^[ \t\[]*(?:[\w-]+[ \t]*\.[ \t]*){%d}" % MAX_DEPTH, re.MULTILINE)
+_DEEP_KEY = re.compile(  # bare or quoted names with dots between
+    rb"""(?<![\w-])(?:(?:[\w-]++|"(?:[^"\\\n]|\\.)*+"|'[^'\n]*+')[ \t]*+\.[ \t]*+){%d}"""
+    % MAX_DEPTH
+)
 _COMPLAINT = re.compile(r"^(?P<what>.*?)(, got .*?)?( - at `\$\.?(?P<key>.*)`)?$", re.DOTALL)
 _MISSING = re.compile(r"Object missing required field `(?P<field>.*)`")
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<field>.*)`")

@@ -22,7 +22,7 @@ import numpy as np
 
 from verify.core.records import Image, StereoPair
 from verify.errors import InputError
-from verify.io.files import refused_as_input_error
+from verify.io.files import MAX_TABLE_BYTES, refused_as_input_error, require_file
 from verify.io.series import FrameSeries
 from verify.io.video import Images
 
@@ -32,6 +32,7 @@ HEADER = struct.Struct("<16s Q 3Q 3Q")
 SLOT = struct.Struct("<q 4d")
 PAGE = 4096  # bytes
 EMPTY = -1
+MAX_SIDE = 100_000  # px; more is no picture
 _REMEDY = "Delete it: the pairs in the videos can be measured without it."
 
 Shape = tuple[int, ...]  # of a picture: (h, w) or (h, w, 3)
@@ -175,12 +176,17 @@ def append_unfinished(
 
 def _read_slots(path: Path) -> dict[int, _Pair]:
     """Every pair in the file, by its number; the pixels stay on the disk."""
-    pairs = {}
+    pairs: dict[int, _Pair] = {}
+    if path.is_file() and not path.stat().st_size:
+        return pairs
+    require_file(path, MAX_TABLE_BYTES)
     with refused_as_input_error(path), path.open("rb") as file:
-        head = file.read(HEADER.size)
-        if len(head) < HEADER.size or not head.startswith(MAGIC):
+        head = file.read(HEADER.size).ljust(HEADER.size, b"\0")
+        if not any(head):  # the power went before the disk had it
+            return pairs
+        magic, slots, *sizes = HEADER.unpack(head)
+        if magic != MAGIC or max(sizes) > MAX_SIDE:
             raise InputError(path, "holds no pending pairs", "a recording wrote it", _REMEDY)
-        _, slots, *sizes = HEADER.unpack(head)
         left, right = (tuple(size if size[2] > 1 else size[:2]) for size in (sizes[:3], sizes[3:]))
         layout = _RingLayout(left, right)
         length = os.fstat(file.fileno()).st_size

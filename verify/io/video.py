@@ -78,6 +78,7 @@ os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")  # AV_LOG_QUIET
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 BATCH_IMAGES = 8  # a side, decoded at once where no thread does it; 1280 x 720: 15 MB
+MAX_HEAD_BYTES = 500_000_000  # of a video's head and its first image
 PREFETCH_IMAGES = 4  # a side, decoded in advance by a thread: hides a slow one
 
 _NUMBERED = re.compile(r"\d+\.png")
@@ -130,9 +131,12 @@ class Video(Images):
     def count(self, torn: bool = False) -> int:
         """Count the images without decoding them; FFV1's checksums are checked as they pass."""
         if torn:
-            with suppress(InputError):  # cut within its head or its first image
+            try:
                 return min(self._intact()[0], sum(1 for _ in self.images()))
-            return 0
+            except InputError:
+                if not self.path.is_file() or self.path.stat().st_size > MAX_HEAD_BYTES:
+                    raise
+                return 0  # cut within its head or its first image
         first_bad, count = self._intact()
         if first_bad < count:
             found = f"image {first_bad} of {count} is damaged"

@@ -11,7 +11,8 @@ import msgspec
 Positive = Annotated[float, msgspec.Meta(gt=0)]
 NotNegative = Annotated[float, msgspec.Meta(ge=0)]
 Share = Annotated[float, msgspec.Meta(gt=0, le=1)]
-Count = Annotated[int, msgspec.Meta(ge=1)]
+Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
+Pixels = Annotated[int, msgspec.Meta(ge=1, le=20_000)]
 Index = Annotated[int, msgspec.Meta(ge=0)]
 Vector = tuple[float, float, float]
 Side = Literal["left", "right", "both"]
@@ -99,7 +100,7 @@ class ScenarioPlacement(ScenarioTable, frozen=True):
 class ScenarioRig(ScenarioTable, frozen=True):
     """The two cameras and their place; "auto" looks for one from which every LED is seen."""
 
-    image_size: tuple[Count, Count] = (1280, 720)
+    image_size: tuple[Pixels, Pixels] = (1280, 720)
     baseline_mm: Positive = 170.0
     distance_mm: Positive = 650.0  # wanted between rig and LEDs; auto may step back
     bases: Literal["fixed", "follow"] = "fixed"
@@ -278,7 +279,7 @@ class BoardScenarioBases(BoardScenarioTable, frozen=True):
 class BoardRig(BoardScenarioTable, frozen=True):
     """The two cameras."""
 
-    image_size: tuple[Count, Count] = (1280, 720)
+    image_size: tuple[Pixels, Pixels] = (1280, 720)
     baseline_mm: Positive = 170.0
     left: ScenarioCamera = ScenarioCamera()
     right: ScenarioCamera = ScenarioCamera()

@@ -12,7 +12,7 @@ from tests.support.devices.recording_process import FACTS, assert_recorded, pair
 from verify.devices.protocols import CapturedPair
 from verify.errors import InputError
 from verify.io.session.session import open_session
-from verify.io.unfinished import NAME
+from verify.io.unfinished import HEADER, MAGIC, NAME
 from verify.live.recording.session import MAX_UNENCODED_PAIRS, SessionWriter
 
 
@@ -79,10 +79,19 @@ def test_a_video_cut_within_its_first_image_leaves_the_pairs_set_aside(
         assert_array_equal(after.left, before.left)
 
 
-def test_another_file_of_that_name_is_refused(tmp_path: Path) -> None:
+HUGE = HEADER.pack(MAGIC, 2**60, *[2**32, 2**32, 1] * 2)  # 2**64 pixels, which is 0 in 64 bits
+
+
+@pytest.mark.parametrize("content", [b"something else", HUGE + bytes(9999), None])
+def test_another_file_of_that_name_is_refused(content: bytes | None, tmp_path: Path) -> None:
     cut_off(tmp_path / "session", 2, 3)
-    (tmp_path / "session" / NAME).write_bytes(b"something else")
-    with pytest.raises(InputError, match=r"pending\.raw: holds no pending pairs"):
+    ring = tmp_path / "session" / NAME
+    ring.unlink()
+    if content is None:
+        os.mkfifo(ring)
+    else:
+        ring.write_bytes(content)
+    with pytest.raises(InputError, match=r"pending\.raw: (holds no pending pairs|is not a plain)"):
         open_session(tmp_path / "session")
 
 

@@ -108,6 +108,18 @@ def _moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
     )  # fmt: skip
 
 
+def _without_cameras(rig: Rig) -> Rig:
+    """The rig with what is stated of its robot's base alone, as a session of poses has it."""
+    known = rig.covariance
+    names = known.parameters if known is not None else ()
+    own = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
+    if known is None or not own:
+        return replace(rig, covariance=None)
+    sigma, correlation = known.standard_uncertainty[own], known.correlation[np.ix_(own, own)]
+    found = Covariance(tuple(names[i] for i in own), sigma, correlation)
+    return replace(rig, covariance=found)
+
+
 def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Marker:
     """The LEDs where the flange has them: a session's LEDs are its target."""
     tool, marker = fit.state.tool[place], session.marker
@@ -142,7 +154,7 @@ def _session_toml(
     if any(sigma):
         uncertainty = dict(zip(KEYS, sigma, strict=True))
         poses |= {"source": "motion", "body_standard_uncertainty": uncertainty}
-    whole = tomllib.loads(io_rig.encode(rig).decode())
+    whole = tomllib.loads(io_rig.encode(_without_cameras(rig)).decode())
     tree |= {"robot": robot_file, "poses": poses, "robot_base": whole["robot_base"]}
     tree.pop("rig", None)
     tree["covariance"] = whole.get("covariance")

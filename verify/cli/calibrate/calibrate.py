@@ -66,11 +66,12 @@ def boards(
         refuse_station,
         take_pictures,
     )
+    from verify.io.files import real_path
     from verify.io.results import refuse_existing, refuse_file
     from verify.live.boards.pictures import complete_pairs
 
     station, folder = folder, pictures_folder(pictures) if live else folder
-    target = report if report is not None else Path(f"{folder.resolve().name}-calibration")
+    target = report if report is not None else Path(f"{real_path(folder).name}-calibration")
     refuse_file(out, force=force)
     refuse_existing(target, force=force)
     given = board_of(board_from_options(corners, square_mm, square_uncertainty_mm), board)
@@ -134,6 +135,7 @@ def register(
     """
     from verify.cli.calibrate import registration
     from verify.cli.calibrate.boards import board_from_options
+    from verify.io.files import real_path
     from verify.io.results import refuse_existing, refuse_file
 
     fixture = board_in_base is not None
@@ -147,7 +149,7 @@ def register(
     way = "a board on the base" if fixture else "a motion"
     option.refuse_options(useless, f"has no meaning when {way} is used", "", "Leave it out.")
     marker_out = marker if marker is not None else Path("marker.toml")
-    target = report if report is not None else Path(f"{session.resolve().name}-registration")
+    target = report if report is not None else Path(f"{real_path(session).name}-registration")
     refuse_file(out, force=force)
     if not fixture:
         refuse_file(marker_out, force=force)

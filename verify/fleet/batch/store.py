@@ -10,7 +10,7 @@ from typing import Any
 
 from verify.errors import InputError
 from verify.fleet.batch.records import BatchOptions, SessionResults
-from verify.io.files import output_refusal, system_refusal, write_folder_whole
+from verify.io.files import output_refusal, read_bytes, system_refusal, write_folder_whole
 from verify.io.results import RESULTS
 
 SESSIONS_FOLDER = "sessions"
@@ -44,17 +44,17 @@ class ResultStore:
         """Find a session's results; None where there are none, or none that can be trusted."""
         folder = self.place(session)
         try:
-            entry: Any = json.loads((folder / ENTRY_FILE).read_bytes())
+            entry: Any = json.loads(read_bytes(folder / ENTRY_FILE))
             if entry["format"] != FORMAT_VERSION or entry["session"] != session:
                 return None
             whole = all(
-                hashlib.sha256((folder / name).read_bytes()).hexdigest() == was
+                hashlib.sha256(read_bytes(folder / name)).hexdigest() == was
                 for name, was in entry["files"].items()
             )
             if not whole:
                 return None
             return StoredResults(folder, dict(entry["inputs"]), str(entry["options"]))
-        except (OSError, ValueError, KeyError, TypeError):
+        except (InputError, ValueError, RecursionError, AttributeError, KeyError, TypeError):
             return None
 
     def keep(self, measured: SessionResults, options: BatchOptions) -> None:
