@@ -223,6 +223,7 @@ def _left_by_faults(
         for log in (written, likely):
             error, angle = _joint_errors(log, offset)
             if len(error):
+                error += written.readings.q[0] - log.readings.q[0]  # as written, in its branch
                 fits = [_left_of_joint(e, a) for e, a in zip(error.T, angle.T, strict=True)]
                 left, factor = np.array(fits).T
             else:

@@ -25,6 +25,7 @@ FULL_TURN = 2 * np.pi
 # angles in the wrong unit or coordinates in the wrong unit or order do not.
 MAX_POSE_DIFFERENCE = (0.05, np.deg2rad(8.0))  # m, rad
 MAX_POINT_DIFFERENCE = 0.1  # m: of a position alone the readings' own turn moves the point, too
+MIN_AGREEING = 0.9  # of the poses: where a flange points down, half may agree by chance
 
 
 def refuse_radians(
@@ -98,7 +99,7 @@ def usual_mistakes(poses: Poses) -> list[tuple[Poses, str, str, str]]:
 def _poses_agree(
     arm: robots.Arm, track: Track, readings: Readings, offset: float, *, places_alone: bool = False
 ) -> bool:
-    """Whether half the poses, or their places alone, lie close to where the readings put them."""
+    """Whether the poses, or their places alone, lie close to where the readings put them."""
     known = readings.available(track.t - offset)
     if not known.any():
         return False
@@ -106,9 +107,9 @@ def _poses_agree(
     measured = track.base_T_flange[known]
     distance = np.linalg.norm(poses[:, :3, 3] - measured[:, :3, 3], axis=1)
     if places_alone:
-        return bool(np.mean(distance < MAX_POINT_DIFFERENCE) >= 0.5)
+        return bool(np.mean(distance < MAX_POINT_DIFFERENCE) >= MIN_AGREEING)
     turn = poses[:, :3, :3] @ np.swapaxes(measured[:, :3, :3], 1, 2)
     near = (distance < MAX_POSE_DIFFERENCE[0]) & (
         Rotation.from_matrix(turn).magnitude() < MAX_POSE_DIFFERENCE[1]
     )
-    return bool(np.mean(near) >= 0.5)
+    return bool(np.mean(near) >= MIN_AGREEING)
