@@ -64,10 +64,12 @@ def refuse_mistaken_readings(file: Path, gathered: CombinedPoses) -> None:
     readings = Readings(np.arange(len(rows), dtype=float), rows.q)
     posed = first.instrument is not None
     of_poses = usual_mistakes(rows.world_T_target, alone=rows.position_only) if posed else ()
-    tried = [
-        *((file, *mistake, replace(rows, q=q.q)) for *mistake, q in joint_mistakes(readings)),
-        *((first.left.path, *m, replace(rows, world_T_target=other)) for *m, other in of_poses),
+    tried: list[tuple[Path, str, str, IdentificationPoses]] = [
+        (file, name, do, replace(rows, q=without.q))
+        for name, do, without in joint_mistakes(readings)
     ]
+    place = first.left.path
+    tried += [(place, name, do, replace(rows, world_T_target=it)) for name, do, it in of_poses]
     left = [_left(start_state(chain_of(first.arm), one[-1]), one[-1]) for one in tried]
     place, name, remedy, _ = tried[best := int(np.argmin(left))]
     if left[best] * MIN_FACTOR < written:
