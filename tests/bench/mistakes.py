@@ -107,7 +107,7 @@ def misregistered(kind: str, recording: Recording) -> tuple[Recording, str]:
             place = -np.einsum("nij,nj->ni", turn, poses.position)
             other = replace(poses, rotation=turn, position=place)
         session = replace(session, instrument=replace(session.instrument, poses=other))
-        words = "poses inverted" if kind == "poses inverted" else "their scalar comes last"
+        words = "poses inverted" if kind == "poses inverted" else "whose scalar comes last"
         return (session, measured(session)), words
     base = session.rig.rig_T_base.copy()
     if kind == "base inverted":

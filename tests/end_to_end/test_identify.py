@@ -6,9 +6,11 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from scipy.linalg import block_diag
 
 import robots
 from robots.library import HERE
+from robots.transforms import rotation_exp
 from tests.support.beside import shared
 from tests.support.command import SAMPLES, read_summary, verify
 from tests.support.published import series, write_session
@@ -145,3 +147,34 @@ def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:
     ):
         assert message in verify("identify", *words).refusal
         assert not (Path.cwd() / "multi_joint_fault_6r-identification").exists()
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words", "message"),
+    [
+        ("quaternion", (), "the column qx reversed fits"),
+        ("scale", (), "joint 5 scaled by 1.3 fits"),
+        ("slip", (), "joint 3 slipped by +12° at about pose"),
+        ("base", ("--base", "held"), "another base and target fit"),
+    ],
+)
+def test_what_no_identification_can_describe_is_named(
+    spoil: str, words: tuple[str, ...], message: str, tmp_path: Path
+) -> None:
+    """A joint's scale beside an encoder that is off by 10° as well; a base off by 3°."""
+    truth = true_arm("iust_6r", 3, geometry=0.0, offsets=0.0)
+    if spoil == "base":
+        turn = rotation_exp(np.radians([2.0, 2.0, 0.0]))
+        truth.world_T_base[:] = block_diag(turn, 1.0)
+    q = readings(truth.arm, 60, 1)
+    poses, _ = measured(replace(truth, flange_T_target=np.eye(4)), q, 1)
+    if spoil == "scale":
+        q = q * [1, 1, 1, 1, 1.3, 1] + np.radians(10) * np.eye(6)[2]
+    elif spoil == "slip":
+        q[30:, 2] += np.radians(12)
+    folder = write_session(tmp_path / "one", build_poses(q, poses), robot="iust_6r", period=10.0)
+    if spoil == "quaternion":
+        table = pd.read_csv(folder / "poses.csv")
+        table.assign(qx=-table["qx"]).to_csv(folder / "poses.csv", index=False)
+    free = ("--base", "free", "--leds", "free", "--splits", "2")
+    assert message in verify("identify", folder, *(words or free), "-o", tmp_path / "no").refusal

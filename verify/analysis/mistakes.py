@@ -21,13 +21,13 @@ from itertools import combinations, islice
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 import robots
 from robots.library import example_names, names
 from robots.transforms import difference
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.clock.search import are_visits, coarse_costs
-from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.measured import session_clock, setup_of
 from verify.analysis.plausibility import usual_mistakes
 from verify.analysis.relative_motion import MAX_TURN, MIN_TURN, screw_motion
@@ -90,12 +90,15 @@ def refuse_other_motion(
     typical = _large_error(written, clock.offset)
     if typical < MAX_ERROR:
         return
-    off, left, factor, screws = _left_by_faults(session, written, clock)
+    off, faulty, left, factor, screws = _left_by_faults(session, written, clock)
     mistakes = [
         (mistake, _likely_offset(session, mistake, clock.offset))
         for mistake in _mistakes(session, written, factor, among_all=off > 1)
     ]
     named, remains = _best_by_joints(session, mistakes, left)
+    if named is None and max(off, faulty - 1) > 1:  # after the rest: a free base fits as well
+        placed = [(mistake, clock.offset) for mistake in _misplacements(session, written, clock)]
+        named, remains = _best_by_joints(session, placed, left if off > 1 else typical)
     if named is not None:
         found = f"{named.name} fits: {_degrees(remains)} instead of {_degrees(typical)}"
         raise _refusal(session, named, found)
@@ -210,11 +213,12 @@ def _faults(written: Mistake) -> Iterator[Mistake]:
 
 def _left_by_faults(
     session: Session, written: Mistake, clock: ClockEstimate
-) -> tuple[int, float, Array, float]:
+) -> tuple[int, int, float, Array, float]:
     """The least that faults leave: the clock may be lost, the arm in another branch than read.
 
-    Joints that stay off, in number; the worst, rad; by which factor the readings of each joint turn
-    farther than it, (j,), nan where unknown; what is left of the screw motions, rad.
+    Joints that stay off, in number; those with a fault beyond MAX_ERROR; the worst, rad; by which
+    factor the readings of each joint turn farther than it, (j,), nan where unknown; what is left of
+    the screw motions, rad.
     """
     offsets = dict.fromkeys([clock.offset, _likely_offset(session, written, clock.offset)])
     tried = []
@@ -223,17 +227,18 @@ def _left_by_faults(
         for log in (written, likely):
             error, angle = _joint_errors(log, offset)
             if len(error):
+                error += written.readings.q[0] - log.readings.q[0]  # as written, in its branch
                 fits = [_left_of_joint(e, a) for e, a in zip(error.T, angle.T, strict=True)]
-                left, factor = np.array(fits).T
+                left, factor, middle = np.array(fits).T
             else:
-                left, factor = np.full((2, written.arm.dof), [[np.inf], [np.nan]])
-            off = int((left > MAX_STRAY).sum())
-            tried.append((off, float(left.max()), factor, screw_misfit(log, offset)))
-    return *min(tried, key=lambda one: one[:2])[:3], min(one[3] for one in tried)
+                left, factor, middle = np.full((3, written.arm.dof), [[np.inf], [np.nan], [0.0]])
+            off, faulty = int((left > MAX_STRAY).sum()), int((np.abs(middle) > MAX_ERROR).sum())
+            tried.append((off, faulty, float(left.max()), factor, screw_misfit(log, offset)))
+    return *min(tried, key=lambda one: one[:3])[:4], min(one[4] for one in tried)
 
 
-def _left_of_joint(error: Array, angle: Array) -> tuple[float, float]:
-    """What offset, step and gain leave of a joint's error (n,), rad; the factor of its readings.
+def _left_of_joint(error: Array, angle: Array) -> tuple[float, float, float]:
+    """What offset, step and gain leave of a joint's error (n,), rad; readings' factor; mean error.
 
     `angle` (n,), rad, as measured. The step is tried between any two pairs.
     """
@@ -251,7 +256,7 @@ def _left_of_joint(error: Array, angle: Array) -> tuple[float, float]:
             rest[part] -= np.median(rest[part]) if part.any() else 0.0
         if (left := float(np.quantile(np.abs(rest), HIGH))) < least:
             least, factor = left, 1.0 + gain if sought else np.nan
-    return max(least, abs(middle) if abs(middle) > MAX_OFFSET else 0.0), factor
+    return max(least, abs(middle) if abs(middle) > MAX_OFFSET else 0.0), factor, middle
 
 
 def _likely_offset(session: Session, mistake: Mistake, offset: float) -> float:
@@ -322,21 +327,16 @@ def _pose_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
             file, (name, remedy) = session.left.path, CAMERAS_EXCHANGED
             yield replace(written, file=file, name=name, remedy=remedy, track=exchanged)
         return
-    base = session.rig.rig_T_base
-    body = session.instrument.flange_T_body
-    rig_T_body = base @ written.track.base_T_flange @ body
-    inverse = np.linalg.inv(base) @ np.linalg.inv(rig_T_body) @ np.linalg.inv(body)
-    yield replace(
-        written,
-        file=session.left.path,
-        name="the poses inverted",
-        remedy="Write the body in the instrument's frame, not the instrument in the body's.",
-        track=replace(written.track, base_T_flange=inverse),
-    )
-    for poses, found, _, remedy in usual_mistakes(session.instrument.poses):
-        other = replace(session.instrument, poses=poses)
-        track = measure_poses(session, other, written.readings, stated_noise(other)).track
-        yield replace(written, file=session.left.path, name=found, remedy=remedy, track=track)
+    rig_T_body = session.instrument.poses.transforms[written.track.frame.astype(int)]
+    base_T_rig = np.linalg.inv(session.rig.rig_T_base)
+    do = "Write the body in the instrument's frame, not the instrument in the body's."
+    for name, remedy, poses in (
+        ("the poses inverted", do, np.linalg.inv(rig_T_body)),
+        *usual_mistakes(rig_T_body, alone=False),
+    ):
+        moved = base_T_rig @ poses @ np.linalg.inv(session.instrument.flange_T_body)
+        track = replace(written.track, base_T_flange=moved)
+        yield replace(written, file=session.left.path, name=name, remedy=remedy, track=track)
 
 
 def exchanged_track(session: Session) -> Track:
@@ -364,20 +364,13 @@ def _registration_mistakes(session: Session, written: Mistake) -> Iterator[Mista
     """The base the wrong way round or in another unit, and the other arms."""
     track, rig_T_base = written.track, session.rig.rig_T_base
     rig_T_flange = rig_T_base @ track.base_T_flange
-    base_T_rig_scaled = np.linalg.inv(rig_T_base) * [1.0, 1.0, 1.0, 1e3]
-    base_T_rig_scaled[3, 3] = 1.0
+    scaled = np.linalg.inv(rig_T_base) * [1.0, 1.0, 1.0, 1e3]
+    scaled[3, 3] = 1.0
     file = session.folder / ("rig.toml" if session.instrument is None else "session.toml")
+    stated = "Write the base in the rig's frame into [robot_base], not the rig in the base's."
     for name, remedy, base_T_rig in (
-        (
-            "the robot's base inverted",
-            "Write the base in the rig's frame into [robot_base], not the rig in the base's.",
-            rig_T_base,
-        ),
-        (
-            "the robot's base in metres",
-            "Multiply [robot_base] position_mm by 1000.",
-            base_T_rig_scaled,
-        ),
+        ("the robot's base inverted", stated, rig_T_base),
+        ("the robot's base in metres", "Multiply [robot_base] position_mm by 1000.", scaled),
     ):
         moved = replace(track, base_T_flange=base_T_rig @ rig_T_flange)
         yield replace(written, file=file, name=name, remedy=remedy, track=moved)
@@ -387,6 +380,48 @@ def _registration_mistakes(session: Session, written: Mistake) -> Iterator[Mista
             remedy = f'Name robot = "{name}" in session.toml, if it is that one.'
             file = session.folder / "session.toml"
             yield replace(written, file=file, name=f"the robot {name}", remedy=remedy, arm=arm)
+
+
+def _misplacements(session: Session, written: Mistake, clock: ClockEstimate) -> Iterator[Mistake]:
+    """The base, or the body on the flange, where the poses have it and far from where it is said.
+
+    Not a base that is said to be as doubtful as that.
+    """
+    known, posed = session.rig.covariance, session.instrument is not None
+    stated = () if known is None else zip(known.parameters, known.standard_uncertainty, strict=True)
+    doubt = np.deg2rad(max((u for name, u in stated if name.startswith("robot_base.r")), default=0))
+    for what, holder, limit in (
+        ("the robot's base", "rig.toml", max(MAX_ERROR, 3 * doubt)),
+        ("the body on the flange", "marker.toml", MAX_ERROR),
+    ):
+        offset, track, moved = clock.offset, written.track, np.eye(4)
+        for _ in range(2):  # the clock, too, is found anew
+            poses, q = _sample(written, offset)
+            if not len(q):
+                return
+            flange_T_base = np.linalg.inv(robots.forward(written.arm, q))
+            at, of_base = written.track.base_T_flange, holder == "rig.toml"
+            moved = _middle(poses @ flange_T_base if of_base else flange_T_base @ poses)
+            back = np.linalg.inv(moved)
+            track = replace(written.track, base_T_flange=back @ at if of_base else at @ back)
+            offset = session_clock(session, track, written.readings).offset
+        turn = float(Rotation.from_matrix(moved[:3, :3]).magnitude())
+        shift = float(np.linalg.norm(moved[:3, 3]))
+        if turn + shift / LEVER > limit:
+            yield replace(
+                written,
+                file=session.folder / ("session.toml" if posed else holder),
+                name=f"{what} turned by {_degrees(turn)} and shifted by {shift * 1e3:.0f} mm",
+                remedy="Nothing can be judged by that registration: register again.",
+                track=track,
+            )
+
+
+def _middle(poses: Array) -> Array:
+    """The rigid motion (4, 4) amid poses (n, 4, 4)."""
+    found = np.median(poses, axis=0)
+    found[:3, :3] = Rotation.from_matrix(poses[:, :3, :3]).mean().as_matrix()
+    return np.asarray(found)
 
 
 def _refusal(session: Session, mistake: Mistake, found: str) -> InputError:

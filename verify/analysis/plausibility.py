@@ -1,9 +1,10 @@
-"""Refuse readings and poses in other units or another order than their file states.
+"""Refuse readings and poses in other units, another sense or order than their file states.
 
-Radians for degrees, metres for millimetres, a quaternion's scalar last: what is wrong as written
-and agrees once it is converted is refused, with the remedy.
+Radians for degrees, metres for millimetres, a column reversed: what is wrong as written and agrees
+once it is converted is refused, with the remedy.
 """
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,8 +15,9 @@ from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.measured import session_clock
 from verify.core.readings import Readings
+from verify.core.records import Array
 from verify.errors import InputError
-from verify.io.poses import Poses
+from verify.io.poses import POSITION, QUATERNION
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.track import Track
@@ -25,6 +27,8 @@ FULL_TURN = 2 * np.pi
 # angles in the wrong unit or coordinates in the wrong unit or order do not.
 MAX_POSE_DIFFERENCE = (0.05, np.deg2rad(8.0))  # m, rad
 MAX_POINT_DIFFERENCE = 0.1  # m: of a position alone the readings' own turn moves the point, too
+REVERSE = "Multiply that column by -1."
+MIN_AGREEING = 0.9  # of the poses: where a flange points down, half may agree by chance
 
 
 def refuse_radians(
@@ -54,51 +58,60 @@ def refuse_radians(
 def refuse_misread(
     session: Session, instrument: Instrument, track: Track, readings: Readings, clock: ClockEstimate
 ) -> None:
-    """Refuse poses that agree with the readings in another unit or order, and not as written.
+    """Refuse positions alone that agree with the readings in another unit or sense.
 
     The track is of the poses as written, and the clock as these show it.
 
     Raises:
-        InputError: positions in metres, or quaternions whose scalar comes last.
+        InputError: positions in metres, or a column reversed.
     """
     places_alone = bool(track.known_dof.min() < 6)
-    if _poses_agree(session.arm, track, readings, clock.offset, places_alone=places_alone):
+    if not places_alone or _poses_agree(
+        session.arm, track, readings, clock.offset, places_alone=True
+    ):
         return
-    for poses, found, expected, remedy in usual_mistakes(instrument.poses):
-        other = replace(instrument, poses=poses)
+    poses = instrument.poses
+    for name, remedy, without in usual_mistakes(poses.transforms, alone=True):
+        other = replace(instrument, poses=replace(poses, position=without[:, :3, 3]))
         tried = measure_poses(session, other, readings, stated_noise(other)).track
         offset = session_clock(session, tried, readings).offset
-        if _poses_agree(session.arm, tried, readings, offset, places_alone=places_alone):
-            raise InputError(session.left.path, found, expected, remedy)
+        if _poses_agree(session.arm, tried, readings, offset, places_alone=True):
+            found = f"the poses do not agree with the readings; {name} fits"
+            raise InputError(session.left.path, found, "millimetres, as the columns say", remedy)
 
 
-def usual_mistakes(poses: Poses) -> list[tuple[Poses, str, str, str]]:
-    """The usual mistakes: the poses as they would be without, and what to say of it."""
-    found = [
-        (
-            replace(poses, position=poses.position * 1e3),
-            "the positions agree with the readings as metres and not as millimetres",
-            "millimetres are asked for (x_mm, y_mm, z_mm)",
-            "Multiply them by 1000.",
-        )
-    ]
-    if poses.rotation is not None:
-        as_written = np.roll(Rotation.from_matrix(poses.rotation).as_quat(), 1, axis=1)
-        found.append(
-            (
-                replace(poses, rotation=Rotation.from_quat(as_written).as_matrix()),
-                "the quaternions agree with the readings if their scalar comes last",
-                "the columns qw, qx, qy, qz name each number",
-                "Put the names in the order in which the numbers stand.",
-            )
-        )
-    return found
+def usual_mistakes(poses: Array, *, alone: bool) -> Iterator[tuple[str, str, Array]]:
+    """The usual mistakes in poses (n, 4, 4), m: name, remedy, the poses without it.
+
+    `alone`: positions alone were measured; a free base takes any of three mirrors for another.
+    """
+    mirrors = [1 - 2 * np.eye(3)[k] for k in range(3)]
+    names = ["one of x_mm, y_mm, z_mm" if alone else f"the column {name}" for name in POSITION]
+    for name, remedy, factor in (
+        ("an export in metres", "Multiply the positions by 1000.", np.full(3, 1e3)),
+        *((f"{n} reversed", REVERSE, one) for n, one in zip(names, mirrors, strict=True)),
+    ):
+        without = poses.copy()
+        without[:, :3, 3] *= factor
+        yield name, remedy, without
+    if alone:
+        return
+    xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
+    named = "Put the names qw, qx, qy, qz in the order in which the numbers stand."
+    for name, remedy, turn in (
+        ("a quaternion whose scalar comes last", named, np.roll(xyzw, 1, axis=1)),
+        *((f"the column {n} reversed", REVERSE, xyzw * (1 - 2 * np.eye(4)[k - 1]))
+          for k, n in enumerate(QUATERNION)),
+    ):  # fmt: skip
+        without = poses.copy()
+        without[:, :3, :3] = Rotation.from_quat(turn).as_matrix()
+        yield name, remedy, without
 
 
 def _poses_agree(
     arm: robots.Arm, track: Track, readings: Readings, offset: float, *, places_alone: bool = False
 ) -> bool:
-    """Whether half the poses, or their places alone, lie close to where the readings put them."""
+    """Whether the poses, or their places alone, lie close to where the readings put them."""
     known = readings.available(track.t - offset)
     if not known.any():
         return False
@@ -106,9 +119,9 @@ def _poses_agree(
     measured = track.base_T_flange[known]
     distance = np.linalg.norm(poses[:, :3, 3] - measured[:, :3, 3], axis=1)
     if places_alone:
-        return bool(np.mean(distance < MAX_POINT_DIFFERENCE) >= 0.5)
+        return bool(np.mean(distance < MAX_POINT_DIFFERENCE) >= MIN_AGREEING)
     turn = poses[:, :3, :3] @ np.swapaxes(measured[:, :3, :3], 1, 2)
     near = (distance < MAX_POSE_DIFFERENCE[0]) & (
         Rotation.from_matrix(turn).magnitude() < MAX_POSE_DIFFERENCE[1]
     )
-    return bool(np.mean(near) >= 0.5)
+    return bool(np.mean(near) >= MIN_AGREEING)

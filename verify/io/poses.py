@@ -37,6 +37,14 @@ class Poses:
     target: Array | None = None  # (n,), number of the target that each row is of; None: one
     of_several: bool = False  # of one target of several
 
+    @property
+    def transforms(self) -> Array:
+        """The body in the instrument's frame, (n, 4, 4), m; unturned where positions are alone."""
+        found = np.tile(np.eye(4), (len(self), 1, 1))
+        found[:, :3, 3] = self.position
+        found[:, :3, :3] = np.eye(3) if self.rotation is None else self.rotation
+        return found
+
     def by_target(self) -> dict[int, "Poses"]:
         """The poses of each target by itself, by its number."""
         if self.target is None:

@@ -84,7 +84,8 @@ def identify_sessions(
         free_tool=gathered.free_tool if free_tool is None else free_tool,
     )
     gathered, found = _identify_twice(gathered, options)
-    refuse_unfit(opened[0].folder / "encoders.csv", found.chosen.held_out)
+    held = not (options.free_base and options.free_tool)
+    refuse_unfit(opened[0].folder / "encoders.csv", gathered, found.chosen.held_out, held=held)
     origin = _identification_provenance(gathered, options, found)
     name, content = encode_robot(
         origin.arm, found.chain, _correction_provenance(found, origin),
@@ -120,7 +121,7 @@ def _combine_poses(sessions: Sequence[Session], *, registered: bool) -> Combined
         )  # fmt: skip
     if not registered:
         files = sessions[0].folder / "encoders.csv"
-        refuse_mistaken_readings(files, chain_of(sessions[0].arm), gathered.poses)
+        refuse_mistaken_readings(files, gathered)
     return gathered
 
 

@@ -234,8 +234,8 @@ def test_a_point_off_the_flange_determines_its_motion(watched: Watched, tmp_path
 @pytest.mark.parametrize(
     ("metres", "order", "message"),
     [
-        (True, range(8), r"poses\.csv: the positions agree .* as metres"),
-        (False, [0, 1, 2, 3, 5, 6, 7, 4], "their scalar comes last"),
+        (True, range(8), r"poses\.csv: .* an export in metres fits"),
+        (False, [0, 1, 2, 3, 5, 6, 7, 4], "whose scalar comes last fits"),
     ],
 )
 def test_metres_and_a_scalar_that_comes_last_are_refused(
