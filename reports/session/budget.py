@@ -135,7 +135,7 @@ def _unstated_table(effects: list[dict[str, Any]]) -> list[doc.Block]:
     """What errors of the sources that are not counted would do."""
     columns = (
         doc.Column("Source", "l", doc.field("source", fmt.text_or_dash)),
-        doc.Column("An error of its", "l", doc.field("error", fmt.text_or_dash), wide=True),
+        doc.Column("Error", "l", doc.field("error", fmt.text_or_dash), wide=True),
         doc.Column("Joint", "r", doc.field("joint", fmt.count)),
         doc.Column("moved by [°]", "r", doc.field("moves_mean_error_deg", fmt.significant)),
     )

@@ -66,6 +66,7 @@ def main(arguments: list[str] | None = None) -> None:
     """Run the command line and exit with docs/results.md's status."""
     words = _global_flags(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     show_log()
+    sys.unraisablehook = _show_unraisable
     signal.signal(signal.SIGTERM, _interrupt)  # a SIGTERM leaves nothing half-written either
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, _interrupt)
@@ -81,6 +82,12 @@ def _interrupt(_signal: int, _frame: object) -> None:
     signal.signal(signal.SIGALRM, _interrupt_again)
     signal.setitimer(signal.ITIMER_REAL, REPEAT_TIME, REPEAT_TIME)
     raise CommandInterrupt
+
+
+def _show_unraisable(unraisable: "sys.UnraisableHookArgs") -> None:
+    """Show what a callback cannot raise, but for an interruption: that comes again."""
+    if not isinstance(unraisable.exc_value, CommandInterrupt):
+        sys.__unraisablehook__(unraisable)
 
 
 def _interrupt_again(_signal: int, _frame: object) -> None:

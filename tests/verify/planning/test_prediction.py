@@ -213,9 +213,15 @@ def test_a_plan_s_coverage_factor_is_the_budget_s(
     model = build_model(seen.comparison, seen.track, rig, bench.marker, seen.clock, systematics)
     judged = estimate_means(replace(seen, systematics=systematics, model=model))
     compared = compared_session(
-        seen.track, seen.comparison, systematics, seen.clock, arm=bench.arm, rig=rig
+        seen.track,
+        seen.comparison,
+        systematics,
+        seen.clock,
+        arm=bench.arm,
+        rig=rig,
+        marker=bench.marker,
     )
-    stated = budget(model, compared, judged.means, resolve_errors(model)).coverage_factor
+    stated = budget(model, compared, judged.means, resolve_errors(model), []).coverage_factor
     assert_allclose(judged.means.coverage_factor, stated, rtol=1e-9)
     assert np.all(stated < 2.65)
     assert np.any(stated > 2.0) if degrees < 10 else np.any(stated == 2.0)
