@@ -209,7 +209,7 @@ def test_a_plan_s_coverage_factor_is_the_budget_s(
     """A calibration from few boards rules some joints and not others."""
     seen = made.prediction.session
     rig = replace(bench.rig, covariance=replace(bench.rig.covariance, degrees_of_freedom=degrees))
-    systematics = replace(seen.systematics, degrees_of_freedom=degrees)
+    systematics = replace(seen.systematics, degrees_of_freedom=degrees, uncounted=())
     model = build_model(seen.comparison, seen.track, rig, bench.marker, seen.clock, systematics)
     judged = estimate_means(replace(seen, systematics=systematics, model=model))
     compared = compared_session(
