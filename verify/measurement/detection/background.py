@@ -49,7 +49,7 @@ from verify.measurement.detection.kernels.pixels import (
 )
 
 AMPLITUDES = 0.1 * 2.0 ** np.arange(9)  # DN, beside none at all
-POWERS = np.array([(2, 0), (1, 1), (0, 2), (3, 0), (2, 1), (1, 2), (0, 3)])
+N_TERMS = 7
 MIN_VISIBLE = 0.5  # share of the noise about a spot that clipping must leave: above black
 N_AROUND = 8  # patches of the room about each spot, two radii away
 MIN_AROUND = 12  # responses, two a patch, of all spots of a picture: fewer show nothing
@@ -127,7 +127,7 @@ def _correction(curvature: _Curvature, inverse: Array, share: Array) -> tuple[Ar
     off = moved - shift
     spread = np.einsum("knic,njc->knij", reach, curvature.pull) + off[..., None] * off[..., None, :]
     none = (1.0 - share.sum()) * shift[:, :, None] * shift[:, None]
-    response = curvature.plain + np.einsum("k,knic,ncp->nip", share, reach, curvature.terms)
+    response = curvature.plain + np.tensordot(share, reach, 1) @ curvature.terms
     response *= curvature.weight[:, None]
     return shift, np.einsum("k,knij->nij", share, spread) + none, response
 
@@ -147,26 +147,29 @@ def _curvature(
     pixels, model, whitened = cut.patches.pixels[rows], fit.model[rows], fit.whitened[rows]
     place = pixels[:, 2:] - fit.parameters[rows, :2, None]
     place /= np.linalg.norm(pixels[:, 2:], axis=1).max()
-    power = POWERS[:, :, None]
-    curved = whitened[:, None, PAR_FLOOR] * np.prod(place[:, None] ** power, axis=2)
+    u, w = place[:, 0], place[:, 1]
+    square = (u * u, u * w, w * w)
+    terms = np.stack([*square, square[0] * u, square[0] * w, square[2] * u, square[2] * w], axis=1)
+    curved = whitened[:, None, PAR_FLOOR] * terms
     by_parameter, residual = whitened[:, :N_PARAMETERS], whitened[:, ROW_RESIDUAL]
     held = (fit.priors.weight[rows] + MIN_INFORMATION)[:, :, None] * np.eye(N_PARAMETERS)
     information = by_parameter @ np.swapaxes(by_parameter, 1, 2) + held
-    follow = np.asarray(np.linalg.solve(information, by_parameter), dtype=float)  # (n, 10, p)
-    pull = follow @ np.swapaxes(curved, 1, 2)  # (n, 10, 7)
-    terms = curved - np.swapaxes(pull, 1, 2) @ by_parameter
+    inverse = np.linalg.inv(information)
+    pull = inverse @ (by_parameter @ np.swapaxes(curved, 1, 2))  # (n, 10, 7)
+    following = curved - np.swapaxes(pull, 1, 2) @ by_parameter
     about = (model[:, ROW_RADIUS2] > NEIGHBOUR_RADIUS**2) & (model[:, ROW_USED] > 0)
     weight: Array = np.sqrt(model[:, ROW_USED] / model[:, ROW_VARIANCE])
     return _Curvature(
-        rows, into, terms @ np.swapaxes(curved, 1, 2), np.einsum("nbp,np->nb", terms, residual),
-        -pull[:, :2], follow[:, :2], terms, weight,
+        rows, into, following @ np.swapaxes(curved, 1, 2),
+        (following @ residual[..., None])[..., 0],
+        -pull[:, :2], inverse[:, :2] @ by_parameter, following, weight,
         (model[:, ROW_VARIANCE] * about).sum(axis=1) / about.sum(axis=1),
     )  # fmt: skip
 
 
 def _posteriors(curvature: _Curvature) -> Array:
     """Covariances of c, (k, n, 7, 7) DN², at each of k amplitudes."""
-    prior = np.eye(len(POWERS)) / np.square(AMPLITUDES)[:, None, None, None]
+    prior = np.eye(N_TERMS) / np.square(AMPLITUDES)[:, None, None, None]
     inverse: Array = np.linalg.inv(curvature.information + prior)
     return inverse
 
@@ -175,8 +178,9 @@ def _amplitude_shares(curvatures: Sequence[_Curvature], inverses: Sequence[Array
     """Posterior probability of each amplitude, (k,); what is missing to 1 is that of none."""
     evidence = np.zeros(len(AMPLITUDES))
     for one, inverse in zip(curvatures, inverses, strict=True):
-        gain = np.einsum("nb,knbc,nc->k", one.gradient, inverse, one.gradient)
-        volume = np.linalg.slogdet(inverse)[1] - 2 * len(POWERS) * np.log(AMPLITUDES)[:, None]
+        mean = (inverse @ one.gradient[..., None])[..., 0]
+        gain = (mean * one.gradient).sum(axis=(1, 2))
+        volume = np.linalg.slogdet(inverse)[1] - 2 * N_TERMS * np.log(AMPLITUDES)[:, None]
         evidence += (gain + volume.sum(axis=1)) / 2
     highest = max(float(evidence.max()), 0.0)
     odds = np.exp(evidence - highest)
@@ -212,5 +216,5 @@ def _room_responses(
     # planes go: a slope is held as firmly as a spot's own surroundings have none
     plane = np.linalg.qr(np.column_stack([np.ones(place.shape[2]), *place[0]]))[0]
     values -= values @ plane @ plane.T
-    moved = np.einsum("nip,nwp->nwi", response, values)
+    moved = values @ np.swapaxes(response, 1, 2)
     return np.where(clear[..., None], moved, np.nan)
