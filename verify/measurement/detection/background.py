@@ -11,7 +11,7 @@ information on the parameters,
     S = B'B - B'D A⁻¹ D'B,   h = B'r - B'D A⁻¹ D'r,   c = (S + s⁻²)⁻¹ h,   centre += pull c
 
     symbol  meaning                                                                 unit
-    s       curvature of the room over a patch, one for all spots of a picture          DN
+    s       curvature of the room over a patch, one for all spots of a picture      DN
     S, h    information and gradient of c, the spot's parameters following          DN^-2, DN^-1
     pull    -A⁻¹ D'B, the rows of x and y                                           px/DN
 
@@ -90,7 +90,7 @@ def correct_for_background(
     for cut, fit in batches:
         into = np.flatnonzero((numbers >= begin) & (numbers < begin + len(fit.parameters)))
         rows = numbers[into] - begin
-        above = _above_black(fit.model[rows])
+        above = _above_black(fit, rows)
         if above.any():
             shown.append((cut, _curvature(cut, fit, rows[above], into[above])))
         begin += len(fit.parameters)
@@ -132,12 +132,17 @@ def _correction(curvature: _Curvature, inverse: Array, share: Array) -> tuple[Ar
     return shift, np.einsum("k,knij->nij", share, spread) + none, response
 
 
-def _above_black(model: Array) -> NDArray[np.bool_]:
-    """Whether the room about each spot is above black, (n,); `model` (n, 10, p)."""
-    about = (model[:, ROW_RADIUS2] > NEIGHBOUR_RADIUS**2) & (model[:, ROW_USED] > 0)
-    visible = (model[:, ROW_VISIBLE] * about).sum(axis=1)
-    above: NDArray[np.bool_] = visible > MIN_VISIBLE * np.maximum(about.sum(axis=1), 1)
-    return above
+def _surroundings(fit: SpotFit, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Which pixels of the spots `rows` (n,) show the room alone, (n, p)."""
+    far = fit.model[rows, ROW_RADIUS2] > NEIGHBOUR_RADIUS**2
+    return np.asarray(far & (fit.model[rows, ROW_USED] > 0), dtype=np.bool_)
+
+
+def _above_black(fit: SpotFit, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Whether the room about each of the spots `rows` (n,) is above black, (n,)."""
+    about = _surroundings(fit, rows)
+    visible = (fit.model[rows, ROW_VISIBLE] * about).sum(axis=1)
+    return np.asarray(visible > MIN_VISIBLE * np.maximum(about.sum(axis=1), 1), dtype=np.bool_)
 
 
 def _curvature(
@@ -157,7 +162,7 @@ def _curvature(
     inverse = np.linalg.inv(information)
     pull = inverse @ (by_parameter @ np.swapaxes(curved, 1, 2))  # (n, 10, 7)
     following = curved - np.swapaxes(pull, 1, 2) @ by_parameter
-    about = (model[:, ROW_RADIUS2] > NEIGHBOUR_RADIUS**2) & (model[:, ROW_USED] > 0)
+    about = _surroundings(fit, rows)
     weight: Array = np.sqrt(model[:, ROW_USED] / model[:, ROW_VARIANCE])
     return _Curvature(
         rows, into, following @ np.swapaxes(curved, 1, 2),
