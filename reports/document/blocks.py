@@ -49,10 +49,11 @@ class Bullets:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Labels and what they stand for, side by side."""
+    """Labels and what they stand for, side by side; an empty text is a line to be filled in."""
 
     kind: ClassVar[str] = "facts"
     items: tuple[tuple[str, str], ...]
+    columns: int = 1  # of labels, on paper
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,6 +112,7 @@ class Section:
     name: str  # the anchor in a page
     title: str
     blocks: tuple[Block, ...]
+    part: str = ""  # page: a page of its own; appendix: behind all that answers
 
 
 @dataclass(frozen=True, slots=True)

@@ -30,6 +30,8 @@ LANGUAGE = "en"
 WORDS = {
     "to_verdict": "To the verdict",
     "sections": "Sections",
+    "appendix": "Appendix",
+    "blank": "not stated",
     "table": "Table",
     "figure": "Figure",
     "no_script": "This plot needs JavaScript; report.pdf holds it as well.",

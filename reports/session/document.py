@@ -1,12 +1,14 @@
 """What a report says, in which order, with which captions; shared by both formats."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 from reports.document.blocks import Document, Section, lay_out, software
 from reports.document.formatting import DASH, text_or_dash
 from reports.results import Results
 from reports.session import (
     budget,
+    certificate,
     combinations,
     conditions,
     evidence,
@@ -15,18 +17,19 @@ from reports.session import (
     sweeps,
 )
 
-SECTIONS: tuple[Callable[[Results], Section], ...] = (
-    findings.verdict,
-    sweeps.registration_free_tests,
-    findings.joints,
-    combinations.detectable,
-    findings.diagnosis,
-    findings.errors_over_time,
-    findings.pose,
-    performance.performance,
+Writer = Callable[[Results], Section]
+ANSWERS: tuple[Writer, ...] = (
+    certificate.certificate, findings.errors_over_time, findings.pose, findings.diagnosis,
+)  # fmt: skip
+APPENDIX: tuple[Writer, ...] = (  # in the order in which an expert checks it
     evidence.spots,
     evidence.clock,
     evidence.pairs,
+    sweeps.registration_free_tests,
+    findings.joints,
+    combinations.detectable,
+    findings.components,
+    performance.performance,
     budget.budget,
     conditions.conditions,
 )
@@ -43,10 +46,15 @@ def document(results: Results) -> Document:
         left_out.add(evidence.spots)
     if "performance" not in results.summary:  # results of before it was sought
         left_out.add(performance.performance)
+    appendix = (
+        replace(section(results), part="appendix")
+        for section in APPENDIX
+        if section not in left_out
+    )
     footer = f"{software(results.summary)} · robot {fingerprint[:23]}"
     return lay_out(
         title=f"Encoder verification of {robot}",
         subtitle=text_or_dash(description),
         footer=footer,
-        sections=(s(results) for s in SECTIONS if s not in left_out),
+        sections=(*(s(results) for s in ANSWERS), *appendix),
     )

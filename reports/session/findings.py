@@ -1,17 +1,15 @@
-"""The first half of a report: the verdict, the joints, the causes, the errors, the pose."""
+"""What was found: the joints, the causes, the errors over time, the pose."""
 
 from collections.abc import Callable
-from functools import partial
-from pathlib import PurePath
 from typing import Any
 
 from reports.document import blocks as doc
 from reports.document import formatting as fmt
-from reports.document.charts import MAX_LINE_POINTS, records
+from reports.document.charts import MAX_LINE_POINTS
 from reports.results import Results
 from reports.session import causes, phrases
 from reports.session.figures import evidence, motion
-from reports.session.headline import headline, is_hidden
+from reports.session.headline import is_hidden
 
 ERROR_NOTE = (
     "The verdict rests on ê, the resolved error: the curve through the errors that noise does not "
@@ -29,65 +27,7 @@ CAUSE_NOTE = (
     "parameters: BIC by 10). Explains: share of the weighted errors that goes with it. Runner-up: "
     "the rival that fits best in its place, and by how much worse."
 )
-ALARM_NOTE = (
-    "t on the clock of the errors over time: when the alarm was raised, a little after what it "
-    "tells of. alarms.csv has them all."
-)
-MAX_LISTED_ALARMS = 12  # on page one, the first; alarms.csv has all
 MAX_LISTED_PAIRS = 30  # listed by their numbers; summary.json lists all
-
-
-def verdict(results: Results) -> doc.Section:
-    """Open with the verdict and what to do about it, then the facts at a glance."""
-    summary = results.summary
-    session, pairs = summary.get("session") or {}, summary.get("pairs") or {}
-    instrument = session.get("instrument")
-    measured = f"{fmt.count(pairs.get('measured'))} measured of {fmt.count(pairs.get('recorded'))}"
-    items = [
-        ("Robot", fmt.text_or_dash(session.get("robot"))),
-        ("Session", fmt.text_or_dash(PurePath(session.get("path") or "").name)),
-        ("Started", fmt.text_or_dash(session.get("started"))),
-        *([("Measured by", fmt.text_or_dash(instrument))] if instrument else []),
-        ("Poses" if instrument else "Stereo pairs", measured),
-        ("Encoder clock", clock_text(summary)),
-    ]
-    return doc.Section(
-        "verdict", "Verdict", (headline(results), doc.Facts(tuple(items)), *_alarm_blocks(results))
-    )
-
-
-def _alarm_blocks(results: Results) -> tuple[doc.Block, ...]:
-    """List what a watched run told, and the cause that the diagnosis found for it."""
-    if "alarms" not in results.tables:
-        return ()
-    alarms = records(results.table("alarms").astype({"joint": float}))
-    if not alarms:
-        return (doc.Paragraph("The robot was watched, and no alarm was raised."),)
-    columns = (
-        doc.Column("Alarm", "l", doc.field("alarm", fmt.count)),
-        doc.Column("At [s]", "r", doc.field("t_s", fmt.number, 1)),
-        doc.Column("Told", "l", doc.field("text"), wide=True),
-        doc.Column("Explained by", "l", partial(_explanation, results.summary), wide=True),
-    )
-    return (
-        doc.tabulate(
-            "Alarms while the robot was watched.", columns, alarms[:MAX_LISTED_ALARMS], ALARM_NOTE
-        ),
-    )
-
-
-def _explanation(summary: dict[str, Any], alarm: dict[str, Any]) -> str:
-    """The causes of an alarm's joint, and common ones, that had begun when it was raised."""
-    joint, raised = fmt.finite(alarm.get("joint")), fmt.finite(alarm.get("t_s"))
-    if joint is None or raised is None:
-        return fmt.DASH
-    named = [
-        causes.cause_name(one)
-        for one in summary.get("diagnosis") or []
-        if one.get("kind") != "ambiguous" and one.get("joint") in (None, int(joint))
-        and (fmt.finite(one.get("t_s")) or raised) <= raised
-    ]  # fmt: skip
-    return "; ".join(named) or "no cause that the diagnosis found"
 
 
 def clock_text(summary: dict[str, Any]) -> str:
@@ -142,22 +82,12 @@ def _error_table(entries: list[dict[str, Any]]) -> doc.Table:
             "Worst ê ± U [°]", "r",
             doc.uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", k=2),
         ),
-        doc.Column("Tolerance [°]", "r", doc.field("tolerance_deg", _format_tolerance)),
+        doc.Column("Tolerance [°]", "r", doc.field("tolerance_deg", phrases.tolerance)),
         doc.Column("P(conform)", "r", doc.field("conformance_probability", fmt.probability)),
-        doc.Column("Verdict", "l", _joint_verdict, wide=True),
+        doc.Column("Verdict", "l", phrases.verdict_cell, wide=True),
     )  # fmt: skip
     title = "Error (reading − true angle) of each joint, in degrees, over the measured pairs."
     return doc.tabulate(title, columns, entries, ERROR_NOTE)
-
-
-def _format_tolerance(value: Any) -> str:
-    bound = fmt.exact_number(value)
-    return bound if bound == fmt.DASH else f"±{bound}"
-
-
-def _joint_verdict(joint: dict[str, Any]) -> doc.Cell:
-    verdict = joint.get("verdict")
-    return doc.Cell(phrases.verdict_text(verdict, joint.get("reason")), phrases.tone(verdict))
 
 
 def _detectability_table(entries: list[dict[str, Any]]) -> doc.Table:
@@ -269,17 +199,8 @@ def errors_over_time(results: Results) -> doc.Section:
 
 
 def pose(results: Results) -> doc.Section:
-    """Show position and orientation of the flange, measured and from the encoders."""
-    blocks: list[doc.Block] = [_pose_table(results.summary)]
+    """Show where along its path the flange is off, and by how much."""
     figures = (
-        doc.Figure(
-            "pose",
-            "Position (left) and rotation vector (right) of the flange in the robot's base frame, "
-            "measured and computed from the encoders.",
-            "Six panels against time: x, y, z in millimetres and the three components of the "
-            "rotation vector in degrees, each measured and from the encoders.",
-            motion.pose(results),
-        ),
         doc.Figure(
             "pose_errors",
             "Position and orientation error of the flange: distance and angle between the measured "
@@ -290,43 +211,34 @@ def pose(results: Results) -> doc.Section:
         ),
         doc.Figure(
             "path",
-            "Path of the flange in the robot's base frame.",
-            "A curve in space drawn twice: measured, and from the encoders.",
+            "Measured path of the flange in the robot's base frame, by its position error, "
+            "resolved.",
+            "A curve in space, coloured by the size of the position error.",
             motion.flange_path(results),
         ),
     )
-    drawn = [figure for figure in figures if figure.drawing is not None]
-    blocks += drawn or [doc.Paragraph("No pair gave the flange's pose.", "note")]
-    return doc.Section("pose", "Position and orientation", tuple(blocks))
+    return doc.Section("pose", "Position and orientation", _drawn(figures, results.summary))
 
 
-def _pose_table(summary: dict[str, Any]) -> doc.Table:
-    rows = []
-    for name, unit in (("position", "mm"), ("orientation", "deg")):
-        entry = summary.get(name) or {}
-        verdict = entry.get("verdict")
-        rows.append(
-            doc.row(
-                f"{name} [{fmt.UNITS[unit]}]",
-                fmt.number(entry.get(f"rms_error_{unit}")),
-                fmt.number(entry.get(f"max_error_{unit}")),
-                fmt.number(entry.get(f"expanded_uncertainty_{unit}")),
-                fmt.exact_number(entry.get(f"tolerance_{unit}")),
-                fmt.probability(entry.get("conformance_probability")),
-                doc.Cell(fmt.lookup_label(phrases.VERDICTS, verdict), phrases.tone(verdict)),
-            )
-        )
-    dof = summary.get("known_dof")
-    posed = (summary.get("session") or {}).get("instrument")
-    who = "The poses" if posed else "The LEDs"
-    text = f"{who} determine {fmt.count(dof)} of the flange's 6 degrees of freedom." if dof else ""
-    missing = [n for n in ("position", "orientation") if not summary.get(n)]
-    if missing:
-        text = f"{text} No figures for {fmt.join_words(missing)}.".strip()
-    return doc.Table(
-        "Error of the flange's pose over the measured pairs.",
-        "lrrrrrl",
-        ("Error of", "RMS", "Max", "U of the mean", "Tolerance", "P(conform)", "Verdict"),
-        tuple(rows),
-        (text,) if text else (),
+def components(results: Results) -> doc.Section:
+    """Show the components of the flange's pose, measured and from the encoders."""
+    figure = doc.Figure(
+        "pose",
+        "Position (left) and rotation vector (right) of the flange in the robot's base frame, "
+        "measured and computed from the encoders.",
+        "Six panels against time: x, y, z in millimetres and the three components of the "
+        "rotation vector in degrees, each measured and from the encoders.",
+        motion.pose(results),
     )
+    blocks = _drawn((figure,), results.summary)
+    return doc.Section("components", "Components of the pose", blocks)
+
+
+def _drawn(figures: tuple[doc.Figure, ...], summary: dict[str, Any]) -> tuple[doc.Block, ...]:
+    """The figures that show anything, and how much of the pose is known."""
+    drawn = tuple(figure for figure in figures if figure.drawing is not None)
+    dof = summary.get("known_dof")
+    who = "The poses" if (summary.get("session") or {}).get("instrument") else "The LEDs"
+    known = f"{who} determine {fmt.count(dof)} of the flange's 6 degrees of freedom."
+    note = (doc.Paragraph(known, "note"),) if dof not in (None, 6) else ()
+    return (*note, *(drawn or (doc.Paragraph("No pair gave the flange's pose.", "note"),)))

@@ -2,7 +2,8 @@
 
 from typing import Any
 
-from reports.document.formatting import DASH, finite, lookup_label, percent
+from reports.document.blocks import Cell
+from reports.document.formatting import DASH, exact_number, finite, lookup_label, percent
 
 # visible shares of an offset
 MAX_HIDDEN_SHARE = 0.005  # shown as 0 %: nothing of the offset is left
@@ -75,6 +76,18 @@ def verdict_text(verdict: Any, reason: Any) -> str:
         if label == DASH
         else f"{label}: {lookup_label(REASONS, reason)}"
     )
+
+
+def verdict_cell(entry: dict[str, Any]) -> Cell:
+    """The cell of a table that holds a verdict and its reason."""
+    verdict = entry.get("verdict")
+    return Cell(verdict_text(verdict, entry.get("reason")), tone(verdict))
+
+
+def tolerance(value: Any) -> str:
+    """Write a tolerance as the bound that it is on either side."""
+    bound = exact_number(value)
+    return bound if bound == DASH else f"±{bound}"
 
 
 def tone(verdict: Any) -> str:

@@ -18,7 +18,7 @@ FIGURES: dict[str, set[str]] = {
     **{name: set() for name in ("nothing", "uncalibrated", "bare", "unchecked")},
     "nonconforming": {
         "correlation", "joint_errors", "pose", "pose_errors", "path", "residuals", "reprojection",
-        "clock", "timeline", "budget", "pair", "relative",
+        "clock", "timeline", "budget", "pair", "relative", "overview",
     },
     "good": CALIBRATION | {"rectified"},
     "doubtful": CALIBRATION,

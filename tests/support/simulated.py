@@ -75,6 +75,7 @@ def in_memory(scenario: Scenario) -> InMemory:
         encoder_time_standard_uncertainty=None,
         tolerance=None,
         temperature_c=None,
+        certificate={},
         frames=FrameSeries(played.t[:, 0], played.t[:, 1], played.pan[:, 0], played.pan[:, 1]),
         encoders=EncoderSeries(played.encoder_t, np.asarray(played.encoder_q)),
         inputs={},

@@ -52,4 +52,17 @@
   addEventListener("afterprint", () => { printing = false; drawAll(); });
   document.querySelectorAll(".plot noscript").forEach((note) => note.remove());
   drawAll();
+
+  // The appendix opens where a link leads into it, and on paper; a plot in it is drawn when seen.
+  const appendix = document.getElementById("appendix");
+  if (appendix) {
+    const reveal = () => {
+      const target = location.hash && document.getElementById(location.hash.slice(1));
+      if (target && appendix.contains(target) && !appendix.open) { appendix.open = true; target.scrollIntoView(); }
+    };
+    appendix.addEventListener("toggle", drawAll);
+    addEventListener("hashchange", reveal);
+    addEventListener("beforeprint", () => { appendix.open = true; });
+    reveal();
+  }
 })();

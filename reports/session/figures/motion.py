@@ -2,22 +2,25 @@
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from reports.document import charts
 from reports.document import formatting as fmt
 from reports.results import Results
 
 PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free above and below the data
-# a tolerance farther out than this many times the errors would flatten them
-MAX_TOLERANCE_RATIO = 3.0
+TOLERANCE_ROOM = 1.3  # times the largest tolerance: what the joints' common scale spans
 
 
 def joint_errors(results: Results) -> charts.Chart | None:
     """Encoder less measured angle, one strip a joint: pair errors, resolved error, tolerance."""
     frames, resolved = results.table("frames"), _resolved_per_frame(results)
     t, time = charts.time_axis(frames)
+    joints = results.summary.get("joints") or []
+    limits = [fmt.finite(joint.get("tolerance_deg")) for joint in joints]
+    scale = max((v for v in limits if v is not None), default=None)
     panels = []
-    for joint in results.summary.get("joints") or []:
+    for joint, limit in zip(joints, limits, strict=True):
         name = f"q{joint.get('joint')}"
         error = (
             charts.column(frames, f"{name}_error_deg"),
@@ -27,10 +30,9 @@ def joint_errors(results: Results) -> charts.Chart | None:
             charts.column(resolved, f"{name}_resolved_deg"),
             charts.column(resolved, f"{name}_resolved_u_deg"),
         )
-        limit = fmt.finite(joint.get("tolerance_deg"))
-        panels.append(_error_panel(t, error, fit, limit, f"{name} [°]", "°"))
+        panels.append(_error_panel(t, error, fit, limit, f"{name} [°]", "°", scale=scale))
     drawn = any(has_lines(panel) for panel in panels)
-    return charts.strips(panels, time, row_height=0.66) if drawn else None
+    return charts.strips(panels, time, row_height=0.82) if drawn else None
 
 
 def pose_errors(results: Results) -> charts.Chart | None:
@@ -80,24 +82,40 @@ def pose(results: Results) -> charts.Chart | None:
 
 
 def flange_path(results: Results) -> charts.Path | None:
-    """The flange's way through the robot's base frame, measured and from the encoders."""
-    frames = results.table("frames")
-    index = np.arange(len(frames), dtype=float)
-    lines = []
-    for names, role, label in (
-        (("x_mm", "y_mm", "z_mm"), "measured", "measured"),
-        (("x_encoder_mm", "y_encoder_mm", "z_encoder_mm"), "encoder", "from encoders"),
-    ):
-        points = charts.columns(frames, names)
-        stride = max(1, -(-len(points) // charts.MAX_LINE_POINTS))
-        gaps, _ = charts.trace(index[::stride], points[::stride].sum(axis=1))
-        rows = np.where(np.isfinite(gaps), gaps, 0).astype(int)
-        lines.append((np.where(np.isfinite(gaps)[:, None], points[rows], np.nan), role, label))
-    every = np.concatenate([line for line, _, _ in lines])
-    if not np.isfinite(every).any():
+    """The flange's measured way through the robot's base frame, by how far off it is there."""
+    frames, resolved = results.table("frames"), _resolved_per_frame(results)
+    points = charts.columns(frames, ("x_mm", "y_mm", "z_mm"))
+    error = charts.column(resolved, "position_resolved_mm")
+    if not np.isfinite(points).any():
         return None
-    ranges = charts.box(every, 1 + PANEL_MARGIN, least=0.5)  # mm: the arm may stand still
+    stride = max(1, -(-len(points) // charts.MAX_LINE_POINTS))
+    points, error = points[::stride], error[::stride]
+    limit = fmt.finite((results.summary.get("position") or {}).get("tolerance_mm"))
+    lines = [
+        (np.where(inside[:, None], points, np.nan), role, name)
+        for inside, role, name in _error_classes(error, limit)
+        if inside.any()
+    ]
+    ranges = charts.box(points, 1 + PANEL_MARGIN, least=0.5)  # mm: the arm may stand still
     return charts.Path(tuple(lines), ("x [mm]", "y [mm]", "z [mm]"), ranges)
+
+
+def _error_classes(
+    error: charts.Array, limit: float | None
+) -> list[tuple[NDArray[np.bool_], str, str]]:
+    """Thirds of the largest error, or halves of the tolerance and what is beyond it."""
+    known = np.isfinite(error)
+    if not known.any():
+        return [(np.ones(len(error), dtype=bool), "measured", "measured")]
+    top = float(np.nanmax(error))
+    bounds = [limit / 2, limit] if limit is not None else [top / 3, 2 * top / 3]
+    place = np.digitize(error, bounds)
+    low, high = (fmt.quantity(bound, "mm") for bound in bounds)
+    beyond = f"over {high}" + (", the tolerance" if limit is not None else "")
+    names = (f"error up to {low}", f"up to {high}", beyond)
+    roles = ("measured", "series_2", "encoder")
+    classes = [(known & (place == i), roles[i], names[i]) for i in range(3)]
+    return [*classes, (~known, "muted", "error not known")]
 
 
 def _resolved_per_frame(results: Results) -> pd.DataFrame:
@@ -130,6 +148,7 @@ def _error_panel(
     label: str,
     unit: str,
     one_sided: bool = False,
+    scale: float | None = None,
 ) -> charts.Panel:
     (error, u), (fit, u_fit) = pairs, resolved
     low = fit - 2 * u_fit
@@ -143,24 +162,22 @@ def _error_panel(
     ]
     marks: list[charts.Mark] = [mark for mark in drawn if len(mark.x)]
     reach = _error_range(error, fit, u, u_fit)
-    title = ""
-    if limit is not None and reach is not None:
-        if limit <= MAX_TOLERANCE_RATIO * max(abs(reach[0]), abs(reach[1])):
-            marks.append(charts.Level(limit, "tolerance", "tolerance"))
-            reach = min(reach[0], 0.0), max(reach[1], limit)
-            if not one_sided:
-                marks.append(charts.Level(-limit, "tolerance", "tolerance"))
-                reach = min(reach[0], -limit), reach[1]
-        else:
-            sign, space = "" if one_sided else "±", "" if unit == "°" else " "
-            title = f"tolerance {sign}{fmt.exact_number(limit)}{space}{unit}: beyond this scale"
     if reach is None:
         return charts.Panel((), label, title="no measured pair", unit=unit)
+    title = ""
+    if limit is not None:
+        marks.append(charts.Level(limit, "tolerance", "tolerance"))
+        reach = min(reach[0], 0.0), max(reach[1], limit)
+        if not one_sided:
+            marks.append(charts.Level(-limit, "tolerance", "tolerance"))
+            reach = min(reach[0], -limit), reach[1]
     room = PANEL_MARGIN * (reach[1] - reach[0]) or 1e-3  # a thousandth of a degree or millimetre
-    bottom = 0.0 if one_sided else reach[0] - room
-    return charts.Panel(
-        tuple(marks), label, title=title, unit=unit, y_range=(bottom, reach[1] + room)
-    )
+    ends = (0.0 if one_sided else reach[0] - room, reach[1] + room)
+    if scale is not None:  # the scale of all joints, where the errors of this one fit in
+        common = TOLERANCE_ROOM * scale
+        fits = max(-reach[0], reach[1]) <= common
+        ends, title = ((-common, common), "") if fits else (ends, "errors beyond the common scale")
+    return charts.Panel(tuple(marks), label, title=title, unit=unit, y_range=ends)
 
 
 def _error_range(

@@ -2,12 +2,14 @@
 
 import json
 import re
+from dataclasses import replace
 
 import pytest
 import typst
 
 import reports
 from reports.format import pdf as pdf_format
+from reports.session.certificate import certificate
 from tests.support.reports.page import (
     EVERY,
     document_of,
@@ -67,3 +69,21 @@ def test_an_unknown_value_is_a_dash(name: str) -> None:
 def test_markup_in_names_is_set_as_text() -> None:
     for words in ("<script>alert(1)</script>", "*a*", "{{ 7*7 }}"):
         assert words in pdf_text_of("hostile")
+
+
+def test_page_one_is_the_certificate_whole_and_what_nobody_stated_is_a_line_to_fill_in() -> None:
+    first, second, *_ = pdf_text_of("nonconforming").split("\f")
+    for words in ("Serial number", "Tolerance", "Error of the flange", "What to do"):
+        assert words in first
+    assert "Errors over time" in second
+    results = made_of("nonconforming")
+    stated = {"serial_number": "B3-0471", "calibrated": "2026-10-02", "issued": "2026-11-25"}
+    session = results.summary["session"] | {"certificate": stated}
+    facts = dict(
+        certificate(replace(results, summary=results.summary | {"session": session}))
+        .blocks[1]
+        .items
+    )
+    assert (facts["Serial number"], facts["Date of issue"]) == ("B3-0471", "2026-11-25")
+    assert facts["Instrument"] == "stereo rig with LEDs, calibrated 2026-10-02"
+    assert facts["Owner"] == ""

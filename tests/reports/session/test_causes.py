@@ -10,6 +10,7 @@ from reports.document.blocks import Bullets, Paragraph, Section, Table
 from reports.results import Results
 from reports.session import causes as session_causes
 from reports.session import findings
+from reports.session.certificate import certificate
 from reports.session.combinations import detectable
 from reports.session.headline import headline
 from tests.support.reports import session as made
@@ -132,7 +133,7 @@ def test_alarms_of_a_watched_run_are_on_page_one_with_the_cause_that_explains_th
     told = [(1, 4, 7.3, "The reading of joint 4 has changed."), (2, None, 9.0, "Target lost.")]
     alarms = pd.DataFrame(told, columns=["alarm", "joint", "t_s", "text"])
     results = with_causes([KINDS["step"]])
-    page = findings.verdict(replace(results, tables=results.tables | {"alarms": alarms}))
-    rows = [[cell.text for cell in line] for line in table_of(page).rows]
+    page = certificate(replace(results, tables=results.tables | {"alarms": alarms}))
+    rows = [[cell.text for cell in line] for line in table_of(page, 2).rows]
     assert rows[0] == ["1", "7.3", told[0][3], "step of joint 4 at 7.0 s"]
     assert rows[1] == ["2", "9.0", "Target lost.", "–"]

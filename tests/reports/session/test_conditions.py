@@ -41,7 +41,7 @@ def test_the_first_page_lists_what_a_registration_by_motion_hides(
     assert message.remarks[1:3] == ("Whether joint 1 conforms is undecided.", f"{BASE}encoders.")
     page = reports.render_html(registered_by_motion).replace(LIBRARY, "")
     verdict, found = page.index("The robot does not conform"), page.index(BASE)
-    assert verdict < found < page.index("Without any registration", verdict)
+    assert verdict < found < page.index("Mean and largest error", verdict)
 
 
 def _results(changes: dict[int, dict[str, Any]], **more: Any) -> Results:

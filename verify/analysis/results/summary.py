@@ -104,6 +104,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
             "robot_fingerprint": f"sha256:{session.arm.fingerprint}",
             "description": session.description,
             "started": session.started,
+            **({"certificate": session.certificate} if session.certificate else {}),
             **({} if session.instrument is None else {"instrument": session.instrument.name}),
         },
         "pairs": {

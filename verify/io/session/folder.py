@@ -4,6 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import msgspec
+
 import robots
 from verify.core.rig import Rig
 from verify.errors import InputError
@@ -94,6 +96,7 @@ def recording_fields(
         "encoder_resolution": keys.to_radians(table.encoder_readings.resolution_deg),
         "encoder_time_standard_uncertainty": table.encoder_readings.time_standard_uncertainty_s,
         "temperature_c": table.environment.temperature_c,
+        "certificate": msgspec.to_builtins(table.certificate),
     }
 
 

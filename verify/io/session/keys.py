@@ -1,9 +1,9 @@
 """The keys of session.toml: structs that mirror the file, their checks, and their SI values."""
 
 from dataclasses import dataclass
-from datetime import UTC, datetime
+from datetime import UTC, date, datetime
 from pathlib import Path
-from typing import TypeVar
+from typing import Annotated, TypeVar
 
 import msgspec
 import numpy as np
@@ -53,6 +53,23 @@ class EnvironmentTable(msgspec.Struct, kw_only=True):
     temperature_c: float | None = None
 
 
+Words = Annotated[str, msgspec.Meta(max_length=80)]  # what a line of the certificate holds
+
+
+class CertificateTable(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """The keys of [certificate]: what only its owner knows of the robot and the instrument."""
+
+    maker: Words = ""
+    model: Words = ""
+    serial_number: Words = ""
+    owner: Words = ""
+    place: Words = ""
+    operator: Words = ""
+    instrument: Words = ""
+    calibrated: date | None = None
+    issued: date | None = None
+
+
 class RobotFramesTable(msgspec.Struct, kw_only=True):
     """The keys of [robot_frames]."""
 
@@ -95,6 +112,7 @@ class RunTable(msgspec.Struct, kw_only=True):
     encoder_readings: ReadingsTable = msgspec.field(default_factory=ReadingsTable)
     tolerance: ToleranceTable | None = None
     environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
+    certificate: CertificateTable = msgspec.field(default_factory=CertificateTable)
     robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
     pose: list[TimeInterval] = []
     path: list[TimeInterval] = []

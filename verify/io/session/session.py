@@ -50,6 +50,7 @@ class Recording:
     encoder_resolution: float | None  # rad
     encoder_time_standard_uncertainty: float | None  # s
     temperature_c: float | None
+    certificate: dict[str, str]  # [certificate], by its keys
     frames: FrameSeries
     encoders: EncoderSeries
     inputs: dict[str, str]  # what was read, by its path in the folder: "sha256:…"

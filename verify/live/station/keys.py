@@ -8,7 +8,13 @@ import msgspec
 from verify.core.fiducials import Marker
 from verify.core.rig import Rig
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
-from verify.io.session.keys import Clock, EnvironmentTable, RobotFramesTable, ToleranceTable
+from verify.io.session.keys import (
+    CertificateTable,
+    Clock,
+    EnvironmentTable,
+    RobotFramesTable,
+    ToleranceTable,
+)
 
 
 class StationCameraTable(msgspec.Struct, kw_only=True):
@@ -151,6 +157,7 @@ class StationTable(msgspec.Struct, kw_only=True):
     alarm: AlarmTable = msgspec.field(default_factory=AlarmTable)
     recording: StationRecordingTable = msgspec.field(default_factory=StationRecordingTable)
     environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
+    certificate: CertificateTable = msgspec.field(default_factory=CertificateTable)
     robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
     sim: SimSettings = SimSettings()
 

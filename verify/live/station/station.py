@@ -242,6 +242,7 @@ def _session_facts(
         ("encoder_readings", readings),
         ("tolerance", table.tolerance),
         ("environment", table.environment),
+        ("certificate", table.certificate),
         ("robot_frames", table.robot_frames),
     ):
         entries = {k: v for k, v in (msgspec.to_builtins(part) or {}).items() if v is not None}

@@ -1,0 +1,187 @@
+"""Page one of a run's report: what was checked, the verdict, and all that follows from it."""
+
+from functools import partial
+from pathlib import PurePath
+from typing import Any
+
+import numpy as np
+
+from reports.document import blocks as doc
+from reports.document import charts
+from reports.document import formatting as fmt
+from reports.document.charts import records
+from reports.results import Results
+from reports.session import causes, phrases
+from reports.session.headline import headline
+
+MAX_ALARMS = 4  # listed, the first; alarms.csv has all
+ALARM_NOTE = (
+    "t on the clock of the errors over time: when the alarm was raised, a little after what it "
+    "tells of. alarms.csv has them all."
+)
+OFFSET = 0.14  # of two marks of a joint from its place on the axis
+TOLERANCE_ROOM = 1.3  # times the tolerance that the scale spans at least
+FIELDS = (
+    ("maker", "Maker"), ("model", "Model"), ("serial_number", "Serial number"),
+    ("owner", "Owner"), ("place", "Place"), ("operator", "Operator"),
+)  # fmt: skip
+
+
+def certificate(results: Results) -> doc.Section:
+    """Say all that a reader needs who reads one page."""
+    overview = doc.Figure(
+        "overview",
+        "Mean and largest error of each joint with U (k = 2), and the tolerance.",
+        "One place a joint: mean and largest error in degrees with their uncertainties, between "
+        "the limits of the tolerance.",
+    )
+    otherwise = "No joint has an error that could be drawn."
+    joints = results.summary.get("joints") or []
+    blocks: tuple[doc.Block, ...] = (
+        headline(results),
+        doc.Facts(tuple(_identification(results)), columns=2),
+        doc.block_or_paragraph(overview, overview_chart(joints), otherwise),
+        _joint_table(joints),
+        *_pose_table(results.summary),
+        _causes(results.summary),
+        *_alarm_blocks(results),
+    )
+    return doc.Section("verdict", "Verdict", blocks, part="page")
+
+
+def _identification(results: Results) -> list[tuple[str, str]]:
+    """What was checked, by whom, with what, and when; empty where nobody has said it."""
+    session, pairs = results.summary.get("session") or {}, results.summary.get("pairs") or {}
+    stated = session.get("certificate") or {}
+    posed = session.get("instrument")
+    instrument = str(stated.get("instrument") or posed or "stereo rig with LEDs")
+    if stated.get("calibrated"):
+        instrument += f", calibrated {stated['calibrated']}"
+    measured = f"{fmt.count(pairs.get('measured'))} of {fmt.count(pairs.get('recorded'))}"
+    return [
+        ("Robot", fmt.text_or_dash(session.get("robot"))),
+        ("Session", fmt.text_or_dash(PurePath(session.get("path") or "").name)),
+        *((label, str(stated.get(key) or "")) for key, label in FIELDS),
+        ("Instrument", instrument),
+        ("Poses measured" if posed else "Pairs measured", measured),
+        ("Date of measurement", str(session.get("started") or "")[:10]),
+        ("Date of issue", str(stated.get("issued") or "")),
+        ("Software", doc.software(results.summary)),
+        ("Signature", ""),
+    ]
+
+
+def overview_chart(joints: list[dict[str, Any]]) -> charts.Chart | None:
+    """All joints on one scale: mean and largest error with U, between their tolerances."""
+    place = np.arange(len(joints), dtype=float)
+    names = ("mean_error_deg", "standard_uncertainty_deg", "worst_error_deg",
+             "worst_error_standard_uncertainty_deg", "tolerance_deg")  # fmt: skip
+    columns = [np.array([fmt.finite(j.get(n)) for j in joints], dtype=float) for n in names]
+    mean, u, worst, u_worst, tolerance = columns
+    if not np.isfinite(mean).any():
+        return None
+    marks: list[charts.Mark] = [charts.Level(0.0, "muted")]
+    for x, limit in zip(place, tolerance, strict=True):
+        for side in (-limit, limit):
+            ends = np.array([x - 0.42, x + 0.42]), np.array([side, side])
+            marks.append(charts.Line(*ends, "tolerance", "tolerance"))
+    for shift, error, spread, role, name in (
+        (-OFFSET, mean, u, "error", "mean error ± U"),
+        (OFFSET, worst, u_worst, "resolved", "largest error ± U"),
+    ):
+        for x, e, s in zip(place + shift, error, 2 * np.nan_to_num(spread), strict=True):
+            at, low, high = np.array([x]), np.array([e - s]), np.array([e + s])
+            marks.append(charts.Band(at, low, high, f"{role}_band"))
+        marks.append(charts.Points(place + shift, error, role, name, 3.0))
+    largest = np.nanmax(np.abs([mean, worst]) + 2 * np.nan_to_num([u, u_worst]), initial=0.0)
+    reach = max(float(largest) * 1.1, TOLERANCE_ROOM * float(np.nanmax(tolerance, initial=0.0)))
+    ticks = tuple((float(x), f"joint {j.get('joint')}") for x, j in zip(place, joints, strict=True))
+    panel = charts.Panel(
+        tuple(marks), "error [°]", x_ticks=ticks, unit="°",
+        x_range=(-0.5, len(joints) - 0.5), y_range=(-reach or -1.0, reach or 1.0),
+    )  # fmt: skip
+    return charts.Chart((panel,), row_height=1.5)
+
+
+def _joint_table(joints: list[dict[str, Any]]) -> doc.Table:
+    mean = doc.uncertain_field("mean_error_deg", "standard_uncertainty_deg", k=2)
+    worst = doc.uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", k=2)
+    columns = (
+        doc.Column("Joint", "c", doc.field("joint")),
+        doc.Column("Mean error ± U [°]", "r", mean),
+        doc.Column("Largest error ± U [°]", "r", worst),
+        doc.Column("Tolerance [°]", "r", lambda j: phrases.tolerance(j.get("tolerance_deg"))),
+        doc.Column("Verdict", "l", phrases.verdict_cell, wide=True),
+    )
+    return doc.tabulate("Error of each joint: reading less true angle, k = 2.", columns, joints)
+
+
+def _pose_table(summary: dict[str, Any]) -> list[doc.Table]:
+    rows = []
+    for name, unit in (("position", "mm"), ("orientation", "deg")):
+        entry = summary.get(name) or {}
+        if entry:
+            largest = fmt.number(entry.get(f"max_error_{unit}"))
+            limit = fmt.exact_number(entry.get(f"tolerance_{unit}"))
+            sign = fmt.UNITS[unit]
+            u = fmt.number(entry.get(f"expanded_uncertainty_{unit}"))
+            rms = fmt.number(entry.get(f"rms_error_{unit}"))
+            rows.append(
+                doc.row(f"{name} [{sign}]", rms, largest, u, limit, phrases.verdict_cell(entry))
+            )
+    head = ("Error of the flange", "RMS", "Largest", "U of the mean", "Tolerance", "Verdict")
+    caption = "Error of the flange's pose over the measured pairs."
+    return [doc.Table(caption, "lrrrrl", head, tuple(rows), wide=(5,))] if rows else []
+
+
+def _causes(summary: dict[str, Any]) -> doc.Facts:
+    """The causes found, and what to do about them."""
+    entries = summary.get("diagnosis") or []
+    named = [
+        f"one of {causes.rivals(entry, ' or ')}"
+        if entry.get("kind") == "ambiguous"
+        else causes.candidate(entry)
+        for entry in entries
+    ]
+    remedies = dict.fromkeys(causes.remedy(entry) for entry in entries)
+    items = [("Cause", "; ".join(named) or "the data single out no cause")]
+    if remedies:
+        items.append(("What to do", "; ".join(remedies)))
+    return doc.Facts(tuple(items))
+
+
+def _alarm_blocks(results: Results) -> tuple[doc.Block, ...]:
+    """List what a watched run told, and the cause that the diagnosis found for it."""
+    if "alarms" not in results.tables:
+        return ()
+    alarms = records(results.table("alarms").astype({"joint": float}))
+    if not alarms:
+        return (doc.Paragraph("The robot was watched, and no alarm was raised."),)
+    columns = (
+        doc.Column("Alarm", "l", doc.field("alarm", fmt.count)),
+        doc.Column("At [s]", "r", doc.field("t_s", fmt.number, 1)),
+        doc.Column("Told", "l", doc.field("text"), wide=True),
+        doc.Column("Explained by", "l", partial(_explanation, results.summary), wide=True),
+    )
+    return (
+        doc.tabulate(
+            f"Alarms while the robot was watched: {fmt.count(len(alarms))}.",
+            columns,
+            alarms[:MAX_ALARMS],
+            ALARM_NOTE,
+        ),
+    )
+
+
+def _explanation(summary: dict[str, Any], alarm: dict[str, Any]) -> str:
+    """The causes of an alarm's joint, and common ones, that had begun when it was raised."""
+    joint, raised = fmt.finite(alarm.get("joint")), fmt.finite(alarm.get("t_s"))
+    if joint is None or raised is None:
+        return fmt.DASH
+    named = [
+        causes.cause_name(one)
+        for one in summary.get("diagnosis") or []
+        if one.get("kind") != "ambiguous" and one.get("joint") in (None, int(joint))
+        and (fmt.finite(one.get("t_s")) or raised) <= raised
+    ]  # fmt: skip
+    return "; ".join(named) or "no cause that the diagnosis found"
