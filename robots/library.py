@@ -1,6 +1,7 @@
 """Which arms are known, and how a name or a path becomes one."""
 
 import difflib
+import re
 from importlib import metadata
 from pathlib import Path
 
@@ -64,10 +65,18 @@ def load(
     if name_or_path in names():
         return definition.read(HERE / f"{name_or_path}.toml")
     known = [*names(), *example_names()]
-    near = difflib.get_close_matches(name_or_path, known, n=1)
+    plain = {_plain(name): name for name in known}
+    if _plain(name_or_path) in plain:  # UR5, rv-3sd melfa
+        return load(plain[_plain(name_or_path)], base=base, tip=tip)
+    near = difflib.get_close_matches(name_or_path.lower(), known, n=1)
     found = "it is not known" + (f', did you mean "{near[0]}"?' if near else "")
     remedy = "Or give the path of a robot file (.toml) or a URDF (.urdf)."
     raise RobotError(f'robot "{name_or_path}"', found, f"known are {', '.join(known)}", remedy)
+
+
+def _plain(name: str) -> str:
+    """A name without case, spaces, dashes and underscores."""
+    return re.sub(r"[\s_-]", "", name).lower()
 
 
 def _require_plain_file(path: Path) -> None:

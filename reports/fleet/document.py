@@ -11,6 +11,7 @@ from reports.fleet import evidence
 from reports.fleet.charts import charts
 from reports.results import Results
 
+MAX_NAMED_SESSIONS = 4  # in the headline
 STATE_NOTE = (
     "State: what the sessions show of a change over time. Error now: level of the mean error at "
     "the last session, reading less truth, with its expanded uncertainty (k = 2), the share of "
@@ -81,14 +82,18 @@ def _headline(results: Results) -> doc.Verdict:
     table, found = results.table("joints"), results.table("changes")
     judged = int((table["state"] != "unknown").sum()) if len(table) else 0
     remark = fleet_charts.false_alarm_text(results.summary)
+    failing = nonconforming_sessions(results)
     if not judged:
+        fewest = fmt.count(results.summary.get("fewest_sessions"))
         sentence = (
-            f"No joint has {fmt.count(results.summary.get('fewest_sessions'))} dated sessions with "
-            "a figure: nothing can be said of changes."
+            f"No joint has {fewest} dated sessions with a figure: nothing can be said of changes."
         )
-        return doc.Verdict("undecided", "Nothing to follow over time", sentence)
+        young = doc.Verdict("undecided", "Nothing to follow over time", sentence)
+        return _failing(results, failing, (sentence,)) if failing else young
     if not len(found):
         sentence = f"None of the {fmt.count(judged)} joints that can be followed changed over time."
+        if failing:
+            return _failing(results, failing, (sentence, remark))
         return doc.Verdict("conform", "No change", sentence, (remark,))
     accused = found.drop_duplicates(["arm", "joint"])
     others = judged - len(accused)
@@ -98,7 +103,38 @@ def _headline(results: Results) -> doc.Verdict:
         sentences.append(f"{fmt.count(len(found) - 4)} further changes are listed below")
     rest = f" The other {fmt.count(others)} joints show no change." if others else ""
     sentence = f"{fmt.capitalise('; '.join(sentences))}.{rest}"
-    return doc.Verdict("nonconform", label, sentence, (remark,))
+    remarks = (f"Beyond their tolerance: {_list_few(failing)}.", remark) if failing else (remark,)
+    return doc.Verdict("nonconform", label, sentence, remarks)
+
+
+def nonconforming_sessions(results: Results) -> list[str]:
+    """Say of each session that does not conform which joint is off most, and by how much."""
+    lines = []
+    for one in records(results.table("worst")):
+        error = fmt.finite(one.get("worst_error_deg"))
+        if one.get("verdict") == "nonconform" and error is not None:
+            way = "high" if error > 0 else "low"
+            u = fmt.finite(one.get("worst_error_u_deg"))
+            amount = fmt.with_uncertainty(abs(error), None if u is None else 2 * u, "°", False)
+            joint = fmt.text_or_dash(one.get("joint"))
+            name = fmt.text_or_dash(one.get("session"))
+            lines.append(f"{name}: joint {joint} reads up to {amount} too {way}")
+    return lines
+
+
+def _failing(results: Results, failing: list[str], remarks: tuple[str, ...]) -> doc.Verdict:
+    """The headline where nothing is said of changes, and sessions do not conform."""
+    count = int((results.summary.get("verdicts") or {}).get("nonconform") or 0)
+    measured = fmt.count((results.summary.get("sessions") or {}).get("measured"))
+    verb = "does" if count == 1 else "do"
+    label = f"{fmt.count(count)} of {measured} sessions {verb} not conform"
+    return doc.Verdict("nonconform", label, f"{_list_few(failing)}.", remarks)
+
+
+def _list_few(lines: list[str]) -> str:
+    more = len(lines) - MAX_NAMED_SESSIONS
+    rest = f"; {fmt.count(more)} more are listed below" if more > 0 else ""
+    return "; ".join(lines[:MAX_NAMED_SESSIONS]) + rest
 
 
 def joints(results: Results) -> doc.Section:

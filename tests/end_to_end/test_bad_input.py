@@ -80,7 +80,7 @@ CASES = {
     "a truncated video": (cut_short, "right.mkv"),
     "times that go back": (edit("frames.csv", r"^5,([\d.]+)", "5,0.001"), "line 7"),
     "five joints": (five_joints, "5 joint columns"),
-    "an unknown robot": (edit("session.toml", "iust_6r", "iust6r"), 'did you mean "iust_6r"'),
+    "an unknown robot": (edit("session.toml", "iust_6r", "iust_5r"), 'did you mean "iust_6r"'),
     "images of another size": (other_size, "1920"),
     "a TOML syntax error": (
         edit("marker.toml", r"led_diameter_mm = ", "led_diameter_mm == "), "line"),
@@ -127,6 +127,7 @@ def test_an_output_folder_that_exists_is_refused_before_any_work(
         (["rum"], "verify --help"),
         (["run"], "verify --help"),
         (["run", "--no-such-option", "x"], "verify --help"),
+        (["run", SAMPLES], "Give one of its sessions: multi_joint_fault_6r, "),
         *((["run", SAMPLES / SAMPLE, f"--tolerance={wrong}"], "--tolerance")
           for wrong in ("abc", "-0.2", "0.2,0.3", "nan")),
     ],

@@ -51,10 +51,11 @@ def test_the_printed_limits_stand_in_the_files() -> None:
 
 
 def test_an_unknown_name_is_answered_with_the_nearest_and_all_known() -> None:
-    message = complaint("iust6r")
+    message = complaint("iust_5r")
     assert 'did you mean "iust_6r"?' in message
     assert "rv_3sd_melfa" in message
     assert "ur5" in message
+    assert robots.load("IUST 6R").fingerprint == robots.load("iust_6r").fingerprint
     assert "\\n" in complaint("x\n\x1b[31m")  # a name cannot break the line
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -13,6 +13,7 @@ from verify.core.version import __version__
 from verify.errors import InputError
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
+    from reports import Results
     from verify.fleet.batch.records import WorkerPool
     from verify.fleet.batch.run import BatchProgress, BatchResult, ProgressCallback
     from verify.fleet.trends.assess import TrendRequest
@@ -49,7 +50,7 @@ def batch(
         tuple[str, str] | None, typer.Option(help="Compare the sessions below two folders.")
     ] = None,
 ) -> int:
-    """Measure every session under the folders: one table, one fleet report.
+    """Check every session under some folders; one report on all.
 
     Exit status 0: all ran, all conform where a verdict was asked for; 1: some do not conform; 2:
     none could be measured; 3: some are undecided; 4: some failed, none of the others is 1 or 3.
@@ -180,7 +181,7 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
         found = f"none of its {len(done.failures)} sessions could be measured"
         raise InputError(out / "failures.csv", found, "", "It says why, session by session.")
     verdicts = set(sessions["verdict"].dropna())
-    _print_summary(done, out, results.summary)
+    _print_summary(done, out, results)
     if "nonconform" in verdicts:
         return 1
     if "undecided" in verdicts:
@@ -188,11 +189,15 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
     return EXIT_SOME_FAILED if done.failures else 0
 
 
-def _print_summary(done: "BatchResult", out: Path, summary: dict[str, Any]) -> None:
+def _print_summary(done: "BatchResult", out: Path, results: "Results") -> None:
+    from reports.fleet.document import nonconforming_sessions
+
     progress = done.progress
     terminal.say(
         f"{progress.measured} sessions measured, {progress.kept} kept from before, "
         f"{len(done.failures)} failed"
     )
+    for line in nonconforming_sessions(results):
+        terminal.say(f"  does not conform: {line}")
     terminal.say(f"Report: {report_files(out, 'fleet')}")
-    terminal.record({"type": "result", "out": str(out), "summary": summary})
+    terminal.record({"type": "result", "out": str(out), "summary": results.summary})

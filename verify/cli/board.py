@@ -37,7 +37,7 @@ def board(
     ] = None,
     force: ReplaceInFolder = False,
 ) -> None:
-    """Draw a checkerboard to print, true to scale: board.pdf, board.png and board.toml.
+    """Draw a checkerboard to print, true to scale; .pdf, .png, .toml.
 
     Without options it is the grasping paper's: 9 x 7 inner corners of 40 mm, on A2.
 

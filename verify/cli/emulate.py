@@ -79,7 +79,7 @@ def emulate(
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the faults' chance.")] = 0,
 ) -> None:
-    """Be a robot controller, an encoder board, the turning bases or a gripper, until Ctrl-C.
+    """Be a controller, an encoder board or a gripper, until Ctrl-C.
 
     Example: verify emulate melfa --port tcp:10001 --motion sweep
     """

@@ -42,13 +42,12 @@ REPEAT_TIME = 0.5  # s: an interruption that has not ended the command by then w
 
 GLOBAL_OPTIONS_HELP = (
     "With every command: --quiet, --verbose, --json (one object a line on standard output), "
-    "--version."
+    "--open (the report, in a browser), --version."
 )
 app = typer.Typer(
     name="verify",
     help="Is my robot where it says it is? Two cameras and a few LEDs check an arm's encoders.",
     epilog=GLOBAL_OPTIONS_HELP,
-    add_completion=False,
     pretty_exceptions_enable=False,  # an unknown error shows Python's own traceback
     rich_markup_mode=None,
 )
@@ -144,5 +143,6 @@ def _global_flags(words: list[str]) -> list[str]:
     terminal.quiet = "--quiet" in flags
     terminal.verbose = "--verbose" in flags
     terminal.as_json = "--json" in flags
-    taken = {"--quiet", "--verbose", "--json"}
+    terminal.opens = "--open" in flags
+    taken = {"--quiet", "--verbose", "--json", "--open"}
     return [w for w in flags if w not in taken] + rest

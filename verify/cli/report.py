@@ -23,7 +23,7 @@ def report(
         typer.Option(help="A folder with report.html.j2, report.css or report.typ of your own."),
     ] = None,
 ) -> int:
-    """Build report.html and report.pdf again from the results on disk.
+    """Write a report again from its results, in a look of your own.
 
     Example: verify report multi_joint_fault_6r-report --logo lab.svg
     """

@@ -19,7 +19,7 @@ def robots(
     poses: Annotated[int, typer.Option(min=1, help="Random poses of the self-check.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random poses.")] = 0,
 ) -> int:
-    """List the arms, or show one: DH table, limits, reach, and a check of its kinematics.
+    """List the arms, or show one and check its kinematics.
 
     Exit status 1 where closed form, forward kinematics and pinocchio disagree by more than 1e-9.
 

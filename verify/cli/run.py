@@ -51,7 +51,7 @@ def run(
     page_address: option.PageAddress = LOOPBACK,
     page_token: option.PageToken = None,
 ) -> int:
-    """Measure a recorded session or a moving robot, compare with the encoders, judge, report.
+    """Check an arm's encoders: a recorded session, or as it moves.
 
     A station is watched until Ctrl-C, --for is over, or the robot's program ends; the report is
     made from what was recorded. Nothing in it can command the robot.
@@ -65,6 +65,8 @@ def run(
         return _new_station(source)
     if source is None:
         raise typer.BadParameter("name a session's folder or a station file")
+    if source.name == "session.toml":
+        source = source.parent
     tolerances = option.ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
     if source.is_dir() or source.suffix != ".toml":
         option.refuse_options(

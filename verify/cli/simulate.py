@@ -21,7 +21,7 @@ def simulate(
     ] = None,
     force: ReplaceInFolder = False,
 ) -> None:
-    """Make a session with known truth and chosen faults, or board pictures for a calibration.
+    """Make a session with known truth and faults, or board pictures.
 
     Example: verify simulate multi_joint_fault_6r -o my_session
     """

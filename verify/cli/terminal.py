@@ -5,6 +5,7 @@ import logging
 import os
 import sys
 import threading
+import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
@@ -36,6 +37,7 @@ class Terminal:
     quiet: bool = False
     verbose: bool = False
     as_json: bool = False
+    opens: bool = False  # a report's page, in the browser
 
     @property
     def draws(self) -> bool:
@@ -84,8 +86,18 @@ class Terminal:
 
 
 def report_files(folder: Path, name: str = "report") -> str:
-    """Name the two files of a report in a sentence."""
-    return f"{folder / f'{name}.html'} and {folder / f'{name}.pdf'}"
+    """Name the two files of a report in a sentence, as links on a terminal; --open opens one."""
+    page, paper = folder / f"{name}.html", folder / f"{name}.pdf"
+    if terminal.opens and not webbrowser.open(page.resolve().as_uri()):
+        terminal.warn(f"No browser was found to open {page}.")
+    return f"{_link(page)} and {_link(paper)}"
+
+
+def _link(path: Path) -> str:
+    """A path that a terminal opens (OSC 8); elsewhere its text alone."""
+    if not terminal.draws:
+        return str(path)
+    return f"\x1b]8;;{path.resolve().as_uri()}\x1b\\{path}\x1b]8;;\x1b\\"
 
 
 def read_lines(descriptor: int, take: Callable[[str], None]) -> None:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from datetime import date
 from typing import Any
 
+import pandas as pd
 import pytest
 
 from reports import render_html, render_pdf
@@ -41,7 +42,21 @@ def test_it_opens_with_what_changed_and_since_when() -> None:
     ):
         assert re.search(words, verdict.sentence)
     assert "The other 16 joints show no change" in verdict.sentence
-    assert "at most 1 %" in verdict.remarks[0]
+    assert "at most 1 %" in verdict.remarks[-1]
+    assert "beyond their tolerance: " in verdict.remarks[0].lower()
+
+
+def test_sessions_that_do_not_conform_are_the_headline_where_nothing_changed() -> None:
+    young = made_fleet.young()
+    row = {"session": "lab/a", "joint": 2, "worst_error_deg": -0.351, "worst_error_u_deg": 0.004}
+    table = pd.DataFrame([row | {"verdict": "nonconform"}, row | {"verdict": "conform"}])
+    failing = replace(
+        young, tables=young.tables | {"worst": table},
+        summary=young.summary | {"verdicts": {"nonconform": 1, "conform": 5}},
+    )  # fmt: skip
+    verdict = verdict_of(failing)
+    assert (verdict.tone, verdict.label) == ("nonconform", "1 of 6 sessions does not conform")
+    assert verdict.sentence == "lab/a: joint 2 reads up to 0.3510° ± 0.0080° too low."
 
 
 def test_a_quiet_fleet_is_called_that_and_one_too_young_is_not() -> None:

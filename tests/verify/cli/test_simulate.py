@@ -36,7 +36,7 @@ def test_a_folder_that_is_not_empty_is_refused_without_force(scenario: str, tmp_
 @pytest.mark.parametrize(
     ("line", "instead", "words"),
     [
-        ('robot = "iust_6r"', 'robot = "iust6r"', "robot.*iust_6r"),
+        ('robot = "iust_6r"', 'robot = "iust_5r"', "robot.*iust_6r"),
         ("home_deg = [30.0,", "home_deg = [300.0,", "mine.toml, motion.*joint 1"),
     ],
 )

@@ -11,7 +11,7 @@ from verify.live.page.access import DEFAULT_PORT, LOOPBACK
 
 calibrate = typer.Typer(
     name="calibrate",
-    help="Calibrate the rig, register the robot in it, check that both still hold.",
+    help="Calibrate the rig, register the robot, check that both hold.",
     rich_markup_mode=None,
 )
 

@@ -15,7 +15,7 @@ def doctor(
         Path | None, typer.Argument(help="A station file: its devices are tried too.")
     ] = None,
 ) -> int:
-    """Say what works on this machine and, with a station file, what of the station.
+    """Say what works on this machine, and of a station's devices.
 
     Exit status 0: all works; 1: something does not; 2: the station file cannot be used.
 

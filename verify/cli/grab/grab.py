@@ -75,7 +75,7 @@ def grab(
     ] = Path("grab-report"),
     force: option.WriteIntoFolder = False,
 ) -> int:
-    """Track a coloured object with both cameras, follow it with the arm, and pick it up.
+    """Track a coloured object, follow it with the arm, pick it up.
 
     Nothing moves without --execute: the plan is shown and drawn, or why there is none. With it,
     keys, each followed by Enter: g grabs, h holds, r resumes, u opens the fingers and goes up, q

@@ -53,7 +53,7 @@ def identify(
     ] = None,
     force: ReplaceFiles = False,
 ) -> None:
-    """Identify an arm's offsets, lengths and twists, and write the corrected arm.
+    """Identify offsets, lengths and twists; write the corrected arm.
 
     Says which parameters the sessions support, how sure they are, and what each of the others is
     confounded with; judged on poses that were held out.

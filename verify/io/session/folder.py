@@ -14,16 +14,24 @@ from verify.io.session import keys
 from verify.io.session.keys import RunTable
 from verify.io.toml import key_error, shorten
 
+SESSION_FILE = "session.toml"
+MAX_NAMED = 6  # sessions of a folder
+
 
 def find_session_file(folder: Path) -> Path:
     """Find session.toml in a folder; raises InputError: it is no folder, or holds none."""
     expected, remedy = "a session's folder is expected", "Give the folder of a recorded session."
     require_folder(folder, expected, remedy)
-    path = folder / "session.toml"
+    path = folder / SESSION_FILE
     with refused_as_input_error(folder):
         if path.exists():
             return path
-    raise InputError(folder, "has no session.toml", expected, remedy)
+        inside = sorted(p.name for p in folder.iterdir() if (p / SESSION_FILE).is_file())
+    if inside:
+        more = f" and {len(inside) - MAX_NAMED} more" if len(inside) > MAX_NAMED else ""
+        names = ", ".join(inside[:MAX_NAMED]) + more
+        remedy = f"Give one of its sessions: {names}; or `verify batch {folder}` for all."
+    raise InputError(folder, f"has no {SESSION_FILE}", expected, remedy)
 
 
 def resolve_inside(path: Path, key: str, text: str) -> Path:

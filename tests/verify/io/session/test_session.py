@@ -263,7 +263,7 @@ def pipe(folder: Path) -> None:
         (add("[tolerance]\njoints_deg = [1, 1, 1, 1, 1, 0]"), ["joints_deg[5]: is 0", "positive"]),
         (add("[tolerance]\nposition_mm = -1.0"), ["tolerance.position_mm: is -1.0"]),
         (add("[encoder_readings]\nresolution_deg = -0.1"), ["encoder_readings.resolution_deg"]),
-        (swap("session.toml", '"iust_6r"', '"iust6r"'), ['"iust6r"', '"iust_6r"', "toml, robot"]),
+        (swap("session.toml", '"iust_6r"', '"iust_5r"'), ['"iust_5r"', '"iust_6r"', "toml, robot"]),
         (swap("session.toml", '"iust_6r"', '"../arm.urdf"'), ["robot", "outside the folder"]),
         (swap("session.toml", '"iust_6r"', '"arm.urdf"'), ["robot", "does not exist"]),
         (swap("session.toml", '"rig.toml"', '"../rig.toml"'), ["rig", "outside the folder"]),

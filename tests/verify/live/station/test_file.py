@@ -145,7 +145,7 @@ def test_bases_follow_on_request_only(tmp_path: Path) -> None:
     ("old", "new", "words"),
     [
         ("format = 1", "format = 2", "format is 2; format 1 is expected"),
-        ('robot = "iust_6r"', 'robot = "iust6r"', 'did you mean "iust_6r"'),
+        ('robot = "iust_6r"', 'robot = "iust_5r"', 'did you mean "iust_6r"'),
         ('rig = "rig.toml"', 'rig = "none.toml"', "none.toml: no such file"),
         ('rig = "rig.toml"', 'rig = "sim"', 'rig: is "sim"'),
         ("source = 0", 'source = "sim"', 'right.source: is not "sim"'),
