@@ -12,7 +12,7 @@ import math
 import re
 import tempfile
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from pathlib import Path
@@ -138,11 +138,12 @@ def rebuild_command(folder: Path) -> str:
     return "Run the command again that wrote it."
 
 
-def read(folder: Path) -> Results:
-    """Read a results folder; raises ReportError: it holds none, or not what was written."""
+def read(folder: Path, only: Collection[str] | None = None) -> Results:
+    """Read a results folder, all of it or `only` some tables; ReportError: not what was written."""
     manifest = _manifest(folder)
-    tables = {name: _table(folder, name, entry) for name, entry in manifest["tables"].items()}
-    images = {name: _image(folder, name, entry) for name, entry in manifest["images"].items()}
+    listed, pictures = manifest["tables"].items(), manifest["images"].items()
+    tables = {n: _table(folder, n, entry) for n, entry in listed if only is None or n in only}
+    images = {n: _image(folder, n, entry) for n, entry in pictures if only is None}
     return Results(manifest["summary"], manifest["setup"], tables, images)
 
 

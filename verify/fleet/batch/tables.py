@@ -228,9 +228,9 @@ def _session_uncertainty(results: Results) -> dict[int, float]:
     return {int(str(joint)): float(value**0.5) for joint, value in square.items()}
 
 
-MAX_SESSIONS_PER_GROUP = 256  # rows of sessions.parquet that are in memory at once
+MAX_SESSIONS_PER_GROUP = 512  # rows of sessions.parquet that are in memory at once
 MAX_PAIRS_PER_GROUP = 16_384  # likewise of frames.parquet
-MAX_TABLES_PER_GROUP = 256  # that wait: of a short session's table most is overhead
+MAX_TABLES_PER_GROUP = 32  # that wait: of a short session's table most is overhead
 FAILURE_COLUMNS = ("session", "kind", "why")
 
 
@@ -271,39 +271,34 @@ def _text_cell(text: str) -> str:
 
 def _write_sessions(path: Path, kept: Sequence[tuple[str, Path]]) -> int:
     """Write sessions.parquet; give the number of joints of the longest arm."""
-    joints = max(len(_read_results(place).summary["joints"]) for _, place in kept)
+    places = [place for _, place in kept]
+    joints = max(len(_read_results(place, ()).summary["joints"]) for place in places)
     columns = sessions_schema(joints)
-    with pq.ParquetWriter(path, columns, compression="zstd") as writer:
-        for start in range(0, len(kept), MAX_SESSIONS_PER_GROUP):
-            some = [place for _, place in kept[start : start + MAX_SESSIONS_PER_GROUP]]
-            flat = [session_row(_read_results(p), f"{p.parent.name}/{p.name}") for p in some]
-            writer.write_table(pa.Table.from_pylist(flat, schema=columns))
+    rows = (session_row(_read_results(p, ("budget",)), f"{p.parent.name}/{p.name}") for p in places)
+    every = (pa.Table.from_pylist([row], schema=columns) for row in rows)
+    _write_groups(path, columns, every, MAX_SESSIONS_PER_GROUP)
     return joints
 
 
 def _write_frames(path: Path, kept: Sequence[tuple[str, Path]], joints: int) -> None:
     columns = frames_schema(joints)
-    with pq.ParquetWriter(path, columns, compression="zstd") as writer:
-        for group in _merge_small_tables(
-            _session_frames(session, place, columns) for session, place in kept
-        ):
-            writer.write_table(group, row_group_size=MAX_PAIRS_PER_GROUP)
+    every = (_session_frames(session, place, columns) for session, place in kept)
+    _write_groups(path, columns, every, MAX_PAIRS_PER_GROUP)
 
 
-def _merge_small_tables(tables: Iterator[pa.Table]) -> Iterator[pa.Table]:
-    """Put short tables together, so that a reader need not open thousands of groups."""
+def _write_groups(path: Path, columns: pa.Schema, tables: Iterator[pa.Table], most: int) -> None:
+    """Write tables, short ones put together, so that a reader need not open thousands of groups."""
     waiting: list[pa.Table] = []
-    count = 0
-    for table in tables:
-        waiting.append(table)
-        count += len(table)
-        if len(waiting) >= MAX_TABLES_PER_GROUP:
-            waiting = [pa.concat_tables(waiting).combine_chunks()]
-        if count >= MAX_PAIRS_PER_GROUP:
-            yield pa.concat_tables(waiting)
-            waiting, count = [], 0
-    if waiting:
-        yield pa.concat_tables(waiting)
+    with pq.ParquetWriter(path, columns, compression="zstd") as writer:
+        for table in tables:
+            waiting.append(table)
+            if len(waiting) >= MAX_TABLES_PER_GROUP:
+                waiting = [pa.concat_tables(waiting).combine_chunks()]
+            if sum(map(len, waiting)) >= most:
+                writer.write_table(pa.concat_tables(waiting), row_group_size=most)
+                waiting = []
+        if waiting:
+            writer.write_table(pa.concat_tables(waiting), row_group_size=most)
 
 
 def _session_frames(session: str, place: Path, columns: pa.Schema) -> pa.Table:
@@ -318,5 +313,5 @@ def _session_frames(session: str, place: Path, columns: pa.Schema) -> pa.Table:
     return pa.table(arrays, schema=columns)
 
 
-def _read_results(place: Path) -> reports.Results:
-    return reports.read(place / RESULTS)
+def _read_results(place: Path, only: Sequence[str]) -> reports.Results:
+    return reports.read(place / RESULTS, only)
