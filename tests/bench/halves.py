@@ -124,7 +124,7 @@ def chance(kit: BoardSet, pairs: Sequence[BoardPair]) -> Array:
     """
     rig, every = (whole := kit.calibrate(pairs)).rig, kit.every(pairs)
     corners = stack_corners(every, kit.board)
-    state = BundleState(rig.left, rig.right, whole.rig_T_board, np.zeros((len(every), 5)))
+    state = BundleState(rig.left, rig.right, whole.rig_T_board, np.zeros((len(every), 8)))
     lens = lens_rows(state, kit.size, whole.noise**2)
     model = AdjustmentModel((BASE_FIXED, BASE_FIXED), lens=lens, bowed=True)
     system = bundle.normal_equations(state, corners, model, np.ones(len(corners)))
@@ -159,6 +159,8 @@ def report(name: str, count: int, seed: int) -> int:
     }
     print(f"{name}, seed {seed}: {count} halves of {len(pairs)} pictures, {len(refused)} refused; "
           f"{cells.share(z):.1%} within {cells.WITHIN} u")  # fmt: skip
+    for error in refused:
+        print(f"  refused: {error}")
     failed = int(len(refused) > 0)
     for label, (value, draws) in figures.items():
         low, high = np.quantile(draws, RANGE)

@@ -11,6 +11,7 @@ Unknowns: 47 that all pairs share (table in `parameters`) and, behind them, each
     3 - 5   rotation about its own origin     rad   rig axes, on the left
     6, 7    pan errors e of left and right    rad   prior of variance 1 / precision
     8 - 10  motion from left to right         m     prior of variance 1 / precision, rig axes
+    11 - 13 bend, added to the bow            m     prior of variance 1 / precision
 
 Minimised is the sum of squared residuals in the corners' stated covariance, and of what is known
 beforehand of pan readings and lenses, by Gauss-Newton steps
@@ -27,9 +28,11 @@ from scipy.linalg import cho_factor, cho_solve
 from verify.calibration.stereo import gauge, projection
 from verify.calibration.stereo.gauge import AdjustmentModel
 from verify.calibration.stereo.parameters import (
+    BEND,
     BOW,
     MOTION,
     N_CAMERA_PARAMETERS,
+    N_ERRORS,
     N_SHARED,
     PAR_AXIS,
     PAR_CENTER,
@@ -51,7 +54,7 @@ from verify.core.rig import Camera, distort_with_jacobian
 MAX_ITERATIONS = 60
 TOL_COST = 1e-4  # chi² that a step still gains: a hundredth of an uncertainty
 Index = NDArray[np.int64]
-N_LOCAL = 11  # a board's own unknowns: its pose (6), its errors (5)
+N_LOCAL = 6 + N_ERRORS  # a board's own unknowns: its pose, its errors
 ERRORS = slice(6, N_LOCAL)
 N_SEEN = N_CAMERA_PARAMETERS + 3  # shared parameters that move one camera's pixels
 LOCAL_COLUMNS = slice(N_SEEN, N_SEEN + N_LOCAL)  # behind them
@@ -99,7 +102,7 @@ def _side_corners(
     pose = _per_corner(state.boards[:, :3], board)
     modes = corners.modes[own].T
     x, y, z = corners.point[own].T
-    z = z + state.bow @ modes
+    z = z + np.einsum("ni,in->n", state.bow + state.errors[board, BEND], modes)
     arm = pose[:, 0] * x + pose[:, 1] * y + pose[:, 2] * z
     points_rig = arm + pose[:, 3] + side * state.errors[board, MOTION].T
     from_camera = points_rig - centre[board].T
@@ -141,7 +144,7 @@ def _seen(side: int) -> Index:
 
 
 def _columns(camera: Camera, side: int, at: _CameraCorners) -> Array:
-    """Derivatives by a camera, bow and the boards' own, (2, 37, n); the last column is empty."""
+    """Derivatives by a camera, bow and the boards' own, (2, 40, n); the last column is empty."""
     depth, xy = at.point[2], at.point[:2] / at.point[2]
     x, y = xy
     distorted, by_xy = distort_with_jacobian(xy.T, camera.distortion)
@@ -164,12 +167,14 @@ def _columns(camera: Camera, side: int, at: _CameraCorners) -> Array:
     columns[:, PAR_TURN] = -_rows_times_matrices(_cross(at.from_camera, by_point), turned)
     columns[:, PAR_OFFSET] = -_rows_times_matrices(by_point, turned)
     by_height = np.einsum("cin,in->cn", by_point, at.normal)
-    columns[:, N_CAMERA_PARAMETERS:N_SEEN] = by_height[:, None] * at.modes
+    bend = by_height[:, None] * at.modes
+    columns[:, N_CAMERA_PARAMETERS:N_SEEN] = bend
     own = columns[:, LOCAL_COLUMNS]
     own[:, :3], own[:, 3:6] = by_point, _cross(at.arm, by_point)
     own[:, 6 + side] = columns[:, PAR_ZERO]
     if side:
         own[:, ERRORS][:, MOTION] = by_point
+    own[:, ERRORS][:, BEND] = bend
     return columns
 
 
@@ -193,9 +198,9 @@ class NormalEquations:
 
     information: Array  # (b, 47, 47), on the shared parameters, from each board
     gradient: Array  # (b, 47), negative half gradient of the cost
-    own: Array  # (b, 11, 11), inverse of each board's own information
-    own_gradient: Array  # (b, 11)
-    shared: Array  # (b, 11, 47), how a board's own optimum moves with the parameters, negated
+    own: Array  # (b, 14, 14), inverse of each board's own information
+    own_gradient: Array  # (b, 14)
+    shared: Array  # (b, 14, 47), how a board's own optimum moves with the parameters, negated
     diagonal: Array  # (47,), of the information before the elimination
     lens: Array  # (47, 47), information on the lenses beforehand
     lens_gradient: Array  # (47,)
@@ -251,9 +256,9 @@ def normal_equations(
 
 
 def _products(side: int, state: BundleState, corners: CornerStack, weight: Array) -> Array:
-    """Products of one camera's whitened columns over each board's corners, (b, 37, 37).
+    """Products of one camera's whitened columns over each board's corners, (b, 40, 40).
 
-    Columns: the camera's parameters (22), the bow (3), the board's own (11), the residual.
+    Columns: the camera's parameters (22), the bow (3), the board's own (14), the residual.
     """
     camera = state.cameras[side]
     rows = np.flatnonzero(corners.camera == side)
@@ -271,7 +276,7 @@ def _products(side: int, state: BundleState, corners: CornerStack, weight: Array
 
 
 def _invert_local(block: Array, model: AdjustmentModel, damping: float) -> Array:
-    """Invert the free part of each board's own information (b, 11, 11), damped; 0 elsewhere."""
+    """Invert the free part of each board's own information (b, 14, 14), damped; 0 elsewhere."""
     free = np.flatnonzero(np.concatenate([np.ones(6), np.isfinite(model.precision)]))
     inner = block[:, free[:, None], free]
     diagonal = np.arange(len(free))

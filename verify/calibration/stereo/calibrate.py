@@ -12,6 +12,7 @@ import numpy as np
 from verify.calibration.stereo import bundle, estimate, pan_bases, refusals, start
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel, fixed_names
 from verify.calibration.stereo.parameters import (
+    BEND,
     BOW,
     MOTION,
     PARAMETER_NAMES,
@@ -31,7 +32,7 @@ from verify.core.statistics import chi2_isf
 MIN_CORNERS = 6  # of a view: twelve coordinates for the six of a pose
 MIN_EXTENT = 0.5  # squares, second extent of a view's corners: on one line they fix no pose
 N_STAGES = 5
-MAX_MOTION_VARIANCE = 2.0  # of what is left without it: boards that move by more are adjusted so
+MAX_HAND_VARIANCE = 2.0  # of what is left without it: beyond it motion and bend are adjusted
 P_FALSE_BOW = 1e-3  # that a flat board seems bowed
 TOL_HELD = 1e-8  # of a unit step: a parameter that the free directions move by less is held
 Progress = Callable[[int, int], None]
@@ -56,7 +57,7 @@ class _AdjustedBundle:
     """The final estimate, and what was chosen on the way."""
 
     found: estimate.Estimate
-    moved: estimate.Estimate | None  # with boards that moved between left and right; None: none did
+    held: estimate.Estimate | None  # with boards that moved or bent in the hand; None: none did
     corners: CornerStack
     scatter: ErrorScatter | None  # of pan readings; None: no base turned
     notes: tuple[str, ...]  # on bases that turned too little
@@ -111,7 +112,7 @@ def calibrate(
         decisions=(*begin.notes, *_decisions(adjusted, board)),
         square_found=estimate.square_edges(found, corners, board),
         turning=begin.bases != (BASE_FIXED, BASE_FIXED),
-        motion=None if adjusted.moved is None else adjusted.moved.state.errors[:, MOTION],
+        motion=_seen_errors(adjusted, MOTION),
     )
 
 
@@ -235,23 +236,39 @@ def _adjust(
     found = estimate.adjust_robust(state, corners, model_at(state))
     progress(3, N_STAGES)
     bowed = estimate.adjust_robust(found.state, corners, replace(found.model, bowed=True))
-    own, height = bowed.covariance[BOW, BOW] / bowed.design_effect, bowed.state.bow
-    if height @ np.linalg.solve(own, height) > chi2_isf(P_FALSE_BOW, len(height)):
-        found = bowed
+    found = bowed if _bow_shows(bowed) else found
     found, scatter, notes = pan_bases.settle_bases(found, corners)
     if scatter is not None:
         refusals.refuse_wrong_readings(scatter.deviation)
     progress(4, N_STAGES)
     model = replace(found.model, lens=lens_rows(found.state, image_size, found.variance))
     found = estimate.adjust_robust(found.state, corners, model)
-    moved = pan_bases.boards_in_motion(found, corners)
-    if moved is not None:
-        if found.noise**2 > MAX_MOTION_VARIANCE * moved.noise**2:
-            found = moved = estimate.adjust_robust(moved.state, corners, moved.model)
+    held = pan_bases.boards_in_hand(found, corners, image_size)
+    if held is not None:
+        if found.noise**2 > MAX_HAND_VARIANCE * held.noise**2:
+            found = held = estimate.adjust_robust(held.state, corners, held.model)
+            if found.model.bowed and not _bow_shows(found):  # what hands do passed for a bow
+                flat = replace(found.state, bow=np.zeros_like(found.state.bow))
+                model = replace(found.model, bowed=False)
+                found = held = estimate.adjust_robust(flat, corners, model)
         else:
-            found = pan_bases.with_motion(found, moved)
+            found = pan_bases.with_doubt(found, held)
     refusals.refuse_undetermined(found)
-    return _AdjustedBundle(found, moved, corners, scatter, tuple(notes))
+    return _AdjustedBundle(found, held, corners, scatter, tuple(notes))
+
+
+def _bow_shows(found: estimate.Estimate) -> bool:
+    """Test the bow against what a flat board shows by chance."""
+    own, height = found.covariance[BOW, BOW] / found.design_effect, found.state.bow
+    shown = height @ np.linalg.solve(own, height) > chi2_isf(P_FALSE_BOW, len(height))
+    return bool(shown)
+
+
+def _seen_errors(adjusted: _AdjustedBundle, own: slice) -> Array | None:
+    """Errors of all pairs (b, 3), m, that the pictures show; None where they show none."""
+    held = adjusted.held
+    shown = held is not None and np.isfinite(held.model.precision[own]).any()
+    return held.state.errors[:, own] if held is not None and shown else None
 
 
 def _covariances(found: estimate.Estimate, board: Board) -> tuple[Array, Array]:
@@ -293,12 +310,19 @@ def _decisions(adjusted: _AdjustedBundle, board: Board) -> Iterator[str]:
     yield from adjusted.notes
     yield from open_coefficients(found)
     yield from pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan)
-    if adjusted.moved is not None:
-        motion = 1e3 * np.linalg.norm(adjusted.moved.state.errors[:, MOTION], axis=1)
+    if (moved := _seen_errors(adjusted, MOTION)) is not None:
+        motion = 1e3 * np.linalg.norm(moved, axis=1)
         yield (
             f"Left and right pictures were not taken together: between them the board moved by "
             f"{np.median(motion):.2g} mm in half of the pairs, up to {motion.max():.2g} mm. The "
             "uncertainties allow for it; better, let the board stand still or expose both at once."
+        )
+    if (bent := _seen_errors(adjusted, BEND)) is not None:
+        bend = 1e3 * np.abs(bent - bent.mean(axis=0)).max(axis=1)
+        yield (
+            f"the board bends from pair to pair: by {np.median(bend):.2g} mm between its middle "
+            f"and its rim in half of the pairs, up to {bend.max():.2g} mm. The uncertainties allow "
+            "for it; a stiff board is better."
         )
     if found.model.bowed:
         yield (

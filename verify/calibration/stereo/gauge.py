@@ -23,6 +23,7 @@ from scipy.linalg import null_space
 
 from verify.calibration.stereo.parameters import (
     BOW,
+    N_ERRORS,
     N_SHARED,
     PAR_AXIS,
     PAR_CENTER,
@@ -54,8 +55,8 @@ class AdjustmentModel:
     """Which parameters an adjustment holds, and how far it trusts what is known beforehand."""
 
     bases: tuple[str, str]  # left and right: BASE_FIXED, BASE_TURNING or BASE_CENTRED
-    precision: Array = field(default_factory=lambda: np.full(5, np.inf))  # (5,), 1/rad² and 1/m²,
-    # of a pair's errors against corners' stated weights; infinite: held at 0
+    precision: Array = field(default_factory=lambda: np.full(N_ERRORS, np.inf))  # (8,), 1/rad²,
+    # 1/m², of a pair's errors against corners' stated weights; infinite: held at 0
     lens: Array | None = None  # (k, 47), rows whose products with the values cost their squares
     bowed: bool = False  # the board's bow is free
 

@@ -1,7 +1,8 @@
-"""The turning bases: which turned, far enough to determine their axes; boards that moved.
+"""The turning bases: which turned, far enough to determine their axes; boards in a hand.
 
 A pan reading errs by so much from pair to pair. Where no base turns, a board that a hand moves
-between the left picture and the right errs alike; both are found as in `scatter`.
+between the left picture and the right, or bends from pair to pair, errs alike; all are found as in
+`scatter`. Both cameras see a bend alike, and a motion opposed.
 """
 
 from collections.abc import Iterator
@@ -12,7 +13,9 @@ import numpy as np
 from verify.calibration.stereo.estimate import Estimate, readjust
 from verify.calibration.stereo.gauge import BASE_CENTRED, BASE_FIXED, BASE_TURNING
 from verify.calibration.stereo.parameters import (
+    BEND,
     MOTION,
+    N_ERRORS,
     PAR_AXIS,
     PAR_OFFSET,
     SIDES,
@@ -20,6 +23,7 @@ from verify.calibration.stereo.parameters import (
     camera_columns,
     parameter_difference,
 )
+from verify.calibration.stereo.prior import lens_rows
 from verify.calibration.stereo.scatter import ErrorScatter, adjust_with_scatter
 from verify.core.records import Array
 
@@ -27,7 +31,8 @@ MIN_TURN = 1e-9  # rad: readings that differ by less are the same number
 MAX_AXIS_UNCERTAINTY = np.deg2rad(1.0)  # above it an axis is not determined
 MAX_OFFSET_UNCERTAINTY = 0.02  # m, above it the axis's distance from the camera is not determined
 START_SIGMA = np.deg2rad(0.1)  # a poor base; the pictures give the scatter later
-START_MOTION = 1e-3  # m, of a board in a hand, likewise
+MIN_HAND_GAIN = 3.9  # log likelihood: 1 % of still, stiff boards by chance, in four kinds of error
+START_HAND = 1e-3  # m, motion and bend of a board in a hand, likewise
 
 
 def base_kinds(readings: Array) -> tuple[str, str]:
@@ -37,9 +42,9 @@ def base_kinds(readings: Array) -> tuple[str, str]:
 
 
 def start_precision(bases: tuple[str, str], noise: float) -> Array:
-    """Weight of a pair's errors at first, (5,); `noise`: factor on the corners' uncertainty."""
+    """Weight of a pair's errors at first, (8,); `noise`: factor on the corners' uncertainty."""
     pan = [np.inf if base == BASE_FIXED else (noise / START_SIGMA) ** 2 for base in bases]
-    return np.array([*pan, np.inf, np.inf, np.inf])
+    return np.array([*pan, *np.full(N_ERRORS - len(pan), np.inf)])
 
 
 def settle_bases(
@@ -68,32 +73,43 @@ def _turned(bases: tuple[str, str]) -> list[int]:
     return [i for i, base in enumerate(bases) if base != BASE_FIXED]
 
 
-def boards_in_motion(found: Estimate, corners: CornerStack) -> Estimate | None:
-    """Adjust with boards that moved between left and right; None where the pictures show none."""
+def boards_in_hand(
+    found: Estimate, corners: CornerStack, image_size: tuple[int, int]
+) -> Estimate | None:
+    """Adjust with boards that moved between left and right, or bent from pair to pair.
+
+    Whichever the pictures do not show stays 0; None where they show neither. The image size is
+    width and height, px.
+    """
     if found.model.bases != (BASE_FIXED, BASE_FIXED):
         return None
-    axes = np.arange(MOTION.start, MOTION.stop)
+    motion, bend = (list(range(own.start, own.stop)) for own in (MOTION, BEND))
     precision = found.model.precision.copy()
-    precision[axes] = (found.noise / START_MOTION) ** 2
+    precision[motion + bend] = (found.noise / START_HAND) ** 2
     free = readjust(found, corners, replace(found.model, precision=precision))
-    moved, scatters = adjust_with_scatter(free, corners, axes[:, None].tolist())
-    return moved if any(s.visible for s in scatters) else None
+    # the variance that is left without them would make what is known of lenses too strong
+    lens = lens_rows(free.state, image_size, free.variance)
+    free = readjust(free, corners, replace(free.model, lens=lens))
+    held, scatters = adjust_with_scatter(
+        free, corners, [bend, *([axis] for axis in motion)], MIN_HAND_GAIN
+    )
+    return held if any(s.visible for s in scatters) else None
 
 
-def with_motion(found: Estimate, moved: Estimate) -> Estimate:
-    """State the uncertainty of an estimate that takes moving boards to stand still.
+def with_doubt(found: Estimate, held: Estimate) -> Estimate:
+    """State the uncertainty of an estimate that takes boards to stand still and not to bend.
 
-    That of the estimate which allows for the motion, and how far the two are apart: its square is
+    That of the estimate which allows for it, and how far the two are apart: its square is
     expected to be the difference of their covariances.
 
     Source: Hausman, Econometrica 46, 1978, lemma 2.1.
     """
-    apart = parameter_difference(moved.state, found.state)
+    apart = parameter_difference(held.state, found.state)
     return replace(
         found,
-        covariance=moved.covariance + np.outer(apart, apart),
-        design_effect=moved.design_effect,
-        design_effect_degrees=moved.design_effect_degrees,
+        covariance=held.covariance + np.outer(apart, apart),
+        design_effect=held.design_effect,
+        design_effect_degrees=held.design_effect_degrees,
     )
 
 

@@ -14,7 +14,8 @@ Shared by all pairs: 22 a camera, left then right, named as in rig.toml's [covar
     44 - 46   bow h                       m      added; z = h_0 x² + h_1 x y + h_2 y²
 
 with x, y over half the board's larger side. Each pair adds its board's pose (6: m, rad, rig axes),
-both bases' pan errors (2: rad) and how the board moved from the left picture to the right (3: m).
+both bases' pan errors (2: rad), how the board moved from the left picture to the right (3: m) and
+how it bent (3: m, added to the bow).
 """
 
 from dataclasses import dataclass, field, replace
@@ -42,7 +43,8 @@ PAR_CENTER, PAR_AXIS, PAR_ZERO = slice(9, 12), slice(12, 15), 15
 PAR_TURN, PAR_OFFSET = slice(16, 19), slice(19, 22)
 BOW = slice(2 * N_CAMERA_PARAMETERS, 2 * N_CAMERA_PARAMETERS + 3)  # among the shared parameters
 N_SHARED = BOW.stop
-PAN_ERRORS, MOTION = slice(0, 2), slice(2, 5)  # of a pair's errors
+PAN_ERRORS, MOTION, BEND = slice(0, 2), slice(2, 5), slice(5, 8)  # of a pair's errors
+N_ERRORS = BEND.stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,7 +54,8 @@ class BundleState:
     left: Camera
     right: Camera
     boards: Array  # (b, 4, 4), rig_T_board
-    errors: Array  # (b, 5): true pan angles less readings, rad; motion from left to right, m, rig
+    errors: Array  # (b, 8): true pan angles less readings, rad; motion from left to right, m, rig;
+    # bend less the bow, m
     bow: Array = field(default_factory=lambda: np.zeros(3))  # (3,), m
 
     @property

@@ -34,7 +34,7 @@ from verify.core.rig import Camera
 
 
 def step_state(state: BundleState, corners: CornerStack, change: Array, own: Array) -> BundleState:
-    """Step the shared parameters by (47,) and each board's own by (b, 11), all at once.
+    """Step the shared parameters by (47,) and each board's own by (b, 14), all at once.
 
     Its own are the board's pose in rig axes and its errors. To first order the step is straight.
     """

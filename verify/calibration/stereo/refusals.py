@@ -12,7 +12,7 @@ from verify.core.records import Array
 from verify.errors import InputError
 
 MIN_PAIRS = 3
-MAX_FOCAL_UNCERTAINTY = 0.05  # of the focal length; simulated, z is 1 up to twice that
+MAX_FOCAL_UNCERTAINTY = 0.05  # of the focal length; simulated, rms z is 1.1 up to it, 1.5 beyond
 MAX_PARALLEL_UNCERTAINTY = 0.01  # likewise, of boards that are parallel: z is 2 beyond it, as small
 # tilts are uncertain themselves
 MIN_NORMAL_SPREAD = np.deg2rad(6.0)  # boards whose normals spread by less are parallel

@@ -40,11 +40,15 @@ class ErrorScatter:
 
 
 def adjust_with_scatter(
-    found: Estimate, corners: CornerStack, kinds: Sequence[Sequence[int]]
+    found: Estimate,
+    corners: CornerStack,
+    kinds: Sequence[Sequence[int]],
+    gain: float = MIN_LOG_LIKELIHOOD,
 ) -> tuple[Estimate, list[ErrorScatter]]:
     """Find the scatter of each kind of error that is free, and adjust with it.
 
-    A kind is the columns of a pair's errors that share a scatter; all are free in `found`.
+    A kind is the columns of a pair's errors that share a scatter; all are free in `found`. One that
+    gains less in log likelihood than `gain` is not visible.
     """
     scatters: dict[int, ErrorScatter] = {}
     for _ in range(MAX_ROUNDS):
@@ -52,7 +56,7 @@ def adjust_with_scatter(
         precision, errors = np.full(found.state.errors.shape[1], np.inf), found.state.errors.copy()
         for k, own in enumerate(kinds):
             if k not in before or before[k].visible:
-                scatters[k] = error_scatter(found, own)
+                scatters[k] = error_scatter(found, own, gain)
             if scatters[k].visible:
                 precision[list(own)] = (found.noise / scatters[k].deviation) ** 2
             else:
@@ -68,8 +72,10 @@ def adjust_with_scatter(
     return found, list(scatters.values())
 
 
-def error_scatter(found: Estimate, columns: Sequence[int]) -> ErrorScatter:
-    """Find the scatter of errors that are free in an adjustment.
+def error_scatter(
+    found: Estimate, columns: Sequence[int], gain: float = MIN_LOG_LIKELIHOOD
+) -> ErrorScatter:
+    """Find the scatter of errors that are free in an adjustment; visible if it gains so much.
 
     Source: restricted maximum likelihood of a variance component, Patterson and Thompson,
     Biometrika 58, 1971.
@@ -88,7 +94,7 @@ def error_scatter(found: Estimate, columns: Sequence[int]) -> ErrorScatter:
     middle = grid[int(np.argmin([loss(g) for g in grid]))]
     best = minimize_scalar(loss, bounds=(middle - 0.3, middle + 0.3), method="bounded")
     least, at = float(best.fun), float(best.x)
-    if least < -MIN_LOG_LIKELIHOOD:
+    if least < -gain:
         ratio = np.exp(2 * at) * size
         degrees = max(float(np.sum((ratio / (1 + ratio)) ** 2)), MIN_DOF)
         return ErrorScatter(float(np.exp(at) * np.sqrt(degrees / (degrees - 2))), visible=True)

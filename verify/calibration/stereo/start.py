@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from robots.transforms import rotation_exp
 from verify.calibration.stereo.gauge import BASE_FIXED
-from verify.calibration.stereo.parameters import BundleState
+from verify.calibration.stereo.parameters import N_ERRORS, BundleState
 from verify.core.fiducials import Board, BoardView
 from verify.core.records import Array
 from verify.core.rig import Camera
@@ -260,4 +260,4 @@ def start_state(
     for i in pairs:
         side = 0 if i in lenses[0].poses else 1
         boards.append(cameras[side].rig_T_camera(pan[i, side]) @ lenses[side].poses[i])
-    return BundleState(cameras[0], cameras[1], np.array(boards), np.zeros((len(boards), 5)))
+    return BundleState(cameras[0], cameras[1], np.array(boards), np.zeros((len(boards), N_ERRORS)))
