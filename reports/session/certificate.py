@@ -12,7 +12,7 @@ from reports.document import formatting as fmt
 from reports.document.charts import records
 from reports.results import Results
 from reports.session import causes, phrases
-from reports.session.headline import headline
+from reports.session.headline import MAX_CAUSES, headline
 
 MAX_ALARMS = 4  # listed, the first; alarms.csv has all
 ALARM_NOTE = (
@@ -136,13 +136,16 @@ def _pose_table(summary: dict[str, Any]) -> list[doc.Table]:
 
 def _causes(summary: dict[str, Any]) -> doc.Facts:
     """The causes found, and what to do about them."""
-    entries = summary.get("diagnosis") or []
+    every = summary.get("diagnosis") or []
+    entries, more = every[:MAX_CAUSES], len(every) - MAX_CAUSES
     named = [
         f"one of {causes.rivals(entry, ' or ')}"
         if entry.get("kind") == "ambiguous"
         else causes.candidate(entry)
         for entry in entries
     ]
+    if more > 0:
+        named.append(f"{fmt.count(more)} more in the diagnosis")
     remedies = dict.fromkeys(causes.remedy(entry) for entry in entries)
     items = [("Cause", "; ".join(named) or "the data single out no cause")]
     if remedies:
