@@ -7,9 +7,9 @@ sessions of at most 0.7 %. Near-singular pairs are left out by the tool's own fl
     python -m tests.bench.coverage [SESSIONS] [SEED]
 
 With --classes, sessions of every kind instead: 10 and 30 pairs a second, slow and brisk, right
-pictures 0 to 40 ms late, FFV1 and MJPEG, two to five LEDs, some hidden. Coverage of a pair's joints
-and of its errors in every class, and the joints' rms against that of a carrier that knows the
-motion between the two pictures.
+pictures 0 to 40 ms late, FFV1 and MJPEG, two to five LEDs, some hidden, before a dark room or a
+bright one with texture. Coverage of a pair's joints and of its errors in every class, and the
+joints' rms against that of a carrier that knows the motion between the two pictures.
 """
 
 import os
@@ -22,6 +22,7 @@ import cv2
 import msgspec
 import numpy as np
 import pytest
+from scipy.ndimage import gaussian_filter
 
 import robots
 from tests.bench.cells import HIGH, LOW, SEEDS, WITHIN, conclude, replicates
@@ -43,6 +44,8 @@ Around = Sequence[RawSighting | None]
 KINDS = 40  # sessions with --classes
 MAX_RMS_RATIO = 1.1
 JPEG_QUALITY = 90  # of a webcam's MJPEG
+ROOM_DN = 50.0  # of a bright room
+ROOMS = [f"{grain} px, {depth} DN" for grain in (24, 12, 6) for depth in (4, 15)]
 
 
 def session_shares(arm: str, seed: int) -> tuple[Array, float, float]:
@@ -108,10 +111,11 @@ def drawn_kind(rng: np.random.Generator, arm: str) -> tuple[Scenario, dict[str, 
         occlusion=hides,
     )
     codec = str(rng.choice(["FFV1", "MJPEG"]))
+    room = str(rng.choice(["dark"] * len(ROOMS) + ROOMS))
     skew = "none" if not late else "4 ms" if late == 0.004 else f"{late * 1e3:.0f} ms"
     return changed, {
         "rate": f"{rate:.0f} Hz", "motion": "brisk" if brisk else "slow", "skew": skew,
-        "codec": codec, "LEDs": str(leds), "hidden": hidden,
+        "codec": codec, "LEDs": str(leds), "hidden": hidden, "room": room,
     }  # fmt: skip
 
 
@@ -121,12 +125,30 @@ def through_jpeg(image: Image) -> Image:
     return np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), dtype=np.uint8)
 
 
+def before_a_room(pairs: list[StereoPair], room: str, rng: np.random.Generator) -> list[StereoPair]:
+    """Pairs before a bright room: texture of a grain (px) and standard deviation (DN)."""
+    grain, depth = (float(word.split()[0]) for word in room.split(","))
+
+    def texture(image: Image) -> Array:
+        field = gaussian_filter(rng.normal(size=image.shape[:2]), grain / 2, mode="wrap")
+        added: Array = ROOM_DN + depth * field / field.std()
+        return added if image.ndim == 2 else added[..., None]
+
+    def lit(image: Image, added: Array) -> Image:
+        return np.clip(np.rint(image + added), 0, 255).astype(np.uint8)
+
+    left, right = texture(pairs[0].left), texture(pairs[0].right)
+    return [replace(p, left=lit(p.left, left), right=lit(p.right, right)) for p in pairs]
+
+
 def session_of_a_kind(seed: int) -> Outcome:
     """Measure one session, and the same pictures with the motion known."""
     rng = np.random.default_rng(seed)
     scenario, classes = drawn_kind(rng, str(rng.choice(ARMS)))
     plain = in_memory(scenario)
     pairs = list(plain.pairs())
+    if classes["room"] != "dark":
+        pairs = before_a_room(pairs, classes["room"], rng)
     if classes["codec"] == "MJPEG":
         pairs = [
             replace(p, left=through_jpeg(p.left), right=through_jpeg(p.right), lossy=(True, True))

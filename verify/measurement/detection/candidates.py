@@ -5,7 +5,7 @@ of a pixel are combined into one value, of which the noise follows.
 """
 
 from bisect import bisect_left
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array, Image, Noise
-from verify.measurement.detection.fit import Patches
+from verify.measurement.detection.fit import TOL_LAST_STEP, Patches, SpotFit, continue_fit
 from verify.measurement.detection.kernels.candidates import (
     MIN_WINDOW_SIDE,
     compact_blobs,
@@ -22,6 +22,8 @@ from verify.measurement.detection.kernels.candidates import (
     top_hat,
 )
 from verify.measurement.detection.kernels.patches import read_grey
+from verify.measurement.detection.kernels.pixels import PAR_XX, PAR_YY
+from verify.measurement.detection.profile import spot_light
 
 LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright blob must not hide a dim neighbour
 # 18 DN: a dim LED of peak 60 keeps twice this after halving; noise of 2.5 DN, halved, 14 sigma.
@@ -139,6 +141,9 @@ PATCH_REACH = 2.4  # half-widths: a Gaussian has fallen to 1/50 there, a disc is
 PATCH_MARGIN = 2.5  # px of floor around that
 # sums of half-widths between two spots, of which one's light reaches the other's pixels
 MIN_APART, MAX_APART = 1.2, 4.0
+SEPARATION_PASSES = 4  # of spots touching at a third of their height; two suffice farther apart
+MIN_LIGHT = 0.5  # DN of a neighbour: less is not worth taking off, least of all below black
+TINY = 1e-9  # of an inverse square of a half-width, where a fit has none
 FIRST_LOOK_STEPS = 8  # steps from centre to edge of a first look: 197 pixels, whatever the size
 BATCH_PATCHES = 8  # patches a batch: their derivatives stay in the processor's cache
 MIN_CHANNEL_WEIGHT = 0.1  # of the strongest channel: less adds noise, not information
@@ -194,6 +199,33 @@ def _leave_neighbours(located: LocatedPatches, part: NDArray[np.intp], spots: Ca
         off = np.linalg.norm(place - spots.centre[both][:, :, None], axis=1)
         own, others = off / spots.radius[both][:, None]
         located.patches.pixels[patch, 1, (others < PATCH_REACH) & (others < own)] = 0.0
+
+
+def separate_neighbours(batches: Sequence[tuple[LocatedPatches, SpotFit]], noise: Noise) -> None:
+    """Fit spots near each other anew, each without the light that the others' fits have there.
+
+    In place. Spots nearer than MIN_APART are not told apart.
+    """
+    whole = [cut.patches.value.copy() for cut, _ in batches]
+    scale = np.concatenate([cut.patches.scale for cut, _ in batches])
+    for _ in range(SEPARATION_PASSES):
+        centre = np.concatenate([cut.origin + fit.parameters[:, :2] for cut, fit in batches])
+        shape = np.concatenate([fit.parameters for _, fit in batches])
+        radius = scale * np.sqrt(2.0 / np.maximum(shape[:, PAR_XX] + shape[:, PAR_YY], TINY))
+        apart = np.hypot(*(centre[:, None] - centre).T) / (radius[:, None] + radius)
+        near, begin = (apart > MIN_APART) & (apart < MAX_APART), 0
+        if not near.any():
+            return
+        for (cut, fit), value in zip(batches, whole, strict=True):
+            pairs = zip(*np.nonzero(near[begin : begin + len(value)]), strict=True)
+            begin += len(value)
+            cut.patches.value[:] = value
+            for patch, other in pairs:
+                place = cut.patches.pixels[patch, 2:] + (cut.origin[patch] - centre[other])[:, None]
+                light = spot_light(shape[other], place / scale[other])
+                cut.patches.value[patch] -= np.where(light > MIN_LIGHT, light, 0.0)
+            if np.any(cut.patches.value != value):
+                continue_fit(cut.patches, fit, noise, 2, TOL_LAST_STEP)
 
 
 @cache

@@ -21,6 +21,7 @@ from verify.measurement.detection.candidates import (
     cut_first_look,
     cut_patches,
     find_candidates,
+    separate_neighbours,
 )
 from verify.measurement.detection.fit import (
     TOL_LAST_STEP,
@@ -90,12 +91,14 @@ def detect(
         background = refine_noise(background, spread, *spot_residuals(batches, assessed))
     for cut, fit in batches:
         continue_fit(cut.patches, fit, background, 2, TOL_LAST_STEP)
+    separate_neighbours(batches, background)
     assessed = assess_spots(batches, image.shape, lossy=lossy)
     kept = choose_spots(assessed, diameter_px or DEFAULT_DIAMETER, limit)
     colour = np.concatenate([cut.colour for cut, _ in batches])[kept]
     assessed = assessed[kept]
     if lossy:
         assessed[:, COVARIANCE] *= quality.lossy_scale(assessed)[:, None]
+    quality.doubt_shapes(assessed)
     scores = score_rims([fit for _, fit in batches], kept, assessed)
     shift, covariance = unoccluded_centres(scores)
     one_led = np.where(assessed[:, COL_MERGED] > 0, -1, kept)
@@ -161,7 +164,7 @@ def fit_candidates(
 
 
 def assess_spots(batches: Sequence[Batch], shape: tuple[int, ...], *, lossy: bool = False) -> Array:
-    """Assess fits, (n, 14), columns as in kernels/quality.py; `shape` is the image's."""
+    """Assess fits, (n, 16), columns as in kernels/quality.py; `shape` is the image's."""
     excess = 0.0 if lossy else quality.CORRELATED_PIXELS
     return np.concatenate(
         [

@@ -47,7 +47,7 @@ def score_rims(fits: Sequence[SpotFit], numbers: NDArray[np.int64], assessed: Ar
     """Compute the rim scores of n spots from residuals; 0 for spots without one LED's shape.
 
     `fits` are of spots numbered on from fit to fit, `numbers` (n,) those to score; columns of
-    `assessed` (n, 14) as in kernels/quality.py. Where the reduced chi² is above 1, unmodelled
+    `assessed` (n, 16) as in kernels/quality.py. Where the reduced chi² is above 1, unmodelled
     errors make the pixels worth less.
     """
     shape = len(numbers), N_DIRECTIONS

@@ -142,11 +142,26 @@ def test_noise_streaks_and_windows_of_light_are_not_leds() -> None:
     assert len(detect(Sensor().expose(light, rng))) == 0
 
 
-def test_two_leds_run_together_are_flagged() -> None:
-    rng = np.random.default_rng(12)
-    disc = Spot(200, 0.6, radius=4.0)
-    image = picture([disc, disc], np.array([[300.0, 180.0], [305.5, 182.0]]), Sensor(), rng)
-    assert all(detect(image).merged)
+ALONE = np.array([[120.3, 90.2], [500.1, 80.4], [130.7, 280.6], [520.2, 270.3]])
+BLURRED = Spot(200, 2.2, radius=3.0)  # 6.7 px wide
+
+
+@pytest.mark.parametrize(
+    ("spot", "beside"),
+    [(Spot(200, 0.6, radius=4.0), [5.5, 2.0]), (BLURRED, [3.8, 1.5]), (BLURRED, [10.5, 4.5])],
+    ids=["sharp", "blurred", "blurred, told apart"],
+)
+def test_where_two_leds_overlap_the_covariance_holds_both(spot: Spot, beside: list[float]) -> None:
+    rng, two = np.random.default_rng(12), np.add([300.3, 180.1], [[0, 0], beside])
+    spots = detect(picture([spot] * 6, np.vstack([two, ALONE]), Sensor(), rng))
+    nearest, error = matched(spots, two)
+    apart = np.linalg.norm(beside) > 1.5 * spots.diameter[nearest[0]]
+    assert np.all(spots.merged[nearest] != apart)
+    squared = np.sum(
+        error * np.linalg.solve(spots.covariance[nearest], error[..., None])[..., 0], 1
+    )
+    assert squared.max() < 9.2  # 99 %
+    assert not apart or np.abs(error).max() < 0.06
 
 
 def test_a_hidden_part_is_flagged_or_in_the_covariance() -> None:

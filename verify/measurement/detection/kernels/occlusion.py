@@ -127,7 +127,7 @@ def score_all(
 ) -> None:
     """Score bites in d directions by the residuals of some of n fits.
 
-    `numbers` (m,), of the fits to score; others belong to no fit here. `assessed` (m, 14), by
+    `numbers` (m,), of the fits to score; others belong to no fit here. `assessed` (m, 16), by
     `assess_all`: saturated and merged ones show no bites. Of the fits: `parameters` and `gradient`
     (n, 10), `information` (n, 10, 10), `model` (n, 10, p), `whitened` (n, 11, p). `sides` (d, 2),
     unit vectors. `score` (m, d), (m, d), (m, d, 2): gradient, information, pull; filled where

@@ -51,17 +51,29 @@ LOSSY_SHARE = 0.8  # of a JPEG's squared errors, which move a centre
 MIN_LOSSY_MISFIT = 0.5  # noise is not estimated twice too large
 MAX_LOSSY_MISFIT = 3.0  # times the usual: more is a shape, not quantisation
 CORRELATED_PIXELS = 20.0  # pixels that a wrong shape lifts together, so that they do not average
+# Light beside an LED, or an edge before it, stretches it alone, and motion all. Flat LEDs seen from
+# aside differ too, each by its angle, but are no longer than others, and nearly fit.
+MIN_ALIKE = 3  # spots: fewer do not show what is usual
+MAX_STRETCH = 0.05  # diameters
+MAX_LENGTH, MAX_SURE_LENGTH = 1.2, 1.04  # of the longest width, over the usual one: alone; misfit
+MAX_LONGER_SIGMA = 2.0  # standard deviations of that misfit
+MAX_STRETCHED_MISFIT = 3.5  # of a shape that is not longer, over the usual one
+# Two equal lights d apart add d²/4 to the second moment along their line, and their middle is d/2
+# off: the widths give that as 0.36 stretch x diameter of Gaussians, 0.13 of discs; half an axis.
+STRETCH_SHARE = 0.15
 MIN_BORDER = 1.2  # half-widths that must be inside the image
 MIN_SEPARATION = 0.5  # diameters of the smaller one: closer spots are one spot found twice
 
 # columns of an assessed spot: centre (px), covariance (px²), peak (DN), full width at half height
 # (px), axis ratio, reduced chi²; flags (0 or 1): pixels at the sensor's limit, no single LED's
-# shape, a spot at all; how many of its own pixels clipping leaves alone
+# shape, a spot at all; how many of its own pixels clipping leaves alone; by how much the longest
+# width exceeds the shortest (px), times cosine and sine of twice the longest one's direction
 COL_CENTRE_X, COL_CENTRE_Y = range(2)
 COL_COVARIANCE_XX, COL_COVARIANCE_XY, COL_COVARIANCE_YX, COL_COVARIANCE_YY = range(2, 6)
 COL_PEAK, COL_DIAMETER, COL_ELONGATION, COL_MISFIT = range(6, 10)
 COL_SATURATED, COL_MERGED, COL_SOUND, COL_COUNT = range(10, 14)
-N_COLUMNS = 14
+COL_STRETCH_X, COL_STRETCH_Y = range(14, 16)
+N_COLUMNS = 16
 
 
 @compiled
@@ -90,7 +102,7 @@ def assess_shape(counted: Array, peak: float, pixels: float, row: Array) -> None
     """Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
 
     `counted` (4,), of `core_counts`; `peak`, DN; `pixels`, that misfit beyond
-    chance lifts together; `row` (14,), changed.
+    chance lifts together; `row` (16,), changed.
     """
     count, squares, square_dn, full = counted[0], counted[1], counted[2], counted[3]
     freedom = count - N_FITTED
@@ -117,7 +129,7 @@ def assess_all(
     size: tuple[int, int],
     lifted: float,
 ) -> Array:
-    """Assess n fits, (n, 14).
+    """Assess n fits, (n, 16).
 
     `parameters` (n, 10); `information` (n, 10, 10); `pixels` (n, 4, p), as fitted; `model`
     (n, 10, p), of the pixels at the parameters; `scale` (n,), px; `origin` (n, 2), px, of each
@@ -136,6 +148,9 @@ def assess_all(
         short = scale[n] / math.sqrt(mean + split) if positive else scale[n]
         row[COL_CENTRE_X], row[COL_CENTRE_Y], row[COL_PEAK] = x, y, p[PAR_PEAK]
         row[COL_DIAMETER], row[COL_ELONGATION] = long + short, long / short
+        turn = -2.0 * (long - short) / split if split > 0.0 else 0.0
+        row[COL_STRETCH_X] = turn * (p[PAR_XX] - p[PAR_YY]) / 2.0
+        row[COL_STRETCH_Y] = turn * p[PAR_XY]
         centre_covariance(information[n], row)
         assess_shape(counted[n], p[PAR_PEAK], lifted, row)
         rim = MIN_BORDER * long - 0.5
@@ -156,7 +171,7 @@ def assess_all(
 
 
 def lossy_scale(assessed: Array) -> Array:
-    """By how much the covariances of a JPEG's n spots (n, 14) are those of white noise, (n,)."""
+    """By how much the covariances of a JPEG's n spots (n, 16) are those of white noise, (n,)."""
     misfit, merged = assessed[:, COL_MISFIT], assessed[:, COL_MERGED] > 0
     whole = (assessed[:, COL_SATURATED] == 0) & ~merged
     usual = max(float(np.median(misfit[whole])), MIN_LOSSY_MISFIT) if whole.any() else 1.0
@@ -165,9 +180,26 @@ def lossy_scale(assessed: Array) -> Array:
     return scale
 
 
+def doubt_shapes(assessed: Array) -> None:
+    """Flag those of a picture's spots (n, 16) that are stretched alone; widen what is merged."""
+    stretch, clear = assessed[:, COL_STRETCH_X:], assessed[:, COL_MERGED] == 0
+    off, width = np.hypot(*stretch.T), assessed[:, COL_DIAMETER]
+    if np.sum(clear) >= MIN_ALIKE:
+        off = np.minimum(off, np.hypot(*(stretch - np.median(stretch[clear], axis=0)).T))
+        misfit = assessed[:, COL_MISFIT] / max(float(np.median(assessed[clear, COL_MISFIT])), 1.0)
+        chance = 1.0 + MAX_LONGER_SIGMA * np.sqrt(2.0 / np.maximum(assessed[:, COL_COUNT], 1.0))
+        length = 2.0 * width / (1.0 + 1.0 / assessed[:, COL_ELONGATION])
+        length /= np.median(length[clear])
+        odd = (misfit > MAX_STRETCHED_MISFIT) | (length > MAX_LENGTH)
+        odd |= (misfit > chance) & (length > MAX_SURE_LENGTH)
+        assessed[odd & (off > MAX_STRETCH * width), COL_MERGED] = 1.0
+    doubt = np.where(assessed[:, COL_MERGED] > 0, STRETCH_SHARE * off * width, 0.0)
+    assessed[:, [COL_COVARIANCE_XX, COL_COVARIANCE_YY]] += doubt[:, None]
+
+
 @compiled
 def mark_duplicates(assessed: Array) -> Flags:
-    """Say which of the spots (n, 14) are another one, fitting better or equal and first, again."""
+    """Say which of the spots (n, 16) are another one, fitting better or equal and first, again."""
     twin = np.empty(len(assessed), np.bool_)
     for a in range(len(assessed)):
         one, twin[a] = assessed[a], False

@@ -1,0 +1,204 @@
+"""Do the covariances of spots hold the truth where an LED is not alone, or not whole?
+
+Kinds: two LEDs that overlap, by separation in widths at half height; an LED behind a straight edge,
+by the share of its width that is hidden; LEDs before a room with texture, or before a bright edge.
+Each picture holds twelve LEDs, a third of them spoilt, at random directions, sharp or blurred. Two
+figures a kind: the share of centres inside the ellipse of 95 %, and of coordinates inside 1.96 u;
+beside them the shares flagged merged and found.
+
+    python -m tests.bench.spots [PICTURES] [SEED]
+"""
+
+import sys
+from dataclasses import dataclass
+
+import cv2
+import numpy as np
+from scipy.ndimage import gaussian_filter
+from scipy.stats import chi2
+
+from tests.bench.cells import LOW, SEEDS, WITHIN
+from tests.support.leds.images import REACH, Sensor, Spot
+from verify.core.records import Array
+from verify.measurement.detection.detect import detect
+
+PICTURES = 60
+SHAPE = (360, 640)
+FINE = 8  # sub-pixels a side
+LEDS = {
+    "sharp": Spot(200, 0.6, radius=4.2),
+    "small": Spot(200, 0.6, radius=2.2),
+    "blurred": Spot(200, 2.2, radius=3.0),
+}
+SEPARATIONS = (0.6, 0.8, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5)  # widths
+RATIOS = (1.0, 0.5, 0.2)  # of brightness
+HIDDEN = ((0.0, 0.1), (0.1, 0.2), (0.2, 0.35), (0.35, 0.5), (0.5, 0.7))  # of the width
+ELLIPSE = float(chi2.ppf(0.95, 2))
+
+
+@dataclass
+class Count:
+    """What became of the LEDs of a kind."""
+
+    d2: list[float]
+    z: list[Array]
+    off: list[float]
+    merged: list[bool]
+    missed: int = 0
+
+    def line(self, name: str) -> str:
+        """One line of figures."""
+        if not self.d2:
+            return f"  {name:24s} none found"
+        inside, coordinates = np.mean(np.array(self.d2) < ELLIPSE), np.abs(self.z) < WITHIN
+        found = len(self.d2) / (len(self.d2) + self.missed)
+        rms = np.sqrt(np.mean(np.square(self.off)))
+        return (
+            f"  {name:24s}{len(self.d2):5d}  ellipse {inside:6.1%}  coordinate"
+            f" {coordinates.mean():6.1%}  merged {np.mean(self.merged):6.1%}  found {found:6.1%}"
+            f"  rms {rms:.3f} px" + "  FAILS" * bool(coordinates.mean() < LOW)
+        )
+
+
+def width(spot: Spot) -> float:
+    """Full width at half height, px."""
+    side = 2 * REACH + 1
+    light = spot.light((side, side), REACH, REACH)
+    return 2 * float(np.sqrt(np.sum(light > light.max() / 2) / np.pi))
+
+
+def behind_an_edge(spot: Spot, x: float, y: float, share: float, side: float) -> Array:
+    """Light of an LED of which a straight edge in its own plane hides a share of the diameter."""
+    size = 2 * REACH + 1
+    axis = (np.arange(size * FINE) + 0.5) / FINE - 0.5
+    dx, dy = np.meshgrid(axis - x, axis - y)
+    disc = np.clip((spot.radius - np.hypot(dx, dy)) * FINE + 0.5, 0, 1)
+    along = dx * np.cos(side) + dy * np.sin(side)
+    disc *= np.clip(((1 - 2 * share) * spot.radius - along) * FINE + 0.5, 0, 1)
+    soft = cv2.GaussianBlur(disc, (0, 0), spot.blur * FINE)
+    return np.asarray(spot.peak * soft.reshape(size, FINE, size, FINE).mean(axis=(1, 3)))
+
+
+def add(light: Array, patch: Array, x: int, y: int) -> None:
+    """Add light centred at a pixel."""
+    light[y - REACH : y + REACH + 1, x - REACH : x + REACH + 1] += patch
+
+
+def sites(rng: np.random.Generator) -> Array:
+    """Twelve places far apart, (12, 2) px, shuffled."""
+    grid = np.stack(np.meshgrid(np.arange(4), np.arange(3)), axis=-1).reshape(-1, 2)
+    return np.asarray(rng.permutation([95, 65] + [150, 115] * grid + rng.uniform(-8, 8, (12, 2))))
+
+
+def whole(light: Array, spot: Spot, place: Array) -> None:
+    """Add a whole LED."""
+    x, y = np.rint(place).astype(int)
+    side = 2 * REACH + 1
+    add(light, spot.light((side, side), place[0] - x + REACH, place[1] - y + REACH), x, y)
+
+
+def count(light: Array, truth: Array, near: float, into: Count, rng: np.random.Generator) -> None:
+    """Expose a picture and compare the nearest spot with each true centre (n, 2)."""
+    spots = detect(Sensor().expose(light, rng))
+    for point in truth:
+        off = np.linalg.norm(spots.centre - point, axis=1)
+        if not len(spots) or off.min() > near:
+            into.missed += 1
+            continue
+        k = int(np.argmin(off))
+        error = spots.centre[k] - point
+        into.d2.append(float(error @ np.linalg.solve(spots.covariance[k], error)))
+        into.z.append(error / np.sqrt(np.diag(spots.covariance[k])))
+        into.off.append(float(off[k]))
+        into.merged.append(bool(spots.merged[k]))
+
+
+def overlapping(
+    spot: Spot, apart: float, ratio: float, number: int, rng: np.random.Generator
+) -> Count:
+    """Count LEDs with another one beside them."""
+    into = Count([], [], [], [])
+    distance = apart * width(spot)
+    other = Spot(spot.peak * ratio, spot.blur, spot.radius)
+    for _ in range(number):
+        light, truth = np.full(SHAPE, 6.0), []
+        for n, place in enumerate(sites(rng)):
+            whole(light, spot, place)
+            if n % 3 == 0:
+                side = rng.uniform(0, 2 * np.pi)
+                beside = place + distance * np.array([np.cos(side), np.sin(side)])
+                whole(light, other, beside)
+                truth += [place, beside] if ratio == 1.0 else [place]
+        count(light, np.array(truth), 0.8 * distance, into, rng)
+    return into
+
+
+def hidden(spot: Spot, share: tuple[float, float], number: int, rng: np.random.Generator) -> Count:
+    """Count LEDs behind an edge."""
+    into = Count([], [], [], [])
+    for _ in range(number):
+        light, truth = np.full(SHAPE, 6.0), []
+        for n, place in enumerate(sites(rng)):
+            if n % 3:
+                whole(light, spot, place)
+                continue
+            x, y = np.rint(place).astype(int)
+            at = place - [x, y] + REACH
+            part = behind_an_edge(spot, *at, rng.uniform(*share), rng.uniform(0, 2 * np.pi))
+            add(light, part, x, y)
+            truth.append(place)
+        count(light, np.array(truth), spot.radius + 1, into, rng)
+    return into
+
+
+def before_a_room(
+    spot: Spot, grain: float, depth: float, number: int, rng: np.random.Generator
+) -> Count:
+    """Count LEDs before texture of a grain (px) and standard deviation (DN), or edges (grain 0)."""
+    into = Count([], [], [], [])
+    for _ in range(number):
+        places = sites(rng)
+        if grain:
+            room = gaussian_filter(rng.normal(size=SHAPE), grain / 2, mode="wrap")
+            light = 50.0 + depth * room / room.std()
+        else:
+            light = np.full(SHAPE, 30.0)
+            row, column = np.mgrid[: SHAPE[0], : SHAPE[1]]
+            for place in places[::3]:
+                side, off = rng.uniform(0, 2 * np.pi), rng.uniform(-8, 8)
+                across = (column - place[0]) * np.cos(side) + (row - place[1]) * np.sin(side)
+                near = np.hypot(column - place[0], row - place[1]) < 50
+                light += depth * np.clip(across - off + 0.5, 0, 1) * near
+        for place in places:
+            whole(light, Spot(180, spot.blur, spot.radius), place)
+        count(light, places if grain else places[::3], 3.0, into, rng)
+    return into
+
+
+def main(number: int, seed: int) -> int:
+    """Print every kind; how many fail."""
+    rng = np.random.default_rng(seed)
+    lines = []
+    for name, spot in LEDS.items():
+        for apart in SEPARATIONS:
+            for ratio in RATIOS:
+                found = overlapping(spot, apart, ratio, number, rng)
+                lines.append(found.line(f"{name} {apart:.1f} widths 1:{ratio:g}"))
+                print(lines[-1], flush=True)
+        for share in HIDDEN:
+            lines.append(hidden(spot, share, number, rng).line(f"{name} hidden {share}"))
+            print(lines[-1], flush=True)
+        for grain in (24, 12, 6):
+            for depth in (4, 15):
+                found = before_a_room(spot, grain, depth, number, rng)
+                lines.append(found.line(f"{name} grain {grain} px {depth} DN"))
+                print(lines[-1], flush=True)
+        found = before_a_room(spot, 0, 30, number, rng)
+        lines.append(found.line(f"{name} edge 30 DN"))
+        print(lines[-1], flush=True)
+    return sum("FAILS" in line for line in lines)
+
+
+if __name__ == "__main__":
+    number, seed = (*map(int, sys.argv[1:]), *(PICTURES, SEEDS[0])[len(sys.argv) - 1 :])
+    sys.exit(main(number, seed) > 0)
