@@ -53,6 +53,7 @@ N_TERMS = 7
 MIN_VISIBLE = 0.5  # share of the noise about a spot that clipping must leave: above black
 N_AROUND = 8  # patches of the room about each spot, two radii away
 MIN_AROUND = 12  # responses, two a patch, of all spots of a picture: fewer show nothing
+MAX_OWN = 2.0  # of the picture's: a spot's own surroundings move it more than chance
 MEDIAN_CHI2 = 0.4549  # of chi² with one degree of freedom
 
 
@@ -105,14 +106,17 @@ def correct_for_background(
         plain = np.square(curvature.plain * curvature.weight[:, None]).sum(axis=2)
         variance = plain * curvature.noise[:, None] + np.diagonal(its_covariance, axis1=1, axis2=2)
         moved = _room_responses(image, candidates, cut, curvature, response)
-        ratios.append((moved**2 / variance[:, None]).ravel())
+        ratios.append(moved**2 / variance[:, None])
         expected.append(variance)
-    ratio = np.concatenate(ratios)
+    ratio = np.concatenate(ratios).ravel()
     ratio = ratio[np.isfinite(ratio)]
     if len(ratio) >= MIN_AROUND:
-        excess = max(float(np.median(ratio)) / MEDIAN_CHI2 - 1.0, 0.0)
-        for (_, curvature), variance in zip(shown, expected, strict=True):
-            covariance[curvature.into[:, None], [0, 1], [0, 1]] += excess * variance
+        pooled = max(float(np.median(ratio)) / MEDIAN_CHI2, 1.0)
+        for (_, curvature), its, variance in zip(shown, ratios, expected, strict=True):
+            seen = np.isfinite(its)
+            own = np.where(seen, its, 0.0).sum(axis=(1, 2)) / np.maximum(seen.sum(axis=(1, 2)), 1)
+            excess = np.where(own > MAX_OWN * pooled, own, pooled) - 1.0
+            covariance[curvature.into[:, None], [0, 1], [0, 1]] += excess[:, None] * variance
     return shift, covariance
 
 
@@ -218,8 +222,6 @@ def _room_responses(
     values = image[y.clip(0, size[1] - 1), x.clip(0, size[0] - 1)].astype(float)
     if image.ndim == 3:
         values = np.einsum("nwpc,nc->nwp", values, channel_weights(cut.colour[curvature.rows]))
-    # planes go: a slope is held as firmly as a spot's own surroundings have none
-    plane = np.linalg.qr(np.column_stack([np.ones(place.shape[2]), *place[0]]))[0]
-    values -= values @ plane @ plane.T
+    values -= values.mean(axis=2, keepdims=True)
     moved = values @ np.swapaxes(response, 1, 2)
     return np.where(clear[..., None], moved, np.nan)
