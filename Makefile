@@ -72,6 +72,7 @@ soak: $(DEV)
 bench-coverage: $(DEV)
 	$(BIN)/python -m tests.bench.coverage
 	$(BIN)/python -m tests.bench.coverage --classes
+	$(BIN)/python -m tests.bench.spots
 	$(BIN)/python -m tests.bench.calibration
 	$(BIN)/python -m tests.bench.halves
 	$(BIN)/python -m tests.bench.registration

@@ -18,7 +18,8 @@ information on the parameters,
 s is averaged over AMPLITUDES by their evidence, the sum of (h c - ln |1 + s² S|) / 2. What is finer
 than that is measured: the correction and the fit together are linear in the pixels, so the same
 weights on N_AROUND patches of the room beside each spot show how far it would move a centre. Their
-median square over what noise and curvature explain, of all spots of a picture, adds the excess.
+median square over what noise and curvature explain, of all spots of a picture, adds the excess; a
+spot's own mean square does where it is MAX_OWN times that.
 Where the room is below black there is nothing of it.
 """
 
@@ -53,7 +54,7 @@ N_TERMS = 7
 MIN_VISIBLE = 0.5  # share of the noise about a spot that clipping must leave: above black
 N_AROUND = 8  # patches of the room about each spot, two radii away
 MIN_AROUND = 12  # responses, two a patch, of all spots of a picture: fewer show nothing
-MAX_OWN = 2.0  # of the picture's: a spot's own surroundings move it more than chance
+MAX_OWN = 3.0  # of the picture's: a spot's own surroundings move it more than chance
 MEDIAN_CHI2 = 0.4549  # of chi² with one degree of freedom
 
 
@@ -161,9 +162,7 @@ def _curvature(
     terms = np.stack([*square, square[0] * u, square[0] * w, square[2] * u, square[2] * w], axis=1)
     curved = whitened[:, None, PAR_FLOOR] * terms
     by_parameter, residual = whitened[:, :N_PARAMETERS], whitened[:, ROW_RESIDUAL]
-    held = (fit.priors.weight[rows] + MIN_INFORMATION)[:, :, None] * np.eye(N_PARAMETERS)
-    information = by_parameter @ np.swapaxes(by_parameter, 1, 2) + held
-    inverse = np.linalg.inv(information)
+    inverse = np.linalg.inv(fit.information[rows] + MIN_INFORMATION * np.eye(N_PARAMETERS))
     pull = inverse @ (by_parameter @ np.swapaxes(curved, 1, 2))  # (n, 10, 7)
     following = curved - np.swapaxes(pull, 1, 2) @ by_parameter
     about = _surroundings(fit, rows)
@@ -218,10 +217,12 @@ def _room_responses(
     clear = np.all((middle >= radius) & (middle < size - radius), axis=2)
     apart = np.linalg.norm(middle[:, :, None] - candidates.centre, axis=3)
     clear &= np.all(apart > radius + PATCH_REACH * candidates.radius, axis=2)
-    x, y = (middle[:, :, axis, None] + place[:, None, axis] for axis in (0, 1))
-    values = image[y.clip(0, size[1] - 1), x.clip(0, size[0] - 1)].astype(float)
-    if image.ndim == 3:
-        values = np.einsum("nwpc,nc->nwp", values, channel_weights(cut.colour[curvature.rows]))
+    # pixels numbered row by row: those of a patch beyond the picture are others, and left out
+    number = (middle @ [1, size[0]])[..., None] + (place[:, 0] + size[0] * place[:, 1])[:, None]
+    pixels = image.reshape(size.prod(), -1)
+    values = pixels.take(number, axis=0, mode="clip").astype(float)
+    weights = channel_weights(cut.colour[curvature.rows]) if image.ndim == 3 else np.ones((1, 1))
+    values = (values @ weights[:, None, :, None])[..., 0]
     values -= values.mean(axis=2, keepdims=True)
     moved = values @ np.swapaxes(response, 1, 2)
     return np.where(clear[..., None], moved, np.nan)

@@ -22,7 +22,7 @@ from verify.measurement.detection.kernels.candidates import (
     top_hat,
 )
 from verify.measurement.detection.kernels.patches import read_grey
-from verify.measurement.detection.kernels.pixels import PAR_XX, PAR_YY
+from verify.measurement.detection.kernels.pixels import PAR_PEAK, PAR_XX, PAR_YY
 from verify.measurement.detection.profile import spot_light
 
 LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright blob must not hide a dim neighbour
@@ -142,6 +142,7 @@ PATCH_MARGIN = 2.5  # px of floor around that
 # sums of half-widths between two spots, of which one's light reaches the other's pixels
 MIN_APART, MAX_APART = 1.2, 4.0
 SEPARATION_PASSES = 4  # of spots touching at a third of their height; two suffice farther apart
+MIN_NEIGHBOUR = 0.15  # of a spot's peak, of another one's: less may be texture of the room
 MIN_LIGHT = 0.5  # DN of a neighbour: less is not worth taking off, least of all below black
 TINY = 1e-9  # of an inverse square of a half-width, where a fit has none
 FIRST_LOOK_STEPS = 8  # steps from centre to edge of a first look: 197 pixels, whatever the size
@@ -201,10 +202,12 @@ def _leave_neighbours(located: LocatedPatches, part: NDArray[np.intp], spots: Ca
         located.patches.pixels[patch, 1, (others < PATCH_REACH) & (others < own)] = 0.0
 
 
-def separate_neighbours(batches: Sequence[tuple[LocatedPatches, SpotFit]], noise: Noise) -> None:
-    """Fit spots near each other anew, each without the light that the others' fits have there.
+def separate_neighbours(
+    batches: Sequence[tuple[LocatedPatches, SpotFit]], sound: NDArray[np.bool_], noise: Noise
+) -> bool:
+    """Fit sound spots near each other anew, each without the light that the others have there.
 
-    In place. Spots nearer than MIN_APART are not told apart.
+    In place; says whether there are any. Spots nearer than MIN_APART are not told apart.
     """
     whole = [cut.patches.value.copy() for cut, _ in batches]
     scale = np.concatenate([cut.patches.scale for cut, _ in batches])
@@ -213,9 +216,10 @@ def separate_neighbours(batches: Sequence[tuple[LocatedPatches, SpotFit]], noise
         shape = np.concatenate([fit.parameters for _, fit in batches])
         radius = scale * np.sqrt(2.0 / np.maximum(shape[:, PAR_XX] + shape[:, PAR_YY], TINY))
         apart = np.hypot(*(centre[:, None] - centre).T) / (radius[:, None] + radius)
-        near, begin = (apart > MIN_APART) & (apart < MAX_APART), 0
+        near, begin = sound[:, None] & sound & (apart > MIN_APART) & (apart < MAX_APART), 0
+        near &= shape[:, PAR_PEAK] > MIN_NEIGHBOUR * shape[:, None, PAR_PEAK]
         if not near.any():
-            return
+            return False
         for (cut, fit), value in zip(batches, whole, strict=True):
             pairs = zip(*np.nonzero(near[begin : begin + len(value)]), strict=True)
             begin += len(value)
@@ -226,6 +230,7 @@ def separate_neighbours(batches: Sequence[tuple[LocatedPatches, SpotFit]], noise
                 cut.patches.value[patch] -= np.where(light > MIN_LIGHT, light, 0.0)
             if np.any(cut.patches.value != value):
                 continue_fit(cut.patches, fit, noise, 2, TOL_LAST_STEP)
+    return True
 
 
 @cache

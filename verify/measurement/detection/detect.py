@@ -91,8 +91,9 @@ def detect(
         background = refine_noise(background, spread, *spot_residuals(batches, assessed))
     for cut, fit in batches:
         continue_fit(cut.patches, fit, background, 2, TOL_LAST_STEP)
-    separate_neighbours(batches, background)
     assessed = assess_spots(batches, image.shape, lossy=lossy)
+    if separate_neighbours(batches, assessed[:, COL_SOUND] > 0, background):
+        assessed = assess_spots(batches, image.shape, lossy=lossy)
     kept = choose_spots(assessed, diameter_px or DEFAULT_DIAMETER, limit)
     colour = np.concatenate([cut.colour for cut, _ in batches])[kept]
     assessed = assessed[kept]

@@ -2,7 +2,8 @@
 
 With misfit m the residuals' mean square over their variance, the covariance is enlarged
 
-    by 1 + c max(m - 1 - MAX_CHI2_SIGMA sqrt(2 / freedom), 0),  of merged spots by c m
+    by 1 + c max(m - 1 - MAX_CHI2_SIGMA sqrt(2 / freedom), 0),  of merged spots by c m,
+       and STRETCH_SHARE stretch x diameter added (`doubt_shapes`)
 
 with c = CORRELATED_PIXELS; in a JPEG, where the misfit of clean spots has the median M, by
 
@@ -184,6 +185,9 @@ def doubt_shapes(assessed: Array) -> None:
     """Flag those of a picture's spots (n, 16) that are stretched alone; widen what is merged."""
     stretch, clear = assessed[:, COL_STRETCH_X:], assessed[:, COL_MERGED] == 0
     off, width = np.hypot(*stretch.T), assessed[:, COL_DIAMETER]
+    stretched = off > MAX_STRETCH * width
+    if np.all(clear & ~stretched):
+        return
     if np.sum(clear) >= MIN_ALIKE:
         off = np.minimum(off, np.hypot(*(stretch - np.median(stretch[clear], axis=0)).T))
         misfit = assessed[:, COL_MISFIT] / max(float(np.median(assessed[clear, COL_MISFIT])), 1.0)
