@@ -11,6 +11,7 @@ picture and bracketing reading to the joint errors, memory flat within 50 MB aft
 """
 
 import os
+import re
 import subprocess
 import sys
 import tempfile
@@ -118,6 +119,10 @@ def main(words: list[str]) -> int:
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command itself does
     if words[:1] == ["faults"]:
         return faults.table(words[1:])
+    known = rf"sim|{'|'.join(PORTS)}|kills|viewers=[1-9]\d*|[\d.]*[1-9][\d.]*"
+    if wrong := [word for word in words if not re.fullmatch(known, word)]:
+        expected = "a number above 0, sim, labenc, melfa, kills or viewers=N"
+        raise SystemExit(f"{wrong[0]}: {expected} is expected")
     numbers = [float(w) for w in words if w.replace(".", "").isdigit()]
     viewers = [int(w.removeprefix("viewers=")) for w in words if w.startswith("viewers=")] or [1]
     if words[:1] == ["kills"]:

@@ -22,6 +22,7 @@ from tests.support.command import ROOT, verify
 from tests.support.grasp.cells import CELL, STATION
 from tests.support.posed import poses_csv, write_posed
 from tests.support.simulated import FIXTURE, MINIMAL, SMALL_BOARDS
+from tests.support.watched import station_text
 from verify.fleet.batch.records import perform
 from verify.io.session.session import open_session
 from verify.io.unfinished import NAME, UnfinishedPairs
@@ -61,7 +62,8 @@ joints_deg = 0.2
 AMPLITUDES = "15.0, 12.0, 15.0, 20.0, 20.0, 30.0"
 NEAR = "--near 30,-62,46,8,-84,24 --within-deg 35 --poses 4 --rate-hz 4 --clock-uncertainty-ms 0.5"
 REPORT = "report {in}"
-SAME_REPORT = ("run PNGs", "run MJPEG", "run open", "film of boards", "run registered")
+SAME_REPORT = ("run PNGs", "run MJPEG", "run open", "film of boards", "run registered",
+               "watch")  # fmt: skip
 RUN = "run {in} -o {out} --tolerance 0.5"
 
 
@@ -202,6 +204,11 @@ def _files(folder: Path) -> Iterator[Target]:
     station.mkdir()
     verify("run", station / "station.toml", "--new-station")
     yield Target("doctor", station, "doctor {in}/station.toml", 0.5)
+    watch = folder / "watch"
+    watch.mkdir()
+    recordings = station_text(10.0).replace('"recordings"', '"./recordings"')  # inside, whatever
+    (watch / "station.toml").write_text(recordings)  # letter changes
+    yield Target("watch", watch, "run {in}/station.toml --for 1s -o {out}", 0.02)
     grab = folder / "grab"
     shutil.copytree(folder / "video", grab / "film")
     (grab / "grab.toml").write_text(CELL)

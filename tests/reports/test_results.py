@@ -70,8 +70,10 @@ def test_a_folder_without_results_is_named(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", [b"", b"\xff\xfe", b"[1]", b'{"format": 99}', b'{"format": 1}', b"[" * 100_000]
-)
+    "text",
+    [b"", b"\xff\xfe", b"[1]", b'{"format": 99}', b'{"format": 1}', b"[" * 100_000,
+     b'{"format": ' + b"[" * 900 + b"]" * 900 + b"}"],
+)  # fmt: skip
 def test_a_damaged_or_foreign_manifest_is_refused_in_one_line(folder: Path, text: bytes) -> None:
     (folder / MANIFEST).write_bytes(text)
     assert MANIFEST in _complaint(folder)

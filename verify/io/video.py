@@ -13,7 +13,6 @@ from collections import deque
 from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing, contextmanager, suppress
-from functools import cached_property
 from itertools import islice
 from pathlib import Path
 
@@ -97,11 +96,8 @@ class Images(ABC):
 
     def __init__(self, path: Path) -> None:
         self.path = path
-
-    @cached_property
-    def lossy(self) -> bool:
-        """Whether they come from JPEGs; of other lossy streams no law of the noise is known."""
-        return False
+        # they come from JPEGs, known once counted; of other lossy streams no law of noise is known
+        self.lossy = False
 
     @abstractmethod
     def count(self, torn: bool = False) -> int:
@@ -121,12 +117,6 @@ class Images(ABC):
 
 class Video(Images):
     """A video file."""
-
-    @cached_property
-    def lossy(self) -> bool:
-        """Whether the stream is MJPEG."""
-        with self._opened() as capture:
-            return int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") == b"MJPG"
 
     def count(self, torn: bool = False) -> int:
         """Count the images without decoding them; FFV1's checksums are checked as they pass."""
@@ -169,6 +159,7 @@ class Video(Images):
     def _packets(self) -> Iterator[bytes]:
         """Yield the images as they are encoded."""
         with self._opened(cv2.CAP_PROP_FORMAT, -1) as capture:
+            self.lossy = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") == b"MJPG"
             while (taken := capture.read())[0]:
                 yield taken[1].tobytes()
 

@@ -191,6 +191,13 @@ def test_what_a_killed_run_left_does_not_make_a_folder_full(tmp_path: Path) -> N
     assert (out / "summary.json").exists()
 
 
+def test_a_link_to_itself_is_no_place_to_write(tmp_path: Path) -> None:
+    (tmp_path / "report").symlink_to("report")
+    refused = pytest.raises(InputError, match="report: too many levels of symbolic links")
+    with refused, write_folder_whole(tmp_path / "report"):
+        pass
+
+
 def test_a_link_to_a_folder_is_followed(tmp_path: Path) -> None:
     (tmp_path / "disk").mkdir()
     (tmp_path / "report").symlink_to(tmp_path / "disk")

@@ -79,6 +79,15 @@ def test_a_video_cut_within_its_first_image_leaves_the_pairs_set_aside(
         assert_array_equal(after.left, before.left)
 
 
+@pytest.mark.parametrize("zeros", [0, 9999])
+def test_a_ring_that_never_reached_the_disk_leaves_the_pairs_in_the_videos(
+    tmp_path: Path, zeros: int
+) -> None:
+    pairs = cut_off(tmp_path / "session", 2, 3)
+    (tmp_path / "session" / NAME).write_bytes(bytes(zeros))
+    assert_recorded(open_session(tmp_path / "session"), pairs[:2])
+
+
 HUGE = HEADER.pack(MAGIC, 2**60, *[2**32, 2**32, 1] * 2)  # 2**64 pixels, which is 0 in 64 bits
 
 

@@ -1,6 +1,8 @@
 """"""
 
+import struct
 import threading
+import zlib
 from collections.abc import Callable, Iterator
 from itertools import islice
 from pathlib import Path
@@ -172,6 +174,17 @@ def test_a_torn_folder_ends_at_its_first_gap_or_bad_image(tmp_path: Path) -> Non
     assert stream.count(torn=True) == 6
     with pytest.raises(InputError, match=r"left: has no 000006.png; it holds 9 numbered images"):
         stream.count()
+
+
+def test_a_picture_that_declares_more_pixels_than_fit_is_refused(tmp_path: Path) -> None:
+    write_folder(tmp_path / "left", images(1))
+    file = tmp_path / "left" / "000000.png"
+    data = bytearray(file.read_bytes())
+    data[16:24] = struct.pack(">II", 60_000, 60_000)  # of the first chunk, IHDR
+    data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=r"000000\.png: is damaged or no PNG"):
+        list(open_images(tmp_path / "left").images())
 
 
 def test_other_files_in_a_folder_of_images_are_left_alone(tmp_path: Path) -> None:

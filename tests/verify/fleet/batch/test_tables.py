@@ -78,8 +78,16 @@ def test_kept_results_are_trusted_only_while_they_are_whole(store: ResultStore) 
     table = store.place(name) / "results" / "frames.parquet"
     table.write_bytes(table.read_bytes()[:-1])
     assert store.kept(name) is None
-    (store.place(SESSIONS[1]) / ENTRY_FILE).write_text("{half")
-    assert store.kept(SESSIONS[1]) is None
+    whole = (store.place(SESSIONS[1]) / ENTRY_FILE).read_text()
+    for damaged in (
+        "",
+        "{half",
+        "[]",
+        "[" * 100_000,
+        whole.replace('"files": {', '"files": 3, "x": {'),
+    ):
+        (store.place(SESSIONS[1]) / ENTRY_FILE).write_text(damaged)
+        assert store.kept(SESSIONS[1]) is None
 
 
 def test_a_sessions_name_cannot_leave_the_store_and_a_file_is_no_store(tmp_path: Path) -> None:

@@ -242,6 +242,11 @@ def pipe(folder: Path) -> None:
     os.mkfifo(folder / "left.mkv")
 
 
+def open_pipe(folder: Path) -> None:
+    pipe(folder)
+    add('recording = "open"')(folder)
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
@@ -272,6 +277,7 @@ def pipe(folder: Path) -> None:
         (swap("session.toml", '"rig.toml"', '"."'), ["is a folder"]),
         (link_outside, ["rig", "outside the folder"]),
         (pipe, ["left.mkv", "not a plain file"]),
+        (open_pipe, ["left.mkv", "not a plain file"]),
         (swap("session.toml", '"right.mkv"', '"left.mkv"'), ["right", "each camera"]),
         (swap("session.toml", '"rig.toml"', '"a\\u001b[31m\\nb.toml"'), ["\\x1b[31m\\nb.toml"]),
         (video_of(PAIRS - 1), ["right.mkv", "has 5 images", "6 rows", "open"]),
