@@ -124,7 +124,7 @@ def _unfit_output(target: Target, outcome: Outcome, place: Path) -> str:
             return "a line too long"
         if not REMEDY.search(line):
             return "no remedy"
-        if str(place) not in line:
+        if str(place) not in line and not line.startswith("error: --"):
             return "no place"
     if any(".verify-partial-" in name for name in _listing(place)):
         return "half a file is left"

@@ -206,8 +206,8 @@ def _files(folder: Path) -> Iterator[Target]:
     yield Target("doctor", station, "doctor {in}/station.toml", 0.5)
     watch = folder / "watch"
     watch.mkdir()
-    recordings = station_text(10.0).replace('"recordings"', '"./recordings"')  # inside, whatever
-    (watch / "station.toml").write_text(recordings)  # letter changes
+    beside = station_text(10.0).replace('"recordings"', '"../recordings"')
+    (watch / "station.toml").write_text(beside)
     yield Target("watch", watch, "run {in}/station.toml --for 1s -o {out}", 0.02)
     grab = folder / "grab"
     shutil.copytree(folder / "video", grab / "film")

@@ -5,6 +5,7 @@ Whoever uses the package hears of the first compilation by the log, at level INF
 
 import hashlib
 import logging
+import mmap
 import os
 from collections.abc import Callable
 from pathlib import Path
@@ -15,6 +16,7 @@ from numba.core import event
 
 COMPILING = "Compiling inner loops, once after an installation: up to a minute."
 Function = TypeVar("Function", bound=Callable[..., object])
+MAX_CODE_BYTES = 100_000_000  # that loading one function takes
 FASTMATH_FLAGS = {"reassoc", "contract", "nsz"}
 
 
@@ -68,6 +70,17 @@ class _FirstCompilation(event.Listener):
         """Do nothing."""
 
 
+class _MemoryCheck(event.Listener):
+    """Raise ENOMEM before machine code is loaded: LLVM, for want of memory, ends the process."""
+
+    def on_start(self, _event: object) -> None:
+        """Ask for as much as loading takes, and give it back."""
+        mmap.mmap(-1, MAX_CODE_BYTES).close()
+
+    def on_end(self, _event: object) -> None:
+        """Do nothing."""
+
+
 def _cache_is_empty() -> bool:
     """Whether no machine code was kept yet for this state of the sources."""
     folder = Path(vars(numba.config)["CACHE_DIR"])
@@ -77,6 +90,7 @@ def _cache_is_empty() -> bool:
 CACHE = _cache_available()
 if CACHE and _cache_is_empty():
     event.register("numba:compile", _FirstCompilation())  # type: ignore[no-untyped-call]
+event.register("numba:compiler_lock", _MemoryCheck())  # type: ignore[no-untyped-call]
 # level 3 takes a fifth longer to compile and is no quicker here; nothing calls from C
 vars(numba.config)["OPT"] = type(vars(numba.config)["OPT"])(2)
 OPTIONS: dict[str, Any] = {
