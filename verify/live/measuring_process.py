@@ -127,8 +127,8 @@ class MeasuringProcess:
         self._prepared: tuple[StereoPair, PairMessage] | None = None
         try:
             self._process.wait_until_ready(START_TIMEOUT)
-        except ChildLostError:
-            self.close()
+        except BaseException:  # Ctrl-C too: it is not waited for while it loads
+            self._process.stop(0.0)
             raise
 
     def prepare(self, pair: StereoPair) -> None:

@@ -1,5 +1,6 @@
 """A measurement in a process of its own gives what one here gives, and its loss costs no pair."""
 
+import multiprocessing
 import os
 import signal
 import subprocess
@@ -11,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from verify.core.processes import SharedPicture, location_of, picture_at
+from verify.core.processes import ChildProcess, SharedPicture, location_of, picture_at
 from verify.core.records import Array, Measurement, StereoPair
 from verify.live.measuring_process import MeasuringProcess
 from verify.measurement.chain import Setup, measure
@@ -56,6 +57,21 @@ def test_it_gives_the_same_figures_and_ends(
         alike(list(process.measure(pairs(session), nothing)), here)
     assert not message
     assert not process._process._process.is_alive()
+
+
+@pytest.mark.realtime
+def test_ctrl_c_while_it_loads_ends_it(
+    session: SimulatedSession, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def interrupted(*_: float) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(ChildProcess, "wait_until_ready", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        MeasuringProcess(session.rig, session.marker, [].append)
+    for child in multiprocessing.active_children():
+        child.join(60.0)
+        assert child.exitcode == -signal.SIGTERM
 
 
 def test_memory_that_a_killed_process_group_has_left_is_removed() -> None:

@@ -111,6 +111,7 @@ class CellWorld:
             return None
         rig, scene = self.setup.rig, self.scene
         self._turn_cameras()
+        posed = self._posed()
         pictures = []
         for camera, t in zip(self._cameras, (self.t, self.t + RIGHT_DELAY), strict=True):
             caps = [
@@ -119,20 +120,16 @@ class CellWorld:
                 if (place := self.cap(number, t)) is not None
             ]
             board = self._board() if self.happened("hidden") else None
-            picture = camera.picture(caps, self._posed(t), self._light(t), scene.noise, board)
-            pictures.append(picture)
+            pictures.append(camera.picture(caps, posed, self._light(t), scene.noise, board))
         pan_readings = (rig.left.pan, rig.right.pan) if pans is None else pans
         times = self.t, self.t + RIGHT_DELAY
         pair = StereoPair(self._frame, *times, *pan_readings, pictures[0], pictures[1])
         self._frame += 1
         return pair
 
-    def grip(self, t: float | None = None) -> Array:
-        """Where the grip point really is at t, s, or now: base_T_grip (4, 4)."""
-        found = (
-            self._posed(self.t if t is None else t).base_T_flange
-            @ self.setup.cell.gripper.flange_T_grip
-        )
+    def grip(self) -> Array:
+        """Where the grip point really is, base_T_grip (4, 4)."""
+        found = self._posed().base_T_flange @ self.setup.cell.gripper.flange_T_grip
         return np.asarray(found)
 
     def cap(self, number: int, t: float) -> Array | None:
@@ -140,7 +137,7 @@ class CellWorld:
         if number == 0 and self.happened("taken") and self.held is None:
             return None
         if self.held is not None and self.held[0] == number:
-            return self.grip(t) @ self.held[1]
+            return self.grip() @ self.held[1]
         if number in self.let_go:
             return self.let_go[number]
         placed = np.eye(4)
@@ -208,8 +205,8 @@ class CellWorld:
         reach = -(build.finger_length - build.tips) < inside[2] < build.tips
         return reach and aside + radius <= max(self.hand.opening, 2 * radius) / 2 + 0.01
 
-    def _posed(self, t: float) -> RenderedArm:
-        q = self.arm.q(t)
+    def _posed(self) -> RenderedArm:
+        q = self.arm.q(self.t)
         if self.scene.joint_errors:
             q = q + np.array(self.scene.joint_errors)
         points, flange = joint_points(self.setup.planner.arm, q)
