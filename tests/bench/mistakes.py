@@ -23,7 +23,8 @@ import robots
 from tests.support.published import series, write_session
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.measured import measure_pictures, session_clock
-from verify.analysis.mistakes import refuse_exchanged_cameras, refuse_other_motion
+from verify.analysis.mistakes import refuse_exchanged_cameras
+from verify.analysis.other_motion import refuse_other_motion
 from verify.analysis.plausibility import refuse_misread
 from verify.calibration.handeye import solve_robustly
 from verify.core.readings import Readings

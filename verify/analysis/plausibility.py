@@ -4,7 +4,6 @@ Radians for degrees, metres for millimetres, a column reversed: what is wrong as
 once it is converted is refused, with the remedy.
 """
 
-from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +13,9 @@ import robots
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.measured import session_clock
+from verify.analysis.mistakes import pose_mistakes
 from verify.core.readings import Readings
-from verify.core.records import Array
 from verify.errors import InputError
-from verify.io.poses import POSITION, QUATERNION
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.track import Track
@@ -27,7 +25,6 @@ FULL_TURN = 2 * np.pi
 # angles in the wrong unit or coordinates in the wrong unit or order do not.
 MAX_POSE_DIFFERENCE = (0.05, np.deg2rad(8.0))  # m, rad
 MAX_POINT_DIFFERENCE = 0.1  # m: of a position alone the readings' own turn moves the point, too
-REVERSE = "Multiply that column by -1."
 MIN_AGREEING = 0.9  # of the poses: where a flange points down, half may agree by chance
 
 
@@ -71,41 +68,13 @@ def refuse_misread(
     ):
         return
     poses = instrument.poses
-    for name, remedy, without in usual_mistakes(poses.transforms, alone=True):
+    for name, remedy, without in pose_mistakes(poses.transforms, alone=True):
         other = replace(instrument, poses=replace(poses, position=without[:, :3, 3]))
         tried = measure_poses(session, other, readings, stated_noise(other)).track
         offset = session_clock(session, tried, readings).offset
         if _poses_agree(session.arm, tried, readings, offset, places_alone=True):
             found = f"the poses do not agree with the readings; {name} fits"
             raise InputError(session.left.path, found, "millimetres, as the columns say", remedy)
-
-
-def usual_mistakes(poses: Array, *, alone: bool) -> Iterator[tuple[str, str, Array]]:
-    """The usual mistakes in poses (n, 4, 4), m: name, remedy, the poses without it.
-
-    `alone`: positions alone were measured; a free base takes any of three mirrors for another.
-    """
-    mirrors = [1 - 2 * np.eye(3)[k] for k in range(3)]
-    names = ["one of x_mm, y_mm, z_mm" if alone else f"the column {name}" for name in POSITION]
-    for name, remedy, factor in (
-        ("an export in metres", "Multiply the positions by 1000.", np.full(3, 1e3)),
-        *((f"{n} reversed", REVERSE, one) for n, one in zip(names, mirrors, strict=True)),
-    ):
-        without = poses.copy()
-        without[:, :3, 3] *= factor
-        yield name, remedy, without
-    if alone:
-        return
-    xyzw = Rotation.from_matrix(poses[:, :3, :3]).as_quat()
-    named = "Put the names qw, qx, qy, qz in the order in which the numbers stand."
-    for name, remedy, turn in (
-        ("a quaternion whose scalar comes last", named, np.roll(xyzw, 1, axis=1)),
-        *((f"the column {n} reversed", REVERSE, xyzw * (1 - 2 * np.eye(4)[k - 1]))
-          for k, n in enumerate(QUATERNION)),
-    ):  # fmt: skip
-        without = poses.copy()
-        without[:, :3, :3] = Rotation.from_quat(turn).as_matrix()
-        yield name, remedy, without
 
 
 def _poses_agree(

@@ -38,7 +38,7 @@ from verify.analysis.measured import (
     session_clock,
     setup_of,
 )
-from verify.analysis.mistakes import refuse_exchanged_cameras, refuse_other_motion
+from verify.analysis.mistakes import refuse_exchanged_cameras
 from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
@@ -47,6 +47,7 @@ from verify.analysis.model import (
     clock_effect,
     visibility,
 )
+from verify.analysis.other_motion import refuse_other_motion
 from verify.analysis.performance.conditions import session_performance
 from verify.analysis.plausibility import refuse_misread, refuse_radians
 from verify.analysis.relative_motion import compare_relative_motions

@@ -10,8 +10,9 @@
                    less of twists and lengths, as far as they show how far they lie from the file
     z     (e,)     nuisances, in standard deviations
 
-That spread makes the rows likeliest: s² = mean of p_k² + var p_k over the kind (Dempster, Laird and
-Rubin, J. R. Stat. Soc. B 39, 1977). What poses hardly tell is not led astray by 3 mm of freedom.
+That spread follows from the rows: s² = Σ (p_k² + var p_k) / (n - 2) over the n of a kind, so that n
+few values, which tell it only roughly, do not make the others too sure (Dempster, Laird and Rubin,
+J. R. Stat. Soc. B 39, 1977; n / (n - 2) is the variance of Student's distribution).
 
 A row is outlying where its squared Mahalanobis distance exceeds what noise reaches once in a
 thousand data sets. Such rows are left out and remain listed; never more than a tenth, the farthest:
@@ -136,7 +137,7 @@ def fit_parameters(
         at, covariance = minimise(at, rows, parameters, scale)
         left, columns = scaled_columns(at.state, rows, parameters)
         columns = np.concatenate([columns, rows.nuisance], axis=2)
-        left = _without_nuisances(left, rows, scale)
+        left = without_nuisances(left, rows, scale)
         before, scale = scale, residual_scale(left, columns, covariance, rows, scale)
         if richest is not None:
             scale = scale.at_least(richest.scale)
@@ -144,7 +145,7 @@ def fit_parameters(
         if scale.near(before) and np.allclose(_priors(parameters), _priors(wider), rtol=TOL_SPREAD):
             break
     known = information(at.state, rows, parameters, scale)
-    left = _without_nuisances(pose_residuals(at.state, poses), poses, scale, used)
+    left = without_nuisances(pose_residuals(at.state, poses), poses, scale, used)
     return KinematicFit(
         parameters, at.change * tolerances(parameters), _covariance(known, parameters), known,
         at.state, scale, np.sum(scale.whiten(poses, left) ** 2, axis=1), used,
@@ -193,7 +194,7 @@ def _outlying_rows(
     at = FitState(state, np.zeros(len(parameters)))
     for _ in range(MAX_ROUNDS):
         at, _ = minimise(at, select_rows(poses, used), parameters, scale)
-        left = _without_nuisances(pose_residuals(at.state, poses), poses, scale, used)
+        left = without_nuisances(pose_residuals(at.state, poses), poses, scale, used)
         before, scale = scale, median_scale(left, poses, used)
         excess = np.sum(scale.whiten(poses, left) ** 2, axis=1) - limit
         farthest = np.argsort(-excess)[: int(MAX_OUTLYING * len(poses))]
@@ -205,7 +206,7 @@ def _outlying_rows(
     return used, scale
 
 
-def _without_nuisances(
+def without_nuisances(
     left: Array,
     poses: IdentificationPoses,
     scale: NoiseScale,
@@ -241,8 +242,9 @@ def _with_spread(
     found = list(parameters)
     for kinds in SPREAD_KINDS:
         own = [k for k, parameter in enumerate(parameters) if parameter.kind in kinds]
+        size = np.sqrt(square[own].sum() / max(len(own) - 2, 1))
         for k in own:
-            spread = max(float(np.sqrt(square[own].mean())), MIN_SPREAD) * parameters[k].tolerance
+            spread = max(float(size), MIN_SPREAD) * parameters[k].tolerance
             widest = replace(parameters[k], spread=None).prior
             found[k] = replace(parameters[k], spread=min(spread, widest))
     return tuple(found)

@@ -1,194 +1,239 @@
 """Refuse readings that no base and target make this arm's motion, and name what explains them.
 
-Before the fit, usual mistakes: base and target are free, so poses and readings cannot be laid side
-by side, and each mistake is judged by what a registration leaves of a few poses. After it, where
-much is left of poses held out:
-
-    readings = angles + offset + f x        f (n, j): the angles, or 1 from some pose on
-
-fitted with base and target free tells a held base that is elsewhere (x = 0), scaled readings, and
-belts that slipped. Each is named where it leaves less than a MIN_FACTOR-th of what is left without.
+Before the fit, usual mistakes, one or two at once: base and target are free, so poses and readings
+cannot be laid side by side, and each is judged by what a registration leaves of a few poses, the
+best ones with the joints' offsets free. Two at once are sought by the angles between poses, which
+no registration disturbs. After the fit, where its largest model leaves more than scaled readings,
+slipped belts (`terms`) or another base and target than those held would, these are named.
 """
 
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
-from verify.analysis.least_squares import gauss_newton
-from verify.analysis.mistakes import LEVER, joint_mistakes
-from verify.analysis.plausibility import usual_mistakes
+from robots import Arm, forward
+from verify.analysis.mistakes import LEVER, joint_mistakes, pose_mistakes
+from verify.analysis.other_motion import MAX_OFFSET
 from verify.calibration.kinematics.chain import (
-    ANGLE_UNIT,
-    ArmState,
+    Parameter,
     chain_of,
-    change_state,
     offset_parameters,
     registration_parameters,
 )
-from verify.calibration.kinematics.fit import pose_residuals, scaled_columns, tolerances
+from verify.calibration.kinematics.fit import pose_residuals
+from verify.calibration.kinematics.identify import IdentificationResult
 from verify.calibration.kinematics.model import start_state
 from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
 from verify.calibration.kinematics.sessions import CombinedPoses
-from verify.calibration.kinematics.validation import CrossValidation
+from verify.calibration.kinematics.terms import P_FALSE, TermFit, explain, fit_terms
 from verify.core.readings import Readings
 from verify.core.records import Array
+from verify.core.statistics import chi2_isf
 from verify.errors import InputError
 
 MIN_LEFT = 0.02  # m, mean: an arm of 1 m with 2° in a joint leaves about as much
-DOUBTFUL = 0.005  # m: so much is left that an explanation is sought
 MIN_FACTOR = 3.0  # of what is left as written over what a mistake leaves
 MAX_ROWS = 80  # that are registered for each mistake
-MIN_SIDE = 6  # poses on either side of a change
-MAX_CHANGES = 12  # of an offset that are tried
-MIN_SHARE = 0.2  # of the largest fault: a smaller one beside it is not named
-MAX_ITERATIONS = 20
-TOL_STEP = 1e-4  # of 1 mm or 1°
-RIDGE = 1e-9  # of the greatest information: what a motion leaves open stays as it is
+MIN_ROWS = 12  # of each session
+MAX_CARRIED = 4  # mistakes, to a fit with the offsets free
+MAX_PAIRED = 40  # poses, by which two mistakes at once are sought
+
+
+@dataclass(frozen=True, slots=True)
+class WithoutMistake:
+    """Rows as they would be without a mistake, or two."""
+
+    file: Path  # that holds it
+    name: str
+    remedy: str
+    rows: IdentificationPoses
 
 
 def refuse_mistaken_readings(file: Path, gathered: CombinedPoses) -> None:
-    """Refuse readings, or poses, that fit far better once a usual mistake is taken back.
-
-    Poses of several bases or targets are not judged: a registration of one would leave them all.
+    """Refuse readings, or poses, that fit far better once a usual mistake is taken back, or two.
 
     Raises:
-        InputError: names the mistake and what remains without it.
+        InputError: names the mistakes and what remains without them.
     """
-    first, rows = gathered.sessions[0].session, _few(gathered)
-    if len(np.unique(rows.base)) > 1 or len(np.unique(rows.tool)) > 1:
-        return
-    written = _left(start_state(chain_of(first.arm), rows), rows)
+    first = gathered.sessions[0].session
+    rows, t = _few(gathered)
+    written = _registered(first.arm, rows)
     if written < MIN_LEFT:
         return
-    readings = Readings(np.arange(len(rows), dtype=float), rows.q)
-    posed = first.instrument is not None
-    of_poses = usual_mistakes(rows.world_T_target, alone=rows.position_only) if posed else ()
-    tried: list[tuple[Path, str, str, IdentificationPoses]] = [
-        (file, name, do, replace(rows, q=without.q))
-        for name, do, without in joint_mistakes(readings)
-    ]
-    place = first.left.path
-    tried += [(place, name, do, replace(rows, world_T_target=it)) for name, do, it in of_poses]
-    left = [_left(start_state(chain_of(first.arm), one[-1]), one[-1]) for one in tried]
-    place, name, remedy, _ = tried[best := int(np.argmin(left))]
-    if left[best] * MIN_FACTOR < written:
+    offset, limit = _with_offsets(first.arm, rows, t)
+    if offset > MAX_OFFSET:  # no encoder is at fault by as much
+        limit = written
+    if limit < MIN_LEFT / MIN_FACTOR:
+        return
+    singles = list(_mistakes(file, gathered, rows))
+    best, least = _best(first.arm, singles, t)
+    if least > MIN_LEFT:
+        two, left = _best(first.arm, _pairs(first.arm, singles, t), t)
+        if left < MIN_LEFT:
+            best, least = two, left
+    if least * MIN_FACTOR < limit:
         found = f"{_mm(written)} of the poses, wherever base and target are"
-        raise _refusal(place, f"{found}; {name} fits: {_mm(left[best])}", remedy)
+        raise _refusal(best.file, f"{found}; {_fits(best.name, least)}", best.remedy)
 
 
 def refuse_unfit(
-    file: Path, gathered: CombinedPoses, left: CrossValidation | None, *, held: bool
+    file: Path, gathered: CombinedPoses, found: IdentificationResult, *, held: bool
 ) -> None:
     """Refuse readings that nothing which was identified makes this arm's motion.
 
-    `left`: what the chosen model leaves of poses that it was not fitted to; None where no poses
-    were held out, and nothing is refused. `held`: base or target were not free.
+    `held`: base or target were not free.
 
     Raises:
-        InputError: more is left of poses held out than any arm's own errors leave, or a base, a
-            scale or a slip explains most of it.
+        InputError: scales, slips or another base explain most of what is left, or more is left than
+            any arm's own errors leave.
     """
-    if left is None:
-        return
-    size = float(left.position[0] + LEVER * np.nan_to_num(left.orientation[0]))
-    rows, found = _few(gathered), f"{_mm(size)} of poses held out"
-    if size > DOUBTFUL and len(rows) >= 2 * MIN_SIDE:
-        start = start_state(chain_of(gathered.sessions[0].session.arm), rows)
-        _, free = _fit(start, rows, np.zeros_like(rows.q))
-        stated = _length(rows.nuisance.reshape(len(rows), 2, -1), rows)
-        if held and max(free, stated) * MIN_FACTOR < size:
-            found += f", base and target held; another base and target fit: {_mm(free)}"
-            raise _refusal(file, found, "Register again, or free both: --base free --leds free.")
-        name, least = _scale_or_slip(start, rows, gathered)
-        if least * MIN_FACTOR < free:
-            remedy = "Undo the scale, or identify from the poses on one side of the slip."
-            raise _refusal(file, f"{found}; {name} fits: {_mm(least)}", remedy)
-    if size > MIN_LEFT:
-        check = "Check units, signs and order in both files, and each mistake by itself."
-        raise _refusal(file, f"{found}; no single mistake, scale or slip explains it", check)
+    (some, t), chain = _some(gathered), chain_of(gathered.sessions[0].session.arm)
+    rows, parameters = select_rows(gathered.poses, some), found.richest.parameters
+    start = gathered.state(chain) if held else start_state(chain, rows)
+    written = fit_terms(start, rows, t, parameters)
+    size = _mm(_length(written.left, rows))
+    if held:
+        free = (*_placed(rows), *(p for p in parameters if not p.axis))
+        other = fit_terms(start_state(chain, rows), rows, t, free)
+        gain = written.chi2(rows, other.scale) - other.chi2(rows, other.scale)
+        if gain > max(other.freedom, float(chi2_isf(P_FALSE, len(free) - len(parameters)))):
+            fits = f"another base and target fit: {_mm(_length(other.left, rows))}"
+            remedy = "Register again, or free both: --base free --leds free."
+            raise _refusal(file, f"{size}, base and target held; {fits}", remedy)
+    one = len(np.unique(rows.recording)) == 1
+    explained = explain(written, start, rows, t, parameters, slips=one)
+    if explained.terms:
+        least = _fits(_words(explained, gathered), _length(explained.left, rows))
+        remedy = "Undo the scale, or identify from the poses on one side of the slip."
+        raise _refusal(file, f"{size}; {least}", remedy)
+    judged = found.chosen.held_out
+    length = _length(found.after, gathered.poses) if judged is None else judged.position[0]
+    if length > MIN_LEFT:
+        check = "Check units, signs and order in both files: more than one thing may be wrong."
+        raise _refusal(file, f"{_mm(length)}; no usual mistake, scale or slip explains it", check)
 
 
-def _scale_or_slip(
-    start: ArmState, rows: IdentificationPoses, gathered: CombinedPoses
-) -> tuple[str, float]:
-    """The scaled readings, or belts that slipped, that explain the rows best; what they leave, m.
-
-    Slips are sought in a single recording, at a few places.
-    """
-    n, single = len(rows), len(gathered.sessions) == 1
-    fits = [(*_fit(start, rows, rows.q), 0)]
-    for at in np.linspace(MIN_SIDE, n - MIN_SIDE, MAX_CHANGES).astype(int).tolist() * single:
-        late = np.arange(n)[:, None] >= at
-        before = start_state(start.chain, select_rows(rows, ~late[:, 0]))
-        fits.append((*_fit(before, rows, np.repeat(late * 1.0, start.chain.dof, axis=1)), at))
-    x, least, at = min(fits, key=lambda fit: fit[1])
-    pose = int(np.linspace(0, len(gathered.frame) - 1, n)[at]) + 1
-    what = [
-        f"joint {j + 1} "
-        + (
-            f"slipped by {np.rad2deg(x[j]):+.2g}° at about pose {pose}"
-            if at
-            else f"scaled by {1 / (1 - x[j]):.3g}"
-        )
-        for j in np.flatnonzero(np.abs(x) > MIN_SHARE * np.abs(x).max()).tolist()
-    ]
-    return " and ".join(what), least
+def _some(gathered: CombinedPoses) -> tuple[NDArray[np.bool_], Array]:
+    """Which rows are looked at, (n,) of all, some of each session; their instants, s."""
+    t = np.concatenate([one.comparison.t for one in gathered.sessions])
+    some, each = np.zeros(len(t), dtype=bool), max(MAX_ROWS // len(gathered.sessions), MIN_ROWS)
+    for i in range(len(gathered.sessions)):
+        own = np.flatnonzero(gathered.source == i)
+        some[own[np.unique(np.linspace(0, len(own) - 1, each).astype(int))]] = True
+    return some, t[some]
 
 
-def _few(gathered: CombinedPoses) -> IdentificationPoses:
-    """Some rows, an instrument's as its file has them."""
-    rows = gathered.poses
+def _few(gathered: CombinedPoses) -> tuple[IdentificationPoses, Array]:
+    """Some rows, an instrument's as its file has them, and their instants, s."""
+    rows, (some, t) = gathered.poses, _some(gathered)
     targets = rows.world_T_target.copy()
     for i, one in enumerate(gathered.sessions):
         if (instrument := one.session.instrument) is not None:
             targets[gathered.source == i] = instrument.poses.transforms[one.frame]
-    some = np.zeros(len(rows), dtype=bool)
-    some[np.unique(np.linspace(0, len(rows) - 1, MAX_ROWS).astype(int))] = True
-    return select_rows(replace(rows, world_T_target=targets), some)
+    return select_rows(replace(rows, world_T_target=targets), some), t
 
 
-def _fit(start: ArmState, rows: IdentificationPoses, factor: Array) -> tuple[Array, float]:
-    """Fit base, target, offsets and x; x (j,), rad a unit of `factor` (n, j), and what is left."""
-    alone, dof = rows.position_only, start.chain.dof
-    parameters = (
-        *registration_parameters("base", len(start.base), position_only=alone),
-        *registration_parameters("tool", len(start.tool), position_only=alone),
-        *offset_parameters(start.chain),
-    )
-    weight = np.repeat([1.0, LEVER if (rows.dimensions == 6).all() else 0.0], 3)
-
-    def without(x: Array) -> IdentificationPoses:
-        return replace(rows, q=rows.q - factor * x)
-
-    def solve_step(at: tuple[ArmState, Array]) -> tuple[Array, None]:
-        left, columns = scaled_columns(at[0], without(at[1]), parameters)
-        columns = np.concatenate([columns, -columns[:, :, -dof:] * factor[:, None]], axis=2)
-        design = (columns * weight[:, None]).reshape(6 * len(rows), -1)
-        normal = design.T @ design
-        damped = normal + RIDGE * np.diag(normal).max() * np.eye(len(normal))
-        return np.linalg.solve(damped, design.T @ (left * weight).reshape(-1)), None
-
-    def move(at: tuple[ArmState, Array], step: Array) -> tuple[ArmState, Array]:
-        change = step[:-dof] * tolerances(parameters)
-        return change_state(at[0], parameters, change), at[1] + step[-dof:] * ANGLE_UNIT
-
-    begun = (start, np.zeros(dof))
-    (state, x), _ = gauss_newton(
-        begun, solve_step, move, max_iterations=MAX_ITERATIONS, tol_step=TOL_STEP
-    )
-    return x, _left(state, without(x))
+def _mistakes(
+    file: Path, gathered: CombinedPoses, rows: IdentificationPoses
+) -> Iterator[WithoutMistake]:
+    """The rows without each usual mistake."""
+    readings = Readings(np.arange(len(rows), dtype=np.float64), rows.q)
+    for name, do, without in joint_mistakes(readings):
+        yield WithoutMistake(file, name, do, replace(rows, q=without.q))
+    session = gathered.sessions[0].session
+    if session.instrument is not None:
+        for name, do, poses in pose_mistakes(rows.world_T_target, alone=rows.position_only):
+            moved = replace(rows, world_T_target=poses)
+            yield WithoutMistake(session.left.path, name, do, moved)
 
 
-def _left(state: ArmState, rows: IdentificationPoses) -> float:
-    """Mean length that is left of the poses, m: of positions, and of turns at LEVER."""
-    return _length(pose_residuals(state, rows).reshape(-1, 2, 3), rows)
+def _pairs(arm: Arm, singles: list[WithoutMistake], t: Array) -> list[WithoutMistake]:
+    """Two mistakes at once, those by which the flange turns most nearly as the target does.
+
+    Rows are at t (n,), s. Of positions alone, those with one of the best single mistakes.
+    """
+    rows = singles[0].rows
+    if rows.position_only:
+        singles = sorted(singles, key=lambda one: _registered(arm, one.rows))[:MAX_CARRIED]
+    pairs = [
+        replace(
+            one, name=f"{one.name} and {name}", remedy=f"{one.remedy} {do}",
+            rows=replace(one.rows, q=without.q),
+        )
+        for one in singles
+        for name, do, without in joint_mistakes(Readings(t, one.rows.q))
+    ]  # fmt: skip
+    if rows.position_only:
+        return pairs
+    few = np.unique(np.linspace(0, len(rows) - 1, MAX_PAIRED).astype(int))
+    q = np.concatenate([pair.rows.q[few] for pair in pairs])
+    flange = forward(arm, q)[:, :3, :3].reshape(len(pairs), len(few), 3, 3)
+    target = np.stack([pair.rows.world_T_target[few, :3, :3] for pair in pairs])
+    apart = np.median(np.abs(_angles(flange) - _angles(target)), axis=1)
+    return [pairs[k] for k in np.argsort(apart)[: 2 * MAX_CARRIED].tolist()]
 
 
-def _length(parts: Array, rows: IdentificationPoses) -> float:
-    """Mean length, m, of what moves places and turns, (n, 2, .); of these if measured in full."""
+def _angles(turns: Array) -> Array:
+    """Angles between neighbours of turns (k, n, 3, 3), (k, n - 1), rad."""
+    trace = np.einsum("knij,knij->kn", turns[:, :-1], turns[:, 1:])
+    return np.asarray(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
+
+
+def _best(arm: Arm, tried: list[WithoutMistake], t: Array) -> tuple[WithoutMistake, float]:
+    """The mistake that leaves least of poses at t (n,), s, and how much, m, mean."""
+    left = np.array([_registered(arm, one.rows) for one in tried])
+    for k in np.argsort(left)[:MAX_CARRIED].tolist():
+        offset, rest = _with_offsets(arm, tried[k].rows, t)
+        if offset < MAX_OFFSET:
+            left[k] = min(left[k], rest)
+    best = int(np.argmin(left))
+    return tried[best], float(left[best])
+
+
+def _registered(arm: Arm, rows: IdentificationPoses) -> float:
+    """What a registration leaves, m, mean."""
+    return _length(pose_residuals(start_state(chain_of(arm), rows), rows), rows)
+
+
+def _with_offsets(arm: Arm, rows: IdentificationPoses, t: Array) -> tuple[float, float]:
+    """The largest of the joints' offsets when these are free as well, rad, and what is left, m."""
+    start = start_state(chain_of(arm), rows)
+    bare = replace(rows, nuisance=rows.nuisance[:, :, :0])
+    fit = fit_terms(start, bare, t, (*_placed(rows), *offset_parameters(start.chain)))
+    return float(np.abs(fit.state.chain.correction).max()), _length(fit.left, rows)
+
+
+def _placed(rows: IdentificationPoses) -> list[Parameter]:
+    """The parameters of every base and target."""
+    counts = (("base", int(rows.base.max()) + 1), ("tool", int(rows.tool.max()) + 1))
+    alone = rows.position_only
+    return [p for kind, n in counts for p in registration_parameters(kind, n, position_only=alone)]
+
+
+def _length(left: Array, rows: IdentificationPoses) -> float:
+    """Mean length, m, of what is left, (n, 6): of places, and of turns at LEVER."""
     lever = LEVER if (rows.dimensions == 6).all() else 0.0
-    return float((np.linalg.norm(parts, axis=2) @ [1.0, lever]).mean())
+    return float((np.linalg.norm(left.reshape(-1, 2, 3), axis=2) @ [1.0, lever]).mean())
+
+
+def _words(fit: TermFit, gathered: CombinedPoses) -> str:
+    """The terms of a fit; slips by the number of the first pose after them."""
+    t, words = gathered.sessions[0].comparison.t, []
+    for term, x in zip(fit.terms, fit.x.tolist(), strict=True):
+        what = f"scaled by {1 / (1 - x):.3g}"
+        if term.since is not None:
+            pose = int(gathered.frame[np.searchsorted(t, term.since)]) + 1
+            what = f"slipped by {np.rad2deg(x):+.2g}° at about pose {pose}"
+        words.append(f"joint {term.joint + 1} {what}")
+    return " and ".join(words)
+
+
+def _fits(name: str, left: float) -> str:
+    fit = "fit" if name.count("joint ") > 1 else "fits"
+    return f"{name} {fit}{' best, and more is wrong' * (left > MIN_LEFT)}: {_mm(left)}"
 
 
 def _refusal(file: Path, found: str, remedy: str) -> InputError:

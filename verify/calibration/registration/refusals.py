@@ -10,7 +10,8 @@ from pathlib import Path
 import numpy as np
 
 import robots
-from verify.analysis.mistakes import MAX_LEFT_SHARE, joint_mistakes
+from verify.analysis.mistakes import joint_mistakes
+from verify.analysis.other_motion import MAX_LEFT_SHARE
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration
 from verify.calibration.registration.start import RegistrationStart

@@ -85,7 +85,7 @@ def identify_sessions(
     )
     gathered, found = _identify_twice(gathered, options)
     held = not (options.free_base and options.free_tool)
-    refuse_unfit(opened[0].folder / "encoders.csv", gathered, found.chosen.held_out, held=held)
+    refuse_unfit(opened[0].folder / "encoders.csv", gathered, found, held=held)
     origin = _identification_provenance(gathered, options, found)
     name, content = encode_robot(
         origin.arm, found.chain, _correction_provenance(found, origin),

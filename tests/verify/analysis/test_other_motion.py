@@ -1,15 +1,22 @@
 """Readings of another motion are refused, with the mistake that explains them; faults are not."""
 
 from collections.abc import Callable
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy.linalg import block_diag
 
+from robots.transforms import rotation_exp
+from tests.support.published import write_session
+from tests.support.true_arm import measured, readings, true_arm
 from verify.analysis.clock.estimate import estimate_clock
-from verify.analysis.measured import measure_pictures
-from verify.analysis.mistakes import refuse_other_motion
+from verify.analysis.instrument import measure_poses, stated_noise
+from verify.analysis.measured import measure_pictures, session_clock
+from verify.analysis.other_motion import refuse_other_motion
+from verify.calibration.kinematics.poses import build_poses
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
@@ -76,3 +83,35 @@ def test_an_offset_and_a_slipped_belt_are_faults(
         q = session.encoders.q.copy()
         q[session.encoders.t >= since, 2] += np.deg2rad(size_deg)
         judge(recording, q)
+
+
+@pytest.mark.parametrize(
+    ("spoil", "message"),
+    [
+        ("base", r"session\.toml: .*base turned by 20° and shifted by 0 mm fits: 0.\d* mm"),
+        ("sign", r"encoders\.csv: .*joint 3 reversed fits: 0.\d* mm"),
+        ("offset", ""),
+        ("slip", ""),
+    ],
+)
+def test_positions_alone_tell_mistakes_and_another_base_from_faults(
+    spoil: str, message: str, tmp_path: Path
+) -> None:
+    truth = true_arm("iust_6r", 3, geometry=0.0, offsets=0.0)
+    truth.world_T_base[:] = block_diag(
+        rotation_exp(np.radians([0, 20.0 * (spoil == "base"), 0])), 1
+    )
+    q = readings(truth.arm, 40, 1)
+    poses, _ = measured(replace(truth, flange_T_target=np.eye(4)), q, 1)
+    if spoil == "sign":
+        q[:, 2] *= -1
+    q[20 * (spoil == "slip") :, 0] += np.deg2rad(40) * (spoil in ("offset", "slip"))
+    rows = build_poses(q, poses)
+    folder = write_session(tmp_path / "one", rows, robot="iust_6r", positions_alone=True)
+    session = open_session(folder)
+    log = Readings(session.encoders.t, session.encoders.q)
+    assert session.instrument is not None
+    track = measure_poses(session, session.instrument, log, stated_noise(session.instrument)).track
+    clock = session_clock(session, track, log)
+    with pytest.raises(InputError, match=message) if message else nullcontext():
+        refuse_other_motion(session, track, log, clock)
