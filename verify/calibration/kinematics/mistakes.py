@@ -39,6 +39,7 @@ MIN_FACTOR = 3.0  # of what is left as written over what a mistake leaves
 MAX_ROWS = 80  # that are registered for each mistake
 MIN_ROWS = 12  # of each session
 MAX_CARRIED = 4  # mistakes, to a fit with the offsets free
+MIN_SHARE = 0.5  # of chi², that a scale or slip explains: parts of a real UR10's have up to 0.35
 MAX_PAIRED = 40  # poses, by which two mistakes at once are sought
 
 
@@ -81,10 +82,11 @@ def refuse_mistaken_readings(file: Path, gathered: CombinedPoses) -> None:
 
 def refuse_unfit(
     file: Path, gathered: CombinedPoses, found: IdentificationResult, *, held: bool
-) -> None:
+) -> list[str]:
     """Refuse readings that nothing which was identified makes this arm's motion.
 
-    `held`: base or target were not free.
+    `held`: base or target were not free. Gives a warning where a scale or slip explains less than
+    half of what is left, and more than noise does.
 
     Raises:
         InputError: scales, slips or another base explain most of what is left, or more is left than
@@ -105,8 +107,9 @@ def refuse_unfit(
             raise _refusal(file, f"{size}, base and target held; {fits}", remedy)
     one = len(np.unique(rows.recording)) == 1
     explained = explain(written, start, rows, t, parameters, slips=one)
-    if explained.terms:
-        least = _fits(_words(explained, gathered), _length(explained.left, rows))
+    named = _words(explained, gathered)
+    if explained.terms and explained.share.max() >= MIN_SHARE:
+        least = _fits(named, _length(explained.left, rows))
         remedy = "Undo the scale, or identify from the poses on one side of the slip."
         raise _refusal(file, f"{size}; {least}", remedy)
     judged = found.chosen.held_out
@@ -114,6 +117,10 @@ def refuse_unfit(
     if length > MIN_LEFT:
         check = "Check units, signs and order in both files: more than one thing may be wrong."
         raise _refusal(file, f"{_mm(length)}; no usual mistake, scale or slip explains it", check)
+    if not explained.terms:
+        return []
+    share = f"explains {explained.share.max():.0%} of the squared residuals"
+    return [f"{named} {share}: offsets and lengths may be off by more than their U."]
 
 
 def _some(gathered: CombinedPoses) -> tuple[NDArray[np.bool_], Array]:

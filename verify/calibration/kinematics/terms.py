@@ -5,10 +5,10 @@
 The terms x are added by steps: the scales of all joints, or a slip of every joint at one pose,
 whichever explain more of what is left. In the end those stay whose
 
-    t² = x² / u² >= max(degrees of freedom, t_P²)
+    t² / (t² + degrees of freedom) >= MIN_SHARE,     t² = x² / u² >= t_P²
 
-so that without one more than twice the chi² would be left, and noise alone keeps any in less than
-P of the recordings.
+which is the share of the chi² left without a term that it explains; and noise alone keeps any in
+less than P of the recordings.
 """
 
 from dataclasses import dataclass, replace
@@ -30,7 +30,7 @@ from verify.core.records import Array
 from verify.core.statistics import t_isf
 
 P_FALSE = 1e-3  # of a recording without scale and slip, that one is kept
-MIN_SHARE = 0.25  # of chi², that a step explains: of two slips alike, the first explains half
+MIN_SHARE = 0.2  # of the chi² left without it, that a step explains, and each term
 MAX_STEPS = 3
 MIN_SIDE = 6  # poses on either side of a slip
 MAX_ROUNDS = 4  # of fit and noise
@@ -64,6 +64,11 @@ class TermFit:
     design: Array  # (6 n + p, p): whitened columns, then the priors
     scale: NoiseScale
     freedom: float
+
+    @property
+    def share(self) -> Array:
+        """Of the chi² left without each term, what that one explains, (c,)."""
+        return self.t_squared / (self.t_squared + self.freedom)
 
     def chi2(self, rows: IdentificationPoses, scale: NoiseScale) -> float:
         """Squared length of what is left, by a noise."""
@@ -151,9 +156,10 @@ def explain(
         terms = (*found.terms, *groups[int(np.argmax(shares))])
         found = fit_terms(start, rows, t, parameters, terms)
     while found.terms:
-        most = float(t_isf(P_FALSE / (2 * len(joints) * len(groups)), found.freedom))
+        tests = 2.0 * (len(joints) * len(groups)) ** len(found.terms)
+        least = float(t_isf(P_FALSE / tests, found.freedom)) ** 2
         weakest = int(np.argmin(found.t_squared))
-        if found.t_squared[weakest] >= max(found.freedom, most**2):
+        if found.t_squared[weakest] >= least and found.share[weakest] >= MIN_SHARE:
             break
         kept = (*found.terms[:weakest], *found.terms[weakest + 1 :])
         found = fit_terms(start, rows, t, parameters, kept)

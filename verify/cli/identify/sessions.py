@@ -84,9 +84,16 @@ def identify_sessions(
         free_tool=gathered.free_tool if free_tool is None else free_tool,
     )
     gathered, found = _identify_twice(gathered, options)
+    if undetermined := found.levels[0].support.held:
+        names = ", ".join(one.parameter.name for one in undetermined)
+        raise InputError(
+            opened[0].folder / "encoders.csv", f"the motion leaves {names} undetermined",
+            "base and target together need turns about two axes that are not parallel",
+            "Record a motion of more joints, or hold one: --base held or --leds held.",
+        )  # fmt: skip
     held = not (options.free_base and options.free_tool)
-    refuse_unfit(opened[0].folder / "encoders.csv", gathered, found, held=held)
-    origin = _identification_provenance(gathered, options, found)
+    doubts = refuse_unfit(opened[0].folder / "encoders.csv", gathered, found, held=held)
+    origin = _identification_provenance(gathered, options, found, doubts)
     name, content = encode_robot(
         origin.arm, found.chain, _correction_provenance(found, origin),
         offsets_only=found.chosen.name != "geometry",
@@ -150,7 +157,10 @@ def _identify_twice(
 
 
 def _identification_provenance(
-    gathered: CombinedPoses, options: IdentificationOptions, found: IdentificationResult
+    gathered: CombinedPoses,
+    options: IdentificationOptions,
+    found: IdentificationResult,
+    doubts: Sequence[str],
 ) -> IdentificationProvenance:
     sessions = [one.session for one in gathered.sessions]
     several = len(sessions) > 1
@@ -168,7 +178,7 @@ def _identification_provenance(
         free_tool=options.free_tool,
         description=sessions[0].description if not several else "",
         inputs=inputs,
-        warnings=tuple(dict.fromkeys(_warnings(gathered, options, found))),
+        warnings=tuple(dict.fromkeys([*doubts, *_warnings(gathered, options, found)])),
     )
 
 
