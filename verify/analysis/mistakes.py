@@ -82,6 +82,8 @@ def _column_mistakes(q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
             what = f"{name} coupled to joint {j}, its link turning with both,"
             line = f"linkage = {{q{j} = {sign}}} at joint {j + 1} of the arm"
             yield what, f"{add} q{j + 1}, or write {line}.", {j: q[:, j] + sign * q[:, j - 1]}
+    in_degrees = {j: np.rad2deg(q[:, j]) for j in joints}
+    yield "all joints taken as radians", "Multiply the columns q1_deg … by 180/π.", in_degrees
     for i, k in combinations(joints, 2):
         exchange = f"Exchange the columns q{i + 1}_deg and q{k + 1}_deg."
         yield f"joints {i + 1} and {k + 1} exchanged", exchange, {i: q[:, k], k: q[:, i]}

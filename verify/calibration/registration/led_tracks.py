@@ -130,7 +130,8 @@ def find_leds(pairs: Sequence[PairSpots], rig: Rig, leds: int | None, place: str
             place,
             f"no three bright points move together as one rigid body (at most {most} in a pair)",
             "three LEDs or more, off one line, in view of both cameras while the arm moves",
-            "Light the LEDs, darken the room, and move several joints by 20° or more.",
+            "Light the LEDs, darken the room, and move several joints by 20° or more; or left and "
+            "right are exchanged.",
         )
     if leds is not None and len(body) != leds:
         remedy = "Check that every LED is lit and in view of both cameras, or give the number seen."

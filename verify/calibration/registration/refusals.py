@@ -10,8 +10,8 @@ from pathlib import Path
 import numpy as np
 
 import robots
-from verify.analysis.mistakes import joint_mistakes
-from verify.analysis.other_motion import MAX_LEFT_SHARE
+from verify.analysis.mistakes import LEVER, joint_mistakes
+from verify.analysis.other_motion import MAX_FROZEN, MAX_LEFT_SHARE
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration
 from verify.calibration.registration.start import RegistrationStart
@@ -143,13 +143,11 @@ def refuse_other_robot(
     expected = f"{np.rad2deg(MAX_TURN_DIFFERENCE):.0f}° are the worst that joint errors explain"
     if off > MAX_TURN_DIFFERENCE:
         named = _name_mistake(start, readings, restart)
-        if named is not None:
-            file, found = folder / "encoders.csv", f"{found} (median); {named[0]}"
-            raise InputError(file, found, expected, named[1])
-        raise InputError(folder, f"{found} (median)", expected, f"Check {check}.")
+        name, remedy = ("", f"Check {check}.") if named is None else (f"; {named[0]}", named[1])
+        raise InputError(folder / "encoders.csv", f"{found} (median){name}", expected, remedy)
     if start.solved.mirrored:
         raise InputError(
-            folder,
+            folder / "encoders.csv",
             "what moves together moves like a mirror image of what the readings say",
             "the LEDs themselves must be seen, and the readings be this robot's",
             f"Check {check}; or cover the shiny surface that shows the LEDs.",
@@ -161,13 +159,21 @@ def _turn_difference(start: RegistrationStart) -> float:
     return float(np.median(np.linalg.norm(start.solved.residual[start.good, 3:], axis=1)))
 
 
+def _difference(start: RegistrationStart) -> float:
+    """Median of the angle by which flange and LEDs move otherwise, and the distance over LEVER."""
+    parts = start.solved.residual[start.good].reshape(-1, 2, 3)
+    return float(np.median(np.linalg.norm(parts, axis=2) @ [1 / LEVER, 1.0]))
+
+
 def _name_mistake(
     start: RegistrationStart, readings: Readings, restart: Restart
 ) -> tuple[str, str] | None:
-    """The usual mistake in the readings by which flange and LEDs turn alike, and its remedy."""
-    tried = [(_turn_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)]
+    """The usual mistake in the readings without which flange and LEDs move alike; its remedy."""
+    if np.ptp(readings.q, axis=0).max() < MAX_FROZEN:
+        return "the readings never change", "Log the encoders while the robot moves."
+    tried = [(_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)]
     least, name, remedy = min(tried)
-    if least > MAX_LEFT_SHARE * _turn_difference(start):
+    if least > MAX_LEFT_SHARE * _difference(start):
         return None
     return f"{name} fits: {np.rad2deg(least):.2g}° instead", remedy
 
@@ -189,7 +195,6 @@ def refuse_misfit(
         found = f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen"
         expected = f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain"
         named = _name_mistake(start, readings, restart)
-        if named is not None:
-            raise InputError(folder / "encoders.csv", f"{found}; {named[0]}", expected, named[1])
         remedy = "Check the robot's name, the readings' unit (degrees) and order, and the rig."
-        raise InputError(folder, found, expected, remedy)
+        name, remedy = ("", remedy) if named is None else (f"; {named[0]}", named[1])
+        raise InputError(folder / "encoders.csv", f"{found}{name}", expected, remedy)

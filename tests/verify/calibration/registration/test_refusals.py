@@ -83,7 +83,9 @@ def test_columns_in_another_order_are_named_as_cause() -> None:
 def test_radians_read_as_degrees_are_named_as_cause() -> None:
     arm = robots.load("iust_6r")
     q = motion(arm)
-    assert "degrees" in complaint(arm, "iust_6r", q, np.deg2rad(q)).remedy
+    error = refusal(judge, arm, "iust_6r", q, np.deg2rad(q), NO_MIRROR)
+    assert "all joints taken as radians fits" in error.found
+    assert "180/π" in error.remedy
 
 
 def test_mirrored_leds_are_still_reported_as_mirrored() -> None:
