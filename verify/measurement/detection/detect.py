@@ -52,6 +52,7 @@ from verify.measurement.detection.occlusion import score_rims, unoccluded_centre
 CENTRE = slice(COL_CENTRE_X, COL_CENTRE_Y + 1)
 COVARIANCE = slice(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1)
 MAX_NOISE_SPOTS = 8  # spots whose residuals show the noise, brightest first: then come glints
+MAX_CLEAN_ELONGATION = 1.2  # of spots whose light is taken off others: glints are longer
 Batch = tuple[LocatedPatches, SpotFit]
 
 
@@ -92,7 +93,9 @@ def detect(
     for cut, fit in batches:
         continue_fit(cut.patches, fit, background, 2, TOL_LAST_STEP)
     assessed = assess_spots(batches, image.shape, lossy=lossy)
-    if separate_neighbours(batches, assessed[:, COL_SOUND] > 0, background):
+    clean = (assessed[:, COL_SOUND] > 0) & (assessed[:, COL_MERGED] == 0)
+    clean &= assessed[:, COL_ELONGATION] < MAX_CLEAN_ELONGATION
+    if separate_neighbours(batches, clean, background):
         assessed = assess_spots(batches, image.shape, lossy=lossy)
     kept = choose_spots(assessed, diameter_px or DEFAULT_DIAMETER, limit)
     colour = np.concatenate([cut.colour for cut, _ in batches])[kept]
