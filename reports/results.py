@@ -260,10 +260,12 @@ def _read_entry(folder: Path, name: str, ending: str, entry: object) -> bytes:
 def _table(folder: Path, name: str, entry: object) -> pd.DataFrame:
     content = _read_entry(folder, name, ".parquet", entry)
     try:
-        table: pd.DataFrame = pq.read_table(io.BytesIO(content), use_threads=False).to_pandas(
-            use_threads=False
-        )
+        # pq.read_table starts threads all the same, and waits for ever where one cannot start
+        read = pq.ParquetFile(io.BytesIO(content)).read(use_threads=False)
+        table: pd.DataFrame = read.to_pandas(use_threads=False)
     except (pa.ArrowException, OSError, ValueError) as problem:
+        if isinstance(problem, MemoryError) or "thread" in str(problem):  # one could not start
+            raise
         found, expected = "it is not a Parquet file", "a table is expected"
         raise _damaged(folder, f"{name}.parquet", found, expected) from problem
     return table

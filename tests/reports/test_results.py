@@ -2,9 +2,12 @@ import json
 import re
 from dataclasses import replace
 from pathlib import Path
+from unittest.mock import Mock
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
+import pyarrow.parquet as pq
 import pytest
 from pandas.testing import assert_frame_equal
 
@@ -86,6 +89,17 @@ def test_a_file_that_was_changed_cut_short_or_lost_is_named(folder: Path, name: 
     assert name in _complaint(folder)
     (folder / name).unlink()
     assert name in _complaint(folder)
+
+
+@pytest.mark.parametrize(
+    "error", [pa.ArrowMemoryError("malloc"), pa.ArrowException("Failed to launch worker thread")]
+)
+def test_too_little_memory_is_not_taken_for_a_damaged_table(
+    folder: Path, error: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(pq, "ParquetFile", Mock(side_effect=error))
+    with pytest.raises(type(error)):
+        reports.read(folder)
 
 
 def test_a_manifest_cannot_reach_outside_its_folder(folder: Path) -> None:

@@ -29,7 +29,8 @@ _REMEDIES = {
     errno.ENOMEM: "Close other programs, or use a machine with more memory.",
 }
 _NO_MEMORY = re.compile(  # in libraries' own words
-    "cannot allocate memory|insufficient memory|bad_alloc|failed to map segment|start new thread",
+    "cannot allocate memory|insufficient memory|bad_alloc|failed to map segment|"
+    "start new thread|launch worker thread",
     re.IGNORECASE,
 )
 SPARE_BYTES = 200_000_000  # what decoding a video takes

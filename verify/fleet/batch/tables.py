@@ -252,7 +252,13 @@ def write(
 def read_flat_columns(path: Path) -> pd.DataFrame:
     """Read sessions.parquet but for lists: a fleet is judged by the other columns."""
     flat = [field.name for field in pq.read_schema(path) if not pa.types.is_nested(field.type)]
-    return pd.read_parquet(path, columns=flat)
+    table: pd.DataFrame = _read_table(path, flat).to_pandas(use_threads=False)
+    return table
+
+
+def _read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
+    """Read without Arrow's threads: `pq.read_table` waits for ever where one cannot start."""
+    return pq.ParquetFile(path).read(columns, use_threads=False)
 
 
 def write_failures(folder: Path, failures: Iterable[SessionFailure]) -> None:
@@ -302,7 +308,7 @@ def _write_groups(path: Path, columns: pa.Schema, tables: Iterator[pa.Table], mo
 
 
 def _session_frames(session: str, place: Path, columns: pa.Schema) -> pa.Table:
-    own = pq.read_table(place / RESULTS / "frames.parquet")
+    own = _read_table(place / RESULTS / "frames.parquet")
     count = len(own)
     arrays: list[Any] = [pa.repeat(pa.scalar(session, pa.string()), count)]
     for field in list(columns)[1:]:

@@ -241,8 +241,9 @@ def _check_frame(path: Path, table: PosesSessionTable) -> None:
     for key in ("rig", "robot_base"):
         given = getattr(table, key) is not None
         if key == wanted and not given:
-            expected = "it says where the robot stands in the poses' frame"
-            raise key_error(path, key, "is missing", expected, f'poses.frame is "{frame}".')
+            expected = f'it says where the robot stands in poses.frame, "{frame}"'
+            remedy = "Add it there, or mend poses.frame."
+            raise key_error(path, key, "is missing", expected, remedy)
         if given and key != wanted:
             expected = f'poses in the frame "{frame}" do not ask for it'
             raise key_error(path, key, "is given", expected, "Leave it out, or mend poses.frame.")
