@@ -306,7 +306,10 @@ def _fit(
     if left is None or right is None:
         return replace(measurement, status="unaligned")
     columns = partial(spot_columns, setup.parameters, setup.rig, setup.marker, left, right)
-    pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange, columns)
+    try:
+        pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange, columns)
+    except np.linalg.LinAlgError:  # spots that contradict each other so much that no step is finite
+        return replace(measurement, status="outlier")
     good = pose.consistent and not pose.reprojection_rms_px > MAX_REPROJECTION_PX
     status = "measured" if good else "outlier"
     return replace(measurement, status=status, pose=pose, left=left, right=right)

@@ -13,6 +13,7 @@ from tests.support.simulated import HOME_DEG, in_memory, marker_of, scene
 from tests.support.spot_level import SpotRun, facing_rig, picture, without_pictures
 from verify.analysis.session import analyse
 from verify.core.records import Array, Measurement
+from verify.measurement import chain
 from verify.measurement.chain import Setup, measure
 from verify.simulation.scenario import (
     Distractor,
@@ -312,6 +313,19 @@ def test_pictures_that_were_not_taken_together_are_an_outlier(late: float) -> No
         found = {m.frame: m.status for m in measure(pairs, Setup(rig, marker))}
     assert found.pop(10) == "outlier"
     assert set(found.values()) == {"measured"}
+
+
+def test_spots_whose_fit_takes_no_finite_step_are_an_outlier(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def diverge(*_: object) -> None:
+        raise np.linalg.LinAlgError
+
+    rig, marker = facing_rig()
+    monkeypatch.setattr(chain, "fit_pose", diverge)
+    with without_pictures():
+        found = list(measure(SpotRun(rig, marker, 15.0).pairs(0.3), Setup(rig, marker)))
+    assert {(m.status, m.pose) for m in found} == {("outlier", None)}
 
 
 def test_single_visits_are_taken_as_standing_still() -> None:
