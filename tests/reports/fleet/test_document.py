@@ -6,7 +6,6 @@ from dataclasses import replace
 from datetime import date
 from typing import Any
 
-import pandas as pd
 import pytest
 
 from reports import render_html, render_pdf
@@ -48,8 +47,8 @@ def test_it_opens_with_what_changed_and_since_when() -> None:
 
 def test_sessions_that_do_not_conform_are_the_headline_where_nothing_changed() -> None:
     young = made_fleet.young()
-    row = {"session": "lab/a", "joint": 2, "worst_error_deg": -0.351, "worst_error_u_deg": 0.004}
-    table = pd.DataFrame([row | {"verdict": "nonconform"}, row | {"verdict": "conform"}])
+    table = young.table("worst").iloc[:2].assign(verdict=["nonconform", "conform"])
+    table = table.assign(session="lab/a", joint=2, worst_error_deg=-0.351, worst_error_u_deg=0.004)
     failing = replace(
         young, tables=young.tables | {"worst": table},
         summary=young.summary | {"verdicts": {"nonconform": 1, "conform": 5}},
