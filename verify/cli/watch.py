@@ -90,7 +90,9 @@ def watch(station: Station, options: RunOptions) -> RunResult:
     )
     limits = AlarmLimits(station.alarm.false_alarms_per_hour, station.rate, joints)
     state = LiveState()
-    facts = RunFacts(station.robot, station.name, joints, limits.false_alarms_per_hour)
+    facts = RunFacts(
+        station.robot, station.name, joints, limits.false_alarms_per_hour, options.duration
+    )
     with ExitStack() as stack:
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_INTERVAL)

@@ -27,6 +27,7 @@ class RunFacts:
     description: str
     tolerance: Array | None  # (j,), rad
     false_alarms_per_hour: float
+    duration: float | None = None  # s, of the watch; None: until it is ended
 
 
 class RunPageSource:
@@ -36,7 +37,7 @@ class RunPageSource:
         self._state, self._subject, self._facts = state, subject, facts
         self._row = 0
         self._frame: int | None = None
-        self._run = f"{time.time():.3f}"
+        self._began = time.time()
 
     def hello(self) -> dict[str, Any]:
         """What never changes."""
@@ -44,7 +45,8 @@ class RunPageSource:
         tolerance = facts.tolerance
         return {
             "mode": "run",
-            "run": self._run,
+            "run": f"{self._began:.3f}",
+            "ends_s": None if facts.duration is None else round(self._began + facts.duration, 1),
             "title": facts.robot,
             "description": facts.description[:MAX_TEXT_LENGTH],
             "joints": subject.arm.dof,

@@ -21,7 +21,7 @@ export class Grab {
     this.lost = false;
     this.answers = null;
     this.silent = 0;
-    this.selector = new Selector(views, (side, box) => this.send(`select ${side} ${box.join(",")}`));
+    this.selector = new Selector(views, (side, box) => this.send(`select ${side} ${box.join(",")}`), (words) => say($("answer"), words));
     $("stop").addEventListener("click", () => this.stop());
     $("grab").addEventListener("click", () => this.grab());
     $("select").addEventListener("click", () => this.select());
@@ -58,7 +58,9 @@ export class Grab {
   }
 
   select() {
-    if (!$("select").disabled) this.selector.arm(!this.selector.armed);
+    if ($("select").disabled) return;
+    this.selector.arm(true);
+    say($("answer"), "Drag a rectangle around the object in either picture; Escape ends the selection.");
   }
 
   /** Space and H stop whatever has the focus; Enter presses a button. */

@@ -5,9 +5,9 @@ const START = 1 / 12; // likewise, half the first rectangle of the keys
 const MOVES = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowUp: [0, -1], ArrowDown: [0, 1] };
 
 export class Selector {
-  /** `chosen` is told the side, and x, y, width, height in whole pixels of the camera's picture. */
-  constructor(views, chosen) {
-    Object.assign(this, { views, chosen, offered: false, armed: false, drag: null });
+  /** `chosen` gets the side, and x, y, width, height in whole pixels of the camera's picture; `tell` what a press did. */
+  constructor(views, chosen, tell) {
+    Object.assign(this, { views, chosen, tell, offered: false, armed: false, drag: null });
     this.button = document.getElementById("select");
     this.frames = views.map(({ canvas }) => {
       const frame = document.createElement("div");
@@ -25,6 +25,7 @@ export class Selector {
   }
 
   offer(offered) {
+    if (this.armed && !offered) this.tell("Selection ended: a target cannot be selected now.");
     if (this.offered && !offered) this.arm(false);
     this.offered = offered;
   }
@@ -62,7 +63,7 @@ export class Selector {
   /** Arrows move a rectangle on the picture that has the focus, with Shift they size it. */
   key(event) {
     const side = this.views.findIndex(({ canvas }) => canvas === document.activeElement);
-    if (event.key === "Escape" && this.armed) this.arm(false);
+    if (event.key === "Escape" && this.armed) this.arm(false), this.tell("Selection ended.");
     else if (!this.armed || side < 0 || !this.views[side].found) return false;
     else if (event.key === "Enter") this.send();
     else if (event.key in MOVES) this.nudge(side, MOVES[event.key], event.shiftKey);
@@ -114,10 +115,11 @@ export class Selector {
     if (!this.drag) return;
     const [side, box] = [this.drag.side, this.box()];
     this.cancel();
-    if (box[2] < SMALLEST || box[3] < SMALLEST) return; // a tap, a slip
+    if (box[2] < SMALLEST || box[3] < SMALLEST) return this.tell(`Too small: a rectangle has ${SMALLEST} px or more.`);
     this.views[side].canvas.blur();
-    this.chosen(side ? "right" : "left", box);
     this.arm(false);
+    this.tell("Selection sent.");
+    this.chosen(side ? "right" : "left", box);
   }
 
   cancel() {

@@ -100,7 +100,7 @@ const takers = {
     }
     $("figures").dataset.clock = last?.clock ? `${last.clock}, offset ${last.offset_s.toFixed(6)} s` : "";
   },
-  state: showState,
+  state: (message) => (showState(message), hello.mode === "run" && showOverall()),
   alarms: showAlarms,
 };
 
@@ -135,6 +135,15 @@ function showState(state) {
     "Recording": state.recording || "–",
   };
   $("figures").replaceChildren(...Object.entries(figures).flatMap(([name, value]) => [element("dt", name), element("dd", value)]));
+}
+
+function showOverall() {
+  const [kind, words] = strips.overall();
+  const left = hello.ends_s === null ? null : Math.max(hello.ends_s - Date.now() / 1000, 0);
+  const time = left === null ? "" : left < 90 ? `, ${Math.round(left)} s left` : `, ${Math.round(left / 60)} min left`;
+  const pill = $("overall");
+  pill.className = `pill ${kind}`;
+  if (pill.textContent !== words + time) pill.textContent = words + time;
 }
 
 function showAlarms({ alarms }) {
@@ -182,7 +191,7 @@ function element(name, text = "", kind = "") {
 function theme(name) {
   document.documentElement.dataset.theme = name;
   const style = getComputedStyle(document.documentElement);
-  for (const key of ["ink", "muted", "grid", "paper", "measured", "encoder", "band", "tolerance"])
+  for (const key of ["ink", "muted", "grid", "paper", "measured", "encoder", "band", "tolerance", "ill"])
     colours[key] = style.getPropertyValue(`--${key}`).trim();
   scene.dirty = changed = true;
 }

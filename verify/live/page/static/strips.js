@@ -5,6 +5,7 @@ const { uPlot } = window;
 const SPAN = 30; // s shown
 const KEPT = 60; // s remembered
 const GAP = 0.5; // s without a row: the line breaks
+const STATE_SPAN = 1; // s that the overall state rests on
 const SMALLEST = 0.05; // degrees, half the height: less would show noise as drama
 const FONT = "11px system-ui, sans-serif";
 
@@ -24,10 +25,10 @@ export class Strips {
     this.shown = [];
     this.tolerance = tolerance;
     this.root.replaceChildren();
-    this.strips = Array.from({ length: joints }, (_, j) => this.make(j));
+    this.strips = Array.from({ length: joints }, (_, j) => this.make(j, j === joints - 1));
   }
 
-  make(j) {
+  make(j, last) {
     const strip = element("div", "strip");
     const told = element("div", "told");
     const name = element("button", "name");
@@ -39,23 +40,23 @@ export class Strips {
     const value = element("div", "value");
     value.textContent = "–";
     const meter = element("div", "meter");
-    meter.title = "How near the sum is to an alarm";
     const fill = element("i");
     meter.append(fill);
-    told.append(name, value, meter);
+    const level = element("small", "level");
+    told.append(name, value, meter, level);
     const chart = element("div", "chart");
     chart.setAttribute("role", "img");
     chart.setAttribute("aria-label", `Error of joint ${j + 1} over the last ${SPAN} seconds`);
     strip.append(told, chart);
     this.root.append(strip);
-    const part = { strip, name, value, fill, chart, half: SMALLEST };
-    part.plot = new uPlot(this.options(part, j), [[], [], [], [], [], []], chart);
+    const part = { strip, name, value, fill, level, chart, last, half: SMALLEST };
+    part.plot = new uPlot(this.options(part, j), [[], [], [], [], [], [], []], chart);
     return part;
   }
 
   options(part, j) {
     const colour = (key) => () => this.colours[key];
-    const tall = () => part.strip.classList.contains("tall");
+    const timed = () => part.last || part.strip.classList.contains("tall");
     const line = (key, width, dash) => ({ stroke: colour(key), width, dash, points: { show: false } });
     const axis = { stroke: colour("muted"), font: FONT, ticks: { show: false }, grid: { stroke: colour("grid"), width: 1 } };
     return {
@@ -63,11 +64,11 @@ export class Strips {
       legend: { show: false },
       cursor: { y: false, points: { show: false }, drag: { setScale: false, x: false }, sync: { key: "joints" } },
       scales: { x: { time: false, range: () => [-SPAN, 0] }, y: { range: () => [-part.half, part.half] } },
-      series: [{}, line("band", 0), line("band", 0), line("tolerance", 1.5, [2, 3]), line("tolerance", 1.5, [2, 3]), line("measured", 1.3)],
+      series: [{}, line("band", 0), line("band", 0), line("tolerance", 1.5, [2, 3]), line("tolerance", 1.5, [2, 3]), line("measured", 1.3), line("ill", 2)],
       bands: [{ series: [1, 2], fill: colour("band") }],
       padding: [6, 14, 6, 0],
       axes: [
-        { ...axis, size: () => (tall() ? 22 : 0), gap: 4, space: 40, incrs: [5, 10], values: (_, splits) => splits.map((s) => (!tall() ? "" : s ? `−${-s} s` : "now")) },
+        { ...axis, size: () => (timed() ? 22 : 0), gap: 4, space: 40, incrs: [5, 10], values: (_, splits) => splits.map((s) => (!timed() ? "" : s ? `−${-s} s` : "now")) },
         { ...axis, size: 50, gap: 6, space: 20, values: (_, splits) => splits.map((v) => `${v > 0 ? "+" : v < 0 ? "−" : ""}${Number(Math.abs(v).toFixed(5))}°`) },
       ],
       hooks: { setCursor: [() => this.say(part, j)] },
@@ -98,6 +99,7 @@ export class Strips {
       if (!fill) return;
       fill.style.width = `${Math.min(share, 1) * 100}%`;
       fill.classList.toggle("high", share > 0.7);
+      this.strips[j].level.textContent = `alarm level ${Math.round(Math.min(share, 1) * 100)} %`;
     });
   }
 
@@ -119,7 +121,8 @@ export class Strips {
     const level = (v) => x.map(() => v);
     const { width, height } = size(part.chart);
     if (width !== part.plot.width || height !== part.plot.height) part.plot.setSize({ width, height });
-    part.plot.setData([x, above, below, level(tolerance), level(tolerance === null ? null : -tolerance), error]);
+    const beyond = error.map((e) => (tolerance !== null && e !== null && Math.abs(e) > tolerance ? e : null));
+    part.plot.setData([x, above, below, level(tolerance), level(tolerance === null ? null : -tolerance), error, beyond]);
     this.say(part, j);
   }
 
@@ -131,7 +134,28 @@ export class Strips {
     const bold = element("b");
     bold.textContent = error === null ? "–" : `${signed(error)}°`;
     const rest = u === null ? ` ${row.status === "measured" ? "not told" : row.status.replaceAll("_", " ")}` : ` ± ${(2 * u).toFixed(3)}° (k = 2)`;
-    part.value.replaceChildren(bold, rest);
+    const tolerance = this.tolerance?.[j] ?? null;
+    part.value.replaceChildren(bold, rest, tolerance === null ? "" : ` of ±${tolerance}°`);
+  }
+
+  /** All joints over the last second against their tolerances: a kind of pill, and words. */
+  overall() {
+    const end = this.rows.at(-1)?.t_s;
+    const recent = this.rows.filter((row) => row.t_s > end - STATE_SPAN && row.u_deg);
+    if (!recent.length) return ["waits", "no pair measured"];
+    if (!this.tolerance?.some((t) => t !== null)) return ["waits", "no tolerance: errors are shown, not judged"];
+    const states = this.tolerance.map((tolerance, j) => {
+      const known = recent.filter((row) => row.error_deg[j] !== null && row.u_deg[j] !== null);
+      if (!known.length || tolerance === null) return "open";
+      const mean = (value) => known.reduce((sum, row) => sum + value(row), 0) / known.length;
+      const [error, u] = [Math.abs(mean((row) => row.error_deg[j])), mean((row) => row.u_deg[j])];
+      return error - 2 * u > tolerance ? "beyond" : error + 2 * u <= tolerance ? "within" : "open";
+    });
+    const named = (state) => states.flatMap((s, j) => (s === state ? [j + 1] : [])).join(", ");
+    const same = new Set(this.tolerance).size === 1 ? `±${this.tolerance[0]}°` : "tolerance";
+    if (states.includes("beyond")) return ["ill", `beyond ${same}: joint ${named("beyond")}`];
+    if (states.includes("open")) return ["waits", `not decided: joint ${named("open")}; the others are within ${same}`];
+    return ["well", `all joints within ${same}`];
   }
 }
 
