@@ -4,10 +4,11 @@ VENV ?= .venv
 BIN := $(VENV)/bin
 RUN := $(VENV)/.run-installed
 DEV := $(VENV)/.dev-installed
+SITE := $(VENV)/.docs-installed
 COMPILED := $(VENV)/.compiled
 PIP = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c .ci/constraints.txt
 
-.PHONY: demo test test-all lint check format samples accept bench soak bench-coverage bench-diagnosis bench-grab fuzz clean
+.PHONY: demo test test-all lint check format samples accept bench soak bench-coverage bench-diagnosis bench-grab fuzz docs clean
 
 # packages that running needs
 $(RUN): pyproject.toml .ci/constraints.txt
@@ -21,6 +22,12 @@ $(RUN): pyproject.toml .ci/constraints.txt
 $(DEV): $(RUN)
 	@echo "environment: packages that tests and checks need"
 	@$(PIP) -e '.[dev]'
+	@touch $@
+
+# packages that the site of the documents needs
+$(SITE): $(RUN)
+	@echo "environment: packages that the site of the documents needs"
+	@$(PIP) -e '.[docs]'
 	@touch $@
 
 # compiled once, not at the first measurement
@@ -88,6 +95,11 @@ bench-grab: $(DEV)
 
 fuzz: $(DEV)
 	$(BIN)/python -m tests.fuzz $(or $(N),2000)
+
+# the documents as a site that opens without a network
+docs: $(SITE)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet -f .ci/mkdocs.yml
+	@echo "site: build/site/index.html"
 
 clean:
 	rm -rf $(VENV) build *.egg-info

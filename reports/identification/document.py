@@ -49,7 +49,7 @@ LEVELS = {
     "offsets": "with the joints' offsets",
     "geometry": "with all of the arm's geometry",
 }
-REASONS = {"gauge": "gauge", "prior": "rests on its prior", "not_called_for": "not called for"}
+REASONS = {"gauge": "gauge", "prior": "rests on its prior", "not_called_for": "not needed"}
 
 
 class IdentificationNotes:
@@ -57,7 +57,8 @@ class IdentificationNotes:
 
     SIGN = (
         "Error: encoder less measured. A correction is its negative: it is to be added to the "
-        "reading. ± is the expanded uncertainty (k = 2; Student's where few poses told the noise)."
+        "reading. ± is the expanded uncertainty (k = 2; Student's t where the noise rests on few "
+        "poses)."
     )
     ALONE = (
         "The offsets alone hold for an arm whose lengths and twists stay as they are: enter these "
@@ -75,13 +76,13 @@ class IdentificationNotes:
         "Base and tool are found anew with every model; only changes of the arm's own numbers are "
         "shown. All are adjusted together, the arm's held by weak priors: standard deviations of "
         "3 mm and 3° about its file, less for twists and lengths where these show that they lie "
-        "closer. U: k = 2; Student's where few poses told the noise."
+        "closer. U: k = 2; Student's t where the noise rests on few poses."
     )
     GAUGE = (
-        "A gauge is told apart by no motion: the others make it up, whatever the arm does; where "
-        "others of the arm do, its prior shares the change out. What rests on its prior could be "
-        "told by another motion; what is not called for could be freed, but poses held out are "
-        "predicted as well without. U: by the poses alone, k = 2."
+        "Gauge: no motion can determine it, because the other parameters make up for it; where "
+        "these are the arm's own, its prior divides the change. Rests on its prior: another motion "
+        "could determine it. Not needed: it could be freed, but held-out poses are predicted as "
+        "well without it. U: by the poses alone, k = 2."
     )
     INDEXES = (
         "From the singular values of the whitened columns, scaled by 1 mm and 1°: O1 their "
@@ -172,7 +173,7 @@ def verdict(results: Results) -> doc.Section:
         ("Model", fmt.lookup_label(LEVELS, summary.get("level"))),
         ("Base", "free" if summary.get("base_free") else "held"),
         ("Tool", "free" if summary.get("tool_free") else "held"),
-        ("Told apart", f"{rank} of {candidates} parameters"),
+        ("Determined", f"{rank} of {candidates} parameters"),
     ]
     return doc.Section("verdict", "Verdict", (block, doc.Facts(tuple(facts))))
 
@@ -289,7 +290,7 @@ def _residual_columns(key: str) -> list[doc.Column]:
 def _validation_table(entry: dict[str, Any]) -> doc.Table:
     arms = (("as its file has it", "before"), ("identified", "after"))
     return doc.tabulate(
-        "Residuals of other sessions, registered anew with either arm.",
+        "Residuals of other sessions, registered again with each robot file.",
         (doc.Column("Model", "l", doc.field("name")), *_residual_columns("residuals")),
         [{"name": name, "residuals": entry.get(key)} for name, key in arms],
         f"{fmt.text_or_dash(entry.get('path'))}, {fmt.count(entry.get('poses'))} poses",
@@ -313,8 +314,8 @@ def unidentifiable_parameters(results: Results) -> doc.Section:
     """Name what these poses cannot tell, and with what it is confounded."""
     entries = results.summary.get("held") or []
     if not entries:
-        text = doc.Paragraph("Every parameter could be told from the others.")
-        return doc.Section("held", "What these poses cannot tell", (text,))
+        text = doc.Paragraph("These poses determine every parameter.")
+        return doc.Section("held", "What these poses do not determine", (text,))
     columns = (
         doc.Column("Parameter", "l", doc.field("name")),
         doc.Column("Why", "l", lambda e: fmt.lookup_label(REASONS, e.get("reason"))),
@@ -323,7 +324,7 @@ def unidentifiable_parameters(results: Results) -> doc.Section:
     )
     title = "Parameters that the poses do not tell, and what makes them up."
     table = doc.tabulate(title, columns, entries, IdentificationNotes.GAUGE)
-    return doc.Section("held", "What these poses cannot tell", (table,))
+    return doc.Section("held", "What these poses do not determine", (table,))
 
 
 def _uncertainty_if_free(entry: dict[str, Any]) -> str:

@@ -52,10 +52,10 @@ class PlanNotes:
     JOINTS = (
         "U: expanded uncertainty of the joint's mean error (k as stated). Detectable: the smallest "
         "constant offset that would be noticed (false alarm 0.1 %, power 80 %). Separable: the "
-        "smallest that would be told from an offset of any other joint. Visible: the share of an "
-        "offset that was there at registration. The mean weighs every pair alike; the fit "
-        "that notices an offset learns from the whole motion what rig and LEDs are off by, and may "
-        "notice less than U."
+        "smallest that can be attributed to this joint alone. Visible: the share of an offset that "
+        "was there at registration. The mean weights every pair alike. The fit behind the "
+        "detectable offset also estimates the errors of rig and LEDs from the whole motion, so it "
+        "may detect less than U."
     )
     SOURCES = (
         "U, k = 2; the largest is the one to mend first. What does not average out "
@@ -66,8 +66,8 @@ class PlanNotes:
         "these hides of an offset, no motion shows."
     )
     KINDS = (
-        "U (k = 2): with all kinds that were asked for found together. Detectable: "
-        "the smallest that would be noticed if it were alone. A dash: this motion does not show it."
+        "U (k = 2): with all requested kinds estimated together. Detectable: the smallest that "
+        "would be noticed if it were alone. A dash: this motion does not show it."
     )
     SPAN = (
         "Upward: the share of pairs whose last travel was upward. Backlash shows where both "
@@ -76,7 +76,7 @@ class PlanNotes:
     EXCLUDED = "Each posture counts once, under the first that excludes it, in this order."
     GEOMETRY = (
         "U (k = 2) of what `verify identify` would find with base and LEDs held as "
-        "their files state them. A gauge is told apart by no motion."
+        "their files state them. No motion can determine a gauge."
     )
 
 
@@ -243,13 +243,15 @@ def identifiable_parameters(results: Results) -> doc.Section:
     title = "Parameters of the arm that could be identified."
     table = doc.tabulate(title, columns, found.get("parameters") or [], PlanNotes.GEOMETRY)
     rank = f"{count(found.get('rank'))} of {count(found.get('candidates'))} parameters"
-    blocks: list[doc.Block] = [doc.Facts((("Told apart", rank),)), table]
+    blocks: list[doc.Block] = [doc.Facts((("Determined", rank),)), table]
     if found.get("held"):
         columns = (
             doc.Column("Parameter", "l", doc.field("name")),
             doc.Column("Why it is held", "l", lambda e: lookup_label(REASONS, e.get("reason"))),
         )
-        blocks.append(doc.tabulate("Parameters that could not be told.", columns, found["held"]))
+        blocks.append(
+            doc.tabulate("Parameters that this motion does not determine.", columns, found["held"])
+        )
     if found.get("observability"):
         blocks.append(observability_table(found["observability"]))
     return doc.Section("geometry", "The arm's geometry", tuple(blocks))

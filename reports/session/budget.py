@@ -31,7 +31,7 @@ def monte_carlo_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     ]
     largest = max((a for a in away if a is not None), default=None)
     chain = (
-        f"Monte Carlo: {fmt.count(check.get('pairs'))} pairs drawn anew "
+        f"Monte Carlo: {fmt.count(check.get('pairs'))} pairs, each simulated "
         f"{fmt.count(check.get('draws'))} times through the whole chain, pose fit and the arm's "
         "inverse included."
     )
@@ -159,9 +159,9 @@ def _largest_contribution(table: pd.DataFrame, summary: dict[str, Any]) -> list[
     first = mine.sort_values("share", ascending=False, kind="stable").iloc[0]
     size = fmt.quantity(worst["expanded_uncertainty_deg"], "°")
     text = (
-        f"Known worst is joint {fmt.text_or_dash(worst.get('joint'))}, with U = {size}; most of "
-        f"that comes from: {_source_name(first['source'])}, {fmt.percent(first['share'])} of the "
-        "variance."
+        f"Joint {fmt.text_or_dash(worst.get('joint'))} has the largest uncertainty, U = {size}. "
+        f"Its largest source: {_source_name(first['source'])}, {fmt.percent(first['share'])} of "
+        "the variance."
     )
     return [doc.Paragraph(text)]
 

@@ -16,8 +16,8 @@ from reports.session.headline import MAX_CAUSES, headline
 
 MAX_ALARMS = 4  # listed, the first; alarms.csv has all
 ALARM_NOTE = (
-    "t on the clock of the errors over time: when the alarm was raised, a little after what it "
-    "tells of. alarms.csv has them all."
+    "t: when the alarm was raised, shortly after its cause, on the time axis of the errors. "
+    "alarms.csv lists every alarm."
 )
 OFFSET = 0.14  # of two marks of a joint from its place on the axis
 TOLERANCE_ROOM = 1.3  # times the tolerance that the scale spans at least

@@ -107,14 +107,14 @@ COLUMNS = (
     ("step", "Step [°]"),
 )
 TABLE_NOTE = (
-    "Each entry: the smallest fault that the diagnosis would list, / the smallest that it would "
-    "also tell from every other fault it knows (in four of five such sessions, all faults tried "
-    "at once; so a little more than the size at which one offset alone is noticed). "
+    "Before the slash: the smallest fault that the diagnosis would detect; after it: the smallest "
+    "that it would also identify among all faults it knows. Both hold in four of five such "
+    "sessions, all faults tried at once: a little more than where one offset alone is noticed. "
     "A dash: none, or not tried with this motion."
 )
 FAULT_NOTE = (
-    "Eccentricity: one wave a turn, of the least favourable phase; tried where a joint turns more "
-    "than 60°. Waves: the least favourable number of waves a turn of those that the swing shows. "
+    "Eccentricity: one wave per turn, at the worst phase; tried where a joint turns more "
+    "than 60°. Waves: the worst number of waves per turn among those that the range shows. "
     "Compliance: error a metre of horizontal lever, tried where the lever varies by half. Step: an "
     "offset that changes in the middle of the session."
 )
@@ -125,7 +125,9 @@ def detectable(results: Results) -> doc.Section:
     table = results.table("detectable")
     if table.empty:
         text = "Not known: these results were made without it."
-        return doc.Section("detectable", "What could be seen", (doc.Paragraph(text, "note"),))
+        return doc.Section(
+            "detectable", "What this session can show", (doc.Paragraph(text, "note"),)
+        )
     own, common = table[table["joint"].notna()], table[table["joint"].isna()]
     hidden = _hidden_sentences(own)
     blocks: tuple[doc.Block, ...] = (
@@ -135,7 +137,7 @@ def detectable(results: Results) -> doc.Section:
         _joint_table(own[own["kind"] != "dh"]),
         _other_table(pd.concat([common, own[own["kind"] == "dh"]])),
     )
-    return doc.Section("detectable", "What could be seen", blocks)
+    return doc.Section("detectable", "What this session can show", blocks)
 
 
 def _hidden_sentences(own: pd.DataFrame) -> tuple[str, ...]:
@@ -164,7 +166,7 @@ def _joint_table(own: pd.DataFrame) -> doc.Table:
         *(doc.Column(head, "r", cell_of(kind)) for kind, head in COLUMNS),
     ]
     joints = sorted(own["joint"].astype(int).unique().tolist())
-    title = "The smallest fault of each joint that would be listed / told from every other."
+    title = "The smallest fault of each joint that would be detected / identified."
     return doc.tabulate(title, columns, joints, TABLE_NOTE, FAULT_NOTE)
 
 
@@ -181,7 +183,7 @@ def _kind_entries(entries: pd.DataFrame, kind: str) -> pd.DataFrame:
 
 
 def _format_cell(entries: pd.DataFrame) -> str:
-    """`listed / told`, the least favourable of several."""
+    """`detected / identified`, the worst of several."""
     if entries.empty or not fmt.finite(entries["detectable"].max()):
         return fmt.DASH
     separable = entries["separable"].max(skipna=False)
@@ -191,11 +193,11 @@ def _format_cell(entries: pd.DataFrame) -> str:
 def _other_table(entries: pd.DataFrame) -> doc.Table:
     columns = (
         doc.Column("Fault", "l", _fault_name),
-        doc.Column("Listed", "r", doc.field("detectable", fmt.significant)),
-        doc.Column("Told apart", "r", doc.field("separable", fmt.significant)),
+        doc.Column("Detected", "r", doc.field("detectable", fmt.significant)),
+        doc.Column("Identified", "r", doc.field("separable", fmt.significant)),
         doc.Column("Unit", "l", lambda e: fmt.lookup_label(fmt.UNITS, e["unit"])),
     )
-    title = "The smallest common fault and link error that would be listed / told from every other."
+    title = "The smallest common fault and link error that would be detected / identified."
     note = "Base and LED body: moved along or turned about one axis alone."
     return doc.tabulate(title, columns, records(entries), note)
 

@@ -15,8 +15,8 @@ from reports.session.figures import evidence
 from reports.session.findings import clock_text
 
 MEAN_NOTE = (
-    "A mean far from zero beside a small scatter speaks of an LED that sits elsewhere than the "
-    "marker file says, or of a calibration that no longer holds."
+    "A mean far from zero with a small scatter indicates an LED that is not where the marker file "
+    "says, or a calibration that no longer holds."
 )
 
 
@@ -182,7 +182,7 @@ def pairs(results: Results) -> doc.Section:
             doc.row(fmt.lookup_label(phrases.CHOICES, name), fmt.count(n))
             for name, n in choices.items()
         )
-        blocks.append(doc.Table("How the LEDs were told apart.", "lr", ("Settled", "Pairs"), made))
+        blocks.append(doc.Table("How the LEDs were identified.", "lr", ("Decided", "Pairs"), made))
     return doc.Section("pairs", "Pairs rejected, and why", tuple(blocks))
 
 

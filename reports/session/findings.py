@@ -17,10 +17,10 @@ ERROR_NOTE = (
     "(k); worst ê: with k = 2. Max |e|, of single pairs, holds noise and is never judged."
 )
 DETECTABILITY_NOTE = (
-    "Visible: share of an offset's signal left after all that was fitted, for an offset that "
-    "was there before the registration and for one that arose since. Detectable: the smallest "
-    "offset that would be noticed (false alarm 0.1 %, power 80 %). Separable: the smallest that "
-    "would be told from an offset of another joint. A dash: none, or not known."
+    "Visible: share of an offset's signal that is left after the fit. Old: the offset was there "
+    "at registration. New: it arose later. Detectable: the smallest offset that would be noticed "
+    "(false alarm 0.1 %, power 80 %). Separable: the smallest that can be attributed to this joint "
+    "alone. A dash: none, or not known."
 )
 CAUSE_NOTE = (
     "A cause is named only where its fit beats every rival's by Δχ² ≥ 15 (at unequal numbers of "
@@ -95,15 +95,15 @@ def _detectability_table(entries: list[dict[str, Any]]) -> doc.Table:
     columns = (
         doc.Column("Joint", "c", doc.field("joint")),
         doc.Column("Pairs", "r", doc.field("pairs", fmt.count)),
-        doc.Column("Visible if before", "r", doc.field("visible_fraction", fmt.percent)),
-        doc.Column("Visible if since", "r", since),
+        doc.Column("Visible, old offset", "r", doc.field("visible_fraction", fmt.percent)),
+        doc.Column("Visible, new offset", "r", since),
         doc.Column(
             "Detectable [°]", "r", doc.field("minimum_detectable_error_deg", fmt.significant)
         ),
         doc.Column("Separable [°]", "r", doc.field("minimum_separable_error_deg", fmt.significant)),
         doc.Column("In words", "l", phrases.visibility, wide=True),
     )
-    title = "What this session could see of a constant offset of each joint."
+    title = "How much of a constant offset of each joint this session can show."
     return doc.tabulate(title, columns, entries, DETECTABILITY_NOTE)
 
 

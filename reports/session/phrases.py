@@ -27,7 +27,7 @@ REASONS = {
 STATUSES = {
     "measured": "measured",
     "too_few_leds": "too few LEDs seen",
-    "ambiguous_leds": "LEDs could not be told apart",
+    "ambiguous_leds": "LEDs could not be identified",
     "no_encoder": "no encoder reading at that time",
     "unreachable": "pose out of the arm's reach",
     "outlier": "LEDs do not fit the marker",

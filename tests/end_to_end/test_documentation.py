@@ -23,6 +23,7 @@ from verify.io.session import keys as session_keys
 from verify.simulation import library
 
 README = ROOT / "README.md"
+TUTORIAL = ROOT / "docs" / "tutorial.md"
 DOCUMENTS = sorted([README, ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
 GROUPS = {
     str(group.name): group.typer_instance
@@ -64,7 +65,7 @@ def clone(tmp_path: Path) -> Path:
 
 
 def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
-    path = f"{folder / '.venv' / 'bin'}{os.pathsep}{os.environ['PATH']}"
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
     here = {**os.environ, "PATH": path, "PYTHONPATH": str(ROOT)}
     return subprocess.run(words, cwd=folder, env=here, capture_output=True, text=True, check=False)
 
@@ -72,19 +73,26 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.slow
 def test_the_readme_runs_as_written_and_its_output_is_explained(clone: Path) -> None:
     """One test: processes that share the tests would each run the commands, which takes minutes."""
-    every_command_runs(clone)
+    assert every_command_runs(README, clone) >= len(COMMANDS)
     every_python_example_runs(clone)
     every_key_column_and_file_is_explained(clone)
 
 
-def every_command_runs(clone: Path) -> None:
-    """All but those that set up, as written, in their order."""
-    typed = [line for line in lines(README) if not line.startswith(SETS_UP)]
-    assert len(typed) >= len(COMMANDS)
+@pytest.mark.slow
+def test_the_tutorial_runs_from_an_empty_folder_to_a_report(tmp_path: Path) -> None:
+    assert every_command_runs(TUTORIAL, tmp_path)
+    found = json.loads((tmp_path / "first-report" / "summary.json").read_text())
+    assert found["joints"][1]["mean_error_deg"] == pytest.approx(0.35, abs=0.01)  # simulated
+
+
+def every_command_runs(document: Path, folder: Path) -> int:
+    """All but those that set up, as written, in their order; returns how many."""
+    typed = [line for line in lines(document) if not line.startswith(SETS_UP)]
     for line in typed:
-        done = run(["bash", "-c", line], clone)
+        done = run(["bash", "-c", line], folder)
         status = re.search(r"# status (\d+)", line)
         assert done.returncode == (int(status[1]) if status else 0), f"{line}\n{done.stderr}"
+    return len(typed)
 
 
 def every_python_example_runs(clone: Path) -> None:

@@ -85,7 +85,7 @@ def test_every_picture_is_there(every: dict[str, Results]) -> None:
 def test_outlying_poses_and_sessions_that_judge_have_tables_of_their_own(
     every: dict[str, Results],
 ) -> None:
-    caption = "Residuals of other sessions, registered anew with either arm."
+    caption = "Residuals of other sessions, registered again with each robot file."
     found = tables(document(every["geometry"]))
     assert [cell.text for cell in found["Outlying poses."].rows[0]][:2] == ["monday", "7"]
     table = found[caption]
