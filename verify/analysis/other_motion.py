@@ -19,7 +19,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from scipy.optimize import minimize_scalar
 
 import robots
 from robots.transforms import carry, difference, invert
@@ -115,6 +114,10 @@ def _refuse_other_places(
     Raises:
         InputError: names the mistake, or how far the base is from where it is said to be.
     """
+    from scipy.optimize import (
+        minimize_scalar,
+    )  # slow to load, and few sessions have positions alone
+
     t = instrument.poses.t - offset
     known = written.readings.available(t)
     if known.sum() < MIN_PLACES:

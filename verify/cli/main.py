@@ -1,5 +1,6 @@
 """The command line: `verify COMMAND …`. Known errors take one line, unknown ones a traceback."""
 
+import atexit
 import errno
 import os
 import signal
@@ -69,6 +70,8 @@ def main(arguments: list[str] | None = None) -> None:
     signal.signal(signal.SIGTERM, _interrupt)  # a SIGTERM leaves nothing half-written either
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, _interrupt)
+    # all being done, Python's own end would die of an interruption
+    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
     sys.exit(_status(words))
 
 
