@@ -110,7 +110,7 @@ TABLE_NOTE = (
     "Before the slash: the smallest fault that the diagnosis would detect; after it: the smallest "
     "that it would also identify among all faults it knows. Both hold in four of five such "
     "sessions, all faults tried at once: a little more than where one offset alone is noticed. "
-    "A dash: none, or not tried with this motion."
+    "A dash: nothing shows, or it was not tried with this motion."
 )
 FAULT_NOTE = (
     "Eccentricity: one wave per turn, at the worst phase; tried where a joint turns more "

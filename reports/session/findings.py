@@ -20,7 +20,7 @@ DETECTABILITY_NOTE = (
     "Visible: share of an offset's signal that is left after the fit. Old: the offset was there "
     "at registration. New: it arose later. Detectable: the smallest offset that would be noticed "
     "(false alarm 0.1 %, power 80 %). Separable: the smallest that can be attributed to this joint "
-    "alone. A dash: none, or not known."
+    "alone. A dash: not known."
 )
 CAUSE_NOTE = (
     "A cause is named only where its fit beats every rival's by Δχ² ≥ 15 (at unequal numbers of "

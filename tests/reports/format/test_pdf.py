@@ -63,7 +63,7 @@ def test_the_verdict_is_on_the_first_page(name: str, verdict: str) -> None:
 def test_an_unknown_value_is_a_dash(name: str) -> None:
     text = pdf_text_of(name)
     assert "–" in text
-    assert not re.search(r"\b(None|none|nan|NaN|null|inf)\b", text.replace("A dash: none", ""))
+    assert not re.search(r"\b(None|none|nan|NaN|null|inf)\b", text)
 
 
 def test_markup_in_names_is_set_as_text() -> None:
