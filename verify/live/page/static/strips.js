@@ -99,7 +99,9 @@ export class Strips {
       if (!fill) return;
       fill.style.width = `${Math.min(share, 1) * 100}%`;
       fill.classList.toggle("high", share > 0.7);
-      this.strips[j].level.textContent = `alarm level ${Math.round(Math.min(share, 1) * 100)} %`;
+      const tolerance = this.tolerance?.[j] ?? null;
+      const limit = tolerance === null ? "" : `tolerance ±${tolerance}°, `;
+      this.strips[j].level.textContent = `${limit}alarm level ${Math.round(Math.min(share, 1) * 100)} %`;
     });
   }
 
@@ -134,8 +136,7 @@ export class Strips {
     const bold = element("b");
     bold.textContent = error === null ? "–" : `${signed(error)}°`;
     const rest = u === null ? ` ${row.status === "measured" ? "not told" : row.status.replaceAll("_", " ")}` : ` ± ${(2 * u).toFixed(3)}° (k = 2)`;
-    const tolerance = this.tolerance?.[j] ?? null;
-    part.value.replaceChildren(bold, rest, tolerance === null ? "" : ` of ±${tolerance}°`);
+    part.value.replaceChildren(bold, rest);
   }
 
   /** All joints over the last second against their tolerances: a kind of pill, and words. */
