@@ -32,6 +32,7 @@ from verify.live.station.keys import SimSettings
 from verify.simulation.devices.station import SimulatedStation
 
 RATE, SECONDS, BEGIN, END = 10.0, 14.0, 6.0, 9.0  # pairs a second; s from the devices' opening
+AT_ENDS = 2  # pairs that a watch may begin later or end sooner
 MARGIN = 0.25  # s about begin and end: a reading there belongs to neither
 FALSE = 5.0  # standard uncertainties
 TOLERANCE = 0.5  # deg
@@ -66,6 +67,7 @@ class FaultyDevice:
         self._device, self._name, self._begin = device, name, begin
         self._before: Any = None
         self._held: deque[tuple[float, Any]] = deque()
+        self._struck = False
 
     def __getattr__(self, key: str) -> Any:
         return getattr(self._device, key)
@@ -101,6 +103,9 @@ class FaultyDevice:
             self._before = reading
             return reading
         first = self._before
+        if not self._struck:
+            self._struck = True
+            print(json.dumps({"type": "struck", "q": first.q.tolist()}), flush=True)
         match self._name:
             case "stalled":
                 return replace(reading, q=first.q)
@@ -169,6 +174,7 @@ def run(fault: str) -> Run:
         process = subprocess.Popen(
             [sys.executable, "-m", __name__, fault, *words], cwd=folder, text=True,
             stdout=subprocess.PIPE, stderr=(folder / "errors").open("w"),
+            env=os.environ | {"PYTHONPATH": str(Path(__file__).parents[2])},
         )  # fmt: skip
         if name == "20 viewers":
             listen(process, watched, lambda _: True)
@@ -178,10 +184,16 @@ def run(fault: str) -> Run:
     return watched
 
 
-def true_error(fault: str, began: Any, station: SimulatedStation, t: Array) -> Array:
-    """Encoder less true angle at instants (n,) of the cameras' clock: (n, joints), rad."""
+def true_error(
+    fault: str, began: Any, struck: list[float] | None, station: SimulatedStation, t: Array
+) -> Array:
+    """Encoder less true angle at instants (n,) of the cameras' clock: (n, joints), rad.
+
+    `struck`: the reading that the fault of the readings begins with.
+    """
     station.scene.clock.began = began["t"]
-    q, first = station.scene.joints(t), station.scene.joints(np.array([began["at"]]))
+    q = station.scene.joints(t)
+    first = np.zeros(q.shape[1]) if struck is None else np.array(struck)
     kinds = {"stalled": first - q, "jumped": JUMP + 0 * q, "mirrored": 2 * (first - q)}
     group, _, name = fault.partition(": ")
     wrong = kinds.get(name, 0 * q) if group == "readings" else 0 * q
@@ -198,7 +210,9 @@ def false_figures(fault: str, watched: Run, station: SimulatedStation) -> tuple[
     pairs = [p for p in watched.pairs if p["status"] == "measured"]
     pairs = [p for p in pairs if np.all(np.abs(p["t_s"] - edges) > MARGIN)]
     error, u = (np.array([p[k] for p in pairs], float) for k in ("error_deg", "error_u_deg"))
-    truth = np.rad2deg(true_error(fault, began, station, np.array([p["t_s"] for p in pairs])))
+    struck = watched.others.get("struck", {}).get("q")
+    t = np.array([p["t_s"] for p in pairs])
+    truth = np.rad2deg(true_error(fault, began, struck, station, t))
     ratio = np.abs(error - truth) / u
     count = int(np.sum(np.any(ratio > FALSE, axis=1)))
     faulty = {0, *(np.flatnonzero(np.any(truth != 0, axis=0)) + 1)}
@@ -219,8 +233,9 @@ def row(fault: str, station: SimulatedStation) -> tuple[str, int, bool]:
     alarms = Counter(f"{a['kind']} {a['joint'] or a['device'] or ''}" for a in watched.alarms)
     said = [f"{n} {what}" for what, n in (alarms | watched.watched.get("dropped", {})).items()]
     texts = [text for text in watched.warnings if not text.startswith(USUAL)]
-    silent = not (said or texts or watched.status) and fault not in HARMLESS
-    silent |= any("Traceback" in text for text in texts)
+    lost = len(watched.pairs) < RATE * SECONDS - AT_ENDS
+    silent = lost and not (said or texts or watched.status) and fault not in HARMLESS
+    silent |= any("Traceback" in text for text in texts) or not watched.pairs
     line = (
         f"{fault:28} exit {watched.status:2}  {len(watched.pairs):3} pairs of "
         f"{RATE * SECONDS:.0f}, recorded {summary['pairs']['recorded']:3}, {summary['verdict']}; "
