@@ -82,7 +82,7 @@ def overview_chart(joints: list[dict[str, Any]]) -> charts.Chart | None:
         return None
     marks: list[charts.Mark] = [charts.Level(0.0, "muted")]
     for x, limit in zip(place, tolerance, strict=True):
-        for side in (-limit, limit):
+        for side in (-limit, limit) if np.isfinite(limit) else ():
             ends = np.array([x - 0.42, x + 0.42]), np.array([side, side])
             marks.append(charts.Line(*ends, "tolerance", "tolerance"))
     for shift, error, spread, role, name in (

@@ -55,7 +55,8 @@ _WORDS = {  # msgspec names JSON's types; the user wrote TOML
     "int": "a whole number",
     "str": "a text in quotes",
     "bool": "true or false",
-    "datetime": "a date and time",
+    "datetime": "a date and time, like 2026-10-02T09:30:00Z,",
+    "date": "a day, like 2026-10-02,",
     "array": "a list",
     "object": "a table",
 }
@@ -221,8 +222,10 @@ def _reword(
             return key_error(path, inner, "is missing", "the format needs it", "Add it there.")
         hint = did_you_mean(named["field"], tuple(_all_keys(kind))).strip()
         return key_error(path, inner, "is not known", "", hint or "Leave it out.")
-    wanted = re.search(r"`(.*?)`", what)
-    words = [_WORDS.get(word, word) for word in wanted[1].split(" | ")] if wanted else []
+    wanted = re.search(r"`(.*?)`|RFC3339 encoded (date\w*)", what)
+    words = (
+        [_WORDS.get(word, word) for word in (wanted[1] or wanted[2]).split(" | ")] if wanted else []
+    )
     expected = " or ".join(word for word in words if word != "null") or "a known value"
     expected += what[wanted.end() :] if wanted else ""
     return key_error(path, key, f"is {shorten(_value_at(tree, key))}", f"{expected} is expected")
