@@ -95,7 +95,9 @@ def _sizes(products: FaultProducts, ways: list[_FaultVariant]) -> tuple[Array, A
     listed = (np.sqrt(price) + POWER_SIGMA) / left
     named = (np.sqrt(np.maximum(price, MIN_ADVANTAGE + chance)) + POWER_SIGMA) / left
     same_name = _same_name(products)[:, fault]
-    advantages = required_advantage(products)[fault].T
+    # what begins in the session fits best at one of many instants, by chance too
+    instant = chi2_isf(1 / np.array([f.instants for f in products.faults]), 1)
+    advantages = required_advantage(products)[fault].T + instant[:, None]
     rival = np.full(len(ways), -1)
     for k, beside in _remainders_beside(products, first, last):
         advantage = advantages[k]
