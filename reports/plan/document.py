@@ -1,16 +1,20 @@
 """What the report of a planned session says, in which order. Keys: docs/plan.md."""
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from reports.document import blocks as doc
-from reports.document.charts import column, texts
+from reports.document.charts import column, records, texts
 from reports.document.formatting import (
+    DASH,
     count,
     exact_number,
     expanded,
     finite,
+    join_words,
     lookup_label,
     number,
     percent,
@@ -21,72 +25,17 @@ from reports.document.formatting import (
 from reports.document.formatting import joint_names as name_joints
 from reports.identification.document import observability_table
 from reports.plan import figures
+from reports.plan.words import ASSUMED, CLOCKS, KINDS, PARTS, REASONS, UNITS, PlanNotes
 from reports.results import Results
 from reports.session.figures.evidence import correlation
-
-KINDS = {
-    "offsets": "Offset",
-    "gains": "Gain",
-    "backlash": "Backlash",
-    "eccentricity": "Eccentricity",
-}
-CLOCKS = {
-    "estimated": "found from the motion",
-    "given": "given",
-    "none": "the motion does not show it",
-}
-REASONS = {"gauge": "gauge", "not_supported": "not supported"}
-
-
-class PlanNotes:
-    """Sentences, and notes that stand under tables."""
-
-    SAME_JUDGEMENT = (
-        "Predicted by the judgement itself, from the spots that this motion would show: what the "
-        "run's report will state, if the session is as assumed below and nothing is at fault."
-    )
-    OBSTACLES = (
-        "Obstacles and cables are not known to the plan: bring the arm to the first pose and try "
-        "the motion slowly first."
-    )
-    JOINTS = (
-        "U: expanded uncertainty of the joint's mean error (k as stated). Detectable: the smallest "
-        "constant offset that would be noticed (false alarm 0.1 %, power 80 %). Separable: the "
-        "smallest that can be attributed to this joint alone. Visible: the share of an offset that "
-        "was there at registration. The mean weights every pair alike. The fit behind the "
-        "detectable offset also estimates the errors of rig and LEDs from the whole motion, so it "
-        "may detect less than U."
-    )
-    SOURCES = (
-        "U, k = 2; the largest is the one to mend first. What does not average out "
-        "is no smaller for a longer session."
-    )
-    HIDDEN = (
-        "Base or LEDs were registered through the robot's own encoders: what a registration from "
-        "these hides of an offset, no motion shows."
-    )
-    KINDS = (
-        "U (k = 2): with all requested kinds estimated together. Detectable: the smallest that "
-        "would be noticed if it were alone. A dash: this motion does not show it."
-    )
-    SPAN = (
-        "Upward: the share of pairs whose last travel was upward. Backlash shows where both "
-        "directions occur."
-    )
-    EXCLUDED = "Each posture counts once, under the first that excludes it, in this order."
-    GEOMETRY = (
-        "U (k = 2) of what `verify identify` would find with base and LEDs held as "
-        "their files state them. No motion can determine a gauge."
-    )
-
 
 FIGURES = {
     "plan_detectable": doc.FigurePlan(
         figures.detectable,
-        "Predicted of each joint: expanded uncertainty of its mean error, and the smallest "
-        "constant offset that would be noticed.",
+        "Expanded uncertainty (k = 2) of each joint's mean error, and the smallest constant offset "
+        "that will be noticed.",
         "Two upright bars a joint, in degrees.",
-        "No joint's offset would show.",
+        "This motion shows no joint's offset.",
     ),
     "correlation": doc.FigurePlan(
         correlation,
@@ -98,97 +47,177 @@ FIGURES = {
         figures.over_time,
         "The joints over time.",
         "Strips over time, one a joint, in degrees.",
-        "The motion was not kept.",
+        "The motion was not stored.",
     ),
     "plan_path": doc.FigurePlan(
         figures.path,
-        "The flange's way, the arm at some of the poses, and the cameras with their view; robot's "
-        "base frame.",
-        "Lines in space: the flange's way, the arm's links, the cameras' axes.",
-        "The arm's way was not kept.",
+        "Path of the flange, the arm at some of the poses, and the cameras with their optical "
+        "axes; robot's base frame.",
+        "Lines in space: the path of the flange, the arm's links, the cameras' axes.",
+        "The path of the arm was not stored.",
     ),
     "plan_view": doc.FigurePlan(
         figures.view,
         "The LEDs in both pictures, all pairs of the session.",
-        "Two pictures with the places of every LED in them, in pixels.",
-        "The LEDs' places were not kept.",
+        "Two pictures with the images of every LED, in pixels.",
+        "The LEDs' images were not stored.",
     ),
 }
-
-
-UNITS = {"deg": "°", "percent": "%", "mm": "mm"}
 
 _figure_block = partial(doc.figure_or_text, FIGURES)
 
 
 def document(results: Results) -> doc.Document:
-    """Lay out the whole report."""
+    """Lay out the whole report: how well each joint will be known, the poses, then the evidence."""
     summary = results.summary
-    sections = [verdict, joints, kinds, identifiable_parameters, motion, candidates, conditions]
-    if not summary.get("geometry"):
-        sections.remove(identifiable_parameters)
     fingerprint = text_or_dash(summary.get("robot_fingerprint"))[:23]
+    evidence = [motion, kinds, *([identifiable_parameters] if summary.get("geometry") else [])]
+    appendix = (replace(s(results), part="appendix") for s in (joints, candidates, conditions))
     return doc.lay_out(
         title=f"Planned session of {text_or_dash(summary.get('robot'))}",
-        subtitle="what the next session would show",
+        subtitle="how well each joint will be known",
         footer=f"{doc.software(summary)} · robot {fingerprint}",
-        sections=(section(results) for section in sections),
+        sections=(*(s(results) for s in (prediction, poses, *evidence)), *appendix),
     )
 
 
-def verdict(results: Results) -> doc.Section:
-    """Open with the smallest offset that would be noticed, and with what cannot show."""
+def prediction(results: Results) -> doc.Section:
+    """Say on one page how well each joint will be known, and on which conditions."""
     summary = results.summary
+    facts = doc.Facts(tuple(_facts(summary)), columns=2)
+    blocks = (_answer(summary), facts, _figure_block(results, "plan_detectable"), _known(summary))
+    return doc.Section("verdict", "Prediction", blocks, part="page")
+
+
+def _answer(summary: dict[str, Any]) -> doc.Verdict:
+    """The range of the joints' uncertainties, what would be noticed, and what cannot show."""
     every = summary.get("joints") or []
+    known = {j.get("joint"): finite(j.get("expanded_uncertainty_deg")) for j in every}
     sizes = {j.get("joint"): finite(j.get("minimum_detectable_error_deg")) for j in every}
-    detectable = {joint: size for joint, size in sizes.items() if size is not None}
     blind = [joint for joint, size in sizes.items() if size is None]
+    stated = {joint: u for joint, u in known.items() if u is not None and joint not in blind}
+    detectable = {joint: size for joint, size in sizes.items() if size is not None}
     sentences = []
-    if detectable:
-        worst = max(detectable, key=lambda joint: detectable[joint])
+    if stated:
+        best, worst = min(stated, key=stated.__getitem__), max(stated, key=stated.__getitem__)
         sentences.append(
-            f"A constant offset of {quantity(detectable[worst], '°')} or more would be noticed in "
-            f"{'every joint' if not blind else name_joints(list(detectable))}."
+            f"The mean error of each joint will be known to ± {quantity(stated[best], '°')} "
+            f"(joint {best}) to ± {quantity(stated[worst], '°')} (joint {worst}), k = 2."
         )
+    if detectable:
+        whose = "every joint" if not blind else name_joints(list(detectable))
+        least = quantity(max(detectable.values()), "°")
+        sentences.append(f"A constant offset of {least} or more will be noticed in {whose}.")
     if blind:
-        sentences.append(f"An offset of {name_joints(blind)} cannot show.")
-    remarks = [PlanNotes.SAME_JUDGEMENT, PlanNotes.OBSTACLES]
+        sentences.append(f"This motion cannot show an offset of {name_joints(blind)}.")
+    remarks = [PlanNotes.SAME_ANALYSIS, PlanNotes.OBSTACLES]
+    if exact := summary.get("uncounted"):
+        names = join_words([text_or_dash(name) for name in exact])
+        remarks.insert(0, PlanNotes.EXACT.format(names))
+    if summary.get("rig"):
+        remarks.insert(0, PlanNotes.TO_BE_BUILT)
     if blind and summary.get("through_encoders"):
         remarks.insert(0, PlanNotes.HIDDEN)
-    block = doc.Verdict(
+    return doc.Verdict(
         tone="undecided" if blind else "none",
-        label="What this motion would show",
+        label="How well each joint will be known",
         sentence=" ".join(sentences),
         remarks=tuple(remarks),
     )
+
+
+def _facts(summary: dict[str, Any]) -> list[tuple[str, str]]:
     moved, pairs = summary.get("motion") or {}, summary.get("pairs") or {}
-    clock = summary.get("clock") or {}
+    clock, flange = summary.get("clock") or {}, summary.get("flange") or {}
     facts = [
         ("Robot", text_or_dash(summary.get("robot"))),
-        ("Duration", quantity(moved.get("duration_s"), "s", 3)),
         ("Poses", count(moved.get("poses"))),
+        ("Duration", quantity(moved.get("duration_s"), "s", 3)),
         ("Pairs measured", f"{count(pairs.get('measured'))} of {count(pairs.get('recorded'))}"),
         ("Encoders' clock", lookup_label(CLOCKS, clock.get("source"))),
     ]
     if finite(clock.get("standard_uncertainty_s")) is not None:
         facts.append(("Clock, U (k = 2)", quantity(2e3 * clock["standard_uncertainty_s"], "ms")))
-    return doc.Section("verdict", "Prediction", (block, doc.Facts(tuple(facts))))
+    if flange:
+        mm, deg = (expanded(flange.get(f"standard_uncertainty_{unit}")) for unit in ("mm", "deg"))
+        facts.append(("Flange, one pair", f"± {quantity(mm, 'mm')}, ± {quantity(deg, '°')}"))
+    if rig := summary.get("rig"):
+        size = " × ".join(count(n).replace("\u202f", "") for n in rig["image_size"])
+        facts += [
+            ("Cameras", f"{size} px, {rig['field_of_view_deg']:g}° wide"),
+            ("Baseline, distance", f"{rig['baseline_m']:g} m, {rig['distance_m']:g} m"),
+            ("Turned inwards", f"{rig['vergence_deg']:.1f}° each"),
+            ("LEDs", f"{rig['leds']} on a circle of {rig['led_circle_mm']:g} mm"),
+        ]
+    return facts
+
+
+def _known(summary: dict[str, Any]) -> doc.Table:
+    """Each joint's uncertainty, what it moves at the flange, and what it comes from."""
+    every = summary.get("joints") or []
+    groups = list((every[0].get("parts_deg") if every else None) or {})
+    columns = [
+        doc.Column("Joint", "c", doc.field("joint")),
+        doc.Column("U [°]", "r", doc.field("expanded_uncertainty_deg", significant)),
+        doc.Column("at the flange [mm]", "r", _at_flange),
+        *(doc.Column(f"{PARTS.get(g, g)} [°]", "r", _part_field(g)) for g in groups),
+        doc.Column("Detectable [°]", "r", doc.field("minimum_detectable_error_deg", significant)),
+    ]
+    notes = [PlanNotes.KNOWN]
+    if any(finite(j.get("tolerance_deg")) is not None for j in every):
+        columns += [
+            doc.Column("Tolerance [°]", "r", doc.field("tolerance_deg", exact_number)),
+            doc.Column("Conforms to [°]", "r", doc.field("conform_limit_deg", significant)),
+        ]
+        notes.append(PlanNotes.CONFORMS)
+    title = "How well the mean error of each joint will be known, and what limits it (k = 2)."
+    return doc.tabulate(title, columns, every, *notes)
+
+
+def _at_flange(joint: Mapping[str, Any]) -> str:
+    u, lever = finite(joint.get("expanded_uncertainty_deg")), finite(joint.get("lever_mm"))
+    return DASH if u is None or lever is None else significant(math.radians(u) * lever)
+
+
+def _part_field(group: str) -> Callable[[Mapping[str, Any]], str]:
+    return lambda joint: significant(expanded((joint.get("parts_deg") or {}).get(group)))
+
+
+def poses(results: Results) -> doc.Section:
+    """List the poses, each where it is first reached."""
+    entries = [
+        entry
+        for number_of, entry in enumerate(records(results.table("poses")))
+        if finite(entry.get("pose")) == 1 or (number_of and finite(entry.get("pose")) is not None)
+    ]
+    first = {finite(entry["pose"]): entry for entry in reversed(entries)}
+    columns = [
+        doc.Column("Pose", "c", doc.field("pose", count)),
+        doc.Column("First reached [s]", "r", doc.field("arrive_s", number, 1)),
+    ]
+    for joint in results.summary.get("joints") or []:
+        name = f"q{joint.get('joint')}"
+        columns.append(doc.Column(f"{name} [°]", "r", doc.field(f"{name}_deg", number, 1)))
+    listed = [first[pose] for pose in sorted(p for p in first if p is not None)]
+    table = doc.tabulate("The poses.", columns, listed, PlanNotes.POSES)
+    return doc.Section("poses", "Poses", (table,))
 
 
 def joints(results: Results) -> doc.Section:
-    """Give each joint's uncertainty, and what would be noticed and told apart."""
+    """Give each joint's uncertainty, its sources, and how the joints' errors correlate."""
     columns = (
         doc.Column("Joint", "c", doc.field("joint")),
         doc.Column("U [°]", "r", doc.field("expanded_uncertainty_deg", significant)),
         doc.Column("k", "r", doc.field("coverage_factor", number, 2)),
+        doc.Column("largest U [°]", "r", doc.expanded_field("largest_standard_uncertainty_deg")),
         doc.Column("Detectable [°]", "r", doc.field("minimum_detectable_error_deg", significant)),
         doc.Column("Separable [°]", "r", doc.field("minimum_separable_error_deg", significant)),
         doc.Column("Visible", "r", doc.field("visible_fraction", percent)),
     )
     title = "Predicted uncertainty and detectable error of each joint."
     table = doc.tabulate(title, columns, results.summary.get("joints") or [], PlanNotes.JOINTS)
-    blocks = [table, _figure_block(results, "plan_detectable"), *_sources(results)]
-    return doc.Section("joints", "Joints", (*blocks, _figure_block(results, "correlation")))
+    blocks = [table, *_sources(results), _figure_block(results, "correlation")]
+    return doc.Section("joints", "Joints", tuple(blocks))
 
 
 def _sources(results: Results) -> tuple[doc.Block, ...]:
@@ -268,8 +297,21 @@ def motion(results: Results) -> doc.Section:
     )
     entries = results.summary.get("joints") or []
     table = doc.tabulate("How the joints move.", columns, entries, PlanNotes.SPAN)
-    shown = (_figure_block(results, name) for name in ("plan_joints", "plan_path", "plan_view"))
-    return doc.Section("motion", "Motion", (table, *shown))
+    path, view, angles = (
+        _figure_block(results, name) for name in ("plan_path", "plan_view", "plan_joints")
+    )
+    return doc.Section("motion", "Motion", (path, _cameras(results), view, table, angles))
+
+
+def _cameras(results: Results) -> doc.Table:
+    """Where the cameras stand, and where they look."""
+    columns = (
+        doc.Column("Camera", "l", doc.field("camera")),
+        *(doc.Column(f"{a} [mm]", "r", doc.field(f"{a}_mm", number, 0)) for a in "xyz"),
+        *(doc.Column(f"axis {a}", "r", doc.field(f"axis_{a}", number)) for a in "xyz"),
+    )
+    entries = records(results.table("cameras"))
+    return doc.tabulate("Where the cameras stand and look; robot's base frame.", columns, entries)
 
 
 def candidates(results: Results) -> doc.Section:
@@ -287,23 +329,30 @@ def candidates(results: Results) -> doc.Section:
 
 
 def conditions(results: Results) -> doc.Section:
-    """Say what the session is taken to be like, and what the plan was made from."""
+    """State the assumptions about the session, and the files that the plan was made from."""
     taken = results.summary.get("conditions") or {}
     moved = results.summary.get("motion") or {}
     clock = taken.get("clock_standard_uncertainty_ms")
     clock_text = lookup_label(CLOCKS, "estimated") if clock is None else quantity(clock, "ms")
     facts = doc.Facts(
         (
-            ("Stereo pairs a second", exact_number(taken.get("rate_hz"))),
+            ("Stereo pairs per second", exact_number(taken.get("rate_hz"))),
             ("Right picture after the left", quantity(taken.get("skew_ms"), "ms")),
             ("Scatter of an LED's image (1σ)", quantity(taken.get("spot_noise_px"), "px")),
-            ("Encoder readings a second", exact_number(taken.get("reading_rate_hz"))),
+            ("Encoder readings per second", exact_number(taken.get("reading_rate_hz"))),
             ("Scatter of a reading (1σ)", quantity(taken.get("reading_noise_deg"), "°")),
             ("Encoders' clock known to (1σ)", clock_text),
             ("LEDs seen from the flange's z", quantity(moved.get("view_angle_deg"), "°", 3)),
             ("Software", doc.software(results.summary)),
         )
     )  # fmt: skip
-    return doc.Section(
-        "conditions", "Assumptions, files and software", (facts, *doc.provenance(results.summary))
-    )
+    blocks: list[doc.Block] = [facts]
+    if rig := results.summary.get("rig"):
+        rows = tuple(
+            doc.row(ASSUMED.get(name, name), exact_number(u))
+            for name, u in rig["standard_uncertainties"].items()
+        )
+        title = "Standard uncertainties assumed of a rig that does not exist yet (k = 1)."
+        blocks.append(doc.Table(title, "lr", ("Of", "Assumed"), rows, (PlanNotes.ASSUMED,)))
+    blocks += doc.provenance(results.summary)
+    return doc.Section("conditions", "Assumptions, files and software", tuple(blocks))

@@ -15,7 +15,7 @@ from verify.core.records import Array
 from verify.planning import roadmap
 from verify.planning.plan import SessionPlan, plan_motion
 from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
-from verify.planning.timing import TimedMotion
+from verify.planning.selection import TimedMotion
 from verify.simulation.scenario import (
     MultiJoint,
     Scenario,

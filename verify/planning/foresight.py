@@ -21,7 +21,12 @@ from scipy.spatial.transform import Rotation
 import robots
 from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
 from verify.analysis.comparison import Comparison, compare
-from verify.analysis.joint_errors import MeanErrors, mean_errors, resolve_errors
+from verify.analysis.joint_errors import (
+    MeanErrors,
+    ResolvedErrors,
+    mean_errors,
+    resolve_errors,
+)
 from verify.analysis.model import (
     JointErrorModel,
     Observability,
@@ -110,6 +115,7 @@ class PredictedAnalysis:
     """The analysis of a predicted session."""
 
     means: MeanErrors
+    resolved: ResolvedErrors
     visibility: Observability
 
 
@@ -154,8 +160,9 @@ def simulate_session(
 def estimate_means(session: PredictedSession) -> PredictedAnalysis:
     """Estimate mean errors and their uncertainty as `verify run` does."""
     model = session.model
-    means = mean_errors(model, resolve_errors(model), session.systematics)
-    return PredictedAnalysis(means, visibility(model))
+    resolved = resolve_errors(model)
+    means = mean_errors(model, resolved, session.systematics)
+    return PredictedAnalysis(means, resolved, visibility(model))
 
 
 class _SyntheticPairs:

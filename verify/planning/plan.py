@@ -19,8 +19,7 @@ from verify.planning.prediction import (
 )
 from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
 from verify.planning.roadmap import Roadmap, build_roadmap
-from verify.planning.selection import MIN_POSES, predict_visits
-from verify.planning.timing import TimedMotion
+from verify.planning.selection import MIN_POSES, TimedMotion, predict_visits
 
 Progress = Callable[[int, int, str], None]
 STAGES = ("postures in view", "poses", "session foreseen")

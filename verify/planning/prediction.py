@@ -1,13 +1,18 @@
-"""Predict the uncertainty and the detectable size of every requested fault, and its sources."""
+"""Predict what a session will show: every requested fault, flange and joints, and the sources.
+
+A joint's angle of uncertainty U moves the flange by U times its lever, the distance between the
+joint's axis and the flange.
+"""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from verify.analysis.joint_errors import mean_sensitivities, resolve_errors
+from verify.analysis.joint_errors import mean_sensitivities
 from verify.analysis.least_squares import residual_products, solve
 from verify.analysis.model import DETECTION_SIGMA, JointErrorModel, clock_effect, prior_columns
+from verify.analysis.verdict import GUARD_FACTOR
 from verify.calibration.kinematics.chain import Parameter
 from verify.calibration.kinematics.identifiability import (
     Identifiability,
@@ -23,6 +28,17 @@ from verify.planning.request import FAULT_KINDS, PlanningSetup
 JOINT_KINDS = tuple(name for name in FAULT_KINDS if name not in ("kinematics", "clock"))
 RANDOM_SOURCE, CLOCK_SOURCE, PAN_SOURCE = "pixels, alignment, readings", "clock", "pan angle"
 TOL_COLUMN = 1e-6  # of a column's squared length: rounding
+TOL_LEVER = 1e-6  # m: rounding of a flange that lies on the axis
+GROUPS = {
+    RANDOM_SOURCE: "pixels",
+    "rig": "calibration",
+    PAN_SOURCE: "calibration",
+    "robot base": "registration",
+    "LED body": "registration",
+    "LED positions": "leds",
+    "apparent LED centre": "leds",
+    CLOCK_SOURCE: "clock",
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +153,7 @@ def uncertainty_sources(
 ) -> list[UncertaintyShare]:
     """Split the mean errors' uncertainties by source: the squares add up where all are stated."""
     found = [UncertaintyShare(RANDOM_SOURCE, analysis.means.random)]
-    by_row = mean_sensitivities(session.model, resolve_errors(session.model))
+    by_row = mean_sensitivities(session.model, analysis.resolved)
     for name, columns in _columns(session):
         share: Array = np.linalg.norm(by_row @ session.model.white.rows(columns), axis=1)
         if np.any(share > 0):
@@ -161,3 +177,50 @@ def _columns(session: PredictedSession) -> Iterator[tuple[str, Array]]:
     if clock.source == "given" and clock.standard_uncertainty:  # else the means' fit frees it
         parts[CLOCK_SOURCE] = clock_effect(comparison) * clock.standard_uncertainty
     yield from parts.items()
+
+
+@dataclass(frozen=True, slots=True)
+class FlangeUncertainty:
+    """Standard uncertainty of one pair's flange pose: worst direction, median of the pairs."""
+
+    position: float  # m
+    orientation: float  # rad
+
+
+def flange_uncertainty(session: PredictedSession) -> FlangeUncertainty:
+    """Predict what one pair tells of the flange: pixels, and all that is stated."""
+    exact = replace(session.clock, standard_uncertainty=None)
+    columns = prior_columns(session.comparison, session.track, exact, session.systematics)
+    covariance = session.track.covariance_pixels[session.comparison.index]
+    covariance = covariance + columns @ np.swapaxes(columns, 1, 2)
+    position, orientation = (
+        float(np.median(np.sqrt(np.linalg.eigvalsh(covariance[:, part, part])[:, -1])))
+        for part in (slice(0, 3), slice(3, 6))
+    )
+    return FlangeUncertainty(position, orientation)
+
+
+def joint_levers(session: PredictedSession) -> Array:
+    """Largest distance between each joint's axis and the flange in the session, (j,), m."""
+    levers: Array = np.linalg.norm(session.comparison.jacobian[:, :3], axis=1).max(axis=0)
+    return np.where(levers > TOL_LEVER, levers, 0.0)
+
+
+def group_sources(sources: list[UncertaintyShare]) -> dict[str, Array]:
+    """Add up the sources by what is to be done about them: standard uncertainty (j,), rad, each."""
+    variance: dict[str, Array] = {}
+    for one in sources:
+        group = GROUPS.get(one.name, "calibration")
+        variance[group] = variance.get(group, np.zeros(len(one.share))) + one.share**2
+    return {name: np.sqrt(of) for name, of in variance.items()}
+
+
+def conform_limits(analysis: PredictedAnalysis, tolerance: Array) -> Array:
+    """The largest error of each joint that would be judged to conform, (j,), rad.
+
+    `tolerance` (j,), rad. nan: undecided whatever the error, or the joint's offset cannot show.
+    """
+    largest = analysis.resolved.uncertainty.max(axis=0)
+    limit = tolerance - GUARD_FACTOR * largest
+    decided = (limit > 0) & (analysis.visibility.detectable <= tolerance)
+    return np.where(decided, limit, np.nan)

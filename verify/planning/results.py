@@ -12,11 +12,21 @@ from reports import Results
 from verify.analysis.results.entries import correlation_entry, finite_number
 from verify.core.records import Array, Measurement
 from verify.core.version import __version__
-from verify.planning.links import LinkChain
+from verify.planning.constraints import LinkChain
+from verify.planning.foresight import PredictedSession
 from verify.planning.plan import SessionPlan, SessionPrediction
-from verify.planning.prediction import PredictedIdentifiability, uncertainty_sources
+from verify.planning.prediction import (
+    PredictedIdentifiability,
+    UncertaintyShare,
+    conform_limits,
+    flange_uncertainty,
+    group_sources,
+    joint_levers,
+    uncertainty_sources,
+)
+from verify.planning.proposal import ProposedRig
 from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
-from verify.planning.timing import PERIOD, TimedMotion
+from verify.planning.selection import PERIOD, TimedMotion
 
 MAX_DRAWN_ARMS = 6  # of the poses, in the picture of the path
 FLANGE_STEP = 0.25  # s between the points of the flange's path
@@ -104,11 +114,11 @@ def fault_table(predicted: SessionPrediction) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names)
 
 
-def source_table(predicted: SessionPrediction) -> pd.DataFrame:
+def source_table(sources: list[UncertaintyShare]) -> pd.DataFrame:
     """Sources of each joint's uncertainty."""
     rows = [
         (j + 1, one.name, u)
-        for one in uncertainty_sources(predicted.session, predicted.analysis)
+        for one in sources
         for j, u in enumerate(np.rad2deg(one.share).tolist())
     ]
     return pd.DataFrame(rows, columns=["joint", "source", "standard_uncertainty_deg"])
@@ -127,12 +137,15 @@ class PlanProvenance:
     conditions: SessionConditions
     inputs: dict[str, str]  # "sha256:…" by name
     warnings: tuple[str, ...]
+    proposed: ProposedRig | None = None  # a rig that does not exist yet
+    tolerance: Array | None = None  # (j,), rad
 
 
 def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
     """Turn a plan into summary and tables as docs/plan.md lists them."""
     predicted, timed = made.prediction, made.timed
     session = predicted.session
+    sources = uncertainty_sources(session, predicted.analysis)
     summary: dict[str, Any] = {
         "format": 1,
         "kind": "plan",
@@ -145,7 +158,16 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         "candidates": {"tried": made.roadmap.tried, "excluded": made.roadmap.excluded},
         "conditions": _conditions(origin.conditions),
         "image_size": list(origin.setup.rig.image_size),
-        "joints": _joints(predicted, timed),
+        "rig": None if origin.proposed is None else rig_entry(origin.proposed),
+        "flange": flange_entry(session),
+        "joints": [
+            moved | known
+            for moved, known in zip(
+                _joints(predicted, timed),
+                accuracy_entries(predicted, sources, origin.tolerance),
+                strict=True,
+            )
+        ],
         "joint_error_correlation": correlation_entry(predicted.analysis.means.covariance),
         "clock": _clock(predicted),
         "geometry": None if predicted.geometry is None else _geometry(predicted.geometry),
@@ -162,9 +184,52 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         "arm": arm_table(timed, origin.setup),
         "cameras": camera_table(origin.setup),
         "shown": fault_table(predicted),
-        "sources": source_table(predicted),
+        "sources": source_table(sources),
     }
     return Results(summary=summary, setup={}, tables=kept)
+
+
+def rig_entry(proposed: ProposedRig) -> dict[str, Any]:
+    """Describe a rig that does not exist yet, with the standard uncertainties taken as typical."""
+    return {
+        "image_size": list(proposed.image_size),
+        "field_of_view_deg": float(np.rad2deg(proposed.field_of_view)),
+        "focal_px": proposed.focal,
+        "baseline_m": proposed.baseline,
+        "distance_m": proposed.distance,
+        "vergence_deg": float(np.rad2deg(proposed.vergence)),
+        "leds": proposed.leds,
+        "led_circle_mm": proposed.led_circle * 1e3,
+        "standard_uncertainties": dict(proposed.uncertainties),
+    }
+
+
+def flange_entry(session: PredictedSession) -> dict[str, Any]:
+    """Standard uncertainty of the flange as one pair measures it."""
+    flange = flange_uncertainty(session)
+    return {
+        "standard_uncertainty_mm": finite_number(flange.position * 1e3),
+        "standard_uncertainty_deg": _deg(flange.orientation),
+    }
+
+
+def accuracy_entries(
+    predicted: SessionPrediction, sources: list[UncertaintyShare], tolerance: Array | None
+) -> list[dict[str, Any]]:
+    """Each joint's lever, largest uncertainty, what its mean's comes from, and what conforms."""
+    levers, parts = joint_levers(predicted.session), group_sources(sources)
+    largest = predicted.analysis.resolved.uncertainty.max(axis=0)
+    limits = None if tolerance is None else conform_limits(predicted.analysis, tolerance)
+    return [
+        {
+            "lever_mm": finite_number(levers[j] * 1e3),
+            "largest_standard_uncertainty_deg": _deg(largest[j]),
+            "parts_deg": {name: _deg(u[j]) for name, u in parts.items()},
+            "tolerance_deg": None if tolerance is None else _deg(tolerance[j]),
+            "conform_limit_deg": None if limits is None else _deg(limits[j]),
+        }
+        for j in range(len(levers))
+    ]
 
 
 def _motion(timed: TimedMotion, origin: PlanProvenance) -> dict[str, Any]:

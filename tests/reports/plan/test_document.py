@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from reports import render_html, render_pdf
-from reports.document.blocks import Verdict, collect_figures
+from reports.document.blocks import Facts, Verdict, collect_figures
 from reports.plan.document import document
 from reports.results import Results
 from tests.support import planning
 from tests.support.reports.page import tables
+from verify.planning.proposal import ProposedRig
 from verify.planning.request import FAULT_KINDS
-from verify.planning.results import PlanProvenance, plan_results
+from verify.planning.results import PlanProvenance, plan_results, rig_entry
 
 PICTURES = {"plan_detectable", "correlation", "plan_joints", "plan_path", "plan_view"}
 DOUBT = (
@@ -48,8 +49,10 @@ def every() -> dict[str, Results]:
 def test_the_verdict_is_first(every: dict[str, Results]) -> None:
     first = document(every["plain"]).sections[0].blocks[0]
     assert isinstance(first, Verdict)
-    assert first.sentence.startswith("A constant offset of 0.")
-    assert first.sentence.endswith("° or more would be noticed in every joint.")
+    assert first.sentence.startswith("The mean error of each joint will be known to ± 0.")
+    assert "A constant offset of 0." in first.sentence
+    assert first.sentence.endswith("° or more will be noticed in every joint.")
+    assert any("Taken as exact" in remark for remark in first.remarks)
 
 
 def test_undetectable_offsets_are_stated_with_the_cause(every: dict[str, Results]) -> None:
@@ -59,9 +62,48 @@ def test_undetectable_offsets_are_stated_with_the_cause(every: dict[str, Results
     first = sections[0].blocks[0]
     assert isinstance(first, Verdict)
     assert "noticed in joints 2, 3, 4 and 5." in first.sentence
-    assert "An offset of joints 1 and 6 cannot show." in first.sentence
+    assert "This motion cannot show an offset of joints 1 and 6." in first.sentence
     assert first.tone == "undecided"
     assert first.remarks[0].startswith("Base or LEDs were registered through")
+
+
+def test_the_poses_follow_the_answer(every: dict[str, Results]) -> None:
+    """Each pose once, where it is first reached."""
+    for one in every.values():
+        assert [section.name for section in document(one).sections[:2]] == ["verdict", "poses"]
+    table = tables(document(every["plain"]))["The poses."]
+    assert [row[0].text for row in table.rows] == ["1", "2", "3", "4", "5"]
+    reached = [float(row[1].text) for row in table.rows]
+    assert reached == sorted(reached)
+    stops = every["plain"].table("poses")
+    third = stops[stops["pose"] == 3].iloc[0]
+    assert float(table.rows[2][2].text.replace("−", "-")) == pytest.approx(
+        third["q1_deg"], abs=0.05
+    )
+
+
+def test_a_rig_to_be_built_is_described_with_what_is_assumed(every: dict[str, Results]) -> None:
+    plain = every["plain"]
+    rig = ProposedRig()
+    summary = plain.summary | {"rig": rig_entry(rig)}
+    page = document(replace(plain, summary=summary))
+    first, facts = page.sections[0].blocks[:2]
+    assert isinstance(first, Verdict)
+    assert isinstance(facts, Facts)
+    assert any("does not exist yet" in remark for remark in first.remarks)
+    assert dict(facts.items)["Cameras"] == "1280 × 720 px, 60° wide"
+    assumed = tables(page)[
+        "Standard uncertainties assumed of a rig that does not exist yet (k = 1)."
+    ]
+    assert [float(row[1].text) for row in assumed.rows] == list(rig.uncertainties.values())
+
+
+def test_parts_make_up_the_uncertainty_that_is_printed(every: dict[str, Results]) -> None:
+    caption = "How well the mean error of each joint will be known, and what limits it (k = 2)."
+    table = tables(document(every["plain"]))[caption]
+    for row in table.rows:
+        whole, parts = float(row[1].text), [float(cell.text) for cell in row[3:-1]]
+        assert whole**2 == pytest.approx(sum(part**2 for part in parts), rel=0.15)
 
 
 def test_every_picture_is_there(every: dict[str, Results]) -> None:

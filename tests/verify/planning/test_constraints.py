@@ -9,8 +9,15 @@ import robots
 from tests.support.planning import HOME_DEG, wish
 from tests.support.scene import project
 from verify.errors import InputError
-from verify.planning.constraints import MARGIN_PX, REASONS, PostureConstraints, visible_leds
-from verify.planning.links import SPACING, LinkChain, dexterity
+from verify.planning.constraints import (
+    MARGIN_PX,
+    REASONS,
+    SPACING,
+    LinkChain,
+    PostureConstraints,
+    dexterity,
+    visible_leds,
+)
 from verify.planning.request import PlanningSetup, PlanRequest
 from verify.planning.roadmap import build_roadmap, clear_legs
 

@@ -12,7 +12,7 @@ from verify.planning.design import DesignInformation, choose_poses, log_informat
 from verify.planning.plan import SessionPlan
 from verify.planning.request import PlanningSetup
 from verify.planning.roadmap import MotionStop, clear_legs
-from verify.planning.timing import PACES, joint_limits, schedule
+from verify.planning.selection import PACES, joint_limits, schedule
 
 
 def drawn(seed: int, poses: int = 9) -> DesignInformation:

@@ -7,7 +7,13 @@ from typing import Annotated
 
 import typer
 
-from verify.cli.options import ReplaceFiles, require_positive
+from verify.cli.options import (
+    JointTolerance,
+    ReplaceFiles,
+    ToleranceOptions,
+    refuse_options,
+    require_positive,
+)
 from verify.errors import InputError
 
 DEFAULT_POSES = 12
@@ -26,62 +32,97 @@ class ObservableChoice(StrEnum):
 
 def plan(
     robot: Annotated[str, typer.Argument(help="An arm's name, a robot file or a URDF.")],
-    rig: Annotated[Path, typer.Argument(help="rig.toml, or a folder that holds one.")],
+    rig: Annotated[
+        Path | None,
+        typer.Argument(help="rig.toml, or a folder that holds one; without it a rig to be built."),
+    ] = None,
+    camera: Annotated[
+        list[str] | None,
+        typer.Option(help="Of a rig to be built: pixels, horizontal view: 1280x720,60deg."),
+    ] = None,
+    baseline: Annotated[
+        list[str] | None, typer.Option(help="Between its cameras: 0.4 (metres) or 400mm.")
+    ] = None,
+    distance: Annotated[
+        list[str] | None, typer.Option(help="From the cameras to the arm's work: 1.0 or 1000mm.")
+    ] = None,
+    led: Annotated[
+        list[str] | None, typer.Option(help="LEDs and the circle that they stand on: 4,120mm.")
+    ] = None,
+    assume: Annotated[
+        list[str] | None,
+        typer.Option(help="Standard uncertainty of a rig to be built: base_position_mm=0.2."),
+    ] = None,
+    table: Annotated[
+        bool,
+        typer.Option("--table", help="A row for each rig that the values describe."),
+    ] = False,
+    tolerance: JointTolerance = None,
     marker: Annotated[
-        Path | None, typer.Option(help="marker.toml; without it the one beside the rig.")
+        Path | None, typer.Option(help="marker.toml; default: the one beside the rig.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Where the plan goes; ROBOT-plan.")
+        Path | None, typer.Option("-o", "--out", help="Folder of the plan; default: ROBOT-plan.")
     ] = None,
     observe: Annotated[
         list[ObservableChoice] | None,
-        typer.Option(help="What is to be shown; repeatable. Offsets, gains, backlash, clock."),
+        typer.Option(help="To be shown; repeatable. Default: offsets, gains, backlash, clock."),
     ] = None,
     poses: Annotated[
-        int | None, typer.Option(min=4, max=60, help="How many poses; 12 without --duration-s.")
+        int | None, typer.Option(min=4, max=60, help="Number of poses; 12 without --duration-s.")
     ] = None,
     duration_s: Annotated[
-        float | None, typer.Option(help="As many poses as fit into so many seconds.")
+        float | None, typer.Option(help="Duration, filled with as many poses as fit.")
     ] = None,
     hold_s: Annotated[float, typer.Option(min=0.0, help="Seconds of rest at each pose.")] = 0.5,
     speed_deg_s: Annotated[
-        float, typer.Option(help="The most of any joint; the arm's own limits hold as well.")
+        float, typer.Option(help="Greatest speed of any joint; the arm's own limits also apply.")
     ] = 30.0,
     near: Annotated[
-        str | None, typer.Option(help="A posture to stay about, degrees: 0,-60,45,0,-85,15.")
+        str | None, typer.Option(help="Posture to stay near, degrees: 0,-60,45,0,-85,15.")
     ] = None,
     within_deg: Annotated[
-        float, typer.Option(help="How far each joint may go from --near.")
+        float, typer.Option(help="Greatest distance of each joint from --near.")
     ] = 45.0,
     floor_mm: Annotated[
-        float, typer.Option(help="Nothing of the arm goes below; robot's base frame.")
+        float, typer.Option(help="Lowest height of any part of the arm; robot's base frame.")
     ] = 0.0,
     view_angle_deg: Annotated[
-        float, typer.Option(help="LEDs are seen so far from the flange's z; 180: all round.")
+        float,
+        typer.Option(help="LEDs are visible up to this angle from the flange's z; 180: all."),
     ] = 60.0,
-    rate_hz: Annotated[float, typer.Option(help="Stereo pairs a second.")] = 10.0,
+    rate_hz: Annotated[float, typer.Option(help="Stereo pairs per second.")] = 10.0,
     spot_noise_px: Annotated[
         float, typer.Option(help="Standard uncertainty of an LED's image, each coordinate.")
     ] = 0.05,
     reading_noise_deg: Annotated[
         float, typer.Option(help="Standard deviation of an encoder reading.")
     ] = 0.01,
-    skew_ms: Annotated[float, typer.Option(help="Right picture after the left.")] = 0.0,
+    skew_ms: Annotated[float, typer.Option(help="Right picture after the left picture.")] = 0.0,
     clock_uncertainty_ms: Annotated[
         float | None,
-        typer.Option(help="Of an encoder clock that will be given; else found from the motion."),
+        typer.Option(help="Of a clock offset that will be stated; else it is estimated."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Of the postures that are drawn.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random postures.")] = 0,
     force: ReplaceFiles = False,
 ) -> None:
-    """Plan a motion that shows what you ask, and predict how well.
+    """Plan a motion that shows what you ask, and predict how well each joint will be known.
+
+    With RIG for cameras that are calibrated; without it for a rig that does not exist yet, with
+    typical uncertainties. Give several cameras, baselines, distances or LEDs to compare rigs.
 
     The LEDs stay in view of both cameras, joints within limits and clear of singularities, every
     joint turns both ways. Obstacles are not known: try the motion slowly first.
 
-    Example: verify plan iust_6r rig.toml --observe offsets --observe backlash -o next_session
+    Example: verify plan iust_6r --camera 1280x720,60deg --baseline 0.4 --distance 1.5 -o rig_plan
     """
-    from verify.cli.plan.session import parse_posture, plan_session, planning_setup
+    from verify.cli.plan.proposal import (
+        compare_rigs,
+        describing_remedies,
+        propose_setup,
+        proposed_rigs,
+    )
+    from verify.cli.plan.session import load_arm, parse_posture, plan_session, planning_setup
     from verify.planning.request import DEFAULT_KINDS, PlanRequest, SessionConditions
     from verify.planning.results import PlanProvenance
 
@@ -101,7 +142,9 @@ def plan(
     if not abs(skew_ms) * 1e-3 < 1 / rate_hz:
         expected = "less than the time between two pairs"
         raise InputError("--skew-ms", f"{skew_ms:g} ms", expected)
-    setup, inputs, warnings = planning_setup(robot, rig, marker)
+    arm = load_arm(robot)
+    built = {"--camera": camera, "--baseline": baseline, "--distance": distance, "--led": led}
+    _check_rig(rig, built | {"--assume": assume}, marker, table=table)
     request = PlanRequest(
         observe=tuple(dict.fromkeys(kind.value for kind in observe or ())) or DEFAULT_KINDS,
         poses=None if duration_s is not None else poses or DEFAULT_POSES,
@@ -110,7 +153,7 @@ def plan(
         speed=radians(speed_deg_s),
         view_angle=radians(min(view_angle_deg, 180.0)),
         floor=floor_mm * 1e-3,
-        near=None if near is None else parse_posture(near, setup.arm),
+        near=None if near is None else parse_posture(near, arm),
         within=radians(within_deg),
         seed=seed,
     )
@@ -121,5 +164,43 @@ def plan(
         reading_noise=radians(reading_noise_deg),
         clock_uncertainty=None if clock_uncertainty_ms is None else clock_uncertainty_ms * 1e-3,
     )
-    provenance = PlanProvenance(setup, request, conditions, inputs, warnings)
-    plan_session(provenance, out, force=force)
+    allowed = ToleranceOptions(tolerance, None, None).tolerance(arm.dof).joints
+    if rig is not None:
+        setup, inputs, warnings = planning_setup(arm, rig, marker)
+        provenance = PlanProvenance(setup, request, conditions, inputs, warnings, None, allowed)
+        plan_session(provenance, out, force=force)
+        return
+    rigs = proposed_rigs(built, assume or [], table=table)
+    if table or len(rigs) > 1:
+        refuse_options(
+            {"--tolerance": tolerance is not None}, f"is given with {len(rigs)} rigs",
+            "a table of rigs has uncertainties alone", "Leave it out, or give one rig.",
+        )  # fmt: skip
+        compare_rigs(arm, rigs, request, conditions, out, force=force)
+        return
+    setup, request = propose_setup(arm, rigs[0], request)
+    provenance = PlanProvenance(setup, request, conditions, {}, (), rigs[0], allowed)
+    with describing_remedies():
+        plan_session(provenance, out, force=force)
+
+
+def _check_rig(
+    rig: Path | None, built: dict[str, list[str] | None], marker: Path | None, *, table: bool
+) -> None:
+    """Refuse options that contradict each other; `built` describes a rig to be built."""
+    if rig is not None:
+        refuse_options(
+            {name: bool(value) for name, value in built.items()} | {"--table": table},
+            f"is given with {rig}", "it describes a rig that is still to be built",
+            "Leave RIG out, or the option.",
+        )  # fmt: skip
+        return
+    if not table and not any(built.values()):
+        raise InputError(
+            "RIG", "is not given", "a rig.toml is needed, or a description of a rig to be built",
+            "Example: verify plan iust_6r --camera 1280x720,60deg --baseline 0.4 --distance 1.5",
+        )  # fmt: skip
+    refuse_options(
+        {"--marker": marker is not None}, "is given without RIG",
+        "a rig to be built has the LEDs of --led", "Give RIG as well.",
+    )  # fmt: skip

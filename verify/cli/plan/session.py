@@ -3,11 +3,13 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 import robots
 from reports import Results
+from reports.document.formatting import expanded, significant
 from verify.cli.terminal import report_files, terminal
 from verify.core.records import Array
 from verify.errors import InputError
@@ -21,6 +23,13 @@ from verify.planning.request import PlanningSetup
 from verify.planning.results import PlanProvenance, plan_results
 
 RIG_FILE, MARKER_FILE = "rig.toml", "marker.toml"
+GROUP_NAMES = {
+    "pixels": "pixels",
+    "calibration": "calibration",
+    "registration": "registration",
+    "leds": "LED places",
+    "clock": "clock",
+}
 MIN_DIRECTION_SHARE = 0.1  # share of pairs of one direction of travel: below, worth a warning
 MIN_MEASURED_SHARE = 0.8  # share of pairs that are measured: below, worth a warning
 
@@ -51,22 +60,26 @@ def plan_session(provenance: PlanProvenance, out: Path | None, *, force: bool) -
     _print_summary(results, target)
 
 
+def load_arm(robot: str) -> robots.Arm:
+    """Load an arm by its name, robot file or URDF; InputError: it cannot be used."""
+    try:
+        return robots.load(robot)
+    except robots.RobotError as problem:
+        raise InputError(
+            problem.place, problem.found, problem.expected, problem.remedy
+        ) from problem
+
+
 def planning_setup(
-    robot: str, rig: Path, marker: Path | None
+    arm: robots.Arm, rig: Path, marker: Path | None
 ) -> tuple[PlanningSetup, dict[str, str], tuple[str, ...]]:
-    """Read arm (a name, a robot file, a URDF), rig and LEDs; the files' digests, and warnings.
+    """Read rig and LEDs of an arm; the files' digests, and warnings.
 
     `rig` is a rig.toml or its folder; `marker` None is the marker.toml beside it.
 
     Raises:
         InputError: a file cannot be used.
     """
-    try:
-        arm = robots.load(robot)
-    except robots.RobotError as problem:
-        raise InputError(
-            problem.place, problem.found, problem.expected, problem.remedy
-        ) from problem
     rig_path = rig / RIG_FILE if rig.is_dir() else rig
     marker_path = marker if marker is not None else rig_path.parent / MARKER_FILE
     if marker is None and not marker_path.is_file():
@@ -146,19 +159,65 @@ def _print_summary(results: Results, target: Path) -> None:
         f"{motion['poses']} poses, {motion['duration_s']:.0f} s; {pairs['measured']} of "
         f"{pairs['recorded']} pairs would be measured"
     )
+    if (rig := summary["rig"]) is not None:
+        terminal.say(_rig_line(rig))
+    terminal.say("Uncertainty of each joint's mean error (k = 2), and what it comes from:")
+    for line in _joint_table(summary["joints"]):
+        terminal.say(line)
     for joint in summary["joints"]:
-        terminal.say(_joint_line(joint))
-    terminal.say("Obstacles are not known to the plan: try it slowly first.")
+        if joint["tolerance_deg"] is not None:
+            terminal.say(_tolerance_line(joint))
+    flange = summary["flange"]
+    terminal.say(
+        f"Flange, one pair: ± {_expanded(flange['standard_uncertainty_mm'])} mm, "
+        f"± {_expanded(flange['standard_uncertainty_deg'])}° (k = 2, worst direction)"
+    )
+    if exact := summary["uncounted"]:
+        terminal.say(f"Taken as exact: {', '.join(exact)}")
+    terminal.say("The plan does not know obstacles: try the motion slowly first.")
     tables = f"{target / 'plan.csv'} and {target / 'poses.csv'}"
     terminal.say(f"Written: {tables}; report: {report_files(target)}")
     terminal.record({"type": "result", "out": str(target), "summary": summary})
 
 
-def _joint_line(joint: dict[str, float | None]) -> str:
-    u, smallest = joint["standard_uncertainty_deg"], joint["minimum_detectable_error_deg"]
-    if u is None or smallest is None:
-        return f"  joint {joint['joint']}: a constant offset cannot show"
+def _rig_line(rig: dict[str, Any]) -> str:
+    width, height = rig["image_size"]
     return (
-        f"  joint {joint['joint']}: mean error ± {2 * u:.3f}° (k = 2); an offset of "
-        f"{smallest:.3f}° would be noticed"
+        f"rig to be built: {width}x{height} pixels, {rig['field_of_view_deg']:g}°; baseline "
+        f"{rig['baseline_m']:g} m, distance {rig['distance_m']:g} m, each camera turned inwards by "
+        f"{rig['vergence_deg']:.1f}°; {rig['leds']} LEDs on a circle of {rig['led_circle_mm']:g} mm"
     )
+
+
+def _joint_table(joints: list[dict[str, Any]]) -> list[str]:
+    """Lines of a table, a joint each; U with k = 2."""
+    groups = list(joints[0]["parts_deg"])
+    heads = ["joint", "mean error", "at the flange", *(GROUP_NAMES[group] for group in groups)]
+    rows = [[*heads, "detectable"]]
+    for joint in joints:
+        u, lever = joint["standard_uncertainty_deg"], joint["lever_mm"]
+        at_flange = None if u is None else math.radians(u) * lever
+        parts = [f"{_expanded(joint['parts_deg'][group])}°" for group in groups]
+        rows.append([
+            str(joint["joint"]), f"± {_expanded(u)}°", f"± {_expanded(at_flange)} mm", *parts,
+            f"{significant(joint['minimum_detectable_error_deg'])}°",
+        ])  # fmt: skip
+    widths = [max(len(row[k]) for row in rows) for k in range(len(rows[0]))]
+    return [
+        "  "
+        + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in rows
+    ]
+
+
+def _tolerance_line(joint: dict[str, Any]) -> str:
+    limit, name = joint["conform_limit_deg"], f"joint {joint['joint']}"
+    tolerance = f"tolerance {joint['tolerance_deg']:g}°"
+    if limit is None:
+        return f"  {name}, {tolerance}: undecided, however small the error"
+    return f"  {name}, {tolerance}: an error up to {significant(limit)}° would conform"
+
+
+def _expanded(u: float | None) -> str:
+    """Write U, k = 2, of a standard uncertainty to two digits."""
+    return significant(expanded(u))
