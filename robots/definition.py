@@ -77,7 +77,7 @@ def _parse(path: Path) -> tuple[bytes, dict[str, Any]]:
         found = f"byte {error.start} is not UTF-8"
         raise RobotError(path, found, "", "Save it as UTF-8.") from error
     except (ValueError, RecursionError) as error:  # a number of thousands of digits; nested tables
-        raise RobotError(path, f"not valid TOML: {error}", "", "Mend that line.") from error
+        raise RobotError(path, f"not valid TOML: {error}", "", "Correct that line.") from error
 
 
 def _check_keys(path: Path, where: str, table: dict[str, Any], known: set[str]) -> None:
@@ -168,7 +168,7 @@ def _check_family(path: Path, arm: DhArm) -> None:
     misfit = FAMILIES[arm.family].misfit(arm)
     if misfit:
         joint, key, found, expected = misfit
-        remedy = "Mend the number, or give the arm as a URDF."
+        remedy = "Correct the number, or give the arm as a URDF."
         because = f"{expected} in the family {arm.family}"
         raise RobotError(f"{path}, joint {joint}, {key}", f"{found:g}", because, remedy)
 

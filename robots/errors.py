@@ -11,7 +11,7 @@ class RobotError(Exception):
     """
 
     def __init__(self, place: str | Path, found: str, expected: str = "", remedy: str = "") -> None:
-        remedy = remedy or "Mend it there."
+        remedy = remedy or "Correct it there."
         self.place, self.found, self.expected, self.remedy = str(place), found, expected, remedy
         clause = f"{found}; {expected}" if expected else found
         sentence = f"{place}: {clause}. {remedy}".strip()

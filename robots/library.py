@@ -87,7 +87,7 @@ def _require_plain_file(path: Path) -> None:
         found = getattr(error, "strerror", None) or str(error)
         raise RobotError(path, found, "", "Check the path, or name a known robot.") from error
     if not path.is_file():
-        raise RobotError(path, "is no plain file", "a robot file is expected", "Name the file.")
+        raise RobotError(path, "is not a plain file", "a robot file is expected", "Name the file.")
     if size > MAX_BYTES:
         expected = f"a robot file has at most {MAX_BYTES}"
         raise RobotError(path, f"has {size} bytes", expected, "Name the right file.")

@@ -103,7 +103,7 @@ def _parse(path: Path) -> tuple[bytes, list[Joint], set[str]]:
     except OSError as error:
         raise RobotError(path, error.strerror or "cannot be read", "", "Check the path.") from error
     except ElementTree.ParseError as error:
-        remedy = "Expand a xacro file first." if path.suffix == ".xacro" else "Mend that line."
+        remedy = "Expand a xacro file first." if path.suffix == ".xacro" else "Correct that line."
         raise RobotError(path, f"not valid XML: {error}", "", remedy) from error
     if root.tag != "robot":
         remedy = "Give the robot's own file."
@@ -200,7 +200,7 @@ def _lock_other_joints(path: Path, chain: list[Joint]) -> pinocchio.Model:
         locked = [i for i in range(1, model.njoints) if model.names[i] not in kept]
         reduced = pinocchio.buildReducedModel(model, locked, pinocchio.neutral(model))
     except (ValueError, RuntimeError) as error:
-        raise RobotError(path, f"pinocchio refuses it: {error}", "", "Mend the URDF.") from error
+        raise RobotError(path, f"pinocchio refuses it: {error}", "", "Correct the URDF.") from error
     placements = [*reduced.jointPlacements, *(frame.placement for frame in reduced.frames)]
     longest = max(np.abs(placement.translation).max() for placement in placements)
     if not longest <= MAX_LENGTH:

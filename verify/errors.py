@@ -13,7 +13,9 @@ class InputError(Exception):
     """
 
     def __init__(self, place: str | Path, found: str, expected: str = "", remedy: str = "") -> None:
-        remedy = remedy or ("Give another value." if str(place)[:2] == "--" else "Mend it there.")
+        remedy = remedy or (
+            "Give another value." if str(place)[:2] == "--" else "Correct it there."
+        )
         self.place, self.found, self.expected, self.remedy = str(place), found, expected, remedy
         place, found, expected = (_clip(part) for part in (str(place), found, expected))
         clause = f"{found}; {expected}" if expected else found

@@ -87,7 +87,7 @@ CASES = {
     "another format": (edit("session.toml", "format = 1", "format = 7"), "format"),
     "readings in radians": (in_radians, "radians"),
     "pictures without an LED": (without_leds, "4 LEDs"),
-    "a huge file as a cut video": (huge_cut_video, "left.mkv: is no video"),
+    "a huge file as a cut video": (huge_cut_video, "left.mkv: is not a video"),
     "keys within keys": (edit("rig.toml", "format = 1", "format = 1\n" + '"a".' * 20_000 + "b = 1"),
                          "rig.toml: is nested too deeply"),
 }  # fmt: skip

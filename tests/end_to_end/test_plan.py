@@ -60,7 +60,7 @@ def test_a_plan_is_a_motion_and_its_prediction(rig: Path, tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (("--near", "1,2,3"), '--near: "1,2,3" is no posture of iust_6r; 6 numbers'),
+        (("--near", "1,2,3"), '--near: "1,2,3" is not a posture of iust_6r; 6 numbers'),
         (("--near", "0,0,0,0,0,200"), "--near: joint 6 stands at 200°; its limits are -170°"),
         (("--poses", "5", "--duration-s", "60"), "--duration-s: is given with --poses"),
         (("--duration-s", "1", *NEAR), "--duration-s: 1 s; 4 poses take"),

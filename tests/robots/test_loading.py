@@ -72,8 +72,8 @@ def test_a_path_counts_from_the_folder(tmp_path: Path) -> None:
     [
         ("a_mm = 36.5", "a_m = 36.5", ["joint 1, a_m", "unknown key", 'Did you mean "a_mm"?']),
         ("a_mm = 36.5", 'a_mm = "36.5"', ["joint 1, a_mm", "'36.5'", "a number is needed"]),
-        ("a_mm = 36.5", f"a_mm = {'9' * 400}", ["joint 1, a_mm", "at most 1e+06", "Mend it"]),
-        ("a_mm = 36.5", f"a_mm = {'9' * 5000}", ["not valid TOML", "Mend that line."]),
+        ("a_mm = 36.5", f"a_mm = {'9' * 400}", ["joint 1, a_mm", "at most 1e+06", "Correct it"]),
+        ("a_mm = 36.5", f"a_mm = {'9' * 5000}", ["not valid TOML", "Correct that line."]),
         ("a_mm = 36.5", "a_mm = nan", ["joint 1, a_mm", "nan", "a number"]),
         ("a_mm = 36.5", "a_mm = true", ["joint 1, a_mm", "True", "a number"]),
         ("a_mm = 36.5 ", "", ["joint 1, a_mm", "missing"]),

@@ -181,7 +181,7 @@ def measurement_refusal(session: Session, seen: MeasuredSession) -> InputError:
     return InputError(
         session.folder,
         f"no pair could be measured ({said}; at most {most} LEDs recognised in one pair)",
-        f"{len(session.marker)} LEDs are asked for by marker.toml",
+        f"{len(session.marker)} LEDs are listed in marker.toml",
         rig_moved(session, measurements, seen.systematics)
         or "Check that the LEDs are lit and in view, and that rig.toml and marker.toml belong to "
         "this recording.",

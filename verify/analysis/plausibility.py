@@ -47,7 +47,7 @@ def refuse_radians(
         raise InputError(
             session.folder / "encoders.csv",
             "the q columns agree with what was measured as radians and not as degrees",
-            "degrees are asked for (q1_deg, …)",
+            "degrees are expected (q1_deg, …)",
             "Multiply them by 180/π, or export again in degrees.",
         )
 

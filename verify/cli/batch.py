@@ -26,22 +26,27 @@ def batch(
         list[str], typer.Argument(help="Folders with sessions in them, or URLs such as s3://….")
     ],
     out: Annotated[
-        Path, typer.Option("-o", "--out", help="Where to; what is done there is not done again.")
+        Path,
+        typer.Option(
+            "-o", "--out", help="Folder of the results; sessions measured there before are skipped."
+        ),
     ] = Path("fleet-report"),
     tolerance: option.JointTolerance = None,
     position_tolerance: option.PositionTolerance = None,
     orientation_tolerance: option.OrientationTolerance = None,
     workers: Annotated[
-        int | None, typer.Option(min=1, help="Processes here; default: one a processor.")
+        int | None,
+        typer.Option(min=1, help="Processes on this machine; default: one per processor."),
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(help="Let a Dask cluster do it: its scheduler's address.")
+        str | None,
+        typer.Option(help="Address of a Dask scheduler whose cluster measures the sessions."),
     ] = None,
     reports: Annotated[
         bool, typer.Option("--reports", help="Write each session's own report as well.")
     ] = False,
     by: Annotated[
-        str, typer.Option(help="What tells arms apart: their robot, or robot and folder.")
+        str, typer.Option(help="How arms are distinguished: by robot, or by robot and folder.")
     ] = "robot",
     since: Annotated[
         str | None, typer.Option(help="Compare before and after a day: 2026-06-15.")
@@ -104,7 +109,7 @@ def _worker_pool(workers: int | None, scheduler: str | None) -> "WorkerPool":
         raise InputError("--workers", "was given with --scheduler", "a cluster has its own workers")
     cluster = Cluster(scheduler)
     if cluster.page is not None:
-        terminal.say(f"Dask's own page: {cluster.page}")
+        terminal.say(f"Dask dashboard: {cluster.page}")
     return cluster
 
 
@@ -179,7 +184,7 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
             (folder / "fleet.pdf").write_bytes(reports.render_pdf(results))
     if not done.kept:
         found = f"none of its {len(done.failures)} sessions could be measured"
-        raise InputError(out / "failures.csv", found, "", "It says why, session by session.")
+        raise InputError(out / "failures.csv", found, "", "It gives the reason of each session.")
     verdicts = set(sessions["verdict"].dropna())
     _print_summary(done, out, results)
     if "nonconform" in verdicts:

@@ -61,23 +61,23 @@ def emulate(
             "--idle", help="melfa: no program runs, the servo is off; it waits to be moved by EXEC."
         ),
     ] = False,
-    rate: Annotated[int, typer.Option(min=1, help="Samples a second of labenc and pan.")] = 100,
+    rate: Annotated[int, typer.Option(min=1, help="Samples per second of labenc and pan.")] = 100,
     object_mm: Annotated[
         float | None,
-        typer.Option(min=0, max=150, help="Width of what stands between the gripper's fingers."),
+        typer.Option(min=0, max=150, help="Width of the object between the gripper's fingers."),
     ] = None,
     baud: Annotated[
-        int | None, typer.Option(min=300, help="Send as slowly as a serial line of that speed.")
+        int | None, typer.Option(min=300, help="Send as slowly as a serial line of so many baud.")
     ] = None,
     fault: Annotated[
         list[str] | None,
         typer.Option(
-            help="What goes wrong; repeatable. A share of the messages: noise, half, digit, "
+            help="Faults to simulate; repeatable. A share of the messages: noise, half, digit, "
             "double, lost, split=0.05. At an instant: silence, unplug=AT:SECONDS, reset=AT, "
             "jump=AT:SECONDS, alarm=AT:NUMBER (gripper: gFLT), status=AT:BITS."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the faults' chance.")] = 0,
+    seed: Annotated[int, typer.Option(min=0, help="Seed of the random faults.")] = 0,
 ) -> None:
     """Be a controller, an encoder board or a gripper, until Ctrl-C.
 

@@ -42,7 +42,7 @@ REFUSALS = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT)  # of the sys
 REPEAT_TIME = 0.5  # s: an interruption that has not ended the command by then was swallowed
 
 GLOBAL_OPTIONS_HELP = (
-    "With every command: --quiet, --verbose, --json (one object a line on standard output), "
+    "With every command: --quiet, --verbose, --json (one object per line on standard output), "
     "--open (the report, in a browser), --version."
 )
 app = typer.Typer(

@@ -119,8 +119,8 @@ def _verbose_lines(summary: dict[str, Any]) -> list[str]:
     return [
         f"pairs: {pairs['measured']} of {pairs['recorded']} measured; rejected: {lost}",
         f"encoder clock: {source}",
-        f"LEDs told apart: {choices}",
-        f"smallest offset that would be noticed, a joint: {shown}",
+        f"LEDs identified: {choices}",
+        f"smallest detectable offset of each joint: {shown}",
     ]
 
 

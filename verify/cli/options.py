@@ -26,7 +26,7 @@ def parse_duration(text: str | float) -> float:
         value = float(parts[1]) * _SECONDS_PER_UNIT[parts[2]]
     except (ValueError, KeyError):
         raise InputError(
-            "--for", f'"{text}" is no duration', "seconds, minutes or hours", "Example: 10m"
+            "--for", f'"{text}" is not a duration', "seconds, minutes or hours", "Example: 10m"
         ) from None
     require_positive({"--for": value})
     return value
@@ -104,7 +104,7 @@ class PageOptions:
 JointTolerance = Annotated[
     str | None,
     typer.Option(
-        "--tolerance", help="Joint errors allowed, degrees: one number, or one a joint: 0.2,0.2,…"
+        "--tolerance", help="Joint errors allowed, degrees: one number, or one per joint: 0.2,0.2,…"
     ),
 ]
 PositionTolerance = Annotated[
@@ -118,7 +118,7 @@ PagePort = Annotated[
     int, typer.Option(min=0, max=65535, help="The page's port; 0: any that is free.")
 ]
 PageAddress = Annotated[
-    str, typer.Option(help="The page's address; another one than this needs a token.")
+    str, typer.Option(help="The page's address; any other address needs a token.")
 ]
 PageToken = Annotated[
     str | None,
@@ -168,7 +168,7 @@ def _parse_angles(text: str, joints: int) -> list[float]:
     except ValueError:
         raise InputError(
             "--tolerance", f'"{text}" is not a number of degrees',
-            f"one number is asked for, or {joints} with commas between", "Example: 0.2",
+            f"one number is expected, or {joints} with commas between", "Example: 0.2",
         ) from None  # fmt: skip
     for value in values:
         require_positive({"--tolerance": value})
@@ -177,6 +177,6 @@ def _parse_angles(text: str, joints: int) -> list[float]:
     if len(values) != joints:
         raise InputError(
             "--tolerance", f"{len(values)} numbers were given",
-            f"the robot has {joints} joints", "Give one number, or one a joint.",
+            f"the robot has {joints} joints", "Give one number, or one per joint.",
         )  # fmt: skip
     return values

@@ -88,7 +88,7 @@ def _report(arm: "arms.Arm", check: "arms.SelfCheck") -> int:
         text = "does not apply" if math.isnan(figure) else f"{figure:.1e}"
         terminal.say(f"  {what}: {text}")
     terminal.detail(f"  Jacobian against differences: {check.difference_jacobian:.1e} (not judged)")
-    terminal.say(f"  poses whose own joints were not among the answers: {check.lost}")
+    terminal.say(f"  poses whose joints were not among the solutions: {check.lost}")
     judged = {what: figure for what, figure in figures.items() if not math.isnan(figure)}
     good = max(judged.values(), default=0.0) <= TOL_KINEMATICS and check.lost == 0
     terminal.say("self-check: " + ("sound" if good else f"FAILED, above {TOL_KINEMATICS:g}"))

@@ -21,7 +21,10 @@ def run(
         typer.Argument(help="A recorded session's folder, or a station file: live cameras."),
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Where to; default: NAME-report, here.")
+        Path | None,
+        typer.Option(
+            "-o", "--out", help="Folder of the results; default: NAME-report in this folder."
+        ),
     ] = None,
     tolerance: option.JointTolerance = None,
     position_tolerance: option.PositionTolerance = None,

@@ -17,7 +17,7 @@ def simulate(
     ],
     out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the result.")],
     seed: Annotated[
-        int | None, typer.Option(min=0, help="Draw other numbers than the scenario's own seed.")
+        int | None, typer.Option(min=0, help="Seed; default: the scenario's own.")
     ] = None,
     force: ReplaceInFolder = False,
 ) -> None:

@@ -130,7 +130,8 @@ def watch(station: Station, options: RunOptions) -> RunResult:
     if not recorded.folders:
         raise InputError(
             station.path, f"no pair of pictures was recorded ({recorded.sentence})",
-            "two cameras that deliver, and room on the disk", "Try `verify doctor` on this file.",
+            "two working cameras and free disk space are needed",
+            "Try `verify doctor` on this file.",
         )  # fmt: skip
     now = state.snapshot()
     missing = now.pairs - recorded.pairs - recorded.dropped  # the disk was full or too slow

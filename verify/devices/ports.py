@@ -150,7 +150,7 @@ def open_port(address: str, line: SerialLine) -> Port:
         )
     except ValueError as error:
         expected = "tcp:HOST:PORT, a serial device's path, or a URL that pyserial knows is expected"
-        raise InputError(f"port {address}", str(error), expected, "Mend the port.") from error
+        raise InputError(f"port {address}", str(error), expected, "Correct the port.") from error
     except Exception as error:  # termios.error is no OSError, and there is no termios on Windows
         if type(error).__module__ != "termios":
             raise
@@ -176,11 +176,11 @@ ERROR_TEXTS: tuple[tuple[type[OSError], int | None, str], ...] = (
     ),
     (
         *(ConnectionRefusedError, None),
-        "nobody listens there, or the line is taken by another program",
+        "nothing listens there, or another program uses the line",
     ),
     (ConnectionError, None, CONNECTION_CLOSED),
     (TimeoutError, None, "no answer; check address, cable and power"),
-    (socket.gaierror, None, "there is no computer of that name"),
+    (socket.gaierror, None, "no computer has that name"),
     (BlockingIOError, errno.EAGAIN, "another program has it open"),
     (serial.SerialException, None, "the port is gone; was it unplugged?"),
 )

@@ -50,7 +50,7 @@ def device_status(
         _age_status("joints", cycle.t, loop.joints_t, watch.joints),
     ]
     if not loop.may_move:
-        return (*lines, ("arm", True, "is read, and not moved: there is no --execute"))
+        return (*lines, ("arm", True, "is read and not moved: --execute is not given"))
     if arm is not None:
         speed = "" if arm.speed is None else f"{_MM * arm.speed:.0f} mm/s"
         lines.append(("arm", arm.state != "failed", _joined(arm.state.value, speed, arm.reason)))

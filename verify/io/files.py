@@ -259,7 +259,7 @@ def _check_vacant(out: Path, target: Path, force: bool) -> bool:
         raise output_refusal(out, error) from error
     if holds and not force:
         remedy = "Choose another -o or give --force."
-        raise InputError(out, "is not empty", "nothing is overwritten unasked", remedy)
+        raise InputError(out, "is not empty", "existing files are not overwritten", remedy)
     return True
 
 

@@ -34,7 +34,7 @@ def refuse_file(path: Path, *, force: bool) -> None:
         raise InputError(path, "is a folder", "a file is expected", "Choose another name.")
     if path.exists() and not force:
         remedy = "Choose another name, or give --force."
-        raise InputError(path, "exists", "nothing is overwritten unasked", remedy)
+        raise InputError(path, "exists", "existing files are not overwritten", remedy)
 
 
 def write_report_folder(results: Results, out: Path, *, force: bool, frames: bool = False) -> None:

@@ -73,7 +73,9 @@ def check_covariance(path: Path, table: CovarianceTable) -> Covariance:
             raise key_error(path, f"covariance.parameters[{index}]", f'is "{name}"', expected)
         if name in names[:index]:
             found = f'repeats "{name}"'
-            raise key_error(path, f"covariance.parameters[{index}]", found, "each stands once")
+            raise key_error(
+                path, f"covariance.parameters[{index}]", found, "each name may appear only once"
+            )
     for index, u in enumerate(table.standard_uncertainty):
         key = f"covariance.standard_uncertainty[{index}]"
         not_negative(path, key, u)
@@ -253,7 +255,7 @@ def _camera(path: Path, side: str, table: CameraTable) -> Camera:
             raise key_error(path, f"{side}.camera_matrix", found, "a focal length is positive")
     if k[1, 0] != 0 or k[2].tolist() != [0.0, 0.0, 1.0]:
         expected = "expected is [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
-        raise key_error(path, f"{side}.camera_matrix", "is no camera matrix", expected)
+        raise key_error(path, f"{side}.camera_matrix", "is not a camera matrix", expected)
     axis_length = float(np.linalg.norm(table.pan_axis))
     if axis_length < TOL_ROTATION:
         raise key_error(path, f"{side}.pan_axis", "has no length", "a direction is expected")
@@ -304,7 +306,7 @@ def nearest_pose(path: Path, key: str, rotation: Matrix, position_mm: Triple) ->
     if off > TOL_ROTATION:
         expected = "rows of unit length at right angles are expected"
         remedy = "Write it with at least seven decimals."
-        raise key_error(path, key, f"is no rotation: off by {off:.1e}", expected, remedy)
+        raise key_error(path, key, f"is not a rotation: off by {off:.1e}", expected, remedy)
     if np.linalg.det(matrix) < 0:
         expected = "a right-handed rotation is expected"
         raise key_error(path, key, "is a reflection", expected, "Turn the sign of one axis.")

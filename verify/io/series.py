@@ -158,7 +158,7 @@ def _refuse_far_beyond(path: Path, q: Array, limits: tuple[Array, Array]) -> Non
         least, most, low, high = np.rad2deg(ends).tolist()
         found = f"q{joint + 1}_deg runs from {least:.5g}° to {most:.5g}°"
         expected = f"joint {joint + 1} turns from {low:.5g}° to {high:.5g}°"
-        raise InputError(path, found, expected, "Check the column's unit; degrees are asked for.")
+        raise InputError(path, found, expected, "Check the column's unit; degrees are expected.")
 
 
 def _is_too_fast(t: Array, q: Array, lag: int) -> NDArray[np.bool_]:
@@ -201,8 +201,8 @@ def _spike_warning(path: Path, spike: NDArray[np.bool_]) -> Iterator[str]:
         places = [f"line {i + 2} (q{j + 1}_deg)" for i, j in zip(rows, joints, strict=True)]
         more = ", …" if len(places) > MAX_NAMED else ""
         yield (
-            f"{path.name}: {np.unique(rows).size} of {len(spike)} readings were left out, this "
-            f"arm cannot be there: {', '.join(places[:MAX_NAMED])}{more}."
+            f"{path.name}: {np.unique(rows).size} of {len(spike)} readings were left out, the "
+            f"arm cannot reach them: {', '.join(places[:MAX_NAMED])}{more}."
         )
 
 

@@ -65,7 +65,7 @@ _WORDS = {  # msgspec names JSON's types; the user wrote TOML
 def key_error(path: Path, key: str, found: str, expected: str, remedy: str = "") -> InputError:
     """Word what is wrong at one key of a TOML file."""
     place = f"{path}, {shorten_key(key)}" if key else str(path)
-    return InputError(place, found, expected, remedy or "Mend it there.")
+    return InputError(place, found, expected, remedy or "Correct it there.")
 
 
 def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
@@ -186,11 +186,11 @@ def parse(path: Path) -> dict[str, Any]:
     except tomllib.TOMLDecodeError as error:
         what, _, where = str(error).partition(" (at ")
         place = f"{path}, {where.rstrip(')')}" if where else str(path)
-        raise InputError(place, f"is not TOML: {what}", "", "Mend that line.") from error
+        raise InputError(place, f"is not TOML: {what}", "", "Correct that line.") from error
     except RecursionError as error:
         raise _depth_error(path) from error
     except ValueError as error:  # a whole number of thousands of digits
-        raise InputError(path, f"is not TOML: {error}", "", "Mend that number.") from error
+        raise InputError(path, f"is not TOML: {error}", "", "Correct that number.") from error
 
 
 def _depth_error(path: Path) -> InputError:
@@ -256,14 +256,14 @@ def _unknown_keys(path: Path, tree: dict[str, Any], kind: type[msgspec.Struct]) 
     unknown = list(_find_unknown(tree, kind))
     named = [
         one_line(
-            f"{path}, {shorten_key(key)}: the format does not know this key; it is left alone."
+            f"{path}, {shorten_key(key)}: the format does not know this key; it is ignored."
             f"{did_you_mean(key.rpartition('.')[2], fields)}"
         )
         for key, fields in unknown[:MAX_UNKNOWN_KEYS]
     ]
     if len(unknown) > len(named):
         more = len(unknown) - len(named)
-        named.append(f"{path}: {more} further keys that the format does not know are left alone.")
+        named.append(f"{path}: {more} further keys that the format does not know are ignored.")
     return tuple(named)
 
 

@@ -172,7 +172,7 @@ class Video(Images):
         capture = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG, options)
         try:
             if not capture.isOpened():
-                raise _decoder_refusal(self.path, "is no video that can be decoded")
+                raise _decoder_refusal(self.path, "is not a video that can be decoded")
             yield capture
         finally:
             capture.release()

@@ -273,7 +273,7 @@ class ClockKeeper:
         if not near:
             self.trouble = (
                 f"the motion shows an offset {late:+.2f} s from what the arrival of readings "
-                "shows, and is not believed: are readings or pictures always late?"
+                "shows, and is not used: are readings or pictures always late?"
             )
         return near
 

@@ -14,7 +14,7 @@ from verify.live.pairing import MAX_WAITING, FramePair, Pairing
 
 MAX_QUEUED_PAIRS = 16  # pairs that may wait to be measured: half a second, 30 MB
 OVERRUN = "measuring is slower than the cameras"
-REPEATED = "the picture before once more"  # a camera's noise never repeats
+REPEATED = "the previous picture again"  # a camera's noise never repeats
 IDLE_DELAY = 0.005  # s after a read that came back at once with nothing
 
 

@@ -82,10 +82,10 @@ class ParallelDetector:
             return spots, process.finish(DETECTION_TIMEOUT)
         except ChildLateError as error:
             if not self._warned:
-                self._warn(f"pictures are searched one after the other now and then: {error}")
+                self._warn(f"pictures are searched one at a time, now and then: {error}")
             self._warned = True
         except ChildLostError as error:
-            self._warn(f"pictures are searched one after the other from now on: {error}")
+            self._warn(f"pictures are searched one at a time from now on: {error}")
             self.close()
         return detect_in_turn(pair, left_windows, right_windows)
 

@@ -15,7 +15,7 @@ TOL_JITTER = 0.1  # of a period: time stamps jitter
 MAX_WAITING = 8  # pictures of a side that wait for their partner; the other camera may be stalled
 
 NO_PARTNER = "no partner in time"
-NOT_LATER = "not later than the picture before"
+NOT_LATER = "not later than the previous picture"
 OTHER_CAMERA_STALLED = "the other camera gives no pictures"
 
 

@@ -35,10 +35,10 @@ TOL_LIMIT = 1e-9  # rad: rounding at a limit
 REASONS = (
     "fewer than 3 LEDs inside both pictures",
     "LEDs turned away from a camera",
-    "LED images that run into each other",
+    "LED images that merge",
     "the arm below the floor",
     "the arm too near to a camera",
-    "the arm too near to itself",
+    "links of the arm too near to each other",
     "near a singularity",
 )
 SPACING = 0.06  # m between the points that stand for a link

@@ -22,7 +22,7 @@ from verify.planning.roadmap import Roadmap, build_roadmap
 from verify.planning.selection import MIN_POSES, TimedMotion, predict_visits
 
 Progress = Callable[[int, int, str], None]
-STAGES = ("postures in view", "poses", "session foreseen")
+STAGES = ("postures in view", "poses", "session predicted")
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,8 +94,8 @@ def predict_session(
     if session is None:
         raise InputError(
             "plan", f"none of {len(t)} pairs could be measured",
-            "the LEDs must be in both pictures and told apart",
-            "Look at marker.toml: LEDs of different distances or colours are told apart.",
+            "the LEDs must be identified in both pictures",
+            "Give LEDs in marker.toml uneven distances or different colours.",
         )  # fmt: skip
     geometry = "kinematics" in request.observe
     return SessionPrediction(

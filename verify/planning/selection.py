@@ -197,7 +197,7 @@ def predict_visits(
     session = simulate_session(setup, posture, visits, still, request.view_angle, rng)
     if session is None:
         raise InputError(
-            "plan", f"the LEDs cannot be told apart in any of {len(visits)} postures",
+            "plan", f"the LEDs cannot be identified in any of {len(visits)} postures",
             "an LED body without symmetry, or of several colours, can", "Change the marker.",
         )  # fmt: skip
     weight = _pairs(conditions, request.hold)

@@ -130,7 +130,7 @@ def motion() -> Results:
     summary = {
         "kind": "registration", "method": "motion", "robot": "iust_6r",
         "source": {"path": "session"}, "registration": "sha256:" + "5c" * 32,
-        "pairs": {"used": 40, "left_out": {"too few LEDs told apart": 2}},
+        "pairs": {"used": 40, "left_out": {"too few LEDs identified": 2}},
         "base": {"position_mm": [91.0, 662.0, 1181.0], "standard_uncertainty_mm": three,
                  "rotation_vector_deg": [44.9, 104.7, -93.5], "standard_uncertainty_deg": three,
                  "held": False},

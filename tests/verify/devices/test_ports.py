@@ -44,9 +44,9 @@ def test_socket_urls_are_taken_too() -> None:
     [
         (FileNotFoundError(2, "x"), "is it plugged in"),
         (PermissionError(13, "x"), "dialout"),
-        (ConnectionRefusedError(111, "x"), "nobody listens"),
+        (ConnectionRefusedError(111, "x"), "nothing listens"),
         (TimeoutError("x"), "check address, cable and power"),
-        (socket.gaierror("x"), "no computer of that name"),
+        (socket.gaierror("x"), "no computer has that name"),
         (OSError(113, "No route to host"), "no route to host"),
     ],
 )

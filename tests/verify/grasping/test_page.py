@@ -156,7 +156,7 @@ def test_bad_messages_are_refused_and_change_nothing() -> None:
         row = latest(line, lambda row: row["answers"] >= 12)
         assert row["stops"] == 0
         line.send("select left 20,20,40,40")  # a refusal is shown
-        latest(line, lambda row: "no colour that its surroundings have not" in row["answer"])
+        latest(line, lambda row: "no colour that its surroundings do not have" in row["answer"])
         cell.turns(3)
         assert cell.page._requests.stops == 0
         assert cell.state is GraspState.SEARCHING

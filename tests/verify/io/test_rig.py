@@ -173,7 +173,7 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
             "-60.0, 0.0, 0.0]\npan_axis = [0, 0, 0]",
             ["left.pan_axis: has no length"],
         ),
-        ("[[0.0, -1.0, 0.0]", "[[0.0, -1.001, 0.0]", ["robot_base.rotation: is no rotation"]),
+        ("[[0.0, -1.0, 0.0]", "[[0.0, -1.001, 0.0]", ["robot_base.rotation: is not a rotation"]),
         ("[[0.0, -1.0, 0.0]", "[[0.0, 1.0, 0.0]", ["robot_base.rotation: is a reflection"]),
         ('"fixture"', '"jig"', ['robot_base.source: is "jig"', '"fixture" or "motion"']),
         (
@@ -182,8 +182,8 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
             ["robot_base.absorption: has 1 rows", "12"],
         ),
         ("[[50.0, 0.0, 31.5]", "[[-50.0, 0.0, 31.5]", ["left.", "has fx = -50.0 px"]),
-        ("[0.0, 50.0, 23.5]", "[1.0, 50.0, 23.5]", ["left.", "is no camera matrix"]),
-        ("[[1.0, 0.0, 0.0]", "[[1.1, 0.0, 0.0]", ["left.mount_rotation: is no rotation"]),
+        ("[0.0, 50.0, 23.5]", "[1.0, 50.0, 23.5]", ["left.", "is not a camera matrix"]),
+        ("[[1.0, 0.0, 0.0]", "[[1.1, 0.0, 0.0]", ["left.mount_rotation: is not a rotation"]),
     ],
 )
 def test_a_wrong_rig_is_refused_by_its_key(

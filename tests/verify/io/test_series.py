@@ -163,8 +163,8 @@ def test_a_reading_that_no_arm_reaches_is_named_and_left_out(path: Path) -> None
     assert len(encoders) == 38
     (warning,) = warnings
     assert warning == (
-        "encoders.csv: 2 of 40 readings were left out, this arm cannot be there: line 19 (q1_deg), "
-        "line 32 (q1_deg)."
+        "encoders.csv: 2 of 40 readings were left out, the arm cannot reach them: line 19 "
+        "(q1_deg), line 32 (q1_deg)."
     )
 
 

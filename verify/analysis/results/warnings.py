@@ -46,8 +46,8 @@ def _input_warnings(
     unseen = _unused_leds(session, measurements)
     if unseen:
         yield (
-            f"Never seen where marker.toml puts them, in any pair: LED {', '.join(unseen)}. Check "
-            "that they are lit and in view, and their position_mm."
+            f"Not detected, in any pair, where marker.toml puts them: LED {', '.join(unseen)}. "
+            "Check that they are lit and in view, and their position_mm."
         )
     if systematics.unknown:
         yield (
@@ -78,7 +78,7 @@ def _registration_warnings(model: JointErrorModel) -> Iterator[str]:
     if model.through_encoders:
         yield (
             "Base or LED positions were fitted through the robot's own encoders: the errors in "
-            "frames.csv are residuals, which may accuse the wrong joint; mean errors come from a "
+            "frames.csv are residuals, which may point to the wrong joint; mean errors come from a "
             "fit together with that registration."
         )
     if model.stands_in:
@@ -111,8 +111,8 @@ def _clock_warnings(clock: ClockEstimate) -> Iterator[str]:
         others = ", ".join(f"{o:+.3f}" for o in clock.rivals[:MAX_RIVALS_NAMED])
         yield (
             f"The motion fits at {len(clock.rivals)} other offsets of the readings' clock as well: "
-            f"{others} s. No verdict rests on which; state [clock] encoder_offset_s, record "
-            "t_host_s, or add a movement that does not repeat."
+            f"{others} s. The verdict does not depend on the choice; state [clock] "
+            "encoder_offset_s, record t_host_s, or add a movement that does not repeat."
         )
     if clock.source == "none":
         yield (

@@ -141,7 +141,7 @@ def figures_text(found: RigConsistency) -> tuple[str, str, str]:
     """The figures in words, with their expanded uncertainties (k = 2)."""
     (scale, vertical, roll), spread = found.value, 2 * found.uncertainty
     length, height = "long" if scale > 0 else "short", "low" if vertical > 0 else "high"
-    longer = f"known lengths come out {abs(scale):.3%} too {length} (U = {spread[0]:.3%})"
+    longer = f"known lengths are measured {abs(scale):.3%} too {length} (U = {spread[0]:.3%})"
     lower = f"the right image lies {abs(vertical):.3f} px too {height} (U = {spread[1]:.3f} px)"
     angle, angle_u = np.rad2deg([roll, spread[2]])
     turned = f"it is turned by {angle:+.3f}° against the left one (U = {angle_u:.3f}°)"

@@ -232,7 +232,7 @@ def _wide_sweeps(sweeps: list[SweepSegment]) -> tuple[list[SweepSegment], list[s
             notes.append(f"Left out: {turned} only; {np.rad2deg(MIN_SPAN):.0f}° are needed.")
             continue
         if sweep.span < MIN_GOOD_SPAN:
-            notes.append(f"{turned}: its axis is known poorly from so short an arc.")
+            notes.append(f"{turned}: so short an arc determines its axis poorly.")
         useful.append(sweep)
     return useful, notes
 
@@ -252,9 +252,9 @@ def _decisions(
         )
     wrong = [f"{p.joints[0]} and {p.joints[1]}" for p in pairs if not p.agrees]
     if wrong:
-        words.append(f"Axes that lie otherwise than the table has them: {'; '.join(wrong)}.")
+        words.append(f"Axes that differ from the table: {'; '.join(wrong)}.")
     elif pairs:
-        words.append("All axes that were swept one after the other lie as the table has them.")
+        words.append("All axes that were swept one after the other agree with the table.")
     if base is not None:
         q = next(j for j in joints if j.joint == 2).q[:, 0].mean()
         words.append(

@@ -138,7 +138,7 @@ def refuse_another_pattern(folder: BoardFolder) -> None:
     counts = _counts(pictures, board)
     if counts is not None and counts != (board.columns, board.rows):
         found = f"the pictures show {_corners_text(counts)}"
-        remedy = "Mend inner_corners in board.toml, or give --corners."
+        remedy = "Correct inner_corners in board.toml, or give --corners."
         raise InputError(folder.folder, found, f"{board_text(board)} are asked for", remedy)
 
 
@@ -160,7 +160,7 @@ def _refuse_without_its_markers(
     expected = f"board.toml says ChArUco, with markers of {markers}"
     if kind is not None:
         found = f"the pictures show markers as in {kind}"
-        raise InputError(folder.folder, found, expected, "Mend markers in board.toml.")
+        raise InputError(folder.folder, found, expected, "Correct markers in board.toml.")
     counts = _counts(pictures, folder.board)
     if counts is not None:
         raise InputError(

@@ -135,8 +135,8 @@ def _image(covered: ImageCoverage) -> Iterator[str]:
     elif 0 < covered.reach < MIN_RADIUS_SHARE:
         yield (
             f"In the {side} image no corner lies farther than {100 * covered.reach:.0f} % of the "
-            "way to the image's corners: the lens distortion is a guess beyond; let the board "
-            "reach into them."
+            "way to the image's corners: the lens distortion is not determined beyond; let the "
+            "board reach into them."
         )
 
 
@@ -186,7 +186,7 @@ def _principal_point(point: PrincipalPoint) -> Iterator[str]:
     times = point.distance / point.uncertainty
     yield (
         f"{where} the image's centre, but only {times:.1f} times its standard uncertainty, with "
-        f"U = {2 * point.uncertainty:.1f} px (k = 2): do not believe it. "
+        f"U = {2 * point.uncertainty:.1f} px (k = 2): do not rely on it. "
         "Add boards tilted both ways."
     )
 

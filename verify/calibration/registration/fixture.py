@@ -313,7 +313,7 @@ def _decisions(
         words.append(f"{rejected} corners that the others contradict were left out.")
     if noise > 1.05:  # a twentieth is what any finite number of corners scatters by
         words.append(
-            f"Corners scatter {noise:.2f} times as much as they state; so much was granted them."
+            f"Corners scatter {noise:.2f} times as much as they state; so much was allowed for."
         )
     if len(used) > 1:
         words.append(

@@ -151,10 +151,10 @@ def _decisions(
         yield ("The motion does not show a skew of the cameras beside their stamps: held at 0.")
     refused = int((~adjusted.spotted.used).sum())
     if refused:
-        yield f"{refused} of {len(adjusted.spotted.used)} spots were refused."
+        yield f"{refused} of {len(adjusted.spotted.used)} spots were rejected."
     if adjusted.inflation > 1:
         yield (
-            f"Residuals are larger or last longer than noise: variances multiplied by "
+            f"Residuals are larger than noise, or correlated: variances multiplied by "
             f"{adjusted.inflation:.1f}."
         )
 

@@ -139,7 +139,9 @@ def refuse_other_robot(
         f'that "{robot}" is the robot that moved, and the order, signs and unit (degrees) of the '
         "columns in encoders.csv"
     )
-    found = f"by its readings the flange turns otherwise than its LEDs, {np.rad2deg(off):.0f}° off"
+    found = (
+        f"by its readings the flange turns differently from its LEDs, {np.rad2deg(off):.0f}° off"
+    )
     expected = f"{np.rad2deg(MAX_TURN_DIFFERENCE):.0f}° are the worst that joint errors explain"
     if off > MAX_TURN_DIFFERENCE:
         named = _name_mistake(start, readings, restart)

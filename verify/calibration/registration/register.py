@@ -197,7 +197,7 @@ def _left_out(
 ) -> dict[int, str]:
     """Why pairs do not count, by frame."""
     frames = {one.spots.frame for one in poses}
-    reasons = {p.frame: "too few LEDs told apart" for p in pairs if p.frame not in frames}
+    reasons = {p.frame: "too few LEDs identified" for p in pairs if p.frame not in frames}
     for one, good in zip(poses, start.good, strict=True):
         if not good:
             read = readings.available(np.array([one.spots.t[0] - start.clock]))[0]

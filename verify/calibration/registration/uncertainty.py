@@ -161,7 +161,7 @@ def inherited_absorption(rig: Rig, *, base: bool, leds: Marker | None) -> Array 
             "what is to be kept was fitted through the robot's encoders, and the rig does not "
             "hold that registration's absorption",
             "",
-            "Give the rig.toml that the same registration wrote, or fit both anew.",
+            "Give the rig.toml that the same registration wrote, or fit both again.",
         )
     if kept is None:
         return rig.absorption[:6]

@@ -143,7 +143,9 @@ def gather_pairs(
     outliers = sorted(set(relation.outliers) - set(relation.quarter_turned))
     if outliers:
         named = refusals.list_pairs([frames[i] for i in outliers])
-        notes.append(f"{named} left out: the cameras stand otherwise there than in the others.")
+        notes.append(
+            f"{named} left out: the cameras are placed differently there than in the others."
+        )
     if relation.quarter_turned:
         named = refusals.list_pairs([frames[i] for i in relation.quarter_turned])
         notes.append(
@@ -332,13 +334,14 @@ def _decisions(adjusted: _AdjustedBundle, board: Board) -> Iterator[str]:
     refused = int(np.sum(~found.used))
     if refused:
         yield (
-            f"{refused} of {len(found.used)} corners refused, as the others of their views "
+            f"{refused} of {len(found.used)} corners rejected, as the others of their views "
             "contradict them."
         )
     if found.design_effect > 1:
         yield (
-            "corners of a pair err together (a board that bends in the hand, blur): every standard "
-            f"uncertainty is {np.sqrt(found.design_effect):.2f} times what single residuals say."
+            "errors of a pair's corners are correlated (a board that bends in the hand, blur): "
+            f"every standard uncertainty is {np.sqrt(found.design_effect):.2f} times the one that "
+            "single residuals give."
         )
     if board.square_standard_uncertainty is None:
         yield (

@@ -142,8 +142,8 @@ def base_sentences(found: Estimate, scatter: ErrorScatter | None, readings: Arra
     for side, base, values in zip(SIDES, found.model.bases, readings.T, strict=True):
         if base == BASE_FIXED and np.ptp(values) <= MIN_TURN:
             yield (
-                f"{side} base: not turned, so its axis cannot be seen: pan centre at the optical "
-                "centre, axis +y, zero 0; the camera's orientation is its mount's."
+                f"{side} base: not turned, so its axis is not determined: pan centre at the "
+                "optical centre, axis +y, zero 0; the camera's orientation is its mount's."
             )
         elif base != BASE_FIXED:
             yield (

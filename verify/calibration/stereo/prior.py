@@ -63,7 +63,7 @@ def open_coefficients(found: Estimate) -> Iterator[str]:
         listed = ", ".join(n for n, share in zip(names, shares, strict=True) if share > OPEN_SHARE)
         if listed:
             yield (
-                f"{side} camera: the pictures hardly show {listed}; what lenses usually have is "
-                "taken (about 0), and its doubt is in every uncertainty. Let boards reach the "
-                "picture's corners."
+                f"{side} camera: the pictures hardly show {listed}; values of usual lenses "
+                "are assumed (about 0), and their uncertainty is part of every uncertainty. Let "
+                "boards reach the picture's corners."
             )

@@ -106,10 +106,11 @@ def register(
         Path | None, typer.Option(help="A file that says where the board sits on the robot's base.")
     ] = None,
     leds: Annotated[
-        int | None, typer.Option(min=3, help="How many LEDs there are; else it is found out.")
+        int | None,
+        typer.Option(min=3, help="Number of LEDs; default: determined from the pictures."),
     ] = None,
     known_marker: Annotated[
-        Path | None, typer.Option(help="A marker.toml whose names, or places, are to be kept.")
+        Path | None, typer.Option(help="A marker.toml whose LED names or positions are kept.")
     ] = None,
     keep_base: Annotated[
         bool, typer.Option("--keep-base", help="Keep the rig's robot base, fit the LEDs alone.")
@@ -147,7 +148,7 @@ def register(
             "--keep-leds": keep_leds, "--sweeps": sweeps,
         }  # fmt: skip
     way = "a board on the base" if fixture else "a motion"
-    option.refuse_options(useless, f"has no meaning when {way} is used", "", "Leave it out.")
+    option.refuse_options(useless, f"does not apply when {way} is used", "", "Leave it out.")
     marker_out = marker if marker is not None else Path("marker.toml")
     target = report if report is not None else Path(f"{real_path(session).name}-registration")
     refuse_file(out, force=force)

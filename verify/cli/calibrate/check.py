@@ -35,11 +35,11 @@ def run_check(
     other_rig = {} if rig_path is None else {str(rig_path): digest(rig_path)}
     if length_uncertainty_mm is not None and length_mm is None:
         raise InputError(
-            "--length-uncertainty-mm", "has no length to belong to", "", "Give --length-mm too."
+            "--length-uncertainty-mm", "is given without --length-mm", "", "Give --length-mm too."
         )
     if (source / "session.toml").exists():
         if board is not None:
-            found, expected = "has no meaning for a session", "its LEDs are measured"
+            found, expected = "does not apply to a session", "its LEDs are measured"
             raise InputError("--corners", found, expected, "Leave it out.")
         session = open_session(source)
         if session.instrument is not None:
@@ -56,7 +56,7 @@ def run_check(
         expected = "pictures of a board do not say which rig is to be checked"
         raise InputError("--rig", "is missing", expected, "Give the rig file, or a session.")
     if length_mm is not None:
-        raise InputError("--length-mm", "has no meaning for a board", "", "Leave it out.")
+        raise InputError("--length-mm", "does not apply to a board", "", "Leave it out.")
     opened = open_board_folder(source, board)
     require_same_size(opened.folder, opened.image_size, rig)
     with terminal.progress("pairs searched for the board") as progress:

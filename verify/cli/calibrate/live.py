@@ -44,7 +44,9 @@ def board_of(by_option: Board | None, file: Path | None) -> Board | None:
     if file is None:
         return by_option
     if by_option is not None:
-        raise InputError("--board", "is given beside --corners", "one board is used", "Leave one.")
+        raise InputError(
+            "--board", "is given with --corners", "only one board is used", "Leave one."
+        )
     board, warnings = fiducials.read_board(file)
     terminal.warn(*warnings)
     return board

@@ -65,7 +65,7 @@ def _try_camera(name: str, camera: CameraDevice, station: Station) -> Finding:
     missed = frames[-1].sequence - frames[0].sequence + 1 - len(frames)
     if missed:
         figures["missed"] = missed
-        sentence += f"; {missed} were missed meanwhile"
+        sentence += f"; {missed} were missed"
     doubtful = bool(state.refused or missed)
     return Finding(name, "doubt" if doubtful else "works", sentence, figures)
 

@@ -72,7 +72,7 @@ def check_disk(folder: Path) -> Finding:
     if speed < MIN_WRITE_SPEED:
         sentence += f"; two cameras of 1280 x 720 at 30 Hz may need {MIN_WRITE_SPEED:.0f} MB/s"
     elif free < MIN_FREE_SPACE:
-        sentence += "; that is soon full"
+        sentence += "; the disk will soon be full"
     outcome = "works" if speed >= MIN_WRITE_SPEED and free >= MIN_FREE_SPACE else "doubt"
     return Finding("disk", outcome, sentence, figures)
 
@@ -92,7 +92,7 @@ def check_video_devices() -> list[Finding]:
         text = "this system does not list them; name 0, 1, … in a station file and try it"
         return [Finding("cameras", "works", text)]
     there = sorted(map(str, Path("/dev").glob("video*")))
-    return [Finding("cameras", "works", ", ".join(there) or "none is here (/dev/video*)")]
+    return [Finding("cameras", "works", ", ".join(there) or "none found (/dev/video*)")]
 
 
 def _read_back(what: str, image: Image, raw: bytes | None = None) -> Finding:

@@ -54,7 +54,7 @@ def grab(
             parser=option.parse_duration,
             metavar="<str>",
             show_default=False,  # would be in seconds, as a number
-            help="The longest it may take: 60s, 10m.  [default: 60s]",
+            help="Time limit: 60s, 10m.  [default: 60s]",
         ),
     ] = 60.0,
     cell: Annotated[

@@ -32,14 +32,14 @@ def identify(
     ] = None,
     model: Annotated[
         ModelChoice,
-        typer.Option(help="What is freed; auto: offsets or geometry, as the data call for."),
+        typer.Option(help="What is fitted; auto: offsets or geometry, as the data require."),
     ] = ModelChoice.auto,
     base: Annotated[
         PlacementChoice,
-        typer.Option(help="The robot's place; auto: free where found through its encoders."),
+        typer.Option(help="The robot's pose; auto: fitted if it was found through the encoders."),
     ] = PlacementChoice.auto,
     leds: Annotated[
-        PlacementChoice, typer.Option(help="The LEDs' place on the flange; likewise.")
+        PlacementChoice, typer.Option(help="The LEDs' pose on the flange; likewise.")
     ] = PlacementChoice.auto,
     splits: Annotated[
         int, typer.Option(min=1, max=100, help="Random splits of the hold-out.")
@@ -49,7 +49,7 @@ def identify(
     ] = 0.3,
     judge: Annotated[
         list[Path] | None,
-        typer.Option(help="A session that judges the arm, and is not identified from; repeatable."),
+        typer.Option(help="A session to check the result with, not used in the fit; repeatable."),
     ] = None,
     force: ReplaceFiles = False,
 ) -> None:

@@ -76,7 +76,7 @@ def identify_sessions(
     if judging is not None and judging.poses.position_only != gathered.poses.position_only:
         raise InputError(
             others[0].folder, "does not hold what the arm is identified from",
-            "poses are judged by poses, positions by positions", "Give another --judge.",
+            "poses are checked with poses, positions with positions", "Give another --judge.",
         )  # fmt: skip
     options = replace(
         options,

@@ -111,7 +111,7 @@ def parse_posture(text: str, arm: robots.Arm) -> Array:
         values = []
     if len(values) != arm.dof or not all(map(math.isfinite, values)):
         raise InputError(
-            "--near", f'"{text}" is no posture of {arm}',
+            "--near", f'"{text}" is not a posture of {arm}',
             f"{arm.dof} numbers of degrees with commas between are expected",
             "Example: --near 0,-60,45,0,-85,15",
         )  # fmt: skip

@@ -112,6 +112,6 @@ class StreamSource:
 
 def _error_text(error: Exception) -> str:
     if isinstance(error, IndexError):
-        return "what answers there sends no video"
+        return "the device there sends no video"
     text = getattr(error, "strerror", None) or str(error)
     return f"{text[:1].lower()}{text[1:]}" if text else type(error).__name__

@@ -132,7 +132,7 @@ class FilePort:
         if size > self._at:
             return True
         if size < self._at:
-            raise OSError("the file was cut; it is read again from its beginning")
+            raise OSError("the file was truncated; it is read again from its beginning")
         if not os.path.samestat(self._path.stat(), os.fstat(self._file.fileno())):
             raise OSError("another file has taken its place")
         return False

@@ -20,9 +20,9 @@ MAX_ADVANCE = 0.1  # s by which a stamp may be early: beyond it the clock has ju
 MAX_DELAY = 1.0  # s: an older reading is of no use, and may be of a clock that was set back unseen
 MAX_CLOCK_DRIFT = 2e-4  # a crystal is within 1e-4; so fast may the floor rise
 N_CONFIRM_CLOCK = 5  # readings in a row that contradict the clock before it is taken for a new one
-STALE = "not later than the one before"
+STALE = "not later than the previous one"
 AHEAD = "time stamp ahead of the clock"
-TOO_LATE = "too late to be of use"
+TOO_LATE = "too late to be used"
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class ControllerClock:
 MAX_JOINT_SPEED = 4 * np.pi  # rad/s: 720°/s; the RV-3SD's quickest joint does 660°/s
 TOL_ANGLE = np.deg2rad(0.5)  # rad: at rest a reading flickers by its last digit
 N_CONFIRM_LEAP = 5  # readings in a row that contradict the last one before they are believed
-LEAP = "leap that no arm can make"
+LEAP = "jump that no arm can make"
 SILENCE_TIMEOUT = 2.0  # s without a reading on an open line before it is called silent
 
 
@@ -129,9 +129,11 @@ class AngleMap:
 
     def __post_init__(self) -> None:
         if self.sign.shape != self.offset.shape or not np.all(np.abs(self.sign) == 1.0):
-            raise InputError("encoders, sign", "is not 1 or -1 for each joint", "", "Mend it.")
+            raise InputError("encoders, sign", "is not 1 or -1 for each joint", "", "Correct it.")
         if not np.all(np.isfinite(self.offset)):
-            raise InputError("encoders, offset_deg", "holds what is no number", "", "Mend it.")
+            raise InputError(
+                "encoders, offset_deg", "holds a value that is not a number", "", "Correct it."
+            )
 
     @property
     def joints(self) -> int:

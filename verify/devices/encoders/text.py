@@ -111,7 +111,7 @@ class FieldMap:
             return "wrong checksum"
         numbers = {name: word for name, (word, _) in words.items() if name != "sum"}
         if not all(_NUMBER.fullmatch(word) for word in numbers.values()):
-            return "field that is no number"
+            return "field that is not a number"
         return self._fields({name: float(word) for name, word in numbers.items()})
 
     def _words(self, text: str) -> dict[str, tuple[str, int]] | None:
@@ -145,7 +145,7 @@ class FieldMap:
         if "axis" in numbers and "value" in numbers:
             axis = numbers["axis"]
             if axis not in range(1, self.joints + 1):
-                return "axis that the robot has not"
+                return "axis that the robot does not have"
             return LineFields(t, sequence, {int(axis): numbers["value"]})
         values = {j: numbers[f"q{j}"] for j in range(1, self.joints + 1) if f"q{j}" in numbers}
         if len(values) < self.joints:
@@ -166,7 +166,7 @@ def _compile(key: str, pattern: str) -> re.Pattern[str]:
     try:
         return re.compile(pattern)
     except re.error as error:
-        raise _invalid_key(key, f"is no regular expression: {error}", "Mend it.") from error
+        raise _invalid_key(key, f"is not a regular expression: {error}", "Correct it.") from error
 
 
 def _invalid_key(key: str, found: str, remedy: str) -> InputError:

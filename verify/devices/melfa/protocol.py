@@ -1,7 +1,7 @@
 """Mitsubishi's R3 line protocol (BFP-A4288): requests that only read, and their answers; no port.
 
 request : robot ";" slot ";" NAME [argument] terminator       1;1;JPOSF
-answer  : "Qo" ("K"|"k") data  |  "Qe" ("R"|"r") number        lower case: an alarm is standing
+answer  : "Qo" ("K"|"k") data  |  "Qe" ("R"|"r") number        lower case: an alarm is active
 
 An answer ends with CR, CR LF or NUL, or after a silence where the controller sends no end mark.
 """

@@ -135,7 +135,7 @@ class MelfaEncoders(PortDriver):
             chunk = None
         stray = chunk is not None and chunk.data.strip(b"\r\n\0")
         if stray or not self._answers.empty:
-            self._drop("answer that nobody asked for")
+            self._drop("unrequested answer")
             self._talk.in_step = False
         self._answers.clear()
         now = self.link.now()
@@ -279,5 +279,5 @@ class MelfaEncoders(PortDriver):
         if not self._talk.alarm_stands:
             return ""
         if number is None:
-            return "an alarm is standing"
-        return f"alarm {number} is standing: {self._texts.get(number, 'not known')}"
+            return "an alarm is active"
+        return f"alarm {number} is active: {self._texts.get(number, 'not known')}"

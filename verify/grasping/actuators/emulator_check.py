@@ -59,7 +59,7 @@ class EmulatorPortOpener:
             raise
         if not proven:
             port.close()
-            raise ConnectionRefusedError("the other end is no emulator of this program")
+            raise ConnectionRefusedError("the other end is not an emulator of this program")
         return port
 
     def close(self) -> None:

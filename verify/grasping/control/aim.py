@@ -147,7 +147,7 @@ class Aim:
         answer = None if self.planned is None else self.planned.answer
         no_way = isinstance(answer, GraspRefusal) and answer.kind in ("way", "reach")
         if self._hand is not None and self._hand.used and no_way:
-            reason = "the way to the corrected place is not clear" + NO_CORRECTION
+            reason = "the path to the corrected place is not clear" + NO_CORRECTION
             self._set_hand(replace(self._hand, hand=None, reason=reason))
             self.planned = None
             self._plan(now, q)

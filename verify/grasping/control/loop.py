@@ -83,7 +83,7 @@ class GraspLoop:
 
     @property
     def may_move(self) -> bool:
-        """There are arm and gripper, and the right to move them."""
+        """There are arm and gripper, and permission to move them."""
         return self._hands is not None
 
     @property
@@ -121,7 +121,7 @@ class GraspLoop:
             self._hold_first = True  # once it begins, it holds
             return ""
         lacks = ", ".join(sorted(need.value for need in self.machine.lacks(event)))
-        lacks = lacks or f"it is no order while the state is {self.machine.state.value}"
+        lacks = lacks or f"the order does not apply while the state is {self.machine.state.value}"
         return f"{event.value}: what lacks: {lacks}"
 
     def cycle(self, pair: StereoPair | None) -> LoopCycle:

@@ -49,7 +49,7 @@ class OperatorRequests:
         `shown`: how many passages of the state machine the page showed, in digits.
         """
         if not (shown.isascii() and shown.isdecimal() and len(shown) < MAX_REPEATED_LETTERS):
-            self._refuse(f'grab: "{shown[:MAX_REPEATED_LETTERS]}" is no number of passages')
+            self._refuse(f'grab: "{shown[:MAX_REPEATED_LETTERS]}" is not a number of passages')
             return
         order = (GraspEvent.GRAB, int(shown))
         with self._lock:

@@ -80,7 +80,7 @@ class DeviceOrder(StrEnum):
 class TransitionCondition(StrEnum):
     """What a transition needs beside its event."""
 
-    EXECUTE = "the right to move"
+    EXECUTE = "permission to move"
     STILL = "a target that stands still"
     LOW = "a hand that is down at the object"
     HIGH = "a hand that is up"
@@ -151,7 +151,7 @@ _GRASP_TRANSITIONS = (
         S.FOLLOWING, E.GRAB, S.APPROACHING, "the target stands still and the grasp is planned",
         frozenset({C.EXECUTE, C.STILL, C.PLANNED}),
     ),
-    T(S.APPROACHING, E.AT_OBJECT, S.CLOSING, "the line down is done"),
+    T(S.APPROACHING, E.AT_OBJECT, S.CLOSING, "the descent is complete"),
     T(S.CLOSING, E.CLOSED, S.CHECKING, "the fingers came to rest"),
     T(S.CHECKING, E.HELD, S.LIFTING, "the gripper's status says so, not a timer"),
     T(S.LIFTING, E.AT_TOP, S.LIFTED, "the object came along"),
@@ -184,7 +184,7 @@ _RESUME_TRANSITIONS = (
 )  # fmt: skip
 
 _FAULT_TRANSITIONS = (
-    *(T(s, E.STALE, S.HOLDING_STALE, "nothing moves on old pictures") for s in PICTURE_STATES),
+    *(T(s, E.STALE, S.HOLDING_STALE, "no motion on old pictures") for s in PICTURE_STATES),
     *(T(s, E.LOST, S.HOLDING_LOST, "the target is out of sight") for s in TARGET_STATES),
     *(
         T(s, E.UNREACHABLE, S.HOLDING_UNREACHABLE, "no safe way leads to the target")
@@ -193,7 +193,7 @@ _FAULT_TRANSITIONS = (
     *(T(s, E.TIME_OUT, S.FAULT, "it took longer than it may") for s in TIMED_STATES),
     *(T(s, E.HOLD, S.HOLDING_OPERATOR, "the operator's order") for s in HOLDABLE_STATES),
     *(
-        T(s, E.DEVICE_ERROR, S.FAULT, "a device said so, or fell silent")
+        T(s, E.DEVICE_ERROR, S.FAULT, "a device reported it, or stopped answering")
         for s in (*RUNNING_STATES, S.RELEASING, S.IDLE)
     ),
 )
@@ -228,7 +228,7 @@ class StateChange:
 class StateMachine:
     """The state of a grasp; orders follow from the state and from nothing else.
 
-    Without the right to move, `execute`, no state that moves arm or fingers is ever reached.
+    Without permission to move, `execute`, no state that moves arm or fingers is ever reached.
     """
 
     def __init__(self, execute: bool, clock: Callable[[], float]) -> None:

@@ -116,7 +116,7 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
         (branch_name(branch), problem) for branch, problem in {**ways, **reasons}.items()
     )
     if not rejections:
-        return GraspRefusal("reach", "the posture in which the hand was seen does not reach it")
+        return GraspRefusal("reach", "the posture in which the hand was measured does not reach it")
     problem = "no posture of the arm can grasp it; what comes nearest ({}): {}".format(
         *rejections[0]
     )
@@ -183,7 +183,7 @@ def _rejection_reasons(
     rejections = dict(reasons)
     for posture in good:
         if posture.branch != taken.branch:
-            worse = f"it would do, but scores {posture.score:.2g} against {taken.score:.2g}"
+            worse = f"it is feasible, but scores {posture.score:.2g} against {taken.score:.2g}"
             rejections.setdefault(posture.branch, worse)
     rejections.pop(taken.branch, None)
     return {branch_name(branch): rejections[branch] for branch in sorted(rejections)}

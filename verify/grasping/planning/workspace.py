@@ -119,7 +119,7 @@ class Workspace:
             margins = np.concatenate([margins, self.margins(path.q(middle))])
             order = np.argsort(s)
             s, margins = s[order], margins[order]
-        return "the way passes too near to be certified clear"
+        return "the path is too close to be certified clear"
 
     @cached_property
     def reach(self) -> Array:

@@ -207,7 +207,9 @@ class TargetIdentity:
         self._again = None
         self.tracked = False
         if own >= 0:
-            return TargetDecision("occluded", "it cannot be told from another of its colour", None)
+            return TargetDecision(
+                "occluded", "it cannot be distinguished from another of its colour", None
+            )
         another = any(choice >= 0 for choice in rest.choice)
         return TargetDecision("lost", ONLY_OTHERS_SEEN if another else NOT_SEEN, None)
 

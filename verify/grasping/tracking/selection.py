@@ -76,7 +76,7 @@ def model_from_box(image: Image, box: Box, alike: ColourModel | None = None) -> 
     cv2.ellipse(inside, middle, (width // 2, height // 2), 0, 0, 360, 255, cv2.FILLED)
     model = learn_colour(hsv, inside, outside)
     if model.mixture is None or not model.mixture.any():
-        found = "holds no colour that its surroundings have not"
+        found = "holds no colour that its surroundings do not have"
         raise InputError("--roi", found, "", _DRAWING_HINT)
     return model
 

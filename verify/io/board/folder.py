@@ -182,7 +182,7 @@ def _sides(folder: Path) -> tuple[Images, Images, tuple[tuple[str, Path], ...]]:
             "pictures" if isinstance(side, PictureFiles) else "a video" for side in (left, right)
         ]
         differ = f"has {kinds[0]} on the left and {kinds[1]} on the right"
-        raise InputError(folder, differ, EXPECTED_LAYOUT, "Bring both into one form.")
+        raise InputError(folder, differ, EXPECTED_LAYOUT, "Use one form for both.")
     return left, right, tuple(alone)
 
 
@@ -257,7 +257,7 @@ def _small_angles(pan: tuple[Array, Array]) -> Iterator[tuple[str, float]]:
 def _warn_misnamed(path: Path, header: list[str], present: list[str]) -> Iterator[str]:
     for name in header:
         if "pan" in name.lower() and name not in PAN_COLUMNS:
-            yield one_line(f"{path}: column {name} is left alone.{did_you_mean(name, PAN_COLUMNS)}")
+            yield one_line(f"{path}: column {name} is ignored.{did_you_mean(name, PAN_COLUMNS)}")
     if len(present) == 1:
         missing = PAN_COLUMNS[1 - PAN_COLUMNS.index(present[0])]
         note = f"{path}: has {present[0]} but no {missing}; that base is taken to stand at 0."

@@ -242,11 +242,13 @@ def _check_frame(path: Path, table: PosesSessionTable) -> None:
         given = getattr(table, key) is not None
         if key == wanted and not given:
             expected = f'it says where the robot stands in poses.frame, "{frame}"'
-            remedy = "Add it there, or mend poses.frame."
+            remedy = "Add it there, or correct poses.frame."
             raise key_error(path, key, "is missing", expected, remedy)
         if given and key != wanted:
             expected = f'poses in the frame "{frame}" do not ask for it'
-            raise key_error(path, key, "is given", expected, "Leave it out, or mend poses.frame.")
+            raise key_error(
+                path, key, "is given", expected, "Leave it out, or correct poses.frame."
+            )
     if table.covariance is not None and frame == "rig":
         expected = "that of rig.toml counts"
         raise key_error(path, "covariance", "is given", expected, "Leave it out.")

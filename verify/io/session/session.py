@@ -205,7 +205,7 @@ def _warn_mismatch(folder: Path, rig: Rig, marker: Marker) -> list[str]:
     stated = rig.covariance.parameters if rig.covariance else ()
     leds = {name.split(".", 1)[1].rsplit(".", 1)[0] for name in stated if name.startswith("led.")}
     notes += [
-        f'{folder}: marker.toml has no LED "{name}", of which the covariance in rig.toml speaks.'
+        f'{folder}: marker.toml has no LED "{name}", which the covariance in rig.toml names.'
         for name in sorted(leds.difference(marker.names))
     ]
     return [one_line(note) for note in notes]

@@ -212,12 +212,14 @@ class JointAlarms:
         joints = tuple(j + 1 for j in (change.joint, *change.rivals))
         size = format_error_deg(change.size, change.standard_uncertainty)
         if self._from_start:
-            text = f"Joint {joints[0]} reads {size} off what is seen, from the beginning"
+            text = f"Joint {joints[0]} reads {size} off the measured angle, from the beginning"
         else:
-            text = f"The reading of joint {joints[0]} has changed by {size} against what is seen"
+            text = (
+                f"The reading of joint {joints[0]} has changed by {size} against the measured angle"
+            )
         if change.rivals:
             others = " or ".join(str(j) for j in joints[1:])
-            text += f"; not told apart from joint {others}"
+            text += f"; not separable from joint {others}"
         first = self._alarm
         return Alarm(
             number=next(self._numbers) if first is None else first.number,

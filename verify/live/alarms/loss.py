@@ -45,12 +45,12 @@ class TargetWatch:
 
 
 STATUS_TEXTS = {
-    "too_few_leds": "too few LEDs are seen",
-    "ambiguous_leds": "it is not clear which LED is which",
-    "outlier": "no pose explains the spots that are seen",
-    "unaligned": "the two pictures cannot be brought to one instant",
-    "no_encoder": "no encoder reading comes",
-    "unreachable": "the arm can stand in none of the measured poses",
+    "too_few_leds": "too few LEDs are visible",
+    "ambiguous_leds": "the LEDs are not identified",
+    "outlier": "no pose explains the detected spots",
+    "unaligned": "the two pictures cannot be aligned in time",
+    "no_encoder": "no encoder readings arrive",
+    "unreachable": "the arm can reach none of the measured poses",
 }
 
 

@@ -36,7 +36,7 @@ class BoardPictures:
         try:
             if folder.exists() and any(folder.iterdir()):
                 expected = "nothing is added to pictures that are there"
-                remedy = "Name another folder with --pictures, or calibrate by this one."
+                remedy = "Name another folder with --pictures, or calibrate from this one."
                 raise InputError(folder, "is not empty", expected, remedy)
         except OSError as error:
             raise system_refusal(folder, error) from error

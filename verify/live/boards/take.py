@@ -21,7 +21,7 @@ from verify.live.state import DeviceStatus, device_status
 
 READ_TIMEOUT = 0.2  # s for a pair
 JOIN_TIMEOUT = 1.0  # s for a thread
-FINISHED = "finished: the calibration goes on in the terminal"
+FINISHED = "finished: the calibration continues in the terminal"
 UPSIDE_DOWN = "the board is upside down in one picture: hold it upright"
 Views = tuple[BoardView | None, BoardView | None]
 

@@ -138,7 +138,9 @@ class AlarmCommand:
         try:
             self._words = shlex.split(command)
         except ValueError as error:
-            raise InputError("--on-alarm", f"cannot be parted: {error}", "", "Mend it.") from error
+            raise InputError(
+                "--on-alarm", f"cannot be split into words: {error}", "", "Correct it."
+            ) from error
         if not self._words:
             raise InputError("--on-alarm", "is empty", "a command is expected", "Name one.")
 
@@ -215,7 +217,7 @@ def connect_mqtt(url: str) -> MqttPublisher:
     topic = parts.path.strip("/") or "verify"
     if parts.scheme != "mqtt" or not parts.hostname:
         expected = "mqtt://HOST:PORT/TOPIC is expected"
-        raise InputError("alarm.mqtt", f'is "{url}"', expected, "Mend it.")
+        raise InputError("alarm.mqtt", f'is "{url}"', expected, "Correct it.")
     try:
         from paho.mqtt.client import Client as PahoClient
         from paho.mqtt.enums import CallbackAPIVersion

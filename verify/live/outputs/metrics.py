@@ -18,19 +18,19 @@ def exposition(state: LiveState) -> str:
     """Word the state, a family of samples at a time."""
     now = state.snapshot()
     text = [
-        _family("verify_pairs_total", "counter", "Pairs by what became of them.",
+        _family("verify_pairs_total", "counter", "Pairs by status.",
                 [({"status": s}, n) for s, n in sorted(state.statuses().items())]),
         _family("verify_dropped_total", "counter", "Pictures and pairs that were not measured.",
                 [({"reason": r}, n) for r, n in sorted(now.dropped.items())]),
-        _family("verify_pair_rate_hertz", "gauge", "Pairs a second.", [({}, now.rate)]),
-        _family("verify_latency_seconds", "gauge", "From evidence to joint error.",
+        _family("verify_pair_rate_hertz", "gauge", "Pairs per second.", [({}, now.rate)]),
+        _family("verify_latency_seconds", "gauge", "Latency from the evidence to the joint error.",
                 [({"quantile": q}, value) for q, value in
                  (("0.5", now.latency.p50), ("0.99", now.latency.p99)) if value is not None]),
-        _family("verify_device_up", "gauge", "1 where a device gives something.",
+        _family("verify_device_up", "gauge", "1 where a device delivers data.",
                 [({"device": line.name}, int(line.well)) for line in now.devices]),
         _family("verify_alarms_total", "counter", "Alarms so far, by kind.",
                 [({"kind": k}, n) for k, n in sorted(now.alarm_counts.items())]),
-        _family("verify_alarms_standing", "gauge", "Alarms that stand.",
+        _family("verify_alarms_standing", "gauge", "Active alarms.",
                 [({}, sum(a.ended is None and a.kind != "change" for a in now.alarms))]),
     ]  # fmt: skip
     row = now.row
@@ -77,7 +77,7 @@ class MetricsServer:
         host, _, port = address.rpartition(":")
         if not host or not port.isdecimal():
             expected = "HOST:PORT is expected"
-            raise InputError("alarm.prometheus", f'is "{address}"', expected, "Mend it.")
+            raise InputError("alarm.prometheus", f'is "{address}"', expected, "Correct it.")
         try:
             self._server = ThreadingHTTPServer((host.strip("[]"), int(port)), _handler(text))
         except (OSError, OverflowError) as error:

@@ -103,7 +103,7 @@ def _check_alarm(path: Path, table: StationTable) -> None:
     alarm = table.alarm
     if alarm.false_alarms_per_hour <= 0:
         found = f"is {alarm.false_alarms_per_hour}"
-        expected = "a number above 0 is expected: no test is without false alarms"
+        expected = "a number above 0 is expected: every test has false alarms"
         raise key_error(path, "alarm.false_alarms_per_hour", found, expected)
     if alarm.mqtt is not None and not _MQTT.fullmatch(alarm.mqtt):
         expected = "mqtt://HOST:PORT/TOPIC is expected"
@@ -142,6 +142,6 @@ def _unused_setting_warnings(path: Path, table: StationTable) -> list[str]:
         part = getattr(table, name)
         for key in sorted(given_keys(part) - set(keys[part.driver])):
             hint = did_you_mean(key, keys[part.driver])
-            note = f'the driver "{part.driver}" has no such setting; it is left alone.{hint}'
+            note = f'the driver "{part.driver}" has no such setting; it is ignored.{hint}'
             warnings.append(one_line(f"{path}, {name}.{key}: {note}"))
     return warnings

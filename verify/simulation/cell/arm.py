@@ -68,7 +68,7 @@ class SimMover:
         self, arm: CellArm, setup: GraspPlanner, now: Callable[[], float], right: ExecutePermission
     ) -> None:
         if not isinstance(right, ExecutePermission):
-            raise TypeError("an arm that moves needs the operator's right")
+            raise TypeError("an arm moves only with the operator's permission")
         self._arm, self._setup, self._now = arm, setup, now
         self._state, self._reason = MoverState.OFF, ""
         self._since = now()

@@ -49,7 +49,7 @@ class SimGripper:
 
     def __init__(self, hand: CellHand, now: Callable[[], float], right: ExecutePermission) -> None:
         if not isinstance(right, ExecutePermission):
-            raise TypeError("a gripper that moves needs the operator's right")
+            raise TypeError("a gripper moves only with the operator's permission")
         self._hand, self._now = hand, now
         self._state, self._since = GripperState.IDLE, now()
         self._closing = False

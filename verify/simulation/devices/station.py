@@ -61,9 +61,9 @@ def _check(events: tuple[SimEvent, ...], joints: int, leds: tuple[str, ...]) -> 
         if event.what == "encoder_jump" and event.joint not in range(1, joints + 1):
             found = "is missing" if event.joint is None else f"is {event.joint}"
             expected = f"a joint from 1 to {joints} is expected"
-            raise InputError(f"sim.event[{index}].joint", found, expected, "Mend it there.")
+            raise InputError(f"sim.event[{index}].joint", found, expected, "Correct it there.")
         if event.led is not None and event.led not in leds:
             expected = f"the LEDs are {', '.join(leds)}"
             raise InputError(
-                f"sim.event[{index}].led", f'is "{event.led}"', expected, "Mend it there."
+                f"sim.event[{index}].led", f'is "{event.led}"', expected, "Correct it there."
             )

@@ -270,7 +270,7 @@ def parse_faults(texts: list[str], possible: frozenset[str]) -> EmulatorFaults:
             values[name] = (numbers[0], numbers[-1])
         else:
             right = "a share from 0 to 1" if name in MESSAGE_FAULTS else "AT:VALUE (reset: AT)"
-            raise InputError("--fault", f'"{text}"', f"{right} is expected", "Mend it.")
+            raise InputError("--fault", f'"{text}"', f"{right} is expected", "Correct it.")
     return EmulatorFaults(**values)
 
 

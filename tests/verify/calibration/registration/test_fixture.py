@@ -127,7 +127,7 @@ def test_a_fixture_file_gives_place_and_uncertainty(tmp_path: Path) -> None:
         ("format = 1\nposition_mm = [1.0, 2.0, 3.0]\nrotation = [[1,0,0],[0,1,0],[0,0,-1]]\n",
          "is a reflection"),
         ("format = 1\nposition_mm = [1.0, 2.0, 3.0]\nrotation = [[1,0.1,0],[0,1,0],[0,0,1]]\n",
-         "is no rotation"),
+         "is not a rotation"),
         (FIXTURE + "position_standard_uncertainty_mm = -1.0\n", "is -1.0"),
     ],
 )  # fmt: skip

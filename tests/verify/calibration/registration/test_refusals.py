@@ -68,7 +68,7 @@ def test_its_own_readings_are_taken_up_to_some_degrees_of_joint_error(moved: str
 def test_another_robot_is_the_first_cause_named(moved: str, named: str) -> None:
     arm = robots.load(moved)
     q = motion(arm)
-    assert "turns otherwise than its LEDs" in complaint(arm, named, q, q).found
+    assert "turns differently from its LEDs" in complaint(arm, named, q, q).found
 
 
 def test_columns_in_another_order_are_named_as_cause() -> None:

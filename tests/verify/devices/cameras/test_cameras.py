@@ -340,6 +340,6 @@ def test_a_damaged_file_ends_with_a_message_and_a_missing_one_is_reported_at_onc
     camera = open_camera(CameraSettings(str(tmp_path / "left.mkv")))
     assert camera.read() is None
     assert camera.state().ended
-    assert "no video" in camera.state().sentence
+    assert "not a video" in camera.state().sentence
     with pytest.raises(InputError, match="no such file"):
         open_camera(CameraSettings(str(tmp_path / "right.mkv")))

@@ -32,7 +32,7 @@ def test_time_and_six_angles() -> None:
     short = LINE.rpartition(",")[0].encode()
     assert fields.parse(short) == "line that does not fit the field map"
     for wrong in ("77.7x", "", "nan"):
-        assert fields.parse(LINE.replace("77.74", wrong).encode()) == "field that is no number"
+        assert fields.parse(LINE.replace("77.74", wrong).encode()) == "field that is not a number"
 
 
 @pytest.mark.parametrize("kind", CHECKSUMS)
@@ -59,7 +59,7 @@ def test_a_trailing_sum(kind: str) -> None:
         (
             FieldMap(6, pattern=TELEPLOT, time_unit="ms"), ">q3:1627551892437:77.74",
             LineFields(1627551892437.0, None, {3: 77.74}),
-            ">q7:1:2.0", "axis that the robot has not",
+            ">q7:1:2.0", "axis that the robot does not have",
         ),
         (
             FieldMap(2, pattern=NMEA, checksum="xor"),
@@ -97,7 +97,7 @@ def test_units() -> None:
         ({"columns": ("t", "q1", "q2"), "time_unit": "ticks"}, "tick_rate_hz"),
         ({"columns": ("t", "q1", "q2"), "time_unit": "min"}, "min"),
         ({"columns": ("q1", "q2", "sum"), "checksum": "md5"}, "md5"),
-        ({"pattern": "(?P<q1>"}, "no regular expression"),
+        ({"pattern": "(?P<q1>"}, "not a regular expression"),
     ],
 )
 def test_settings_that_contradict_each_other_are_refused(

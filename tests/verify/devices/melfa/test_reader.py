@@ -169,7 +169,7 @@ def test_a_port_that_vanishes_is_named_and_taken_up_again(kind: str, tmp_path: P
         ({"robot_type": "RV-6S"}, {}, "the robot is RV-6S; the station says RV-3SD"),
         ({}, {"silence": (0.5, 2.5)}, "silent for"),
         ({}, {"reset": (0.5, 0.5)}, "error 6500: the line is not opened"),
-        ({}, {"alarm": (0.0, 4140.0)}, "alarm 4140 is standing: the program is missing"),
+        ({}, {"alarm": (0.0, 4140.0)}, "alarm 4140 is active: the program is missing"),
         ({}, {"alarm": (0.0, 999.0)}, "NO MESSAGE"),  # asked of the controller
     ],
 )

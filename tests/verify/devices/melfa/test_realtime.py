@@ -83,5 +83,5 @@ def test_a_missing_controller_is_reported_and_used_once_it_answers() -> None:
         encoders = driver(emulated.address)
         gather(encoders, lambda found: len(found) >= 5)
         gather(encoders, lambda _: not encoders.state().connected)
-        assert "nobody listens there" in encoders.state().sentence
+        assert "nothing listens there" in encoders.state().sentence
         gather(encoders, lambda found: len(found) >= 5)

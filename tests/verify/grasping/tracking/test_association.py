@@ -84,7 +84,7 @@ def test_two_returning_targets_stay_ambiguous() -> None:
     film.show(times=150)  # five seconds in which they may have changed places
     verdict = film.show(seen(0.015, 0.02, 0.7), seen(0.015, -0.02, 0.7), times=10)
     assert verdict.status == "occluded"
-    assert verdict.reason == "it cannot be told from another of its colour"
+    assert verdict.reason == "it cannot be distinguished from another of its colour"
 
 
 def test_a_merged_patch_moves_nothing() -> None:

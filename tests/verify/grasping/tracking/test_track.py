@@ -180,5 +180,5 @@ def test_drifting_colours_are_followed_on_request_only() -> None:
 def test_grey_pictures_are_refused() -> None:
     pair = next(pairs([], RIG, 0.1))
     grey = StereoPair(0, 0.0, 0.0, 0.0, 0.0, pair.left[..., 0], pair.right[..., 0])
-    with pytest.raises(InputError, match="are grey; a target is told by its colour"):
+    with pytest.raises(InputError, match="are grey; a target is identified by its colour"):
         next(track([grey], RIG, ColourSelection("blue")))

@@ -274,7 +274,7 @@ def test_cameras_cannot_be_watched_by_poses(watched: Watched, tmp_path: Path) ->
         (
             'frame = "rig"',
             'frame = "rig"\nrotation = [[2,0,0],[0,1,0],[0,0,1]]',
-            "poses.rotation: is no rotation",
+            "poses.rotation: is not a rotation",
         ),
         ('frame = "rig"', f'frame = "rig"\n{BODY}', "poses.body_standard_uncertainty.x_mm: is -1"),
         ('[poses]\nfile = "poses.csv"', 'poses = "poses.csv"\n[x]', "poses: is"),

@@ -283,7 +283,7 @@ def open_pipe(folder: Path) -> None:
         (video_of(PAIRS - 1), ["right.mkv", "has 5 images", "6 rows", "open"]),
         (video_of(PAIRS + 1), ["right.mkv", "has 7 images", "6 rows"]),
         (flipped_bit, ["right.mkv", "of 6 is damaged"]),
-        (write("left.mkv", b"not a video" * 100), ["left.mkv", "no video"]),
+        (write("left.mkv", b"not a video" * 100), ["left.mkv", "not a video"]),
         (damaged_png, ["000004.png", "damaged"]),
         (other_size("left.mkv"), ["left.mkv", "image 0 is 64 x 40 px", "64 x 48"]),
         (other_size("right.mkv"), ["right.mkv", "image 0 is 64 x 40 px", "64 x 48"]),

@@ -66,7 +66,7 @@ class GripperDriver:
         now: ClockFunction = time.monotonic,
     ) -> None:
         if not isinstance(right, ExecutePermission):
-            raise TypeError("a gripper that moves needs the operator's right")
+            raise TypeError("a gripper moves only with the operator's permission")
         self._settings, self._now = settings, now
         opening = port or partial(open_port, settings.port, settings.line)
         self._line = modbus.ModbusLine(settings, opening, FUNCTIONS, now)
@@ -240,7 +240,7 @@ class GripperDriver:
             case GripperState.MOVING:
                 self._follow(inputs)
             case GripperState.GRIPPED if not self._holds(inputs):
-                self._phase, self._reason = GripperState.LOST, "what was gripped is gone"
+                self._phase, self._reason = GripperState.LOST, "the gripped object is lost"
 
     def _adopt(self, inputs: modbus.GripperInputs) -> None:
         """Take over a gripper that was activated before."""

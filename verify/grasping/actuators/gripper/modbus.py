@@ -103,7 +103,7 @@ class ModbusLine:
         same = self.link.connected and self.link.connections == self._connection
         self._connection = self.link.connections
         if self._pending is None:
-            self.bad["answer that nobody asked for"] += chunk is not None
+            self.bad["unrequested answer"] += chunk is not None
             return None
         if not same:
             self._pending, self._buffer = None, b""
@@ -147,7 +147,7 @@ class ModbusLine:
         if answer is None:
             return None
         if answer.function_code & 0x7F != self._pending.function_code:
-            self.bad["answer that nobody asked for"] += 1
+            self.bad["unrequested answer"] += 1
             return None
         return answer
 

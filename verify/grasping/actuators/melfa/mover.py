@@ -45,7 +45,7 @@ class MelfaMover:
         now: ClockFunction = time.monotonic,
     ) -> None:
         if not isinstance(right, ExecutePermission):
-            raise TypeError("an arm that moves needs the operator's right")
+            raise TypeError("an arm moves only with the operator's permission")
         self._settings, self._angles, self._limits, self._now = settings, angles, limits, now
         self._open_port = port or partial(open_port, settings.port, settings.line)
         self._reset()

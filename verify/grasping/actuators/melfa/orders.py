@@ -139,5 +139,5 @@ def alarm_text(state: protocol.RunState) -> str:
     """Word what STATE tells of an alarm; empty where there is none."""
     if state.error:
         meaning = protocol.ERROR_MEANINGS.get(state.error, "not known")
-        return f"alarm {state.error} is standing: {meaning}; clear it at the controller"
+        return f"alarm {state.error} is active: {meaning}; clear it at the controller"
     return "the emergency stop is pressed" if state.emergency_stop else ""

@@ -112,9 +112,10 @@ class Release:
         """Note what was never answered."""
         left = [ORDER_NAMES[r.name] for r in self.requests if r.name in ORDER_NAMES]
         if left:
-            note = f"could not be told: {', '.join(left)}. Use the emergency stop if it moves"
+            orders = ", ".join(left)
+            note = f"the controller did not answer: {orders}. Use the emergency stop if it moves"
         elif self.run_state is None:
-            note = "nobody knows whether it stands still without power: look"
+            note = "it is unknown whether it stands still without power: look"
         else:
             note = "it still moves" if self.run_state.running else "the servo is still on"
         self.notes.append(note)
@@ -130,7 +131,7 @@ class Release:
     def _check_override(self, data: str) -> None:
         position = r3.parse_joints(data, 1)
         if position is None:
-            self.notes.append("nobody knows whether the override is as before: look")
+            self.notes.append("it is unknown whether the override was restored: look")
         elif position.override != self.override:
             self.notes.append(f"the override is {position.override} %, it was {self.override} %")
 
@@ -192,7 +193,7 @@ class Controls:
                 self.giving_back.give_up()
                 self.end()
         elif self.opened_on and self.opened_on != link.connections:
-            self.fail("the line was opened anew")
+            self.fail("the connection was opened again")
         elif self.opened_on and not link.connected:
             self.fail(link.fault)
         elif self.now() > self.until:

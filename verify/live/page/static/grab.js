@@ -34,7 +34,7 @@ export class Grab {
 
   begin(facts) {
     Object.assign(this, { facts, row: null, way: null, answers: null, stopped: null });
-    $("held").textContent = facts.execute ? "" : "Nothing moves: there is no --execute. The plan is shown.";
+    $("held").textContent = facts.execute ? "" : "Nothing moves: --execute is not given. The plan is shown.";
   }
 
   /** The line is there, or it is gone. */

@@ -135,7 +135,7 @@ export class Strips {
     const [error, u] = [row.error_deg[j], row.u_deg[j]];
     const bold = element("b");
     bold.textContent = error === null ? "–" : `${signed(error)}°`;
-    const rest = u === null ? ` ${row.status === "measured" ? "not told" : row.status.replaceAll("_", " ")}` : ` ± ${(2 * u).toFixed(3)}° (k = 2)`;
+    const rest = u === null ? ` ${row.status === "measured" ? "not determined" : row.status.replaceAll("_", " ")}` : ` ± ${(2 * u).toFixed(3)}° (k = 2)`;
     part.value.replaceChildren(bold, rest);
   }
 

@@ -76,7 +76,7 @@ def test_a_disturbed_line_loses_samples_and_gives_no_false_one(where: str) -> No
         require_true(readings, emulated)
         state = encoders.state()
         assert state.bad["wrong checksum"] > 0
-        assert state.bad["not later than the one before"] > 0
+        assert state.bad["not later than the previous one"] > 0
         assert state.lost > 0
         assert "wrong checksum" in state.sentence
         assert "lost on the way" in state.sentence

@@ -159,7 +159,7 @@ def test_what_falls_out_is_noticed(again: bool) -> None:
             settled(gripper, GripperState.REACHED)
         else:
             status = stepped(gripper, lambda status: status.state is GripperState.LOST)[-1]
-            assert "what was gripped is gone" in status.reason
+            assert "the gripped object is lost" in status.reason
 
 
 @pytest.mark.realtime

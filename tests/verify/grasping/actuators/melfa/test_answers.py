@@ -56,7 +56,7 @@ def test_permanent_silence_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     with moving(controller(), faults=silent, timeout=0.3) as arm:
         arm.move_joints(NEXT)
         reason = failure(arm)
-        assert "could not be told: stop, servo off, override put back" in reason
+        assert "the controller did not answer: stop, servo off, override put back" in reason
         assert "emergency stop" in reason
 
 
@@ -118,7 +118,7 @@ def test_a_missing_device_is_reported_without_blocking(monkeypatch: pytest.Monke
         port = unused.getsockname()[1]
     with mover(f"tcp:127.0.0.1:{port}") as arm:
         arm.take_controls()
-        assert "nobody listens there" in settled(arm, MoverState.FAILED)[-1].reason
+        assert "nothing listens there" in settled(arm, MoverState.FAILED)[-1].reason
 
 
 def test_a_line_that_another_program_has_is_waited_for() -> None:

@@ -95,7 +95,7 @@ def test_a_running_program_a_standing_alarm_another_robot_keep_it_from_taking_co
     alarmed.arm.alarm = 4140
     for engine, words in [
         (controller(idle=False), "a program runs"),
-        (alarmed, "alarm 4140 is standing: the program is missing; clear it at the controller"),
+        (alarmed, "alarm 4140 is active: the program is missing; clear it at the controller"),
         (controller(robot_type="RV-6S"), "the robot is RV-6S; RV-3SD is expected"),
     ]:
         with running(engine) as emulated, mover(emulated) as arm:
