@@ -15,14 +15,15 @@ limits make mechanical sense; its angles are those the controller shows, J2 = θ
 J3 = θ3 + 90°. Use the second for a real machine; the signs of J4 to J6 and the zero of J6 cannot be
 checked from the paper.
 
-Adding an arm of a known family is one TOML file; any other arm can be a URDF, which has no closed
-form but everything else.
+Adding an arm of a known family is one TOML file; any other arm can be a URDF. Where its axes are
+those of a known family, `inverse` has a closed form for it too.
 """
 
 from robots.arm import Arm, DhArm, UrdfArm
 from robots.check import Reach, SelfCheck, reach, self_check
 from robots.coupling import Coupling, coupled, couplings
 from robots.errors import RobotError
+from robots.export import export_urdf
 from robots.inverse import Branches, inverse, turns, within_limits
 from robots.kinematics import forward, jacobian, link_frames
 from robots.library import example_names, load, names
@@ -41,6 +42,7 @@ __all__ = [
     "coupled",
     "couplings",
     "example_names",
+    "export_urdf",
     "forward",
     "inverse",
     "jacobian",

@@ -96,6 +96,25 @@ class DhArm(Arm):
 
 
 @dataclass(frozen=True, eq=False)
+class TableForm:
+    """Six axes of a URDF as a DH table with a closed form, between two fixed motions.
+
+    The table's joint angles are those of the axes, and its limits mean nothing. Read from the
+    base, it turns joints 1 to 6; in `reverse`, 6 to 1, from the flange's side. A seventh joint is
+    given.
+    """
+
+    table: DhArm
+    base_T_table: Array  # (4, 4), m: table frame 0 in the arm's base
+    base_T_tip: Array  # (4, 4), m: table frame 6 in the arm's base, at angles 0
+    reverse: bool
+    exact: bool = False  # else the file's own chain is near the table's, and answers are refined
+
+    def __str__(self) -> str:
+        return f"{self.table.family}{', from flange to base' if self.reverse else ''}"
+
+
+@dataclass(frozen=True, eq=False)
 class UrdfArm(Arm):
     """A chain of revolute joints out of a URDF; every other joint of the file is locked at 0.
 
@@ -109,6 +128,7 @@ class UrdfArm(Arm):
     base_frame: int
     tip_frame: int
     joint_names: tuple[str, ...]
+    closed_form: TableForm | None = None  # of its first six axes
 
     @cached_property
     def joints(self) -> list[tuple[int, int, bool]]:

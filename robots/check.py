@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio
 
 from robots.arm import Arm, DhArm, UrdfArm
-from robots.inverse import FAMILIES, inverse, near
+from robots.inverse import FAMILIES, form_pose, inverse, near
 from robots.kinematics import forward, jacobian
 from robots.nearest import nearest
 from robots.pinocchio_model import pinocchio_model
@@ -15,6 +15,8 @@ from robots.transforms import Array, difference
 # rad: an answer this near to the joints that made the pose is taken for them
 MAX_JOINT_DIFFERENCE = 1e-6
 MIN_DETERMINANT = 1e-3  # of the greatest |det J|: below, the joints lose digits, not the pose
+# the same of a URDF: least singular value of J over its greatest, where its angles are exact or not
+MIN_SINGULAR_RATIO = {True: 1e-4, False: 1e-2}
 START_SIGMA = 0.05  # rad a joint, standard deviation: where an iteration for a URDF starts
 DIFFERENCE_STEP = 1e-6  # rad, of central differences: truncation and rounding are both near 1e-10
 MAX_ITERATED_POSES = 50  # poses for a check that iterates
@@ -63,20 +65,24 @@ def reach(arm: Arm) -> Reach:
 def self_check(arm: Arm, poses: int = 1000, seed: int = 0) -> SelfCheck:
     """Try an arm's kinematics on so many random poses, uniform within the joints' limits.
 
-    A URDF's arm, which is solved by iteration, gets at most 50 of them for that part.
+    A URDF's arm that is solved by iteration gets at most 50 of them for that part.
     """
     random = np.random.default_rng(seed)
     q = random.uniform(arm.lower, arm.upper, (poses, arm.dof))
     base_T_flange, moves = forward(arm, q), jacobian(arm, q)
+    against = np.nan, np.nan, np.nan  # a URDF's kinematics are pinocchio's
     if isinstance(arm, DhArm):
         solved = _closed_form(arm, q, base_T_flange, moves)
         theirs, their_moves = _pinocchio(arm, q)
         against = *_worst(base_T_flange, theirs), float(np.abs(moves - their_moves).max())
+    elif isinstance(arm, UrdfArm) and arm.closed_form:
+        solved = _closed_form(arm, q, base_T_flange, moves)
+        if arm.closed_form.exact:
+            against = *_worst(form_pose(arm, arm.axis_angles(q)), base_T_flange), np.nan
     else:
         solved = _check_iteration(
             arm, q[:MAX_ITERATED_POSES], base_T_flange[:MAX_ITERATED_POSES], random
         )
-        against = np.nan, np.nan, np.nan  # it is pinocchio
     slopes = _numeric_jacobian(arm, q[:MAX_ITERATED_POSES])
     return SelfCheck(
         poses, *solved, *against, float(np.abs(moves[:MAX_ITERATED_POSES] - slopes).max())
@@ -89,22 +95,26 @@ def _worst(base_T_b: Array, base_T_c: Array) -> tuple[float, float]:
     return float(position.max(initial=0)), float(rotation.max(initial=0))
 
 
-def _closed_form(arm: DhArm, q: Array, pose: Array, moves: Array) -> tuple[float, float, int]:
+def _closed_form(arm: Arm, q: Array, pose: Array, moves: Array) -> tuple[float, float, int]:
     branches = inverse(arm, pose, hold=q).q
     exists = np.isfinite(branches).all(axis=-1)
     targets = np.broadcast_to(pose[:, None], (*exists.shape, 4, 4))[exists]
     worst = _worst(forward(arm, branches[exists]), targets)
     away = np.abs(near(branches, q[:, None]) - q[:, None]).max(axis=-1)
-    missing = ~(away < MAX_JOINT_DIFFERENCE).any(axis=-1) & (
-        np.abs(np.linalg.det(moves)) > MIN_DETERMINANT * _determinant_scale(arm)
-    )
+    missing = ~(away < MAX_JOINT_DIFFERENCE).any(axis=-1) & _are_regular(arm, moves)
     return *worst, int(missing.sum())
 
 
-def _determinant_scale(arm: DhArm) -> float:
-    """Scale of det J, m³: the product of the two links and their sum."""
-    least, most = FAMILIES[arm.family].reach(arm)
-    return (most**2 - least**2) / 4 * most
+def _are_regular(arm: Arm, moves: Array) -> Array:
+    """Which postures, of Jacobians (m, 6, n), are away from a singularity."""
+    if isinstance(arm, DhArm):
+        least, most = FAMILIES[arm.family].reach(arm)
+        scale = (most**2 - least**2) / 4 * most  # m³: the product of the two links and their sum
+        return np.asarray(np.abs(np.linalg.det(moves)) > MIN_DETERMINANT * scale)
+    assert isinstance(arm, UrdfArm)
+    assert arm.closed_form is not None
+    values = np.linalg.svd(moves[..., :6], compute_uv=False)
+    return np.asarray(values[:, -1] > MIN_SINGULAR_RATIO[arm.closed_form.exact] * values[:, 0])
 
 
 def _check_iteration(

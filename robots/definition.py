@@ -11,7 +11,7 @@ import numpy as np
 
 from robots.arm import DhArm
 from robots.errors import RobotError
-from robots.inverse import FAMILIES
+from robots.inverse import FAMILIES, TABLE_FAMILIES
 from robots.transforms import Array
 
 HEAD = {"format", "name", "family", "description", "source", "joint"}
@@ -160,9 +160,9 @@ def linkage_matrix(path: Path, names: list[str], rows: list[Any]) -> Array | Non
 
 
 def _check_family(path: Path, arm: DhArm) -> None:
-    if arm.family not in FAMILIES:
-        near = difflib.get_close_matches(arm.family, FAMILIES, n=1)
-        expected = f"known families are {', '.join(FAMILIES)}"
+    if arm.family not in TABLE_FAMILIES:
+        near = difflib.get_close_matches(arm.family, TABLE_FAMILIES, n=1)
+        expected = f"known families are {', '.join(TABLE_FAMILIES)}"
         remedy = f'Did you mean "{near[0]}"?' if near else "An arm of another kind can be a URDF."
         raise RobotError(f"{path}, family", f'"{arm.family}"', expected, remedy)
     misfit = FAMILIES[arm.family].misfit(arm)

@@ -9,18 +9,27 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robots import parallel_axes, spherical_wrist
-from robots.arm import Arm, DhArm
+from robots import intersecting_axes, parallel_axes, spherical_wrist
+from robots.arm import Arm, DhArm, UrdfArm
 from robots.closed_form import SHOULDER, WRIST, Family, Flags
-from robots.transforms import Array
+from robots.kinematics import forward, link_frames
+from robots.transforms import Array, difference, invert
 
-FAMILIES: dict[str, Family] = {"spherical_wrist": spherical_wrist, "parallel_axes": parallel_axes}
-
+FAMILIES: dict[str, Family] = {
+    "spherical_wrist": spherical_wrist,
+    "parallel_axes": parallel_axes,
+    "intersecting_axes": intersecting_axes,
+}
+TABLE_FAMILIES = ("spherical_wrist", "parallel_axes")  # of robot files; a URDF can be of any
 
 CHUNK_POSES = 2048  # poses at a time: their rows stay in the processor's second cache
 # where a free joint looks for an angle at which the elbow closes: either way, ever wider, rad
 POSE_SHIFTS = [sign * 0.001 * 1.5**k for k in range(20) for sign in (1, -1)]  # up to 2.2
 FULL_TURN = 2 * np.pi
+MAX_REFINEMENTS = 6  # Newton steps: two bring a deviation of 1e-5 to rounding
+TOL_REFINED = 1e-13  # m and rad
+MAX_REFINED = 1e-10  # m and rad: an answer that stays farther off is none
+DAMPING = 1e-16  # of J Jᵀ, m² and 1: no leap at a singularity
 TOL_LIMIT = 1e-9  # rad: rounding must not put an arm standing at its limit outside
 
 
@@ -32,12 +41,14 @@ class Branches:
     (the angle between the links' lines, 0 when stretched); wrist 0 has sin θ5 >= 0, 1 has <= 0.
     """
 
-    q: Array  # (..., 8, 6), rad, NaN where no answer exists; DH angles in (-pi, pi]
+    q: Array  # (..., 8, n), rad, NaN where no answer exists; DH angles in (-pi, pi], or a URDF's
     degenerate: Flags  # (..., 8): 1 wrist straight, 2 wrist on axis 1, 4 elbow stretched or folded
 
 
-def inverse(arm: DhArm, base_T_flange: Array, hold: Array | None = None) -> Branches:
+def inverse(arm: Arm, base_T_flange: Array, hold: Array | None = None) -> Branches:
     """Find every way to reach a pose (..., 4, 4), m; limits are not looked at.
+
+    An arm by URDF needs a `closed_form`; the seventh of seven joints is taken from `hold`.
 
     Where a singularity frees a joint, it keeps its angle in `hold`, (6,) or (..., 6), rad, 0 by
     default, and both branches that meet there hold the same joints: θ1 with the wrist on axis 1
@@ -48,12 +59,18 @@ def inverse(arm: DhArm, base_T_flange: Array, hold: Array | None = None) -> Bran
     distance from axis 1 in m, |sin| of the elbow). One case is lost: parallel axes with the elbow
     stretched or folded to rounding and |sin θ5| below 1e-5 but not 0, where rounding decides if the
     elbow closes.
+
+    Raises:
+        ValueError: the arm has no closed form.
     """
     if arm.linkage is not None:
         hold = None if hold is None else arm.axis_angles(np.asarray(hold, dtype=float))
         found = inverse(arm.unlinked, base_T_flange, hold)
         return Branches(arm.joint_angles_of(found.q), found.degenerate)
     poses = np.asarray(base_T_flange, dtype=float)
+    if isinstance(arm, UrdfArm):
+        return _inverse_by_table(arm, poses, np.zeros(arm.dof) if hold is None else hold)
+    assert isinstance(arm, DhArm)
     shape = poses.shape[:-2]
     poses = poses.reshape(-1, 16)
     held = arm.theta(np.zeros(6) if hold is None else np.asarray(hold, dtype=float))
@@ -69,6 +86,72 @@ def inverse(arm: DhArm, base_T_flange: Array, hold: Array | None = None) -> Bran
             break
         q[stuck], degenerate[stuck] = _solve_chunk(arm, poses[stuck], held[stuck] + shift)
     return Branches(q.reshape(*shape, 8, 6), degenerate.reshape(*shape, 8))
+
+
+def _inverse_by_table(arm: UrdfArm, poses: Array, hold: Array) -> Branches:
+    """Answers (..., 8, n) of an unlinked arm, by the table that its axes make."""
+    form = arm.closed_form
+    if form is None:
+        raise ValueError(f"{arm.name} has no closed form")
+    hold = np.broadcast_to(np.asarray(hold, dtype=float), (*poses.shape[:-2], arm.dof))
+    moved = poses @ invert(arm.rest_frames[-1])
+    if arm.dof == 7:  # undo the last joint
+        axis = arm.rest_frames[6]
+        moved = moved @ axis @ _turned(-hold[..., 6]) @ invert(axis)
+    ordered, held = moved, hold[..., :6]
+    if form.reverse:
+        ordered, held = invert(moved), held[..., ::-1]
+    found = inverse(form.table, invert(form.base_T_table) @ ordered @ form.base_T_tip, held)
+    q = np.empty((*found.q.shape[:-1], arm.dof))
+    q[..., :6] = found.q[..., ::-1] if form.reverse else found.q
+    q[..., :6] -= FULL_TURN * np.ceil((q[..., :6] - np.pi) / FULL_TURN)
+    q[..., 6:] = np.where(np.isnan(q[..., :1]), np.nan, hold[..., None, 6:])
+    if not form.exact:
+        exists = np.isfinite(q[..., 0])
+        q[exists] = _refined(
+            arm, q[exists], np.broadcast_to(poses[..., None, :, :], (*exists.shape, 4, 4))[exists]
+        )
+    return Branches(q, found.degenerate)
+
+
+def form_pose(arm: UrdfArm, q: Array) -> Array:
+    """Place the flange (m, 4, 4), m, of joint angles (m, n), rad, by the table, not by the file."""
+    form = arm.closed_form
+    assert form is not None
+    angles = q[:, 5::-1] if form.reverse else q[:, :6]
+    moved = form.base_T_table @ forward(form.table, angles) @ invert(form.base_T_tip)
+    moved = invert(moved) if form.reverse else moved
+    if arm.dof == 7:
+        axis = arm.rest_frames[6]
+        moved = moved @ axis @ _turned(q[:, 6]) @ invert(axis)
+    return np.asarray(moved @ arm.rest_frames[-1])
+
+
+def _turned(angle: Array) -> Array:
+    """RotZ (..., 4, 4) of angles (...), rad."""
+    turn = np.zeros((*angle.shape, 4, 4))
+    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(angle)
+    turn[..., 1, 0] = np.sin(angle)
+    turn[..., 0, 1] = -turn[..., 1, 0]
+    turn[..., 2, 2] = turn[..., 3, 3] = 1
+    return turn
+
+
+def _refined(arm: UrdfArm, q: Array, poses: Array) -> Array:
+    """Bring answers (k, n) to poses (k, 4, 4) of the file's own chain by Newton; NaN if in vain."""
+    for _ in range(MAX_REFINEMENTS):
+        frames = link_frames(arm, q)
+        error = difference(poses, frames[:, -1])
+        if np.abs(error).max(initial=0) < TOL_REFINED:
+            break
+        tip = frames[:, -1, None, :3, 3]
+        axis, origin = frames[:, :6, :3, 2], frames[:, :6, :3, 3]
+        rows = np.concatenate([np.cross(axis, tip - origin), axis], axis=-1)  # J transposed
+        squared = np.swapaxes(rows, -1, -2) @ rows + DAMPING * np.eye(6)
+        q = q.copy()
+        q[:, :6] += (rows @ np.linalg.solve(squared, error[..., None]))[..., 0]
+    error = difference(poses, link_frames(arm, q)[:, -1])
+    return np.where(np.abs(error).max(axis=-1, keepdims=True) < MAX_REFINED, q, np.nan)
 
 
 def _solve_chunk(arm: DhArm, poses: Array, held: Array) -> tuple[Array, Flags]:

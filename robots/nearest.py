@@ -23,25 +23,30 @@ def nearest(
 
     Of poses (..., 4, 4), m; q_near, (n,) or (..., n), rad, is also what a joint that a singularity
     frees keeps. `limits`: within the arm's limits alone. A DH arm's are the nearest of all
-    branches. A URDF's are found by damped least squares that start at q_near and, where joints are
-    redundant, settle in the nearest point of the self-motion; another branch that is nearer can be
-    missed. Returns q (..., n), NaN where not reached, and whether the pose was reached (...).
+    branches, and so are those of a URDF whose six joints have a closed form. Any other URDF's are
+    found by damped least squares that start at q_near and, where joints are redundant, settle in
+    the nearest point of the self-motion; another branch that is nearer can be missed. Returns
+    q (..., n), NaN where not reached, and whether the pose was reached (...).
     """
     poses = np.asarray(base_T_flange, dtype=float)
     seeds = np.broadcast_to(np.asarray(q_near, dtype=float), (*poses.shape[:-2], arm.dof))
     if isinstance(arm, DhArm):
         return _nearest_branch(arm, poses, seeds, limits)
     assert isinstance(arm, UrdfArm)
-    flat = zip(poses.reshape(-1, 4, 4), seeds.reshape(-1, arm.dof), strict=True)
-    q = np.array(
-        [_damped_least_squares(arm, pose, seed, limits) for pose, seed in flat], dtype=float
-    )
-    q = q.reshape(seeds.shape)
+    q, reached = np.full(seeds.shape, np.nan), np.zeros(seeds.shape[:-1], dtype=np.bool_)
+    if arm.closed_form and arm.dof == 6:
+        q, reached = _nearest_branch(arm, poses, seeds, limits)
+        if arm.closed_form.exact:
+            return q, reached
+    # a chain that is only near a family may close where the family's own does not
+    for place in np.ndindex(reached.shape):
+        if not reached[place]:
+            q[place] = _damped_least_squares(arm, poses[place], seeds[place], limits)
     return q, np.isfinite(q).all(axis=-1)
 
 
 def _nearest_branch(
-    arm: DhArm, poses: Array, seeds: Array, limits: bool
+    arm: Arm, poses: Array, seeds: Array, limits: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
     branches = inverse(arm, poses, hold=seeds).q
     rivals = seeds[..., None, :]

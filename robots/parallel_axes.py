@@ -1,9 +1,9 @@
-"""A family: axes 2, 3 and 4 are parallel, and axes 5 and 6 meet axis 4's plane without offset.
+"""A family: axes 2, 3 and 4 are parallel, and axes 5 and 6 meet.
 
-The twists are (-90, 0, 0, 90, -90, 0)°; the only offsets along an axis are d1 and d6. Unlike a
-spherical wrist, axis 6 turning parallel to axes 2 to 4 (sin θ5 = 0) couples four joints: θ6 is free
-and the elbow moves with it. Source: Korayem et al. (2018) with its misprints mended, derived again
-from the DH table.
+The twists are (-90, 0, 0, 90, -90, 0)°. Offsets along axes 2, 3 and 4 are one, d2 + d3 + d4: how
+far the arm's plane passes axis 1. Unlike a spherical wrist, axis 6 turning parallel to axes 2 to 4
+(sin θ5 = 0) couples four joints: θ6 is free and the elbow moves with it. Source: Korayem et al.
+(2018) with its misprints mended, derived again from the DH table.
 """
 
 import numpy as np
@@ -17,11 +17,15 @@ from robots.closed_form import (
     Flags,
     Mask,
     Misfit,
+    Needed,
     bend_to,
     table_mismatch,
     turn_to,
 )
 from robots.transforms import Array
+
+ALPHA = (-90.0, 0.0, 0.0, 90.0, -90.0, 0.0)
+LENGTHS: Needed = {"a_mm": (None, None, None, None, 0.0, 0.0), "d_mm": (None,) * 6}
 
 
 def misfit(arm: DhArm) -> Misfit | None:
@@ -30,12 +34,7 @@ def misfit(arm: DhArm) -> Misfit | None:
         if arm.a[joint - 1] <= 0:
             found = float(arm.a[joint - 1] * 1000)
             return joint, "a_mm", found, "a link longer than 0 is needed"
-    needed: dict[str, tuple[float | None, ...]] = {
-        "a_mm": (None, None, None, None, 0.0, 0.0),
-        "d_mm": (None, 0.0, 0.0, 0.0, 0.0, None),
-        "alpha_deg": (-90.0, 0.0, 0.0, 90.0, -90.0, 0.0),
-    }
-    return table_mismatch(arm, needed)
+    return table_mismatch(arm, {**LENGTHS, "alpha_deg": ALPHA})
 
 
 def reach(arm: DhArm) -> tuple[float, float]:
@@ -46,10 +45,10 @@ def reach(arm: DhArm) -> tuple[float, float]:
 def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
     """Solve poses given as rows; see `closed_form.Family`."""
     a1, a2, a3, a4 = arm.a[:4].tolist()
-    d1, d6 = float(arm.d[0]), float(arm.d[5])
+    d1, _, _, _, d5, d6 = arm.d.tolist()
     nx, ox, ax, px, ny, oy, ay, py, nz, oz, az, pz = pose[:12]
 
-    turned = turn_to(px - d6 * ax, py - d6 * ay, hold[0])
+    turned = turn_to(px - d6 * ax, py - d6 * ay, hold[0], float(arm.d[1:4].sum()))
     cosine, sine = turned.cosine, turned.sine
     n_along, o_along, a_along, p_along = (
         cosine * x + sine * y for x, y in ((nx, ny), (ox, oy), (ax, ay), (px, py))
@@ -79,7 +78,9 @@ def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
             s5[:, wrist][straight] = np.sin(turn)
 
     lever = a4 - d6 * s5
-    bent = bend_to(p_along[:, None] - lever * c234 - a1, d1 - pz - lever * s234, a2, a3)
+    bent = bend_to(
+        p_along[:, None] - lever * c234 - d5 * s234 - a1, d1 - pz - lever * s234 + d5 * c234, a2, a3
+    )
 
     theta = np.empty((6, 2, 2, 2, pose.shape[1]))  # joint, shoulder, elbow, wrist, pose
     theta[0] = turned.theta[:, None, None]
@@ -97,7 +98,7 @@ def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
 
     flags = np.where(bent.merged, ELBOW, 0)[:, None] | np.where(turned.free, SHOULDER, 0)
     flags = flags | np.where(straight, WRIST, 0)[:, None, None]
-    return theta, bent.exists[:, None], flags.astype(np.uint8)
+    return theta, (bent.exists & turned.exists)[:, None], flags.astype(np.uint8)
 
 
 def _both(value: Array) -> Array:

@@ -1,4 +1,4 @@
-"""A family: axes 4, 5 and 6 meet in one point; axes 2 and 3 are parallel, the shoulder not offset.
+"""A family: axes 4, 5 and 6 meet in one point; axes 2 and 3 are parallel.
 
 The twists of joints 3, 4 and 5 are (90, -90, 90)° or (-90, 90, -90)°: the elbow offset a3 lies on
 one or the other side of the forearm. With g = +1 or -1 for the two, and the forearm's line from
@@ -13,31 +13,32 @@ from robots.arm import DhArm
 from robots.closed_form import (
     ELBOW,
     SHOULDER,
-    TOL_WRIST,
     WRIST,
     Flags,
     Mask,
     Misfit,
+    Needed,
     bend_to,
     table_mismatch,
     turn_to,
+    turn_wrist,
 )
 from robots.transforms import Array
 
 ALPHA_BY_SIDE = {1: (-90.0, 0.0, 90.0, -90.0, 90.0, 0.0), -1: (-90.0, 0.0, -90.0, 90.0, -90.0, 0.0)}
+LENGTHS: Needed = {
+    "a_mm": (None, None, None, 0.0, 0.0, 0.0),
+    "d_mm": (None, None, None, None, 0.0, None),
+}
 
 
 def misfit(arm: DhArm) -> Misfit | None:
     """Name the first entry of the table that does not belong to this family, if any."""
-    lengths: dict[str, tuple[float | None, ...]] = {
-        "a_mm": (None, None, None, 0.0, 0.0, 0.0),
-        "d_mm": (None, 0.0, 0.0, None, 0.0, None),
-    }
     if arm.a[1] <= 0:
         return 2, "a_mm", float(arm.a[1] * 1000), "an upper arm longer than 0 is needed"
     if np.hypot(arm.a[2], arm.d[3]) == 0:
         return 4, "d_mm", 0.0, "a forearm longer than 0 is needed"
-    return table_mismatch(arm, {**lengths, "alpha_deg": ALPHA_BY_SIDE[elbow_side(arm)]})
+    return table_mismatch(arm, {**LENGTHS, "alpha_deg": ALPHA_BY_SIDE[elbow_side(arm)]})
 
 
 def elbow_side(arm: DhArm) -> int:
@@ -65,7 +66,7 @@ def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
     nx, ox, ax, px, ny, oy, ay, py, nz, oz, az, pz = pose[:12]
 
     wrist_x, wrist_y = px - d6 * ax, py - d6 * ay
-    turned = turn_to(wrist_x, wrist_y, hold[0])
+    turned = turn_to(wrist_x, wrist_y, hold[0], float(arm.d[1] + arm.d[2]))
     along = wrist_x * turned.cosine + wrist_y * turned.sine - a1
     bent = bend_to(along, d1 - (pz - d6 * az), float(arm.a[1]), length)
 
@@ -88,32 +89,8 @@ def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
     q13 = c23 * a_along[:, None] - s23 * az
     q33 = g * (s23 * a_along[:, None] + c23 * az)
 
-    # Q = RotZ(θ4) RotY(g θ5) RotZ(θ6). θ4 from the third column; then RotZ(-θ4) Q gives the others
-    y4, x4 = g * q23[:, None], g * q13
-    s5 = np.sqrt(x4 * x4 + y4 * y4)
-    theta[3, ..., 0, :] = np.arctan2(y4, x4)
-    theta[4, ..., 0, :] = np.arctan2(s5, q33)
-    theta[5, ..., 0, :] = np.arctan2(x4 * q21[:, None] - y4 * q11, x4 * q22[:, None] - y4 * q12)
-    theta[3, ..., 1, :] = theta[3, ..., 0, :] + np.pi
-    theta[4, ..., 1, :] = -theta[4, ..., 0, :]
-    theta[5, ..., 1, :] = theta[5, ..., 0, :] + np.pi
-
+    entries = (q11, q12, q13, q21[:, None], q22[:, None], q23[:, None], q33)
+    straight = turn_wrist(theta, g, entries, hold[3])
     flags = np.where(bent.merged, ELBOW, 0)[:, None, None] | np.where(turned.free, SHOULDER, 0)
-    straight = s5 < TOL_WRIST
-    if straight.any():
-        entries = (q11, q12, q13, q21[:, None], q22[:, None], q23[:, None], q33)
-        _hold_theta4(theta, straight, hold[3], g, *entries)
-        flags = flags | np.where(straight, WRIST, 0)[:, :, None]
-    return theta, bent.exists[:, None, None], flags.astype(np.uint8)
-
-
-def _hold_theta4(theta: Array, straight: Mask, hold: Array, g: int, *entries: Array) -> None:
-    """Where the wrist is straight and only θ4 ± θ6 determined, hold θ4 and take θ6 from Q."""
-    theta4, q11, q12, q13, q21, q22, q23, q33 = (
-        np.broadcast_to(entry, straight.shape)[straight] for entry in (hold, *entries)
-    )
-    c4, s4 = np.cos(theta4), np.sin(theta4)
-    theta5 = g * np.arctan2(c4 * q13 + s4 * q23, q33)
-    theta6 = np.arctan2(c4 * q21 - s4 * q11, c4 * q22 - s4 * q12)
-    for wrist in (0, 1):
-        theta[3:, :, :, wrist][:, straight] = np.stack([theta4, theta5, theta6])
+    flags = flags | np.where(straight, WRIST, 0)[:, :, None]
+    return theta, bent.exists[:, None, None] & turned.exists, flags.astype(np.uint8)

@@ -3,7 +3,7 @@
 import hashlib
 import re
 import xml.etree.ElementTree as ElementTree
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,6 +12,7 @@ import pinocchio
 from robots.arm import UrdfArm
 from robots.definition import linkage_matrix
 from robots.errors import RobotError
+from robots.recognition import recognise
 
 TURNING_TYPES = {"revolute", "continuous"}
 # not a joint of the arm
@@ -66,7 +67,7 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
     model = _lock_other_joints(path, chain)
     limits = np.array([_limits(path, model, joint) for joint in chain])
     names = [joint.name for joint in chain]
-    return UrdfArm(
+    arm = UrdfArm(
         name=name,
         description=f"{len(chain)} revolute joints, {base} to {tip}",
         source=source,
@@ -82,6 +83,7 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
         tip_frame=model.getFrameId(tip, pinocchio.FrameType.BODY),
         joint_names=tuple(names),
     )
+    return replace(arm, closed_form=recognise(arm))
 
 
 def _limits(path: Path, model: pinocchio.Model, joint: Joint) -> tuple[float, float]:

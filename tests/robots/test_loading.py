@@ -78,7 +78,7 @@ def test_a_path_counts_from_the_folder(tmp_path: Path) -> None:
         ("a_mm = 36.5", "a_mm = true", ["joint 1, a_mm", "True", "a number"]),
         ("a_mm = 36.5 ", "", ["joint 1, a_mm", "missing"]),
         ("a_mm = 251.5", "a_mm = 0", ["joint 2, a_mm", "longer than 0"]),
-        ("d_mm = 0.0", "d_mm = 5", ["joint 2, d_mm", "5; 0 is needed", "parallel_axes"]),
+        ("a_mm = 0.0", "a_mm = 5", ["joint 5, a_mm", "5; 0 is needed", "parallel_axes"]),
         ("alpha_deg = 90.0", "alpha_deg = 89", ["joint 4, alpha_deg", "89; 90 is needed"]),
         ("[-170.0, 170.0]", "[170.0, -170.0]", ["joint 1, limits_deg", "lower one first"]),
         ("[-170.0, 170.0]", "[1]", ["joint 1, limits_deg", "[1]", "two numbers"]),

@@ -1,5 +1,6 @@
 """The arms that verify knows: their tables, limits and reach, and a check of their kinematics."""
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -18,6 +19,10 @@ def robots(
     ] = None,
     poses: Annotated[int, typer.Option(min=1, help="Random poses of the self-check.")] = 1000,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random poses.")] = 0,
+    urdf: Annotated[
+        Path | None,
+        typer.Option("--export-urdf", help="Write a robot file's arm as a URDF, and nothing else."),
+    ] = None,
 ) -> int:
     """List the arms, or show one and check its kinematics.
 
@@ -29,13 +34,17 @@ def robots(
     from verify.errors import InputError
 
     if name is None:
+        if urdf is not None:
+            raise typer.BadParameter("--export-urdf needs the name of an arm")
         for arm_name in arms.names():
             arm = arms.load(arm_name)
-            terminal.say(f"{arm_name:14} {arm.description}")
+            terminal.say(f"{arm_name:20} {arm.description}")
             terminal.record({"type": "robot", "name": arm_name, "description": arm.description})
         return 0
     try:
         arm = arms.load(name)
+        if urdf is not None:
+            return _export(arm, urdf)
         terminal.say(_table(arm))
         check = arms.self_check(arm, poses=poses, seed=seed)
     except arms.RobotError as problem:
@@ -43,6 +52,23 @@ def robots(
             problem.place, problem.found, problem.expected, problem.remedy
         ) from problem
     return _report(arm, check)
+
+
+def _export(arm: "arms.Arm", path: Path) -> int:
+    """Write the arm as a URDF; nothing is overwritten."""
+    import robots as arms
+    from verify.errors import InputError
+    from verify.io.files import write_whole
+    from verify.io.results import refuse_file
+
+    text = arms.export_urdf(arm)
+    refuse_file(path, force=True)
+    if path.exists():
+        raise InputError(path, "exists", "nothing is overwritten unasked", "Choose another name.")
+    write_whole(path, text.encode())
+    terminal.say(f"{path}: {arm.name} from base_link to tool0")
+    terminal.record({"type": "result", "out": str(path)})
+    return 0
 
 
 def _table(arm: "arms.Arm") -> str:
@@ -70,7 +96,17 @@ def _table(arm: "arms.Arm") -> str:
     Console(file=text, width=100).print(table)
     reach = arms.reach(arm)
     span = f"reach {reach.minimum * 1e3:.1f} to {reach.maximum * 1e3:.1f} mm, {reach.meaning}"
+    if isinstance(arm, arms.UrdfArm):
+        span += f"\nclosed form: {_closed_form(arm)}"
     return f"{text.getvalue()}{span}\nsource: {arm.source}"
+
+
+def _closed_form(arm: "arms.UrdfArm") -> str:
+    form = arm.closed_form
+    if form is None:
+        return "none known; joint angles are found by iteration"
+    given = ", joint 7 given" if arm.dof == 7 else ""
+    return f"{form}{given}{'' if form.exact else ', refined for angles that the file rounds'}"
 
 
 def _report(arm: "arms.Arm", check: "arms.SelfCheck") -> int:

@@ -1,0 +1,40 @@
+"""`verify robots`: what it lists and checks, and the URDF that it writes."""
+
+from pathlib import Path
+
+import pytest
+
+import robots
+from tests.support.command import verify
+
+
+def test_a_urdf_is_written_once_and_says_where_it_cannot_be(tmp_path: Path) -> None:
+    path = tmp_path / "arm.urdf"
+    assert (
+        "arm.urdf: abb_irb_120" in verify("robots", "abb_irb_120", "--export-urdf", str(path)).out
+    )
+    written = robots.load(str(path))
+    assert (written.base, written.tip, written.dof) == ("base_link", "tool0", 6)
+    refused = verify("robots", "abb_irb_120", "--export-urdf", str(path))
+    assert "exists; nothing is overwritten" in refused.refusal
+
+
+@pytest.mark.parametrize(
+    ("words", "reason"),
+    [
+        (["fanuc_lr_mate_200id"], "joint 3: its axis turns by q3 + q2"),
+        (["ur5"], "ur5: comes from a URDF. Copy that file"),
+        ([], "--export-urdf needs the name of an arm"),
+    ],
+)
+def test_an_export_that_cannot_be_is_refused_in_a_line(
+    words: list[str], reason: str, tmp_path: Path
+) -> None:
+    refused = verify("robots", *words, "--export-urdf", str(tmp_path / "arm.urdf"))
+    assert reason in refused.refusal
+    assert not (tmp_path / "arm.urdf").exists()
+
+
+def test_a_urdfs_closed_form_is_named() -> None:
+    assert "closed form: parallel_axes" in verify("robots", "ur5", "--poses", "20").out
+    assert "from flange to base, joint 7 given" in verify("robots", "panda", "--poses", "20").out
