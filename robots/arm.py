@@ -110,6 +110,11 @@ class TableForm:
     reverse: bool
     exact: bool = False  # else the file's own chain is near the table's, and answers are refined
 
+    @property
+    def searched(self) -> bool:
+        """Whether one equation is left, whose roots are searched."""
+        return self.table.family == "offset_wrist"
+
     def __str__(self) -> str:
         return f"{self.table.family}{', from flange to base' if self.reverse else ''}"
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robots import intersecting_axes, parallel_axes, spherical_wrist
-from robots.arm import Arm, DhArm, UrdfArm
+from robots import intersecting_axes, offset_wrist, parallel_axes, spherical_wrist
+from robots.arm import Arm, DhArm, TableForm, UrdfArm
 from robots.closed_form import SHOULDER, WRIST, Family, Flags
 from robots.kinematics import forward, link_frames
 from robots.transforms import Array, difference, invert
@@ -26,8 +26,11 @@ CHUNK_POSES = 2048  # poses at a time: their rows stay in the processor's second
 # where a free joint looks for an angle at which the elbow closes: either way, ever wider, rad
 POSE_SHIFTS = [sign * 0.001 * 1.5**k for k in range(20) for sign in (1, -1)]  # up to 2.2
 FULL_TURN = 2 * np.pi
-MAX_REFINEMENTS = 6  # Newton steps: two bring a deviation of 1e-5 to rounding
-TOL_REFINED = 1e-13  # m and rad
+MAX_REFINEMENTS = 12  # Newton steps: two bring a deviation of 1e-5 to rounding
+MAX_ANSWERS = 16  # of six joints
+CHUNK_SEARCHED = 256  # poses at a time
+TOL_SAME = 1e-6  # rad: two answers of a search are one
+TOL_REFINED = 1e-13  # m and rad: an answer this near takes no further step
 MAX_REFINED = 1e-10  # m and rad: an answer that stays farther off is none
 DAMPING = 1e-16  # of J Jᵀ, m² and 1: no leap at a singularity
 TOL_LIMIT = 1e-9  # rad: rounding must not put an arm standing at its limit outside
@@ -48,7 +51,8 @@ class Branches:
 def inverse(arm: Arm, base_T_flange: Array, hold: Array | None = None) -> Branches:
     """Find every way to reach a pose (..., 4, 4), m; limits are not looked at.
 
-    An arm by URDF needs a `closed_form`; the seventh of seven joints is taken from `hold`.
+    An arm by URDF needs a `closed_form`; the seventh of seven joints is taken from `hold`. Where
+    that is searched, sixteen places take the answers in no order, and none is degenerate.
 
     Where a singularity frees a joint, it keeps its angle in `hold`, (6,) or (..., 6), rad, 0 by
     default, and both branches that meet there hold the same joints: θ1 with the wrist on axis 1
@@ -101,7 +105,10 @@ def _inverse_by_table(arm: UrdfArm, poses: Array, hold: Array) -> Branches:
     ordered, held = moved, hold[..., :6]
     if form.reverse:
         ordered, held = invert(moved), held[..., ::-1]
-    found = inverse(form.table, invert(form.base_T_table) @ ordered @ form.base_T_tip, held)
+    table_T_tip = invert(form.base_T_table) @ ordered @ form.base_T_tip
+    if form.searched:
+        return _inverse_by_search(arm, form, table_T_tip, poses, hold)
+    found = inverse(form.table, table_T_tip, held)
     q = np.empty((*found.q.shape[:-1], arm.dof))
     q[..., :6] = found.q[..., ::-1] if form.reverse else found.q
     q[..., :6] -= FULL_TURN * np.ceil((q[..., :6] - np.pi) / FULL_TURN)
@@ -112,6 +119,35 @@ def _inverse_by_table(arm: UrdfArm, poses: Array, hold: Array) -> Branches:
             arm, q[exists], np.broadcast_to(poses[..., None, :, :], (*exists.shape, 4, 4))[exists]
         )
     return Branches(q, found.degenerate)
+
+
+def _inverse_by_search(
+    arm: UrdfArm, form: TableForm, table_T_tip: Array, poses: Array, hold: Array
+) -> Branches:
+    """Answers (..., 16, n), sorted by no branch, of an arm whose last equation is searched."""
+    shape = poses.shape[:-2]
+    poses, hold = poses.reshape(-1, 4, 4), hold.reshape(-1, arm.dof)
+    table_T_tip = table_T_tip.reshape(-1, 4, 4)
+    answers = np.full((len(poses), MAX_ANSWERS, arm.dof), np.nan)
+    for start in range(0, len(poses), CHUNK_SEARCHED):
+        rows, theta = offset_wrist.starts(form.table, table_T_tip[start : start + CHUNK_SEARCHED])
+        rows += start
+        q = hold[rows].copy()
+        angles = form.table.joint_angles(theta)
+        q[:, :6] = angles[:, ::-1] if form.reverse else angles
+        q = _refined(arm, q, poses[rows])
+        q[:, :6] -= FULL_TURN * np.ceil((q[:, :6] - np.pi) / FULL_TURN)
+        reached = np.isfinite(q[:, 0])
+        for row in np.unique(rows[reached]):
+            mine = q[reached & (rows == row)]
+            apart = np.abs(near(mine[:, None], mine[None]) - mine[None]).max(axis=-1)
+            again = np.tril(apart < TOL_SAME, -1).any(axis=1)
+            kept = mine[~again][:MAX_ANSWERS]
+            answers[row, : len(kept)] = kept
+    flags = np.zeros(answers.shape[:2], dtype=np.uint8)
+    return Branches(
+        answers.reshape(*shape, MAX_ANSWERS, arm.dof), flags.reshape(*shape, MAX_ANSWERS)
+    )
 
 
 def form_pose(arm: UrdfArm, q: Array) -> Array:
@@ -139,19 +175,23 @@ def _turned(angle: Array) -> Array:
 
 def _refined(arm: UrdfArm, q: Array, poses: Array) -> Array:
     """Bring answers (k, n) to poses (k, 4, 4) of the file's own chain by Newton; NaN if in vain."""
+    q, size = q.copy(), np.full(len(q), np.inf)
+    rows = np.arange(len(q))  # those on the way
     for _ in range(MAX_REFINEMENTS):
-        frames = link_frames(arm, q)
-        error = difference(poses, frames[:, -1])
-        if np.abs(error).max(initial=0) < TOL_REFINED:
+        frames = link_frames(arm, q[rows])
+        error = difference(poses[rows], frames[:, -1])
+        size[rows] = np.abs(error).max(axis=-1)
+        far = size[rows] > TOL_REFINED
+        rows, frames, error = rows[far], frames[far], error[far]
+        if not len(rows):
             break
         tip = frames[:, -1, None, :3, 3]
         axis, origin = frames[:, :6, :3, 2], frames[:, :6, :3, 3]
-        rows = np.concatenate([np.cross(axis, tip - origin), axis], axis=-1)  # J transposed
-        squared = np.swapaxes(rows, -1, -2) @ rows + DAMPING * np.eye(6)
-        q = q.copy()
-        q[:, :6] += (rows @ np.linalg.solve(squared, error[..., None]))[..., 0]
-    error = difference(poses, link_frames(arm, q)[:, -1])
-    return np.where(np.abs(error).max(axis=-1, keepdims=True) < MAX_REFINED, q, np.nan)
+        moves = np.concatenate([np.cross(axis, tip - origin), axis], axis=-1)  # J transposed
+        squared = np.swapaxes(moves, -1, -2) @ moves + DAMPING * np.eye(6)
+        q[rows, :6] += (moves @ np.linalg.solve(squared, error[..., None]))[..., 0]
+    q[size > MAX_REFINED] = np.nan
+    return q
 
 
 def _solve_chunk(arm: DhArm, poses: Array, held: Array) -> tuple[Array, Flags]:

@@ -34,7 +34,7 @@ def nearest(
         return _nearest_branch(arm, poses, seeds, limits)
     assert isinstance(arm, UrdfArm)
     q, reached = np.full(seeds.shape, np.nan), np.zeros(seeds.shape[:-1], dtype=np.bool_)
-    if arm.closed_form and arm.dof == 6:
+    if arm.closed_form and arm.dof == 6 and not arm.closed_form.searched:
         q, reached = _nearest_branch(arm, poses, seeds, limits)
         if arm.closed_form.exact:
             return q, reached

@@ -12,7 +12,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from robots import intersecting_axes, parallel_axes, spherical_wrist
+from robots import intersecting_axes, offset_wrist, parallel_axes, spherical_wrist
 from robots.arm import DhArm, TableForm, UrdfArm
 from robots.closed_form import Needed
 from robots.inverse import FAMILIES, form_pose, inverse, near
@@ -32,6 +32,7 @@ SHAPES: dict[str, tuple[tuple[float, ...], Needed]] = {  # twists, deg, and leng
     "parallel_axes": (parallel_axes.ALPHA, parallel_axes.LENGTHS),
     "spherical_wrist": (spherical_wrist.ALPHA_BY_SIDE[1], spherical_wrist.LENGTHS),
     "intersecting_axes": (intersecting_axes.ALPHA, intersecting_axes.LENGTHS),
+    "offset_wrist": (offset_wrist.ALPHA, offset_wrist.LENGTHS),
 }
 
 
@@ -84,7 +85,8 @@ def _table(axes: Array, points: Array, family: str, *, reverse: bool) -> TableFo
         a=columns[0], d=columns[1], alpha=np.radians(twists), sign=sign, offset=columns[2],
         family=family,
     )  # fmt: skip
-    if FAMILIES[family].misfit(table):
+    misfit = offset_wrist.misfit if family == "offset_wrist" else FAMILIES[family].misfit
+    if misfit(table):
         return None
     return TableForm(table, frames[0], frames[0] @ forward(table, np.zeros(6)), reverse)
 

@@ -23,7 +23,7 @@ from verify.cli.identify.identify import identify
 from verify.cli.plan.plan import plan
 from verify.cli.report import report
 from verify.cli.robots import robots
-from verify.cli.run import run
+from verify.cli.run import demo, run
 from verify.cli.simulate import simulate
 from verify.cli.terminal import show_log, terminal
 from verify.errors import InputError, WatchDefectError, one_line
@@ -52,7 +52,10 @@ app = typer.Typer(
     pretty_exceptions_enable=False,  # an unknown error shows Python's own traceback
     rich_markup_mode=None,
 )
-for command in (run, batch, identify, plan, grab, report, board, simulate, robots, emulate, doctor):
+COMMANDS = (
+    run, batch, identify, plan, grab, report, board, simulate, robots, emulate, doctor, demo,
+)  # fmt: skip
+for command in COMMANDS:
     app.command(epilog=GLOBAL_OPTIONS_HELP)(command)
 app.add_typer(calibrate, name="calibrate", epilog=GLOBAL_OPTIONS_HELP)
 

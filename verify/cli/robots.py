@@ -105,6 +105,8 @@ def _closed_form(arm: "arms.UrdfArm") -> str:
     form = arm.closed_form
     if form is None:
         return "none known; joint angles are found by iteration"
+    if form.searched:
+        return f"none; all joint angles are found by a search over one joint ({form})"
     given = ", joint 7 given" if arm.dof == 7 else ""
     return f"{form}{given}{'' if form.exact else ', refined for angles that the file rounds'}"
 
