@@ -15,12 +15,14 @@ from reports.results import ReportError, Results, packed, read, write
 
 if TYPE_CHECKING:
     from reports.format.branding import Look
-    from reports.render import look, render_html, render_pdf
+    from reports.render import charts, draw, look, render_html, render_pdf
 
 __all__ = [
     "Look",
     "ReportError",
     "Results",
+    "charts",
+    "draw",
     "look",
     "packed",
     "read",

@@ -2,11 +2,14 @@
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from reports.calibration import document
-from reports.document.blocks import Document
+from reports.document.blocks import Document, collect_figures
+from reports.document.charts import Chart
+from reports.document.charts import Path as SpacePath
 from reports.fleet import document as fleet_document
-from reports.format import branding, html, pdf
+from reports.format import branding, html, matplotlib, pdf
 from reports.format.branding import DEFAULT_BRANDING, Look
 from reports.grasp import document as grasp_document
 from reports.identification import document as identification_document
@@ -14,6 +17,9 @@ from reports.plan import document as plan_document
 from reports.registration import document as registration_document
 from reports.results import ReportError, Results
 from reports.session import document as session_document
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 DOCUMENTS: dict[str, Callable[[Results], Document]] = {
     "run": session_document.document,
@@ -53,6 +59,17 @@ def render_html(results: Results, look: Look = DEFAULT_BRANDING) -> str:
 def render_pdf(results: Results, look: Look = DEFAULT_BRANDING) -> bytes:
     """Render results as a PDF, the same bytes each time; raises ReportError as `render_html`."""
     return pdf.pages(_document(results), look)
+
+
+def charts(results: Results) -> dict[str, Chart | SpacePath]:
+    """Collect what the report of some results draws, by name; recorded pictures apart."""
+    figures = collect_figures(_document(results))
+    return {name: one for name, one in figures.items() if not isinstance(one, bytes)}
+
+
+def draw(chart: Chart | SpacePath) -> "Figure":
+    """Draw a chart as the PDF has it, as a matplotlib figure."""
+    return matplotlib.figure(chart)
 
 
 def _document(results: Results) -> Document:

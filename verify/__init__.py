@@ -3,9 +3,12 @@
     from verify import analyse, open_session
 
     results = analyse(open_session("sample_sessions/multi_joint_fault_6r"))
-    print(results.summary["diagnosis"])
+    print(results)         # the verdict in one sentence
+    print(results.joints)  # a DataFrame, one row a joint
 
-`measure` is the chain alone: stereo pairs in, one measurement a pair out.
+`open_results` takes up what `verify run` wrote. `measure` is the chain alone: stereo pairs in, one
+measurement a pair out. Lengths are in metres, angles in radians, times in seconds; results carry
+their unit in the name. What cannot be used raises `InputError`. docs/python.md has examples.
 """
 
 from importlib import import_module
@@ -13,22 +16,41 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from verify.analysis.session import analyse
+    from verify.core.records import Measurement
     from verify.core.version import __version__
     from verify.errors import InputError
+    from verify.io.results import Results, open_results
+    from verify.io.session.keys import Tolerance
     from verify.io.session.session import Session, open_session
     from verify.measurement.chain import Setup, measure
 
-__all__ = ["InputError", "Session", "Setup", "__version__", "analyse", "measure", "open_session"]
+__all__ = [
+    "InputError",
+    "Measurement",
+    "Results",
+    "Session",
+    "Setup",
+    "Tolerance",
+    "__version__",
+    "analyse",
+    "measure",
+    "open_results",
+    "open_session",
+]
 
 
 # loaded when first asked for: the command line must answer --help at once
 _MODULES = {
     "InputError": "verify.errors",
+    "Measurement": "verify.core.records",
+    "Results": "verify.io.results",
     "Session": "verify.io.session.session",
-    "__version__": "verify.core.version",
     "Setup": "verify.measurement.chain",
+    "Tolerance": "verify.io.session.keys",
+    "__version__": "verify.core.version",
     "analyse": "verify.analysis.session",
     "measure": "verify.measurement.chain",
+    "open_results": "verify.io.results",
     "open_session": "verify.io.session.session",
 }
 
@@ -38,3 +60,8 @@ def __getattr__(name: str) -> Any:
     if name not in _MODULES:
         raise AttributeError(f"module 'verify' has no attribute {name!r}")
     return getattr(import_module(_MODULES[name]), name)
+
+
+def __dir__() -> list[str]:
+    """List the public names, loaded or not, and what every module has."""
+    return sorted({*globals(), *__all__})

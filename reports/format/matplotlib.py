@@ -44,10 +44,15 @@ LINE_WIDTHS = {"error": 0.6, "resolved": 1.1, "encoder": 0.9, "vector": 0.35}
 def svg(chart: Chart | Path) -> bytes:
     """Draw a chart as SVG; the same chart gives the same bytes."""
     with mpl.rc_context(fname=STYLE):
-        figure = _draw_path(chart) if isinstance(chart, Path) else _draw_panels(chart)
         buffer = io.BytesIO()
-        figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        figure(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
     return buffer.getvalue()
+
+
+def figure(chart: Chart | Path) -> Figure:
+    """Draw a chart."""
+    with mpl.rc_context(fname=STYLE):
+        return _draw_path(chart) if isinstance(chart, Path) else _draw_panels(chart)
 
 
 def relative_width(chart: Chart | Path) -> float:

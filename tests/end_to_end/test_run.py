@@ -1,6 +1,8 @@
 """`verify run` on the sample sessions as a user runs it: messages, files, exit status."""
 
 import json
+import pydoc
+import re
 import shutil
 import subprocess
 import sys
@@ -14,9 +16,11 @@ import pandas as pd
 import pytest
 
 import reports
+import verify as verify_package
 from reports.document.formatting import with_uncertainty
 from tests.support.command import SAMPLES, Outcome, Run, read_summary, replayed, run, verify
-from verify import Setup, analyse, measure, open_session
+from tests.support.reports.page import Page
+from verify import InputError, Results, Setup, analyse, measure, open_results, open_session
 
 FAULTY, HEALTHY, QUARTER = "multi_joint_fault_6r", "multi_joint_rv_3sd", "quarter_circle_6r"
 WRITTEN = {"report.html", "report.pdf", "summary.json", "frames.csv", "results"}
@@ -272,20 +276,71 @@ def test_without_out_the_folder_is_named_for_the_session(
     assert frames.read_bytes() == (healthy.out / "frames.csv").read_bytes()
 
 
-def test_the_library_gives_what_the_command_writes(faulty: Run) -> None:
+@pytest.fixture(scope="module")
+def analysed(faulty: Run) -> Results:
+    return analyse(open_session(faulty.folder))
+
+
+def test_the_library_saves_what_the_command_writes(
+    faulty: Run, analysed: Results, tmp_path: Path
+) -> None:
+    analysed.save(tmp_path / "saved")
+    assert files(tmp_path / "saved") == files(faulty.out)
+    with pytest.raises(InputError, match="exists and is not empty"):
+        analysed.save(tmp_path / "saved")
+    opened = open_results(tmp_path / "saved")
+    pd.testing.assert_frame_equal(opened.joints, analysed.joints)
+    assert str(opened) == str(analysed)
+    with pytest.raises(InputError, match=r"no results\.json"):
+        open_results(tmp_path)
+
+
+def test_results_in_python_are_those_of_the_summary(faulty: Run, analysed: Results) -> None:
+    assert analysed.verdict == faulty.summary["verdict"] == "nonconform"
+    assert str(analysed) == faulty.outcome.out.splitlines()[0]
+    joints = analysed.joints
+    assert list(joints.index) == [1, 2, 3, 4, 5, 6]
+    for key in ("mean_error_deg", "expanded_uncertainty_deg", "tolerance_deg"):
+        assert np.array_equal(joints[key], faulty.joints(key))
+    worst_u = 2 * faulty.joints("worst_error_standard_uncertainty_deg")
+    assert np.allclose(joints["worst_error_expanded_uncertainty_deg"], worst_u)
+    (cause,) = analysed.causes.to_dict("records")
+    assert (cause["kind"], cause["joint"]) == ("offset", 2)
+    assert cause["value"] == pytest.approx(0.35, abs=cause["expanded_uncertainty"])  # simulated
+    assert cause["remedy"] == f"add −{cause['value']:.4f}° to its reading"
+
+
+def test_results_show_themselves_and_draw_the_reports_figures(analysed: Results) -> None:
+    assert repr(analysed) == f"<Results of {FAULTY}: nonconform, 60 of 60 pairs measured>"
+    page = analysed._repr_html_()
+    shown = Page(page)  # every element is closed
+    assert shown.text[shown.text.index("2") :][:2] == ["2", "+0.3487° ± 0.0033°"]
+    assert len(page) < 4000
+    assert {"overview", "joint_errors", "path"} <= set(analysed.plots)
+    assert [axes.get_ylabel() for axes in analysed.plot().axes] == ["error [°]"]
+    with pytest.raises(InputError, match='no figure "nonsense"'):
+        analysed.plot("nonsense")
+
+
+def test_the_library_measures_as_the_command_does(faulty: Run) -> None:
     session = open_session(str(faulty.folder))
-    with replayed(faulty.measurements):
-        results = analyse(session)
-    assert json.loads(json.dumps(results.summary)) == faulty.summary
+    assert repr(session) == f"<Session {FAULTY}: iust_6r, 60 pairs, 257 readings>"
     chain = measure(session.pairs(), Setup(session.rig, session.marker))
     first = list(islice(chain, 3))
+    assert re.fullmatch(r"<Measurement of pair 0: measured, 4 LEDs, 0\.\d{3} px>", repr(first[0]))
     assert [m.status for m in first] == ["measured"] * 3
     for one, other in zip(first, faulty.measurements, strict=False):
         # encoders may choose among assignments; they enter no value
         assert np.array_equal(one.pose.rig_T_flange, other.pose.rig_T_flange)
 
 
-def test_importing_the_package_loads_no_large_library() -> None:
-    code = "import sys, verify; print([m for m in ('cv2', 'pandas', 'scipy') if m in sys.modules])"
+def test_the_package_lists_its_names_and_loads_no_large_library_before_they_are_used() -> None:
+    code = "import sys, verify; names = dir(verify); assert set(verify.__all__) <= set(names);"
+    code += "print([m for m in ('cv2', 'pandas', 'scipy') if m in sys.modules])"
     words = [sys.executable, "-c", code]
     assert subprocess.run(words, capture_output=True, text=True, check=True).stdout == "[]\n"
+    page = pydoc.plain(pydoc.render_doc(verify_package))
+    shown = set(verify_package.__all__) - {"__version__"}  # shown as VERSION
+    assert {name for name in shown if name not in page} == set()
+    every = set(vars(verify_package)["_MODULES"])
+    assert set(verify_package.__all__) == every

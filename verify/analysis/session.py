@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pandas as pd
 
-from reports import Results
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
@@ -67,6 +66,9 @@ from verify.analysis.uncertainty.monte_carlo import monte_carlo
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
+from verify.io.files import digest
+from verify.io.results import Results
+from verify.io.series import ALARMS, read_alarms
 from verify.io.session.keys import Tolerance
 from verify.io.session.session import Session
 from verify.measurement.chain import measure
@@ -92,7 +94,7 @@ def analyse(
     progress: Progress = _no_progress,
     chain: Chain | None = None,
 ) -> Results:
-    """Measure a recorded session and judge the robot by it; `reports` renders and writes it.
+    """Measure a recorded session and judge the robot by it: what `verify run` reports.
 
     `tolerance` replaces what session.toml says, entry by entry; `progress` is called with pairs
     done and pairs in all; `chain` measures the pairs, `measure` unless another gives the same.
@@ -100,6 +102,7 @@ def analyse(
     Raises:
         InputError: the session cannot be measured; nothing is returned in part.
     """
+    alarms = read_alarms(session.folder / ALARMS, session.arm.dof)
     readings = Readings(session.encoders.t, session.encoders.q)
     measured, clock = measure_session(session, readings, progress, chain or measure)
     compared, unreachable = compare_session(session, measured, readings, clock)
@@ -112,7 +115,11 @@ def analyse(
             for offset in _spread_rivals(clock.rivals)
         )
     ]
-    return _results(replace(found, by_clock=tuple(others)), measured)
+    results = _results(replace(found, by_clock=tuple(others)), measured)
+    if alarms is not None:
+        results.tables["alarms"] = alarms
+        results.summary["inputs"][ALARMS] = digest(session.folder / ALARMS)
+    return results
 
 
 def _spread_rivals(rivals: tuple[float, ...]) -> list[float]:

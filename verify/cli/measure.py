@@ -1,7 +1,6 @@
 """Measure recorded sessions: results, verdict, and a report on each."""
 
 from collections.abc import Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +11,8 @@ from verify.analysis.session import analyse
 from verify.cli.options import ToleranceOptions
 from verify.cli.terminal import report_files, terminal
 from verify.errors import InputError
-from verify.io.files import digest, write_whole
 from verify.io.results import refuse_existing, write_report_folder
-from verify.io.series import read_alarms
 from verify.io.session.session import open_session
-
-ALARMS = "alarms.csv"  # of a watched run: beside the recording, and in its report's folder
 
 
 def measure_and_report(
@@ -42,18 +37,11 @@ def measure_and_report(
     refuse_existing(target, force=force)
     terminal.warn(*session.warnings)
     tolerance = tolerances.tolerance(session.arm.dof)
-    recorded = folder / ALARMS
-    alarms = read_alarms(recorded, session.arm.dof)
     with terminal.progress("pairs") as progress:
         results = analyse(session, tolerance=tolerance, progress=progress)
-    if alarms is not None:
-        results = replace(results, tables=results.tables | {"alarms": alarms})
-        results.summary["inputs"][ALARMS] = digest(recorded)
     results.summary["warnings"] = [*warnings, *results.summary["warnings"]]
     terminal.warn(*(w for w in results.summary["warnings"] if w not in session.warnings))
     write_report_folder(results, target, force=force, frames=True)
-    if alarms is not None:
-        write_whole(target / ALARMS, alarms.to_csv(index=False, lineterminator="\n").encode())
     _print_summary(results, target)
     verdict: str | None = results.summary["verdict"]
     return verdict

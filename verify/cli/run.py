@@ -97,10 +97,11 @@ def _run_live(
     *,
     force: bool,
 ) -> int:
-    from verify.cli.measure import ALARMS, measure_and_report_all
+    from verify.cli.measure import measure_and_report_all
     from verify.cli.watch import RunOptions, alarms_table, watch
     from verify.io.files import write_whole
     from verify.io.results import refuse_existing
+    from verify.io.series import ALARMS
     from verify.live.station.station import open_station
     from verify.simulation.devices.station import SimulatedStation
 

@@ -140,3 +140,7 @@ class Measurement:
     choice: str = ""  # how identification was settled: geometry, colour, continuity, encoders
     whole_frame: bool = False  # the LEDs were searched in the whole picture
     settled: bool = True  # by the pairs before and after; False: by those before alone
+
+    def __repr__(self) -> str:
+        fit = "" if self.pose is None else f", {self.pose.reprojection_rms_px:.3f} px"
+        return f"<Measurement of pair {self.frame}: {self.status}, {self.leds_seen} LEDs{fit}>"

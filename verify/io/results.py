@@ -1,17 +1,38 @@
-"""Write and read a report folder: reports, summary.json, and the tables they are rendered from."""
+"""Results as a user of Python has them, and the folder that keeps them with their reports.
+
+What `Results` shows is what the report says, taken from the same places: the verdict's words and
+the figures are those of `reports`, which is loaded when one of them is first asked for.
+"""
 
 import errno
 import json
 import os
+from dataclasses import dataclass
+from html import escape
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import pandas as pd
 
 import reports
-from reports import ReportError, Results
+from reports import ReportError
 from reports.results import to_json_value
 from verify.errors import InputError
 from verify.io.files import output_refusal, real_path, write_folder_whole
+from verify.io.series import ALARMS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from reports.document.blocks import Verdict
 
 RESULTS = "results"
+JOINT_COLUMNS = (  # of a joint's entry in summary.json, in the order of `joints`
+    "mean_error_deg", "expanded_uncertainty_deg", "coverage_factor", "worst_error_deg",
+    "worst_error_standard_uncertainty_deg", "tolerance_deg", "conformance_probability", "verdict",
+    "reason", "minimum_detectable_error_deg", "minimum_separable_error_deg", "pairs",
+)  # fmt: skip
+CAUSE_COLUMNS = ("kind", "joint", "value", "unit", "expanded_uncertainty", "t_s", "explains")
 
 
 def refuse_existing(out: Path, *, force: bool) -> None:
@@ -37,8 +58,12 @@ def refuse_file(path: Path, *, force: bool) -> None:
         raise InputError(path, "exists", "existing files are not overwritten", remedy)
 
 
-def write_report_folder(results: Results, out: Path, *, force: bool, frames: bool = False) -> None:
-    """Write reports, summary.json and what they are rendered from; with `frames` frames.csv too.
+def write_report_folder(
+    results: reports.Results, out: Path, *, force: bool, frames: bool = False
+) -> None:
+    """Write reports, summary.json and what they are rendered from.
+
+    With `frames` frames.csv too, and alarms.csv of a watched run.
 
     Raises:
         InputError: the folder cannot be written; nothing is left of it then.
@@ -59,17 +84,180 @@ def write_report_folder(results: Results, out: Path, *, force: bool, frames: boo
             table.to_csv(
                 folder / "frames.csv", index=False, float_format="%.6f", lineterminator="\n"
             )
+            if "alarms" in results.tables:
+                alarms = results.tables["alarms"].astype({"joint": "Int64"})
+                alarms.to_csv(folder / ALARMS, index=False, lineterminator="\n")
 
 
-def write_reports(results: Results, folder: Path) -> None:
+def write_reports(results: reports.Results, folder: Path) -> None:
     """Write report.html and report.pdf."""
     (folder / "report.html").write_text(reports.render_html(results), encoding="utf-8")
     (folder / "report.pdf").write_bytes(reports.render_pdf(results))
 
 
-def read_results(out: Path) -> Results:
+def read_results(out: Path) -> reports.Results:
     """Read what an earlier run left; raises InputError: `out` holds no results, or damaged ones."""
     try:
         return reports.read(out / RESULTS)
     except ReportError as error:
         raise InputError(error.place, error.found, error.expected, error.remedy) from error
+
+
+@dataclass(frozen=True, repr=False)
+class Results(reports.Results):
+    """What `analyse` found in a session, or `open_results` in a folder.
+
+    `summary` is summary.json as a dict, `setup` the rig, the marker and the robot's table, `tables`
+    DataFrames by name (frames, resolved, budget, …), `images` PNG bytes. Errors are reading less
+    true angle. U is expanded: k = 2, or Student's factor for the same 95.45 % where the
+    uncertainty rests on few pairs.
+    """
+
+    @property
+    def verdict(self) -> str | None:
+        """The verdict: conform, nonconform or undecided; None without a tolerance."""
+        verdict: str | None = self.summary["verdict"]
+        return verdict
+
+    @property
+    def sentence(self) -> str:
+        """The verdict in words, and what to do, as page one has it."""
+        return self._headline().sentence
+
+    @property
+    def joints(self) -> pd.DataFrame:
+        """One row a joint, numbered from 1: error, U, tolerance, verdict; NaN: not determined.
+
+        `mean_error_deg` with `expanded_uncertainty_deg` (`coverage_factor` times the standard one);
+        `worst_error_deg`, the largest over the session, with `worst_error_expanded_uncertainty_deg`
+        (k = 2).
+        """
+        entries = self.summary["joints"]
+        table = pd.DataFrame(
+            {name: [entry[name] for entry in entries] for name in JOINT_COLUMNS},
+            index=pd.Index([entry["joint"] for entry in entries], name="joint"),
+        )
+        words = ("verdict", "reason")
+        figures = [name for name in JOINT_COLUMNS if name not in (*words, "pairs")]
+        table[figures] = table[figures].astype(float)
+        place = table.columns.get_loc("worst_error_standard_uncertainty_deg")
+        doubled = 2 * table.pop("worst_error_standard_uncertainty_deg")
+        table.insert(int(str(place)), "worst_error_expanded_uncertainty_deg", doubled)
+        return table
+
+    @property
+    def causes(self) -> pd.DataFrame:
+        """One row a cause that the data single out: what it is, ± U, and what to do about it.
+
+        `finding` and `remedy` are the report's words. Of an `ambiguous` row the candidates are in
+        `finding`; `summary["diagnosis"]` has their figures.
+        """
+        from reports.session import causes
+
+        entries = self.summary["diagnosis"]
+        rows = [{name: entry.get(name) for name in CAUSE_COLUMNS} for entry in entries]
+        table = pd.DataFrame(rows, columns=list(CAUSE_COLUMNS)).astype({"joint": "Int64"})
+        ambiguous = [entry["kind"] == "ambiguous" for entry in entries]
+        table["finding"] = [
+            causes.rivals(entry, " or ") if several else causes.finding(entry)
+            for entry, several in zip(entries, ambiguous, strict=True)
+        ]
+        table["remedy"] = [causes.remedy(entry) for entry in entries]
+        return table
+
+    @property
+    def plots(self) -> tuple[str, ...]:
+        """The names that `plot` takes: the report's figures for which there are data."""
+        return tuple(reports.charts(self))
+
+    def plot(self, name: str = "overview") -> "Figure":
+        """Draw one of the report's figures with matplotlib; InputError: there is none of the name.
+
+        `Figure.savefig` writes it; in a notebook it shows after `%matplotlib inline`.
+        """
+        charts = reports.charts(self)
+        if name not in charts:
+            expected = f"this session has {', '.join(charts)}"
+            raise InputError("plot", f'there is no figure "{name}"', expected)
+        return reports.draw(charts[name])
+
+    def save(self, folder: str | Path, *, force: bool = False) -> None:
+        """Write what `verify run -o` writes: reports, summary.json, frames.csv, results.
+
+        `force`: write into a folder that exists and is not empty.
+
+        Raises:
+            InputError: it exists, or cannot be written; nothing is left half-written.
+        """
+        refuse_existing(Path(folder), force=force)
+        write_report_folder(self, Path(folder), force=force, frames=True)
+
+    def __str__(self) -> str:
+        verdict = self._headline()
+        return f"{verdict.label}: {verdict.sentence}"
+
+    def __repr__(self) -> str:
+        pairs, session = self.summary["pairs"], self.summary["session"]
+        counted = f"{pairs['measured']} of {pairs['recorded']} pairs"
+        name = Path(session["path"]).name
+        return f"<Results of {name}: {self.verdict or 'no tolerance'}, {counted} measured>"
+
+    def _repr_html_(self) -> str:
+        """Show verdict, joints and conditions in a notebook."""
+        verdict = self._headline()
+        head = ("joint", "error ± U", "largest error ± U", "tolerance", "verdict")
+        lines = [_html_row("th", head), *(_html_row("td", row) for row in self._rows())]
+        conditions = "".join(f"<br><small>{escape(text)}</small>" for text in verdict.remarks)
+        return (
+            f"<p><strong>{escape(verdict.label)}:</strong> {escape(verdict.sentence)}</p>"
+            f"<table>{''.join(lines)}</table>"
+            f"<p><small>Errors: reading less true angle. {self._factors()}</small>{conditions}</p>"
+        )
+
+    def _rows(self) -> list[tuple[str, ...]]:
+        from reports.document import formatting as fmt
+
+        return [
+            (
+                str(joint),
+                fmt.with_uncertainty(row["mean_error_deg"], row["expanded_uncertainty_deg"], "°"),
+                fmt.with_uncertainty(
+                    row["worst_error_deg"], row["worst_error_expanded_uncertainty_deg"], "°"
+                ),
+                "" if pd.isna(row["tolerance_deg"]) else f"±{row['tolerance_deg']:g}°",
+                row["verdict"] or "",
+            )
+            for joint, row in self.joints.iterrows()
+        ]
+
+    def _factors(self) -> str:
+        """Say the coverage factors of the joints' errors; the largest errors have k = 2."""
+        known = sorted({f"{k:.3g}" for k in self.joints["coverage_factor"].dropna()})
+        return f"k = {' to '.join({known[0]: None, known[-1]: None})}." if known else "k = 2."
+
+    def _headline(self) -> "Verdict":
+        from reports.session.headline import headline
+
+        return headline(self)
+
+
+def open_results(folder: str | Path) -> Results:
+    """Open what `verify run -o` or `Results.save` wrote.
+
+    Raises:
+        InputError: it holds no results, damaged ones, or those of another command.
+    """
+    read = read_results(Path(folder))
+    kind = read.summary.get("kind", "run")
+    if kind != "run":
+        raise InputError(
+            Path(folder) / RESULTS,
+            f"holds the results of another command ({kind})",
+            "results of a session are expected",
+            "Name a folder that `verify run` wrote.",
+        )
+    return Results(read.summary, read.setup, read.tables, read.images)
+
+
+def _html_row(tag: str, cells: tuple[str, ...]) -> str:
+    return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"

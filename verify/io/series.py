@@ -31,6 +31,7 @@ MAX_BEYOND = np.deg2rad(45.0)  # an encoder may be off, and its arm at the end o
 MAX_FAR_BEYOND = 4 * np.pi  # beyond the limits, in most rows: no count of turns, but another unit
 MAX_NAMED = 5  # spikes
 _REMEDY = "Delete the row or export again."
+ALARMS = "alarms.csv"  # of a watched run: beside the recording, and in its report's folder
 ALARM_COLUMNS = (
     "alarm", "kind", "began_utc", "ended_utc", "t_s", "device", "joint",
     "not_told_apart_from", "error_deg", "standard_uncertainty_deg", "text",

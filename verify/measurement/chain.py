@@ -95,6 +95,10 @@ class Setup:
         """How far the farthest LED is from the flange, m."""
         return float(np.max(np.linalg.norm(self.marker.leds, axis=1)))
 
+    def __repr__(self) -> str:
+        width, height = self.rig.image_size
+        return f"<Setup: {width} x {height} px, {len(self.marker.leds)} LEDs>"
+
 
 @dataclass(frozen=True, slots=True)
 class _AssignedPair:

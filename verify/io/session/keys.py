@@ -164,9 +164,9 @@ T = TypeVar("T", bound=RunTable)
 class Tolerance:
     """Permissible errors of the robot; None where none is given."""
 
-    joints: Array | None  # (n,), rad, bounds the error at every pose
-    position: float | None  # m
-    orientation: float | None  # rad
+    joints: Array | None = None  # (n,), rad, bounds the error at every pose
+    position: float | None = None  # m
+    orientation: float | None = None  # rad
 
 
 def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:

@@ -96,6 +96,10 @@ class Session(Recording):
     # an instrument that measured the poses in place of cameras; None: they come from the pictures
     instrument: Instrument | None = field(default=None, kw_only=True)
 
+    def __repr__(self) -> str:
+        seen = f"{len(self)} poses" if self.instrument else f"{len(self)} pairs"
+        return f"<Session {self.name}: {self.arm.name}, {seen}, {len(self.encoders.t)} readings>"
+
 
 def open_session(folder: str | Path) -> Session:
     """Open a session's folder and check all of it but the images' content.
