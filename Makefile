@@ -8,7 +8,7 @@ SITE := $(VENV)/.docs-installed
 COMPILED := $(VENV)/.compiled
 PIP = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c .ci/constraints.txt
 
-.PHONY: demo test test-all lint check format samples accept bench soak bench-coverage bench-diagnosis bench-grab fuzz docs clean
+.PHONY: demo test test-all lint check format samples accept pictures docs bench soak bench-coverage bench-diagnosis bench-grab fuzz clean
 
 # packages that running needs
 $(RUN): pyproject.toml .ci/constraints.txt
@@ -67,6 +67,10 @@ samples: $(DEV)
 
 accept: $(DEV)
 	$(BIN)/python -m pytest tests/golden --accept
+
+# every picture of the documents, and the notebook's outputs: some minutes, and Chromium
+pictures: $(DEV) $(COMPILED)
+	$(BIN)/python -m tests.support.pictures
 
 bench: $(DEV)
 	$(BIN)/python -m tests.bench

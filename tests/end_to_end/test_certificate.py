@@ -1,4 +1,4 @@
-"""A result checked by another program: the recipe of docs/results.md, and what it must catch."""
+"""A result checked by another program: the recipe of docs/checking.md, and what it must catch."""
 
 import json
 import re
@@ -16,14 +16,13 @@ from tests.support.command import SAMPLES, sample_results
 from tests.support.recorded import replace
 from verify import analyse, open_session
 
-DOCS = Path(__file__).parents[2] / "docs" / "results.md"
+DOCS = Path(__file__).parents[2] / "docs" / "checking.md"
 FAULTY = SAMPLES / "multi_joint_fault_6r"
 
 
 @pytest.fixture(scope="module")
 def recipe(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    text = DOCS.read_text(encoding="utf-8").partition("### Checking a result")[2]
-    found = re.search(r"```python\n(.*?)```", text, re.DOTALL)
+    found = re.search(r"```python\n(.*?)```", DOCS.read_text(encoding="utf-8"), re.DOTALL)
     script = tmp_path_factory.mktemp("recipe") / "check.py"
     script.write_text(found[1], encoding="utf-8")
     return script

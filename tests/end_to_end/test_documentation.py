@@ -16,14 +16,17 @@ import pytest
 
 import robots
 from tests.support import commands
-from tests.support.command import ROOT, verify
+from tests.support.command import ROOT, sample_results, verify
+from tests.support.pictures import first_page, gallery, notebook, stamp
 from verify.cli.main import app
 from verify.io import fiducials, fixture, rig
 from verify.io.session import keys as session_keys
 from verify.simulation import library
 
 README = ROOT / "README.md"
-TUTORIAL = ROOT / "docs" / "tutorial.md"
+INDEX, TUTORIAL, PYTHON, DEVELOPMENT = (
+    ROOT / "docs" / f"{name}.md" for name in ("index", "tutorial", "python", "development")
+)
 DOCUMENTS = sorted([README, ROOT / "CHANGELOG.md", *(ROOT / "docs").glob("*.md")])
 GROUPS = {
     str(group.name): group.typer_instance
@@ -38,6 +41,8 @@ COMMANDS = sorted(
 )
 EVERYWHERE = {"--help", "--version", "--quiet", "--verbose", "--json", "--open"}
 SETS_UP = ("make", "python3 -m venv", ".venv/bin/pip", ".venv/bin/python -m pytest")
+MAX_README_LINES = 110
+SITE = ROOT / ".ci" / "mkdocs.yml"
 OURS = {"README.md", "LICENSE", "Makefile", "CHANGELOG.md", "pyproject.toml"}
 each_document = pytest.mark.parametrize("document", DOCUMENTS, ids=lambda d: str(d.name))
 
@@ -73,7 +78,8 @@ def run(words: list[str], folder: Path) -> subprocess.CompletedProcess[str]:
 @pytest.mark.slow
 def test_the_readme_runs_as_written_and_its_output_is_explained(clone: Path) -> None:
     """One test: processes that share the tests would each run the commands, which takes minutes."""
-    assert every_command_runs(README, clone) >= len(COMMANDS)
+    every_command_runs(README, clone)
+    assert every_command_runs(INDEX, clone) >= len(COMMANDS)
     every_python_example_runs(clone)
     every_key_column_and_file_is_explained(clone)
 
@@ -96,9 +102,7 @@ def every_command_runs(document: Path, folder: Path) -> int:
 
 
 def every_python_example_runs(clone: Path) -> None:
-    examples = blocks(README, "python")
-    assert examples
-    for code in examples:
+    for code in (*blocks(README, "python"), "\n".join(blocks(PYTHON, "python"))):
         done = run([sys.executable, "-W", "error", "-c", code], clone)
         assert done.returncode == 0, done.stderr
         assert done.stdout.strip()
@@ -107,13 +111,14 @@ def every_python_example_runs(clone: Path) -> None:
 def test_installation_names_every_target_and_existing_files_and_extras() -> None:
     phony = re.search(r"^\.PHONY: (.*)$", (ROOT / "Makefile").read_text(), flags=re.MULTILINE)
     targets = phony[1].split()
-    assert [name for name in targets if f"make {name}" not in README.read_text()] == []
+    assert [name for name in targets if f"make {name}" not in DEVELOPMENT.read_text()] == []
+    assert len(README.read_text().splitlines()) <= MAX_README_LINES
     project = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]
     extras = project["optional-dependencies"]
     for document in DOCUMENTS:
         named = re.findall(r"(?:^|`)make ([a-z-]+)", document.read_text(), flags=re.MULTILINE)
         assert set(named) <= set(targets), document.name
-    for line in lines(README):
+    for line in (*lines(README), *lines(DEVELOPMENT)):
         words = shlex.split(line, comments=True)
         if words[0] == ".venv/bin/pip":
             assert (ROOT / words[words.index("-c") + 1]).is_file()
@@ -131,6 +136,52 @@ def test_robots_lists_every_arm_and_checks_one() -> None:
 def test_the_page_of_commands_is_what_they_say_of_themselves() -> None:
     assert set(commands.COMMANDS) == set(COMMANDS)
     assert commands.PAGE.read_text() == commands.page(), "python -m tests.support.commands"
+
+
+def test_every_picture_is_of_this_version_and_shown() -> None:
+    shown = {
+        (document.parent / link).resolve()
+        for document in DOCUMENTS
+        for link in re.findall(r"!\[[^]]+\]\(([^)]+)\)", document.read_text())
+    }
+    assert shown == set((ROOT / "docs").rglob("*.png"))
+    assert {path.name: stamp.read(path)[stamp.SOFTWARE] for path in shown} == {
+        path.name: stamp.MAKER for path in shown
+    }, "make pictures"
+    gallery_bytes = sum(path.stat().st_size for path in shown if path.name.startswith("gallery"))
+    assert gallery_bytes < 1.5e6
+    assert gallery.PAGE.read_text() == gallery.page(), "make pictures"
+
+
+def test_the_picture_of_the_report_says_what_the_report_says() -> None:
+    now = stamp.digest(first_page.document(sample_results("multi_joint_fault_6r")))
+    kept = stamp.read(stamp.FOLDER / "report.png")[stamp.SOURCE]
+    assert kept == now, "make pictures"
+
+
+def test_every_document_is_a_page_of_the_site() -> None:
+    named = re.findall(r": (\w+\.md)$", SITE.read_text(), flags=re.MULTILINE)
+    pages = [path.name for path in (ROOT / "docs").glob("*.md")]
+    assert sorted(named) == sorted([*pages, "notebook.md"])
+
+
+@pytest.mark.slow
+def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "mkdocs", "build", "--strict", "-f", str(SITE), "-d"]
+    done = run([*words, str(tmp_path / "site")], ROOT)
+    assert done.returncode == 0, done.stderr
+    assert "WARNING" not in done.stderr
+    page = (tmp_path / "site" / "notebook.html").read_text()
+    assert "The robot does not conform" in page
+    assert "data:image/png;base64," in page
+
+
+@pytest.mark.slow
+def test_the_notebook_prints_what_it_shows() -> None:
+    kept = notebook.PAGE.read_text()
+    assert len(kept.encode()) < 500_000
+    assert notebook.texts(notebook.executed()) == notebook.texts(kept), "make pictures"
+    assert json.loads(kept)["metadata"]["verify"] == stamp.MAKER
 
 
 @cache

@@ -216,6 +216,7 @@ class Results(reports.Results):
 
     def _rows(self) -> list[tuple[str, ...]]:
         from reports.document import formatting as fmt
+        from reports.session import phrases
 
         return [
             (
@@ -225,7 +226,7 @@ class Results(reports.Results):
                     row["worst_error_deg"], row["worst_error_expanded_uncertainty_deg"], "°"
                 ),
                 "" if pd.isna(row["tolerance_deg"]) else f"±{row['tolerance_deg']:g}°",
-                row["verdict"] or "",
+                phrases.VERDICTS.get(row["verdict"], ""),
             )
             for joint, row in self.joints.iterrows()
         ]
