@@ -21,6 +21,7 @@ from reports.document.formatting import with_uncertainty
 from tests.support.command import SAMPLES, Outcome, Run, read_summary, replayed, run, verify
 from tests.support.reports.page import Page
 from verify import InputError, Results, Setup, analyse, measure, open_results, open_session
+from verify.io.series import ALARM_COLUMNS
 
 FAULTY, HEALTHY, QUARTER = "multi_joint_fault_6r", "multi_joint_rv_3sd", "quarter_circle_6r"
 WRITTEN = {"report.html", "report.pdf", "summary.json", "frames.csv", "results"}
@@ -293,6 +294,21 @@ def test_the_library_saves_what_the_command_writes(
     assert str(opened) == str(analysed)
     with pytest.raises(InputError, match=r"no results\.json"):
         open_results(tmp_path)
+
+
+@pytest.mark.usefixtures("without_pdf")
+def test_the_alarms_of_a_watch_are_part_of_its_results(faulty: Run, tmp_path: Path) -> None:
+    folder = tmp_path / "watched"
+    shutil.copytree(faulty.folder, folder)
+    alarm = "1,change,2026-01-15T09:00:03Z,,3.0,,2,,0.35,0.01,joint 2 has changed"
+    (folder / "alarms.csv").write_text(f"{','.join(ALARM_COLUMNS)}\n{alarm}\n")
+    with replayed(faulty.measurements):
+        results = analyse(open_session(folder))
+    assert results.table("alarms")["joint"].tolist() == [2]
+    assert results.summary["inputs"]["alarms.csv"].startswith("sha256:")
+    results.save(tmp_path / "out")
+    assert pd.read_csv(tmp_path / "out" / "alarms.csv").equals(pd.read_csv(folder / "alarms.csv"))
+    assert open_results(tmp_path / "out").table("alarms")["text"].tolist() == [alarm.split(",")[-1]]
 
 
 def test_results_in_python_are_those_of_the_summary(faulty: Run, analysed: Results) -> None:
