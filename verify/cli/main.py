@@ -16,6 +16,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 from verify.cli.batch import batch
 from verify.cli.board import board
 from verify.cli.calibrate.calibrate import calibrate
+from verify.cli.convert.convert import convert
 from verify.cli.doctor.doctor import doctor
 from verify.cli.emulate import emulate
 from verify.cli.grab.grab import grab
@@ -53,7 +54,8 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 COMMANDS = (
-    run, batch, identify, plan, grab, report, board, simulate, robots, emulate, doctor, demo,
+    run, batch, identify, plan, grab, report, convert, board, simulate, robots, emulate, doctor,
+    demo,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(epilog=GLOBAL_OPTIONS_HELP)(command)

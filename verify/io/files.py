@@ -214,6 +214,26 @@ def write_whole(path: Path, data: bytes) -> None:
 
 
 @contextmanager
+def write_file_whole(path: Path) -> Iterator[Path]:
+    """Build a file aside, by a program that needs its name, and put it in place at the end.
+
+    Raises:
+        InputError: no space, no permission, no such folder; what was there is untouched.
+    """
+    partial = _partial_path(path.parent)
+    try:
+        yield partial
+        _fsync(partial)
+        partial.replace(path)
+        _fsync(path.parent)
+    except OSError as error:
+        raise output_refusal(path, error) from error
+    finally:
+        with suppress(OSError):
+            partial.unlink()
+
+
+@contextmanager
 def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
     """Build a folder aside and put it in place at the end; a run that fails leaves nothing.
 

@@ -136,7 +136,7 @@ class Video(Images):
     def _intact(self) -> tuple[int, int]:
         """Count the images before the first damaged one, and all."""
         checked, intact = False, []
-        for packet in self._packets():
+        for packet in self.packets():
             # checksums stand in the slices' footers; without them a footer is the size alone
             checked = checked or _has_footers(packet, _SLICE_FOOTER)
             intact.append(ffv1_intact(packet))
@@ -156,7 +156,7 @@ class Video(Images):
             while (taken := capture.read())[0]:
                 yield np.asarray(taken[1], dtype=np.uint8)
 
-    def _packets(self) -> Iterator[bytes]:
+    def packets(self) -> Iterator[bytes]:
         """Yield the images as they are encoded."""
         with self._opened(cv2.CAP_PROP_FORMAT, -1) as capture:
             self.lossy = int(capture.get(cv2.CAP_PROP_FOURCC)).to_bytes(4, "little") == b"MJPG"

@@ -2,27 +2,21 @@
 
 from collections.abc import Callable, Iterable
 from datetime import UTC, datetime
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-import av
 import cv2
 import msgspec
 import numpy as np
 
 from verify.core.records import Array, Image
-from verify.errors import InputError
 from verify.io import fiducials, rig, toml
+from verify.io.encoding import write_video
 from verify.io.files import read_bytes
 from verify.simulation.library import ROBOT_FILES
 from verify.simulation.scenario import ScenarioFault, ScenarioUncertainty
 from verify.simulation.session.simulate import SimulatedSession
 from verify.simulation.world.led_render import SIDES
-
-RATE_UNIT = 1000  # denominator of the frame rate: 29.97 Hz is 29970/1000
-# FFV1 version 3, each slice with its checksum; bitexact: no version of the encoder in the file
-CODEC_OPTIONS = {"level": "3", "slicecrc": "1", "flags": "+bitexact"}
 
 
 def readme(session: SimulatedSession) -> str:
@@ -111,7 +105,7 @@ def write_session(
     """Write every file of the session, pictures included, into an empty folder.
 
     Raises:
-        InputError: the disk refuses, or OpenCV cannot write the video.
+        InputError: the disk refuses, or the video cannot be written.
     """
     write_tables(session, folder)
     recording = session.scenario.recording
@@ -202,38 +196,3 @@ def write_pngs(folder: Path, images: Iterable[Image], done: Callable[[], object]
         encoded = cv2.imencode(".png", image)[1]
         (folder / f"{index:06d}.png").write_bytes(encoded.tobytes())
         done()
-
-
-def write_video(
-    path: Path, images: Iterable[Image], rate_hz: float, done: Callable[[], object] = lambda: None
-) -> None:
-    """Write pictures, all grey (h, w) or all BGR (h, w, 3), as FFV1 in Matroska.
-
-    The bytes depend on nothing but the pictures, the rate is for players alone; `done` is called
-    after each picture.
-
-    Raises:
-        InputError: such a file cannot be written there.
-    """
-    rate = Fraction(round(max(rate_hz, 1.0) * RATE_UNIT), RATE_UNIT)
-    try:
-        # bitexact: no random identities, no version of the muxer in the file
-        with av.open(str(path), "w", options={"fflags": "+bitexact"}) as file:
-            stream = None
-            for image in images:
-                grey = image.ndim == 2
-                if stream is None:
-                    stream = file.add_stream("ffv1", rate, options=CODEC_OPTIONS)
-                    stream.height, stream.width = image.shape[:2]
-                    stream.pix_fmt = "gray" if grey else "bgr0"
-                frame = av.VideoFrame.from_ndarray(image, "gray" if grey else "bgr24")
-                file.mux(stream.encode(frame))
-                done()
-            if stream is not None:
-                file.mux(stream.encode())
-    except (OSError, av.FFmpegError) as error:
-        raise InputError(
-            path,
-            f"FFV1 video cannot be written here ({error.strerror})",
-            remedy='Check the folder, or choose recording.format = "png".',
-        ) from error

@@ -1,0 +1,1 @@
+"""`verify convert`: other programs' recordings in, other programs' files out."""

@@ -1,0 +1,153 @@
+"""Read recordings of other programs into a session, and write sessions and results for others."""
+
+from enum import StrEnum
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from verify.cli.options import ReplaceInFolder
+
+
+class ExportFormat(StrEnum):
+    """A format of another program."""
+
+    tum = "tum"
+    csv = "csv"
+    parquet = "parquet"
+    mat = "mat"
+    mcap = "mcap"
+    rrd = "rrd"
+
+
+class StampKind(StrEnum):
+    """Which time of a message counts."""
+
+    header = "header"
+    received = "received"
+
+
+class AngleUnit(StrEnum):
+    """The unit of angles."""
+
+    deg = "deg"
+    rad = "rad"
+
+
+class LengthUnit(StrEnum):
+    """The unit of lengths."""
+
+    mm = "mm"
+    m = "m"
+    um = "um"
+
+
+class PoseFrame(StrEnum):
+    """What poses are in."""
+
+    instrument = "instrument"
+    robot_base = "robot_base"
+
+
+def convert(
+    sources: Annotated[
+        list[Path],
+        typer.Argument(
+            help="A bag, an MCAP file, or tables (CSV): into a session. A session's or a "
+            "report's folder: out of it."
+        ),
+    ],
+    out: Annotated[Path, typer.Option("-o", "--out", help="Folder or file of the result.")],
+    to: Annotated[
+        ExportFormat | None, typer.Option(help="Format of an export; else by the ending of -o.")
+    ] = None,
+    robot: Annotated[
+        str | None, typer.Option(help="The robot: a name, or a robot file or URDF.")
+    ] = None,
+    left: Annotated[str | None, typer.Option(help="Bag: topic of the left camera.")] = None,
+    right: Annotated[str | None, typer.Option(help="Bag: topic of the right camera.")] = None,
+    joints: Annotated[str | None, typer.Option(help="Bag: topic of the joint readings.")] = None,
+    joint_names: Annotated[
+        str | None,
+        typer.Option(help="The recording's names of the joints, in the robot's order: A,B,…"),
+    ] = None,
+    stamps: Annotated[
+        StampKind, typer.Option(help="Bag: times of the headers, or of the recording.")
+    ] = StampKind.header,
+    rig: Annotated[
+        Path | None, typer.Option(help="Bag: rig.toml of the cameras; else from CameraInfo.")
+    ] = None,
+    marker: Annotated[
+        Path | None, typer.Option(help="Bag: marker.toml, where the LEDs are known.")
+    ] = None,
+    angles: Annotated[AngleUnit | None, typer.Option(help="Unit of the angles.")] = None,
+    lengths: Annotated[LengthUnit | None, typer.Option(help="Table: unit of the lengths.")] = None,
+    rotation: Annotated[
+        str | None,
+        typer.Option(
+            help="Table: rotvec, quaternion, or axes of Euler angles: xyz fixed, ZYX moving."
+        ),
+    ] = None,
+    instrument: Annotated[
+        str | None,
+        typer.Option(help="Table: the instrument that measured its poses; never the robot."),
+    ] = None,
+    frame: Annotated[
+        PoseFrame, typer.Option(help="Table: the frame of its poses.")
+    ] = PoseFrame.instrument,
+    mapping: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--map",
+            help="Table: TARGET=COLUMN:UNIT in place of the proposal; commas between, or repeated.",
+        ),
+    ] = None,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Table: the proposed mapping is correct.")
+    ] = False,
+    force: ReplaceInFolder = False,
+) -> None:
+    """Bags, MCAP and tables into a session; results to others.
+
+    A table's columns are proposed from its header and shown. A terminal asks whether they are
+    correct; elsewhere --yes or --map is needed.
+
+    Example: verify convert sample_sessions/multi_joint_fault_6r -o fault.mcap
+    """
+    from verify.cli.convert.exports import convert_out
+    from verify.cli.convert.imports import ImportOptions, convert_bag, convert_tables
+    from verify.errors import InputError
+    from verify.io.bags.bag import is_bag
+    from verify.io.export.content import is_exportable
+
+    first = sources[0]
+    alone = is_bag(first) or first.is_dir()
+    if alone and len(sources) > 1:
+        raise InputError(sources[1], "is given too", "one bag or folder is converted at once",
+                         "Several tables go together.")  # fmt: skip
+    if first.is_dir() and not is_bag(first):
+        if not is_exportable(first):
+            expected = "a session, a report of `verify run` or a ROS 2 bag is expected"
+            remedy = "Give a folder with session.toml, results or metadata.yaml."
+            raise InputError(first, "is a folder of another kind", expected, remedy)
+        convert_out(first, out, None if to is None else to.value, force=force)
+        return
+    if to is not None:
+        expected = "it is for sessions and reports"
+        raise InputError("--to", f"{first} becomes a session", expected, "Leave it out.")
+    options = ImportOptions(
+        robot=robot,
+        joint_names=tuple(n.strip() for n in joint_names.split(",")) if joint_names else (),
+        topics=(left, right, joints),
+        stamps=stamps.value,
+        rig=rig,
+        marker=marker,
+        angles="" if angles is None else angles.value,
+        lengths="" if lengths is None else lengths.value,
+        rotation=rotation or "",
+        instrument=instrument,
+        frame=frame.value,
+        mapping=tuple(mapping or ()),
+        yes=yes,
+    )
+    (convert_bag if is_bag(first) else convert_tables)(sources, out, options, force=force)

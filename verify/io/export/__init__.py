@@ -1,0 +1,1 @@
+"""Sessions and results, written in the formats of other programs."""

@@ -1,0 +1,100 @@
+"""Write a Rerun recording (.rrd): flange poses, joint angles and the cameras' pictures.
+
+`rerun-sdk` is an extra: it is large, and nothing else needs it. Pictures are PNGs, or JPEGs where
+the session has them. Times count from the session's start where it has no date.
+
+Source: Rerun SDK reference (RecordingStream, send_columns).
+"""
+
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import cv2
+import numpy as np
+
+from verify.core.records import Array
+from verify.errors import InputError
+from verify.io.export.content import UNDATED, ExportContent
+from verify.io.session.session import Session
+from verify.io.video import Images, Video
+
+TIMELINE = "time"
+INSTALL = "pip install 'verify-robot[rerun]'"
+
+Progress = Callable[[int, int], None]
+
+
+def load_rerun() -> ModuleType:
+    """Import the SDK; raises InputError: it is not installed."""
+    try:
+        import rerun
+    except ImportError as error:
+        expected = "Rerun's own package writes its files"
+        raise InputError(
+            "--to rrd", "rerun-sdk is not installed", expected, f"{INSTALL}."
+        ) from error
+    module: ModuleType = rerun
+    return module
+
+
+def write_rrd(content: ExportContent, path: Path, progress: Progress) -> None:
+    """Write a recording; one picture of each camera is in memory.
+
+    Raises:
+        InputError: rerun-sdk is not installed, or a picture cannot be decoded.
+    """
+    rr = load_rerun()
+    # the same content has the same identity
+    recording: Any = rr.RecordingStream("verify", recording_id=content.name)
+    recording.save(str(path))
+    start = content.started.timestamp() if content.started != UNDATED else None
+    try:
+        for name, poses in content.poses.items():
+            columns = rr.Transform3D.columns(
+                translation=poses.position.astype(np.float32),
+                quaternion=poses.quaternion.astype(np.float32),
+            )
+            index = _time_column(rr, poses.t, start)
+            rr.send_columns(f"flange/{name}", [index], columns, recording=recording)
+        for name, joints in content.joints.items():
+            index = _time_column(rr, joints.t, start)
+            for joint, q in zip(content.joint_names, np.rad2deg(joints.q).T, strict=True):
+                scalars = rr.Scalars.columns(scalars=q)
+                entity = f"joints_deg/{name}/{joint}"
+                rr.send_columns(entity, [index], scalars, recording=recording)
+        if content.session is not None:
+            _log_pictures(rr, recording, content.session, start, progress)
+    finally:
+        recording.flush()
+        recording.disconnect()
+
+
+def _time_column(rr: ModuleType, t: Array, start: float | None) -> Any:
+    if start is None:
+        return rr.TimeColumn(TIMELINE, duration=t)
+    return rr.TimeColumn(TIMELINE, timestamp=start + t)
+
+
+def _log_pictures(
+    rr: ModuleType, recording: Any, session: Session, start: float | None, progress: Progress
+) -> None:
+    frames, done = session.frames, 0
+    sides = (("left", session.left, frames.t_left), ("right", session.right, frames.t_right))
+    for name, images, times in sides:
+        for t, (data, kind) in zip(times.tolist(), _encoded(images), strict=False):
+            moment = {"duration": t} if start is None else {"timestamp": start + t}
+            recording.set_time(TIMELINE, **moment)
+            recording.log(f"cameras/{name}", rr.EncodedImage(contents=data, media_type=kind))
+            done += 1
+            progress(done, 2 * len(session))
+
+
+def _encoded(images: Images) -> Iterator[tuple[bytes, str]]:
+    """Pictures as files in memory, each with its media type."""
+    if images.lossy and isinstance(images, Video):
+        yield from ((data, "image/jpeg") for data in images.packets())
+        return
+    for image in images.images():
+        yield cv2.imencode(".png", image)[1].tobytes(), "image/png"

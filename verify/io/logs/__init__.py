@@ -1,0 +1,1 @@
+"""Tables of other programs, read into encoders.csv and poses.csv."""

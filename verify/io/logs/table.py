@@ -1,0 +1,219 @@
+"""Read a table of another program: its separator, decimal sign and header found, its rows streamed.
+
+Commas, semicolons, tabs or spaces between cells; decimal points or commas; lines above the header;
+UTF-8, UTF-16 or Latin-1; a separator at the end of each line.
+"""
+
+import codecs
+import csv
+import io
+import re
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+
+from verify.core.records import Array
+from verify.errors import InputError
+from verify.io.files import refused_as_input_error, require_file
+
+SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "spaces"}
+MAX_PREAMBLE = 60  # lines above the header
+SAMPLE_ROWS = 20  # that show the decimal sign
+CHUNK_ROWS = 20_000
+HEAD_BYTES = 400_000
+PROGRESS_BYTES = 1000  # progress counts in kB
+REMEDY = "Mend the line, or export the table again."
+
+_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(Z|[-+]\d\d:?\d\d)?")
+
+Progress = Callable[[int, int], None]
+
+
+@dataclass(frozen=True, slots=True)
+class LogTable:
+    """A table that is open to be read, in any number of passes."""
+
+    path: Path
+    encoding: str
+    separator: str
+    decimal: str
+    header_line: int  # from 1
+    names: tuple[str, ...]
+    sample: tuple[tuple[str, ...], ...]  # the first rows, as they are written
+
+    def describe(self) -> str:
+        """How the table is written, in words."""
+        decimals = "decimal commas" if self.decimal == "," else "decimal points"
+        between = f"{SEPARATORS[self.separator]} between cells"
+        return f"{between}, {decimals}, names in line {self.header_line}"
+
+    def is_date(self, name: str) -> bool:
+        """Whether a column holds dates with a time of day."""
+        return all(_DATE.fullmatch(cell) for cell in self.cells(name))
+
+    def cells(self, name: str) -> list[str]:
+        """The first cells of a column."""
+        place = self.names.index(name)
+        return [row[place].strip() for row in self.sample]
+
+    def chunks(
+        self, names: tuple[str, ...], progress: Progress = lambda _done, _total: None
+    ) -> Iterator[tuple[int, dict[str, Array]]]:
+        """Stream some columns, a few thousand rows at once, with the number of the first row.
+
+        Dates become seconds since 1970, (m,) longdouble; all others are numbers, (m,) float.
+
+        Raises:
+            InputError: a cell that is no number, or a row that lacks one; names the line.
+        """
+        dates = {name for name in names if self.is_date(name)}
+        places = {name: self.names.index(name) for name in names}
+        kinds = {place: str if name in dates else np.float64 for name, place in places.items()}
+        done = 0
+        with refused_as_input_error(self.path):
+            total = self.path.stat().st_size // PROGRESS_BYTES
+            file = self.path.open("rb")
+        with file:
+            try:
+                reader = pd.read_csv(
+                    file,
+                    sep=r"\s+" if self.separator == " " else self.separator,
+                    decimal=self.decimal,
+                    header=None,
+                    names=range(len(self.names)),
+                    usecols=list(places.values()),
+                    skiprows=self.header_line,
+                    dtype=kinds,
+                    index_col=False,
+                    keep_default_na=False,
+                    chunksize=CHUNK_ROWS,
+                    encoding=self.encoding,
+                )
+                for chunk in reader:
+                    values = {
+                        name: _seconds(chunk[place]) if name in dates else chunk[place].to_numpy()
+                        for name, place in places.items()
+                    }
+                    if not all(np.isfinite(column).all() for column in values.values()):
+                        raise self._fault(names)
+                    yield done, values
+                    done += len(chunk)
+                    progress(min(file.tell() // PROGRESS_BYTES, total), total)
+            except (ValueError, pd.errors.ParserError) as error:
+                raise self._fault(names) from error
+
+    def line_of(self, row: int) -> int:
+        """Line of a row, both counted as an editor does; blank lines are no rows."""
+        return next(line for index, (line, _) in enumerate(self._rows()) if index == row)
+
+    def _rows(self) -> Iterator[tuple[int, list[str]]]:
+        with self.path.open(encoding=self.encoding, errors="replace", newline="") as file:
+            for number, line in enumerate(file, start=1):
+                if number > self.header_line and line.strip():
+                    yield number, split(line.rstrip("\r\n"), self.separator)
+
+    def _fault(self, names: tuple[str, ...]) -> InputError:
+        """Word what is wrong with the first row that cannot be read."""
+        for line, cells in self._rows():
+            for name in names:
+                place = self.names.index(name)
+                cell = cells[place].strip() if place < len(cells) else None
+                kind = _DATE if self.is_date(name) else _NUMBER
+                wrong_sign = cell is not None and ({".": ",", ",": "."}[self.decimal] in cell)
+                if cell and kind.fullmatch(cell) and (kind is _DATE or not wrong_sign):
+                    continue
+                found = f'{name} is "{cell[:40]}"' if cell else f"{name} is empty"
+                expected = "a date" if kind is _DATE else f'a number with "{self.decimal}"'
+                return InputError(
+                    f"{self.path}, line {line}", found, f"{expected} is expected", REMEDY
+                )
+        return InputError(self.path, "cannot be read as a table", self.describe(), REMEDY)
+
+
+def split(line: str, separator: str) -> list[str]:
+    """Cut a line into cells; spaces count once."""
+    return line.split() if separator == " " else next(csv.reader([line], delimiter=separator), [])
+
+
+def _seconds(cells: "pd.Series[str]") -> Array:
+    """Seconds since 1970, to the nanosecond, of dates; without a zone they are UTC."""
+    dates = pd.to_datetime(cells.str.replace(",", "."), utc=True, format="ISO8601")
+    nanoseconds = dates.dt.as_unit("ns").astype("int64").to_numpy()
+    return np.asarray(nanoseconds.astype(np.longdouble) / 1_000_000_000)
+
+
+def open_log(path: Path) -> LogTable:
+    """Find out how a table is written.
+
+    Raises:
+        InputError: no line names columns with rows of numbers below it.
+    """
+    require_file(path)
+    with refused_as_input_error(path), path.open("rb") as file:
+        data = file.read(HEAD_BYTES)
+    encoding = _encoding(data)
+    text = io.StringIO(data.decode(encoding, errors="replace"))
+    lines = [line.rstrip("\r\n") for line in islice(text, MAX_PREAMBLE + SAMPLE_ROWS)]
+    for separator in SEPARATORS:
+        for number, line in enumerate(lines[:MAX_PREAMBLE]):
+            names = [name.strip() for name in split(line, separator)]
+            while names and not names[-1]:
+                names.pop()  # a separator at the end of the line
+            rows = [split(row, separator) for row in lines[number + 1 :] if row.strip()]
+            rows = rows[:SAMPLE_ROWS]
+            if len(lines) - 1 > number + len(rows):
+                rows = rows[:-1] or rows  # the last line of the head may be cut off
+            if _is_header(names, rows):
+                _require_unique(path, number + 1, names)
+                sample = tuple(tuple(row[: len(names)]) for row in rows)
+                decimal = _decimal(path, separator, sample)
+                return LogTable(
+                    path, encoding, separator, decimal, number + 1, tuple(names), sample
+                )
+    expected = "a line with the columns' names and rows of numbers below it are expected"
+    raise InputError(path, "is no table", expected, "Export it with a header line.")
+
+
+def _encoding(data: bytes) -> str:
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+    try:
+        codecs.getincrementaldecoder("utf-8-sig")().decode(data)
+    except UnicodeDecodeError:
+        return "latin-1"
+    return "utf-8-sig"
+
+
+def _is_value(cell: str) -> bool:
+    cell = cell.strip()
+    return bool(_NUMBER.fullmatch(cell) or _DATE.fullmatch(cell))
+
+
+def _is_header(names: list[str], rows: list[list[str]]) -> bool:
+    """Whether a line names columns: no cell is a number, and most cells below are."""
+    if len(names) < 2 or not all(names) or any(map(_is_value, names)) or not rows:
+        return False
+    if any(len(row) < len(names) for row in rows[:2]):
+        return False
+    return sum(map(_is_value, rows[0])) * 2 >= len(names)
+
+
+def _require_unique(path: Path, line: int, names: list[str]) -> None:
+    for name in names:
+        if names.count(name) > 1:
+            found = f'names two columns "{name}"'
+            raise InputError(f"{path}, line {line}", found, "", "Rename one of them.")
+
+
+def _decimal(path: Path, separator: str, sample: tuple[tuple[str, ...], ...]) -> str:
+    cells = [cell.strip() for row in sample for cell in row if _NUMBER.fullmatch(cell.strip())]
+    commas, points = (any(sign in cell for cell in cells) for sign in ",.")
+    if separator != "," and commas and points:
+        found = "has decimal commas and decimal points"
+        raise InputError(path, found, "one of them is expected", "Export it again.")
+    return "," if commas and separator != "," else "."
