@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from verify.cli.options import ReplaceInFolder
+from verify.cli.options import ReplaceInFolder, refuse_options
 
 
 class ExportFormat(StrEnum):
@@ -121,11 +121,26 @@ def convert(
     from verify.io.export.content import is_exportable
 
     first = sources[0]
+    exports = first.is_dir() and not is_bag(first)
+    for_bags = {
+        "--left": left, "--right": right, "--joints": joints, "--rig": rig, "--marker": marker,
+        "--stamps": stamps is StampKind.received,
+    }  # fmt: skip
+    for_tables = {
+        "--lengths": lengths, "--rotation": rotation, "--instrument": instrument,
+        "--map": mapping, "--yes": yes, "--frame": frame is PoseFrame.robot_base,
+    }  # fmt: skip
+    for_both = {"--robot": robot, "--joint-names": joint_names, "--angles": angles}
+    unused = for_bags | for_tables | for_both if exports else for_bags
+    refuse_options(
+        {name: bool(given) for name, given in (for_tables if is_bag(first) else unused).items()},
+        f"does nothing with {first}", "it is for another kind of source", "Leave it out.",
+    )  # fmt: skip
     alone = is_bag(first) or first.is_dir()
     if alone and len(sources) > 1:
         raise InputError(sources[1], "is given too", "one bag or folder is converted at once",
                          "Several tables go together.")  # fmt: skip
-    if first.is_dir() and not is_bag(first):
+    if exports:
         if not is_exportable(first):
             expected = "a session, a report of `verify run` or a ROS 2 bag is expected"
             remedy = "Give a folder with session.toml, results or metadata.yaml."

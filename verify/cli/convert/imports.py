@@ -30,7 +30,7 @@ from verify.io.logs.mapping import (
     settle_units,
 )
 from verify.io.logs.table import LogTable, open_log
-from verify.io.session.folder import SESSION_FILE
+from verify.io.session.folder import SESSION_FILE, load_arm
 from verify.io.session.keys import RunTable
 from verify.io.session.keys import read as read_keys
 from verify.io.toml import FORMAT, encode
@@ -120,20 +120,21 @@ def _bag_keys(
 
 def _load_robot(robot: str | None, out: Path) -> tuple[robots.Arm, str]:
     """Load the robot that --robot names, or the session.toml that stands in `out`."""
-    place, folder = "--robot", None
     if robot is None:
         path = out / SESSION_FILE
         if not path.is_file():
             expected = "joints are matched and checked by the robot's own"
             remedy = "Give a name that `verify robots` lists, or a robot file or URDF."
             raise InputError("--robot", "is missing", expected, remedy)
-        robot, place, folder = read_keys(path, RunTable)[0].robot, f"{path}, robot", out
+        table = read_keys(path, RunTable)[0]
+        return load_arm(path, table), str(out / table.robot) if is_file(
+            table.robot
+        ) else table.robot
     try:
-        arm = robots.load(robot, folder=folder)
+        return robots.load(robot), robot
     except robots.RobotError as error:
         found = f"{error.place} {error.found}"
-        raise InputError(place, found, error.expected, error.remedy) from error
-    return arm, robot if folder is None else str(folder / robot) if is_file(robot) else robot
+        raise InputError("--robot", found, error.expected, error.remedy) from error
 
 
 def is_file(robot: str) -> bool:
@@ -247,7 +248,7 @@ def _confirm(mapped: Sequence[MappedTable], options: ImportOptions) -> None:
     else:
         found = "is a proposal that nobody has confirmed"
     mapping = ",".join(str(c) for c in mapped[0].mapping.columns)
-    raise InputError(mapped[0].table.path, f"the mapping {found}: --map {mapping}", "", CHECK)
+    raise InputError(mapped[0].table.path, f'the mapping {found}: --map "{mapping}"', "", CHECK)
 
 
 def _write_tables(

@@ -26,7 +26,7 @@ STATIC = "/tf_static"
 MIN_BASELINE, MAX_BASELINE = 0.01, 10.0  # m: more is a slip of the unit
 MAX_DISAGREEMENT = 0.01  # of the baseline, between tf_static and CameraInfo
 PINHOLE = ("plumb_bob", "", "rational_polynomial")  # with k1, k2, p1, p2, k3 alone
-RECTIFIED = "rect"  # in the name of a topic of rectified pictures
+RECTIFIED = "image_rect"  # in the name of a topic of rectified pictures
 REMEDY = "Give the rig of these cameras: --rig rig.toml."
 
 
@@ -107,7 +107,7 @@ def _read_model(bag: Bag, pictures: str) -> CameraModel:
         raise InputError(f"{bag.path}, {pictures}", "has no camera model", expected, REMEDY)
     message = next(bag.messages([name]))
     place, info = f"{bag.path}, {name}", message.content
-    rectified = RECTIFIED in pictures.rpartition("/")[2]
+    rectified = RECTIFIED in pictures
     k, r, p = (np.array(_field(info, key), dtype=float).reshape(3, -1) for key in ("k", "r", "p"))
     matrix, distortion = k, _distortion(place, info)
     if rectified:

@@ -24,8 +24,10 @@ AXES = set("xyzXYZ")
 TOL_NORM = 2e-3  # of a quaternion's length
 
 
-def rotations(values: Array, kind: str, unit: str) -> Array:
+def rotations(values: Array, kind: str, unit: str, first: int = 0) -> Array:
     """Turn angles (m, 3) or quaternions (m, 4), scalar first, into unit quaternions (m, 4).
+
+    `first` is the number of the first row, from 0.
 
     Raises:
         InputError: a kind that is not known, or a quaternion whose length is not 1.
@@ -34,7 +36,8 @@ def rotations(values: Array, kind: str, unit: str) -> Array:
         length = np.linalg.norm(values, axis=1, keepdims=True)
         wrong = np.flatnonzero(np.abs(length - 1) > TOL_NORM)
         if len(wrong):
-            found = f"a quaternion of row {wrong[0] + 1} has the length {length[wrong[0], 0]:.4g}"
+            row = first + int(wrong[0]) + 1
+            found = f"a quaternion of row {row} has the length {length[wrong[0], 0]:.4g}"
             raise InputError("--rotation quaternion", found, "a turn's has the length 1")
         return np.asarray(values / length)
     angles = values * ANGLE_UNITS[unit]
@@ -77,8 +80,10 @@ class Triangle:
         self._first_R_body = np.column_stack([x, np.cross(z, x), z])
         self._first = points
 
-    def poses(self, points: Array) -> tuple[Array, Array]:
+    def poses(self, points: Array, first: int = 0) -> tuple[Array, Array]:
         """Positions (m, 3), mm, and unit quaternions (m, 4), scalar first, of rows (m, 3, 3), mm.
+
+        `first` is the number of the first row, from 0.
 
         Raises:
             InputError: the sides of a row's triangle are not those of the first.
@@ -86,18 +91,19 @@ class Triangle:
         flex = np.abs(_sides(points) - _sides(self._first[None]))
         worst = np.unravel_index(int(flex.argmax()), flex.shape)
         if flex[worst] > MAX_FLEX:
-            found = f"a side of the triangle in row {worst[0] + 1} differs by {flex[worst]:.3f} mm"
+            row = first + int(worst[0]) + 1
+            found = f"a side of the triangle in row {row} differs by {flex[worst]:.3f} mm"
             expected = f"at most {MAX_FLEX:g} mm on a rigid body"
             raise InputError(
                 "three points", found, expected, "Leave that row out, or check the points."
             )
         centres = points.mean(axis=1, keepdims=True)
-        first = self._first - self._first.mean(axis=0)
+        given = self._first - self._first.mean(axis=0)
         # each row's turn of the first triangle: U diag(1, 1, det) V' of the points' covariance
-        u, _, vt = np.linalg.svd(np.swapaxes(points - centres, 1, 2) @ first)
+        u, _, vt = np.linalg.svd(np.swapaxes(points - centres, 1, 2) @ given)
         u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
         turns = u @ vt
-        corner = turns @ first[0]
+        corner = turns @ given[0]
         quaternions = Rotation.from_matrix(turns @ self._first_R_body).as_quat()
         return centres[:, 0] + corner, np.roll(quaternions, 1, axis=1)
 

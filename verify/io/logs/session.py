@@ -160,9 +160,9 @@ def write_poses(
             if points is not None:
                 corners = points.reshape(-1, 3, 3)
                 triangle = triangle or Triangle(corners[0])
-                position, quaternion = triangle.poses(corners)
+                position, quaternion = triangle.poses(corners, first)
             else:
-                position, quaternion = _read_poses(values, mapping)
+                position, quaternion = _read_poses(values, mapping, first)
             origin = position[0] if origin is None else origin
             _require_near(table, position, origin)
             numbers = [",".join(f"{v:.6f}" for v in row) for row in position.tolist()]
@@ -182,7 +182,9 @@ def _lengths(values: dict[str, Array], columns: tuple[MappedColumn, ...]) -> Arr
     return np.stack(scaled, axis=1)
 
 
-def _read_poses(values: dict[str, Array], mapping: ColumnMapping) -> tuple[Array, Array | None]:
+def _read_poses(
+    values: dict[str, Array], mapping: ColumnMapping, first: int
+) -> tuple[Array, Array | None]:
     """Positions (m, 3), mm, and quaternions (m, 4) or None."""
     position = _lengths(values, mapping.of(columns_of.POSITION))
     turn = mapping.of(columns_of.QUATERNION) or mapping.of(columns_of.ANGLES)
@@ -191,7 +193,7 @@ def _read_poses(values: dict[str, Array], mapping: ColumnMapping) -> tuple[Array
     if not turn:
         return position, None
     numbers = np.stack([values[c.column] for c in turn], axis=1)
-    return position, rotations(numbers, mapping.rotation, turn[0].unit)
+    return position, rotations(numbers, mapping.rotation, turn[0].unit, first)
 
 
 def _require_near(table: LogTable, position: Array, origin: Array) -> None:

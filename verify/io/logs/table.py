@@ -8,10 +8,11 @@ import codecs
 import csv
 import io
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -74,38 +75,49 @@ class LogTable:
         dates = {name for name in names if self.is_date(name)}
         places = {name: self.names.index(name) for name in names}
         kinds = {place: str if name in dates else np.float64 for name, place in places.items()}
-        done = 0
+        done = characters = 0
         with refused_as_input_error(self.path):
             total = self.path.stat().st_size // PROGRESS_BYTES
-            file = self.path.open("rb")
+            file = self.path.open(encoding=self.encoding, errors="replace", newline="")
         with file:
-            try:
-                reader = pd.read_csv(
-                    file,
-                    sep=r"\s+" if self.separator == " " else self.separator,
-                    decimal=self.decimal,
-                    header=None,
-                    names=range(len(self.names)),
-                    usecols=list(places.values()),
-                    skiprows=self.header_line,
-                    dtype=kinds,
-                    index_col=False,
-                    keep_default_na=False,
-                    chunksize=CHUNK_ROWS,
-                    encoding=self.encoding,
-                )
-                for chunk in reader:
+            lines = (line for line in islice(file, self.header_line, None) if line.strip())
+            while block := list(islice(lines, CHUNK_ROWS)):
+                if any(self._is_too_long(line) for line in block):  # pandas would cut it off
+                    raise self._fault(names)
+                try:
+                    chunk = self._parse(block, kinds)
                     values = {
                         name: _seconds(chunk[place]) if name in dates else chunk[place].to_numpy()
                         for name, place in places.items()
                     }
-                    if not all(np.isfinite(column).all() for column in values.values()):
-                        raise self._fault(names)
-                    yield done, values
-                    done += len(chunk)
-                    progress(min(file.tell() // PROGRESS_BYTES, total), total)
-            except (ValueError, pd.errors.ParserError) as error:
-                raise self._fault(names) from error
+                except (ValueError, pd.errors.ParserError) as error:
+                    raise self._fault(names) from error
+                if not all(np.isfinite(column).all() for column in values.values()):
+                    raise self._fault(names)
+                yield done, values
+                done += len(block)
+                characters += sum(map(len, block))
+                progress(min(characters // PROGRESS_BYTES, total), total)
+
+    def _parse(self, lines: list[str], kinds: Mapping[int, Any]) -> pd.DataFrame:
+        """Parse lines; columns by their number."""
+        return pd.read_csv(
+            io.StringIO("".join(lines)),
+            sep=r"\s+" if self.separator == " " else self.separator,
+            decimal=self.decimal,
+            header=None,
+            names=range(len(self.names)),
+            usecols=list(kinds),
+            dtype=kinds,
+            index_col=False,
+            keep_default_na=False,
+        )
+
+    def _is_too_long(self, line: str) -> bool:
+        """Whether a row has more cells than there are names, but for empty ones."""
+        if self.separator != " " and line.count(self.separator) < len(self.names):
+            return False
+        return any(cell.strip() for cell in split(line.rstrip(), self.separator)[len(self.names) :])
 
     def line_of(self, row: int) -> int:
         """Line of a row, both counted as an editor does; blank lines are no rows."""
@@ -120,6 +132,10 @@ class LogTable:
     def _fault(self, names: tuple[str, ...]) -> InputError:
         """Word what is wrong with the first row that cannot be read."""
         for line, cells in self._rows():
+            if any(cell.strip() for cell in cells[len(self.names) :]):
+                found = f"has {len(cells)} cells"
+                expected = f"line {self.header_line} names {len(self.names)} columns"
+                return InputError(f"{self.path}, line {line}", found, expected, REMEDY)
             for name in names:
                 place = self.names.index(name)
                 cell = cells[place].strip() if place < len(cells) else None

@@ -148,6 +148,8 @@ def test_nothing_is_overwritten_and_no_format_is_guessed(report: Path, tmp_path:
     assert "exists" in verify("convert", report, "-o", tmp_path / "r.mat").refusal
     assert (tmp_path / "r.mat").read_text() == "mine"
     assert verify("convert", report, "-o", tmp_path / "r.mat", "--force").status == 0
+    said = verify("convert", report, "-o", tmp_path / "x.mat", "--left", "/left").refusal
+    assert "--left: does nothing with" in said
     assert "another kind" in verify("convert", tmp_path, "-o", tmp_path / "x.mat").refusal
     assert [p.name for p in tmp_path.iterdir()] == ["r.mat"]
 

@@ -1,5 +1,6 @@
 """Tables of controllers and instruments become encoders.csv and poses.csv."""
 
+import io
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -64,12 +65,28 @@ def test_ur_rtde_takes_what_was_read_and_not_what_was_commanded(tmp_path: Path) 
 def test_a_proposal_needs_a_word_where_there_is_no_terminal(tmp_path: Path) -> None:
     source = rtde(tmp_path / "rtde.csv")
     said = convert(source, tmp_path / "out", "--robot", "ur5")
-    assert "--map t_s=timestamp:s,q1=actual_q_0:rad," in said.refusal
+    assert '--map "t_s=timestamp:s,q1=actual_q_0:rad,' in said.refusal
     assert "actual_q_5  rad  → q6_deg" in said.out  # shown all the same
     assert not (tmp_path / "out").exists()
-    mapping = said.refusal.partition("--map ")[2].partition(". Check")[0]
+    mapping = said.refusal.split('"')[1]
     assert convert(source, tmp_path / "out", "--robot", "ur5", "--map", mapping).status == 0
     np.testing.assert_allclose(joints_of(tmp_path / "out"), Q, atol=1e-8)
+
+
+@pytest.mark.parametrize(("answer", "status"), [("y", 0), ("", 2), ("no", 2)])
+def test_a_terminal_asks(
+    answer: str, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    class Typed(io.StringIO):
+        def isatty(self) -> bool:
+            return True
+
+    monkeypatch.setattr("sys.stdin", Typed(f"{answer}\n"))
+    monkeypatch.setattr("verify.cli.terminal.Terminal.draws", property(lambda _: True))
+    done = convert(rtde(tmp_path / "rtde.csv"), tmp_path / "out", "--robot", "ur5")
+    assert done.out.index("q6_deg") < done.out.index("Correct? [y/N]")
+    assert done.status == status
+    assert (tmp_path / "out").exists() == (status == 0)
 
 
 @pytest.mark.parametrize(
@@ -140,6 +157,7 @@ def replace_line(path: Path, number: int, text: str) -> None:
         (41, "0.468,1,2,,4,5,6", ("line 41", "J3 is empty")),
         (41, "0.468,1,2,three,4,5,6", ("line 41", 'J3 is "three"')),
         (41, "0.468,1,2", ("line 41", "J3 is empty")),
+        (41, "0,468,1,2,3,4,5,6", ("line 41", "has 8 cells", "names 7 columns")),
         (41, "0.1,1,2,3,4,5,6", ("line 41", "time goes back")),
         (1, "1,2,3,4,5,6,7", ("is no table", "header")),
         (1, "time,J1,J2,J3,J4,J5,J5", ("line 1", 'two columns "J5"')),
