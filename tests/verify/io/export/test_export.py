@@ -130,6 +130,7 @@ def test_jpegs_go_through_as_they_are(session: Path, tmp_path: Path) -> None:
     assert found == data
 
 
+@pytest.mark.slow
 def test_rerun_verifies_a_recording(report: Path, session: Path, tmp_path: Path) -> None:
     if find_spec("rerun") is None:
         assert "pip install" in verify("convert", report, "-o", tmp_path / "r.rrd").refusal

@@ -11,10 +11,12 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from tests.support.command import Outcome, verify
+from tests.support.recorded import write_session
 from verify.core.records import Array
 from verify.io.joints import match_joint_names
 from verify.io.logs.mapping import parse_name
 from verify.io.session.keys import read_poses
+from verify.io.session.session import open_session
 
 ROWS = 300
 T = 0.012 * np.arange(ROWS)
@@ -246,6 +248,16 @@ def test_a_controllers_own_poses_are_not_taken_for_a_measurement(tmp_path: Path)
     done = convert(source, tmp_path / "out", "--robot", "iust_6r", "--yes")
     assert "come from its own encoders" in done.err
     assert [p.name for p in (tmp_path / "out").iterdir()] == ["encoders.csv"]
+
+
+def test_readings_go_into_a_session_whose_robot_counts(tmp_path: Path) -> None:
+    folder = write_session(tmp_path / "session")
+    names = ["time_s", *(f"J{j}_deg" for j in range(1, 7))]
+    source = write_table(tmp_path / "log.csv", names, np.column_stack([T, np.rad2deg(Q)]))
+    assert convert(source, folder, "--yes", "--force").status == 0
+    found = open_session(folder)  # all of it still fits together
+    np.testing.assert_allclose(found.encoders.q, Q, atol=1e-9)
+    assert found.description == "small"
 
 
 def test_units_stand_at_the_end_of_a_name() -> None:
