@@ -57,7 +57,10 @@ def convert(
             "report's folder: out of it."
         ),
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder or file of the result.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="Folder or file of the result; else the last argument."),
+    ] = None,
     to: Annotated[
         ExportFormat | None, typer.Option(help="Format of an export; else by the ending of -o.")
     ] = None,
@@ -120,6 +123,11 @@ def convert(
     from verify.io.bags.bag import is_bag
     from verify.io.export.content import is_exportable
 
+    if out is None:
+        if len(sources) == 1:
+            expected = "a folder or file of the result is expected"
+            raise InputError(sources[0], "stands alone", expected, "Add its name, or -o OUT.")
+        *sources, out = sources
     first = sources[0]
     exports = first.is_dir() and not is_bag(first)
     for_bags = {

@@ -65,7 +65,7 @@ def test_evo_finds_the_reports_position_error(
 
 def test_tables_keep_every_digit(report: Path, results: Results, tmp_path: Path) -> None:
     frames = results.table("frames")
-    assert verify("convert", report, "-o", tmp_path / "csv", "--to", "csv").status == 0
+    assert verify("convert", report, tmp_path / "csv", "--to", "csv").status == 0
     found = pd.read_csv(tmp_path / "csv" / "frames.csv")
     np.testing.assert_array_equal(found["x_mm"], frames["x_mm"])
     assert verify("convert", report, "-o", tmp_path / "r.mat").status == 0
