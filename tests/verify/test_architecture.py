@@ -16,7 +16,7 @@ FACES = {"verify", "robots", "reports"}
 MAX_LINES = 450
 SMALL_MODULE = 80  # lines
 MAX_SMALL_MODULES = 30
-MAX_MODULES = 360
+MAX_MODULES = 375
 
 
 def modules() -> list[Path]:
@@ -97,7 +97,7 @@ def test_constraints_are_what_is_installed_and_every_requirement_has_an_upper_bo
     root = PACKAGE.parent
     project = tomllib.loads((root / "pyproject.toml").read_text())["project"]
     stated = [Requirement(text) for text in project["dependencies"]]
-    for extra in ("mqtt", "cluster"):
+    for extra in ("mqtt", "cluster", "opcua"):
         stated += [Requirement(text) for text in project["optional-dependencies"][extra]]
     assert [str(one) for one in stated if "<" not in str(one.specifier)] == []
     text = (root / ".ci" / "constraints.txt").read_text()

@@ -8,7 +8,9 @@ import typer
 from verify.cli.terminal import terminal
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
-    from verify.simulation.emulators.server import EmulatorEngine
+    from verify.simulation.emulators.opcua import OpcUaEmulator
+    from verify.simulation.emulators.rosbridge import RosbridgeEngine
+    from verify.simulation.emulators.server import EmulatorEngine, EmulatorFaults
 
 COMMON_FAULTS = frozenset(
     {"noise", "half", "double", "lost", "split", "silence", "unplug", "reset"}
@@ -25,6 +27,9 @@ class EmulatedDevice(StrEnum):
     LABENC = "labenc"
     PAN = "pan"
     GRIPPER = "gripper"
+    RTDE = "rtde"
+    ROSBRIDGE = "rosbridge"
+    OPCUA = "opcua"
 
 
 FAULTS = {  # R3 has no checksum: a wrong digit would be a wrong angle, which no reader can see
@@ -33,6 +38,10 @@ FAULTS = {  # R3 has no checksum: a wrong digit would be a wrong angle, which no
     EmulatedDevice.LABENC: LABENC_FAULTS,
     EmulatedDevice.PAN: LABENC_FAULTS,
     EmulatedDevice.GRIPPER: COMMON_FAULTS | {"alarm"},
+    # TCP brings no half packages, and no bytes that nobody sent
+    EmulatedDevice.RTDE: COMMON_FAULTS - {"noise", "half"} | {"jump", "alarm", "version"},
+    EmulatedDevice.ROSBRIDGE: COMMON_FAULTS - {"split"} | {"jump"},
+    EmulatedDevice.OPCUA: frozenset({"silence", "unplug", "jump", "status"}),
 }
 DEFAULT_PORTS = {
     EmulatedDevice.MELFA: "tcp:10001",
@@ -40,6 +49,9 @@ DEFAULT_PORTS = {
     EmulatedDevice.LABENC: "pty",
     EmulatedDevice.PAN: "pty",
     EmulatedDevice.GRIPPER: "pty",
+    EmulatedDevice.RTDE: "tcp:30004",
+    EmulatedDevice.ROSBRIDGE: "tcp:9090",
+    EmulatedDevice.OPCUA: "tcp:4840",
 }
 
 
@@ -61,7 +73,13 @@ def emulate(
             "--idle", help="melfa: no program runs, the servo is off; it waits to be moved by EXEC."
         ),
     ] = False,
-    rate: Annotated[int, typer.Option(min=1, help="Samples per second of labenc and pan.")] = 100,
+    robot: Annotated[
+        str | None,
+        typer.Option(help="rosbridge: whose joints the messages name; else joint_1, joint_2, …"),
+    ] = None,
+    rate: Annotated[
+        int, typer.Option(min=1, help="Samples per second of labenc, pan, rosbridge and opcua.")
+    ] = 100,
     object_mm: Annotated[
         float | None,
         typer.Option(min=0, max=150, help="Width of the object between the gripper's fingers."),
@@ -74,7 +92,8 @@ def emulate(
         typer.Option(
             help="Faults to simulate; repeatable. A share of the messages: noise, half, digit, "
             "double, lost, split=0.05. At an instant: silence, unplug=AT:SECONDS, reset=AT, "
-            "jump=AT:SECONDS, alarm=AT:NUMBER (gripper: gFLT), status=AT:BITS."
+            "jump=AT:SECONDS, alarm=AT:NUMBER (gripper: gFLT), status=AT:BITS, version=AT:NUMBER "
+            "(rtde: no later one is accepted)."
         ),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random faults.")] = 0,
@@ -87,33 +106,74 @@ def emulate(
     from verify.errors import InputError
     from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
     from verify.simulation.emulators.hand import contact_positions
-    from verify.simulation.emulators.server import EmulatorServer, open_front, parse_faults
+    from verify.simulation.emulators.rosbridge import WebSocketEndpoint
+    from verify.simulation.emulators.server import (
+        EmulatorServer,
+        listening_at,
+        open_front,
+        opening,
+        parse_faults,
+    )
 
     if object_mm is not None and device is not EmulatedDevice.GRIPPER:
         raise InputError("--object-mm", f"{device.value} has no fingers", "", "Leave it out.")
     if idle and device is not EmulatedDevice.MELFA:
         raise InputError("--idle", f"{device.value} runs no program", "", "Leave it out.")
+    if robot is not None and device is not EmulatedDevice.ROSBRIDGE:
+        raise InputError("--robot", f"{device.value} names no joints", "", "Leave it out.")
     faults = parse_faults(fault or [], FAULTS[device])
-    if device is EmulatedDevice.GRIPPER:
-        contacts = None if object_mm is None else contact_positions(object_mm)
-        engine: EmulatorEngine = GripperEngine(GripperOptions(contacts=contacts))
-    elif device is EmulatedDevice.MELFA:
-        engine = _melfa(motion, joints, idle, seed)
+    where = port or DEFAULT_PORTS[device]
+    server: EmulatorServer | OpcUaEmulator
+    if device is EmulatedDevice.OPCUA:
+        server = _opcua(where, motion, joints, rate, faults)
+    elif device is EmulatedDevice.ROSBRIDGE:
+        with opening(where):
+            front = WebSocketEndpoint(*listening_at(where))
+        server = EmulatorServer(front, _rosbridge(motion, joints, robot, rate), faults, None, seed)
     else:
-        engine = _engine(device, motion, joints, rate, baud)
-    line = SerialLine(baud or 115200)
-    server = EmulatorServer(
-        open_front(port or DEFAULT_PORTS[device], line), engine, faults, baud, seed
-    )
-    address = server.front.address
-    terminal.say(f"{device.value} listens at {address}; Ctrl-C ends it")
-    terminal.record({"type": "listening", "device": device.value, "address": address})
+        if device is EmulatedDevice.GRIPPER:
+            contacts = None if object_mm is None else contact_positions(object_mm)
+            engine: EmulatorEngine = GripperEngine(GripperOptions(contacts=contacts))
+        elif device is EmulatedDevice.MELFA:
+            engine = _melfa(motion, joints, idle, seed)
+        else:
+            engine = _engine(device, motion, joints, rate, baud)
+        line = SerialLine(baud or 115200)
+        server = EmulatorServer(open_front(where, line), engine, faults, baud, seed)
+    terminal.say(f"{device.value} listens at {server.address}; Ctrl-C ends it")
+    terminal.record({"type": "listening", "device": device.value, "address": server.address})
     try:
         server.serve(lambda: False)
     except OSError as error:  # only a serial device goes away under an emulator
-        raise InputError(address, describe_port_error(error)) from error
+        raise InputError(server.address, describe_port_error(error)) from error
     finally:
         server.close()
+
+
+def _opcua(
+    where: str, motion: str, joints: int, rate: int, faults: "EmulatorFaults"
+) -> "OpcUaEmulator":
+    from verify.devices.encoders.opcua import require_asyncua
+    from verify.simulation.emulators.server import listening_at, opening
+    from verify.simulation.emulators.trajectory import load
+
+    require_asyncua()
+    from verify.simulation.emulators.opcua import OpcUaEmulator, OpcUaOptions
+
+    trajectory = load(motion, joints)
+    with opening(where):
+        host, port = listening_at(where)
+        return OpcUaEmulator(host, port, trajectory, joints, OpcUaOptions(rate=rate), faults)
+
+
+def _rosbridge(motion: str, joints: int, robot: str | None, rate: int) -> "RosbridgeEngine":
+    import robots
+    from verify.live.station.template import joint_names
+    from verify.simulation.emulators.rosbridge import RosbridgeEngine, RosbridgeOptions
+    from verify.simulation.emulators.trajectory import load
+
+    names = joint_names(robots.load(robot) if robot is not None else joints)
+    return RosbridgeEngine(load(motion, len(names)), RosbridgeOptions(names, rate=rate))
 
 
 def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
@@ -141,11 +201,14 @@ def _engine(
 ) -> "EmulatorEngine":
     from verify.simulation.emulators.encoders import LabencEngine, LabencOptions, PanEngine
     from verify.simulation.emulators.melfa import RealtimeEngine
+    from verify.simulation.emulators.rtde import RtdeEngine
     from verify.simulation.emulators.trajectory import load
 
     match device:
         case EmulatedDevice.MELFA_REALTIME:
             return RealtimeEngine(load(motion, joints), joints)
+        case EmulatedDevice.RTDE:
+            return RtdeEngine(load(motion, joints))
         case EmulatedDevice.LABENC:
             options = LabencOptions(rate=rate, baud=baud or 115200)
             return LabencEngine(load(motion, joints), joints, options)

@@ -37,6 +37,16 @@ def run(
         bool,
         typer.Option("--new-station", help="Write a commented station file, and do nothing else."),
     ] = False,
+    robot: Annotated[
+        str | None,
+        typer.Option(help="--new-station: the arm, by name or by its robot file or URDF."),
+    ] = None,
+    driver: Annotated[
+        str | None,
+        typer.Option(
+            help="--new-station: how its encoders are read, such as rtde (docs/devices.md)."
+        ),
+    ] = None,
     duration: Annotated[
         float | None,
         typer.Option(
@@ -68,7 +78,11 @@ def run(
     Example: verify run sample_sessions/multi_joint_fault_6r --tolerance 0.2
     """
     if new_station:
-        return _new_station(source)
+        return _new_station(source, robot, driver)
+    option.refuse_options(
+        {"--robot": robot is not None, "--driver": driver is not None},
+        "was given without --new-station", "a station file names both", "Leave it out.",
+    )  # fmt: skip
     if source is None:
         raise typer.BadParameter("name a session's folder or a station file")
     if source.name == "session.toml":
@@ -122,17 +136,19 @@ def _run_live(
     return EXIT_STATUS[max(reported.values(), key=SEVERITY.index)]
 
 
-def _new_station(path: Path | None) -> int:
+def _new_station(path: Path | None, robot: str | None, driver: str | None) -> int:
     """Write the commented station file; nothing is overwritten."""
-    from importlib.resources import files
-
     from verify.io.files import write_whole
     from verify.io.results import refuse_file
+    from verify.live.station.template import SIM_ROBOT, station_template
+    from verify.simulation import library
 
     target = path if path is not None else Path("station.toml")
     refuse_file(target, force=False)
-    write_whole(target, files("verify.live.station").joinpath("station.toml").read_bytes())
-    terminal.say(f"{target} runs as it is, with simulated devices: verify run {target} --for 20s")
+    robot = robot or SIM_ROBOT
+    made = station_template(robot, driver, library.scenario_of(robot), target.parent)
+    write_whole(target, made.text.encode())
+    terminal.say(made.note.replace("{path}", str(target)))
     terminal.record({"type": "result", "out": str(target)})
     return 0
 

@@ -7,7 +7,7 @@ import msgspec
 
 from verify.errors import InputError
 from verify.io import toml
-from verify.simulation.scenario import BoardScenario, Scenario
+from verify.simulation.scenario import BoardScenario, MultiJoint, Scenario
 
 FOLDER = Path(__file__).with_name("scenarios")
 ROBOT_FILES = {".toml", ".urdf"}  # what robots.load takes for a file; else it is a name
@@ -17,6 +17,19 @@ BOARDS = "boards_"  # begins the names of the built-in scenarios that have board
 def names() -> list[str]:
     """List the built-in scenarios that make a session."""
     return [name for name in _built_in() if not name.startswith(BOARDS)]
+
+
+def scenario_of(robot: str) -> str | None:
+    """Name the built-in scenario in which all joints of this robot move; None: there is none."""
+    for name in names():
+        scenario = load(name)
+        if (
+            isinstance(scenario, Scenario)
+            and scenario.robot == robot
+            and isinstance(scenario.motion, MultiJoint)
+        ):
+            return name
+    return None
 
 
 def _built_in() -> list[str]:

@@ -17,11 +17,12 @@ import numpy as np
 from verify.core.records import Array
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.ports import SerialLine
-from verify.devices.protocols import DeviceState
+from verify.devices.protocols import DeviceState, EncoderReading
 from verify.simulation.emulators.server import (
     EmulatorEngine,
     EmulatorFaults,
     EmulatorServer,
+    Endpoint,
     open_front,
 )
 
@@ -97,11 +98,12 @@ class Emulated:
 @contextmanager
 def running(
     engine: EmulatorEngine,
-    where: str = "tcp:0",
+    where: str | Endpoint = "tcp:0",
     faults: EmulatorFaults | None = None,
     baud: int | None = None,
 ) -> Iterator[Emulated]:
-    server = EmulatorServer(open_front(where, SerialLine()), engine, faults, baud, seed=3)
+    front = open_front(where, SerialLine()) if isinstance(where, str) else where
+    server = EmulatorServer(front, engine, faults, baud, seed=3)
     emulated, stop = Emulated(server), threading.Event()
     thread = threading.Thread(target=server.serve, args=(stop.is_set, emulated.now))
     thread.start()
@@ -157,3 +159,13 @@ class Ramp:
         times = (q - self._home) / self.SPEED
         assert np.ptp(times) < 5e-3, times  # 0.01° is 1.7 ms
         return float(np.mean(times))
+
+
+def require_one_clock(readings: list[EncoderReading], within: float) -> None:
+    """Within a segment the readings' time is the ramp's but for a constant, and never too early."""
+    for segment in {reading.segment for reading in readings}:
+        mine = [reading for reading in readings if reading.segment == segment]
+        t = np.array([reading.t for reading in mine])
+        true = np.array([Ramp().time(reading.q) for reading in mine])
+        assert np.all(np.diff(t) > 0)
+        assert np.ptp(t - true) < within

@@ -2,7 +2,7 @@
 
 The emulator runs in a process of its own; both processes know the instant at which the world began.
 
-python -m tests.support.devices.emulated_station STATION BEGAN SECONDS     watches, JSON lines, page
+python -m tests.support.devices.emulated_station STATION BEGAN SECONDS PAGE     watches, JSON lines
 """
 
 import multiprocessing
@@ -24,6 +24,13 @@ from verify.simulation.devices.station import SimulatedStation
 from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
+from verify.simulation.emulators.opcua import OpcUaEmulator
+from verify.simulation.emulators.rosbridge import (
+    RosbridgeEngine,
+    RosbridgeOptions,
+    WebSocketEndpoint,
+)
+from verify.simulation.emulators.rtde import RtdeEngine
 from verify.simulation.emulators.server import (
     EmulatorEngine,
     EmulatorFaults,
@@ -32,6 +39,10 @@ from verify.simulation.emulators.server import (
 )
 
 SCENARIO = "multi_joint_rv_3sd"
+UR_JOINTS = (
+    *("shoulder_pan_joint", "shoulder_lift_joint", "elbow_joint"),
+    *("wrist_1_joint", "wrist_2_joint", "wrist_3_joint"),
+)
 PATIENCE = 60.0  # s until an emulator's process has imported what it needs
 
 
@@ -45,8 +56,8 @@ def _clock(began: float) -> SimClock:
 class Followed:
     """The simulated arm's own motion, as an emulator plays it."""
 
-    def __init__(self, began: float) -> None:
-        self._scene = SimulatedStation(SimSettings(SCENARIO), _clock(began)).scene
+    def __init__(self, began: float, scenario: str = SCENARIO) -> None:
+        self._scene = SimulatedStation(SimSettings(scenario), _clock(began)).scene
         self.start = began
 
     def __call__(self, t: float) -> Array:
@@ -55,22 +66,36 @@ class Followed:
         return q
 
 
-def emulate(kind: str, port: str, began: float, faults: EmulatorFaults, output: Connection) -> None:
-    """Be the device, in a process of its own, from the word on until killed; faults count from it.
-
-    Its address is told before.
-    """
-    followed = Followed(began)
-    engine: EmulatorEngine
-    if kind == "labenc":
+def _server(
+    kind: str, port: str, followed: Followed, faults: EmulatorFaults
+) -> EmulatorServer | OpcUaEmulator:
+    if kind == "opcua":
+        return OpcUaEmulator("127.0.0.1", 0, followed, 6, None, faults)
+    if kind == "rosbridge":
+        engine: EmulatorEngine = RosbridgeEngine(followed, RosbridgeOptions(UR_JOINTS))
+        return EmulatorServer(WebSocketEndpoint("127.0.0.1", 0), engine, faults, None, 0)
+    if kind == "rtde":
+        engine = RtdeEngine(followed)
+    elif kind == "labenc":
         engine = LabencEngine(followed, 6, LabencOptions(rate=100))
     else:
         limits = np.deg2rad(np.tile([-360.0, 360.0], (6, 1)))
         # what the cameras see is the arm itself: no lag behind it
         arm = MelfaArm(followed, 6, limits, follows="command")
         engine = MelfaEngine(arm, ControllerOptions(), 0)
-    server = EmulatorServer(open_front(port, SerialLine()), engine, faults, None, 0)
-    output.send(server.front.address)
+    return EmulatorServer(open_front(port, SerialLine()), engine, faults, None, 0)
+
+
+def emulate(
+    kind: str, port: str, began: float, faults: EmulatorFaults, scenario: str, output: Connection
+) -> None:
+    """Be the device, in a process of its own, from the word on until killed; faults count from it.
+
+    Its address is told before.
+    """
+    followed = Followed(began, scenario)
+    server = _server(kind, port, followed, faults)
+    output.send(server.address)
     output.recv()
     followed.start = time.monotonic()
     first = iter([followed.start])
@@ -79,12 +104,16 @@ def emulate(kind: str, port: str, began: float, faults: EmulatorFaults, output: 
 
 @contextmanager
 def emulator(
-    kind: str, port: str, began: float, faults: EmulatorFaults | None = None
+    kind: str,
+    port: str,
+    began: float,
+    faults: EmulatorFaults | None = None,
+    scenario: str = SCENARIO,
 ) -> Iterator[tuple[str, Callable[[], None]]]:
     """Run one; gives its address, and what lets it answer there."""
     context = multiprocessing.get_context("spawn")
     ours, theirs = context.Pipe()
-    args = (kind, port, began, faults or EmulatorFaults(), theirs)
+    args = (kind, port, began, faults or EmulatorFaults(), scenario, theirs)
     process = context.Process(target=emulate, args=args, daemon=True)
     process.start()
     try:
@@ -95,14 +124,16 @@ def emulator(
         process.join()
 
 
-def start_beside(path: Path, began: float, seconds: float) -> "subprocess.Popen[str]":
+def start_beside(
+    path: Path, began: float, seconds: float, *, page: bool = True
+) -> "subprocess.Popen[str]":
     """Start `watch` in a process of its own."""
-    words = [sys.executable, "-m", __name__, str(path), str(began), str(seconds)]
+    words = [sys.executable, "-m", __name__, str(path), str(began), str(seconds), str(int(page))]
     return subprocess.Popen(words, stdout=subprocess.PIPE, text=True)
 
 
-def watch(path: str, began: float, seconds: float) -> None:
-    """`verify run PATH --for … --page --json`, in a world that began at a given instant."""
+def watch(path: str, began: float, seconds: float, *, page: bool) -> None:
+    """`verify run PATH --for … --json`, in a world that began at a given instant."""
     from verify.cli.options import PageOptions, ToleranceOptions
     from verify.cli.terminal import terminal
     from verify.cli.watch import RunOptions
@@ -112,8 +143,9 @@ def watch(path: str, began: float, seconds: float) -> None:
     terminal.as_json = True
     station = open_station(path, lambda s: SimulatedStation(s, _clock(began), apart=True))
     nothing = ToleranceOptions(None, None, None).tolerance(6)
-    run(station, RunOptions(seconds, nothing, None, PageOptions(0, "127.0.0.1", None)))
+    shown = PageOptions(0, "127.0.0.1", None) if page else None
+    run(station, RunOptions(seconds, nothing, None, shown))
 
 
 if __name__ == "__main__":
-    watch(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]))
+    watch(sys.argv[1], float(sys.argv[2]), float(sys.argv[3]), page=sys.argv[4] == "1")

@@ -1,1 +1,1 @@
-"""LABENC, text lines, growing CSV."""
+"""LABENC, text lines, growing CSV; Universal Robots RTDE, ROS 2 by rosbridge, OPC UA."""

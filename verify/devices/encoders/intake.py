@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from verify.core.records import Array
-from verify.devices.ports import PortLink
+from verify.devices.ports import Chunk, PortLink
 from verify.devices.protocols import DeviceState, EncoderReading
 from verify.errors import InputError
 
@@ -58,6 +58,10 @@ class ControllerClock:
     def restart(self, wraps_after: float | None) -> None:
         """Take the next stamp as the first of a new segment: the device was reset, or lost."""
         self._anew, self._wrap = True, wraps_after
+
+    def least(self, t_host: float) -> float:
+        """Say what the clock shows at least at t_host, s; -inf before its first stamp."""
+        return t_host - self._floor - MAX_CLOCK_DRIFT * (t_host - self._last_host)
 
     def stamp(self, raw: float, t_host: float) -> ControllerInstant | str:
         """Place a stamp of the controller, s, in hand at t_host, s; or say why it is not used."""
@@ -110,6 +114,16 @@ class ControllerClock:
         return self._against >= N_CONFIRM_CLOCK and lump_is_over
 
 
+def arrival(chunk: Chunk, latency: float) -> tuple[ControllerInstant, float]:
+    """Take the middle of what is possible for bytes without a time stamp, and half its span, s.
+
+    The latency, s, is the most by which they come later than the angles were read.
+    """
+    earliest = chunk.earliest - latency
+    return ControllerInstant((earliest + chunk.t) / 2, 0), (chunk.t - earliest) / 2
+
+
+MAX_JOINT_ANGLE = 4 * np.pi  # rad: no joint turns further; garbage does
 MAX_JOINT_SPEED = 4 * np.pi  # rad/s: 720°/s; the RV-3SD's quickest joint does 660°/s
 TOL_ANGLE = np.deg2rad(0.5)  # rad: at rest a reading flickers by its last digit
 N_CONFIRM_LEAP = 5  # readings in a row that contradict the last one before they are believed

@@ -249,8 +249,7 @@ class TextIntake:
             instant = self._clock.stamp(t * unit, chunk.t)
             # a counter is known within its unit; how many decimals of a second count is not known
             return instant if isinstance(instant, str) else (instant, unit / 2 if unit < 1 else 0.0)
-        earliest = chunk.earliest - self._latency
-        return intake.ControllerInstant((earliest + chunk.t) / 2, 0), (chunk.t - earliest) / 2
+        return intake.arrival(chunk, self._latency)
 
     def _count_lost(self, sequence: float | None) -> None:
         before, self._sequence = self._sequence, sequence

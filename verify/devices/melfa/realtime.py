@@ -14,13 +14,18 @@ from typing import Final
 import numpy as np
 
 from verify.core.records import Array
-from verify.devices.encoders.intake import AngleMap, ControllerClock, PortDriver, ReadingIntake
+from verify.devices.encoders.intake import (
+    MAX_JOINT_ANGLE,
+    AngleMap,
+    ControllerClock,
+    PortDriver,
+    ReadingIntake,
+)
 from verify.devices.ports import link_to
 from verify.devices.protocols import EncoderReading
 
 LAYOUT: Final = struct.Struct("<HHHH40sHHHHHHIHH40sHH40sHH40s")
 ENCODER_JOINTS: Final = 8  # data type: joints from the encoders
-MAX_JOINT_ANGLE: Final = 4 * np.pi  # rad: no joint turns further; garbage does
 _EMPTY_FIELD: Final = bytes(40)
 
 

@@ -11,6 +11,9 @@ from verify.devices.cameras.capture import is_file, open_camera
 from verify.devices.encoders.csv import CsvEncoders, CsvSettings
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
+from verify.devices.encoders.opcua import OpcUaEncoders
+from verify.devices.encoders.rosbridge import RosbridgeEncoders
+from verify.devices.encoders.rtde import RtdeEncoders
 from verify.devices.encoders.text import FieldMap, TextEncoders, TextSettings
 from verify.devices.melfa.reader import DEFAULT_MELFA_LINE, MelfaEncoders, MelfaSettings
 from verify.devices.melfa.realtime import RealtimeEncoders, RealtimeSettings
@@ -19,6 +22,7 @@ from verify.devices.ports import DEFAULT_LINE, SerialLine, host_and_port
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
 from verify.errors import InputError
 from verify.io.toml import key_error, one_of
+from verify.live.station import networked
 from verify.live.station.keys import (
     PanTable,
     SimulatedDevices,
@@ -34,6 +38,7 @@ FIELD_KEYS = (
     *("angle_unit", "counts_per_degree", "checksum"),
 )
 BOARD_KEYS = ("checksum", "rate_hz", "unit", "latch_span_us")
+STAMP_KEYS = ("stamp", "cycle_ms", "latency_ms")
 ENCODER_KEYS: dict[str, tuple[str, ...]] = {
     "melfa": (
         *COMMON_KEYS,
@@ -56,6 +61,12 @@ ENCODER_KEYS: dict[str, tuple[str, ...]] = {
         "at_end",
     ),
     "csv": (*COMMON_KEYS, *ANGLE_KEYS, "path", *FIELD_KEYS, "latency_ms"),
+    "rtde": (*COMMON_KEYS, *ANGLE_KEYS, "port", "rate_hz"),
+    "rosbridge": (*COMMON_KEYS, *ANGLE_KEYS, "port", "topic", "joint_names", *STAMP_KEYS),
+    "opcua": (
+        *(*COMMON_KEYS, *ANGLE_KEYS, "port", "nodes", "angle_unit", "rate_hz"),
+        *STAMP_KEYS,
+    ),
     "sim": (*COMMON_KEYS, "rate_hz"),
 }
 PAN_KEYS: dict[str, tuple[str, ...]] = {
@@ -157,6 +168,12 @@ def _make_encoders(
             )
         case "csv":
             return CsvEncoders(_csv_settings(path, table, joints), angles)
+        case "rtde":
+            return RtdeEncoders(networked.rtde_settings(path, table, joints), angles)
+        case "rosbridge":
+            return RosbridgeEncoders(networked.rosbridge_settings(path, table, joints), angles)
+        case "opcua":
+            return OpcUaEncoders(networked.opcua_settings(path, table, joints), angles)
     return TextEncoders(_text_settings(path, table, joints), angles)
 
 

@@ -67,6 +67,10 @@ class StationEncodersTable(msgspec.Struct, kw_only=True, omit_defaults=True):
     latency_ms: float | None = None
     at_start: str | None = None
     at_end: str | None = None
+    topic: str | None = None
+    joint_names: list[str] | None = None
+    nodes: list[str] | None = None
+    stamp: str | None = None
 
 
 class PanTable(msgspec.Struct, kw_only=True, omit_defaults=True):

@@ -6,7 +6,7 @@ import select
 import socket
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Protocol
@@ -218,20 +218,36 @@ def open_front(where: str, line: SerialLine) -> Endpoint:
         InputError: it cannot be opened.
     """
     kind, _, rest = where.partition(":")
-    try:
-        if kind in ("tcp", "udp"):
-            host, port = host_and_port(rest if ":" in rest else f"127.0.0.1:{rest}", where)
-            return TcpEndpoint(host, port) if kind == "tcp" else UdpEndpoint(host, port)
+    with opening(where):
+        if kind == "tcp":
+            return TcpEndpoint(*listening_at(where))
+        if kind == "udp":
+            return UdpEndpoint(*listening_at(where, "udp"))
         if kind == "pty":
             return PtyEndpoint(Path(rest) if rest else None)
         return SerialEndpoint(where, line)
+
+
+def listening_at(where: str, kind: str = "tcp") -> tuple[str, int]:
+    """Take `tcp:PORT` or `tcp:HOST:PORT` apart; InputError: another kind of address."""
+    found, _, rest = where.partition(":")
+    if found != kind:
+        raise InputError(f"--port {where}", "is another kind of line", f"{kind}:PORT is expected")
+    return host_and_port(rest if ":" in rest else f"127.0.0.1:{rest}", where)
+
+
+@contextlib.contextmanager
+def opening(where: str) -> Iterator[None]:
+    """Turn what goes wrong when an address is opened into an InputError."""
+    try:
+        yield
     except OSError as error:
         found = (error.strerror or str(error)).lower()
         raise InputError(f"--port {where}", found, "", "Choose another one.") from error
 
 
 MESSAGE_FAULTS = ("noise", "half", "digit", "double", "lost", "split")
-TIMED_FAULTS = ("silence", "unplug", "reset", "jump", "alarm", "status")
+TIMED_FAULTS = ("silence", "unplug", "reset", "jump", "alarm", "status", "version")
 
 
 @dataclass(frozen=True, slots=True)
@@ -250,6 +266,7 @@ class EmulatorFaults:
     jump: tuple[float, float] | None = None  # s: when, and by how much its clock leaps
     alarm: tuple[float, float] | None = None  # s, number: an alarm stands from then on
     status: tuple[float, float] | None = None  # s, bits: set from then on
+    version: tuple[float, float] | None = None  # s, number: no later protocol is accepted any more
 
 
 def parse_faults(texts: list[str], possible: frozenset[str]) -> EmulatorFaults:
@@ -341,7 +358,7 @@ class EmulatorEngine(Protocol):
         """Start anew, as after a loss of power."""
 
     def afflict(self, fault: str, value: float) -> None:
-        """Begin to have a fault of its own: jump, alarm or status."""
+        """Begin to have a fault of its own: jump, alarm, status or version."""
 
 
 class EmulatorServer:
@@ -362,7 +379,12 @@ class EmulatorServer:
         self._queue: deque[tuple[float, bytes]] = deque()
         self._free = 0.0  # s: when the line has sent what it has
         self._plugged = True
-        self._to_come = {"reset", "jump", "alarm", "status"}
+        self._to_come = {"reset", "jump", "alarm", "status", "version"}
+
+    @property
+    def address(self) -> str:
+        """What a client opens."""
+        return self.front.address
 
     def serve(self, until: Callable[[], bool], now: Callable[[], float] = time.monotonic) -> None:
         """Serve until `until` returns True; `now` is a clock, s."""

@@ -11,6 +11,9 @@ from numpy.testing import assert_allclose
 from tests.support.recorded import MARKER, RIG
 from verify.devices.encoders.csv import CsvEncoders
 from verify.devices.encoders.labenc.reader import LabencEncoders
+from verify.devices.encoders.opcua import OpcUaEncoders
+from verify.devices.encoders.rosbridge import RosbridgeEncoders
+from verify.devices.encoders.rtde import RtdeEncoders
 from verify.devices.encoders.text import TextEncoders
 from verify.devices.melfa.reader import MelfaEncoders
 from verify.devices.melfa.realtime import RealtimeEncoders
@@ -41,6 +44,8 @@ source = "/dev/video2"
 driver = "labenc"
 port = "tcp:127.0.0.1:10001"
 """
+NAMED = 'joint_names = ["a", "b", "c", "d", "e", "f"]\n'
+NODES = 'nodes = ["ns=2;s=Axes"]\nangle_unit = "rad"\nstamp = "arrival"\nlatency_ms = 50.0\n'
 
 
 def station(folder: Path, text: str = REAL, **replaced: str) -> Station:
@@ -86,7 +91,11 @@ def test_the_template_names_every_key_and_no_other(tmp_path: Path) -> None:
     # with every explained key switched on, none is unknown
     message = re.sub(r"(?m)^# (?=\[|[a-z_]+ = )", "", text)
     message = re.sub(r"(?m)^(driver|port|baud|columns|pattern|checksum) = .*\n", "", message)
-    message = re.sub(r"(?m)^(rate_hz|sign|unit|latch_span_us) = .*\n", "", message)
+    message = re.sub(
+        r"(?m)^(rate_hz|sign|unit|latch_span_us|stamp|cycle_ms|latency_ms|angle_unit) = .*\n",
+        "",
+        message,
+    )
     message = message.replace("[encoders]", '[encoders]\ndriver = "sim"')
     (tmp_path / "station.toml").write_text(message)
     _, warnings = file.read(tmp_path / "station.toml")
@@ -118,6 +127,9 @@ def test_facts_come_out_in_si_units(tmp_path: Path) -> None:
             TextEncoders,
         ),
         ('driver = "csv"\npath = "readings.csv"\n', CsvEncoders),
+        ('driver = "rtde"\nport = "tcp:127.0.0.1:1"\nrate_hz = 125.0\n', RtdeEncoders),
+        (f'driver = "rosbridge"\nport = "ws://127.0.0.1:1"\n{NAMED}', RosbridgeEncoders),
+        (f'driver = "opcua"\nport = "opc.tcp://127.0.0.1:1"\n{NODES}', OpcUaEncoders),
     ],
 )
 def test_every_driver_can_be_named(tmp_path: Path, text: str, kind: type) -> None:
@@ -126,6 +138,62 @@ def test_every_driver_can_be_named(tmp_path: Path, text: str, kind: type) -> Non
     assert isinstance(opened, kind)
     assert made.warnings == ()
     opened.close()
+
+
+ROSBRIDGE = 'driver = "rosbridge"\nport = "ws://127.0.0.1:9090"\n'
+OPCUA = 'driver = "opcua"\nport = "opc.tcp://127.0.0.1:4840"\n'
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        (
+            'driver = "rtde"\n',
+            "encoders.port: is missing; an address such as tcp:192.168.0.20:30004",
+        ),
+        (
+            'driver = "rtde"\nport = "/dev/ttyUSB0"\n',
+            'encoders.port: is "/dev/ttyUSB0"; an address',
+        ),
+        (
+            'driver = "rtde"\nport = "tcp:h:1"\nrate_hz = 0.0\n',
+            "rate_hz: is 0; a number from 1 to 500",
+        ),
+        (f'driver = "rosbridge"\nport = "tcp:h:9090"\n{NAMED}', "such as ws://192.168.0.20:9090"),
+        (ROSBRIDGE, "encoders.joint_names: is missing; one for each of the 6 joints"),
+        (
+            ROSBRIDGE + 'joint_names = ["a", "b"]\n',
+            "joint_names: names 2; the names of the 6 joints",
+        ),
+        (ROSBRIDGE + NAMED.replace("b", "a"), 'joint_names: names "a" twice'),
+        (ROSBRIDGE + NAMED + 'topic = "/joint states"\n', 'topic: is "/joint states"; the name of'),
+        (
+            ROSBRIDGE + NAMED + 'stamp = "now"\n',
+            'stamp: is "now"; expected is "source" or "arrival"',
+        ),
+        (ROSBRIDGE + NAMED + "cycle_ms = -1.0\n", "cycle_ms: is -1; a number from 0 to 1000"),
+        (ROSBRIDGE + NAMED + "latency_ms = nan\n", "latency_ms: is nan; a finite number"),
+        (OPCUA, "encoders.nodes: is missing"),
+        (
+            OPCUA + 'nodes = ["i=1", "i=2"]\n',
+            "nodes: names 2; a node for each of the 6 joints, or one",
+        ),
+        (OPCUA + 'nodes = ["axis 1"]\n', 'encoders.nodes: holds "axis 1"; a node id is expected'),
+        (OPCUA + NODES.replace('"rad"', '"counts"'), 'angle_unit: is "counts"'),
+        (OPCUA + NODES + "rate_hz = 1000.0\n", "rate_hz: is 1000; a number from 0.5 to 200"),
+        (
+            f'driver = "opcua"\nport = "opc.tcp://me:secret@h:x"\n{NODES}',
+            'encoders.port: is "h:x"; an address such as opc.tcp://192.168.0.20:4840',
+        ),
+    ],
+)
+def test_settings_of_controllers_have_ranges_and_a_line_each(
+    tmp_path: Path, text: str, words: str
+) -> None:
+    with pytest.raises(InputError, match=re.escape(words)) as problem:
+        encoders(tmp_path, text)
+    assert str(tmp_path) in str(problem.value)
+    assert "secret" not in str(problem.value)
 
 
 def test_bases_follow_on_request_only(tmp_path: Path) -> None:

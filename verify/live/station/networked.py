@@ -1,0 +1,105 @@
+"""From [encoders] to the settings of the controllers that are read over a network protocol."""
+
+import math
+import re
+from pathlib import Path
+from typing import Any
+
+from verify.devices.encoders.opcua import OpcUaSettings
+from verify.devices.encoders.rosbridge import RosbridgeSettings
+from verify.devices.encoders.rtde import MAX_RTDE_RATE, RTDE_JOINTS, RtdeSettings
+from verify.io.toml import key_error, one_of
+from verify.live.station.keys import StationEncodersTable
+
+MAX_POLL_RATE = 200.0  # Hz: a poll of more is slower than its server
+RADIANS_PER_UNIT = {"deg": math.radians(1.0), "rad": 1.0}
+_HOST = r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)"
+_PORTS = {  # what the address of each driver looks like, and an example
+    "rtde": (re.compile(rf"tcp:{_HOST}:[0-9]{{1,5}}"), "tcp:192.168.0.20:30004"),
+    "rosbridge": (re.compile(rf"wss?://{_HOST}(:[0-9]{{1,5}})?(/\S*)?"), "ws://192.168.0.20:9090"),
+    "opcua": (
+        re.compile(rf"opc\.tcp://([^\s@/]+@)?{_HOST}(:[0-9]{{1,5}})?(/\S*)?"),
+        "opc.tcp://192.168.0.20:4840",
+    ),
+}
+
+
+def rtde_settings(path: Path, table: StationEncodersTable, joints: int) -> RtdeSettings:
+    """Settings of a Universal Robots controller; InputError: a key is wrong."""
+    if joints != RTDE_JOINTS:
+        found, expected = 'is "rtde"', f"it reads {RTDE_JOINTS} joints, and the robot has {joints}"
+        raise key_error(path, "encoders.driver", found, expected, "Name the arm that is read.")
+    _check_range(path, "rate_hz", table.rate_hz, 1.0, MAX_RTDE_RATE)
+    return RtdeSettings(_address(path, table), table.rate_hz)
+
+
+def rosbridge_settings(path: Path, table: StationEncodersTable, joints: int) -> RosbridgeSettings:
+    """Settings of a topic behind rosbridge; InputError: a key is wrong."""
+    names = _named(path, "joint_names", table.joint_names, joints)
+    if len(names) != joints:
+        expected = f"the names of the {joints} joints, in the robot file's order"
+        raise key_error(path, "encoders.joint_names", f"names {len(names)}", expected)
+    given = _stamp_settings(path, table)
+    if table.topic is not None:
+        if not re.fullmatch(r"/?[A-Za-z_]\w*(/\w+)*", table.topic):
+            expected = "the name of a topic is expected, such as /joint_states"
+            raise key_error(path, "encoders.topic", f'is "{table.topic}"', expected)
+        given["topic"] = table.topic
+    return RosbridgeSettings(_address(path, table), names, **given)
+
+
+def opcua_settings(path: Path, table: StationEncodersTable, joints: int) -> OpcUaSettings:
+    """Settings of an OPC UA server; InputError: a key is wrong, or asyncua is not installed."""
+    nodes = _named(path, "nodes", table.nodes, joints)
+    if len(nodes) not in (1, joints):
+        expected = f"a node for each of the {joints} joints, or one that is an array of all"
+        raise key_error(path, "encoders.nodes", f"names {len(nodes)}", expected)
+    given = _stamp_settings(path, table)
+    if table.angle_unit is not None:
+        one_of(path, "encoders.angle_unit", table.angle_unit, tuple(RADIANS_PER_UNIT))
+        given["radians_per_unit"] = RADIANS_PER_UNIT[table.angle_unit]
+    if table.rate_hz is not None:
+        _check_range(path, "rate_hz", table.rate_hz, 0.5, MAX_POLL_RATE)
+        given["rate"] = table.rate_hz
+    return OpcUaSettings(_address(path, table), nodes, **given)
+
+
+def _address(path: Path, table: StationEncodersTable) -> str:
+    pattern, example = _PORTS[table.driver]
+    port = table.port
+    if port is None or not pattern.fullmatch(port):
+        shown = (port or "").rpartition("@")[2]  # no password
+        found = "is missing" if port is None else f'is "{shown}"'
+        expected = f"an address such as {example} is expected"
+        raise key_error(path, "encoders.port", found, expected)
+    return port
+
+
+def _named(path: Path, key: str, names: list[str] | None, joints: int) -> tuple[str, ...]:
+    if not names:
+        expected = f"one for each of the {joints} joints, in the robot file's order, is needed"
+        raise key_error(path, f"encoders.{key}", "is missing", expected)
+    twice = [name for name in names if names.count(name) > 1]
+    if twice:
+        found = f'names "{twice[0]}" twice'
+        raise key_error(path, f"encoders.{key}", found, "each joint has its own")
+    return tuple(names)
+
+
+def _stamp_settings(path: Path, table: StationEncodersTable) -> dict[str, Any]:
+    given: dict[str, Any] = {}
+    if table.stamp is not None:
+        one_of(path, "encoders.stamp", table.stamp, ("source", "arrival"))
+        given["arrival"] = table.stamp == "arrival"
+    for key, name, most in (("cycle_ms", "cycle", 1e3), ("latency_ms", "latency", 1e4)):
+        value = getattr(table, key)
+        if value is not None:
+            _check_range(path, key, value, 0.0, most)
+            given[name] = value * 1e-3
+    return given
+
+
+def _check_range(path: Path, key: str, value: float | None, least: float, most: float) -> None:
+    if value is not None and not least <= value <= most:  # nor what is no number
+        expected = f"a number from {least:g} to {most:g} is expected"
+        raise key_error(path, f"encoders.{key}", f"is {value:g}", expected)
