@@ -24,8 +24,15 @@ def document(results: Results) -> doc.Document:
         title=f"Registration of {fmt.text_or_dash(summary.get('robot'))}",
         subtitle=doc.described(summary, "a recorded session"),
         footer=f"{doc.software(summary)} · registration {registration[:23]}",
-        sections=(section(results) for section in SECTIONS),
+        sections=(
+            section(results) for section in SECTIONS if not (posed(summary) and section is axes)
+        ),
     )
+
+
+def posed(summary: dict[str, Any]) -> bool:
+    """Whether another instrument measured: no picture, no LED, no sweep."""
+    return summary.get("method") == "poses"
 
 
 def hidden_joints(summary: dict[str, Any], least: float, most: float) -> list[Any]:
@@ -58,12 +65,13 @@ def verdict(results: Results) -> doc.Section:
         f"{fmt.count(n)}: {fmt.text_or_dash(why)}"
         for why, n in (pairs.get("left_out") or {}).items()
     ]
+    what = "Poses" if posed(summary) else "Pairs"
     facts = [
         ("Robot", fmt.text_or_dash(summary.get("robot"))),
         ("Recorded in", fmt.text_or_dash(source.get("path"))),
         ("Base found", formatting.lookup_label(METHODS, method)),
-        ("Pairs used", fmt.count(pairs.get("used"))),
-        ("Pairs left out", "; ".join(left) or "none"),
+        (f"{what} used", fmt.count(pairs.get("used"))),
+        (f"{what} left out", "; ".join(left) or "none"),
         ("Registration", fmt.text_or_dash(summary.get("registration"))),
     ]
     return doc.Section("verdict", "Verdict", (block, doc.Facts(tuple(facts))))
@@ -77,13 +85,21 @@ def _result_text(summary: dict[str, Any]) -> str:
         what.append("the robot's base")
     if leds and not summary.get("leds_held"):
         what.append(f"{fmt.count(len(leds))} LEDs")
-    verb = "were" if what[-1:] != ["the robot's base"] or len(what) > 1 else "was"
+    target = summary.get("target") or {}
+    if target and not target.get("held"):
+        what.append("the target")
+    single = len(what) == 1 and what[0].startswith("the ")
+    verb = "was" if single else "were"
     how = formatting.lookup_label(METHODS, summary.get("method"))
     who = fmt.join_words(what) or "the axes of the swept joints"
-    sentence = f"{who} {verb} found {how}, in {fmt.count(pairs.get('used'))} pairs"
+    sentence = f"{who} {verb} found {how}, in {fmt.count(pairs.get('used'))} "
+    sentence += "poses" if posed(summary) else "pairs"
     rms = fmt.finite(fit.get("rms_px"))
     if rms is not None:
         sentence += f" with an rms of {fmt.quantity(rms, 'px')}"
+    rms = fmt.finite(fit.get("rms_mm"))
+    if rms is not None:
+        sentence += f" with an rms of {fmt.quantity(rms, 'mm')}"
     return fmt.capitalise(f"{sentence}.")
 
 
@@ -112,7 +128,8 @@ def _remarks(fit: dict[str, Any], method: str, partly: bool) -> list[str]:
     if _fits_worse(fit):
         remarks.append(RegistrationNotes.WORSE)
     if partly:
-        remarks.append(RegistrationNotes.FREED if method == "motion" else RegistrationNotes.LEDS)
+        notes = {"motion": RegistrationNotes.FREED, "poses": RegistrationNotes.POSES}
+        remarks.append(notes.get(method, RegistrationNotes.LEDS))
     return remarks
 
 
@@ -122,17 +139,22 @@ def base_and_leds(results: Results) -> doc.Section:
     entry = summary.get("base") or {}
     blocks: list[doc.Block] = []
     if entry:
-        blocks.append(_base_table(entry, summary.get("method") == "motion"))
+        place = "in the instrument's frame" if posed(summary) else "in the rig"
+        encoders = summary.get("method") in ("motion", "poses")
+        blocks.append(_pose_table(entry, f"Robot base {place}", through_encoders=encoders))
     else:
         blocks.append(doc.Paragraph("The robot's base was not found."))
+    if summary.get("target"):
+        blocks.append(_pose_table(summary["target"], "Target in the flange frame"))
     if summary.get("leds"):
         blocks.append(_led_table(summary["leds"], bool(summary.get("leds_held"))))
     blocks.append(doc.Facts(tuple(_times(summary))))
     blocks += doc.decisions(summary)
-    return doc.Section("base", "Base and LEDs", tuple(blocks))
+    title = "Base and target" if posed(summary) else "Base and LEDs"
+    return doc.Section("base", title, tuple(blocks))
 
 
-def _base_table(entry: dict[str, Any], through_encoders: bool) -> doc.Table:
+def _pose_table(entry: dict[str, Any], what: str, *, through_encoders: bool = False) -> doc.Table:
     empty = [None] * 3
     rows = [
         doc.row(
@@ -145,9 +167,9 @@ def _base_table(entry: dict[str, Any], through_encoders: bool) -> doc.Table:
         for axis, value, u in zip("xyz", entry.get(key) or empty, entry.get(u_key) or empty,
                                   strict=True)
     ]  # fmt: skip
-    title = "Robot base in the rig, with expanded uncertainties (k = 2)."
+    title = f"{what}, with expanded uncertainties (k = 2)."
     note = (
-        (RegistrationNotes.HELD_BASE,)
+        (RegistrationNotes.HELD,)
         if entry.get("held")
         else (RegistrationNotes.THROUGH,) * through_encoders
     )

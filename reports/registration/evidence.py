@@ -62,6 +62,23 @@ def residuals_over_time(results: Results) -> charts.Chart | None:
     return charts.Chart(tuple(panels), row_height=1.1, shared_x=True)
 
 
+def pose_residuals(results: Results) -> charts.Chart | None:
+    """What base and target leave of each pose that an instrument measured."""
+    table = results.table("poses")
+    number, used = charts.column(table, "pose"), charts.column(table, "used") > 0
+    panels = []
+    for key, label, unit in (
+        ("residual_mm", "position [mm]", "mm"), ("residual_deg", "turn [°]", "°"),
+    ):  # fmt: skip
+        size = charts.column(table, key)
+        own = used & np.isfinite(size)
+        if own.any():
+            line = charts.Line(*charts.trace(number[own], size[own]), "measured", label)
+            top = 1.08 * float(size[own].max())
+            panels.append(charts.Panel((line,), label, "pose", y_range=(0.0, top), unit=unit))
+    return charts.Chart(tuple(panels), row_height=1.1, shared_x=True) if panels else None
+
+
 def linearity(results: Results) -> charts.Chart | None:
     """Encoder less turn about the axis, over each swept joint."""
     table = results.table("sweeps")
@@ -88,6 +105,7 @@ def linearity(results: Results) -> charts.Chart | None:
 METHODS = {
     "motion": "from the robot's own motion, through its own encoders",
     "fixture": "from a board at a known place on the base",
+    "poses": "from another instrument's poses, through the robot's own encoders",
     "sweeps": "from sweeps of single joints",
 }
 
@@ -110,9 +128,14 @@ class RegistrationNotes:
     )
     THROUGH = (
         "Stated for encoders without errors of their own; what a constant offset of a joint moves "
-        "with it is in the absorption matrix of rig.toml."
+        "with it is in the absorption matrix of the registration."
     )
-    HELD_BASE = "The base was held as the rig had it."
+    POSES = (
+        "What hides is what base and target took in with the encoders' own errors. A base or a "
+        "target that was measured without the robot hides less (--keep-base, --keep-leds). An "
+        "offset that arises later shows in full."
+    )
+    HELD = "Held as it was stated."
     HELD_LEDS = "The LEDs were held as the marker had them."
     NOTHING_HIDDEN = (
         "The robot's encoders took no part in finding its base, so the base hides nothing of their "
@@ -156,6 +179,12 @@ FIGURES = {
         CALIBRATION["vectors"].alt,
         "The residuals were not kept.",
     ),
+    "poses": doc.FigurePlan(
+        pose_residuals,
+        "What base and target leave of each pose.",
+        "Strips over the poses: residual of the position in millimetres, of the turn in degrees.",
+        "The residuals were not kept.",
+    ),
     "linearity": doc.FigurePlan(
         linearity,
         "Encoder less turn about the joint's own axis over its sweep, a straight line taken out.",
@@ -196,7 +225,9 @@ def residuals(results: Results) -> doc.Section:
                 "alone gives 1; the stated uncertainties allow for it."
             )
         )
-    if len(results.table("pairs")):
+    if len(results.table("poses")):
+        blocks.append(figure_block(results, "poses"))
+    elif len(results.table("pairs")):
         blocks.append(_fixture_table(results))
     else:
         blocks += [figure_block(results, "over_time"), figure_block(results, "vectors")]

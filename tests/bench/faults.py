@@ -141,7 +141,7 @@ def watch_with(fault: str, words: list[str]) -> None:
     from verify.cli.main import main
 
     group, _, name = fault.partition(": ")
-    plain = watch._open_devices
+    plain = watch.open_devices
 
     def opened(station: Any) -> Any:
         devices, begin = plain(station), time.monotonic() + BEGIN
@@ -154,7 +154,7 @@ def watch_with(fault: str, words: list[str]) -> None:
             return replace(devices, encoders=FaultyDevice(devices.encoders, name, begin))
         return devices
 
-    watch._open_devices = opened
+    watch.open_devices = opened
     main(words)
 
 

@@ -229,7 +229,7 @@ def headings(document: Path) -> set[str]:
 @each_document
 def test_every_file_shown_is_read_without_a_warning(document: Path, tmp_path: Path) -> None:
     readers = {
-        "session": lambda path: session_keys.read(path, session_keys.SessionTable),
+        "session": lambda path: session_keys.read(path, session_keys.RecordingTable),
         "rig": rig.read,
         "marker": fiducials.read_marker,
         "board": fiducials.read_board,

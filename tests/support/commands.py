@@ -7,7 +7,7 @@ from tests.support.command import verify
 
 PAGE = Path(__file__).parents[2] / "docs" / "commands.md"
 COMMANDS = (
-    "run", "batch", "identify", "plan", "grab", "report", "calibrate boards",
+    "run", "record", "batch", "identify", "plan", "grab", "report", "calibrate boards",
     "calibrate register", "calibrate check", "convert", "board", "simulate", "robots", "emulate",
     "doctor", "demo",
 )  # fmt: skip

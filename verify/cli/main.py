@@ -24,7 +24,7 @@ from verify.cli.identify.identify import identify
 from verify.cli.plan.plan import plan
 from verify.cli.report import report
 from verify.cli.robots import robots
-from verify.cli.run import demo, run
+from verify.cli.run import demo, record, run
 from verify.cli.simulate import simulate
 from verify.cli.terminal import show_log, terminal
 from verify.errors import InputError, WatchDefectError, one_line
@@ -54,8 +54,8 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 COMMANDS = (
-    run, batch, identify, plan, grab, report, convert, board, simulate, robots, emulate, doctor,
-    demo,
+    run, record, batch, identify, plan, grab, report, convert, board, simulate, robots, emulate,
+    doctor, demo,
 )  # fmt: skip
 for command in COMMANDS:
     app.command(epilog=GLOBAL_OPTIONS_HELP)(command)

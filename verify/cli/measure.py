@@ -22,17 +22,19 @@ def measure_and_report(
     *,
     force: bool,
     warnings: tuple[str, ...] = (),
+    rig: Path | None = None,
+    marker: Path | None = None,
 ) -> str | None:
     """Measure a session, write its reports, print the results; the verdict, None without tolerance.
 
     `out` None is NAME-report in the current folder; `tolerances` replace the session's; `force`:
     write into a folder that exists; `warnings`: of the watch, for the report. alarms.csv of a
-    recording is on page one.
+    recording is on page one. `rig` and `marker` replace the session's own.
 
     Raises:
         InputError: the session cannot be measured, or the reports cannot be written.
     """
-    session = open_session(folder)
+    session = open_session(folder, rig=rig, marker=marker)
     target = out if out is not None else Path(f"{session.name}-report")
     refuse_existing(target, force=force)
     terminal.warn(*session.warnings)

@@ -1,4 +1,4 @@
-"""Measure a recorded session, a sample or a moving robot, compare, judge, report."""
+"""Measure a recorded session, a sample or a moving robot, compare, judge, report; or record alone."""
 
 from functools import partial
 from pathlib import Path
@@ -33,6 +33,15 @@ def run(
     position_tolerance: option.PositionTolerance = None,
     orientation_tolerance: option.OrientationTolerance = None,
     force: option.WriteIntoFolder = False,
+    rig: Annotated[
+        Path | None,
+        typer.Option(
+            help="Session: another rig file than its own; of poses, a registered session's folder."
+        ),
+    ] = None,
+    marker: Annotated[
+        Path | None, typer.Option(help="Session: another marker file than its own.")
+    ] = None,
     new_station: Annotated[
         bool,
         typer.Option("--new-station", help="Write a commented station file, and do nothing else."),
@@ -96,9 +105,49 @@ def run(
         )  # fmt: skip
         from verify.cli.measure import measure_and_report
 
-        return EXIT_STATUS[measure_and_report(source, out, tolerances, force=force)]
+        verdict = measure_and_report(source, out, tolerances, force=force, rig=rig, marker=marker)
+        return EXIT_STATUS[verdict]
+    option.refuse_options(
+        {"--rig": rig is not None, "--marker": marker is not None},
+        "was given with a station", "its file names rig and marker", "Name them there.",
+    )  # fmt: skip
     shown = option.PageOptions(page_port, page_address, page_token) if page else None
     return _run_live(source, out, tolerances, duration, on_alarm, shown, force=force)
+
+
+def record(
+    station: Annotated[Path, typer.Argument(help="A station file; rig and marker may be missing.")],
+    out: Annotated[
+        Path | None,
+        typer.Option("-o", "--out", help="The session to make; default: as the station names it."),
+    ] = None,
+    duration: Annotated[
+        float | None,
+        typer.Option(
+            "--for",
+            parser=option.parse_duration,
+            metavar="<str>",
+            help="How long to record: 60s, 10m, 1.5h.",
+        ),
+    ] = None,
+    page: Annotated[bool, typer.Option("--page", help="Serve a page for the browser.")] = False,
+    page_port: option.PagePort = DEFAULT_PORT,
+    page_address: option.PageAddress = LOOPBACK,
+    page_token: option.PageToken = None,
+) -> None:
+    """Record pictures and readings of a moving robot; nothing is compared.
+
+    Ends with Ctrl-C, when --for is over, or with the robot's program. Shows what the motion still
+    lacks for `verify calibrate register`. Nothing in it can command the robot.
+
+    Exit status 0: recorded; 2: nothing could be, or not to the end.
+
+    Example: verify record station.toml -o first_motion --for 60s
+    """
+    from verify.cli.recording import record_session
+
+    shown = option.PageOptions(page_port, page_address, page_token) if page else None
+    record_session(station, out, duration, shown)
 
 
 def _run_live(

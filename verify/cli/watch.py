@@ -6,7 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
@@ -41,7 +41,7 @@ from verify.live.outputs.terminal import LiveTable
 from verify.live.page.run import RunFacts, RunPageSource
 from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
 from verify.live.state import LiveState
-from verify.live.station.station import PanDrive, Station
+from verify.live.station.station import PanDrive, RecordingStation, Station
 
 if TYPE_CHECKING:  # imported when it is served
     from verify.live.page.feed import Page
@@ -116,7 +116,9 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         computation = LoopComputation(
             lambda request: clock.ask(request, ESTIMATE_TIMEOUT), chain.measure, chain.prepare
         )
-        devices, settings = _open_devices(station), LoopSettings(limits, options.duration)
+        devices, settings = open_devices(station), LoopSettings(limits, options.duration)
+        if station.follow and isinstance(devices.pan, PanDrive):
+            devices = replace(devices, turn=devices.pan.turn_to)
         live = LiveLoop(subject, devices, recorder, settings, computation, listeners, state)
         stack.enter_context(_frozen_garbage_collector())
         look = stack.enter_context(_show_state(joints, page))
@@ -165,8 +167,8 @@ def _start_measuring(station: Station) -> MeasuringProcess:
         raise WatchDefectError(text) from error
 
 
-def _open_devices(station: Station) -> LiveDevices:
-    """Open all devices; none stays open if one cannot be."""
+def open_devices(station: RecordingStation) -> LiveDevices:
+    """Open all devices, to be read; none stays open if one cannot be."""
     with ExitStack() as opened:
         left, right = station.open_cameras()
         opened.callback(left.close)
@@ -175,8 +177,7 @@ def _open_devices(station: Station) -> LiveDevices:
         opened.callback(encoders.close)
         pan = station.open_pan()
         opened.pop_all()
-    turn = pan.turn_to if station.follow and isinstance(pan, PanDrive) else None
-    return LiveDevices(left, right, encoders, pan, turn, station.files)
+    return LiveDevices(left, right, encoders, pan, files=station.files)
 
 
 def _listeners(station: Station, options: RunOptions, stack: ExitStack) -> list[Listener]:

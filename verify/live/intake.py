@@ -3,19 +3,32 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
+from types import MappingProxyType
 from typing import TypeVar
 
 import numpy as np
 
 from verify.core.records import Image
-from verify.devices.protocols import CameraDevice, CameraFrame, Device
+from verify.devices.protocols import (
+    CameraDevice,
+    CameraFrame,
+    CameraState,
+    CapturedPair,
+    Device,
+    DeviceState,
+    EncoderReading,
+)
+from verify.live.buffers import PanBuffer
 from verify.live.pairing import MAX_WAITING, FramePair, Pairing
+from verify.live.protocols import LiveDevices
 
 MAX_QUEUED_PAIRS = 16  # pairs that may wait to be measured: half a second, 30 MB
 OVERRUN = "measuring is slower than the cameras"
 REPEATED = "the previous picture again"  # a camera's noise never repeats
+BASE_TURNING = "a camera base was turning, or its angle is not known"
 IDLE_DELAY = 0.005  # s after a read that came back at once with nothing
+JOIN_TIMEOUT = 3.0  # s
 
 
 Reading = TypeVar("Reading")
@@ -158,3 +171,125 @@ def readings_step(
         return bool(readings)
 
     return step
+
+
+class DeviceIntake:
+    """All devices of a run, each read in a thread of its own; pairs of pictures come out.
+
+    Args:
+        devices: open; `close` closes them.
+        standing: angles of bases that no device reads, left and right, rad.
+        take: called with each encoder reading, in the encoders' thread.
+        before_pan: called before each read of the bases, in theirs.
+    """
+
+    def __init__(
+        self,
+        devices: LiveDevices,
+        standing: tuple[float, float],
+        take: Callable[[EncoderReading], None],
+        before_pan: Callable[[], None] = lambda: None,
+    ) -> None:
+        self._devices, self._standing = devices, standing
+        self._queue, self._pan = PairQueue(Pairing()), PanBuffer()
+        self._troubles: dict[str, str] = {}
+        self._ran = False
+        files, queue = devices.files, self._queue
+        steps = [
+            ("left camera", camera_step(devices.left, 0, queue, patient=files, differ=not files)),
+            ("right camera", camera_step(devices.right, 1, queue, patient=files, differ=not files)),
+            ("encoders", readings_step(devices.encoders, take)),
+        ]
+        if devices.pan is not None:
+            steps.append(("pan bases", readings_step(devices.pan, self._pan.add, before_pan)))
+        self._threads = [PollingThread(name, step, self.fail) for name, step in steps]
+
+    @property
+    def named(self) -> dict[str, Device[object, DeviceState | CameraState]]:
+        """The devices by their names."""
+        devices = self._devices
+        named: dict[str, Device[object, DeviceState | CameraState]] = {
+            "left camera": devices.left,
+            "right camera": devices.right,
+            "encoders": devices.encoders,
+        }
+        return named if devices.pan is None else named | {"pan bases": devices.pan}
+
+    @property
+    def troubles(self) -> Mapping[str, str]:
+        """Defects of this program, by the thread that had them."""
+        return MappingProxyType(self._troubles)
+
+    def fail(self, name: str, error: BaseException) -> None:
+        """Take note of a defect; the threads go on."""
+        self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
+
+    def start(self) -> None:
+        """Begin to read."""
+        for thread in self._threads:
+            thread.start()
+
+    def over(self) -> bool:
+        """Whether the robot's program has ended, or the pictures have."""
+        running = self._devices.encoders.state().program_running
+        self._ran = self._ran or running is True
+        if self._ran and running is False:
+            return True
+        return all(camera.state().ended for camera in (self._devices.left, self._devices.right))
+
+    def pairs(self) -> Iterator[tuple[CapturedPair, float, float]]:
+        """Pairs of pictures with their bases' angles, until `end_pictures`.
+
+        With each: when it arrived, and within what its times are known, both s, host's monotonic
+        clock.
+        """
+        frame = 0
+        while (pair := self._queue.take()) is not None:
+            pan = self._pans(pair)
+            if pan is None:
+                self._queue.drop(BASE_TURNING)
+                continue
+            taken = CapturedPair(
+                frame=frame,
+                t_left=pair.left.t,
+                t_right=pair.right.t,
+                pan_left=pan[0],
+                pan_right=pan[1],
+                left=pair.left.image,
+                right=pair.right.image,
+                lossy=(pair.left.raw is not None, pair.right.raw is not None),
+                left_raw=pair.left.raw,
+                right_raw=pair.right.raw,
+            )
+            frame += 1
+            yield taken, pair.arrived, max(pair.left.t_uncertainty, pair.right.t_uncertainty)
+
+    def dropped(self) -> dict[str, int]:
+        """Counts of the pictures and pairs that were lost, by reason."""
+        return self._queue.dropped()
+
+    def end_pictures(self) -> None:
+        """Stop the cameras' threads; pairs that are there are still given out."""
+        self._end(self._threads[:2])
+        self._queue.close()
+
+    def end_readings(self) -> None:
+        """Stop the threads of encoders and bases."""
+        self._end(self._threads[2:])
+
+    def close(self) -> None:
+        """Close all devices."""
+        for device in self.named.values():
+            device.close()
+
+    def _pans(self, pair: FramePair) -> tuple[float, float] | None:
+        if self._devices.pan is None:
+            return self._standing
+        left, right = self._pan.at(pair.left.t), self._pan.at(pair.right.t)
+        return None if left is None or right is None else (left[0], right[1])
+
+    def _end(self, threads: list[PollingThread]) -> None:
+        for thread in threads:
+            thread.stop()
+        for thread in threads:
+            thread.join(JOIN_TIMEOUT)

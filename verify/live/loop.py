@@ -11,13 +11,7 @@ import numpy as np
 
 import robots
 from verify.core.records import Array, Measurement, StereoPair
-from verify.devices.protocols import (
-    CameraState,
-    CapturedPair,
-    Device,
-    DeviceState,
-    EncoderReading,
-)
+from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
 from verify.live.alarms.loss import DeviceWatch, TargetWatch
 from verify.live.bracketing import (
@@ -27,11 +21,10 @@ from verify.live.bracketing import (
     Bracketing,
     MeasuredPair,
 )
-from verify.live.buffers import PanBuffer, ReadingBuffer
+from verify.live.buffers import ReadingBuffer
 from verify.live.clock import ClockKeeper, Estimator
-from verify.live.intake import PairQueue, PollingThread, camera_step, readings_step
+from verify.live.intake import DeviceIntake
 from verify.live.joint_row import JointRow
-from verify.live.pairing import FramePair, Pairing
 from verify.live.pan_follow import PanFollower
 from verify.live.protocols import Alarm, ExpectedPoses, Listener, LiveDevices, MonitoredRobot
 from verify.live.recording.recorder import SessionRecorder
@@ -40,7 +33,6 @@ from verify.measurement.chain import Setup, measure
 
 DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
 JOIN_TIMEOUT = 3.0  # s
-BASE_TURNING = "a camera base was turning, or its angle is not known"
 ARRIVAL_OFFSETS = np.array([-0.1, -0.05, 0.0, 0.05, 0.1])  # s: an arrival's clock is known to that
 MAX_PAIRS_IN_PROGRESS = 8  # pairs between the cameras and the comparison, at most
 
@@ -88,11 +80,12 @@ class LiveLoop:
         self.state = LiveState() if state is None else state
         self._subject, self._devices, self._recorder = subject, devices, recorder
         self._plan, self._listeners = plan, listeners
-        self._book, self._pan = ReadingBuffer(), PanBuffer()
+        self._book = ReadingBuffer()
         self._keeper = ClockKeeper(
             subject.arm, subject.rig, self._book, subject.clock, computation.estimate_clock
         )
-        self._queue = PairQueue(Pairing())
+        standing = (subject.rig.left.pan, subject.rig.right.pan)
+        self._intake = DeviceIntake(devices, standing, self._add_reading, self._turn)
         follows = devices.turn is not None
         self._follower = PanFollower(subject.rig, subject.marker) if follows else None
         turning = devices.pan is not None
@@ -110,9 +103,8 @@ class LiveLoop:
         self._wake = threading.Condition()
         self._watching = threading.Lock()  # of the target's alarm: two threads use it
         self._measuring_ended = False
-        self._troubles: dict[str, str] = {}
         self.defects: tuple[str, ...] = ()  # why measuring or comparing failed, oldest first
-        self._ran = self._unrecorded = False
+        self._unrecorded = False
 
     def run(self, stop: threading.Event, look: Callable[[LiveState], None] | None = None) -> None:
         """Watch until told to stop, the time is up, the program ends, or the pictures do.
@@ -124,7 +116,6 @@ class LiveLoop:
         begin = time.monotonic()
         self._target.begin(begin)
         self._lost.begin(begin)
-        pumps = self._pumps()
         halt = threading.Event()
         works = [
             threading.Thread(target=self._measure, name="measurement", daemon=True),
@@ -132,8 +123,7 @@ class LiveLoop:
             threading.Thread(target=self._keeper.run, args=(halt,), name="clock", daemon=True),
         ]
         plain, threading.excepthook = threading.excepthook, self._thread_ended
-        for pump in pumps:
-            pump.start()
+        self._intake.start()
         for work in works:
             work.start()
         try:
@@ -143,25 +133,11 @@ class LiveLoop:
                     look(self.state)
                 stop.wait(DEVICE_CHECK_PERIOD)
         finally:
-            self._end(pumps, works, halt)
+            self._end(works, halt)
             threading.excepthook = plain
         self._look(final=True)
         if look is not None:
             look(self.state)
-
-    def _pumps(self) -> list[PollingThread]:
-        devices = self._devices
-        files, queue = devices.files, self._queue
-        left = camera_step(devices.left, 0, queue, patient=files, differ=not files)
-        right = camera_step(devices.right, 1, queue, patient=files, differ=not files)
-        steps = [
-            ("left camera", left),
-            ("right camera", right),
-            ("encoders", readings_step(devices.encoders, self._add_reading)),
-        ]
-        if devices.pan is not None:
-            steps.append(("pan bases", readings_step(devices.pan, self._pan.add, self._turn)))
-        return [PollingThread(name, step, self._failed) for name, step in steps]
 
     def _add_reading(self, reading: EncoderReading) -> None:
         self._book.add(self._recorder.reading(reading))
@@ -177,15 +153,12 @@ class LiveLoop:
         name = "thread" if ended.thread is None else ended.thread.name
         self._failed_step(name, ended.exc_value or ended.exc_type())
 
-    def _failed(self, name: str, error: BaseException) -> None:
-        self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
-
     def _failed_step(self, name: str, error: BaseException) -> None:
         """Record that a step of the loop failed, and raise an alarm: its pairs are lost."""
-        if name not in self._troubles:
+        if name not in self._intake.troubles:
             t, now = time.monotonic(), time.time()
-            self._failed(name, error)
-            text = f"The {name} has failed: {self._troubles[name]}"
+            self._intake.fail(name, error)
+            text = f"The {name} has failed: {self._intake.troubles[name]}"
             self.defects += (text,)
             self._raise(Alarm(next(self._numbers), "defect", now, t, text, device=name))
 
@@ -194,30 +167,17 @@ class LiveLoop:
             return True
         if self._plan.duration is not None and time.monotonic() - begin >= self._plan.duration:
             return True
-        running = self._devices.encoders.state().program_running
-        self._ran = self._ran or running is True
-        if self._ran and running is False:
-            return True
-        return all(camera.state().ended for camera in (self._devices.left, self._devices.right))
+        return self._intake.over()
 
-    def _end(
-        self, pumps: list[PollingThread], works: list[threading.Thread], halt: threading.Event
-    ) -> None:
+    def _end(self, works: list[threading.Thread], halt: threading.Event) -> None:
         """Cameras first; then what they gave is measured, recorded and told; devices last."""
-        for pump in pumps[:2]:
-            pump.stop()
-        for pump in pumps[:2]:
-            pump.join(JOIN_TIMEOUT)
-        self._queue.close()
+        self._intake.end_pictures()
         for work in works[:2]:
             work.join(JOIN_TIMEOUT)
         halt.set()
-        for pump in pumps[2:]:
-            pump.stop()
-            pump.join(JOIN_TIMEOUT)
+        self._intake.end_readings()
         self._recorder.close()
-        for device in self._named().values():
-            device.close()
+        self._intake.close()
         for listener in self._listeners:
             listener.close()
 
@@ -240,35 +200,9 @@ class LiveLoop:
         return measure(pairs, setup, causal=True)
 
     def _taken(self) -> Iterator[CapturedPair]:
-        """Pairs of pictures with the angles of their bases."""
-        frame = 0
-        while (pair := self._queue.take()) is not None:
-            pan = self._pans(pair)
-            if pan is None:
-                self._queue.drop(BASE_TURNING)
-                continue
-            taken = CapturedPair(
-                frame=frame,
-                t_left=pair.left.t,
-                t_right=pair.right.t,
-                pan_left=pan[0],
-                pan_right=pan[1],
-                left=pair.left.image,
-                right=pair.right.image,
-                lossy=(pair.left.raw is not None, pair.right.raw is not None),
-                left_raw=pair.left.raw,
-                right_raw=pair.right.raw,
-            )
-            doubt = max(pair.left.t_uncertainty, pair.right.t_uncertainty)
-            self._arrivals[pair.left.t] = (pair.arrived, doubt, taken)
-            frame += 1
+        for taken, arrived, doubt in self._intake.pairs():
+            self._arrivals[taken.t_left] = (arrived, doubt, taken)
             yield taken
-
-    def _pans(self, pair: FramePair) -> tuple[float, float] | None:
-        if self._devices.pan is None:
-            return self._subject.rig.left.pan, self._subject.rig.right.pan
-        left, right = self._pan.at(pair.left.t), self._pan.at(pair.right.t)
-        return None if left is None or right is None else (left[0], right[1])
 
     def _noted(self, pairs: Iterator[StereoPair]) -> Iterator[StereoPair]:
         """Pairs as they are recorded; pictures of those that are through are let go."""
@@ -379,16 +313,17 @@ class LiveLoop:
     def _look(self, *, final: bool = False) -> None:
         """Update the devices' states; after the end, when they are closed, only the counts."""
         known = self.state.snapshot().devices if final else self._check_devices()
-        lines = [line for line in known if line.name not in self._troubles]
-        lines += [DeviceStatus(name, False, text) for name, text in self._troubles.items()]
-        self.state.set_status(tuple(lines), self._queue.dropped(), self._recorder.state().sentence)
+        troubles = self._intake.troubles
+        lines = [line for line in known if line.name not in troubles]
+        lines += [DeviceStatus(name, False, text) for name, text in troubles.items()]
+        self.state.set_status(tuple(lines), self._intake.dropped(), self._recorder.state().sentence)
 
     def _check_devices(self) -> tuple[DeviceStatus, ...]:
         """Describe every device, and raise alarms for those that are silent."""
         t, now = time.monotonic(), time.time()
         alarms: list[Alarm] = []
         lines = []
-        for name, device in self._named().items():
+        for name, device in self._intake.named.items():
             state = device.state()
             lines.append(device_status(name, state))
             alarms += self._lost.take(name, state.age, state.sentence, t, now)
@@ -403,12 +338,3 @@ class LiveLoop:
         for alarm in alarms:
             self._raise(alarm)
         return tuple(lines)
-
-    def _named(self) -> dict[str, Device[object, DeviceState | CameraState]]:
-        devices = self._devices
-        named: dict[str, Device[object, DeviceState | CameraState]] = {
-            "left camera": devices.left,
-            "right camera": devices.right,
-            "encoders": devices.encoders,
-        }
-        return named if devices.pan is None else named | {"pan bases": devices.pan}

@@ -172,7 +172,7 @@ def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Listener]:
     live = LiveLoop(subject, devices, recorder, plan, LoopComputation(estimate_offset), [listener])
     with without_pictures():
         live.run(threading.Event())
-    assert not live._troubles, "a defect is told and outlived by a run, but not by its test"
+    assert not live._intake.troubles, "a defect is told and outlived by a run, but not by its test"
     return live, recorder, listener
 
 

@@ -42,7 +42,7 @@ def placement_entries(fit: KinematicFit) -> list[dict[str, Any]]:
         }
         for kind, poses in (("base", fit.state.base), ("tool", fit.state.tool))
         for place, pose in enumerate(poses)
-        if (sigma := np.sqrt(np.diag(_covariance(fit, kind, place)))).any()
+        if (sigma := placement_uncertainty(fit, kind, place)).any()
     ]
 
 
@@ -60,7 +60,7 @@ def session_files(
         session, instrument = one.session, one.session.instrument
         if not kinds or (instrument is not None and instrument.poses.of_several):
             continue
-        rig = _moved_rig(session.rig, fit, base) if "base" in kinds else session.rig
+        rig = moved_rig(session.rig, fit, base) if "base" in kinds else session.rig
         folder = f"sessions/{session.name}"
         if instrument is None:
             yield f"{folder}/rig.toml", io_rig.encode(rig)
@@ -68,12 +68,26 @@ def session_files(
             if "tool" in kinds:
                 yield f"{folder}/marker.toml", encode_marker(_moved_marker(session, fit, tool))
             continue
-        text = _session_toml(session, fit, rig, tool, robot_file, stated=gathered.poses.stated)
+        text = registered_session(session, fit, rig, tool, robot_file, stated=gathered.poses.stated)
         yield f"{folder}/session.toml", text
         yield f"{folder}/{robot_file}", robot
         for path in session.inputs:
             if path.endswith(".csv"):
                 yield f"{folder}/{path}", (session.folder / path).read_bytes()
+
+
+def placement_uncertainty(fit: KinematicFit, kind: str, place: int) -> Array:
+    """Standard uncertainties of a base or a tool, (6,), mm and degrees; 0 where it was held."""
+    sigma: Array = np.sqrt(np.diag(_covariance(fit, kind, place)))
+    return sigma
+
+
+def target_in_flange(session: Session, fit: KinematicFit, place: int = 0) -> Array:
+    """Pose of a session's target in the flange frame, (4, 4), m."""
+    tool, instrument = fit.state.tool[place], session.instrument
+    posed = instrument is not None and not instrument.positions_alone
+    body: Array = tool @ instrument.flange_T_body if instrument and posed else tool
+    return body
 
 
 def _covariance(fit: KinematicFit, kind: str, place: int) -> Array:
@@ -89,7 +103,7 @@ def _covariance(fit: KinematicFit, kind: str, place: int) -> Array:
     return found * np.outer(UNITS, UNITS)
 
 
-def _moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
+def moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
     """The rig with the robot where it was found: the rows are in the base as the rig had it."""
     moved = rig.rig_T_base @ fit.state.base[place]
     turn = block_diag(moved[:3, :3], moved[:3, :3])
@@ -130,15 +144,25 @@ def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Marker:
     )
 
 
-def _session_toml(
-    session: Session, fit: KinematicFit, rig: Rig, place: int, robot_file: str, *, stated: bool
+def registered_session(
+    session: Session,
+    fit: KinematicFit,
+    rig: Rig,
+    place: int = 0,
+    robot_file: str | None = None,
+    *,
+    stated: bool,
 ) -> bytes:
-    """The session of poses with the corrected arm, base and target where they were found."""
+    """The session.toml of poses with base and target where they were found.
+
+    `place` numbers the target; `robot_file` names the corrected arm, None leaves the arm as it is.
+    """
     tree = tomllib.loads((session.folder / "session.toml").read_text(encoding="utf-8"))
-    tree.pop("robot_frames", None)
-    tool, instrument = fit.state.tool[place], session.instrument
+    if robot_file is not None:
+        tree.pop("robot_frames", None)
+        tree["robot"] = robot_file
+    body, instrument = target_in_flange(session, fit, place), session.instrument
     assert instrument is not None
-    body = tool if instrument.positions_alone else tool @ instrument.flange_T_body
     poses = {
         **tree["poses"],
         "point_mm": encode_numbers(body[:3, 3], 1 / MM),
@@ -150,12 +174,12 @@ def _session_toml(
         poses["position_standard_uncertainty_mm"] = fit.scale.position * MM
         if not instrument.positions_alone:
             poses["orientation_standard_uncertainty_deg"] = fit.scale.orientation * DEG
-    sigma = np.sqrt(np.diag(_covariance(fit, "tool", place))).tolist()
+    sigma = placement_uncertainty(fit, "tool", place).tolist()
     if any(sigma):
         uncertainty = dict(zip(KEYS, sigma, strict=True))
         poses |= {"source": "motion", "body_standard_uncertainty": uncertainty}
     whole = tomllib.loads(io_rig.encode(_without_cameras(rig)).decode())
-    tree |= {"robot": robot_file, "poses": poses, "robot_base": whole["robot_base"]}
+    tree |= {"poses": poses, "robot_base": whole["robot_base"]}
     tree.pop("rig", None)
     tree["covariance"] = whole.get("covariance")
     return encode(tree)

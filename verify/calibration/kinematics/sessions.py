@@ -14,8 +14,7 @@ from verify.analysis.model import add_pan_noise, clock_effect, prior_columns
 from verify.analysis.session import measure_session
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.kinematics.chain import ArmState, KinematicChain
-from verify.calibration.kinematics.fit import pose_residuals
-from verify.calibration.kinematics.identify import IdentificationResult
+from verify.calibration.kinematics.fit import KinematicFit, pose_residuals
 from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 from verify.core.readings import Readings
 from verify.core.records import Array
@@ -238,10 +237,9 @@ def _mounting(one: SessionPoses) -> bytes:
     return instrument.flange_T_body.tobytes() if instrument.placed else one.session.name.encode()
 
 
-def deflate_repetition(gathered: CombinedPoses, found: IdentificationResult) -> CombinedPoses:
+def deflate_repetition(gathered: CombinedPoses, fit: KinematicFit) -> CombinedPoses:
     """Reduce the weight of pairs that repeat each other's errors, by a first fit's residuals."""
     rows = gathered.poses
-    fit = found.richest
     white = fit.scale.whiten(rows, pose_residuals(fit.state, rows))
     white[np.all(rows.whitener == 0, axis=2) | ~fit.used[:, None]] = np.nan
     whitener = rows.whitener.copy()

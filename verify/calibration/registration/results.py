@@ -13,12 +13,15 @@ from scipy.spatial.transform import Rotation
 
 from reports import Results
 from verify.calibration.axes.table import SweepResult
+from verify.calibration.kinematics.placements import placement_uncertainty, target_in_flange
+from verify.calibration.kinematics.registration import PosesRegistration
 from verify.calibration.origin import DEG, MM, POSE_UNITS, ResultsOrigin
 from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration
 from verify.calibration.stereo.parameters import SIDES
 from verify.core.fiducials import Marker
 from verify.core.records import Array
+from verify.io.session.session import Session
 from verify.measurement.systematics import BODY
 
 
@@ -96,8 +99,59 @@ def fixture_results(
     )
 
 
+def poses_results(
+    found: PosesRegistration,
+    session: Session,
+    origin: ResultsOrigin,
+    *,
+    base_held: bool,
+    target_held: bool,
+) -> Results:
+    """Lay a registration by another instrument's poses out for the report."""
+    target = target_in_flange(session, found.fit)
+    stated = {} if found.rig.covariance is None else found.rig.covariance.by_name
+    base_u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in BODY])
+    residual = found.residual * POSE_UNITS
+    sizes = [np.linalg.norm(part, axis=1) for part in np.split(residual, 2, axis=1)]
+    turned = session.instrument is not None and not session.instrument.positions_alone
+    target_u = placement_uncertainty(found.fit, "tool", 0)
+    if not turned:
+        target_u[3:] = np.nan
+    summary = {
+        **origin.summary("registration"),
+        "method": "poses",
+        "robot": session.robot,
+        "registration": found.rig.registration,
+        "pairs": {
+            "used": int(found.fit.used.sum()),
+            "left_out": {"do not belong to the others": len(found.left_out)}
+            if found.left_out
+            else {},
+        },
+        "base": _base(found.rig.rig_T_base, base_u, held=base_held),
+        "target": _base(target, target_u, held=target_held),
+        "leds": [],
+        "joints": [
+            {"joint": j + 1, "visible_fraction": share}
+            for j, share in enumerate(found.visible_fractions.tolist())
+        ],
+        "fit": {"rms_mm": found.rms[0] * MM, "rms_deg": found.rms[1] * DEG if turned else None},
+        "decisions": list(found.decisions),
+        "warnings": list(found.warnings),
+    }
+    table = pd.DataFrame(
+        {
+            "pose": found.frame,
+            "residual_mm": sizes[0],
+            "residual_deg": sizes[1] if turned else np.nan,
+            "used": found.fit.used,
+        }
+    )
+    return Results(summary=summary, setup={}, tables={"poses": table})
+
+
 def _base(rig_T_base: Array, u: Array, *, held: bool) -> dict[str, Any]:
-    """The base's pose and its standard uncertainties (6,), mm and degrees."""
+    """A pose and its standard uncertainties (6,), mm and degrees."""
     turn = Rotation.from_matrix(rig_T_base[:3, :3]).as_rotvec(degrees=True)
     return {
         "position_mm": (rig_T_base[:3, 3] * MM).tolist(),

@@ -93,9 +93,18 @@ def boards(
 def register(
     session: Annotated[
         Path,
-        typer.Argument(help="A recorded motion; with --board-in-base, pictures of that board."),
+        typer.Argument(
+            help="A recorded motion, or poses; with --board-in-base, pictures of that board."
+        ),
     ],
-    out: option.RigOut = Path("rig.toml"),
+    out: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--out",
+            help="The rig file to write: rig.toml; of poses a session folder: NAME-registered.",
+        ),
+    ] = None,
     marker: Annotated[
         Path | None, typer.Option(help="The marker file to write; default: marker.toml.")
     ] = None,
@@ -130,7 +139,8 @@ def register(
     """Find where the robot stands in the rig and where the LEDs sit on its flange.
 
     From a motion it goes through the robot's own encoders, which hides part of their faults: how
-    much, joint by joint, is printed. A board at a known place on the base hides nothing.
+    much, joint by joint, is printed. A board at a known place on the base hides nothing. Of a
+    session with poses.csv, base and target are found likewise, and --keep-leds keeps the target.
 
     Example: verify calibrate register my_session --rig rig.toml -o registered.toml
     """
@@ -138,21 +148,32 @@ def register(
     from verify.cli.calibrate.boards import board_from_options
     from verify.io.files import real_path
     from verify.io.results import refuse_existing, refuse_file
+    from verify.io.session.session import open_poses
 
-    fixture = board_in_base is not None
-    useless = {"--corners": corners is not None, "--square-mm": square_mm is not None}
-    if fixture:
-        useless = {
-            "--marker": marker is not None, "--leds": leds is not None,
-            "--known-marker": known_marker is not None, "--keep-base": keep_base,
-            "--keep-leds": keep_leds, "--sweeps": sweeps,
-        }  # fmt: skip
-    way = "a board on the base" if fixture else "a motion"
+    target = report if report is not None else Path(f"{real_path(session).name}-registration")
+    options = registration.RegistrationOptions(leds, known_marker, keep_base, keep_leds, sweeps)
+    board_options = {"--corners": corners is not None, "--square-mm": square_mm is not None}
+    marker_options = {
+        "--marker": marker is not None, "--leds": leds is not None,
+        "--known-marker": known_marker is not None, "--sweeps": sweeps,
+    }  # fmt: skip
+    posed = None if board_in_base is not None else open_poses(session)
+    if posed is not None:
+        useless = board_options | marker_options | {"--rig": rig is not None}
+        option.refuse_options(useless, "does not apply when poses are used", "", "Leave it out.")
+        refuse_existing(target, force=force)
+        folder = out if out is not None else Path(f"{posed.name}-registered")
+        registration.register_by_poses(posed, folder, target, options, force=force)
+        return
+    useless, way = board_options, "a motion"
+    if board_in_base is not None:
+        useless = marker_options | {"--keep-base": keep_base, "--keep-leds": keep_leds}
+        way = "a board on the base"
     option.refuse_options(useless, f"does not apply when {way} is used", "", "Leave it out.")
     marker_out = marker if marker is not None else Path("marker.toml")
-    target = report if report is not None else Path(f"{real_path(session).name}-registration")
+    out = out if out is not None else Path("rig.toml")
     refuse_file(out, force=force)
-    if not fixture:
+    if board_in_base is None:
         refuse_file(marker_out, force=force)
         registration.refuse_one_file(out, marker_out)
     refuse_existing(target, force=force)
@@ -161,7 +182,6 @@ def register(
         board = board_from_options(corners, square_mm, None)
         registration.register_by_fixture(session, board_in_base, rig, board, output)
         return
-    options = registration.RegistrationOptions(leds, known_marker, keep_base, keep_leds, sweeps)
     registration.register_by_motion(session, rig, options, output)
 
 

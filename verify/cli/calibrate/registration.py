@@ -1,4 +1,4 @@
-"""Register a robot's base and LEDs by its own motion, or the base by a board that sits on it."""
+"""Register a robot's base and LEDs by its own motion or a tracker's poses, or by a fixed board."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
@@ -6,22 +6,31 @@ from pathlib import Path
 
 from verify.calibration.axes.table import SweepResult, axes_from_sweeps
 from verify.calibration.corners.folder import find_boards
+from verify.calibration.kinematics.mistakes import refuse_mistaken_readings
+from verify.calibration.kinematics.registration import register_poses
+from verify.calibration.kinematics.sessions import gather_sessions, session_to_poses
 from verify.calibration.origin import ResultsOrigin
 from verify.calibration.registration.fixture import register_fixture
 from verify.calibration.registration.records import MotionRegistration
 from verify.calibration.registration.register import register_motion
-from verify.calibration.registration.results import fixture_results, motion_results
+from verify.calibration.registration.results import (
+    fixture_results,
+    motion_results,
+    poses_results,
+)
 from verify.cli.calibrate.boards import error_in_folder, require_same_size
 from verify.cli.terminal import report_files, terminal
 from verify.core.fiducials import Board, Marker
+from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io import fiducials
 from verify.io import fixture as io_fixture
 from verify.io import rig as io_rig
 from verify.io.board.folder import open_board_folder
-from verify.io.files import written_together
-from verify.io.results import write_report_folder
+from verify.io.files import write_folder_whole, written_together
+from verify.io.results import refuse_existing, write_report_folder
+from verify.io.session.folder import SESSION_FILE
 from verify.io.session.session import Recording, Session, open_recording
 from verify.measurement.chain import Setup, measure
 
@@ -116,13 +125,57 @@ def register_by_motion(
         io_rig.write(output.rig, found.rig)
         fiducials.write_marker(output.marker, found.marker)  # kept LEDs too: with the registration
         write_report_folder(made, output.report, force=output.force)
-    words = (*found.decisions, *_hidden_fault_sentences(found), *(swept.decisions if swept else ()))
+    words = (
+        *found.decisions,
+        *_hidden_fault_sentences(found.visible_fractions),
+        *_hold_out_sentences(found),
+        *(swept.decisions if swept else ()),
+    )
     _print_summary(words, [output.rig, output.marker], output.report)
 
 
-def _hidden_fault_sentences(found: MotionRegistration) -> Iterator[str]:
-    """Say how much of each joint's offset the registration hides."""
-    shares = found.visible_fractions
+def register_by_poses(
+    session: Session, out: Path, report: Path, options: RegistrationOptions, *, force: bool
+) -> None:
+    """Register base and target by an instrument's poses; write the session with both, and a report.
+
+    `out` is the folder of that session: what `verify run` takes, alone or with --rig.
+    """
+    instrument = session.instrument
+    if instrument is not None and instrument.poses.target is not None:
+        remedy = "Leave the rows of one target, or find all with `verify identify`."
+        raise InputError(
+            session.left.path, "has the column target", "one target is registered", remedy
+        )
+    refuse_existing(out, force=force)
+    with terminal.progress("poses") as progress:
+        measured = session_to_poses(session, progress, registered=False)
+    gathered = gather_sessions([measured])
+    if not options.keep_base and not options.keep_leds:
+        refuse_mistaken_readings(session.folder / "encoders.csv", gathered)
+    found = register_poses(gathered, keep_base=options.keep_base, keep_target=options.keep_leds)
+    warnings = (*session.warnings, *found.warnings)
+    terminal.warn(*warnings)
+    made = poses_results(
+        replace(found, warnings=warnings),
+        session,
+        ResultsOrigin(session.name, session.description, session.inputs),
+        base_held=options.keep_base,
+        target_held=options.keep_leds,
+    )
+    with write_folder_whole(out, force) as folder:
+        (folder / SESSION_FILE).write_bytes(found.text)
+        for name in session.inputs:
+            if name != SESSION_FILE and not name.endswith("rig.toml"):
+                (folder / name).parent.mkdir(parents=True, exist_ok=True)
+                (folder / name).write_bytes((session.folder / name).read_bytes())
+        write_report_folder(made, report, force=force)
+    sentences = _hidden_fault_sentences(found.visible_fractions)
+    _print_summary((*found.decisions, *sentences), [out / SESSION_FILE], report)
+
+
+def _hidden_fault_sentences(shares: Array) -> Iterator[str]:
+    """Say how much of each joint's offset the registration hides, by its visible shares (j,)."""
     gone = [f"{j + 1}" for j, share in enumerate(shares) if share == 0]
     if gone:
         joints = f"joint{'s' if len(gone) > 1 else ''} {' and '.join(gone)}"
@@ -130,6 +183,9 @@ def _hidden_fault_sentences(found: MotionRegistration) -> Iterator[str]:
     left = [f"joint {j + 1} {share:.0%}" for j, share in enumerate(shares) if share > 0]
     if left:
         yield f"Of such an offset there stays visible: {', '.join(left)}. A later one shows fully."
+
+
+def _hold_out_sentences(found: MotionRegistration) -> Iterator[str]:
     if found.held_out_rms_px is not None and found.fit_rms_px is not None:
         yield (
             f"Registered on half of the pairs: {found.fit_rms_px:.3f} px rms; "

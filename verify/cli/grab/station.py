@@ -46,7 +46,7 @@ from verify.live.buffers import PanBuffer
 from verify.live.intake import PollingThread, readings_step
 from verify.live.pairing import FramePair, Pairing
 from verify.live.station import file
-from verify.live.station.keys import StationEncodersTable
+from verify.live.station.keys import StationEncodersTable, StationTable
 from verify.live.station.station import Station, open_station
 from verify.simulation.devices.station import SimulatedStation
 
@@ -224,7 +224,7 @@ def _open_devices(
             return replace(newest[0], t_host=newest[0].t_host - began) if newest else None
 
         return read, None
-    table, _ = file.read(station.path)
+    table, _ = file.read(station.path, StationTable)
     settings = _motion_settings(station.path, table.encoders)
     if ports.gripper is None:
         expected = "the gripper's port is needed to move"

@@ -152,7 +152,7 @@ def _identify_twice(
     # with both free no start is needed
     known = None if options.free_base and options.free_tool else gathered.state(chain)
     first = identify_arm(chain, gathered.poses, replace(options, level=LEVELS[0], splits=0), known)
-    fewer = deflate_repetition(gathered, first)
+    fewer = deflate_repetition(gathered, first.richest)
     return fewer, identify_arm(chain, fewer.poses, options, known)
 
 

@@ -128,13 +128,6 @@ class RecordingTable(RunTable, kw_only=True):
     frames: str
 
 
-class SessionTable(RecordingTable, kw_only=True):
-    """The keys of session.toml, as measuring needs them."""
-
-    rig: str
-    marker: str
-
-
 class PosesSessionTable(RunTable, kw_only=True):
     """The keys of session.toml with an instrument's poses in place of pictures."""
 
@@ -212,8 +205,11 @@ def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInte
     return tuple(table.pose), tuple(table.path)
 
 
-def read_poses(path: Path) -> tuple[PosesSessionTable, tuple[str, ...]]:
-    """Read session.toml with an instrument's poses in place of pictures, as `read` does."""
+def read_poses(path: Path, *, registered: bool = True) -> tuple[PosesSessionTable, tuple[str, ...]]:
+    """Read session.toml with an instrument's poses in place of pictures, as `read` does.
+
+    With `registered` False it need not say where the robot stands in the instrument's frame.
+    """
     table, warnings = read(path, PosesSessionTable)
     for key in PICTURE_KEYS:
         if getattr(table, key) is not None:
@@ -230,19 +226,19 @@ def read_poses(path: Path) -> tuple[PosesSessionTable, tuple[str, ...]]:
         one_of(path, "poses.source", poses.source, BODY_SOURCES)
     for key in ("position_standard_uncertainty_mm", "orientation_standard_uncertainty_deg"):
         _positive(path, f"poses.{key}", getattr(poses, key), "a standard uncertainty")
-    _check_frame(path, table)
+    _check_frame(path, table, registered=registered)
     return table, warnings
 
 
-def _check_frame(path: Path, table: PosesSessionTable) -> None:
+def _check_frame(path: Path, table: PosesSessionTable, *, registered: bool) -> None:
     """Require the key that carries the poses to the robot's base, and refuse others."""
     frame = table.poses.frame
     wanted = {"rig": "rig", "instrument": "robot_base"}.get(frame)
     for key in ("rig", "robot_base"):
         given = getattr(table, key) is not None
-        if key == wanted and not given:
+        if key == wanted and not given and (registered or key == "rig"):
             expected = f'it says where the robot stands in poses.frame, "{frame}"'
-            remedy = "Add it there, or correct poses.frame."
+            remedy = "Register the robot first: `verify calibrate register`; or add it there."
             raise key_error(path, key, "is missing", expected, remedy)
         if given and key != wanted:
             expected = f'poses in the frame "{frame}" do not ask for it'

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 from verify.core.fiducials import Marker
@@ -14,6 +15,7 @@ from verify.errors import InputError, one_line
 from verify.io import poses as io_poses
 from verify.io import rig as io_rig
 from verify.io.fiducials import body_uncertainty
+from verify.io.files import digest
 from verify.io.poses import Poses
 from verify.io.series import FrameSeries, read_encoders
 from verify.io.session import folder, keys
@@ -59,9 +61,18 @@ class MissingImages(Images):
         return InputError(self.path, "holds poses and no pictures", expected, remedy)
 
 
-def read_pose_streams(path: Path) -> dict[str, Any]:
-    """Read and check a session of poses: every field of a Session; InputError names the place."""
-    table, warnings = keys.read_poses(path)
+def read_pose_streams(
+    path: Path, *, registered: bool = True, placed: Path | None = None
+) -> dict[str, Any]:
+    """Read and check a session of poses: every field of a Session; InputError names the place.
+
+    With `registered` False base and target need not be placed. `placed` is the session.toml of
+    another session of poses, whose base and target count in place of its own.
+    """
+    table, warnings = keys.read_poses(path, registered=registered and placed is None)
+    if placed is not None:
+        table, notes = _with_places(table, placed)
+        warnings += notes
     arm = folder.load_arm(path, table)
     torn = table.recording == "open"
     named = {
@@ -86,13 +97,14 @@ def read_pose_streams(path: Path) -> dict[str, Any]:
     )
     instrument = _instrument(path, table.poses, poses)
     none = MissingImages(named[table.poses.file])
+    other = {} if placed is None else {str(placed): digest(placed)}
     notes = (*warnings, *rig_warnings, *poses_warnings, *encoders_warnings)
     return {
         **folder.recording_fields(path, table, arm, timed=poses.timed),
         "rig": rig,
         "frames": frames,
         "encoders": encoders,
-        "inputs": folder.file_digests(path, table.robot, named),
+        "inputs": folder.file_digests(path, table.robot, named) | other,
         "warnings": (*notes, _describe_instrument(instrument)),
         "left": none,
         "right": none,
@@ -100,6 +112,22 @@ def read_pose_streams(path: Path) -> dict[str, Any]:
         "tolerance": keys.tolerance(path, table.tolerance, arm.dof),
         "instrument": instrument,
     }
+
+
+def _with_places(
+    table: PosesSessionTable, placed: Path
+) -> tuple[PosesSessionTable, tuple[str, ...]]:
+    """Put another session's base and target into this one's table; warnings of the other."""
+    other, warnings = keys.read_poses(placed)
+    if other.poses.frame != "instrument" or table.poses.frame == "rig":
+        found = f'poses.frame is "{other.poses.frame}"'
+        expected = 'a session that `verify calibrate register` wrote, "instrument"'
+        raise InputError(placed, found, expected, "Give its folder.")
+    names = ("point_mm", "rotation", "source", "body_standard_uncertainty")
+    target = {name: getattr(other.poses, name) for name in names}
+    poses = msgspec.structs.replace(table.poses, frame="instrument", **target)
+    places = {"robot_base": other.robot_base, "covariance": other.covariance}
+    return msgspec.structs.replace(table, poses=poses, **places), warnings
 
 
 def _describe_instrument(instrument: Instrument) -> str:
@@ -127,6 +155,8 @@ def _read_base(
                 raise key_error(path, place, f'is "{name}"', expected, "Leave it out.")
         covariance = io_rig.check_covariance(path, table.covariance)
     base: dict[str, Any] = {"rig_T_base": np.eye(4)}
+    if table.robot_base is None and table.poses.frame == "instrument":
+        base["base_source"] = ""  # nobody knows where
     if table.robot_base is not None:
         base = io_rig.read_base(path, table.robot_base)
     return Rig((0, 0), _NO_CAMERA, _NO_CAMERA, covariance=covariance, **base), ()

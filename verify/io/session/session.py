@@ -24,7 +24,7 @@ from verify.io.session.folder import (
     recording_fields,
     resolve_inside,
 )
-from verify.io.session.keys import Clock, RecordingTable, SessionTable, Tolerance
+from verify.io.session.keys import Clock, RecordingTable, Tolerance
 from verify.io.session.poses import Instrument, read_pose_streams
 from verify.io.toml import key_error
 from verify.io.unfinished import NAME as PENDING
@@ -101,10 +101,14 @@ class Session(Recording):
         return f"<Session {self.name}: {self.arm.name}, {seen}, {len(self.encoders.t)} readings>"
 
 
-def open_session(folder: str | Path) -> Session:
+def open_session(
+    folder: str | Path, *, rig: str | Path | None = None, marker: str | Path | None = None
+) -> Session:
     """Open a session's folder and check all of it but the images' content.
 
-    Its warnings name unknown keys, a recording cut off, and facts that do not fit together.
+    Its warnings name unknown keys, a recording cut off, and facts that do not fit together. `rig`
+    and `marker` replace the files that session.toml names and may lie anywhere; of a session of
+    poses `rig` is a registered session of poses, whose base and target count.
 
     Raises:
         InputError: one line that names the file, the place in it, what stands there, what should,
@@ -113,18 +117,50 @@ def open_session(folder: str | Path) -> Session:
     folder = Path(folder)
     path = find_session_file(folder)
     if session_keys.has_poses(path):
-        return Session(**read_pose_streams(path))
-    table, warnings = session_keys.read(path, SessionTable)
-    named = _resolve_paths(path, table, ("rig", "marker", *_STREAMS))
+        return _open_poses(path, rig, marker)
+    table, warnings = session_keys.read(path, RecordingTable)
+    given = {"rig": rig, "marker": marker}
+    own = tuple(key for key, other in given.items() if other is None)
+    for key in own:
+        if getattr(table, key) is None:
+            expected = "where robot and LEDs are must be known to measure"
+            remedy = f"Register first: `verify calibrate register`; then give it with --{key}."
+            raise key_error(path, key, "is missing", expected, remedy)
+    named = _resolve_paths(path, table, (*own, *_STREAMS))
+    rig_path, marker_path = (
+        named[key] if other is None else Path(other) for key, other in given.items()
+    )
     arm = load_arm(path, table)
-    rig, rig_warnings = io_rig.read(named["rig"])
-    marker, marker_warnings = fiducials.read_marker(named["marker"])
-    check_absorption(named["rig"], rig, arm.dof)
+    cameras, rig_warnings = io_rig.read(rig_path)
+    leds, marker_warnings = fiducials.read_marker(marker_path)
+    check_absorption(rig_path, cameras, arm.dof)
     tolerance = session_keys.tolerance(path, table.tolerance, arm.dof)
-    mismatches = _warn_mismatch(folder, rig, marker)
+    mismatches = _warn_mismatch(folder, cameras, leds)
     notes = (*warnings, *rig_warnings, *marker_warnings, *mismatches)
-    parts = _read_streams(path, table, named, arm, rig, notes)
-    return Session(**parts, marker=marker, tolerance=tolerance)
+    parts = _read_streams(path, table, named, arm, cameras, notes)
+    parts["inputs"] |= {str(other): digest(Path(other)) for other in given.values() if other}
+    return Session(**parts, marker=leds, tolerance=tolerance)
+
+
+def _open_poses(path: Path, rig: str | Path | None, marker: str | Path | None) -> Session:
+    if marker is not None:
+        expected = "a session of poses has no LEDs"
+        raise InputError("--marker", "is given", expected, "Leave it out.")
+    placed = None if rig is None else Path(rig)
+    if placed is not None and placed.is_dir():
+        placed = find_session_file(placed)
+    return Session(**read_pose_streams(path, placed=placed))
+
+
+def open_poses(folder: str | Path) -> Session | None:
+    """Open a session of poses whose base and target need not be known; None: it has pictures.
+
+    Raises InputError as `open_session` does.
+    """
+    path = find_session_file(Path(folder))
+    if not session_keys.has_poses(path):
+        return None
+    return Session(**read_pose_streams(path, registered=False))
 
 
 def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Recording:
@@ -140,7 +176,7 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
     path = find_session_file(folder)
     if session_keys.has_poses(path):
         expected = "robot and LEDs are registered by pictures of the LEDs"
-        remedy = "Register the instrument by its own means; docs/session.md says where that goes."
+        remedy = "Open it with open_poses."
         raise key_error(path, "poses", "stands in place of pictures", expected, remedy)
     table, warnings = session_keys.read(path, RecordingTable)
     if rig is None and table.rig is None:

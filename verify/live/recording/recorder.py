@@ -36,6 +36,7 @@ class RecorderState:
     readings: int
     dropped: int  # pairs whose times did not rise
     late: int  # pairs that were measured before they were on the disk
+    trouble: str  # why it has ended before its time; empty: it has not
     sentence: str
 
 
@@ -52,7 +53,8 @@ class SessionRecorder:
     """Writes what a run sees as sessions that can be measured again.
 
     A controller's clock that starts anew starts a new session folder, named for strftime: one
-    session has one clock offset. A folder is made with its first pair, by `make`.
+    session has one clock offset. A folder is made with its first pair, by `make`. A pair waits
+    `write_timeout` s for the disk; `max_lag` s behind, the recording ends.
     """
 
     def __init__(
@@ -61,7 +63,11 @@ class SessionRecorder:
         name: str,
         facts: session.SessionFacts,
         make: Callable[..., session.SessionWriter] = session.SessionWriter,
+        *,
+        write_timeout: float = WRITE_TIMEOUT,
+        max_lag: float = MAX_LAG,
     ) -> None:
+        self._write_timeout, self._max_lag = write_timeout, max_lag
         self._parent, self._name, self._facts, self._make = parent, name, facts, make
         self._items: deque[_WriteItem] = deque()
         # pairs that are on the disk as they are, and when they came; the writing thread's own
@@ -102,7 +108,7 @@ class SessionRecorder:
             self._numbered += 1
             item = self._hand_over(written)
             meanwhile(written)
-            if item is not None and not item.done.wait(WRITE_TIMEOUT):
+            if item is not None and not item.done.wait(self._write_timeout):
                 self._late += 1
             yield written
 
@@ -130,6 +136,7 @@ class SessionRecorder:
             self._readings,
             self._dropped,
             self._late,
+            self._trouble,
             self._sentence(folder),
         )
 
@@ -156,8 +163,9 @@ class SessionRecorder:
     def _hand_over(self, content: CapturedPair | EncoderReading) -> _WriteItem | None:
         now = time.monotonic()
         with self._wake:
-            if self._items and now - self._items[0].came > MAX_LAG and not self._trouble:
-                self._trouble = f"{self._parent}: the disk is too slow, {MAX_LAG:g} s behind"
+            late = self._items and now - self._items[0].came > self._max_lag
+            if late and not self._trouble:
+                self._trouble = f"{self._parent}: the disk is too slow, {self._max_lag:g} s behind"
             if self._trouble or self._closing:
                 return None
             item = _WriteItem(content, now)

@@ -92,7 +92,8 @@ class SessionFacts:
 
     robot: str  # as session.toml names it
     joints: int
-    files: Mapping[str, bytes]  # by name: rig.toml, marker.toml, and the robot's file if it has one
+    # by name: rig.toml and marker.toml as far as they are known, the robot's file if it has one
+    files: Mapping[str, bytes]
     tables: Mapping[str, Any]  # of session.toml: description, clock, tolerance, …
     turning: bool  # the bases turn: frames.csv has their angles
     time_stated: bool = False  # `tables` states how well the readings' times are known
@@ -260,7 +261,9 @@ class SessionWriter:
         names = {key: f"{key}.mkv" for key in ("left", "right")}
         names |= {key: f"{key}.csv" for key in ("frames", "encoders")}
         head = {"format": FORMAT, "robot": self._facts.robot, "started": self._started}
-        files = {"recording": recording, "rig": "rig.toml", "marker": "marker.toml", **names}
+        given = {key: f"{key}.toml" for key in ("rig", "marker")}  # neither may be known yet
+        given = {key: name for key, name in given.items() if name in self._facts.files}
+        files = {"recording": recording, **given, **names}
         write_whole(self._folder / "session.toml", encode({**head, **files, **tables}))
 
     def _check_disk(self, pair: CapturedPair) -> None:

@@ -4,6 +4,7 @@ import re
 from datetime import datetime
 from importlib import resources
 from pathlib import Path
+from typing import TypeVar
 
 from verify.errors import one_line
 from verify.io.session.keys import check_clock, tolerance
@@ -17,15 +18,18 @@ _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^\s:/]+):[0-9]{1,5}")
 _MQTT = re.compile(r"mqtts?://([^\s/@]+@)?[^\s/]+/\S+")
 
 
-def read(path: Path) -> tuple[StationTable, tuple[str, ...]]:
+T = TypeVar("T", bound=StationTable)
+
+
+def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
     """Read a station file and check what needs neither another file nor a device.
 
-    A warning for each key that has no meaning where it stands.
+    `kind` says which keys it must have. A warning for each key that has no meaning where it stands.
 
     Raises:
         InputError: names the key, what stands there, what should, and what to do.
     """
-    table, warnings = decode(path, StationTable)
+    table, warnings = decode(path, kind)
     check_cameras(path, table)
     one_of(path, "encoders.driver", table.encoders.driver, tuple(ENCODER_KEYS))
     if table.pan.follow and table.pan.driver == "fixed":

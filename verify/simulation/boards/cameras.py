@@ -3,7 +3,7 @@
 import threading
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import ceil, floor
 
 import msgspec
@@ -132,8 +132,9 @@ class BoardScene:
 class BoardCameras:
     """The simulated station of a calibration.
 
-    A scenario with a robot lends its cameras: boards of the usual kind are carried about before
-    them. `turning`: the bases are turned with the board; otherwise they stand.
+    A scenario with a robot lends its cameras, as they truly are: boards of the usual kind are
+    carried about before them, and the calibration holds for that robot's pictures. `turning`: the
+    bases are turned with the board; otherwise they stand.
 
     Raises:
         InputError: no such scenario, or one that contradicts itself.
@@ -141,15 +142,25 @@ class BoardCameras:
 
     def __init__(self, settings: SimSettings, turning: bool, clock: SimClock | None = None) -> None:
         scenario = library.load(settings.scenario)
+        session = None
         if isinstance(scenario, Scenario):
-            scenario = _board_scenario(scenario)
+            session = session_simulate.simulate_session(scenario)
+            scenario = _board_scenario(session)
         if not turning:
             still = BoardScenarioBases(middle_deg=scenario.bases.middle_deg)
             scenario = msgspec.structs.replace(scenario, bases=still)
         elif not scenario.bases.range_deg:
             found, expected = "has bases that stand still", 'and pan.driver is "sim"'
             raise InputError("bases.range_deg", found, expected, 'Write driver = "fixed".')
-        self.scene = BoardScene(simulate_boards(scenario), clock or SimClock(settings.speed))
+        boards = simulate_boards(scenario)
+        if session is not None:
+            departure = session.true_pan[0] - session.pan[0]
+            boards = replace(
+                boards,
+                cameras=session.world.bench.cameras,
+                true_pan=boards.true_pan + departure,
+            )
+        self.scene = BoardScene(boards, clock or SimClock(settings.speed))
 
     @property
     def board(self) -> Board:
@@ -240,10 +251,11 @@ class SimulatedBoardPan:
         """Leave them alone."""
 
 
-def _board_scenario(scenario: Scenario) -> BoardScenario:
-    """Carry boards of the usual kind about before the cameras of a scenario with a robot."""
+def _board_scenario(session: session_simulate.SimulatedSession) -> BoardScenario:
+    """Carry boards of the usual kind about before the cameras of a session with a robot."""
+    scenario = session.scenario
     rig = scenario.rig
-    middle = np.rad2deg(session_simulate.simulate_session(scenario).pan[0]).tolist()
+    middle = np.rad2deg(session.pan[0]).tolist()
     return BoardScenario(
         format=1,
         seed=scenario.seed,

@@ -1,6 +1,7 @@
 """A station file is checked like a session's, and explains itself."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import msgspec
@@ -19,11 +20,17 @@ from verify.devices.melfa.reader import MelfaEncoders
 from verify.devices.melfa.realtime import RealtimeEncoders
 from verify.devices.pan import PanReader, PanServo
 from verify.errors import InputError
+from verify.io import rig as io_rig
 from verify.io.session.session import open_session
 from verify.live.recording.session import SessionFacts
 from verify.live.station import file
-from verify.live.station.keys import StationTable
-from verify.live.station.station import PanDrive, Station, open_station
+from verify.live.station.keys import SimSettings, StationTable
+from verify.live.station.station import (
+    PanDrive,
+    Station,
+    open_recording_station,
+    open_station,
+)
 from verify.simulation.devices.station import SimulatedStation
 
 REAL = """format = 1
@@ -98,7 +105,7 @@ def test_the_template_names_every_key_and_no_other(tmp_path: Path) -> None:
     )
     message = message.replace("[encoders]", '[encoders]\ndriver = "sim"')
     (tmp_path / "station.toml").write_text(message)
-    _, warnings = file.read(tmp_path / "station.toml")
+    _, warnings = file.read(tmp_path / "station.toml", StationTable)
     assert not [w for w in warnings if "does not know" in w]
 
 
@@ -304,3 +311,24 @@ def test_a_robots_own_file_goes_with_the_recording(tmp_path: Path) -> None:
     made = station(tmp_path, **{'robot = "iust_6r"': 'robot = "arm.toml"'})
     assert made.facts.robot == "robot.toml"
     assert made.facts.files["robot.toml"] == (library / "iust_6r.toml").read_bytes()
+
+
+def test_a_station_to_record_by_needs_neither_rig_nor_marker_and_turns_nothing(
+    tmp_path: Path,
+) -> None:
+    text = file.template().replace('driver = "fixed" ', 'driver = "sim" ')
+    text = text.replace("# follow = false", "follow = true")
+    path = tmp_path / "station.toml"
+    path.write_text(text.replace('rig = "sim"', "").replace('marker = "sim"', ""))
+    made = open_recording_station(path, SimulatedStation)
+    assert made.rig is None
+    assert set(made.facts.files) == set()
+    assert any("pan.follow" in warning for warning in made.warnings)
+    assert made.facts.turning
+    simulated = SimulatedStation(SimSettings()).rig
+    (tmp_path / "rig.toml").write_bytes(io_rig.encode(replace(simulated, base_source="")))
+    path.write_text(text.replace('rig = "sim"', 'rig = "rig.toml"').replace('marker = "sim"', ""))
+    calibrated = open_recording_station(path, SimulatedStation)
+    assert calibrated.rig is not None
+    assert not calibrated.rig.registered
+    assert set(calibrated.facts.files) == {"rig.toml"}

@@ -2,6 +2,7 @@
 import { Boards } from "./boards.js";
 import { Grab } from "./grab.js";
 import { PictureView } from "./pictures.js";
+import { Recording } from "./record.js";
 import { Scene } from "./scene.js";
 import { Strips } from "./strips.js";
 
@@ -15,6 +16,7 @@ const scene = new Scene($("scene"));
 const boards = new Boards(say);
 const pictures = [new PictureView($("left"), $("left-said"), "Left"), new PictureView($("right"), $("right-said"), "Right")];
 const grab = new Grab(say, pictures);
+const recording = new Recording();
 const textDecoder = new TextDecoder();
 let colours = {};
 let paused = false;
@@ -52,7 +54,7 @@ function connect() {
   socket.onclose = () => {
     clearInterval(watch);
     grab.connected(false);
-    if (boards.finished || grab.finished) connection("waits", "finished");
+    if (boards.finished || grab.finished || recording.finished) connection("waits", "finished");
     else connection("ill", "connection lost, trying again");
     setTimeout(connect, RETRY_MS[Math.min(attempts++, RETRY_MS.length - 1)]);
   };
@@ -83,12 +85,14 @@ const takers = {
     if (paused && message.mode !== "run") pause();
     document.body.dataset.mode = message.mode;
     if (message.mode === "calibrate") return boards.begin(message);
+    if (message.mode === "record") return recording.begin(message);
     if (message.mode === "grab") return grab.begin(message), sceneOf(message, "Arm and target", "Arm, target and planned way");
     sceneOf(message, "Arm and marker", "Arm as seen and as the encoders tell it");
     strips.begin(message.joints, message.tolerance_deg);
   },
   rows(message) {
     if (hello.mode === "calibrate") return boards.now(message.rows.at(-1));
+    if (hello.mode === "record") return recording.now(message.rows.at(-1));
     if (hello.mode === "grab") return grab.now(message.rows.at(-1)), scene.show(grab.scene());
     if (paused && !message.past) return;
     strips.add(message.rows);
@@ -125,6 +129,7 @@ function showState(state) {
   );
   if (hello.mode === "calibrate") return boards.state(state);
   if (hello.mode === "grab") return grab.state(state);
+  if (hello.mode === "record") return recording.state(state);
   const dropped = Object.entries(state.dropped).map(([reason, count]) => `${count} ${reason}`);
   const latency = state.latency_p50_ms === null ? "–" : `${state.latency_p50_ms} ms, 99 % within ${state.latency_p99_ms} ms`;
   const figures = {
@@ -147,7 +152,7 @@ function showOverall() {
 }
 
 function showAlarms({ alarms }) {
-  if (hello?.mode === "grab") return;
+  if (hello?.mode !== "run") return;
   const list = $("alarms");
   const standing = alarms.filter((alarm) => alarm.ended_s === null && alarm.kind !== "change");
   const recent = alarms.filter((alarm) => alarm.kind === "change" && Date.now() / 1000 - alarm.began_s < BANNER_S);

@@ -25,6 +25,7 @@ export class PictureView {
     const scale = width / found.width;
     if ("target" in found) this.target(context, found.target, scale);
     else if (found.corners) this.board(context, found.corners, cells, scale, width, height);
+    else if (found.spots) this.spots(context, found.spots, scale);
     else this.leds(context, found.leds, scale);
   }
 
@@ -34,6 +35,14 @@ export class PictureView {
     const names = leds.map(({ led }) => `${led + 1} ${this.names[led] ?? ""}`.trim());
     this.caption.textContent = `${this.side.toLowerCase()}: ${names.length ? `LEDs ${names.join(", ")}` : "no LED recognised"}`;
     this.canvas.setAttribute("aria-label", `${this.side} camera, ${leds.length} of ${this.names.length} LEDs recognised`);
+  }
+
+  spots(context, spots, scale) {
+    context.font = "600 12px system-ui, sans-serif";
+    for (const [x, y] of spots) mark(context, (x + 0.5) * scale, (y + 0.5) * scale, "");
+    const said = `${spots.length} ${spots.length === 1 ? "spot" : "spots"}`;
+    this.caption.textContent = `${this.side.toLowerCase()}: ${said}`;
+    this.canvas.setAttribute("aria-label", `${this.side} camera, ${said}`);
   }
 
   target(context, target, scale) {

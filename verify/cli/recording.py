@@ -1,0 +1,193 @@
+"""`verify record`: open a station's devices, record, say what the motion still lacks."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from rich.console import Console
+
+from verify.cli.options import PageOptions
+from verify.cli.terminal import terminal
+from verify.cli.watch import open_devices, stop_on_signal
+from verify.errors import InputError, WatchDefectError
+from verify.io.files import refused_as_input_error
+from verify.live.recording.recorder import RecorderState
+from verify.live.registration.loop import RecordedRobot, RecordingLoop, warm_up
+from verify.live.registration.show import (
+    RecordingDisplay,
+    RecordingPageSource,
+    RecordingSnapshot,
+    RecordingState,
+    bar,
+    goal_fields,
+    title,
+)
+from verify.live.station.station import (
+    RecordingSettings,
+    RecordingStation,
+    open_recording_station,
+)
+from verify.simulation.devices.station import SimulatedStation
+
+if TYPE_CHECKING:  # imported when it is served
+    from verify.live.page.feed import Page
+
+# s that a disk may be behind: nothing else waits for it, and pairs are left out meanwhile
+MAX_LAG = 10.0
+RECORD_PERIOD, LINES_PERIOD = (
+    1.0,
+    10.0,
+)  # s, from one JSON object, and one set of lines, to the next
+
+
+def record_session(
+    path: Path, out: Path | None, duration: float | None, page: PageOptions | None
+) -> None:
+    """Record until Ctrl-C, the time is up, or the robot's program ends.
+
+    `out` None: where the station file says; `duration` in s.
+
+    Raises:
+        InputError: a device or the page cannot be opened, `out` exists, the disk refuses, or no
+            pair or no reading came.
+        WatchDefectError: a defect of this program lost pairs or readings.
+    """
+    station = open_recording_station(path, partial(SimulatedStation, apart=True))
+    if out is not None:
+        station = replace(station, recording=_settings(out))
+    terminal.warn(*station.warnings)
+    state = RecordingState()
+    with ExitStack() as stack:
+        shown = None
+        if page is not None:
+            source = RecordingPageSource(state, station.robot, station.name, duration)
+            shown = page.serve(source)
+            stack.callback(shown.close)
+        warm_up(station.arm)  # before the first pair comes
+        devices = open_devices(station)
+        recorder = station.open_recorder(MAX_LAG, MAX_LAG)
+        stack.callback(recorder.close)
+        robot = RecordedRobot(station.arm, station.rig)
+        loop = RecordingLoop(robot, devices, recorder, state, terminal.warn)
+        look = stack.enter_context(_show_state(state, shown))
+        stop = stack.enter_context(stop_on_signal())
+        defects = loop.run(stop, duration, look)
+    _conclude(station, recorder.state(), state.snapshot(), defects)
+
+
+def _settings(out: Path) -> RecordingSettings:
+    """Where the session goes; InputError: something is there."""
+    with refused_as_input_error(out):
+        there = out.exists() or out.is_symlink()
+    if there:
+        remedy = "Give another name with -o, or remove it."
+        raise InputError(out, "exists", "a session is recorded into a new folder", remedy)
+    return RecordingSettings(out.parent, out.name.replace("%", "%%"))  # no marks of strftime
+
+
+@contextmanager
+def _show_state(state: RecordingState, page: "Page | None") -> Iterator[Callable[[], None]]:
+    """Draw the state where there is a terminal to draw it on; else print lines, or objects."""
+    printed = _Printer(state)
+    warned = False
+    with ExitStack() as stack:
+        table = stack.enter_context(RecordingDisplay(Console())) if terminal.draws else None
+
+        def look() -> None:
+            nonlocal warned
+            if table is not None:
+                table.look(state)
+            else:
+                printed.look()
+            if page is not None and page.trouble and not warned:
+                warned = True
+                terminal.warn(page.trouble)
+
+        yield look
+
+
+class _Printer:
+    """Prints the state from time to time: an object, or a line for each goal that has changed."""
+
+    def __init__(self, state: RecordingState) -> None:
+        self._state = state
+        self._words: dict[str, str] = {}  # as they were printed last, by the goal's name
+        self._due = time.monotonic() + (0.0 if terminal.as_json else LINES_PERIOD)
+
+    def look(self) -> None:
+        """Print, if it is time or the end."""
+        now = self._state.snapshot()
+        if not now.goals or (time.monotonic() < self._due and not now.finished):
+            return
+        self._due = time.monotonic() + (RECORD_PERIOD if terminal.as_json else LINES_PERIOD)
+        if terminal.as_json:
+            terminal.record(_fields(now))
+            return
+        news = [g for g in now.goals if now.finished or self._words.get(g.name) != g.words]
+        self._words = {goal.name: goal.words for goal in now.goals}
+        terminal.say(f"{now.pairs} pairs, {now.readings} readings. {title(now.goals)}:")
+        for goal in news:
+            terminal.say(f"  {goal.name:<26}{bar(goal)}  {goal.words}")
+
+
+def _fields(now: RecordingSnapshot) -> dict[str, object]:
+    return {
+        "type": "recording",
+        "pairs": now.pairs,
+        "readings": now.readings,
+        "dropped": dict(now.dropped),
+        "goals": [goal_fields(goal) for goal in now.goals],
+        "recording": now.recording,
+    }
+
+
+def _conclude(
+    station: RecordingStation,
+    recorded: RecorderState,
+    now: RecordingSnapshot,
+    defects: tuple[str, ...],
+) -> None:
+    """Say what was recorded; raise what went wrong."""
+    silent = [line for line in now.devices if not line.well]
+    if defects:
+        raise WatchDefectError(f"{' '.join(defects)} {recorded.sentence}.")
+    if recorded.trouble:
+        raise InputError(
+            recorded.folders[0] if recorded.folders else station.recording.folder,
+            f"recording has stopped, {recorded.pairs} pairs are whole: {recorded.trouble}",
+            "a disk that takes files, has room and keeps up",
+            "Record to another one, or at a lower rate.",
+        )
+    why = "; ".join(f"{line.name}: {line.sentence}" for line in silent)
+    if not recorded.folders:
+        raise InputError(
+            station.path, f"no pair of pictures was recorded{f' ({why})' if why else ''}",
+            "two cameras that deliver", "Try `verify doctor` on this file.",
+        )  # fmt: skip
+    folder = recorded.folders[0]
+    if not recorded.readings:
+        raise InputError(
+            folder, f"{recorded.pairs} pairs and no reading{f' ({why})' if why else ''}",
+            "the robot's readings are needed with the pictures",
+            "Try `verify doctor` on the station file, then record again.",
+        )  # fmt: skip
+    terminal.warn(*(f"{line.name}: {line.sentence}" for line in silent))
+    if len(recorded.folders) > 1:
+        names = ", ".join(map(str, recorded.folders))
+        terminal.warn(f"The controller's clock began anew: {names} are sessions of their own.")
+    rig = "" if "rig.toml" in station.facts.files else " --rig rig.toml"
+    terminal.say(f"{recorded.pairs} pairs and {recorded.readings} readings in {folder}")
+    terminal.say(f"Next: verify calibrate register {folder}{rig} -o registered.toml")
+    terminal.record(
+        {
+            "type": "result",
+            "out": [str(path) for path in recorded.folders],
+            "pairs": recorded.pairs,
+            "readings": recorded.readings,
+            "goals": [goal_fields(goal) for goal in now.goals],
+        }
+    )
