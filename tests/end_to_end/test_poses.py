@@ -50,7 +50,8 @@ def test_batch_takes_poses_beside_pictures(posed: Path, tmp_path: Path) -> None:
     assert set(sessions["verdict"]) == {"nonconform"}
 
 
-def test_calibrating_by_poses_is_refused_in_one_line(posed: Path, tmp_path: Path) -> None:
+def test_leds_and_cameras_are_not_calibrated_by_poses(posed: Path, tmp_path: Path) -> None:
     written = ("-o", tmp_path / "rig.toml", "--marker", tmp_path / "marker.toml")
-    assert "stands in place of pictures" in verify("calibrate", "register", posed, *written).refusal
+    assert "--marker" in verify("calibrate", "register", posed, *written).refusal
+    assert "no pictures" in verify("calibrate", "check", posed).refusal
     assert not list(tmp_path.iterdir())

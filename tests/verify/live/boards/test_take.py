@@ -41,6 +41,7 @@ from verify.simulation import library
 from verify.simulation.boards.cameras import BoardCameras
 from verify.simulation.boards.simulate import board_pairs, simulate_boards
 from verify.simulation.scenario import BoardScenario
+from verify.simulation.session.simulate import simulate_session
 from verify.simulation.world.bench import rigid
 
 BOARD = Board(9, 7, 0.04)
@@ -295,6 +296,10 @@ def test_the_written_station_file_shows_boards_to_its_own_cameras() -> None:
     session = library.load("multi_joint_rv_3sd")
     assert not isinstance(session, BoardScenario)
     assert cameras.scene.boards.scenario.rig.left == session.rig.left
+    true = simulate_session(session).world.bench.cameras  # not those that the scenario states
+    for found, camera in zip(cameras.scene.boards.cameras, true, strict=True):
+        np.testing.assert_array_equal(found.matrix, camera.matrix)
+        np.testing.assert_array_equal(found.turntable_T_camera, camera.turntable_T_camera)
     assert not np.ptp(cameras.scene.boards.pan, axis=0).any()
     cameras.scene.close()
 
