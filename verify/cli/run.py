@@ -1,4 +1,4 @@
-"""Measure a recorded session, a sample or a moving robot, compare, judge, report; or record alone."""
+"""Measure a session, a sample or a moving robot, compare, judge, report; or record alone."""
 
 from functools import partial
 from pathlib import Path
