@@ -68,13 +68,15 @@ class Results:
     """All that a report says: nothing in it is computed from anything else.
 
     `summary` is summary.json, `setup` the rig, the marker and the robot's table, `tables` hold
-    frames, spots, resolved errors, clock curve and uncertainty budget, `images` PNG bytes.
+    frames, spots, resolved errors, clock curve and uncertainty budget, `images` PNG bytes. `films`
+    are MP4 bytes by file name: they lie beside the report, and no results folder holds them.
     """
 
     summary: dict[str, Any]
     setup: dict[str, Any]
     tables: dict[str, pd.DataFrame]
     images: dict[str, bytes] = field(default_factory=dict)
+    films: dict[str, bytes] = field(default_factory=dict)
 
     def table(self, name: str) -> pd.DataFrame:
         """Take a table by its name; an empty one where there is none."""

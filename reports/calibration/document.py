@@ -3,22 +3,19 @@
 from functools import partial
 from typing import Any
 
+from reports.calibration.certificate import certificate
 from reports.calibration.rig import (
     accuracy,
     figure_block,
-    format_distance,
     improvement,
-    main_improvement,
     parameters,
     stereo,
-    working_distance_entry,
 )
 from reports.calibration.words import CalibrationNotes
 from reports.check import document as check_document
 from reports.document import blocks as doc
 from reports.document.charts import records
 from reports.document.formatting import (
-    COVERAGE_FACTOR,
     DASH,
     count,
     exact_number,
@@ -30,11 +27,6 @@ from reports.document.formatting import (
 )
 from reports.results import Results
 
-VALIDITY = (
-    "Both hold for one LED whose centre is known to {} px in either image, in the frame of the "
-    "rig, and within the field and the distances that the boards covered."
-)
-
 
 def document(results: Results) -> doc.Document:
     """Lay out the whole report; that of an interim check where the results are one's."""
@@ -45,52 +37,10 @@ def document(results: Results) -> doc.Document:
         title="Calibration of two cameras from boards",
         subtitle=doc.described(summary, "a set of pictures"),
         footer=f"{doc.software(summary)} · calibration",
-        sections=(section(results) for section in SECTIONS),
+        sections=doc.answer_and_evidence(
+            certificate(results), (section(results) for section in EVIDENCE)
+        ),
     )
-
-
-def verdict(results: Results) -> doc.Section:
-    """Open with what the calibration is worth and what to improve first."""
-    summary = results.summary
-    pairs, fit = summary.get("pairs") or {}, summary.get("reprojection") or {}
-    source = summary.get("source") or {}
-    doubts = [text_or_dash(sentence) for sentence in summary.get("doubts") or []]
-    block = doc.Verdict(
-        tone="undecided" if doubts else "conform",
-        label="The rig is calibrated, with doubts" if doubts else "The rig is calibrated",
-        sentence=_headline(summary),
-        remarks=(*doubts, VALIDITY.format(exact_number(summary.get("spot_px")))),
-    )
-    corners = f"{count(pairs.get('corners'))}, {count(pairs.get('refused'))} refused"
-    left, right = (quantity(fit.get(f"{side}_rms_px"), "px") for side in ("left", "right"))
-    facts = doc.Facts(
-        (
-            ("Pictures", text_or_dash(source.get("path"))),
-            ("Pairs used", count(pairs.get("used"))),
-            ("Corners used", corners),
-            ("Reprojection rms", f"{left} left, {right} right"),
-            ("Corners' noise over what was stated", quantity(fit.get("noise_factor"), "times")),
-            ("Degrees of freedom", count(fit.get("degrees_of_freedom"))),
-        )
-    )
-    return doc.Section("verdict", "Verdict", (block, facts))
-
-
-def _headline(summary: dict[str, Any]) -> str:
-    pairs, fit = summary.get("pairs") or {}, summary.get("reprojection") or {}
-    entry = working_distance_entry(summary)
-    sentence = (
-        f"Calibrated from {count(pairs.get('used'))} pairs with an rms of "
-        f"{quantity(fit.get('rms_px'), 'px')}. "
-    )
-    depth, lateral = (finite(entry.get(f"total_{part}_mm")) for part in ("depth", "lateral"))
-    if depth is not None and lateral is not None:
-        sentence += (
-            f"A point {format_distance(entry)} away is known to "
-            f"±{quantity(COVERAGE_FACTOR * depth, 'mm')} in depth and "
-            f"±{quantity(COVERAGE_FACTOR * lateral, 'mm')} across (k = 2). "
-        )
-    return sentence + main_improvement(summary)
 
 
 def fit(results: Results) -> doc.Section:
@@ -142,7 +92,7 @@ def coverage(results: Results) -> doc.Section:
     text: doc.Block = (
         doc.Bullets(tuple(gaps), "warning") if gaps else doc.Paragraph(CalibrationNotes.COVERED)
     )
-    figures = (figure_block(results, name) for name in ("coverage", "stances", "scene"))
+    figures = (figure_block(results, name) for name in ("stances", "scene"))
     return doc.Section("coverage", "Coverage, and what to add", (text, *figures))
 
 
@@ -155,7 +105,7 @@ def conditions(results: Results) -> doc.Section:
     """Say what the calibration was made from."""
     setup, summary = results.setup, results.summary
     board = setup.get("board") or {}
-    size = setup.get("image_size_px")
+    size, fit = setup.get("image_size_px"), summary.get("reprojection") or {}
     kind = "chessboard"
     if board.get("markers"):
         kind = f"ChArUco, {board['markers']}, markers of {exact_number(board.get('marker_mm'))} mm"
@@ -166,7 +116,8 @@ def conditions(results: Results) -> doc.Section:
             ("Inner corners", f"{count(board.get('columns'))} × {count(board.get('rows'))}"),
             ("Square", f"{exact_number(board.get('square_mm'))} mm"),
             ("Image size", size_text),
-            ("Bases", "turned between pairs" if summary.get("turning") else "fixed"),
+            ("Corners' noise over what was stated", quantity(fit.get("noise_factor"), "times")),
+            ("Degrees of freedom", count(fit.get("degrees_of_freedom"))),
             ("Software", doc.software(summary)),
         )
     )
@@ -175,14 +126,13 @@ def conditions(results: Results) -> doc.Section:
     )
 
 
-SECTIONS = (
-    verdict,
-    parameters,
-    stereo,
-    fit,
+EVIDENCE = (
     coverage,
-    rectified_pair,
     accuracy,
     improvement,
+    fit,
+    rectified_pair,
+    stereo,
+    parameters,
     conditions,
 )

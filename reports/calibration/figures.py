@@ -272,14 +272,14 @@ def _two_digits(value: float) -> str:
     return number(value, 0 if value >= 10 else min(decimals_of(value), 3))
 
 
-def correlation(results: Results) -> charts.Chart | None:
-    """How the rig's parameters hang together."""
+def correlation(results: Results, write: Callable[[str], str] = str) -> charts.Chart | None:
+    """How parameters hang together; `write` gives the word for a parameter's name."""
     entry = results.summary.get("parameter_correlation") or {}
-    names = [str(name) for name in entry.get("parameters") or []]
+    names = [write(str(name)) for name in entry.get("parameters") or []]
     values = charts.square(entry.get("correlation"), len(names))
     if len(names) < 2 or not values.size:
         return None
-    rows = tuple((at, f"{name}  {at + 1}") for at, name in enumerate(names))
+    rows = tuple((at, f"{name} ({at + 1})") for at, name in enumerate(names))
     panel = charts.correlation_panel(
         values, rows, tuple((at, f"{at + 1}") for at in range(len(names)))
     )

@@ -23,6 +23,7 @@ def parameters(results: Results) -> doc.Section:
     blocks: list[doc.Block] = [_parameter_table(results.table("parameters"))]
     blocks += doc.decisions(summary)
     blocks += [_principal_point(point) for point in summary.get("principal_points") or []]
+    blocks.append(figure_block(results, "parameter_correlation"))
     return doc.Section("parameters", "Parameters of the cameras", tuple(blocks))
 
 
@@ -77,9 +78,9 @@ def _principal_point(point: dict[str, Any]) -> doc.Paragraph:
 def stereo(results: Results) -> doc.Section:
     """Say how the cameras stand to each other, and check the scale against the squares."""
     entry = results.summary.get("stereo") or {}
-    convergence = _format_with_uncertainty(entry, "convergence", "deg")
+    convergence = format_with_uncertainty(entry, "convergence", "deg")
     rows = [
-        doc.row("Baseline [mm]", _format_with_uncertainty(entry, "baseline", "mm")),
+        doc.row("Baseline [mm]", format_with_uncertainty(entry, "baseline", "mm")),
         doc.row("Convergence of the optical axes [°]", convergence),
     ]
     for name, key, unit, sign in (
@@ -97,7 +98,7 @@ def stereo(results: Results) -> doc.Section:
         ]
     turning = results.summary.get("turning")
     if turning:
-        angle = _format_with_uncertainty(turning, "axes_angle", "deg")
+        angle = format_with_uncertainty(turning, "axes_angle", "deg")
         rows.append(doc.row("Angle between the turning axes [°]", angle))
     note = CalibrationNotes.TURNING if turning else CalibrationNotes.STILL
     table = doc.Table(
@@ -110,7 +111,8 @@ def stereo(results: Results) -> doc.Section:
     return doc.Section("stereo", "Stereo relation and scale", blocks)
 
 
-def _format_with_uncertainty(entry: dict[str, Any], name: str, unit: str) -> str:
+def format_with_uncertainty(entry: dict[str, Any], name: str, unit: str) -> str:
+    """Write an entry's value ± U (k = 2), without its unit."""
     u = entry.get(f"{name}_standard_uncertainty_{unit}")
     return fmt.with_uncertainty(entry.get(f"{name}_{unit}"), fmt.expanded(u), signed=False)
 
@@ -187,7 +189,7 @@ def _point_table(entries: list[dict[str, Any]]) -> doc.Table:
         "Worst in the field, in all": "worst_total_mm",
     }
     title = "U (k = 2) of one LED's place in the middle of the field, in mm."
-    return doc.tabulate(title, _distance_columns(keys), entries, CalibrationNotes.POINT)
+    return doc.tabulate(title, distance_columns(keys), entries, CalibrationNotes.POINT)
 
 
 def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> doc.Table:
@@ -201,11 +203,11 @@ def _length_table(entries: list[dict[str, Any]], summary: dict[str, Any]) -> doc
         f"U (k = 2) of a length of {fmt.exact_number(summary.get('length_mm'))} mm "
         "between two LEDs in the middle of the field, in µm."
     )
-    return doc.tabulate(title, _distance_columns(keys), entries, CalibrationNotes.LENGTH)
+    return doc.tabulate(title, distance_columns(keys), entries, CalibrationNotes.LENGTH)
 
 
-def _distance_columns(keys: dict[str, str]) -> list[doc.Column]:
-    """The distance, then the figures of these keys, by their heads."""
+def distance_columns(keys: dict[str, str]) -> list[doc.Column]:
+    """Make the distance, then the figures of these keys, by their heads."""
     figures = [doc.Column(head, "r", doc.expanded_field(key)) for head, key in keys.items()]
     return [doc.Column("Distance", "l", format_distance), *figures]
 
@@ -225,8 +227,5 @@ def improvement(results: Results) -> doc.Section:
             doc.Column("U left, were it exact [mm]", "r", doc.expanded_field("without_mm")),
         )
         blocks.append(doc.tabulate(title, columns, records(table), CalibrationNotes.GROUPS))
-    blocks += [
-        figure_block(results, "contributions"),
-        figure_block(results, "parameter_correlation"),
-    ]
+    blocks.append(figure_block(results, "contributions"))
     return doc.Section("improvement", "What would help most", tuple(blocks))

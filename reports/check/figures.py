@@ -1,5 +1,7 @@
 """Figures of an interim check: tables in, chart out, None for nothing to draw."""
 
+from typing import Any
+
 import numpy as np
 
 from reports.document import charts
@@ -7,12 +9,24 @@ from reports.document.formatting import COVERAGE_FACTOR, finite
 from reports.results import Results
 
 MAX_NAMED_LENGTHS = 28  # lengths whose names fit under an axis
+FIGURE_KEYS = {"scale": "scale_permille", "vertical": "vertical_px", "roll": "roll_deg"}
 SHORT_NAMES = {"scale": "scale", "vertical": "height", "roll": "roll"}
-PAIR_PANELS = (  # of the figures a pair: column, key in the summary, label, unit
-    ("scale_permille", "scale [‰]", "‰"),
-    ("vertical_px", "height [px]", "px"),
-    ("roll_deg", "roll [°]", "°"),
-)
+
+
+def unit_factor(summary: dict[str, Any], figure: str) -> float | None:
+    """What carries a figure from its unit in the summary to mm per metre; None: not known."""
+    return finite((summary.get("mm_per_m") or {}).get(figure))
+
+
+def per_metre(summary: dict[str, Any], entry: dict[str, Any]) -> tuple[float | None, float | None]:
+    """A tested figure and its standard uncertainty, mm per metre."""
+    name = str(entry.get("figure"))
+    key, factor = FIGURE_KEYS.get(name, ""), unit_factor(summary, name)
+    value = finite(entry.get(key))
+    u = finite(entry.get(f"standard_uncertainty_{key.rpartition('_')[2]}"))
+    if factor is None or value is None or u is None:
+        return None, None
+    return factor * value, factor * u
 
 
 def lengths(results: Results) -> charts.Chart | None:
@@ -25,36 +39,42 @@ def lengths(results: Results) -> charts.Chart | None:
 
 
 def figures(results: Results) -> charts.Chart | None:
-    """Each figure in its standard uncertainty, against the limit."""
+    """Each figure with U (k = 2) between its limits, mm per metre."""
     entries = results.summary.get("figures") or []
-    z = [finite(entry.get("z")) for entry in entries]
     limit = finite(results.summary.get("limit"))
-    if limit is None or not any(value is not None for value in z):
+    known = [(at, entry, value, u) for at, entry in enumerate(entries)
+             for value, u in (per_metre(results.summary, entry),)
+             if value is not None and u is not None]  # fmt: skip
+    if limit is None or not known:
         return None
-    places = np.arange(len(z), dtype=float)
-    heights = np.array([np.nan if value is None else value for value in z])
-    good = np.abs(heights) <= limit
-    ends = (-0.6, len(z) - 0.4)
-    marks: list[charts.Mark] = [
-        _horizontal_line(limit, ends, "tolerance", f"limit ± {limit:.2f}"),
-        _horizontal_line(-limit, ends, "tolerance"),
-    ]
-    for chosen, role, name in ((good, "used", "within"), (~good, "unused", "beyond")):
-        shown = chosen & np.isfinite(heights)
-        if shown.any():
-            marks.append(charts.Points(places[shown], heights[shown], role, name, 4.0))
-    reach = 1.25 * max(limit, float(np.nanmax(np.abs(heights))))
+    marks: list[charts.Mark] = [_horizontal_line(0.0, (-0.6, len(entries) - 0.4), "muted")]
+    reach = 0.0
+    for at, entry, value, u in known:
+        for side in (-limit * u, limit * u):
+            ends = (at - 0.3, at + 0.3)
+            marks.append(_horizontal_line(side, ends, "tolerance", "allowed"))
+        good = abs(entry.get("z") or 0.0) <= limit
+        role, name = ("used", "within") if good else ("unused", "beyond")
+        half = COVERAGE_FACTOR * u
+        place = np.array([float(at)])
+        bar = np.array([value - half, value + half])
+        marks += [
+            charts.Line(np.repeat(place, 2), bar, role),
+            charts.Points(place, np.array([value]), role, f"{name}, ± U", 4.0),
+        ]
+        reach = max(reach, abs(value) + half, limit * u)
     panel = charts.Panel(
         tuple(marks),
-        "figure over its u",
+        "figure [mm/m]",
         x_ticks=tuple(
             (float(at), SHORT_NAMES.get(str(entry.get("figure")), ""))
-            for at, entry in zip(places, entries, strict=True)
+            for at, entry in enumerate(entries)
         ),
-        x_range=ends,
-        y_range=(-reach, reach),
+        x_range=(-0.6, len(entries) - 0.4),
+        y_range=(-1.15 * reach or -1.0, 1.15 * reach or 1.0),
+        unit="mm/m",
     )
-    return charts.Chart((panel,), row_height=1.9, width=0.7)
+    return charts.Chart((panel,), row_height=2.6)
 
 
 def over_pairs(results: Results) -> charts.Chart | None:
@@ -65,12 +85,16 @@ def over_pairs(results: Results) -> charts.Chart | None:
         return None
     entries = results.summary.get("figures") or []
     panels = []
-    for place, (name, label, unit) in enumerate(PAIR_PANELS):
-        values = charts.column(table, name)
+    for place, (figure, key) in enumerate(FIGURE_KEYS.items()):
+        factor = unit_factor(results.summary, figure)
+        if factor is None:
+            continue
+        values = factor * charts.column(table, key)
         valid = np.isfinite(frames + values)
         if not valid.any():
             continue
-        together = finite(entries[place].get(name)) if place < len(entries) else None
+        entry = entries[place] if place < len(entries) else {}
+        together = per_metre(results.summary, entry)[0]
         ends = _frame_range(frames[valid])
         marks: list[charts.Mark] = [
             charts.Points(frames[valid], values[valid], "measured", "a pair", 3.0)
@@ -80,10 +104,10 @@ def over_pairs(results: Results) -> charts.Chart | None:
         panels.append(
             charts.Panel(
                 tuple(marks),
-                label,
+                f"{SHORT_NAMES[figure]} [mm/m]",
                 x_range=ends,
                 y_range=_range_with_zero(values[valid], together),
-                unit=unit,
+                unit="mm/m",
             )
         )
     return charts.strips(panels, "pair", row_height=1.0)

@@ -102,7 +102,18 @@ class FigurePlan:
     otherwise: str
 
 
-Block = Verdict | Paragraph | Bullets | Facts | Table | Figure
+@dataclass(frozen=True, slots=True)
+class Film:
+    """A film that lies beside the report; the page plays it where it holds it, paper names it."""
+
+    kind: ClassVar[str] = "film"
+    file: str  # its name beside the report
+    caption: str
+    drawing: bytes = b""  # an MP4; none: too large for the page, which links to the file
+    poster: str = ""  # name of the figure that is shown before it plays
+
+
+Block = Verdict | Paragraph | Bullets | Facts | Table | Figure | Film
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,6 +155,18 @@ def lay_out(
     return Document(title, subtitle, footer, tuple(numbered), sortable)
 
 
+def answer_and_evidence(answer: Section, evidence: Iterable[Section | None]) -> tuple[Section, ...]:
+    """Put the answer on a page of its own, and all that it rests on into the appendix."""
+    rest = (replace(section, part="appendix") for section in evidence if section is not None)
+    return (replace(answer, part="page"), *rest)
+
+
+def remedies(actions: Iterable[str], unchecked: Iterable[str]) -> Facts:
+    """End page one: what to do, and what was not checked."""
+    items = ("What to do", actions), ("Not checked", unchecked)
+    return Facts(tuple((label, " ".join(texts) or "nothing") for label, texts in items))
+
+
 def collect_figures(document: Document) -> dict[str, Chart | Path | bytes]:
     """Collect what is drawn in a document, by name."""
     return {
@@ -151,6 +174,16 @@ def collect_figures(document: Document) -> dict[str, Chart | Path | bytes]:
         for section in document.sections
         for block in section.blocks
         if isinstance(block, Figure) and block.drawing is not None
+    }
+
+
+def collect_films(document: Document) -> dict[str, bytes]:
+    """Collect the films that a page holds, by their files' names."""
+    return {
+        block.file: block.drawing
+        for section in document.sections
+        for block in section.blocks
+        if isinstance(block, Film) and block.drawing
     }
 
 

@@ -1,5 +1,6 @@
 """Control charts of a fleet: each joint's mean error over time, with limits and changes."""
 
+from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -78,6 +79,7 @@ def false_alarm_text(summary: dict[str, Any]) -> str:
 
 MAX_ARMS = 12  # charts of that many arms; of more, those with a change, then the others
 MAX_TICKS = 7
+GROUP_SHIFT = 0.14  # of a joint's latest session from its place, beside those before it
 TICK_STEPS = (1, 2, 3, 6, 12, 24, 60)  # months between two marks of the time axis
 CAPTION = (
     "Mean error of each joint of {arm}, a dot a session, with its own uncertainty (bar: ± 2u). "
@@ -133,6 +135,84 @@ def arm_chart(points: pd.DataFrame, changes: pd.DataFrame) -> Chart | None:
         for joint in numbers
     ]
     return strips(panels, f"month; days are counted from {format_day(zero)}", row_height=0.86)
+
+
+def changed_joints(results: Results, most: int) -> Chart | None:
+    """A strip over time for each of the first `most` joints that changed."""
+    points, found = results.table("points"), results.table("changes")
+    chosen = found.drop_duplicates(["arm", "joint"])[["arm", "joint"]].head(most)
+    if not len(chosen) or not len(points):
+        return None
+    t = column(points.merge(chosen, on=["arm", "joint"]), "t_days")
+    zero, ticks = float(np.floor(t.min())), month_ticks(float(t.min()), float(t.max()))
+    ends = float(t.min()) - zero - 3, float(t.max()) - zero + 3  # days
+    panels = []
+    for arm, joint in chosen.itertuples(index=False):
+        own, changes = (table[(table["arm"] == arm) & (table["joint"] == joint)]
+                        for table in (points, found))  # fmt: skip
+        panel = _panel(own, changes, zero, ticks)
+        title = f"{fmt.text_or_dash(arm)}, joint {joint}"
+        panels.append(replace(panel, title=title, y_label="error [°]", x_range=ends))
+    return strips(panels, f"month; days are counted from {format_day(zero)}", row_height=1.25)
+
+
+def present_errors(results: Results, arms: list[str]) -> Chart | None:
+    """A panel an arm: the present error of each joint with U (k = 2), and its tolerance.
+
+    Of a joint that has no level yet all its sessions are shown, the latest one apart.
+    """
+    table, recent = results.table("joints"), results.table("recent")
+    panels = []
+    for arm in arms:
+        own = table[table["arm"] == arm]
+        joints = column(own, "joint")
+        level = column(own, "error_deg")
+        groups = [("level ± U", "resolved", joints, level, column(own, "error_u_deg"))]
+        young = recent[recent["arm"] == arm] if len(recent) else recent
+        young = young[young["joint"].isin(joints[~np.isfinite(level)])] if len(young) else young
+        for name, role, chosen in (
+            ("earlier ± U", "muted", young[young["order"] > 0] if len(young) else young),
+            ("latest ± U", "error", young[young["order"] == 0] if len(young) else young),
+        ):
+            place, error, u = (column(chosen, key) for key in ("joint", "error_deg", "u_deg"))
+            groups.append((name, role, place, error, u))
+        if any(np.isfinite(group[3]).any() for group in groups):
+            panels.append(_error_panel(arm, own, groups))
+    if not panels:
+        return None
+    return Chart(tuple(panels), columns=min(2, len(panels)), row_height=1.9)
+
+
+Group = tuple[str, str, Array, Array, Array]  # name, role, joints, mean errors and their u, degrees
+
+
+def _error_panel(arm: str, own: pd.DataFrame, groups: list[Group]) -> Panel:
+    joints, limits = column(own, "joint"), column(own, "latest_tolerance_deg")
+    marks: list[Mark] = [Level(0.0, "muted")]
+    for x, limit in zip(joints, limits, strict=True):
+        for side in (-limit, limit) if np.isfinite(limit) else ():
+            ends = np.array([x - 0.42, x + 0.42]), np.array([side, side])
+            marks.append(Line(*ends, "tolerance", "tolerance"))
+    reach = float(np.nanmax(np.append(limits, 0.0)))
+    for name, role, place, error, u in groups:
+        known = np.isfinite(error)
+        if not known.any():
+            continue
+        x, y, half = place[known], error[known], 2 * np.nan_to_num(u[known])
+        x = x + GROUP_SHIFT * (role != "muted")
+        bars = np.stack([y - half, y + half, np.full(len(y), np.nan)], axis=1).ravel()
+        marks += [Line(np.repeat(x, 3), bars, role), Points(x, y, role, name, size=3.0)]
+        reach = max(reach, float(np.max(np.abs(y) + half)))
+    return Panel(
+        tuple(marks),
+        "error [°]",
+        title=fmt.text_or_dash(arm),
+        x_ticks=tuple((x, f"{x:.0f}") for x in joints.tolist()),
+        x_label="joint",
+        x_range=(float(joints.min()) - 0.6, float(joints.max()) + 0.6),
+        y_range=(-1.1 * reach or -1.0, 1.1 * reach or 1.0),
+        unit="°",
+    )
 
 
 def _panel(own: pd.DataFrame, changes: pd.DataFrame, zero: float, ticks: Ticks) -> Panel:

@@ -1,5 +1,6 @@
 """The second half of a fleet report: comparisons, worst sessions, what was not seen, failures."""
 
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -8,9 +9,10 @@ import pandas as pd
 from reports.document import blocks as doc
 from reports.document import formatting as fmt
 from reports.document.charts import records
+from reports.fleet import names
+from reports.fleet.certificate import is_hidden, session_table
 from reports.fleet.charts import STATES
 from reports.results import Results
-from reports.session import phrases
 
 FALSE_ALARM_NOTE = (
     "Rates: a change is named beyond what chance gives the best of all dates, kinds and joints in "
@@ -20,6 +22,15 @@ CONTRAST_NOTE = (
     "Mean error with the number of sessions in brackets, and the difference with its expanded "
     "uncertainty (k = 2); what both sides share of a calibration's error drops out of it. "
     "A difference counts as shown beyond what chance gives all joints together."
+)
+LARGEST_NOTE = (
+    "The resolved error of largest magnitude in each session, of the joints that do not conform "
+    "where any do not, with its expanded uncertainty (k = 2)."
+)
+UNREPORTED_NOTE = (
+    "Sessions have no reports of their own yet: run the same command with --reports; nothing is "
+    "measured again for it. sessions.parquet says in which folder the results of each lie "
+    "(kept_in)."
 )
 VISIBLE_NOTE = (
     "Visible: share of an offset's signal left after all that was fitted, for an offset "
@@ -101,41 +112,12 @@ def _contrast_result(entry: dict[str, Any]) -> doc.Cell:
 
 def worst_sessions(results: Results) -> doc.Section | None:
     """The sessions with the largest errors, with links to their own reports."""
-    table = results.table("worst")
-    if not len(table):
+    listed = results.table("worst")
+    tables = session_table(results, len(listed))
+    if not tables:
         return None
-    notes = [
-        "The resolved error of largest magnitude in each session, with its expanded uncertainty."
-    ]
-    if not table["reported"].any():
-        notes.append(
-            "Sessions have no reports of their own yet: run the same command with --reports; "
-            "nothing is measured again for it."
-        )
-    error = doc.uncertain_field("worst_error_deg", "worst_error_u_deg", k=2)
-    columns = (
-        doc.Column("Session", "l", _session_link, wide=True),
-        doc.Column("Started", "l", doc.field("started")),
-        doc.Column("Arm", "l", doc.field("arm")),
-        doc.Column("Joint", "r", doc.field("joint", str)),
-        doc.Column("Largest error ± U [°]", "r", error),
-        doc.Column("Verdict", "l", _verdict),
-        doc.Column("Kept in", "l", doc.field("kept_in"), wide=True),
-    )
-    shown = doc.tabulate("Sessions with the largest errors.", columns, records(table), *notes)
-    return doc.Section("worst", "Worst sessions", (shown,))
-
-
-def _session_link(one: dict[str, Any]) -> doc.Cell:
-    place = f"{one['kept_in']}/report.html" if one["reported"] is True else ""
-    return doc.Cell(fmt.text_or_dash(one["session"]), link=place)
-
-
-def _verdict(one: dict[str, Any]) -> doc.Cell:
-    tone = phrases.tone(one["verdict"])
-    return doc.Cell(
-        fmt.lookup_label(phrases.VERDICTS, one["verdict"]), tone if tone != "none" else ""
-    )
+    notes = (LARGEST_NOTE,) if listed["reported"].any() else (LARGEST_NOTE, UNREPORTED_NOTE)
+    return doc.Section("worst", "Worst sessions", (replace(tables[0], notes=notes),))
 
 
 def hidden_errors(results: Results) -> doc.Section:
@@ -164,7 +146,7 @@ def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[doc.Block, ..
     sentences = []
     for arm, rows in table.groupby("arm", sort=False):
         entries = records(rows)
-        blind = [one["joint"] for one in entries if _is_hidden(one["visible"])]
+        blind = [one["joint"] for one in entries if is_hidden(one["visible"])]
         if blind:
             sentences.append(
                 f"{fmt.text_or_dash(arm)}: an offset of {fmt.joint_names(blind)} that was there at "
@@ -186,18 +168,14 @@ def _hidden_blocks(results: Results, table: pd.DataFrame) -> tuple[doc.Block, ..
     return (doc.Bullets(tuple(sentences), "warning"),) if sentences else ()
 
 
-def _is_hidden(share: Any) -> bool:
-    figure = fmt.finite(share)
-    return figure is not None and figure < phrases.MAX_HIDDEN_SHARE
-
-
 def failures(results: Results) -> doc.Section | None:
     """Sessions that could not be measured, and why."""
     table = results.table("failures")
     if not len(table):
         return None
+    shorten = names.shortener(results)
     columns = (
-        doc.Column("Session", "l", doc.field("session"), wide=True),
+        doc.Column("Session", "l", lambda one: shorten(one["session"]), wide=True),
         doc.Column("Kind", "l", doc.field("kind")),
         doc.Column("Why", "l", doc.field("why"), wide=True),
     )

@@ -12,9 +12,15 @@ import plotly.offline
 from jinja2.sandbox import ImmutableSandboxedEnvironment
 
 from reports.document import charts
-from reports.document.blocks import Document, collect_figures, to_template_data
+from reports.document.blocks import (
+    Document,
+    collect_figures,
+    collect_films,
+    to_template_data,
+)
 from reports.format import plotly as format_plotly
 from reports.format.branding import DEFAULT_BRANDING, LANGUAGE, WORDS, Look
+from reports.format.pictures import compact
 from reports.results import ReportError
 
 TEMPLATES = Path(__file__).with_name("templates")
@@ -29,16 +35,14 @@ def page(document: Document, look: Look = DEFAULT_BRANDING) -> str:
         for name, drawing in drawings.items()
         if not isinstance(drawing, bytes)
     }
-    pictures = {
-        name: base64.b64encode(drawing).decode()
-        for name, drawing in drawings.items()
-        if isinstance(drawing, bytes)
-    }
+    compacted = {n: compact(png) for n, png in drawings.items() if isinstance(png, bytes)}
     data = {
         "document": to_template_data(document),
         "palette": {role: {"light": a, "dark": b} for role, (a, b) in charts.PALETTE.items()},
         "plots": _for_script({"palette": charts.PALETTE, "plots": plots}),
-        "pictures": pictures,
+        "pictures": {name: _base64(picture) for name, (_, picture) in compacted.items()},
+        "picture_types": {name: kind for name, (kind, _) in compacted.items()},
+        "films": {name: _base64(film) for name, film in collect_films(document).items()},
         "plotly": plotly.offline.get_plotlyjs() if plots else "",
         "style": _read_template(STYLE),
         "own_style": _custom_style(look),
@@ -52,6 +56,10 @@ def page(document: Document, look: Look = DEFAULT_BRANDING) -> str:
     if look.templates is None or not (look.templates / PAGE).is_file():
         return _template().render(data)
     return _render_custom(look.templates, data)
+
+
+def _base64(content: bytes) -> str:
+    return base64.b64encode(content).decode()
 
 
 @cache

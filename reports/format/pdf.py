@@ -15,10 +15,12 @@ import typst
 from reports.document.blocks import Document, collect_figures, to_template_data
 from reports.format import matplotlib
 from reports.format.branding import DEFAULT_BRANDING, LANGUAGE, WORDS, Look
+from reports.format.pictures import compact
 from reports.results import ReportError
 
 TEMPLATES = Path(__file__).with_name("templates")
 TEMPLATE_FILE = "report.typ"
+LINE_WIDTH_MM, MAX_PICTURE_HEIGHT_MM = 170.0, 85.0  # a third of a page: words fit beside it
 FONTS: dict[str, Any] = {
     "ignore_system_fonts": True,
     "font_paths": [str(Path(mpl.get_data_path()) / "fonts" / "ttf")],
@@ -75,7 +77,7 @@ def typst_files(document: Document, look: Look = DEFAULT_BRANDING) -> dict[str, 
     files = {"main.typ": (TEMPLATES / TEMPLATE_FILE).read_bytes()}
     for name, content in collect_figures(document).items():
         if isinstance(content, bytes):
-            drawn[name] = {"file": f"{name}.svg", "width": 1.0}
+            drawn[name] = {"file": f"{name}.svg", "width": _picture_width(content)}
             files[f"{name}.svg"] = _png_in_svg(content)
         else:
             drawn[name] = {"file": f"{name}.svg", "width": matplotlib.relative_width(content)}
@@ -96,12 +98,19 @@ def typst_files(document: Document, look: Look = DEFAULT_BRANDING) -> dict[str, 
     return files
 
 
+def _picture_width(png: bytes) -> float:
+    """What share of the line a picture takes: all, unless it were too high then."""
+    width, height = struct.unpack(">II", png[16:24])  # IHDR, the first chunk of every PNG
+    return min(1.0, MAX_PICTURE_HEIGHT_MM / LINE_WIDTH_MM * float(width) / max(float(height), 1.0))
+
+
 def _png_in_svg(png: bytes) -> bytes:
     """Wrap a PNG in an SVG: typst's files in memory must be text."""
     width, height = struct.unpack(">II", png[16:24])  # IHDR, the first chunk of every PNG
     size = f'width="{width}" height="{height}"'
-    picture = base64.b64encode(png).decode()
+    kind, content = compact(png)
+    picture = base64.b64encode(content).decode()
     return (
         f'<svg xmlns="http://www.w3.org/2000/svg" {size}>'
-        f'<image {size} href="data:image/png;base64,{picture}"/></svg>'
+        f'<image {size} href="data:{kind};base64,{picture}"/></svg>'
     ).encode()

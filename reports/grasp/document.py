@@ -1,35 +1,16 @@
 """What the report of a grab says, in which order. Keys: docs/grab.md."""
 
 from functools import partial
-from typing import Any
-
-import numpy as np
 
 from reports.document import blocks as doc
 from reports.document import formatting as fmt
 from reports.document.charts import column, records, texts
 from reports.grasp import figures
+from reports.grasp.certificate import as_sentence, certificate
 from reports.results import Results
 
 STATE_ORDER = ("idle", "following", "approaching", "closing", "lifting", "lifted", "missed")
-OUTCOMES = {  # by the state: tone, label
-    "lifted": ("conform", "Grasped and lifted"),
-    "missed": ("nonconform", "Missed: nothing was held"),
-    "fault": ("nonconform", "Stopped by a fault"),
-    "holding-stale": ("undecided", "Held: pictures or joint angles were too old"),
-    "holding-lost": ("undecided", "Held: the target was out of sight"),
-    "holding-unreachable": ("undecided", "Held: no safe way led to the target"),
-    "holding-operator": ("undecided", "Held by the operator"),
-}
-
-
 FIGURES = {
-    "pictures": doc.FigurePlan(
-        None,
-        "Both cameras, left and right: what was searched (box) and seen (ellipse).",
-        "Pictures of both cameras in the main states",
-        "There are no pictures.",
-    ),
     "states": doc.FigurePlan(
         figures.states,
         "The states over time.",
@@ -69,14 +50,13 @@ _figure_block = partial(doc.figure_or_text, FIGURES)
 def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
     summary = results.summary
-    sections = (
-        _outcome(results),
+    evidence = (
         _states(results),
+        _tool_offset_section(results),
         doc.Section("track", "Track", (_figure_block(results, "track"),)),
+        _margins(results),
         doc.Section("camshift", "CAMSHIFT over time", (_figure_block(results, "camshift"),)),
         _joints(results),
-        _tool_offset_section(results),
-        _margins(results),
         _plan(results),
     )
     cell = fmt.text_or_dash(summary.get("cell"))
@@ -84,90 +64,8 @@ def document(results: Results) -> doc.Document:
         title=f"Grab with {fmt.text_or_dash(summary.get('robot'))}",
         subtitle=f"{fmt.text_or_dash(summary.get('target'))}, {cell} cell",
         footer=f"{doc.software(summary)} · grab",
-        sections=sections,
+        sections=doc.answer_and_evidence(certificate(results), evidence),
     )
-
-
-def outcome(summary: dict[str, Any]) -> doc.Verdict:
-    """Say how it ended, in a label and a sentence."""
-    state, reason = str(summary.get("state")), fmt.text_or_dash(summary.get("reason"))
-    plan, refusal = summary.get("plan"), summary.get("refusal") or {}
-    if not summary.get("execute") and plan:
-        duration = fmt.number(plan.get("duration_s"), 1)
-        return doc.Verdict("none", "Planned; nothing was moved", f"{plan['branch']}, {duration} s.")
-    if refusal:
-        return doc.Verdict(
-            "undecided", "Refused", f"{refusal['reason']}.{_tool_offset_text(summary)}"
-        )
-    if state == "searching":
-        sentence = (
-            "Nothing of the target's colours was seen by both cameras, or more than one thing."
-        )
-        return doc.Verdict("undecided", "The target was not found", sentence)
-    if state not in OUTCOMES:
-        return doc.Verdict(
-            "undecided", f"Ended while {state}", "Its time was over, or it was ended."
-        )
-    tone, label = OUTCOMES[state]
-    by = _evidence_text(summary) if state == "lifted" else ""
-    return doc.Verdict(tone, label, f"{_as_sentence(reason + by)}{_tool_offset_text(summary)}")
-
-
-def _evidence_text(summary: dict[str, Any]) -> str:
-    """Who says that the object came along: the gripper does, the cameras where they saw it."""
-    far = _grip_distance_text(summary)
-    if far is None:
-        return ", by the gripper's status; the cameras did not see it after the descent"
-    up = fmt.quantity(summary.get("seen_raised_mm"), "mm", 3)
-    return (
-        f", by the gripper's status; the cameras saw it last {far} from the grip point, "
-        f"with the hand {up} up"
-    )
-
-
-def _grip_distance_text(summary: dict[str, Any]) -> str | None:
-    """How far the object was seen from the grip point; None where it was not seen."""
-    far = fmt.finite(summary.get("seen_from_grip_mm"))
-    if far is None:
-        return None
-    u = summary.get("seen_from_grip_expanded_uncertainty_mm")
-    return f"{fmt.with_uncertainty(far, u, 'mm', signed=False)} (k = 2)"
-
-
-def _tool_offset_text(summary: dict[str, Any]) -> str:
-    """What came of looking at the hand, as a sentence to add; empty where nobody looked."""
-    hand = summary.get("hand")
-    return f" {_as_sentence(hand['reason'])}" if hand else ""
-
-
-def _as_sentence(words: str) -> str:
-    return f"{fmt.capitalise(words)}."
-
-
-def _outcome(results: Results) -> doc.Section:
-    summary = results.summary
-    table = results.table("cycles")
-    t, took = column(table, "t_s"), column(table, "took_ms")
-    items = [
-        ("State at the end", fmt.text_or_dash(summary.get("state"))),
-        ("Controls given back", "yes" if summary.get("released") else "no"),
-        ("Allowed to move", "yes" if summary.get("execute") else "no"),
-        ("Length", f"{fmt.number(float(np.ptp(t)) if len(t) else None, 1)} s"),
-        ("Cycles", fmt.count(summary.get("cycles"))),
-        ("Work a cycle, median", f"{fmt.number(float(np.median(took)) if len(t) else None, 1)} ms"),
-    ]
-    far = _grip_distance_text(summary)
-    if far is not None or summary.get("state") == "lifted":
-        items.append(("Object from the grip point, seen", far or "not after the descent"))
-    items += [
-        ("Film", fmt.text_or_dash(summary.get("film"))),
-        ("Recorded session", fmt.text_or_dash(summary.get("session"))),
-    ]
-    blocks: list[doc.Block] = [outcome(summary), doc.Facts(tuple(items))]
-    if summary.get("warnings"):
-        blocks.append(doc.Bullets(tuple(summary["warnings"]), "warning"))
-    blocks.append(_figure_block(results, "pictures"))
-    return doc.Section("outcome", "Outcome", tuple(blocks))
 
 
 def _states(results: Results) -> doc.Section:
@@ -207,7 +105,7 @@ def _tool_offset_section(results: Results) -> doc.Section:
     if not hand:
         text = "Nobody looked at the hand: there was no descent, or nothing was to move."
         return doc.Section("hand", "The hand, seen by its LEDs", (doc.Paragraph(text),))
-    blocks: list[doc.Block] = [doc.Paragraph(_as_sentence(hand["reason"]))]
+    blocks: list[doc.Block] = [doc.Paragraph(as_sentence(hand["reason"]))]
     rows = [
         doc.row(what, *(fmt.number(v, 2) for v in hand[f"{key}_mm"] or (None,) * 3))
         for what, key in (

@@ -42,29 +42,16 @@ from reports.calibration.figures import correlation
 from reports.document import blocks as doc
 from reports.document import formatting as fmt
 from reports.identification import figures
+from reports.identification.certificate import LEVELS, SAME, certificate, observability_text
+from reports.identification.names import in_words
 from reports.results import Results
 
-LEVELS = {
-    "registration": "base and tool alone",
-    "offsets": "with the joints' offsets",
-    "geometry": "with all of the arm's geometry",
-}
 REASONS = {"gauge": "gauge", "prior": "rests on its prior", "not_called_for": "not needed"}
 
 
 class IdentificationNotes:
     """Notes that stand under tables."""
 
-    SIGN = (
-        "Error: encoder less measured. A correction is its negative: it is to be added to the "
-        "reading. ± is the expanded uncertainty (k = 2; Student's t where the noise rests on few "
-        "poses)."
-    )
-    ALONE = (
-        "The offsets alone hold for an arm whose lengths and twists stay as they are: enter these "
-        "in a controller that takes nothing else. The others go with the corrected robot file."
-    )
-    NOT_TOLD = "Not identified: what it is confounded with stands further below."
     HOLD_OUT = (
         "Fitted on the other poses, means over the splits; every pose counts that was held out, "
         "outlying or not. Criterion: mean χ² a number held out, by the noise that the richest "
@@ -76,7 +63,7 @@ class IdentificationNotes:
         "Base and tool are found anew with every model; only changes of the arm's own numbers are "
         "shown. All are adjusted together, the arm's held by weak priors: standard deviations of "
         "3 mm and 3° about its file, less for twists and lengths where these show that they lie "
-        "closer. U: k = 2; Student's t where the noise rests on few poses."
+        "closer. U: k = 2."
     )
     GAUGE = (
         "Gauge: no motion can determine it, because the other parameters make up for it; where "
@@ -94,24 +81,23 @@ class IdentificationNotes:
         "These poses do not belong to the others: noise reaches their distance once in a thousand "
         "recordings. They were left out of the fit, not of the residuals; never more than a tenth."
     )
-    SAME = "No parameter of the arm was changed: the data call for no correction."
 
 
 FIGURES = {
-    "identified_residuals": doc.FigurePlan(
-        figures.residuals,
-        "What is left of each pose: by base and tool alone, and by the identified arm.",
-        "Two strips over the poses: position in millimetres, orientation in degrees.",
-        "The residuals were not kept.",
+    "identified_angles": doc.FigurePlan(
+        partial(figures.changes, unit="deg"),
+        "Change of each angle of the arm, with its expanded uncertainty (k = 2).",
+        "Points with level bars, one a parameter, in degrees.",
+        "No angle of the arm was changed.",
     ),
-    "identified_changes": doc.FigurePlan(
-        figures.changes,
-        "Change of each parameter of the arm, with its expanded uncertainty (k = 2).",
-        "Points with upright bars, one a parameter: angles in degrees, lengths in millimetres.",
-        "No parameter of the arm was changed.",
+    "identified_lengths": doc.FigurePlan(
+        partial(figures.changes, unit="mm"),
+        "Change of each length of the arm, with its expanded uncertainty (k = 2).",
+        "Points with level bars, one a parameter, in millimetres.",
+        "No length of the arm was changed.",
     ),
     "parameter_correlation": doc.FigurePlan(
-        correlation,
+        partial(correlation, write=in_words),
         "Correlation of the identified parameters; numbers below stand for the names at the left.",
         "A square of coloured cells, one a pair of parameters, from −1 to 1.",
         "There are no correlations to show.",
@@ -133,96 +119,10 @@ def document(results: Results) -> doc.Document:
         title=f"Identification of {fmt.text_or_dash(summary.get('robot'))}",
         subtitle=doc.described(summary, "a recorded session"),
         footer=f"{doc.software(summary)} · robot {fingerprint}",
-        sections=(section(results) for section in SECTIONS),
+        sections=doc.answer_and_evidence(
+            certificate(results), (section(results) for section in EVIDENCE)
+        ),
     )
-
-
-def verdict(results: Results) -> doc.Section:
-    """Open with what was identified, and what it is worth on poses held out."""
-    summary = results.summary
-    before, after = (
-        _held_out_entry(summary, "registration"),
-        _held_out_entry(summary, summary.get("level")),
-    )
-    first, second = fmt.finite(before.get("mean_mm")), fmt.finite(after.get("mean_mm"))
-    better = first is not None and second is not None and second < first
-    changed = summary.get("level") != "registration"
-    number_of, used = summary.get("identified"), (summary.get("poses") or {}).get("used")
-    sentences = [f"{fmt.count(number_of)} parameters were identified from {fmt.count(used)} poses."]
-    if first is not None and second is not None and changed:
-        sentences.append(
-            f"On poses held out, the mean position residual goes from "
-            f"{fmt.quantity(first, 'mm', 3)} to {fmt.quantity(second, 'mm', 3)}."
-        )
-    if not changed:
-        sentences.append(IdentificationNotes.SAME)
-    blind = [j.get("joint") for j in summary.get("offsets") or [] if _is_hidden(j)]
-    remarks = [f"The offset of {fmt.joint_names(blind)} was not identified."] if blind else []
-    remarks.append(_recordings_remark(summary.get("recordings") or {}))
-    block = doc.Verdict(
-        tone="conform" if better or not changed else "undecided",
-        label="The arm is identified" if changed else "The arm stays as it is",
-        sentence=" ".join(sentences),
-        remarks=tuple(remarks),
-    )
-    rank, candidates = fmt.count(summary.get("rank")), fmt.count(summary.get("candidates"))
-    facts = [
-        ("Robot", fmt.text_or_dash(summary.get("robot"))),
-        ("Recorded in", fmt.text_or_dash((summary.get("source") or {}).get("path"))),
-        ("Corrected arm", fmt.text_or_dash(summary.get("robot_file"))),
-        ("Model", fmt.lookup_label(LEVELS, summary.get("level"))),
-        ("Base", "free" if summary.get("base_free") else "held"),
-        ("Tool", "free" if summary.get("tool_free") else "held"),
-        ("Determined", f"{rank} of {candidates} parameters"),
-    ]
-    return doc.Section("verdict", "Verdict", (block, doc.Facts(tuple(facts))))
-
-
-def _recordings_remark(recordings: dict[str, Any]) -> str:
-    scatter = fmt.finite(recordings.get("scatter"))
-    if scatter is None:
-        return (
-            "From one recording: what the arm's parameters differ from one recording to the next "
-            "is not in the uncertainties."
-        )
-    return (
-        f"The {fmt.count(recordings.get('count'))} recordings differ by {fmt.number(scatter, 1)} "
-        "times what each by itself would leave: the uncertainties hold that."
-    )
-
-
-def _is_hidden(joint: dict[str, Any]) -> bool:
-    return all(fmt.finite(joint.get(key)) is None for key in ("error_deg", "alone_error_deg"))
-
-
-def _held_out_entry(summary: dict[str, Any], name: Any) -> dict[str, Any]:
-    for level in summary.get("levels") or []:
-        if level.get("name") == name:
-            return level.get("held_out") or {}
-    return {}
-
-
-def offsets(results: Results) -> doc.Section:
-    """Give each joint's offset with its sign, as error and as what to add."""
-    summary = results.summary
-    geometry = summary.get("level") == "geometry"
-    u = "expanded_uncertainty_deg"
-    columns = [
-        doc.Column("Joint", "c", doc.field("joint")),
-        doc.Column("Encoder less measured [°]", "r", doc.uncertain_field("error_deg", u)),
-        doc.Column("Add to the reading [°]", "r", doc.uncertain_field("add_to_reading_deg", u)),
-    ]
-    notes: tuple[str, ...] = (IdentificationNotes.SIGN,)
-    if geometry:
-        alone = doc.uncertain_field("alone_add_to_reading_deg", f"alone_{u}")
-        columns.append(doc.Column("Offsets alone: add to the reading [°]", "r", alone))
-        notes += (IdentificationNotes.ALONE,)
-    table = doc.tabulate(
-        "Constant offset of each joint.", columns, summary.get("offsets") or [], *notes
-    )
-    if any(fmt.DASH in cell.text for line in table.rows for cell in line):
-        table = replace(table, notes=(*notes, IdentificationNotes.NOT_TOLD))
-    return doc.Section("offsets", "Joint offsets", (table,))
 
 
 def parameters(results: Results) -> doc.Section:
@@ -233,20 +133,20 @@ def parameters(results: Results) -> doc.Section:
         if fmt.finite(entry.get("change")) is not None
     ]
     if not entries:
-        return doc.Section("parameters", "Parameters", (doc.Paragraph(IdentificationNotes.SAME),))
+        return doc.Section("parameters", "Parameters", (doc.Paragraph(SAME),))
     columns = (
-        doc.Column("Parameter", "l", doc.field("name")),
+        doc.Column("Parameter", "l", lambda e: in_words(str(e.get("name")))),
         doc.Column(
             "Unit", "l", lambda e: UNITS.get(str(e.get("unit")), fmt.text_or_dash(e.get("unit")))
         ),
         doc.Column("Before", "r", doc.field("nominal", fmt.number, 4)),
         doc.Column("Identified", "r", doc.field("identified", fmt.number, 4)),
-        doc.Column("Change ± U", "r", doc.uncertain_field("change", "expanded_uncertainty")),
+        doc.Column("Change ± U", "r", doc.uncertain_field("change", "standard_uncertainty", k=2)),
     )
     title = "Parameters of the arm: as its file has them, and identified."
     table = doc.tabulate(title, columns, entries, IdentificationNotes.PLACES)
-    figure = _figure_block(results, "identified_changes")
-    return doc.Section("parameters", "Parameters", (table, figure))
+    shown = (_figure_block(results, f"identified_{kind}") for kind in ("angles", "lengths"))
+    return doc.Section("parameters", "Parameters", (table, *shown))
 
 
 def residuals(results: Results) -> doc.Section:
@@ -263,7 +163,7 @@ def residuals(results: Results) -> doc.Section:
         summary.get("levels") or [],
         IdentificationNotes.HOLD_OUT,
     )
-    blocks: list[doc.Block] = [table, _figure_block(results, "identified_residuals")]
+    blocks: list[doc.Block] = [table]
     if summary.get("judged"):
         blocks.append(_validation_table(summary["judged"]))
     outlying = (summary.get("poses") or {}).get("outlying") or []
@@ -317,12 +217,12 @@ def unidentifiable_parameters(results: Results) -> doc.Section:
         text = doc.Paragraph("These poses determine every parameter.")
         return doc.Section("held", "What these poses do not determine", (text,))
     columns = (
-        doc.Column("Parameter", "l", doc.field("name")),
+        doc.Column("Parameter", "l", lambda e: in_words(str(e.get("name")))),
         doc.Column("Why", "l", lambda e: fmt.lookup_label(REASONS, e.get("reason"))),
         doc.Column("Confounded with", "l", _confounding_text, wide=True),
         doc.Column("U if free", "r", _uncertainty_if_free),
     )
-    title = "Parameters that the poses do not tell, and what makes them up."
+    title = "Parameters that the poses do not determine, and what they are confounded with."
     table = doc.tabulate(title, columns, entries, IdentificationNotes.GAUGE)
     return doc.Section("held", "What these poses do not determine", (table,))
 
@@ -335,9 +235,7 @@ def _uncertainty_if_free(entry: dict[str, Any]) -> str:
 def _confounding_text(entry: dict[str, Any]) -> str:
     parts = entry.get("confounded_with") or []
     return (
-        ", ".join(
-            f"{fmt.text_or_dash(p.get('name'))} ({fmt.percent(p.get('share'))})" for p in parts
-        )
+        ", ".join(f"{in_words(str(p.get('name')))} ({fmt.percent(p.get('share'))})" for p in parts)
         or fmt.DASH
     )
 
@@ -347,7 +245,8 @@ def parameter_uncertainty(results: Results) -> doc.Section:
     blocks: list[doc.Block] = [_figure_block(results, "parameter_correlation")]
     if results.summary.get("observability"):
         table = observability_table(results.summary["observability"])
-        blocks.append(replace(table, notes=(IdentificationNotes.INDEXES,)))
+        notes = (observability_text(results.summary["observability"]), IdentificationNotes.INDEXES)
+        blocks.append(replace(table, notes=notes))
     return doc.Section("sureness", "Correlations and observability", tuple(blocks))
 
 
@@ -362,12 +261,4 @@ def conditions(results: Results) -> doc.Section:
     return doc.files_and_software(results.summary)
 
 
-SECTIONS = (
-    verdict,
-    offsets,
-    parameters,
-    residuals,
-    unidentifiable_parameters,
-    parameter_uncertainty,
-    conditions,
-)
+EVIDENCE = (residuals, parameters, unidentifiable_parameters, parameter_uncertainty, conditions)

@@ -3,6 +3,8 @@
 import numpy as np
 
 from reports.document import charts
+from reports.document.formatting import COVERAGE_FACTOR, UNITS
+from reports.identification.names import in_words
 from reports.results import Results
 
 AXIS_MARGIN = 1.08
@@ -34,38 +36,30 @@ def residuals(results: Results) -> charts.Chart | None:
                 unit=sign,
             )
         )
-    return charts.strips(panels, "pose", row_height=1.4)
+    return charts.strips(panels, "pose", row_height=1.05)
 
 
-def changes(results: Results) -> charts.Chart | None:
-    """Change of each parameter of the arm with its uncertainty, angles and lengths."""
+def changes(results: Results, unit: str) -> charts.Chart | None:
+    """Change of each parameter of the arm in deg or mm with its U (k = 2), the first on top."""
     table = results.table("parameters")
-    names, units = np.array(charts.texts(table, "name")), np.array(charts.texts(table, "unit"))
-    change, spread = charts.column(table, "change"), charts.column(table, "expanded_uncertainty")
-    panels = []
-    for unit, sign in (("deg", "°"), ("mm", "mm")):
-        own = (units == unit) & np.isfinite(change)
-        if not own.any():
-            continue
-        places = np.arange(own.sum(), dtype=float)
-        low, high = change[own] - spread[own], change[own] + spread[own]
-        marks: tuple[charts.Mark, ...] = (
-            charts.Level(0.0, "muted"),
-            charts.Line(*_vertical_bars(places, low, high), "measured"),
-            charts.Points(places, change[own], "measured", size=POINT_SIZE),
-        )
-        ticks = tuple(zip(places.tolist(), (str(n) for n in names[own]), strict=True))
-        panels.append(
-            charts.Panel(
-                marks, f"change [{sign}]", x_ticks=ticks, x_range=(-0.6, len(places) - 0.4),
-                unit=sign,
-            )
-        )  # fmt: skip
-    return charts.Chart(tuple(panels), row_height=1.7) if panels else None
-
-
-def _vertical_bars(
-    places: charts.Array, low: charts.Array, high: charts.Array
-) -> tuple[charts.Array, charts.Array]:
-    gap = np.full(len(places), np.nan)
-    return np.repeat(places, 3), np.stack([low, high, gap], axis=1).reshape(-1)
+    change = charts.column(table, "change")
+    own = (np.array(charts.texts(table, "unit")) == unit) & np.isfinite(change)
+    if not own.any():
+        return None
+    names = np.array(charts.texts(table, "name"))[own].tolist()
+    places = np.arange(len(names), dtype=float)
+    half = COVERAGE_FACTOR * charts.column(table, "standard_uncertainty")[own]
+    bars = np.stack([change[own] - half, change[own] + half, np.full(len(names), np.nan)], axis=1)
+    marks: tuple[charts.Mark, ...] = (
+        charts.Level(0.0, "muted", upright=True),
+        charts.Line(bars.ravel(), np.repeat(places, 3), "measured"),
+        charts.Points(change[own], places, "measured", size=POINT_SIZE),
+    )
+    panel = charts.Panel(
+        marks,
+        x_label=f"change [{UNITS[unit]}]",
+        y_ticks=tuple(zip(places.tolist(), map(in_words, names), strict=True)),
+        y_range=(len(names) - 0.4, -0.6),
+        unit=UNITS[unit],
+    )
+    return charts.Chart((panel,), row_height=0.45 + 0.17 * len(names))

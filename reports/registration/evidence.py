@@ -26,7 +26,9 @@ def visible_shares(results: Results) -> charts.Chart | None:
         charts.Note(float(at), float(height) + 2.0, percent(share))
         for at, height, share in zip(places, heights, shares, strict=True)
     ]
-    ticks = tuple((float(at), f"q{j.get('joint')}") for at, j in zip(places, joints, strict=True))
+    ticks = tuple(
+        (float(at), f"joint {j.get('joint')}") for at, j in zip(places, joints, strict=True)
+    )
     panel = charts.Panel(
         tuple(marks), "visible [%]", x_ticks=ticks, x_range=(-0.6, len(joints) - 0.4),
         y_range=(0.0, 112.0), unit="%",
@@ -79,6 +81,22 @@ def pose_residuals(results: Results) -> charts.Chart | None:
     return charts.Chart(tuple(panels), row_height=1.1, shared_x=True) if panels else None
 
 
+def fixture_differences(results: Results) -> charts.Chart | None:
+    """The board's place in each pair less the common one, mm."""
+    table = results.table("pairs")
+    frames = charts.column(table, "frame")
+    marks = [
+        charts.Points(frames, charts.column(table, f"{axis}_mm"), f"series_{at}", axis, 3.0)
+        for at, axis in ((1, "x"), (2, "y"), (3, "z"))
+    ]
+    if not any(np.isfinite(mark.y).any() for mark in marks):
+        return None
+    panel = charts.Panel(
+        (charts.Level(0.0, "muted"), *marks), "less the common place [mm]", "pair", unit="mm"
+    )
+    return charts.Chart((panel,), row_height=2.2)
+
+
 def linearity(results: Results) -> charts.Chart | None:
     """Encoder less turn about the axis, over each swept joint."""
     table = results.table("sweeps")
@@ -113,15 +131,6 @@ METHODS = {
 class RegistrationNotes:
     """Notes that stand under tables."""
 
-    FREED = (
-        "What hides is what the base and the LEDs took in with the encoders' own errors. A base "
-        "from a fixture and LEDs from a jig hide nothing. An offset that arises later shows in "
-        "full."
-    )
-    LEDS = (
-        "What hides is what the LEDs took in with the encoders' own errors. LEDs from a jig hide "
-        "nothing. An offset that arises later shows in full."
-    )
     WORSE = (
         "Pairs that were held out fit clearly worse than those that were registered on: something "
         "moves that is held fixed here, or the motion is too poor. Look at the residuals over time."
@@ -145,8 +154,9 @@ class RegistrationNotes:
     NOT_KNOWN = "What the registration hides is not known."
     VISIBLE = (
         "Base and LEDs were fitted to the same encoders, so an offset that was there already moved "
-        "them with it; visible is the share of its signal that is left. One that arises later "
-        "shows in full in every session that is measured with this registration."
+        "them with it; visible is the share of its signal that is left, base moved how far a "
+        "degree of it moved the base. One that arises later shows in full in every session that "
+        "is measured with this registration."
     )
     HOLD_OUT = "Where both are alike, the registration carries over to poses that it has not seen."
     FIXTURE = (
@@ -164,6 +174,12 @@ FIGURES = {
         "Visible share of a constant offset of each joint that was there at registration.",
         "Bars, one a joint: visible share in percent.",
         "What the registration hides is not known.",
+    ),
+    "fixture": doc.FigurePlan(
+        fixture_differences,
+        "The board's place in each pair, less the one that all pairs share.",
+        "Points over the pairs: difference in x, y and z in millimetres.",
+        "The pairs were not kept.",
     ),
     "over_time": doc.FigurePlan(
         residuals_over_time,

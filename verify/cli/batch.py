@@ -195,7 +195,7 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
 
 
 def _print_summary(done: "BatchResult", out: Path, results: "Results") -> None:
-    from reports.fleet.document import nonconforming_sessions
+    from reports.fleet.certificate import nonconforming_sessions
 
     progress = done.progress
     terminal.say(

@@ -7,9 +7,9 @@ the figures are those of `reports`, which is loaded when one of them is first as
 import errno
 import json
 import os
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from html import escape
-from pathlib import Path
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
 import pandas as pd
@@ -33,6 +33,7 @@ JOINT_COLUMNS = (  # of a joint's entry in summary.json, in the order of `joints
     "reason", "minimum_detectable_error_deg", "minimum_separable_error_deg", "pairs",
 )  # fmt: skip
 CAUSE_COLUMNS = ("kind", "joint", "value", "unit", "expanded_uncertainty", "t_s", "explains")
+MAX_FILM_BYTES = 10_000_000  # of a film that is read for a report
 
 
 def refuse_existing(out: Path, *, force: bool) -> None:
@@ -78,7 +79,7 @@ def write_report_folder(
         summary = to_json_value(results.summary)
         text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
         (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-        write_reports(results, folder)
+        write_reports(_with_film(results, folder), folder)
         if frames:
             table = results.tables["frames"]
             table.to_csv(
@@ -98,7 +99,7 @@ def write_reports(results: reports.Results, folder: Path) -> None:
 def read_results(out: Path) -> reports.Results:
     """Read what an earlier run left; raises InputError: `out` holds no results, or damaged ones."""
     try:
-        return reports.read(out / RESULTS)
+        return _with_film(reports.read(out / RESULTS), out)
     except ReportError as error:
         raise InputError(error.place, error.found, error.expected, error.remedy) from error
 
@@ -262,3 +263,15 @@ def open_results(folder: str | Path) -> Results:
 
 def _html_row(tag: str, cells: tuple[str, ...]) -> str:
     return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+def _with_film(results: Results, folder: Path) -> Results:
+    """Take along the film that lies beside a report, if there is one and it is no giant."""
+    name = results.summary.get("film")
+    if not isinstance(name, str) or PurePath(name).name != name:
+        return results
+    film = folder / name
+    try:
+        if film.is_file() and film.stat().st_size <= MAX_FILM_BYTES:
+            return replace(results, films={name: film.read_bytes()})
+    except OSError:
+        pass  # the report says where it should lie
+    return results

@@ -9,14 +9,14 @@ import pytest
 from matplotlib.colors import to_hex, to_rgb
 
 import reports
-from reports.calibration import document as calibration_document
+from reports.calibration import document
 from reports.calibration.figures import arrows
 from reports.document import charts
 from reports.document.blocks import Bullets, collect_figures, to_template_data
 from reports.document.charts import Chart, Line
-from reports.document.formatting import decimals_of, number
+from reports.document.formatting import decimals_of, number, percent, with_uncertainty
 from reports.format import matplotlib
-from reports.registration import document as registration
+from reports.registration.certificate import certificate as registered
 from reports.results import Results
 from tests.support.reports import calibration as made
 from tests.support.reports.page import (
@@ -26,6 +26,7 @@ from tests.support.reports.page import (
     html_of,
     luminance,
     made_of,
+    page_one,
     strings,
     tables,
 )
@@ -53,8 +54,8 @@ def test_every_column_of_measures_has_a_unit(name: str) -> None:
     ("name", "label", "keys"),
     [
         ("good", "Baseline [mm]", ("stereo", "baseline_standard_uncertainty_mm")),
-        ("motion", "Position, x [mm]", ("base", "standard_uncertainty_mm", 0)),
-        ("held", "Scale of known lengths", ("figures", 0, "standard_uncertainty_permille")),
+        ("motion", "Base in the rig [mm]", ("base", "standard_uncertainty_mm", 0)),
+        ("held", "Scale of known lengths", ("figures", 0, "standard_uncertainty_permille")),  # mm/m
     ],
 )
 def test_readers_get_the_summary_s_uncertainty_with_k_2(
@@ -76,7 +77,7 @@ def test_the_headline_has_point_accuracy_and_what_to_improve() -> None:
     for part in ("depth", "lateral"):
         amount = float(f"{2 * entry[f'total_{part}_mm']:.1e}")
         assert f"±{amount:.2f} mm" in text
-    assert f"Calibrated from {summary['pairs']['used']} pairs" in text
+    assert f"Pairs used {summary['pairs']['used']}" in text
     assert summary["improve_first"]["help"] in text
     assert "The rig is calibrated, with doubts" not in text
 
@@ -92,7 +93,7 @@ def test_doubts_gaps_hashes_of_inputs_and_warnings_are_listed() -> None:
         assert sentence in text
     bullets = [
         block
-        for section in calibration_document.document(results_).sections
+        for section in document.document(results_).sections
         for block in section.blocks
         if isinstance(block, Bullets) and block.tone == "warning"
     ]
@@ -108,10 +109,12 @@ def test_doubts_gaps_hashes_of_inputs_and_warnings_are_listed() -> None:
         ("motion", ["A constant offset of joints 1 and 6 cannot show.",
                     "A constant offset of joint 1 cannot show, however large.",
                     "Of an offset of joints 2 and 3, 4.0 % to 9.0 % shows.",
+                    "If all encoders read right, the base is known to",
                     "Partly hidden: 50 % of an offset of joint 4 shows.",
                     "An offset of joint 5 shows in full.",
                     "held: the motion does not show it", "differs"]),
         ("fixture", ["It hides nothing.",
+                     "The base is known to ±0.60 mm and ±0.60°",
                      "The robot's base was found from a board at a known place on the base"]),
     ],
 )  # fmt: skip
@@ -172,7 +175,7 @@ def test_a_registration_that_does_not_carry_over_is_in_doubt() -> None:
     given = made.motion()
     given.summary["fit"]["held_out_rms_px"] = 0.5
     given.summary["joints"] = []
-    section = registration.verdict(given)
+    section = registered(given)
     assert to_template_data(section.blocks[0])["tone"] == "undecided"
     assert "held out fit clearly worse" in str(to_template_data(section.blocks[0]))
 
@@ -180,9 +183,10 @@ def test_a_registration_that_does_not_carry_over_is_in_doubt() -> None:
 def test_the_verdict_is_the_check_s_and_names_what_is_off() -> None:
     good, bad = ("".join(Page(html_of(name)).text) for name in ("held", "not_held"))
     assert "The calibration holds" in good
-    assert "Every figure lies within its uncertainty" in good
+    assert "All 3 figures lie within what is allowed" in good
     assert "The calibration does not hold" in bad
-    assert "Scale of known lengths is off by more than the uncertainty explains" in bad
+    assert "Lengths come out too short, by" in bad
+    assert "more than the uncertainty explains: calibrate again" in bad
 
 
 def test_each_length_has_its_error_and_uncertainty() -> None:
@@ -197,3 +201,51 @@ def test_each_length_has_its_error_and_uncertainty() -> None:
 def test_one_pair_of_a_board_shows_its_square_and_no_strips() -> None:
     assert "over_pairs" not in collect_figures(document_of("board"))
     assert "Square as measured" in html_of("board")
+
+
+def test_page_one_of_a_calibration_says_where_nothing_was_seen_and_what_to_do() -> None:
+    results_ = made_of("doubtful")
+    first = page_one(document_of("doubtful"))
+    coverage = results_.table("coverage")
+    for side in ("left", "right"):
+        own = coverage[coverage["camera"] == side]["corners"]
+        assert f"{percent(float((own == 0).mean()))} of the {side} image" in first
+    distance = results_.table("boards")["distance_mm"] / 1e3
+    assert f"nearer than {distance.min():.2f} m or farther than {distance.max():.2f} m" in first
+    assert "What to do" in first
+    assert all(sentence in first for sentence in results_.summary["gaps"])
+    assert "Not checked The stated size of a square" in first
+
+
+def test_a_check_is_in_one_unit_from_the_headline_to_the_sources() -> None:
+    summary = made_of("not_held").summary
+    scale, vertical, roll = summary["figures"]
+    factors = summary["mm_per_m"]
+    assert factors["scale"] == pytest.approx(1.0)
+    assert factors["roll"] == pytest.approx(1e3 * np.pi / 180)
+    first = page_one(document_of("not_held"))
+    for entry, key in ((scale, "scale_permille"), (vertical, "vertical_px"), (roll, "roll_deg")):
+        factor = factors[entry["figure"]]
+        u = 2 * factor * entry[f"standard_uncertainty_{key.rpartition('_')[2]}"]
+        assert with_uncertainty(factor * entry[key], u) in first
+    assert not re.search("‰|[0-9]°", first)
+    assert "What to do Do not measure with this rig." in first
+    assert "Not checked A turn or shift of both cameras together" in first
+
+
+def test_page_one_of_a_registration_says_how_well_what_is_hidden_and_what_to_do() -> None:
+    given = made.motion()
+    shifts = [0.0, 5.0, 8.0, 8.0, 4.0, 0.0]
+    for joint, shift in zip(given.summary["joints"], shifts, strict=True):
+        joint["base_shift_mm_per_deg"] = shift
+    given.summary["warnings"] = ["The residuals are too large."]
+    first = " ".join(strings(to_template_data(registered(given).blocks)))
+    for words_ in (
+        "the base is known to ±0.60 mm and ±0.60° and the 1 LED to ±0.26 mm (k = 2",
+        "An offset of 0.1° of one joint moves the base by up to 0.80 mm.",
+        "A constant offset of joints 1 and 6 cannot show.",
+        "The residuals are too large.",
+        "What to do To make such offsets visible",
+        "Not checked The encoders themselves",
+    ):
+        assert words_ in first

@@ -12,10 +12,11 @@ from reports import render_html, render_pdf
 from reports.document.blocks import Verdict
 from reports.document.charts import Level, Points
 from reports.document.formatting import DASH, with_uncertainty
-from reports.fleet.charts import MAX_TICKS, arm_chart, format_day, month_ticks
+from reports.fleet.charts import MAX_TICKS, arm_chart, format_day, month_ticks, present_errors
 from reports.fleet.document import document
 from reports.results import Results
 from tests.support.reports import fleet as made_fleet
+from tests.support.reports.page import page_one
 
 HOSTILE = '</script><b>x</b>&"\n, y'
 
@@ -42,26 +43,49 @@ def test_it_opens_with_what_changed_and_since_when() -> None:
         assert re.search(words, verdict.sentence)
     assert "The other 16 joints show no change" in verdict.sentence
     assert "at most 1 %" in verdict.remarks[-1]
-    assert "beyond their tolerance: " in verdict.remarks[0].lower()
+    assert verdict.remarks[0].startswith("Beyond tolerance: arm_b, joint 5 reads up to ")
 
 
 def test_sessions_that_do_not_conform_are_the_headline_where_nothing_changed() -> None:
     young = made_fleet.young()
     table = young.table("worst").iloc[:2].assign(verdict=["nonconform", "conform"])
-    table = table.assign(session="lab/a", joint=2, worst_error_deg=-0.351, worst_error_u_deg=0.004)
+    table = table.assign(
+        session=["lab/a", "lab/b"], arm="iust_6r", joint=2, mean_error_deg=-0.349,
+        mean_error_u_deg=0.0015, worst_error_deg=-0.351, worst_error_u_deg=0.004,
+        tolerance_deg=0.2, joint_verdict="nonconform", pose="",
+    )  # fmt: skip
     failing = replace(
         young, tables=young.tables | {"worst": table},
-        summary=young.summary | {"verdicts": {"nonconform": 1, "conform": 5}},
+        summary=young.summary | {"verdicts": {"nonconform": 1, "conform": 5}, "uncounted": ["rig"]},
     )  # fmt: skip
     verdict = verdict_of(failing)
     assert (verdict.tone, verdict.label) == ("nonconform", "1 of 6 sessions does not conform")
-    assert verdict.sentence == "lab/a: joint 2 reads up to 0.3510° ± 0.0080° too low."
+    amount = "0.3490° ± 0.0030° (k = 2)"
+    assert verdict.sentence == f"iust_6r, joint 2 reads {amount} too low, tolerance ±0.2° (a)."
+    assert "on the condition that rig are exact" in " ".join(verdict.remarks)
+    table = table.assign(mean_error_deg=0.0)  # the error is a wave, and no offset
+    wave = verdict_of(replace(failing, tables=failing.tables | {"worst": table}))
+    assert "joint 2 reads up to 0.3510° ± 0.0080°" in wave.sentence
+    table = table.assign(joint_verdict="conform", pose="position")
+    moved = verdict_of(replace(failing, tables=failing.tables | {"worst": table}))
+    assert "iust_6r, the flange's position is beyond its tolerance" in moved.sentence
+    first = page_one(document(failing))
+    for words in (
+        "What to do Read the reports",
+        "Not checked",
+        "of 18 joints: too few sessions",
+    ):
+        assert words in first
 
 
 def test_a_quiet_fleet_is_called_that_and_one_too_young_is_not() -> None:
     quiet, young = verdict_of(made_fleet.quiet()), verdict_of(made_fleet.young())
     assert (quiet.tone, quiet.label) == ("conform", "No change")
-    assert young.tone == "undecided"
+    assert (young.tone, young.label) == ("none", "No verdict")
+    assert "Changes over time were not tested" in young.sentence
+    (latest,) = section(made_fleet.young(), "joints")
+    assert len(latest.rows) == 18
+    assert all(row[2].text != DASH for row in latest.rows)
     assert "6 dated sessions" in young.sentence
     assert not section(made_fleet.young(), "charts")
     assert render_pdf(made_fleet.young()).startswith(b"%PDF-")
@@ -81,7 +105,8 @@ def test_a_change_has_its_session_its_range_and_its_size() -> None:
     at, before = (format_day(found[key][1]) for key in ("t_days", "before_t_days"))
     assert f"from {format_day(found['t_days'][0])} on" in rows
     assert f"{at} (last before: {before})" in rows
-    assert found["session"][1] in rows
+    assert found["session"][1].removeprefix("lab/") in rows
+    assert ("Sessions below", "lab") in section(made_fleet.changed(), "verdict")[1].items
     assert f"{with_uncertainty(found['size'][1], 2 * found['size_u'][1])}°" in rows
 
 
@@ -145,3 +170,15 @@ def test_markup_in_names_is_shown_and_never_run() -> None:
     plots = re.search(r'id="plots">(.*?)</script>', page, flags=re.DOTALL)
     json.loads(plots[1])
     assert render_pdf(results).startswith(b"%PDF-")
+
+
+def test_below_six_sessions_each_of_them_is_drawn_the_latest_apart() -> None:
+    results = made_fleet.young()
+    drawn = present_errors(results, ["arm_a"])
+    assert drawn is not None
+    points = {m.name: m for m in drawn.panels[0].marks if isinstance(m, Points)}
+    recent = results.table("recent").query("arm == 'arm_a'")
+    for name, order in (("latest ± U", 0), ("earlier ± U", 1)):
+        own = recent[recent["order"] == order]
+        assert points[name].y.tolist() == own["error_deg"].tolist()
+    assert recent[recent["order"] == 0]["session"].unique().tolist() == ["lab/arm_a/001"]

@@ -1,5 +1,6 @@
 """The report of a grasp: verdict, figures, missing measurements."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -7,10 +8,12 @@ import pandas as pd
 import pytest
 
 from reports.document.blocks import Facts, collect_figures
+from reports.format import html, pdf
 from reports.grasp import figures as grasp_figures
-from reports.grasp.document import document, outcome
+from reports.grasp.certificate import MAX_FILM_BYTES, outcome
+from reports.grasp.document import document
 from reports.results import Results
-from tests.support.reports.page import tables
+from tests.support.reports.page import page_one, tables
 from verify.grasping.control.states import TRANSITIONS, GraspEvent, GraspState
 from verify.grasping.planning.postures import branch_name
 
@@ -114,7 +117,7 @@ UNSEEN = dict.fromkeys(SEEN)
     [
         (SEEN, f"{BY_GRIPPER} saw it last {FAR} from the grip point, with the hand 120 mm up.",
          FAR),
-        (UNSEEN, f"{BY_GRIPPER} did not see it after the descent.", "not after the descent"),
+        (UNSEEN, f"{BY_GRIPPER} did not see it after the descent.", "not seen after the descent"),
         (UNSEEN | {"state": "missed"}, None, None),
     ],
 )  # fmt: skip
@@ -124,8 +127,8 @@ def test_the_verdict_names_the_evidence_for_the_lift(
     if sentence is not None:
         assert outcome(SUMMARY | changes).sentence == sentence
     output = document(grabbed(changes))
-    (facts,) = [block for block in output.sections[0].blocks if isinstance(block, Facts)]
-    assert dict(facts.items).get("Object from the grip point, seen") == fact
+    facts = next(block for block in output.sections[0].blocks if isinstance(block, Facts))
+    assert dict(facts.items).get("Object off grip point") == fact
     assert "– mm" not in str(facts)
 
 
@@ -158,3 +161,25 @@ def test_missing_measurements_are_stated_and_not_drawn() -> None:
     words = " ".join(str(getattr(block, "text", "")) for block in blocks)
     for message in ("no pictures", "was not seen", "saw nothing", "No joint angles", "no plan"):
         assert message in words
+
+
+def test_page_one_has_the_pictures_the_times_and_what_the_gripper_alone_says() -> None:
+    given = grabbed(UNSEEN)
+    results = replace(given, images={"pictures": b"png"}, films={"grab.mp4": b"film"})
+    first = page_one(document(results))
+    for words in (
+        "Both cameras, left and right.", "Times of the grab.", "In all it took 8.0 s.",
+        "What to do Nothing", "Not checked By the cameras, that the object came along",
+    ):  # fmt: skip
+        assert words in first
+
+
+@pytest.mark.parametrize(("size", "held"), [(MAX_FILM_BYTES, True), (MAX_FILM_BYTES + 1, False)])
+def test_a_film_is_in_the_page_where_it_is_small_enough_else_the_page_says_where_it_lies(
+    size: int, held: bool
+) -> None:
+    results = replace(grabbed({}), films={"grab.mp4": b"\0" * size})
+    page = html.page(document(results))
+    assert ('src="data:video/mp4;base64,AAAA' in page) is held
+    assert '<a href="grab.mp4">grab.mp4</a>' in page
+    assert "Film of the grab" in str(pdf.typst_files(document(results))["report.json"])

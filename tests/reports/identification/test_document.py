@@ -1,5 +1,8 @@
 """The report of an identified arm: its words and its pictures."""
 
+import re
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -7,9 +10,11 @@ import robots
 from reports import render_html, render_pdf
 from reports.document.blocks import Verdict, collect_figures
 from reports.document.formatting import with_uncertainty
+from reports.identification.certificate import observability_text
 from reports.identification.document import document
+from reports.identification.names import in_words
 from reports.results import Results
-from tests.support.reports.page import tables
+from tests.support.reports.page import page_one, tables
 from tests.support.true_arm import measured, readings, true_arm
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.identify import IdentificationOptions, identify_arm
@@ -55,14 +60,46 @@ def every() -> dict[str, Results]:
 def test_the_verdict_is_first(every: dict[str, Results]) -> None:
     first = document(every["geometry"]).sections[0].blocks[0]
     assert isinstance(first, Verdict)
-    assert first.sentence.startswith("30 parameters were identified from 59 poses.")
+    assert re.match(
+        r"The largest offset is that of joint \d, which reads 0\.\d+° ± ", first.sentence
+    )
     assert "On poses held out, the mean position residual goes from" in first.sentence
-    assert first.remarks[0] == "The offset of joints 1 and 6 was not identified."
-    assert first.remarks[1].startswith("From one recording")
+    assert first.remarks[0].startswith("30 parameters were identified from 59 poses")
+    assert first.remarks[1] == "The offset of joints 1 and 6 was not identified."
+    assert first.remarks[2].startswith("Observability (O1 to O5) is good: the condition number is")
+    page = page_one(document(every["geometry"]))
+    for words in ("Add to the reading [°]", "What to do Enter the last column", "Not checked The "):
+        assert words in page
+
+
+def test_observability_is_judged_by_the_condition_and_the_worst_combination() -> None:
+    assert observability_text({}) == ""
+    poor = observability_text({"O2": 1 / 250, "O3": 4.0})
+    assert "is poor: the condition number is 250, above the limit of 100" in poor
+    assert "U = 0.50 (mm or °, k = 2). Add poses" in poor
+
+
+@pytest.mark.parametrize(
+    ("name", "words"),
+    [
+        ("offset_3", "joint 3, offset"), ("a_2", "joint 2, link length a"),
+        ("d_12", "joint 12, link offset d"), ("alpha_1", "joint 1, twist α"),
+        ("beta_2", "joint 2, twist β"), ("base_rz", "base, turn about z"),
+        ("tool_2_x", "tool 2, x"), ("strange", "strange"),
+    ],
+)  # fmt: skip
+def test_parameters_are_named_in_words(name: str, words: str) -> None:
+    assert in_words(name) == words
+
+
+def test_a_person_reads_k_2_and_what_few_poses_ask_for_beyond_it(every: dict[str, Results]) -> None:
+    few = replace(every["offsets"], summary=every["offsets"].summary | {"coverage_factor": 2.4})
+    assert "take 1.20 times every U (Student's t)" in page_one(document(few))
+    assert "Student" not in page_one(document(every["offsets"]))
 
 
 def test_an_offset_is_given_with_either_sign(every: dict[str, Results]) -> None:
-    offsets = tables(document(every["offsets"]))["Constant offset of each joint."]
+    offsets = tables(document(every["offsets"]))["Constant offset of each joint, ± U (k = 2)."]
     assert [cell.text for cell in offsets.rows[0]] == ["1", "–", "–"]
     for row in offsets.rows[1:5]:
         error, add = (float(cell.text.split(" ± ")[0].replace("−", "-")) for cell in row[1:3])
@@ -73,9 +110,10 @@ def test_an_offset_is_given_with_either_sign(every: dict[str, Results]) -> None:
 
 
 def test_every_picture_is_there(every: dict[str, Results]) -> None:
-    names = {"identified_residuals", "identified_changes", "parameter_correlation"}
-    for name in ("geometry", "offsets", "positions"):
-        assert set(collect_figures(document(every[name]))) == names, name
+    names = {"identified_residuals", "identified_angles", "parameter_correlation"}
+    lengths = {"identified_lengths"}
+    for name, own in (("geometry", lengths), ("offsets", set()), ("positions", lengths)):
+        assert set(collect_figures(document(every[name]))) == names | own, name
     assert not collect_figures(document(every["bare"]))
     assert render_pdf(every["geometry"]).startswith(b"%PDF")
     for one in every.values():

@@ -12,7 +12,7 @@ from plotly.offline import get_plotlyjs
 
 import reports
 from reports.document import charts
-from reports.document.blocks import Document, Table, collect_figures
+from reports.document.blocks import Document, Table, collect_figures, to_template_data
 from reports.document.charts import Chart, Path
 from reports.format import pdf as pdf_format
 from reports.render import DOCUMENTS
@@ -51,6 +51,12 @@ pdf_of = cache(lambda name: pdf_format.typeset(files_of(name)))
 def document_of(name: str) -> Document:
     results = made_of(name)
     return DOCUMENTS[results.summary.get("kind", "run")](results)
+
+
+def page_one(of: Document) -> str:
+    """What page one says: the text of all that stands before the evidence, drawings apart."""
+    answer = [section for section in of.sections if section.part == "page"]
+    return " ".join(strings(to_template_data(tuple(answer))))
 
 
 def drawing_of(name: str, figure: str) -> Chart | Path:

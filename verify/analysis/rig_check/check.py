@@ -58,6 +58,7 @@ class RigConsistency:
     systematic: Array  # (3, 3), what does not
     by_source: dict[str, Array]  # (3,) standard uncertainty of each figure from each source
     by_change: dict[str, Array]  # (3,) change of each figure, a m, rad or px of each of CHANGES
+    focal_length: float  # px, of the right camera, upright: what carries vertical into space
     frame: NDArray[np.int64]  # (n,), pairs that were used
     series: Array  # (n, 3), the figures of single pairs; nan where a pair does not show one
     left_out: tuple[int, ...]  # frames that contradict all others
@@ -66,6 +67,14 @@ class RigConsistency:
     def uncertainty(self) -> Array:
         """Combined standard uncertainty of each figure, (3,)."""
         return np.sqrt(np.diag(self.random + self.systematic))
+
+    @property
+    def per_metre(self) -> Array:
+        """What carries the figures into one unit, mm per metre, (3,).
+
+        Of a known length; of the distance; of the distance from the middle of the picture.
+        """
+        return 1e3 * np.array([1.0, 1.0 / self.focal_length, 1.0])
 
     @property
     def z(self) -> Array:
@@ -113,6 +122,7 @@ def consistency(
             change: -np.sum([w * columns[:, names.index(n)] for n, w in weights.items()], axis=0)
             for change, (weights, _) in CHANGES.items()
         },
+        focal_length=float(rig.right.matrix[1, 1]),
         frame=np.array([r.seen.frame for r in rows], dtype=np.int64),
         series=np.array([r.value for r in rows]),
         left_out=left_out,
@@ -138,14 +148,16 @@ def moved_warning(found: RigConsistency, uncounted: Sequence[str]) -> str | None
 
 
 def figures_text(found: RigConsistency) -> tuple[str, str, str]:
-    """The figures in words, with their expanded uncertainties (k = 2)."""
-    (scale, vertical, roll), spread = found.value, 2 * found.uncertainty
+    """The figures in words, in mm per metre with their expanded uncertainties (k = 2)."""
+    scale, vertical, roll = found.per_metre * found.value
+    u = [f"(U = {spread:.3f} mm/m)" for spread in 2 * found.per_metre * found.uncertainty]
     length, height = "long" if scale > 0 else "short", "low" if vertical > 0 else "high"
-    longer = f"known lengths are measured {abs(scale):.3%} too {length} (U = {spread[0]:.3%})"
-    lower = f"the right image lies {abs(vertical):.3f} px too {height} (U = {spread[1]:.3f} px)"
-    angle, angle_u = np.rad2deg([roll, spread[2]])
-    turned = f"it is turned by {angle:+.3f}° against the left one (U = {angle_u:.3f}°)"
-    return longer, lower, turned
+    way = "clockwise" if roll > 0 else "anticlockwise"
+    return (
+        f"known lengths are measured {abs(scale):.3f} mm/m too {length} {u[0]}",
+        f"the right image lies {abs(vertical):.3f} mm/m too {height} {u[1]}",
+        f"the right image is turned {abs(roll):.3f} mm/m {way} {u[2]}",
+    )
 
 
 def drop_registration(parameters: Systematics) -> Systematics:

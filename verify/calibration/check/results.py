@@ -14,7 +14,7 @@ from verify.calibration.check.check import P_CONFIDENCE, CheckResult, figure_lim
 from verify.calibration.origin import DEG, MM, ResultsOrigin
 from verify.core.records import Array
 
-UNITS = np.array([1e3, 1.0, DEG])  # of the figures in the results
+UNITS = np.array([1e3, 1.0, DEG])  # of the figures in the results; mm_per_m leads to one unit
 NAMES = ("scale_permille", "vertical_px", "roll_deg")
 
 
@@ -32,6 +32,7 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
             "pairs": {"used": len(figures.frame), "left_out": list(figures.left_out)},
             "reprojection": {"rms_px": found.reprojection_rms_px},
             "figures": _figures(figures),
+            "mm_per_m": dict(zip(FIGURES, (figures.per_metre / UNITS).tolist(), strict=True)),
             "square": _square(found.square),
             "visible": [
                 {"change": v.change, "smallest": v.smallest, "unit": v.unit} for v in found.visible

@@ -53,8 +53,10 @@ def motion_results(
         "clock": _time(found.clock_offset, found.clock_standard_uncertainty),
         "skew": _time(found.skew, found.skew_standard_uncertainty),
         "joints": [
-            {"joint": j + 1, "visible_fraction": share}
-            for j, share in enumerate(found.visible_fractions.tolist())
+            {"joint": j + 1, "visible_fraction": share, "base_shift_mm_per_deg": shift}
+            for j, (share, shift) in enumerate(
+                zip(found.visible_fractions.tolist(), _base_shifts(found), strict=True)
+            )
         ],
         "fit": {
             "rms_px": found.rms_px,
@@ -148,6 +150,15 @@ def poses_results(
         }
     )
     return Results(summary=summary, setup={}, tables={"poses": table})
+
+
+def _base_shifts(found: MotionRegistration) -> list[float | None]:
+    """How far a constant offset of each joint moved the base, mm per degree; None: not known."""
+    moved = found.rig.absorption
+    if moved is None:
+        return [None] * len(found.visible_fractions)
+    shifts: list[float | None] = (np.linalg.norm(moved[:3], axis=0) * MM / DEG).tolist()
+    return shifts
 
 
 def _base(rig_T_base: Array, u: Array, *, held: bool) -> dict[str, Any]:

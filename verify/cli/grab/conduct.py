@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from reports import Results
-from reports.grasp.document import outcome
+from reports.grasp.certificate import outcome
 from reports.results import to_json_value
 from verify.cli.options import PageOptions
 from verify.cli.terminal import STDIN, read_lines, report_files, terminal

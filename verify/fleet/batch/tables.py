@@ -250,8 +250,12 @@ def write(
 
 
 def read_flat_columns(path: Path) -> pd.DataFrame:
-    """Read sessions.parquet but for lists: a fleet is judged by the other columns."""
-    flat = [field.name for field in pq.read_schema(path) if not pa.types.is_nested(field.type)]
+    """Read sessions.parquet but for lists, `uncounted` apart: a fleet is judged by the rest."""
+    flat = [
+        field.name
+        for field in pq.read_schema(path)
+        if field.name == "uncounted" or not pa.types.is_nested(field.type)
+    ]
     table: pd.DataFrame = _read_table(path, flat).to_pandas(use_threads=False)
     return table
 

@@ -26,6 +26,7 @@ from verify.fleet.trends.series import JointSeries, contrast, series_of
 P_FALSE_ALARM = 0.01  # of the whole report: a change, an odd session, a difference; one each
 MAX_WORST_SESSIONS = 20  # sessions listed as the worst
 ARM_GROUPINGS = ("robot", "folder")  # what tells arms apart
+VERDICTS = ("conform", "undecided", "nonconform")
 DAY_NS = 86_400 * 10**9
 
 
@@ -50,10 +51,12 @@ def assess(
     judged = _assess_joints(every)
     contrasts = _contrasts(sessions, every, request)
     tables = {
+        "arms": pd.DataFrame([_arm_row(str(arm), own) for arm, own in sessions.groupby("arm")]),
         "joints": pd.DataFrame([_joint_row(sessions, one, judged.get(_key(one))) for one in every]),
         "changes": pd.DataFrame(
             [row for one in judged.values() for row in change_rows(one)], columns=CHANGE_COLUMNS
         ),
+        "recent": pd.DataFrame(_recent_rows(sessions), columns=_RECENT_COLUMNS),
         "points": _points(list(judged.values())),
         "contrasts": pd.DataFrame(contrasts, columns=_CONTRAST_COLUMNS),
         "worst": _worst_sessions(sessions, set(reported)),
@@ -100,6 +103,12 @@ def _points(judged: list[JointAssessment]) -> pd.DataFrame:
     return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=POINT_COLUMNS)
 
 
+def _arm_row(arm: str, rows: pd.DataFrame) -> dict[str, Any]:
+    """How many sessions of an arm there are, by their verdict."""
+    counts = {word: int((rows["verdict"] == word).sum()) for word in VERDICTS}
+    return {"arm": arm, "sessions": len(rows), "last": _day(rows["started"].max()), **counts}
+
+
 def _joint_row(
     sessions: pd.DataFrame, series: JointSeries, judged: JointAssessment | None
 ) -> dict[str, Any]:
@@ -121,6 +130,7 @@ def _joint_row(
         "separable_deg": _median(rows, f"{name}_minimum_separable_error_deg"),
         "visible": _median(rows, f"{name}_visible_fraction"),
         "visible_since": _median(rows, f"{name}_visible_fraction_since_registration"),
+        **_latest_error(rows, name),
     }
     if judged is None:
         return row
@@ -134,6 +144,41 @@ def _joint_row(
         "odd_sessions": int(judged.odd.sum()),
         "excess": judged.series.excess,
     }
+
+
+def _latest_error(rows: pd.DataFrame, name: str) -> dict[str, Any]:
+    """A joint's mean error in the last session that has a figure; undated ones come first."""
+    own = rows[rows[f"{name}_mean_error_deg"].notna()]
+    if not len(own):
+        return {"latest_session": None}
+    last = own.sort_values("started", kind="stable", na_position="first").iloc[-1]
+    return {
+        "latest_session": last["session"],
+        "latest_started": _day(last["started"]),
+        "latest_error_deg": last[f"{name}_mean_error_deg"],
+        "latest_error_u_deg": last[f"{name}_standard_uncertainty_deg"],
+        "latest_tolerance_deg": last.get(f"{name}_tolerance_deg"),
+        "latest_verdict": last[f"{name}_verdict"],
+    }
+
+
+_RECENT_COLUMNS = ["arm", "joint", "session", "order", "error_deg", "u_deg"]
+
+
+def _recent_rows(sessions: pd.DataFrame) -> list[tuple[Any, ...]]:
+    """Mean errors in the last sessions of each arm, `order` 0 the latest: fewer than a trend has.
+
+    Undated sessions come before all others.
+    """
+    ordered = sessions.sort_values("started", kind="stable", na_position="first")
+    return [
+        (arm, joint, one["session"], order, one[f"q{joint}_mean_error_deg"],
+         one[f"q{joint}_standard_uncertainty_deg"])
+        for arm, rows in ordered.groupby("arm", sort=True)
+        for order, (_, one) in enumerate(rows.iloc[: -MIN_SESSIONS_TO_ASSESS : -1].iterrows())
+        for joint in range(1, int(one["joints"]) + 1)
+        if pd.notna(one[f"q{joint}_mean_error_deg"])
+    ]  # fmt: skip
 
 
 def _median(rows: pd.DataFrame, name: str) -> float | None:
@@ -191,39 +236,52 @@ def _sessions_below(names: Iterable[str], folder: str) -> set[str]:
     return {name for name in names if name == start or name.startswith(f"{start}/")}
 
 
+_WORST_COLUMNS = [
+    "session", "arm", "started", "joint", "mean_error_deg", "mean_error_u_deg", "worst_error_deg",
+    "worst_error_u_deg", "tolerance_deg", "joint_verdict", "pose", "verdict", "kept_in", "reported",
+]  # fmt: skip
+
+
 def _worst_sessions(sessions: pd.DataFrame, reported: set[str]) -> pd.DataFrame:
     """List the sessions with the largest resolved errors, those that do not conform first."""
-    rows = []
-    for _, session in sessions.iterrows():
-        errors = [
-            (abs(session[f"q{j}_worst_error_deg"]), j)
-            for j in range(1, int(session["joints"]) + 1)
-            if pd.notna(session[f"q{j}_worst_error_deg"])
-        ]
-        if not errors:
-            continue
-        _, joint = max(errors)
-        name = f"q{joint}"
-        rows.append(
-            {
-                "session": session["session"],
-                "arm": session["arm"],
-                "started": _day(session["started"]),
-                "joint": joint,
-                "worst_error_deg": session[f"{name}_worst_error_deg"],
-                "worst_error_u_deg": session[f"{name}_worst_error_standard_uncertainty_deg"],
-                "verdict": session["verdict"],
-                "kept_in": session["kept_in"],
-                "reported": session["session"] in reported,
-            }
-        )
+    rows = [row for _, one in sessions.iterrows() if (row := _worst_row(one, reported))]
     severity = {"nonconform": 0, "undecided": 1}
     rows.sort(
         key=lambda r: (severity.get(r["verdict"], 2), -abs(r["worst_error_deg"]), r["session"])
     )
-    columns = ["session", "arm", "started", "joint", "worst_error_deg", "worst_error_u_deg",
-               "verdict", "kept_in", "reported"]  # fmt: skip
-    return pd.DataFrame(rows[:MAX_WORST_SESSIONS], columns=columns)
+    return pd.DataFrame(rows[:MAX_WORST_SESSIONS], columns=_WORST_COLUMNS)
+
+
+def _worst_row(session: pd.Series, reported: set[str]) -> dict[str, Any] | None:
+    """Give a session's joint that is off most, of those that do not conform where any do not."""
+    joints = range(1, int(session["joints"]) + 1)
+    errors = [
+        (session[f"q{j}_verdict"] == "nonconform", abs(session[f"q{j}_worst_error_deg"]), j)
+        for j in joints
+        if pd.notna(session[f"q{j}_worst_error_deg"])
+    ]
+    if not errors:
+        return None
+    joint = max(errors)[2]
+    name = f"q{joint}"
+    beyond = [part for part in ("position", "orientation")
+              if session.get(f"{part}_verdict") == "nonconform"]  # fmt: skip
+    return {
+        "session": session["session"],
+        "arm": session["arm"],
+        "started": _day(session["started"]),
+        "joint": joint,
+        "mean_error_deg": session[f"{name}_mean_error_deg"],
+        "mean_error_u_deg": session[f"{name}_standard_uncertainty_deg"],
+        "worst_error_deg": session[f"{name}_worst_error_deg"],
+        "worst_error_u_deg": session[f"{name}_worst_error_standard_uncertainty_deg"],
+        "tolerance_deg": session.get(f"{name}_tolerance_deg"),
+        "joint_verdict": session[f"{name}_verdict"],
+        "pose": " and ".join(beyond),  # beyond its tolerance
+        "verdict": session["verdict"],
+        "kept_in": session["kept_in"],
+        "reported": session["session"] in reported,
+    }
 
 
 def _day(moment: Any) -> str | None:
@@ -249,6 +307,9 @@ def _summary(
             "pairs_measured": int(sessions["pairs_measured"].sum()),
         },
         "verdicts": {str(word): int(count) for word, count in sorted(verdicts.items())},
+        "uncounted": sorted(
+            {str(source) for own in sessions.get("uncounted", ()) for source in own}
+        ),
         "arms": sorted({one.arm for one in every}),
         "false_alarm": P_FALSE_ALARM,
         "fewest_sessions": MIN_SESSIONS_TO_ASSESS,

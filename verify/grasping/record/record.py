@@ -27,8 +27,8 @@ JPEG_QUALITY = 92  # of pictures that no camera has compressed: a third of what 
 READING_HALF_WIDTH = 5e-4  # s within which joints are read
 # states in which the object should be with the hand
 RAISED_STATES = frozenset({GraspState.LIFTING, GraspState.LIFTED})
-# states of which the report shows a picture
-PICTURED_STATES = (GraspState.FOLLOWING, GraspState.CLOSING, GraspState.LIFTED)
+# states of which the report shows a picture: the object seen, and the grasp
+PICTURED_STATES = (GraspState.FOLLOWING, GraspState.CLOSING)
 # of the object measured while the hand goes up: its middle's distance from the grip point, that
 # distance's uncertainty (k = 2, worst direction), and how far the hand had come up by then
 LIFT_FIELDS = ("seen_from_grip_mm", "seen_from_grip_expanded_uncertainty_mm", "seen_raised_mm")

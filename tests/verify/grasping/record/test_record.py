@@ -14,7 +14,8 @@ import pytest
 
 import robots
 from reports.document.blocks import Paragraph, Table
-from reports.grasp.document import document, outcome
+from reports.grasp.certificate import outcome
+from reports.grasp.document import document
 from reports.results import Results
 from robots.transforms import carry
 from tests.support.grasp.cells import melfa, quick_cell, setup
