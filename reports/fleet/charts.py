@@ -167,12 +167,12 @@ def present_errors(results: Results, arms: list[str]) -> Chart | None:
         own = table[table["arm"] == arm]
         joints = column(own, "joint")
         level = column(own, "error_deg")
-        groups = [("level ± U", "resolved", joints, level, column(own, "error_u_deg"))]
+        groups = [("level", "resolved", joints, level, column(own, "error_u_deg"))]
         young = recent[recent["arm"] == arm] if len(recent) else recent
         young = young[young["joint"].isin(joints[~np.isfinite(level)])] if len(young) else young
         for name, role, chosen in (
-            ("earlier ± U", "muted", young[young["order"] > 0] if len(young) else young),
-            ("latest ± U", "error", young[young["order"] == 0] if len(young) else young),
+            ("earlier", "muted", young[young["order"] > 0] if len(young) else young),
+            ("latest", "error", young[young["order"] == 0] if len(young) else young),
         ):
             place, error, u = (column(chosen, key) for key in ("joint", "error_deg", "u_deg"))
             groups.append((name, role, place, error, u))

@@ -44,7 +44,7 @@ def test_a_session_gives_a_corrected_arm_with_its_sign_spelled_out(tmp_path: Pat
     assert isinstance(corrected, robots.DhArm)
     assert np.degrees(corrected.offset[2]) == pytest.approx(third["add_to_reading_deg"])
     assert verify("report", out).status == 0
-    assert "Joint offsets" in (out / "report.html").read_text()
+    assert "Add to the reading" in (out / "report.html").read_text()
 
 
 @pytest.mark.slow

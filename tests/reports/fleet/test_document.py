@@ -178,7 +178,7 @@ def test_below_six_sessions_each_of_them_is_drawn_the_latest_apart() -> None:
     assert drawn is not None
     points = {m.name: m for m in drawn.panels[0].marks if isinstance(m, Points)}
     recent = results.table("recent").query("arm == 'arm_a'")
-    for name, order in (("latest ± U", 0), ("earlier ± U", 1)):
+    for name, order in (("latest", 0), ("earlier", 1)):
         own = recent[recent["order"] == order]
         assert points[name].y.tolist() == own["error_deg"].tolist()
     assert recent[recent["order"] == 0]["session"].unique().tolist() == ["lab/arm_a/001"]
