@@ -210,7 +210,7 @@ def _place_table(summary: dict[str, Any]) -> doc.Table | None:
     return doc.Table(caption, "lrrr", head, tuple(rows), tuple(notes))
 
 
-def _pose_rows(name: str, frame: str, pose: dict[str, Any]) -> list[doc.Row]:
+def _pose_rows(name: str, frame: str, pose: dict[str, Any]) -> list[tuple[doc.Cell, ...]]:
     """Two rows of a pose: position and rotation vector, each axis ± U (k = 2)."""
     rows = []
     for what, key, u_key in (
@@ -234,12 +234,11 @@ def _actions(summary: dict[str, Any], blind: list[Any], dim: list[Any]) -> list[
         )
     if blind or dim:
         where = "a base from a fixture and " if summary.get("method") == "motion" else ""
-        actions.append(
-            RegistrationNotes.POSES
-            if posed(summary)
-            else f"To make such offsets visible, register with {where}LEDs from a jig. Without that, "
-            "the registration serves to find errors that arise later: they show in full."
+        freed = (
+            f"To make such offsets visible, register with {where}LEDs from a jig. Without that, the "
+            "registration serves to find errors that arise later: they show in full."
         )
+        actions.append(RegistrationNotes.POSES if posed(summary) else freed)
     return actions or ["Measure: nothing needs to be done."]
 
 

@@ -24,11 +24,7 @@ def document(results: Results) -> doc.Document:
         footer=f"{doc.software(summary)} · registration {registration[:23]}",
         sections=doc.answer_and_evidence(
             certificate(results),
-            (
-                section(results)
-                for section in EVIDENCE
-                if not (posed(summary) and section is axes)
-            ),
+            (section(results) for section in EVIDENCE if not (posed(summary) and section is axes)),
         ),
     )
 

@@ -263,6 +263,8 @@ def open_results(folder: str | Path) -> Results:
 
 def _html_row(tag: str, cells: tuple[str, ...]) -> str:
     return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
+
+
 def _with_film(results: Results, folder: Path) -> Results:
     """Take along the film that lies beside a report, if there is one and it is no giant."""
     name = results.summary.get("film")
