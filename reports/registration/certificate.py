@@ -235,8 +235,8 @@ def _actions(summary: dict[str, Any], blind: list[Any], dim: list[Any]) -> list[
     if blind or dim:
         where = "a base from a fixture and " if summary.get("method") == "motion" else ""
         freed = (
-            f"To make such offsets visible, register with {where}LEDs from a jig. Without that, the "
-            "registration serves to find errors that arise later: they show in full."
+            f"To make such offsets visible, register with {where}LEDs from a jig. Without that, "
+            "the registration serves to find errors that arise later: they show in full."
         )
         actions.append(RegistrationNotes.POSES if posed(summary) else freed)
     return actions or ["Measure: nothing needs to be done."]

@@ -265,7 +265,7 @@ def _html_row(tag: str, cells: tuple[str, ...]) -> str:
     return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
 
 
-def _with_film(results: Results, folder: Path) -> Results:
+def _with_film(results: reports.Results, folder: Path) -> reports.Results:
     """Take along the film that lies beside a report, if there is one and it is no giant."""
     name = results.summary.get("film")
     if not isinstance(name, str) or PurePath(name).name != name:
