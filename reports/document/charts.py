@@ -195,12 +195,17 @@ def _extremes(y: Array) -> Indices:
 
 Ticks = tuple[tuple[float, str], ...]  # place, word
 
+# luminance of a cell below which white letters have more contrast than black ones; from WCAG 2.2:
+# (1 + 0.05) / (L + 0.05) = (L + 0.05) / 0.05
+MAX_DARK_LUMINANCE = 0.179
 # Role: (on light, on dark). Hues after Okabe and Ito, told apart by every common colour vision.
 PALETTE = {
     "ink": ("#1c1e21", "#e6e8ea"),
     "muted": ("#5b6068", "#a6acb4"),
     "grid": ("#dfe2e6", "#363c44"),
     "paper": ("#ffffff", "#15181c"),
+    "black": ("#000000", "#000000"),
+    "white": ("#ffffff", "#ffffff"),
     "measured": ("#0072b2", "#56b4e9"),
     "encoder": ("#d55e00", "#ff9a4d"),
     "error": ("#0072b2", "#56b4e9"),
@@ -208,6 +213,7 @@ PALETTE = {
     "resolved": ("#d55e00", "#ff9a4d"),
     "resolved_band": ("#d55e0048", "#ff9a4d50"),
     "tolerance": ("#7a1f5c", "#e79bc9"),
+    "beyond": ("#8c1d40", "#ff8fab"),
     "used": ("#0072b2", "#56b4e9"),
     "unused": ("#d55e00", "#ff9a4d"),
     "vector": ("#5b606866", "#a6acb466"),
@@ -350,6 +356,23 @@ class Path:
     lines: tuple[tuple[Array, str, str], ...]
     labels: tuple[str, str, str]
     ranges: Box
+    from_above: bool = False  # x and y once more beside it, in a plane
+
+
+def letter_roles(cells: Cells, scheme: int) -> list[list[str]]:
+    """Choose black or white for the letters in each cell, on light (0) or on dark (1)."""
+    shares = [share for share, _ in cells.scale]
+    colours = np.array([_channels(PALETTE[role][scheme]) for _, role in cells.scale])
+    place = (cells.values - cells.low) / max(cells.high - cells.low, 1e-12)  # of a flat matrix
+    place = np.nan_to_num(place)
+    behind = np.stack([np.interp(place, shares, channel) for channel in colours.T], axis=-1)
+    linear = np.where(behind <= 0.04045, behind / 12.92, ((behind + 0.055) / 1.055) ** 2.4)
+    dark = linear @ np.array([0.2126, 0.7152, 0.0722]) < MAX_DARK_LUMINANCE  # source: WCAG 2.2
+    return [["white" if is_dark else "black" for is_dark in line] for line in dark]
+
+
+def _channels(colour: str) -> list[float]:
+    return [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
 
 
 def strips(panels: list[Panel], x_label: str, row_height: float) -> Chart | None:

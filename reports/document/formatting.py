@@ -35,9 +35,9 @@ def number(value: Any, decimals: int = 3, signed: bool = False) -> str:
     figure = finite(value)
     if figure is None:
         return DASH
-    text = f"{figure:+.{decimals}f}" if signed else f"{figure:.{decimals}f}"
+    text = f"{figure:+z.{decimals}f}" if signed else f"{figure:z.{decimals}f}"
     if float(text) == 0:
-        text = text.lstrip("+-")
+        text = text.lstrip("+")
     return text.replace("-", MINUS)
 
 
@@ -50,7 +50,7 @@ def significant(value: Any, digits: int = 2) -> str:
         return "0"
     rounded = float(f"{figure:.{digits - 1}e}")
     decimals = min(max(digits - 1 - math.floor(math.log10(abs(rounded))), 0), 9)
-    return f"{rounded:.{decimals}f}".replace("-", MINUS)
+    return f"{rounded:z.{decimals}f}".replace("-", MINUS)
 
 
 def with_uncertainty(value: Any, uncertainty: Any, unit: str = "", signed: bool = True) -> str:
@@ -81,7 +81,7 @@ def quantity(value: Any, unit: str, digits: int = 2) -> str:
 def exact_number(value: Any) -> str:
     """Write a number that somebody chose (a tolerance, a threshold), as they chose it."""
     figure = finite(value)
-    return DASH if figure is None else f"{figure:.6g}".replace("-", MINUS)
+    return DASH if figure is None else f"{figure:z.6g}".replace("-", MINUS)
 
 
 def probability(value: Any) -> str:
@@ -102,14 +102,14 @@ def percent(value: Any) -> str:
     share = 100 * figure
     if 99.95 <= share < 100:
         return "> 99.9 %"
-    text = f"{share:.1f}" if 0 < abs(share) < 9.95 or 99 < share < 100 else f"{share:.0f}"
+    text = f"{share:z.1f}" if 0 < abs(share) < 9.95 or 99 < share < 100 else f"{share:z.0f}"
     return f"{text.replace('-', MINUS)} %"
 
 
 def count(value: Any) -> str:
     """Write a whole number, thousands apart; a dash where there is none."""
     figure = finite(value)
-    return DASH if figure is None else f"{figure:,.0f}".replace(",", "\u202f")  # narrow space
+    return DASH if figure is None else f"{figure:z,.0f}".replace(",", "\u202f")  # narrow space
 
 
 def text_or_dash(value: Any) -> str:

@@ -31,6 +31,7 @@ WORDS = {
     "to_verdict": "To the verdict",
     "sections": "Sections",
     "appendix": "Appendix",
+    "terms": "Terms",
     "blank": "not stated",
     "table": "Table",
     "figure": "Figure",

@@ -3,6 +3,7 @@
 import base64
 import json
 import traceback
+import zlib
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -10,8 +11,9 @@ from typing import Any
 import jinja2
 import plotly.offline
 from jinja2.sandbox import ImmutableSandboxedEnvironment
+from markupsafe import Markup
 
-from reports.document import charts
+from reports.document import charts, glossary
 from reports.document.blocks import (
     Document,
     collect_figures,
@@ -44,6 +46,11 @@ def page(document: Document, look: Look = DEFAULT_BRANDING) -> str:
         "picture_types": {name: kind for name, (kind, _) in compacted.items()},
         "films": {name: _base64(film) for name, film in collect_films(document).items()},
         "plotly": plotly.offline.get_plotlyjs() if plots else "",
+        "library": _packed_plotly() if plots else "",
+        "terms": [
+            {"anchor": glossary.anchor(term), "term": term, "meaning": meaning}
+            for term, meaning in glossary.terms_of(document).items()
+        ],
         "style": _read_template(STYLE),
         "own_style": _custom_style(look),
         "script": _read_template("report.js"),
@@ -68,13 +75,32 @@ def _template() -> jinja2.Template:
 
 
 def _environment(loader: jinja2.BaseLoader) -> jinja2.Environment:
-    return ImmutableSandboxedEnvironment(  # a user's template may be another's: it sees data only
+    environment = ImmutableSandboxedEnvironment(  # a user's template sees data only
         loader=loader,
         autoescape=True,
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=jinja2.StrictUndefined,
     )
+    environment.filters["with_term"] = _with_term
+    return environment
+
+
+@cache
+def _packed_plotly() -> str:
+    """Pack the plotting library: deflated and as base64 it takes two fifths of its text."""
+    return base64.b64encode(zlib.compress(plotly.offline.get_plotlyjs().encode())).decode()
+
+
+def _with_term(text: str) -> Markup:
+    """Make the first term of a heading a button that shows its meaning."""
+    found = glossary.find_term(text)
+    if found is None:
+        return Markup.escape(text)
+    start, end, term = found
+    button = '<button type="button" class="term" popovertarget="{}" title="{}">{}</button>'
+    inner = Markup(button).format(glossary.anchor(term), glossary.TERMS[term], text[start:end])
+    return Markup.escape(text[:start]) + inner + Markup.escape(text[end:])
 
 
 def _render_custom(folder: Path, data: dict[str, Any]) -> str:

@@ -27,12 +27,11 @@ LEGEND_IN = 0.2  # height of a row of the legend
 LEGEND_LINE_LETTERS = 118  # letters of the legend's size in a line
 LEGEND_SIGN_LETTERS = 7  # what the sign before a legend's word and the gap behind it take
 STYLE = File(__file__).with_name("style.mplstyle")
-# luminance of a cell below which white letters are read better than black ones
-MAX_DARK_LUMINANCE = 0.36
 LINE_STYLES: dict[str, tuple[float, tuple[float, ...]]] = {
     "dash": (0, (4, 2)),
     "dot": (0, (1.2, 1.6)),
 }
+PATH_HEIGHT_IN = 3.3  # of paths in space
 VIEW_DEG = (24.0, -58.0)  # elevation and azimuth from which a path in space is seen
 MAX_AXIS_STEPS = 5  # between the numbers of the longest axis
 MAX_ZOOM = 1.0  # zoom: beyond it the labels on both sides are cut
@@ -57,7 +56,9 @@ def figure(chart: Chart | Path) -> Figure:
 
 def relative_width(chart: Chart | Path) -> float:
     """Tell what share of the line width a chart takes."""
-    return 0.72 if isinstance(chart, Path) else chart.width
+    if isinstance(chart, Path):
+        return 1.0 if chart.from_above else 0.72
+    return chart.width
 
 
 def printable(text: str) -> str:
@@ -215,33 +216,23 @@ def _draw_cells(axes: Axes, cells: charts.Cells) -> None:
         cells.x, cells.y, cells.values, cmap=scale, vmin=cells.low, vmax=cells.high,
         rasterized=cells.values.size > 200,  # thousands of vector cells would only be slow
     )  # fmt: skip
-    extent = max(cells.high - cells.low, 1e-12)  # no division by zero for a flat matrix
+    roles = charts.letter_roles(cells, 0)
     for row, line in enumerate(cells.text):
         for column_, text in enumerate(line):
-            behind = scale((cells.values[row, column_] - cells.low) / extent)
             axes.text(
                 cells.x[column_], cells.y[row], text, ha="center", va="center", fontsize=6.5,
-                color=_colour("paper" if _luminance(behind) < MAX_DARK_LUMINANCE else "ink"),
+                color=_colour(roles[row][column_]),
             )  # fmt: skip
 
 
-def _luminance(colour: tuple[float, float, float, float]) -> float:
-    """Relative luminance of an sRGB colour; source: WCAG 2.2."""
-    red, green, blue = (c / 12.92 if c <= 0.04045 else ((c + 0.055) / 1.055) ** 2.4
-                        for c in colour[:3])  # fmt: skip
-    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
-
-
 def _draw_path(path: Path) -> Figure:
-    figure = Figure(figsize=(LINE_WIDTH_IN * 0.72, 3.3))
+    share = relative_width(path)
+    figure = Figure(figsize=(LINE_WIDTH_IN * share, PATH_HEIGHT_IN))
     figure.set_layout_engine("none")  # constrained layout leaves a wide margin around space axes
-    axes: Any = figure.add_axes((0.02, 0.14, 0.92, 0.86), projection="3d")
+    place = (-0.02, 0.08, 0.56, 0.86) if path.from_above else (0.02, 0.14, 0.92, 0.86)
+    axes: Any = figure.add_axes(place, projection="3d")
     for points, role, name in path.lines:
-        x, y, z = points.T
-        axes.plot(x, y, z, color=_colour(role), linestyle=_line_style(role), label=name)
-        alone = isolated_points(x, y)
-        if alone.any():
-            axes.plot(x[alone], y[alone], z[alone], linestyle="", marker="o", color=_colour(role))
+        _draw_course(axes, points, role, name)
     sides = [high - low for low, high in path.ranges]
     for axis, label, ends, side in zip("xyz", path.labels, path.ranges, sides, strict=True):
         getattr(axes, f"set_{axis}label")(label)
@@ -253,8 +244,38 @@ def _draw_path(path: Path) -> Figure:
     axes.set_box_aspect(sides, zoom=_zoom(sides))
     elevation, azimuth = VIEW_DEG
     axes.view_init(elev=elevation, azim=azimuth)
-    axes.legend(loc="upper left")
+    if path.from_above:
+        _draw_from_above(figure, path)
+        handles, names = axes.get_legend_handles_labels()
+        columns = _legend_columns(names)
+        figure.legend(handles, names, loc="upper left", ncols=columns, borderaxespad=0.1)
+    else:
+        axes.legend(loc="upper left")
     return figure
+
+
+def _draw_course(axes: Any, points: charts.Array, role: str, name: str) -> None:
+    """Draw a line in space or, with (n, 2) points, in a plane; a single point as a dot."""
+    style = {"color": _colour(role), "linestyle": _line_style(role), "linewidth": 1.2}
+    if len(points) == 1:
+        style |= {"marker": "o", "linestyle": "", "markersize": 4.0}
+    axes.plot(*points.T, label=name, **style)
+    alone = isolated_points(points[:, 0], points[:, 1])
+    if alone.any() and len(points) > 1:
+        axes.plot(*points[alone].T, linestyle="", marker="o", color=_colour(role))
+
+
+def _draw_from_above(figure: Figure, path: Path) -> None:
+    axes = figure.add_axes((0.67, 0.14, 0.32, 0.72))
+    for points, role, name in path.lines:
+        _draw_course(axes, points[:, :2], role, name)
+    axes.set_xlabel(path.labels[0])
+    axes.set_ylabel(path.labels[1])
+    axes.set_xlim(*path.ranges[0])
+    axes.set_ylim(*path.ranges[1])
+    axes.set_aspect("equal")
+    for axis in (axes.xaxis, axes.yaxis):
+        axis.set_major_locator(MaxNLocator(nbins=4, steps=[1, 2, 2.5, 5, 10]))
 
 
 def _zoom(sides: list[float]) -> float:

@@ -15,17 +15,23 @@ from reports.document.charts import Array, Chart, Mark, Panel, Path, isolated_po
 from reports.results import one_line
 
 PIXELS_PER_INCH = 150  # of a chart's height: strips on a screen want more room than on paper
+PRINTED_PIXELS_PER_INCH = 92  # on paper, where the PDF's pages are the measure
 GAP_PX = 40  # between rows of panels that have labels of their own
 STRIP_GAP_PX = 14  # between strips that share their time axis
 TITLE_GAP_PX = 18  # more, where a panel has a title
 LABEL_GAP_PX = 16  # more, where a label stands above a title
 TOP_PX, BOTTOM_PX = 34, 44  # for the legend and for the label of the time axis
 MAX_BOX_DIAGONAL = 1.2  # diagonal of a box, its longest side 1, that the nearest view holds
+MAX_TICKS = 6  # of the longest axis in space
+MARKER_PX = 7  # a point that stands for itself
 LINE_WIDTHS = {"error": 1.1, "resolved": 2.0, "encoder": 1.6, "vector": 0.7}
 
 
 def specification(chart: Chart | Path) -> dict[str, Any]:
-    """Give plotly's data, its layout, and the layout for a screen too narrow for columns."""
+    """Give plotly's data and its layouts: wide, for a screen too narrow for columns, printed.
+
+    Charts of one `time` zoom together.
+    """
     if isinstance(chart, Path):
         return _path(chart)
     data: list[dict[str, Any]] = []
@@ -38,14 +44,19 @@ def specification(chart: Chart | Path) -> dict[str, Any]:
                 trace["showlegend"] = trace.get("name", "") not in shown | {""}
                 shown.add(trace.get("name", ""))
             data += traces
-    wide, narrow = _layout(chart, chart.columns), _layout(chart, 1)
-    for layout in (wide, narrow):
+    layouts = {
+        "layout": _layout(chart, chart.columns),
+        "narrow": _layout(chart, 1),
+        "printed": _layout(chart, chart.columns, PRINTED_PIXELS_PER_INCH),
+    }
+    for layout in layouts.values():
         layout["showlegend"] = bool(shown - {""})
-    return {"data": data, "layout": wide, "narrow": narrow, "width": chart.width}
+    time = chart.panels[-1].x_label if chart.shared_x else ""
+    return {"data": data, **layouts, "width": chart.width, "time": time}
 
 
 def colour(role: str) -> str:
-    """Name a colour for the page to put in."""
+    """Name a colour for the page to put in; `one|other`: one on light, the other on dark."""
     return f"role:{role}"
 
 
@@ -77,7 +88,7 @@ def _traces(mark: Mark, panel: Panel, chart: Chart) -> list[dict[str, Any]]:
     if isinstance(mark, charts.Runs):
         return [_runs(mark)]
     if isinstance(mark, charts.Cells):
-        return [_cells(mark)]
+        return [_cells(mark), *_letters(mark)]
     if isinstance(mark, charts.Bars):
         return [_bars(mark, panel)]
     if isinstance(mark, charts.Level):
@@ -169,7 +180,7 @@ def _runs(runs: charts.Runs) -> dict[str, Any]:
 
 
 def _cells(cells: charts.Cells) -> dict[str, Any]:
-    trace = {
+    return {
         "type": "heatmap",
         "x": _floats(cells.x),
         "y": _floats(cells.y),
@@ -180,9 +191,18 @@ def _cells(cells: charts.Cells) -> dict[str, Any]:
         "showscale": False,
         "hoverinfo": "skip",
     }
-    if cells.text:
-        trace |= {"text": [list(line) for line in cells.text], "texttemplate": "%{text}"}
-    return trace
+
+
+def _letters(cells: charts.Cells) -> list[dict[str, Any]]:
+    """Write the text of cells in the colour that has more contrast there, by day and by night."""
+    if not cells.text:
+        return []
+    x, y = np.meshgrid(cells.x, cells.y)
+    roles = zip(*(np.ravel(charts.letter_roles(cells, scheme)) for scheme in (0, 1)), strict=True)
+    colours = [colour(f"{day}|{night}") for day, night in roles]
+    words = [escape_label(text) for line in cells.text for text in line]
+    style = {"text": words, "textfont": {"color": colours}, "hoverinfo": "skip"}
+    return [_scatter(x.ravel(), y.ravel(), "text") | style]
 
 
 def _bars(bars: charts.Bars, panel: Panel) -> dict[str, Any]:
@@ -198,16 +218,16 @@ def _bars(bars: charts.Bars, panel: Panel) -> dict[str, Any]:
     }
 
 
-def _layout(chart: Chart, columns: int) -> dict[str, Any]:
+def _layout(chart: Chart, columns: int, px_per_inch: int = PIXELS_PER_INCH) -> dict[str, Any]:
     rows = -(-len(chart.panels) // columns)
     titled = any(panel.title for panel in chart.panels)
+    row = chart.row_height * px_per_inch
     gap = STRIP_GAP_PX if chart.shared_x and columns == chart.columns else GAP_PX
     gap += TITLE_GAP_PX * titled + (
         GAP_PX if any(p.equal and p.x_label for p in chart.panels) else 0
     )
     if titled and any(p.x_label for p in chart.panels) and not chart.shared_x:
         gap += LABEL_GAP_PX
-    row = chart.row_height * PIXELS_PER_INCH
     plot = rows * row + (rows - 1) * gap
     above = TOP_PX + TITLE_GAP_PX * titled
     layout: dict[str, Any] = {
@@ -228,7 +248,8 @@ def _layout(chart: Chart, columns: int) -> dict[str, Any]:
         label = panel.x_label or (chart.panels[-1].x_label if last and chart.shared_x else "")
         _axes(layout, index, panel, [left, left + span], domain)
         if chart.shared_x:
-            layout[f"xaxis{_suffix(index)}"]["matches"] = "x"
+            if index:
+                layout[f"xaxis{_suffix(index)}"]["matches"] = "x"
             layout[f"xaxis{_suffix(index)}"]["showticklabels"] = last
             label = label if last else ""
         layout[f"xaxis{_suffix(index)}"]["title"] = {"text": escape_label(label), "standoff": 6}
@@ -256,8 +277,7 @@ def _axes(
             axis["tickvals"] = [place for place, _ in ticks]
             axis["ticktext"] = [escape_label(word) for _, word in ticks]
             axis["showgrid"] = False
-    if panel.y_ticks:
-        y["automargin"] = True
+            axis["automargin"] = True
     if panel.equal:
         y |= {"scaleanchor": f"x{suffix}", "constrain": "domain"}
         x |= {"constrain": "domain", "constraintoward": "left"}
@@ -265,19 +285,7 @@ def _axes(
 
 
 def _path(path: Path) -> dict[str, Any]:
-    data = []
-    for points, role, name in path.lines:
-        alone = isolated_points(points[:, 0], points[:, 1])
-        trace: dict[str, Any] = {
-            "type": "scatter3d",
-            "mode": "lines+markers" if alone.any() else "lines",
-            "name": escape_label(name),
-            "line": {"color": colour(role), "width": 4, "dash": charts.DASHES.get(role, "solid")},
-            "marker": {"color": colour(role), "size": 2},
-            "hovertemplate": "%{x:.2f}, %{y:.2f}, %{z:.2f} mm",
-        }
-        trace |= {axis: _floats(points[:, i]) for i, axis in enumerate("xyz")}
-        data.append(trace)
+    data = [_line_in_space(*line) for line in path.lines]
     longest = max(high - low for low, high in path.ranges)
     sides = [(high - low) / longest for low, high in path.ranges]
     away = max(
@@ -289,8 +297,9 @@ def _path(path: Path) -> dict[str, Any]:
         "camera": {"eye": {"x": 0.95 * away, "y": -1.3 * away, "z": 0.7 * away}},
         "dragmode": "orbit",
     }
-    for axis, label, ends in zip("xyz", path.labels, path.ranges, strict=True):
-        scene[f"{axis}axis"] = {"title": {"text": label}, "range": list(ends), "nticks": 6}
+    for axis, label, ends, side in zip("xyz", path.labels, path.ranges, sides, strict=True):
+        ticks = max(2, round(MAX_TICKS * side))  # a short side has no room for more
+        scene[f"{axis}axis"] = {"title": {"text": label}, "range": list(ends), "nticks": ticks}
     layout = {
         "height": 520,
         "margin": {"l": 0, "r": 0, "t": TOP_PX, "b": 0},
@@ -299,4 +308,59 @@ def _path(path: Path) -> dict[str, Any]:
     }
     far = {axis: 1.35 * place for axis, place in scene["camera"]["eye"].items()}
     narrow = layout | {"height": 400, "scene": scene | {"camera": {"eye": far}}}
-    return {"data": data, "layout": layout, "narrow": narrow, "width": 1.0}
+    printed = layout | {"height": 320}
+    if path.from_above:
+        data += [_line_from_above(*line) for line in path.lines]
+        layout = _beside(layout, path)
+        printed = _beside(printed, path)
+        narrow = _beside(narrow, path, below=True)
+    return {
+        "data": data, "layout": layout, "narrow": narrow, "printed": printed, "width": 1.0,
+        "time": "",
+    }  # fmt: skip
+
+
+def _line_in_space(points: Array, role: str, name: str) -> dict[str, Any]:
+    trace: dict[str, Any] = {
+        "type": "scatter3d",
+        "mode": _mode(points),
+        "name": escape_label(name),
+        "legendgroup": escape_label(name),
+        "line": {"color": colour(role), "width": 4, "dash": charts.DASHES.get(role, "solid")},
+        "marker": {"color": colour(role), "size": 5 if len(points) == 1 else 2},
+        "hovertemplate": "%{x:.2f}, %{y:.2f}, %{z:.2f} mm",
+    }
+    return trace | {axis: _floats(points[:, i]) for i, axis in enumerate("xyz")}
+
+
+def _mode(points: Array) -> str:
+    """Say how plotly draws (n, 3) points: a single one, or one without a neighbour, as a dot."""
+    if len(points) == 1:
+        return "markers"
+    return "lines+markers" if isolated_points(points[:, 0], points[:, 1]).any() else "lines"
+
+
+def _line_from_above(points: Array, role: str, name: str) -> dict[str, Any]:
+    """Draw x and y of a line in space; its name stands in the legend already."""
+    trace = _scatter(points[:, 0], points[:, 1], _mode(points), name)
+    style = {"color": colour(role), "width": 2.5, "dash": charts.DASHES.get(role, "solid")}
+    marker = {"color": colour(role), "size": MARKER_PX if len(points) == 1 else 3}
+    hover = {"hovertemplate": "%{x:.2f}, %{y:.2f} mm"}
+    return trace | {"line": style, "marker": marker, "showlegend": False} | hover
+
+
+def _beside(layout: dict[str, Any], path: Path, below: bool = False) -> dict[str, Any]:
+    """Make room for the view from above: on the right, or below the view in space."""
+    titles = [{"text": label, "standoff": 6} for label in path.labels[:2]]
+    across, up = ([0.0, 1.0], [0.0, 0.42]) if below else ([0.58, 1.0], [0.0, 1.0])
+    seen = {"y": [0.5, 1.0], "x": [0.0, 1.0]} if below else {"x": [0.0, 0.5], "y": [0.0, 1.0]}
+    x = {"domain": across, "anchor": "y", "title": titles[0], "constrain": "domain"}
+    y = {"domain": up, "anchor": "x", "title": titles[1], "constrain": "domain",
+         "scaleanchor": "x", "automargin": True}  # fmt: skip
+    return layout | {
+        "height": 2 * layout["height"] if below else layout["height"],
+        "margin": {"l": 62 if below else 0, "r": 12, "t": 2 * TOP_PX, "b": BOTTOM_PX},
+        "scene": layout["scene"] | {"domain": seen},
+        "xaxis": x | {"range": list(path.ranges[0]), "zeroline": False},
+        "yaxis": y | {"range": list(path.ranges[1]), "zeroline": False},
+    }

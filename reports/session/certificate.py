@@ -12,6 +12,7 @@ from reports.document import formatting as fmt
 from reports.document.charts import records
 from reports.results import Results
 from reports.session import causes, phrases
+from reports.session.figures import motion
 from reports.session.headline import MAX_CAUSES, headline
 
 MAX_ALARMS = 4  # listed, the first; alarms.csv has all
@@ -29,24 +30,31 @@ FIELDS = (
 
 def certificate(results: Results) -> doc.Section:
     """Say all that a reader needs who reads one page."""
+    joints = results.summary.get("joints") or []
+    limits = ", and the tolerance" if _has_tolerance(results.summary) else ""
     overview = doc.Figure(
         "overview",
-        "Mean and largest error of each joint with U (k = 2), and the tolerance.",
+        f"Mean and largest error of each joint with U (k = 2){limits}.",
         "One place a joint: mean and largest error in degrees with their uncertainties, between "
         "the limits of the tolerance.",
     )
     otherwise = "No joint has an error that could be drawn."
-    joints = results.summary.get("joints") or []
     blocks: tuple[doc.Block, ...] = (
         headline(results),
         doc.Facts(tuple(_identification(results)), columns=2),
         doc.block_or_paragraph(overview, overview_chart(joints), otherwise),
         _joint_table(joints),
-        *_pose_table(results.summary),
+        *_pose_table(results),
         _causes(results.summary),
         *_alarm_blocks(results),
     )
     return doc.Section("verdict", "Verdict", blocks, part="page")
+
+
+def _has_tolerance(summary: dict[str, Any]) -> bool:
+    """Tell whether a tolerance of any joint was given."""
+    limits = [joint.get("tolerance_deg") for joint in summary.get("joints") or []]
+    return any(fmt.finite(limit) is not None for limit in limits)
 
 
 def _identification(results: Results) -> list[tuple[str, str]]:
@@ -116,22 +124,25 @@ def _joint_table(joints: list[dict[str, Any]]) -> doc.Table:
     return doc.tabulate("Error of each joint: reading less true angle, k = 2.", columns, joints)
 
 
-def _pose_table(summary: dict[str, Any]) -> list[doc.Table]:
+def _pose_table(results: Results) -> list[doc.Table]:
     rows = []
     for name, unit in (("position", "mm"), ("orientation", "deg")):
-        entry = summary.get(name) or {}
+        entry = results.summary.get(name) or {}
         if entry:
-            largest = fmt.number(entry.get(f"max_error_{unit}"))
+            u = f"worst_error_standard_uncertainty_{unit}"
+            largest = doc.uncertain_field(f"worst_error_{unit}", u, signed=False, k=2)
             limit = fmt.exact_number(entry.get(f"tolerance_{unit}"))
-            sign = fmt.UNITS[unit]
-            u = fmt.number(entry.get(f"expanded_uncertainty_{unit}"))
             rms = fmt.number(entry.get(f"rms_error_{unit}"))
+            label = f"{name} [{fmt.UNITS[unit]}]"
+            place = motion.place_of_largest(results, f"{name}_resolved_{unit}")
             rows.append(
-                doc.row(f"{name} [{sign}]", rms, largest, u, limit, phrases.verdict_cell(entry))
+                doc.row(label, rms, largest(entry), place, limit, phrases.verdict_cell(entry))
             )
-    head = ("Error of the flange", "RMS", "Largest", "U of the mean", "Tolerance", "Verdict")
-    caption = "Error of the flange's pose over the measured pairs."
-    return [doc.Table(caption, "lrrrrl", head, tuple(rows), wide=(5,))] if rows else []
+    head = ("Error of the flange", "RMS", "Largest error ± U", "Where", "Tolerance", "Verdict")
+    caption = (
+        "Error of the flange's pose over the measured pairs, k = 2; where, in the base's frame."
+    )
+    return [doc.Table(caption, "lrrlrl", head, tuple(rows), wide=(5,))] if rows else []
 
 
 def _causes(summary: dict[str, Any]) -> doc.Facts:
@@ -148,6 +159,10 @@ def _causes(summary: dict[str, Any]) -> doc.Facts:
         named.append(f"{fmt.count(more)} more in the diagnosis")
     remedies = dict.fromkeys(causes.remedy(entry) for entry in entries)
     items = [("Cause", "; ".join(named) or "the data single out no cause")]
+    if not _has_tolerance(summary):
+        remedies["give a tolerance (--tolerance, or session.toml) to get a verdict"] = None
+    elif summary.get("verdict") == "conform" and not remedies:
+        remedies["nothing"] = None
     if remedies:
         items.append(("What to do", "; ".join(remedies)))
     return doc.Facts(tuple(items))

@@ -11,6 +11,7 @@ from reports.session import (
     certificate,
     combinations,
     conditions,
+    corrections,
     evidence,
     findings,
     performance,
@@ -19,7 +20,8 @@ from reports.session import (
 
 Writer = Callable[[Results], Section]
 ANSWERS: tuple[Writer, ...] = (
-    certificate.certificate, findings.errors_over_time, findings.pose, findings.diagnosis,
+    certificate.certificate, findings.errors_over_time, findings.path, findings.diagnosis,
+    corrections.corrections,
 )  # fmt: skip
 APPENDIX: tuple[Writer, ...] = (  # in the order in which an expert checks it
     evidence.spots,

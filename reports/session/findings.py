@@ -175,7 +175,7 @@ def _outlier_blocks(results: Results) -> tuple[doc.Block, ...]:
 
 
 def errors_over_time(results: Results) -> doc.Section:
-    """Show the errors of each joint over time."""
+    """Show the errors of each joint and of the flange over time."""
     frames = results.table("frames")
     thinned = ""
     if len(frames) > MAX_LINE_POINTS:
@@ -193,31 +193,31 @@ def errors_over_time(results: Results) -> doc.Section:
         "One strip a joint: error in degrees against time, with uncertainty bands, the resolved "
         "error's curve and the tolerance as dotted lines.",
     )
+    flange = doc.Figure(
+        "pose_errors",
+        "Position and orientation error of the flange: distance and angle between the measured "
+        "and the encoders' pose of each pair, and the resolved joint errors carried through the "
+        "arm.",
+        "Two strips against time: position error in millimetres, orientation error in degrees.",
+        motion.pose_errors(results),
+    )
     otherwise = "There is no measured pair with an encoder reading to draw."
     block = doc.block_or_paragraph(figure, motion.joint_errors(results), otherwise)
-    return doc.Section("errors", "Errors over time", (block,))
+    shown = (flange,) if flange.drawing is not None else ()
+    return doc.Section("errors", "Errors over time", (block, *shown))
 
 
-def pose(results: Results) -> doc.Section:
+def path(results: Results) -> doc.Section:
     """Show where along its path the flange is off, and by how much."""
-    figures = (
-        doc.Figure(
-            "pose_errors",
-            "Position and orientation error of the flange: distance and angle between the measured "
-            "and the encoders' pose of each pair, and the resolved joint errors carried "
-            "through the arm.",
-            "Two strips against time: position error in millimetres, orientation error in degrees.",
-            motion.pose_errors(results),
-        ),
-        doc.Figure(
-            "path",
-            "Measured path of the flange in the robot's base frame, by its position error, "
-            "resolved.",
-            "A curve in space, coloured by the size of the position error.",
-            motion.flange_path(results),
-        ),
+    figure = doc.Figure(
+        "path",
+        "Measured path of the flange in the robot's base frame, in space and from above, coloured "
+        "by its position error, resolved. U: k = 2. Colours that differ by less than U "
+        "show no difference.",
+        "The path as a curve in space and from above, coloured by the size of the position error.",
+        motion.flange_path(results),
     )
-    return doc.Section("pose", "Position and orientation", _drawn(figures, results.summary))
+    return doc.Section("path", "Error along the path", _drawn((figure,), results.summary))
 
 
 def components(results: Results) -> doc.Section:

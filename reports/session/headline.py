@@ -117,7 +117,7 @@ def _first_improvement(results: Results, open_joints: list[dict[str, Any]]) -> s
     """Say what would have to improve first; the reason that bars most comes first."""
     unseen = [j for j in open_joints if j.get("reason") == "not_observable"]
     if unseen:
-        freed = _hiding_parameter(results, unseen[0])[1]
+        freed = hiding_parameter(results, unseen[0])[1]
         return (
             f"an offset of {fmt.joint_names([j.get('joint') for j in unseen])} cannot show: {freed}"
         )
@@ -162,14 +162,14 @@ def _hidden_sentences(results: Results) -> list[str]:
     groups: dict[str, list[Any]] = {}
     for joint in results.summary.get("joints") or []:
         if is_hidden(joint):
-            groups.setdefault(_hiding_parameter(results, joint)[0], []).append(joint.get("joint"))
+            groups.setdefault(hiding_parameter(results, joint)[0], []).append(joint.get("joint"))
     return [
         f"A constant offset of {fmt.joint_names(names)} cannot show here: {why}."
         for why, names in groups.items()
     ]
 
 
-def _hiding_parameter(results: Results, joint: dict[str, Any]) -> tuple[str, str]:
+def hiding_parameter(results: Results, joint: dict[str, Any]) -> tuple[str, str]:
     """Say what takes in an offset of a joint, and what would free it."""
     summary, fitted = results.summary, _encoder_based_text(results)
     before, since = (
@@ -247,17 +247,14 @@ def _remarks(results: Results, tone: str) -> list[str]:
     if tone in ("nonconform", "undecided"):
         remarks += _reason_sentences(summary)
     remarks += _hidden_sentences(results)
-    if tone == "none":
-        return remarks
     uncounted = (summary.get("budget") or {}).get("uncounted") or []
     if uncounted:
+        exact = [fmt.text_or_dash(name) for name in uncounted]
         remarks.append(
-            "The verdict holds on the condition that "
-            f"{fmt.join_words([fmt.text_or_dash(name) for name in uncounted])} are exact: "
-            "their uncertainty is not stated."
+            f"Taken as exact, as their uncertainty is not stated: {fmt.join_words(exact)}. "
+            f"{'Every figure' if tone == 'none' else 'The verdict'} holds on that condition."
         )
-    remarks.append(SCOPE)
-    return remarks
+    return remarks if tone == "none" else [*remarks, SCOPE]
 
 
 def _reason_sentences(summary: dict[str, Any]) -> list[str]:

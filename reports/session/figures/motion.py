@@ -1,5 +1,7 @@
 """Figures of the errors and of the flange's motion: tables in, chart out, None for nothing."""
 
+from dataclasses import replace
+
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
@@ -9,6 +11,9 @@ from reports.document import formatting as fmt
 from reports.results import Results
 
 PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free above and below the data
+# colours of the classes of a path's error, small to large; beyond the tolerance reddish ones
+PATH_ROLES = ("series_3", "measured")
+PATH_ROLES_BEYOND = ("resolved", "beyond")
 TOLERANCE_ROOM = 1.3  # times the largest tolerance: what the joints' common scale spans
 
 
@@ -31,8 +36,12 @@ def joint_errors(results: Results) -> charts.Chart | None:
             charts.column(resolved, f"{name}_resolved_u_deg"),
         )
         panels.append(_error_panel(t, error, fit, limit, f"{name} [°]", "°", scale=scale))
-    drawn = any(has_lines(panel) for panel in panels)
-    return charts.strips(panels, time, row_height=0.82) if drawn else None
+    if not any(has_lines(panel) for panel in panels):
+        return None
+    if scale is None:
+        reach = max(abs(end) for panel in panels for end in panel.y_range or ())
+        panels = [replace(panel, y_range=(-reach, reach)) for panel in panels]
+    return charts.strips(panels, time, row_height=0.82)
 
 
 def pose_errors(results: Results) -> charts.Chart | None:
@@ -88,34 +97,73 @@ def flange_path(results: Results) -> charts.Path | None:
     error = charts.column(resolved, "position_resolved_mm")
     if not np.isfinite(points).any():
         return None
+    seen = np.flatnonzero(np.isfinite(points).all(axis=1))
+    marked = [(points[seen[:1]], "series_2", "first pair")]
+    if np.isfinite(error[seen]).any():
+        worst = seen[int(np.nanargmax(error[seen]))]
+        spread = charts.column(resolved, "position_resolved_u_mm")[worst]
+        name = f"largest, {fmt.with_uncertainty(error[worst], 2 * spread, 'mm', signed=False)}"
+        marked.append((points[[worst]], "ink", name))
     stride = max(1, -(-len(points) // charts.MAX_LINE_POINTS))
     points, error = points[::stride], error[::stride]
     limit = fmt.finite((results.summary.get("position") or {}).get("tolerance_mm"))
     lines = [
-        (np.where(inside[:, None], points, np.nan), role, name)
+        (_up_to_the_next(points, inside), role, name)
         for inside, role, name in _error_classes(error, limit)
         if inside.any()
     ]
     ranges = charts.box(points, 1 + PANEL_MARGIN, least=0.5)  # mm: the arm may stand still
-    return charts.Path(tuple(lines), ("x [mm]", "y [mm]", "z [mm]"), ranges)
+    labels = ("x [mm]", "y [mm]", "z [mm]")
+    return charts.Path((*lines, *marked), labels, ranges, from_above=True)
+
+
+def place_of_largest(results: Results, name: str) -> str:
+    """Say where and when a resolved error of the flange is largest; a dash where nobody knows."""
+    frames, error = results.table("frames"), charts.column(_resolved_per_frame(results), name)
+    points, t = charts.columns(frames, ("x_mm", "y_mm", "z_mm")), charts.column(frames, "t_s")
+    known = np.isfinite(error) & np.isfinite(points).all(axis=1)
+    if not known.any():
+        return fmt.DASH
+    worst = int(np.nanargmax(np.where(known, error, np.nan)))
+    place = ", ".join(fmt.number(value, 0) for value in points[worst])
+    when = "" if not np.isfinite(t[worst]) else f", t = {fmt.number(t[worst], 1)} s"
+    return f"({place}) mm{when}"
+
+
+def _up_to_the_next(points: charts.Array, inside: NDArray[np.bool_]) -> charts.Array:
+    """Keep a class' points, (n, 3), and the one behind each, so that the way is not broken."""
+    drawn = inside.copy()
+    drawn[1:] |= inside[:-1]
+    return np.where(drawn[:, None], points, np.nan)
 
 
 def _error_classes(
     error: charts.Array, limit: float | None
 ) -> list[tuple[NDArray[np.bool_], str, str]]:
-    """Thirds of the largest error, or halves of the tolerance and what is beyond it."""
+    """Classes of the error between its least and its largest, parted at the tolerance too."""
     known = np.isfinite(error)
     if not known.any():
         return [(np.ones(len(error), dtype=bool), "measured", "measured")]
-    top = float(np.nanmax(error))
-    bounds = [limit / 2, limit] if limit is not None else [top / 3, 2 * top / 3]
-    place = np.digitize(error, bounds)
-    low, high = (fmt.quantity(bound, "mm") for bound in bounds)
-    beyond = f"over {high}" + (", the tolerance" if limit is not None else "")
-    names = (f"error up to {low}", f"up to {high}", beyond)
-    roles = ("measured", "series_2", "encoder")
-    classes = [(known & (place == i), roles[i], names[i]) for i in range(3)]
+    edges, beyond = _class_edges(float(np.nanmin(error)), float(np.nanmax(error)), limit)
+    place = np.digitize(error, edges[1:-1])
+    decimals = fmt.decimals_of(edges[-1] - edges[0])
+    roles = [*PATH_ROLES[: len(edges) - 1 - beyond], *PATH_ROLES_BEYOND[:beyond]]
+    classes = [
+        (known & (place == i), role,
+         f"{fmt.number(edges[i], decimals)} to {fmt.number(edges[i + 1], decimals)} mm"
+         + (", beyond the tolerance" if i >= len(roles) - beyond else ""))
+        for i, role in enumerate(roles)
+    ]  # fmt: skip
     return [*classes, (~known, "muted", "error not known")]
+
+
+def _class_edges(least: float, most: float, limit: float | None) -> tuple[list[float], int]:
+    """Edges of at most four classes, in the error's unit, and how many lie beyond the tolerance."""
+    if limit is None or most <= limit:
+        return [float(v) for v in np.linspace(least, most, len(PATH_ROLES) + 1)], 0
+    if least >= limit:
+        return [float(v) for v in np.linspace(least, most, len(PATH_ROLES_BEYOND) + 1)], 2
+    return [least, (least + limit) / 2, limit, (limit + most) / 2, most], 2
 
 
 def _resolved_per_frame(results: Results) -> pd.DataFrame:

@@ -1,4 +1,5 @@
 import math
+import re
 
 import numpy as np
 import pytest
@@ -70,6 +71,15 @@ def test_decimals_are_limited_for_any_uncertainty(uncertainty: float | None) -> 
 )  # fmt: skip
 def test_a_share_is_never_rounded_up_to_all_or_down_to_nothing(value: float, text: str) -> None:
     assert percent(value) == text
+
+
+@pytest.mark.parametrize("value", [-0.0, -1e-12, -0.0004])
+def test_nothing_is_shown_with_a_sign(value: float) -> None:
+    shown = [
+        number(value), number(value, 3, signed=True), significant(round(value, 3)), count(value),
+        with_uncertainty(value, 0.01, "°"), exact_number(round(value, 3)), percent(value / 100),
+    ]  # fmt: skip
+    assert not [text for text in shown if re.search(r"[-+−]0*[.]?0*(?![.0-9])", text)]
 
 
 def test_a_probability_is_never_rounded_to_certainty_and_a_tolerance_not_at_all() -> None:

@@ -34,7 +34,8 @@ def test_every_text_of_the_document_is_on_the_page_in_its_sections(name: str) ->
     for part in strings(to_template_data(document_of(name))):
         assert part in text
     titles = [section.title for section in document_of(name).sections]
-    found = re.findall(r"<h2[^>]*>.*?</span> (.*?)</h2>", html_of(name))
+    heads = re.findall(r"<h2[^>]*>.*?</span> (.*?)</h2>", html_of(name))
+    found = [re.sub(r"</?button[^>]*>", "", head) for head in heads]
     assert found == [title.replace("&", "&amp;") for title in titles]
 
 
@@ -73,7 +74,7 @@ def test_markup_in_a_calibration_is_shown_and_never_run(name: str) -> None:
     }  # fmt: skip
     hostile = replace(given, summary=summary)
     page = Page(page_of(hostile))
-    assert sum(tag == "script" for tag, _ in page.tags) == 3
+    assert sum(tag == "script" for tag, _ in page.tags) == 3  # library, figures, what draws them
     assert evil in "".join(page.text)
     assert reports.render_pdf(hostile).startswith(b"%PDF")
 

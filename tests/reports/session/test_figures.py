@@ -13,6 +13,7 @@ from reports.document.charts import Band, Line, Path
 from reports.format import matplotlib as format_matplotlib
 from reports.format import pdf, plotly
 from reports.session.document import document
+from reports.session.figures import motion
 from reports.session.figures.evidence import residuals
 from tests.support.reports import session as made
 from tests.support.reports.page import chart_of, drawing_of, made_of
@@ -79,8 +80,10 @@ def test_every_line_is_visible_in_the_image(figure: str) -> None:
     pixels = matplotlib.image.imread(io.BytesIO(page), format="png")[:, :, :3]
     if isinstance(chart, Path):
         names = [name for _, _, name in chart.lines]
-        assert names == ["over 1.0 mm, the tolerance", "error not known"]
-        roles = {role for _, role, _ in chart.lines}
+        assert [name.partition(" mm")[2] for name in names[:2]] == [", beyond the tolerance"] * 2
+        assert names[2:4] == ["error not known", "first pair"]
+        assert names[4].startswith("largest, 3.6")
+        roles = {role for points, role, _ in chart.lines if len(points) > 1}
     else:
         roles = {m.role for p in chart.panels for m in p.marks if isinstance(m, Line)}
     for role in roles:
@@ -100,3 +103,30 @@ def test_numbers_arrive_in_the_page_as_they_are_in_the_table() -> None:
     first = plotly.specification(chart)["data"][0]
     y = np.frombuffer(base64.b64decode(first["y"]["bdata"]), dtype="<f4")
     np.testing.assert_allclose(y, made_of("nonconforming").tables["clock_curve"]["cost"], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("error", "limit", "names"),
+    [
+        ([0.2, 0.4, 0.6], 1.0, ["0.20 to 0.40 mm", "0.40 to 0.60 mm"]),
+        ([1.2, 1.4, 1.6], 1.0, [f"{ends} mm, beyond the tolerance" for ends in
+                                ("1.20 to 1.40", "1.40 to 1.60")]),
+        ([0.0, 0.7, 2.0], 1.0, ["0.0 to 0.5 mm", "0.5 to 1.0 mm",
+                                "1.0 to 1.5 mm, beyond the tolerance",
+                                "1.5 to 2.0 mm, beyond the tolerance"]),
+        ([0.5, 0.5, 0.5], None, ["0.500 to 0.500 mm"] * 2),
+    ],
+)  # fmt: skip
+def test_the_path_is_coloured_by_classes_that_the_tolerance_parts(
+    error: list[float], limit: float | None, names: list[str]
+) -> None:
+    classes = motion._error_classes(np.array([*error, np.nan]), limit)
+    assert [name for _, _, name in classes[:-1]] == names
+    inside = np.array([own for own, _, _ in classes])
+    assert inside.sum(axis=0).tolist() == [1] * 4  # each pair is in one of them
+    assert classes[-1][0].tolist() == [False, False, False, True]
+
+
+def test_without_a_tolerance_all_joints_have_one_scale() -> None:
+    ranges = {panel.y_range for panel in chart_of("no_tolerance", "joint_errors").panels}
+    assert len(ranges) == 1

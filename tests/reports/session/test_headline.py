@@ -58,7 +58,7 @@ def test_undecided_never_reads_as_conforming() -> None:
     assert "cannot tell" in message.sentence
     assert "first" in message.sentence
     assert "conforms" not in text
-    assert "on the condition that rig and robot base are exact" in text
+    assert "Taken as exact, as their uncertainty is not stated: rig and robot base." in text
 
 
 def test_an_undecided_verdict_names_the_largest_source_to_improve() -> None:

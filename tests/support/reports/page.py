@@ -1,7 +1,9 @@
 """Documents of every kind, rendered once, and their parts."""
 
+import base64
 import shutil
 import subprocess
+import zlib
 from collections.abc import Callable
 from functools import cache, partial
 from html.parser import HTMLParser
@@ -30,7 +32,8 @@ def tables(of: Document) -> dict[str, Table]:
     }
 
 
-LIBRARY = get_plotlyjs()  # left out of what is tested: five million letters
+# left out of what is tested: two million letters
+LIBRARY = base64.b64encode(zlib.compress(get_plotlyjs().encode())).decode()
 EVERY: dict[str, Callable[[], Results]] = {
     **session.EVERY,
     "good": calibration.good, "doubtful": calibration.doubtful,
@@ -139,5 +142,5 @@ def coloured(value: Any) -> Any:
     if isinstance(value, list):
         return [coloured(item) for item in value]
     if isinstance(value, str) and value.startswith("role:"):
-        return charts.PALETTE[value.removeprefix("role:")][0][:7]
+        return charts.PALETTE[value.removeprefix("role:").partition("|")[0]][0][:7]
     return value

@@ -259,6 +259,7 @@ def _decisions(
         q = next(j for j in joints if j.joint == 2).q[:, 0].mean()
         words.append(
             f"The base by axes 1 and 2: its turn about axis 1 rests on joint 1's encoder, at "
-            f"{np.rad2deg(q):.2f}° while joint 2 was swept, its height on the table's d of joint 1."
+            f"{np.rad2deg(q):z.2f}° while joint 2 was swept, its height on the table's d of "
+            "joint 1."
         )
     return words

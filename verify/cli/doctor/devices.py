@@ -84,7 +84,7 @@ def _try_encoders(encoders: EncoderDevice) -> Finding:
     if trips:
         figures["round_trip_ms"] = round(float(np.median(trips)) * 1e3, 2)
         sentence += f", round trip {figures['round_trip_ms']:.1f} ms"
-    angles = ", ".join(f"{angle:.2f}°" for angle in np.rad2deg(readings[-1].q))
+    angles = ", ".join(f"{angle:z.2f}°" for angle in np.rad2deg(readings[-1].q))
     doubtful = bool(state.bad or state.lost)
     sentence += f"; now at {angles}"
     return Finding("encoders", "doubt" if doubtful else "works", sentence, figures)
@@ -97,7 +97,7 @@ def _try_pan(pan: PanDevice) -> Finding:
     if not readings:
         return Finding("pan bases", "fails", state.sentence)
     left, right = np.rad2deg(readings[-1].pan).tolist()
-    sentence = f"{state.sentence}; left {left:.2f}°, right {right:.2f}°"
+    sentence = f"{state.sentence}; left {left:z.2f}°, right {right:z.2f}°"
     return Finding("pan bases", "doubt" if state.bad else "works", sentence)
 
 

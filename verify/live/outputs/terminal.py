@@ -81,7 +81,7 @@ def _joints(now: LiveSnapshot, tolerance_deg: list[float] | None) -> Table:
         beyond = valid and tolerance is not None and abs(degrees) > tolerance
         table.add_row(
             str(j + 1),
-            Text(f"{degrees:+.3f}°" if valid else "–", style="bold red" if beyond else ""),
+            Text(f"{degrees:+z.3f}°" if valid else "–", style="bold red" if beyond else ""),
             f"{2 * doubt:.3f}°" if valid else "–",
             _bar(degrees, doubt, tolerance) if valid else Text(row.status.replace("_", " ")),
             Text(f"{min(share, 1.0):.0%}", style="red" if share > 0.7 else ""),

@@ -120,7 +120,7 @@ export class Grab {
       facts.Speed = `${row.speed_mm_s} mm/s`;
     } else facts["Place in the base"] = "not known";
     facts.Quality = row.quality === null ? "–" : `${row.quality.toFixed(2)} of 1`;
-    facts.Joints = row.q_deg === null ? "not read yet" : row.q_deg.map((v) => `${v.toFixed(1)}°`).join("  ");
+    facts.Joints = row.q_deg === null ? "not read yet" : row.q_deg.map((v) => `${v.toFixed(1).replace(/^-0\.0$/, "0.0")}°`).join("  ");
     list($("target"), facts);
   }
 

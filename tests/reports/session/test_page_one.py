@@ -1,0 +1,48 @@
+"""The stranger's test: ten questions, each answered by the text of page one alone.
+
+The session is a sample; its README.md states the truth. docs/reports.md lists the questions.
+"""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from reports.document.blocks import to_template_data
+from reports.session.certificate import certificate
+from tests.support.reports.page import made_of, pdf_text_of, strings
+
+QUESTIONS = {
+    "Is my robot all right?": "The robot does not conform",
+    "Which joint?": r"Joint 2 exceeds ±0\.2°",
+    "How sure?": r"0\.348\d° ± 0\.00\d+° \(k = 2\)",
+    "What do I type into the controller?": r"add −0\.348\d° to its reading",
+    "What was not checked?": "This covers the poses, directions and speeds that the session shows",
+    "With what instrument?": "Instrument +stereo rig with LEDs",
+    "When?": "Date of measurement +2026-01-15",
+    "What is the cause?": r"Cause +constant offset of joint 2, \+0\.348\d°",
+    "Where off, and by how much in mm?": (
+        r"position \[mm\] +3\.\d+ +3\.\d+ ± 0\.\d+ +\(\d+, \d+, \d+\) mm, t = \d"
+    ),
+    "What do I do next?": r"What to do +add −0\.348\d° to its reading",
+}
+DOCUMENT = Path(__file__).parents[3] / "docs" / "reports.md"
+
+
+@pytest.mark.parametrize("question", QUESTIONS)
+def test_page_one_answers(question: str) -> None:
+    first = pdf_text_of("nonconforming").split("\f")[0]
+    assert re.search(QUESTIONS[question], first)
+
+
+def test_the_document_lists_the_questions() -> None:
+    text = DOCUMENT.read_text(encoding="utf-8")
+    assert re.findall(r"^\| (.+\?) \|", text, re.MULTILINE) == list(QUESTIONS)
+
+
+def test_without_a_tolerance_page_one_says_what_is_taken_as_exact_and_what_to_do() -> None:
+    text = " ".join(strings(to_template_data(certificate(made_of("no_tolerance")))))
+    assert "Taken as exact, as their uncertainty is not stated: apparent LED centre" in text
+    assert "Every figure holds on that condition" in text
+    assert "give a tolerance" in text
+    assert "and the tolerance" not in text
