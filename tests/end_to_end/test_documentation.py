@@ -151,6 +151,7 @@ def test_every_picture_is_of_this_version_and_shown() -> None:
     gallery_bytes = sum(path.stat().st_size for path in shown if path.name.startswith("gallery"))
     assert gallery_bytes < 1.5e6
     assert gallery.PAGE.read_text() == gallery.page(), "make pictures"
+    assert gallery.PAGE.read_text().count("![") == len(gallery.GALLERY), "make pictures"
 
 
 def test_the_picture_of_the_report_says_what_the_report_says() -> None:
