@@ -23,7 +23,7 @@ TERMS = {
         "the error is within its tolerance at every pose of the session, with a stated probability"
     ),
     "detectable error": (
-        "the smallest constant offset that would be noticed: false alarm 0.1 %, power 80 %"
+        "the smallest constant offset that is detected: false alarm 0.1 %, power 80 %"
     ),
     "encoder error": "reading less true angle; positive where the encoder reads too high",
     "expanded uncertainty, U": "k times the standard uncertainty; k = 2 wherever a person reads",

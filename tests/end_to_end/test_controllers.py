@@ -61,5 +61,5 @@ def test_the_doctor_says_what_works(tmp_path: Path, monkeypatch: pytest.MonkeyPa
     assert line.startswith(f"works encoders: {address}: reading; each known within ±"), line
     done = verify("doctor", tmp_path / "station.toml")
     (line,) = [line for line in done.out.splitlines() if " encoders: " in line]
-    assert line.startswith(f"FAILS encoders: {address}: not connected: nobody listens there"), line
+    assert line.startswith(f"FAILS encoders: {address}: not connected: nothing listens there"), line
     assert done.status == 1

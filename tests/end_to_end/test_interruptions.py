@@ -76,7 +76,7 @@ class Swallows:
 def test_an_interruption_that_a_callback_swallows_comes_again(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def swallowed(*_: object) -> None:
+    def swallowed(*_: object, **__: object) -> None:
         Swallows()
         time.sleep(PATIENCE)
 

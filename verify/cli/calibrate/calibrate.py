@@ -157,19 +157,21 @@ def register(
         "--marker": marker is not None, "--leds": leds is not None,
         "--known-marker": known_marker is not None, "--sweeps": sweeps,
     }  # fmt: skip
+    if board_in_base is None:
+        way = "the robot's own motion is used"
+        option.refuse_options(board_options, f"does not apply when {way}", "", "Leave it out.")
     posed = None if board_in_base is not None else open_poses(session)
     if posed is not None:
-        useless = board_options | marker_options | {"--rig": rig is not None}
+        useless = marker_options | {"--rig": rig is not None}
         option.refuse_options(useless, "does not apply when poses are used", "", "Leave it out.")
         refuse_existing(target, force=force)
         folder = out if out is not None else Path(f"{posed.name}-registered")
         registration.register_by_poses(posed, folder, target, options, force=force)
         return
-    useless, way = board_options, "a motion"
     if board_in_base is not None:
         useless = marker_options | {"--keep-base": keep_base, "--keep-leds": keep_leds}
-        way = "a board on the base"
-    option.refuse_options(useless, f"does not apply when {way} is used", "", "Leave it out.")
+        way = "a board on the base is used"
+        option.refuse_options(useless, f"does not apply when {way}", "", "Leave it out.")
     marker_out = marker if marker is not None else Path("marker.toml")
     out = out if out is not None else Path("rig.toml")
     refuse_file(out, force=force)

@@ -128,7 +128,7 @@ def test_what_listens_there_but_is_no_opc_ua_is_named() -> None:
         assert encoders.state().sentence.startswith(f"opc.tcp://127.0.0.1:{other.port}: not con")
     encoders = driver(f"opc.tcp://user:secret@127.0.0.1:{other.port}")
     assert encoders.read() == []
-    assert "nobody listens there" in encoders.state().sentence
+    assert "nothing listens there" in encoders.state().sentence
     assert "secret" not in encoders.state().sentence
 
 

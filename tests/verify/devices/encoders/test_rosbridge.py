@@ -111,7 +111,7 @@ WRONG: dict[str, Any] = {
     "message without a time stamp": lambda n: published(
         joint_state(n, header={"stamp": {"sec": 0, "nanosec": 0}})
     ),
-    "not later than the one before": lambda n: published(
+    "not later than the previous one": lambda n: published(
         joint_state(n) | {"header": joint_state(n - 3)["header"]}
     ),
 }
@@ -186,7 +186,7 @@ def test_what_listens_there_but_is_no_websocket_is_named() -> None:
     with bridge(lambda _: "") as server:
         encoders = driver(f"{server.url}/elsewhere")
         gather(encoders, lambda _: "is no websocket: server rej" in encoders.state().sentence)
-    gather(encoders, lambda _: "nobody listens there" in encoders.state().sentence)
+    gather(encoders, lambda _: "nothing listens there" in encoders.state().sentence)
     with socket.create_server(("127.0.0.1", 0)) as mute:
         encoders = driver(f"ws://127.0.0.1:{mute.getsockname()[1]}")
         assert encoders.read() == []  # waits as long as it may while it connects

@@ -9,6 +9,7 @@ from tests.support.recorded import MARKER, RIG
 from verify.errors import InputError
 from verify.live.station import file
 from verify.live.station.devices import ENCODER_KEYS
+from verify.live.station.keys import StationTable
 from verify.live.station.station import open_station
 from verify.live.station.template import SIM_ROBOT, joint_names, station_template
 from verify.simulation import library
@@ -23,7 +24,9 @@ def written(folder: Path, robot: str, driver: str | None) -> Path:
 
 @pytest.mark.parametrize("driver", ENCODER_KEYS)
 def test_each_drivers_file_opens_without_a_warning(tmp_path: Path, driver: str) -> None:
-    table, warnings = file.read(written(tmp_path, "ur10", driver if driver != "sim" else "rtde"))
+    table, warnings = file.read(
+        written(tmp_path, "ur10", driver if driver != "sim" else "rtde"), StationTable
+    )
     assert warnings == ()
     (tmp_path / "rig.toml").write_text(RIG)
     (tmp_path / "marker.toml").write_text(MARKER)
@@ -42,7 +45,7 @@ def test_cameras_of_a_simulated_robot_are_simulated(tmp_path: Path) -> None:
     opened = open_station(written(tmp_path, "ur5", "rosbridge"), SimulatedStation)
     assert opened.arm.name == "ur5"
     assert opened.open_cameras()[0].read() is not None
-    table, _ = file.read(tmp_path / "station.toml")
+    table, _ = file.read(tmp_path / "station.toml", StationTable)
     assert table.encoders.joint_names == list(robots.load("ur5").joint_names)
     opened = open_station(written(tmp_path, "iust_6r", None), SimulatedStation)
     assert len(opened.open_encoders().read()) > 0
@@ -60,7 +63,7 @@ def test_a_robots_own_file_is_named_from_where_the_station_is(tmp_path: Path) ->
     arm.write_bytes((library_folder / "iust_6r.toml").read_bytes())
     folder = tmp_path / "cell"
     folder.mkdir()
-    table, _ = file.read(written(folder, str(arm), "labenc"))
+    table, _ = file.read(written(folder, str(arm), "labenc"), StationTable)
     assert table.robot == "../arms/mine.toml"
 
 

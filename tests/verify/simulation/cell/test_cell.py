@@ -51,7 +51,7 @@ def test_the_devices_are_those_of_the_protocols_and_need_the_right() -> None:
     mover, gripper = source.devices(RIGHT)
     assert mover.step().state is MoverState.OFF
     assert gripper.step().state is GripperState.IDLE
-    with pytest.raises(TypeError, match="right"):
+    with pytest.raises(TypeError, match="permission"):
         source.devices(None)  # type: ignore[arg-type]
 
 

@@ -111,7 +111,7 @@ def test_the_gripper_reports_whether_it_holds_an_object(
 
 def test_without_the_operators_right_there_is_no_driver() -> None:
     for right in (None, "--execute", True):
-        with pytest.raises(TypeError, match="operator's right"):
+        with pytest.raises(TypeError, match="operator's permission"):
             GripperDriver(GripperSettings("/dev/none"), right)  # type: ignore[arg-type]
     with pytest.raises(ValueError, match="without words"):
         ExecutePermission(" ")

@@ -24,7 +24,7 @@ from verify.grasping.actuators.protocols import MotionRefusedError, MoverState
 
 def test_no_mover_is_made_without_the_operators_permission() -> None:
     settings = orders.MotionSettings("/dev/none", "RV-3SD")
-    with pytest.raises(TypeError, match="operator's right"):
+    with pytest.raises(TypeError, match="operator's permission"):
         MelfaMover(settings, same_angles(6), limits(), None)  # type: ignore[arg-type]
 
 
