@@ -21,7 +21,7 @@ QUESTIONS = {
     "With what instrument?": "Instrument +stereo rig with LEDs",
     "When?": "Date of measurement +2026-01-15",
     "What is the cause?": r"Cause +constant offset of joint 2, \+0\.348\d°",
-    "Where off, and by how much in mm?": (
+    "Where is the flange off, and by how many mm?": (
         r"position \[mm\] +3\.\d+ +3\.\d+ ± 0\.\d+ +\(\d+, \d+, \d+\) mm, t = \d"
     ),
     "What do I do next?": r"What to do +add −0\.348\d° to its reading",
