@@ -18,6 +18,7 @@ SCENARIO = "multi_joint_ur5"
 ADDRESSES = {
     "rtde": "tcp:192.168.0.20:30004",
     "rosbridge": "ws://192.168.0.20:9090",
+    "opcua": "opc.tcp://192.168.0.20:4840",
 }
 
 
@@ -34,7 +35,7 @@ def station(folder: Path, driver: str, address: str) -> Path:
 
 @pytest.mark.realtime
 @pytest.mark.slow
-@pytest.mark.parametrize("driver", ["rtde", "rosbridge"])
+@pytest.mark.parametrize("driver", ["rtde", "rosbridge", "opcua"])
 def test_a_watch_of_each_controller_finds_no_error_where_there_is_none(
     tmp_path: Path, driver: str
 ) -> None:

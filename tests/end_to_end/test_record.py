@@ -101,6 +101,18 @@ def base_error(truth: SimulatedSession, found: Path) -> tuple[np.ndarray, np.nda
     return np.concatenate([(rig.rig_T_base - base)[:3, 3] * 1e3, turn]), np.array(u)
 
 
+def test_a_session_that_cannot_be_made_is_refused_before_a_device_is_opened(
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "file").touch()
+    for out, reason in (
+        (tmp_path / "file" / "session", f"cannot be made in {tmp_path / 'file'}"),
+        (tmp_path / "file", "exists; a session is recorded into a new folder"),
+    ):
+        said = verify("record", station(tmp_path, "station.toml"), "-o", out, "--for", "1s")
+        assert reason in said.refusal
+
+
 @pytest.mark.realtime
 @pytest.mark.slow
 def test_from_two_uncalibrated_cameras_to_a_report(tmp_path: Path) -> None:

@@ -89,7 +89,7 @@ def run_case(targets: list[Target], seed: int, place: Path) -> Case:
     )
     if memory > MAX_MEMORY:
         broken = f"took {memory / 1e9:.1f} GB"
-    keeps = target.name.startswith(("batch", "watch"))  # what was done or recorded so far
+    keeps = target.name.startswith(("batch", "watch", "record"))  # what was done or recorded so far
     if outcome.status == 2 and not keeps and _listing(place) != before:
         broken = broken or "something was written"
     if outcome.status in (0, 1, 3) and not broken:

@@ -18,6 +18,7 @@ import numpy as np
 
 import robots
 from tests.support import planning
+from tests.support.bags import bag_of, write_bag
 from tests.support.command import ROOT, verify
 from tests.support.grasp.cells import CELL, STATION
 from tests.support.posed import poses_csv, write_posed
@@ -87,7 +88,8 @@ def make_targets(folder: Path) -> list[Target]:
     folder.mkdir(exist_ok=True)
     with quick():
         sources, reports = [], []
-        for target in chain(_sessions(folder), _files(folder), _outputs(folder)):
+        made = _sessions(folder), _files(folder), _recordings(folder), _outputs(folder)
+        for target in chain(*made):
             sources.append(target)
             whole = whole_out(target)
             done = verify(*target.command(target.folder, whole))
@@ -203,6 +205,9 @@ def _files(folder: Path) -> Iterator[Target]:
     station = folder / "station"
     station.mkdir()
     verify("run", station / "station.toml", "--new-station")
+    text = (station / "station.toml").read_text().replace("30.0", "10.0")
+    (station / "station.toml").write_text(text)
+    yield Target("record", station, "record {in}/station.toml --for 2s -o {out}", 0.02)
     yield Target("doctor", station, "doctor {in}/station.toml", 0.5)
     watch = folder / "watch"
     watch.mkdir()
@@ -215,6 +220,30 @@ def _files(folder: Path) -> Iterator[Target]:
     text = STATION.format(robot="rv_3sd_melfa", port="tcp:127.0.0.1:9")
     (grab / "station.toml").write_text(text)
     yield Target("grab", grab, "grab {in}/station.toml --target blue -o {out}")
+
+
+def _recordings(folder: Path) -> Iterator[Target]:
+    """Recordings of other programs: tables and a bag in, a session out."""
+    tables, whole = folder / "tables", open_session(folder / "video")
+    tables.mkdir()
+    t, q = whole.encoders.t[:400], np.degrees(whole.encoders.q[:400])
+    names = ";".join(("time [s]", *(f"J{joint}_deg" for joint in range(1, 7))))
+    rows = np.column_stack([t, q])
+    np.savetxt(tables / "log.csv", rows, "%.6f", ";", header=names, comments="")
+    places = np.column_stack([t, 900 + q[:, :3], 0 * q[:, :3] + 5.0])
+    names = "time [s],x_mm,y_mm,z_mm,A,B,C"
+    np.savetxt(tables / "poses.csv", places, "%.6f", ",", header=names, comments="")
+    words = (
+        "convert {in}/log.csv {in}/poses.csv -o {out} --robot iust_6r --instrument tracker --yes"
+    )
+    yield Target("convert tables", tables, words, 2)
+    bag = folder / "bag"
+    bag.mkdir()
+    (mcap,) = write_bag(folder / "ros2", bag_of("mcap", whole)).glob("*.mcap")
+    shutil.copy(mcap, bag / "bag.mcap")
+    words = "convert {in}/bag.mcap -o {out} --robot iust_6r"
+    yield Target("convert bag", bag, words, 0.5)
+    yield Target("convert out", folder / "video", "convert {in} -o {out} --to mcap", 0.5)
 
 
 def _filmed(folder: Path, pictures: Path, codec: str) -> Path:

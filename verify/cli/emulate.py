@@ -104,16 +104,11 @@ def emulate(
     """
     from verify.devices.ports import SerialLine, describe_port_error
     from verify.errors import InputError
+    from verify.simulation.emulators.endpoints import listening_at, open_front, opening
     from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
     from verify.simulation.emulators.hand import contact_positions
     from verify.simulation.emulators.rosbridge import WebSocketEndpoint
-    from verify.simulation.emulators.server import (
-        EmulatorServer,
-        listening_at,
-        open_front,
-        opening,
-        parse_faults,
-    )
+    from verify.simulation.emulators.server import EmulatorServer, parse_faults
 
     if object_mm is not None and device is not EmulatedDevice.GRIPPER:
         raise InputError("--object-mm", f"{device.value} has no fingers", "", "Leave it out.")
@@ -154,7 +149,7 @@ def _opcua(
     where: str, motion: str, joints: int, rate: int, faults: "EmulatorFaults"
 ) -> "OpcUaEmulator":
     from verify.devices.encoders.opcua import require_asyncua
-    from verify.simulation.emulators.server import listening_at, opening
+    from verify.simulation.emulators.endpoints import listening_at, opening
     from verify.simulation.emulators.trajectory import load
 
     require_asyncua()

@@ -1,5 +1,6 @@
 """`verify record`: open a station's devices, record, say what the motion still lacks."""
 
+import os
 import time
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
@@ -83,6 +84,11 @@ def _settings(out: Path) -> RecordingSettings:
     """Where the session goes; InputError: something is there."""
     with refused_as_input_error(out):
         there = out.exists() or out.is_symlink()
+        parent = next(folder for folder in out.absolute().parents if folder.exists())
+    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
+        found = f"cannot be made in {parent}"
+        remedy = "Choose another -o, in a folder that takes files."
+        raise InputError(out, found, "a folder that takes files is expected", remedy)
     if there:
         remedy = "Give another name with -o, or remove it."
         raise InputError(out, "exists", "a session is recorded into a new folder", remedy)

@@ -58,12 +58,14 @@ def _export(arm: "arms.Arm", path: Path) -> int:
     """Write the arm as a URDF; nothing is overwritten."""
     import robots as arms
     from verify.errors import InputError
-    from verify.io.files import write_whole
+    from verify.io.files import refused_as_input_error, write_whole
     from verify.io.results import refuse_file
 
     text = arms.export_urdf(arm)
     refuse_file(path, force=True)
-    if path.exists():
+    with refused_as_input_error(path):
+        there = path.exists()
+    if there:
         raise InputError(path, "exists", "nothing is overwritten unasked", "Choose another name.")
     write_whole(path, text.encode())
     terminal.say(f"{path}: {arm.name} from base_link to tool0")

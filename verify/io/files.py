@@ -11,7 +11,7 @@ import re
 import secrets
 import shutil
 import socket
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
@@ -129,6 +129,18 @@ def require_folder(folder: Path, expected: str, remedy: str) -> None:
             return
         found = "is a file" if folder.exists() else "does not exist"
     raise InputError(folder, found, expected, remedy)
+
+
+def require_apart(out: Path, source: Path, written: Collection[str] = ()) -> None:
+    """Refuse, by an InputError, a result that would replace its source, or stand inside it.
+
+    `written` are names of the files that are made where `out` is a folder.
+    """
+    target, there = real_path(out), real_path(source)
+    replaced = there.parent == target and there.name in written
+    if replaced or there in (target, *target.parents):
+        found = f"would change {source}, which is read"
+        raise InputError(out, found, "a result stands apart from its source", "Choose another -o.")
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> bytes:

@@ -114,9 +114,13 @@ class JointRange:
         return beyond
 
     def require_within(
-        self, place: str | Path, arm: robots.Arm, names: Sequence[str], unit: str
-    ) -> None:
-        """Refuse readings beyond the arm's limits; the InputError names a unit that would fit."""
+        self, place: str | Path, arm: robots.Arm, names: Sequence[str], unit: str,
+        option: str = "--angles",
+    ) -> None:  # fmt: skip
+        """Refuse readings beyond the arm's limits; the InputError names a unit that would fit.
+
+        `option` is the one that states the unit.
+        """
         beyond = self._beyond(arm, unit)
         joint = int(np.argmax(beyond))
         if beyond[joint] <= MAX_BEYOND:
@@ -129,5 +133,5 @@ class JointRange:
         other = RADIANS if unit == DEGREES else DEGREES
         remedy = "Check the robot, the order of the joints and the unit."
         if self.fits(arm, other):
-            remedy = f"All readings fit in {other}: if that is their unit, give --angles {other}."
+            remedy = f"All readings fit in {other}: if that is their unit, give {option} {other}."
         raise InputError(place, found, expected, remedy)

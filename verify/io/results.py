@@ -18,7 +18,12 @@ import reports
 from reports import ReportError
 from reports.results import to_json_value
 from verify.errors import InputError
-from verify.io.files import output_refusal, real_path, write_folder_whole
+from verify.io.files import (
+    output_refusal,
+    real_path,
+    refused_as_input_error,
+    write_folder_whole,
+)
 from verify.io.series import ALARMS
 
 if TYPE_CHECKING:
@@ -52,9 +57,11 @@ def refuse_file(path: Path, *, force: bool) -> None:
     """
     if not path.parent.is_dir():
         raise output_refusal(path, OSError(errno.ENOENT, os.strerror(errno.ENOENT)))
-    if real_path(path).is_dir():
+    with refused_as_input_error(path):
+        folder, there = path.is_dir(), path.exists() or real_path(path).exists()
+    if folder:
         raise InputError(path, "is a folder", "a file is expected", "Choose another name.")
-    if path.exists() and not force:
+    if there and not force:
         remedy = "Choose another name, or give --force."
         raise InputError(path, "exists", "existing files are not overwritten", remedy)
 

@@ -18,13 +18,8 @@ from verify.core.records import Array
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.ports import SerialLine
 from verify.devices.protocols import DeviceState, EncoderReading
-from verify.simulation.emulators.server import (
-    EmulatorEngine,
-    EmulatorFaults,
-    EmulatorServer,
-    Endpoint,
-    open_front,
-)
+from verify.simulation.emulators.endpoints import Endpoint, open_front
+from verify.simulation.emulators.server import EmulatorEngine, EmulatorFaults, EmulatorServer
 
 PERIOD = 1 / 200  # s, quicker than a control loop: tests cannot wait
 LONGEST_STEP = 0.5  # s: a step waits for nothing; the rest is a machine that does other things

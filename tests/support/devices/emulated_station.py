@@ -23,6 +23,7 @@ from verify.simulation.devices.scene import SimClock
 from verify.simulation.devices.station import SimulatedStation
 from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
+from verify.simulation.emulators.endpoints import open_front
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
 from verify.simulation.emulators.opcua import OpcUaEmulator
 from verify.simulation.emulators.rosbridge import (
@@ -31,12 +32,7 @@ from verify.simulation.emulators.rosbridge import (
     WebSocketEndpoint,
 )
 from verify.simulation.emulators.rtde import RtdeEngine
-from verify.simulation.emulators.server import (
-    EmulatorEngine,
-    EmulatorFaults,
-    EmulatorServer,
-    open_front,
-)
+from verify.simulation.emulators.server import EmulatorEngine, EmulatorFaults, EmulatorServer
 
 SCENARIO = "multi_joint_rv_3sd"
 UR_JOINTS = (

@@ -15,8 +15,9 @@ def test_a_urdf_is_written_once_and_says_where_it_cannot_be(tmp_path: Path) -> N
     )
     written = robots.load(str(path))
     assert (written.base, written.tip, written.dof) == ("base_link", "tool0", 6)
-    refused = verify("robots", "abb_irb_120", "--export-urdf", str(path))
-    assert "exists; nothing is overwritten" in refused.refusal
+    for name, reason in (("arm.urdf", "exists; nothing is overwritten"), ("u" * 300, "too long")):
+        refused = verify("robots", "abb_irb_120", "--export-urdf", str(tmp_path / name))
+        assert reason in refused.refusal
 
 
 @pytest.mark.parametrize(

@@ -122,6 +122,7 @@ def convert(
     from verify.errors import InputError
     from verify.io.bags.bag import is_bag
     from verify.io.export.content import is_exportable
+    from verify.io.files import refused_as_input_error
 
     if out is None:
         if len(sources) == 1:
@@ -129,7 +130,8 @@ def convert(
             raise InputError(sources[0], "stands alone", expected, "Add its name, or -o OUT.")
         *sources, out = sources
     first = sources[0]
-    exports = first.is_dir() and not is_bag(first)
+    with refused_as_input_error(first):
+        exports = first.is_dir() and not is_bag(first)
     for_bags = {
         "--left": left, "--right": right, "--joints": joints, "--rig": rig, "--marker": marker,
         "--stamps": stamps is StampKind.received,

@@ -6,7 +6,7 @@ from verify.cli.terminal import terminal
 from verify.errors import InputError
 from verify.io.export.content import ExportContent, read_content, require_poses
 from verify.io.export.tables import FOLDERS, write_mat
-from verify.io.files import write_file_whole, write_folder_whole
+from verify.io.files import require_apart, write_file_whole, write_folder_whole
 from verify.io.results import refuse_file
 
 FILES = ("mat", "mcap", "rrd")
@@ -23,6 +23,7 @@ def convert_out(source: Path, out: Path, to: str | None, *, force: bool) -> None
         expected = f"--to is one of {', '.join((*FOLDERS, *FILES))}"
         remedy = "Give --to, or let -o end with .mat, .mcap or .rrd."
         raise InputError("-o", f"{out} does not say the format", expected, remedy)
+    require_apart(out, source)
     if kind in FILES:
         refuse_file(out, force=force)
     content = read_content(source)

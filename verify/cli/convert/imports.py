@@ -18,7 +18,7 @@ from verify.io.bags.bag import open_bag
 from verify.io.bags.cameras import rig_from_bag
 from verify.io.bags.session import BagRequest, BagSession, write_bag_session
 from verify.io.bags.topics import choose_topics
-from verify.io.files import read_bytes, write_folder_whole
+from verify.io.files import read_bytes, require_apart, write_folder_whole
 from verify.io.joints import RADIANS
 from verify.io.logs import session as logs
 from verify.io.logs.bodies import require_rotation
@@ -65,6 +65,7 @@ def convert_bag(sources: Sequence[Path], out: Path, options: ImportOptions, *, f
         InputError: the bag or an option cannot be used; nothing is written then.
     """
     (source,) = sources
+    require_apart(out, source)
     arm, robot = _load_robot(options.robot, out)
     with open_bag(source) as bag:
         topics = choose_topics(bag, *options.topics)
@@ -146,7 +147,8 @@ def _copy_robot(robot: str, folder: Path) -> str:
     """Copy a robot's own file into the session, which must not reach outside; return its name."""
     if not is_file(robot):
         return robot
-    name = f"robot_{Path(robot).name}" if Path(robot).name == SESSION_FILE else Path(robot).name
+    name = Path(robot).name
+    name = f"robot_{name}" if name in (SESSION_FILE, "rig.toml", "marker.toml") else name
     (folder / name).write_bytes(read_bytes(Path(robot)))
     return name
 
@@ -171,6 +173,8 @@ def convert_tables(
     """
     if options.rotation:
         require_rotation(options.rotation)
+    for source in sources:
+        require_apart(out, source, (logs.ENCODERS, logs.POSES, SESSION_FILE))
     tables = [open_log(source) for source in sources]
     needs_robot = options.robot is not None or (out / SESSION_FILE).is_file()
     arm, robot = _load_robot(options.robot, out) if needs_robot else (None, "")
@@ -187,7 +191,9 @@ def convert_tables(
         written = _write_tables(joints[:1], poses[:1], folder, progress)
         if joints and poses:
             name = _copy_robot(robot, folder)
-            (folder / SESSION_FILE).write_bytes(encode(_pose_keys(name, joints[0], options)))
+            (folder / SESSION_FILE).write_bytes(
+                encode(_pose_keys(name, joints[0], poses[0], options))
+            )
             written.append(SESSION_FILE)
     terminal.say(f"{out}: {', '.join(written)}")
     if not poses:
@@ -213,9 +219,8 @@ def _settle(
         )
     if not mapping.joints and not mapping.has_poses:
         names = ", ".join(table.names[:20])
-        remedy = "Name them by --map q1=COLUMN:rad,…" + (
-            " and give --robot." if arm is None else ""
-        )
+        robot = ", and give --robot" if arm is None else ""
+        remedy = f'Name them by --map "q1=COLUMN:rad,…"{robot}.'
         expected = "joint readings, or poses of an instrument, are expected"
         raise InputError(table.path, f"has the columns {names}", expected, remedy)
     if mapping.joints and arm is None:
@@ -257,13 +262,12 @@ def _write_tables(
 ) -> list[str]:  # fmt: skip
     """Write the files; returns their names."""
     written = []
-    dates = [m for m in (*joints, *poses) if m.mapping.time and m.mapping.time.unit == "date"]
-    common = min((logs.start_of(m.mapping, m.outline) for m in dates), default=None)
+    common = _common_start([*joints, *poses])
     tasks = ((joints, logs.write_encoders, logs.ENCODERS), (poses, logs.write_poses, logs.POSES))
     for tables, write, name in tasks:
         for m in tables:
             start = logs.start_of(m.mapping, m.outline)
-            start = common if common is not None and m in dates else start
+            start = start if common is None else common
             repeats = write(m.table, m.mapping, np.longdouble(start), folder / name, progress)
             if repeats:
                 terminal.warn(f"{m.table.path}: {repeats} rows repeat a time and are left out.")
@@ -271,11 +275,20 @@ def _write_tables(
     return written
 
 
-def _pose_keys(robot: str, joints: MappedTable, options: ImportOptions) -> dict[str, Any]:
-    time = joints.mapping.time
-    started = None
+def _common_start(tables: Sequence[MappedTable]) -> np.longdouble | None:
+    """Time that becomes 0 in all tables, s, if all count from one epoch; else None."""
+    starts = [logs.start_of(m.mapping, m.outline) for m in tables]
+    one_epoch = all(starts) and max(starts) - min(starts) <= logs.MAX_TIME
+    return min(starts) if one_epoch else None
+
+
+def _pose_keys(
+    robot: str, joints: MappedTable, poses: MappedTable, options: ImportOptions
+) -> dict[str, Any]:
+    time, start, started = joints.mapping.time, _common_start([joints, poses]), None
     if time is not None and time.unit == "date":
-        started = datetime.fromtimestamp(float(np.floor(joints.outline.first)), UTC)
+        first = logs.start_of(joints.mapping, joints.outline) if start is None else start
+        started = datetime.fromtimestamp(float(first), UTC)
     return {
         "format": FORMAT,
         "robot": robot,

@@ -186,6 +186,9 @@ def _described(error: Exception) -> OSError:
 def _poll(sent: float, names: tuple[str, ...], found: list[Any]) -> OpcUaPoll:
     """Turn the data values of an answer into numbers."""
     poll = OpcUaPoll(sent)
+    if len(found) != len(names):
+        poll.fault = f"{len(found)} values came for {len(names)} nodes"
+        return poll
     for name, data in zip(names, found, strict=True):
         if data.StatusCode is not None and not data.StatusCode.is_good():
             poll.fault = poll.fault or f"node {name} is {data.StatusCode.name}"
@@ -193,7 +196,7 @@ def _poll(sent: float, names: tuple[str, ...], found: list[Any]) -> OpcUaPoll:
         value = None if data.Value is None else data.Value.Value
         try:
             numbers = np.ravel(np.asarray(value, dtype=float)).tolist()
-        except (TypeError, ValueError):
+        except (TypeError, ValueError, OverflowError):
             poll.fault = poll.fault or f"node {name} holds no number"
             continue
         poll.values += numbers

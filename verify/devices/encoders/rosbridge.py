@@ -31,6 +31,7 @@ PING_PERIOD: Final = 5.0  # s: a bridge that lost its power closes nothing, and 
 MAX_MESSAGE_BYTES: Final = 1 << 20  # bytes
 MAX_MESSAGES_PER_READ: Final = 256  # messages: a flood must not hold the caller
 MAX_NAMES_LISTED: Final = 8
+MAX_STAMP: Final = 1 << 32  # s: ROS counts in 32 bits
 
 
 class WebSocketPort:
@@ -103,8 +104,10 @@ def parse_joint_state(message: Any, names: Sequence[str]) -> JointStateMessage |
         found, position = list(message["name"]), list(message["position"])
         stamp = message["header"]["stamp"]
         seconds, nanoseconds = int(stamp["sec"]), int(stamp["nanosec"])
-    except (KeyError, TypeError, ValueError):
+    except (KeyError, TypeError, ValueError, OverflowError):
         return "message that is no JointState"
+    if not (abs(seconds) < MAX_STAMP and 0 <= nanoseconds < 10**9):
+        return "message with an impossible time stamp"
     if len(found) != len(position):
         return "message with other than one position a joint"
     if any(found.count(name) > 1 for name in names):
@@ -114,9 +117,10 @@ def parse_joint_state(message: Any, names: Sequence[str]) -> JointStateMessage |
         return JointStateMessage(None, np.zeros(0), missing)
     try:  # null is how most bridges write NaN
         angles = np.array([position[found.index(name)] for name in names], dtype=float)
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         return "message with impossible angles"
-    if not np.all(np.abs(angles) <= intake.MAX_JOINT_ANGLE):  # nor what is no number
+    within = angles.ndim == 1 and np.all(np.abs(angles) <= intake.MAX_JOINT_ANGLE)
+    if not within:  # nor what is no number
         return "message with impossible angles"
     return JointStateMessage((seconds, nanoseconds) if seconds or nanoseconds else None, angles)
 
@@ -196,7 +200,7 @@ class RosbridgeEncoders(intake.PortDriver):
             case {"op": "publish", "topic": self._settings.topic, "msg": body}:
                 return self._joint_state(body, chunk)
             case {"op": "status", "msg": str(text)}:
-                self._remark = f"the bridge says: {text}"
+                self._remark = f"the bridge says: {' '.join(text.split())}"
                 return []
         return self._drop("message that is not understood")
 
@@ -206,7 +210,7 @@ class RosbridgeEncoders(intake.PortDriver):
         if isinstance(state, str):
             return self._drop(state)
         if state.missing:
-            seen = ", ".join(map(str, body["name"][:MAX_NAMES_LISTED]))
+            seen = ", ".join(map(str, list(body["name"])[:MAX_NAMES_LISTED]))
             wanted = ", ".join(state.missing)
             self._fault = f"the messages name {seen or 'no joint'}; no joint is called {wanted}"
             # another device's joints share the topic as a rule

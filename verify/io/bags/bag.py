@@ -18,6 +18,7 @@ SECOND = 1_000_000_000  # ns
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, JOINT_STATE = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/JointState"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+MAX_REASON = 200  # characters of what a library says
 REPAIRS = {  # programs of others that mend a recording that was cut off
     ".bag": "Repair it by `rosbag reindex`, or record it again.",
     ".mcap": "Repair it by `mcap recover`, or record it again.",
@@ -117,8 +118,9 @@ def open_bag(path: Path) -> Iterator[Bag]:
     for database in path.glob("*.db3") if folder else (path,):
         _require_whole_database(database)
     # older ROS 2 bags do not hold the definitions of their messages
-    reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+    store = get_typestore(Stores.ROS2_HUMBLE)
     try:
+        reader = AnyReader([path], default_typestore=store)
         reader.open()
     except Exception as error:  # damaged bytes raise whatever the parsers run into
         raise unreadable(path, error) from error
@@ -147,7 +149,7 @@ def unreadable(path: Path, error: Exception) -> Exception:
     """Word what rosbags cannot read; want of memory and refusals stay what they are."""
     if lacks_memory(error) or isinstance(error, InputError):
         return error
-    reason = str(error).strip().rstrip(".") or type(error).__name__
+    reason = " ".join(str(error).split())[:MAX_REASON].rstrip(".") or type(error).__name__
     found = f"cannot be read as a bag ({reason})"
     return InputError(
         path, found, "a whole ROS bag or MCAP file of ROS 2 is expected", _repair(path)

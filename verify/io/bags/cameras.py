@@ -24,6 +24,7 @@ from verify.io.bags.topics import camera_info_topic
 
 STATIC = "/tf_static"
 MIN_BASELINE, MAX_BASELINE = 0.01, 10.0  # m: more is a slip of the unit
+TOL_NORM = 2e-3  # of a quaternion's length
 MAX_DISAGREEMENT = 0.01  # of the baseline, between tf_static and CameraInfo
 PINHOLE = ("plumb_bob", "", "rational_polynomial")  # with k1, k2, p1, p2, k3 alone
 RECTIFIED = "image_rect"  # in the name of a topic of rectified pictures
@@ -110,6 +111,8 @@ def _read_model(bag: Bag, pictures: str) -> CameraModel:
     rectified = RECTIFIED in pictures
     k, r, p = (np.array(_field(info, key), dtype=float).reshape(3, -1) for key in ("k", "r", "p"))
     matrix, distortion = k, _distortion(place, info)
+    if not all(np.isfinite(values).all() for values in (k, r, p, distortion)):
+        raise InputError(place, "has numbers that are none", "a camera model is finite", REMEDY)
     if rectified:
         matrix, distortion, r = p[:, :3].copy(), np.zeros(5), np.eye(3)
     if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
@@ -164,6 +167,11 @@ def _from_transforms(bag: Bag, models: list[CameraModel]) -> Array | None:
     for message in bag.messages(names):
         for transform in message.content.transforms:
             parent = str(transform.header.frame_id).strip("/")
+            turn = transform.transform.rotation
+            length = np.linalg.norm([turn.x, turn.y, turn.z, turn.w])
+            if not abs(length - 1) <= TOL_NORM:  # nor what is no number
+                found = f"turns {transform.child_frame_id} by a quaternion of the length {length:g}"
+                raise InputError(f"{bag.path}, {message.topic}", found, "1 is expected", REMEDY)
             parents[str(transform.child_frame_id).strip("/")] = parent, _pose(transform.transform)
     frames = [model.frame for model in models]
     if frames[0] == frames[1] or "" in frames:

@@ -150,8 +150,9 @@ def _try_names(bag: Bag, message: BagMessage, request: BagRequest) -> tuple[str,
 
 
 def joint_values(message: BagMessage, names: Sequence[str]) -> Array | None:
-    """Take joint positions (n,) by name, in any order; None: the message lacks some of them."""
-    places = {str(name): place for place, name in enumerate(message.content.name)}
+    """Take joint positions (n,) by name, in any order; None: one is missing, or named twice."""
+    listed = [str(name) for name in message.content.name]
+    places = {name: place for place, name in enumerate(listed) if listed.count(name) == 1}
     positions = message.content.position
     found = [places.get(name, len(positions)) for name in names]
     if max(found) >= len(positions):

@@ -6,7 +6,9 @@ the session has them. Times count from the session's start where it has no date.
 Source: Rerun SDK reference (RecordingStream, send_columns).
 """
 
+import os
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -28,6 +30,7 @@ Progress = Callable[[int, int], None]
 
 def load_rerun() -> ModuleType:
     """Import the SDK; raises InputError: it is not installed."""
+    os.environ.setdefault("RUST_LOG", "off")  # one line of error is ours
     try:
         import rerun
     except ImportError as error:
@@ -44,6 +47,7 @@ def write_rrd(content: ExportContent, path: Path, progress: Progress) -> None:
 
     Raises:
         InputError: rerun-sdk is not installed, or a picture cannot be decoded.
+        OSError: it cannot be written.
     """
     rr = load_rerun()
     # the same content has the same identity
@@ -66,9 +70,12 @@ def write_rrd(content: ExportContent, path: Path, progress: Progress) -> None:
                 rr.send_columns(entity, [index], scalars, recording=recording)
         if content.session is not None:
             _log_pictures(rr, recording, content.session, start, progress)
-    finally:
         recording.flush()
-        recording.disconnect()
+    except RuntimeError as error:  # the library writes in a thread, and says why on a log alone
+        raise OSError("rerun-sdk could not write it; the disk may be full") from error
+    finally:
+        with suppress(RuntimeError):
+            recording.disconnect()
 
 
 def _time_column(rr: ModuleType, t: Array, start: float | None) -> Any:

@@ -224,11 +224,29 @@ def parse_mapping(table: LogTable, texts: Sequence[str], rotation: str) -> Colum
             found = f'{table.path} has no column "{column}"'
             hint = did_you_mean(column, table.names).strip()
             raise InputError("--map", found, f"it has {', '.join(table.names[:20])}", hint)
-        if any(c.target == target for c in columns):
-            raise InputError("--map", f"{target} stands twice", "each target has one column")
+        for c in columns:
+            if c.target == target:
+                raise InputError("--map", f"{target} stands twice", "each target has one column")
+            if c.column == column:
+                found = f'"{column}" is {c.target} and {target}'
+                raise InputError("--map", found, "each column has one target")
         columns.append(MappedColumn(column, target, unit or parse_name(column)[1]))
+    _require_whole_groups({c.target for c in columns})
     turns = rotation or ("quaternion" if any(c.target == "qw" for c in columns) else "")
     return ColumnMapping(tuple(columns), turns)
+
+
+def _require_whole_groups(targets: set[str]) -> None:
+    """Refuse, by an InputError, half a position or orientation, or two of one kind."""
+    for group in (POSITION, QUATERNION, ANGLES, POINTS):
+        missing = [target for target in group if target not in targets]
+        if missing and len(missing) < len(group):
+            found = f"names no {', '.join(missing)}"
+            raise InputError("--map", found, f"{', '.join(group)} go together")
+    for group, other in ((QUATERNION, ANGLES), (POSITION, POINTS)):
+        if targets >= {*group, *other}:
+            found = f"names {group[0]} and {other[0]}"
+            raise InputError("--map", found, "a body has one pose", "Leave one group out.")
 
 
 @dataclass(frozen=True, slots=True)
@@ -267,19 +285,35 @@ def settle_units(
         elif c in mapping.joints and spread is not None:
             unit, reason = _joint_unit(table, c, stated.angles, spread)
         elif c.target in (*POSITION, *POINTS):
+            _require_agreement(table, c, stated.lengths, "--lengths")
             unit = stated.lengths or unit
             _require_unit(table, c, unit, LENGTH_UNITS, "--lengths mm or --lengths m")
         elif c.target in ANGLES:
+            _require_agreement(table, c, stated.angles, "--angles")
             unit = stated.angles or unit
             _require_unit(table, c, unit, (DEGREES, RADIANS), "--angles deg or --angles rad")
         settled.append(MappedColumn(c.column, c.target, unit, reason))
     rotation = stated.rotation or mapping.rotation
+    turn = mapping.of(QUATERNION) or mapping.of(ANGLES)
+    if turn and rotation and (rotation == "quaternion") != (len(turn) == len(QUATERNION)):
+        found = f"is {rotation}, and {', '.join(c.column for c in turn)} are {len(turn)} numbers"
+        expected = "a quaternion has four numbers, another rotation three"
+        raise InputError("--rotation", found, expected, "Leave it out, or map other columns.")
     if mapping.of(ANGLES) and not rotation:
         names = ", ".join(c.column for c in mapping.of(ANGLES))
         found = f"does not say what {names} are"
         remedy = "Say it: --rotation rotvec, or the axes: --rotation xyz (fixed), ZYX (moving)."
         raise InputError(table.path, found, "a rotation vector or Euler angles", remedy)
     return ColumnMapping(tuple(settled), rotation)
+
+
+def _require_agreement(table: LogTable, c: MappedColumn, stated: str, option: str) -> None:
+    """Refuse, by an InputError, a unit for all columns that a column's own name contradicts."""
+    if stated and c.unit and not c.reason and c.unit != stated:
+        found = f'"{c.column}" is in {c.unit}, and {option} says {stated}'
+        example = f'"{c.target}={c.column}:{stated},…"'
+        remedy = f"Leave {option} out, or name every column by --map: {example}."
+        raise InputError(table.path, found, "each column has one unit", remedy)
 
 
 def _require_unit(
@@ -302,6 +336,10 @@ def _time_unit(table: LogTable, c: MappedColumn, step: float) -> tuple[str, str]
     if c.unit:
         _require_unit(table, c, c.unit, TIME_UNITS, "--map t_s=COLUMN:ms")
         return c.unit, c.reason
+    if step == 1.0:  # a counter of seconds, or of milliseconds
+        found = f'does not state the unit of "{c.column}", which counts 1, 2, 3'
+        remedy = f'Name every column by --map, this one as "{TIME}={c.column}:ms" or :s.'
+        raise InputError(table.path, found, "seconds and milliseconds are plausible", remedy)
     unit = next((unit for unit, most in MAX_STEP.items() if step <= most), "ns")
     return unit, f"guess: {1 / (step * TIME_UNITS[unit]):.4g} rows per second" if step > 0 else ""
 
@@ -310,6 +348,7 @@ def _joint_unit(
     table: LogTable, c: MappedColumn, stated: str, spread: JointRange
 ) -> tuple[str, str]:
     if stated:
+        _require_agreement(table, c, stated, "--angles")
         return stated, ""
     largest = float(np.maximum(np.abs(spread.least), np.abs(spread.greatest)).max())
     if c.unit and not c.reason:

@@ -17,6 +17,7 @@ from verify.io.logs.table import LogTable
 
 ENCODERS, POSES = "encoders.csv", "poses.csv"
 MAX_TIME = 1e6  # s: times beyond count from some other start, and are counted from the first row
+MAX_SPAN = 1e7  # s, of a recording: more is a damaged number
 MAX_DISTANCE = 5e4  # mm, of a pose from the first
 STEP_ROWS = 200  # that show the median step of the time
 
@@ -101,13 +102,19 @@ class RisingTimes:
         """Texts of the times of a chunk, each with its comma, and which rows are kept.
 
         Raises:
-            InputError: a time goes back; names the line.
+            InputError: a time goes back, or lies too far from the start; names the line.
         """
         if self._column is None:
             count = len(next(iter(values.values())))
             return [""] * count, np.ones(count, dtype=bool)
         scale = np.longdouble(columns_of.TIME_UNITS[self._column.unit])
         times = values[self._column.column].astype(np.longdouble) * scale - self._start
+        if (np.abs(times) > MAX_SPAN).any():
+            row = int(np.flatnonzero(np.abs(times) > MAX_SPAN)[0])
+            place = f"{self._table.path}, line {self._table.line_of(first + row)}"
+            found = f"{self._column.column} is {float(times[row]):.4g} s after the start"
+            raise InputError(place, found, f"at most {MAX_SPAN:g} s are plausible",
+                             "Mend this row or the first, or state the unit.")  # fmt: skip
         steps = np.diff(times, prepend=np.longdouble(self._last))
         if (steps < 0).any():
             row = int(np.flatnonzero(steps < 0)[0])
@@ -211,11 +218,13 @@ def require_joints_within(
     if outline.joints is None:
         return
     if len(mapping.joints) != arm.dof or mapping.joints[-1].target != f"q{arm.dof}":
-        found = f"{len(mapping.joints)} joints are mapped"
+        found = f"{len(mapping.joints)} joints are mapped, to {mapping.joints[-1].target}"
         raise InputError(table.path, found, f"{arm.name} has {arm.dof}", "Map q1 to the last one.")
     units = {c.unit for c in mapping.joints}
     if len(units) > 1:
         raise InputError(table.path, "has joints in degrees and in radians", "one unit is expected",
                          "State it: --angles deg or --angles rad.")  # fmt: skip
     names = [c.column for c in mapping.joints]
-    outline.joints.require_within(table.path, arm, names, units.pop())
+    by_name = any(columns_of.parse_name(name)[1] for name in names)
+    option = "every column by --map, these in" if by_name else "--angles"
+    outline.joints.require_within(table.path, arm, names, units.pop(), option)

@@ -7,7 +7,9 @@ UTF-8, UTF-16 or Latin-1; a separator at the end of each line.
 import codecs
 import csv
 import io
+import math
 import re
+from collections import Counter
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice
@@ -55,7 +57,8 @@ class LogTable:
 
     def is_date(self, name: str) -> bool:
         """Whether a column holds dates with a time of day."""
-        return all(_DATE.fullmatch(cell) for cell in self.cells(name))
+        written = [cell for cell in self.cells(name) if cell]
+        return bool(written) and all(_DATE.fullmatch(cell) for cell in written)
 
     def cells(self, name: str) -> list[str]:
         """The first cells of a column."""
@@ -129,6 +132,10 @@ class LogTable:
                 if number > self.header_line and line.strip():
                     yield number, split(line.rstrip("\r\n"), self.separator)
 
+    def _is_number(self, cell: str) -> bool:
+        other_sign = {".": ",", ",": "."}[self.decimal]
+        return other_sign not in cell and math.isfinite(float(cell.replace(",", ".")))
+
     def _fault(self, names: tuple[str, ...]) -> InputError:
         """Word what is wrong with the first row that cannot be read."""
         for line, cells in self._rows():
@@ -140,8 +147,7 @@ class LogTable:
                 place = self.names.index(name)
                 cell = cells[place].strip() if place < len(cells) else None
                 kind = _DATE if self.is_date(name) else _NUMBER
-                wrong_sign = cell is not None and ({".": ",", ",": "."}[self.decimal] in cell)
-                if cell and kind.fullmatch(cell) and (kind is _DATE or not wrong_sign):
+                if cell and kind.fullmatch(cell) and (kind is _DATE or self._is_number(cell)):
                     continue
                 found = f'{name} is "{cell[:40]}"' if cell else f"{name} is empty"
                 expected = "a date" if kind is _DATE else f'a number with "{self.decimal}"'
@@ -153,7 +159,12 @@ class LogTable:
 
 def split(line: str, separator: str) -> list[str]:
     """Cut a line into cells; spaces count once."""
-    return line.split() if separator == " " else next(csv.reader([line], delimiter=separator), [])
+    if separator == " ":
+        return line.split()
+    try:
+        return next(csv.reader([line], delimiter=separator), [])
+    except csv.Error:  # a cell longer than csv takes: no quotes are looked for
+        return line.split(separator)
 
 
 def _seconds(cells: "pd.Series[str]") -> Array:
@@ -173,7 +184,8 @@ def open_log(path: Path) -> LogTable:
     with refused_as_input_error(path), path.open("rb") as file:
         data = file.read(HEAD_BYTES)
     encoding = _encoding(data)
-    text = io.StringIO(data.decode(encoding, errors="replace"))
+    # line ends as a file opened with newline="" has them: CR alone is one
+    text = io.StringIO(data.decode(encoding, errors="replace"), newline="")
     lines = [line.rstrip("\r\n") for line in islice(text, MAX_PREAMBLE + SAMPLE_ROWS)]
     for separator in SEPARATORS:
         for number, line in enumerate(lines[:MAX_PREAMBLE]):
@@ -186,7 +198,8 @@ def open_log(path: Path) -> LogTable:
                 rows = rows[:-1] or rows  # the last line of the head may be cut off
             if _is_header(names, rows):
                 _require_unique(path, number + 1, names)
-                sample = tuple(tuple(row[: len(names)]) for row in rows)
+                width = len(names)
+                sample = tuple(tuple((row + [""] * width)[:width]) for row in rows)
                 decimal = _decimal(path, separator, sample)
                 return LogTable(
                     path, encoding, separator, decimal, number + 1, tuple(names), sample
@@ -220,10 +233,10 @@ def _is_header(names: list[str], rows: list[list[str]]) -> bool:
 
 
 def _require_unique(path: Path, line: int, names: list[str]) -> None:
-    for name in names:
-        if names.count(name) > 1:
-            found = f'names two columns "{name}"'
-            raise InputError(f"{path}, line {line}", found, "", "Rename one of them.")
+    twice = next((name for name, count in Counter(names).items() if count > 1), None)
+    if twice is not None:
+        found = f'names two columns "{twice}"'
+        raise InputError(f"{path}, line {line}", found, "", "Rename one of them.")
 
 
 def _decimal(path: Path, separator: str, sample: tuple[tuple[str, ...], ...]) -> str:

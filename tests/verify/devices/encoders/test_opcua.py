@@ -12,7 +12,7 @@ import pytest
 
 from tests.support.devices.bench import Ramp, gather, kept, require_one_clock, same_angles
 from tests.support.devices.bridge_server import bridge
-from verify.devices.encoders.opcua import OpcUaEncoders, OpcUaSettings
+from verify.devices.encoders.opcua import OpcUaEncoders, OpcUaSettings, _poll
 from verify.devices.ports import Chunk
 from verify.errors import InputError
 from verify.simulation.emulators.server import EmulatorFaults
@@ -200,3 +200,7 @@ def test_polls_that_cannot_be_timed_are_dropped_and_counted() -> None:
 def test_a_node_id_that_is_none_is_refused(node: str) -> None:
     with pytest.raises(InputError, match="a node id is expected"):
         OpcUaSettings("opc.tcp://nowhere:1", (node,))
+
+
+def test_an_answer_of_fewer_values_than_nodes_is_a_fault() -> None:
+    assert _poll(0.0, SIX, []).fault == "0 values came for 6 nodes"

@@ -1,6 +1,7 @@
 """ROS 2 joint states through rosbridge: JSON by hand from a server of another library (aiohttp)."""
 
 import json
+import math
 import socket
 import time
 from typing import Any
@@ -19,7 +20,7 @@ from tests.support.devices.bench import (
 )
 from tests.support.devices.bridge_server import PERIOD, bridge
 from verify.devices.encoders.rosbridge import RosbridgeEncoders, RosbridgeSettings
-from verify.devices.ports import PortLink
+from verify.devices.ports import Chunk, PortLink
 from verify.simulation.emulators.rosbridge import (
     RosbridgeEngine,
     RosbridgeOptions,
@@ -229,3 +230,19 @@ def test_a_bridge_that_is_silent_is_named_and_its_topic_waited_for() -> None:
         gather(encoders, lambda found: len(found) >= 10)
     assert isinstance(encoders.link, PortLink)
     gather(encoders, for_seconds(0.1))
+
+
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"header": {"stamp": {"sec": math.inf, "nanosec": 0}}},
+        {"header": {"stamp": {"sec": 10**400, "nanosec": 0}}},
+        {"position": [10**400] * 7},
+        {"position": [[]] * 7},
+        {"name": {"one": 1}, "position": [1.0]},
+    ],
+)
+def test_hostile_values_are_no_reading_and_no_crash(changed: dict[str, Any]) -> None:
+    encoders = driver("ws://127.0.0.1:1")
+    now = time.monotonic()
+    assert encoders._take(Chunk(published(joint_state(1, **changed)).encode(), now, now)) == []

@@ -327,3 +327,39 @@ def test_a_converted_session_gives_the_same_errors(
     apart = differences(found, expected, "expanded_uncertainty_deg")
     np.testing.assert_allclose(apart, 0, atol=1e-9)
     assert found["diagnosis"][0]["joint"] == 2
+
+
+def test_a_folder_named_like_a_bag_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "bag.mcap").mkdir()
+    assert "cannot be read as a bag" in convert(tmp_path / "bag.mcap", tmp_path / "out").refusal
+
+
+def test_a_static_transform_without_a_turn_is_refused(session: Recording, tmp_path: Path) -> None:
+    def spoil(contents: Contents) -> None:
+        ((_, message),) = contents.topics["/tf_static"][1]
+        message.transforms[0].transform.rotation.w = 0.0
+        message.transforms[0].transform.rotation.z = 0.0
+        message.transforms[0].transform.rotation.x = 0.0
+        message.transforms[0].transform.rotation.y = 0.0
+
+    said = refusal(tmp_path, bag_of("mcap", session, change=spoil))
+    assert "/tf_static: turns left_optical by a quaternion of the length 0" in said
+
+
+def test_a_camera_model_that_is_no_number_is_refused(session: Recording, tmp_path: Path) -> None:
+    def spoil(contents: Contents) -> None:
+        info = contents.topics["/left/camera_info"][1][0][1]
+        info.k = np.where(np.arange(9) == 2, np.nan, info.k)
+
+    said = refusal(tmp_path, bag_of("mcap", session, change=spoil))
+    assert "/left/camera_info: has numbers that are none" in said
+
+
+def test_a_message_that_names_a_joint_twice_is_left_out(session: Recording, tmp_path: Path) -> None:
+    def spoil(contents: Contents) -> None:
+        message = contents.topics["/joint_states"][1][1][1]
+        message.name.append(message.name[0])
+        message.position = np.append(message.position, 0.5)
+
+    found = convert_contents(tmp_path, bag_of("mcap", session, change=spoil))
+    assert len(found.encoders.t) == len(session.encoders.t) - 1

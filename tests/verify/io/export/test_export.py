@@ -159,3 +159,11 @@ def test_a_session_shows_its_clock_is_not_known(tmp_path: Path) -> None:
     done = verify("convert", SAMPLES / NAME, "-o", tmp_path / "tum", "--to", "tum")
     assert "states no [clock]" in done.err
     assert [p.name for p in (tmp_path / "tum").iterdir()] == ["encoders.tum"]
+
+
+def test_an_export_never_touches_its_source(session: Path) -> None:
+    before = {path: path.read_bytes() for path in session.iterdir()}
+    for out, kind in ((session, "csv"), (session / "session.toml", "mat")):
+        said = verify("convert", session, "-o", out, "--to", kind, "--force").refusal
+        assert f"would change {session}" in said
+    assert {path: path.read_bytes() for path in session.iterdir()} == before

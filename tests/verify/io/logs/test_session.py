@@ -143,7 +143,7 @@ def test_readings_beyond_the_limits_name_the_unit_that_fits(tmp_path: Path) -> N
     source = write_table(tmp_path / "log.csv", names, np.column_stack([T, np.rad2deg(Q)]))
     said = convert(source, tmp_path / "out", "--robot", "iust_6r", "--yes").refusal
     assert "in rad runs from" in said
-    assert "--angles deg" in said
+    assert "give every column by --map, these in deg." in said
     assert not (tmp_path / "out").exists()
 
 
@@ -273,3 +273,104 @@ def test_joints_of_a_urdf_are_found_behind_a_prefix_in_any_order() -> None:
     assert isinstance(arm, robots.UrdfArm)
     names = ["finger", *sorted(f"left_{name}" for name in arm.joint_names)]
     assert match_joint_names("bag", names, arm) == tuple(f"left_{n}" for n in arm.joint_names)
+
+
+def joints_table(path: Path, header: str = "timestamp", t: Array = T) -> Path:
+    names = [header, *(f"actual_q_{j}" for j in range(6))]
+    return write_table(path, names, np.column_stack([t, Q]))
+
+
+def rows_of(path: Path) -> list[str]:
+    return path.read_text().splitlines()
+
+
+@pytest.mark.parametrize(
+    ("number", "text", "words"),
+    [
+        (7, f'0.05,"{"x" * 200_000}",0,0,0,0,0', ("line 7", "actual_q_0 is")),
+        (7, "0.05,0.1", ("line 7", "actual_q_1 is empty")),  # in the head too
+        (7, "0.05,1e999,0,0,0,0,0", ("line 7", '"1e999"')),
+        (7, "1e300,0,0,0,0,0,0", ("line 7", "1e+300 s after the start")),
+        (2, "-1e300,0,0,0,0,0,0", ("line 3", "1e+300 s after the start")),
+    ],
+)
+def test_hostile_cells_are_named(
+    number: int, text: str, words: tuple[str, ...], tmp_path: Path
+) -> None:
+    source = joints_table(tmp_path / "log.csv")
+    replace_line(source, number, text)
+    said = convert(source, tmp_path / "out", "--robot", "ur5", "--yes").refusal
+    assert [word for word in words if word not in said] == [], said
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("end", ["\r", "\r\r\n"])
+def test_line_ends_of_other_systems(end: str, tmp_path: Path) -> None:
+    lines = ["a log", *rows_of(joints_table(tmp_path / "log.csv"))]
+    (tmp_path / "log.csv").write_bytes(end.join(lines).encode())
+    done = convert(tmp_path / "log.csv", tmp_path / "out", "--robot", "ur5", "--yes")
+    assert done.status == 0, done.err
+    np.testing.assert_allclose(joints_of(tmp_path / "out"), Q, atol=1e-7)
+
+
+def test_a_table_of_a_million_columns_is_none(tmp_path: Path) -> None:
+    (tmp_path / "log.csv").write_text(",".join(f"c{i}" for i in range(10**6)) + "\n1,2\n")
+    said = convert(tmp_path / "log.csv", tmp_path / "out", "--robot", "ur5", "--yes").refusal
+    assert "is no table" in said
+
+
+def test_a_name_that_the_system_refuses_is_one_line(tmp_path: Path) -> None:
+    said = convert(Path("a" * 300), tmp_path / "out", "--robot", "ur5", "--yes").refusal
+    assert "file name too long" in said
+
+
+def test_the_source_is_never_replaced(tmp_path: Path) -> None:
+    source = joints_table(tmp_path / "encoders.csv")
+    before = source.read_bytes()
+    for out in (tmp_path, source):
+        said = convert(source, out, "--robot", "ur5", "--yes", "--force").refusal
+        assert f"would change {source}" in said
+    assert source.read_bytes() == before
+
+
+def test_tables_that_count_from_one_epoch_stay_on_one_clock(tmp_path: Path) -> None:
+    log = joints_table(tmp_path / "log.csv", t=1.7e9 + 0.25 + T)
+    rows = np.column_stack([1.7e9 + 3.75 + T, PLACES])
+    tracker = write_table(tmp_path / "p.csv", ["time", "x_mm", "y_mm", "z_mm"], rows)
+    options = ("--robot", "ur5", "--yes", "--instrument", "tracker")
+    assert verify("convert", log, tracker, "-o", tmp_path / "out", *options).status == 0
+    first = [
+        float(rows_of(tmp_path / "out" / f"{name}.csv")[1].split(",")[0])
+        for name in ("encoders", "poses")
+    ]
+    np.testing.assert_allclose(first, [0.25, 3.75], atol=1e-6)
+
+
+def test_one_unit_for_all_does_not_overrule_a_columns_own(tmp_path: Path) -> None:
+    names = ["timestamp", *(f"actual_q_{j}" for j in range(6)), "x_mm", "y_mm", "z_mm"]
+    rows = np.column_stack([T, Q, PLACES, 0 * PLACES + 10])
+    source = write_table(tmp_path / "log.csv", [*names, "roll", "pitch", "yaw"], rows)
+    options = ("--robot", "ur5", "--yes", "--instrument", "tracker")
+    said = convert(source, tmp_path / "out", *options, "--angles", "deg").refusal
+    assert '"actual_q_0" is in rad, and --angles says deg' in said
+
+
+def test_a_counter_is_seconds_or_milliseconds_and_asked_for(tmp_path: Path) -> None:
+    source = joints_table(tmp_path / "log.csv", "time", np.arange(ROWS))
+    said = convert(source, tmp_path / "out", "--robot", "ur5", "--yes").refusal
+    assert '"t_s=time:ms" or :s' in said
+
+
+@pytest.mark.parametrize(
+    ("mapping", "words"),
+    [
+        ("x=a:mm,y=b:mm", "names no z"),
+        ("x=a:mm,y=b:mm,z=c:mm,r1=d:deg,r2=e:deg", "names no r3"),
+        ("x=a:mm,y=a:mm,z=c:mm", '"a" is x and y'),
+        ("x=a:mm,y=b:mm,z=c:mm,qw=d,qx=e,qy=f,qz=g", "are 4 numbers"),
+    ],
+)
+def test_a_mapping_of_half_a_pose_is_refused(mapping: str, words: str, tmp_path: Path) -> None:
+    source = write_table(tmp_path / "p.csv", list("abcdefg"), np.ones((9, 7)))
+    options = ("--instrument", "tracker", "--rotation", "ZYX", "--map", mapping)
+    assert words in convert(source, tmp_path / "out", *options).refusal

@@ -8,7 +8,7 @@ from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
 from verify.devices.melfa import protocol
 from verify.devices.ports import SerialLine
 from verify.errors import InputError
-from verify.simulation.emulators import server, trajectory
+from verify.simulation.emulators import endpoints, server, trajectory
 from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
 from verify.simulation.emulators.melfa import ControllerOptions, MelfaEngine
@@ -109,7 +109,7 @@ def test_faults_are_read_or_refused() -> None:
 def test_a_front_that_cannot_be_opened_is_refused() -> None:
     for where in ("tcp:x", "/dev/there-is-none"):
         with pytest.raises(InputError):
-            server.open_front(where, SerialLine())
+            endpoints.open_front(where, SerialLine())
 
 
 @pytest.mark.parametrize("where", ["tcp:0", "pty"])

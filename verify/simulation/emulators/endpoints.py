@@ -1,0 +1,241 @@
+"""Addresses at which an emulated device is reached: TCP, UDP, a pseudo-terminal, a serial port."""
+
+import contextlib
+import os
+import select
+import socket
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Protocol
+
+from verify.devices.ports import MAX_READ_BYTES, Port, SerialLine, host_and_port, open_port
+from verify.errors import InputError
+
+
+class Endpoint(Protocol):
+    """An address at which one client at a time is served."""
+
+    address: str  # what a client opens
+
+    def receive(self, wait: float) -> tuple[bool, bytes]:
+        """Wait at most `wait` s for bytes: whether a client has just connected, and the bytes."""
+
+    def send(self, data: bytes) -> None:
+        """Send to the client, if there is one."""
+
+    def unplug(self) -> None:
+        """Close the address."""
+
+    def plug(self) -> None:
+        """Open it again, the same address."""
+
+
+class TcpEndpoint:
+    """A server for one client; a second one is refused."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._listener: socket.socket | None = None
+        self._client: socket.socket | None = None
+        self._where = (host, port)
+        self.plug()
+
+    def receive(self, wait: float) -> tuple[bool, bytes]:
+        """Accept clients and read bytes."""
+        ready = [s for s in (self._listener, self._client) if s is not None]
+        came, data = False, b""
+        for found in select.select(ready, [], [], wait)[0]:
+            if found is self._listener:
+                client, _ = found.accept()
+                if came := self._client is None:
+                    client.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+                    client.settimeout(1.0)
+                    self._client = client
+                else:
+                    client.close()
+            elif self._client is not None and not came:
+                with contextlib.suppress(OSError):
+                    data = self._client.recv(MAX_READ_BYTES)
+                if not data:
+                    self._disconnect()
+        return came, data
+
+    def send(self, data: bytes) -> None:
+        """Send to the client."""
+        try:
+            if self._client is not None:
+                self._client.sendall(data)
+        except OSError:
+            self._disconnect()
+
+    def unplug(self) -> None:
+        """Close everything."""
+        self._disconnect()
+        if self._listener is not None:
+            self._listener.close()
+        self._listener = None
+
+    def plug(self) -> None:
+        """Listen; port 0 takes a free one, and keeps it."""
+        self._listener = socket.create_server(self._where)
+        self._where = (self._where[0], self._listener.getsockname()[1])
+        self.address = f"tcp:{self._where[0]}:{self._where[1]}"
+
+    def _disconnect(self) -> None:
+        if self._client is not None:
+            self._client.close()
+        self._client = None
+
+
+class UdpEndpoint:
+    """A datagram socket; it answers whoever wrote last."""
+
+    def __init__(self, host: str, port: int) -> None:
+        self._where = (host, port)
+        self._peer: tuple[str, int] | None = None
+        self._socket: socket.socket | None = None
+        self.plug()
+
+    def receive(self, wait: float) -> tuple[bool, bytes]:
+        """Take one datagram."""
+        if self._socket is None or not select.select([self._socket], [], [], wait)[0]:
+            return False, b""
+        try:
+            data, peer = self._socket.recvfrom(MAX_READ_BYTES)
+        except OSError:  # the peer's port is closed
+            return False, b""
+        came, self._peer = peer != self._peer, peer
+        return came, data
+
+    def send(self, data: bytes) -> None:
+        """Send one datagram."""
+        if self._socket is not None and self._peer is not None:
+            with contextlib.suppress(OSError):
+                self._socket.sendto(data, self._peer)
+
+    def unplug(self) -> None:
+        """Close the socket."""
+        if self._socket is not None:
+            self._socket.close()
+        self._socket = None
+
+    def plug(self) -> None:
+        """Bind; port 0 takes a free one, and keeps it."""
+        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self._socket.bind(self._where)
+        self._where = (self._where[0], self._socket.getsockname()[1])
+        self.address = f"udp:{self._where[0]}:{self._where[1]}"
+
+
+class PtyEndpoint:
+    """A pseudo-terminal: a serial device to whoever opens it. Not on Windows.
+
+    A link always leads to it; without one it has the system's name, which a replug changes.
+    """
+
+    def __init__(self, link: Path | None) -> None:
+        self._link = link
+        self._ends: tuple[int, int] | None = None
+        self.plug()
+
+    def receive(self, wait: float) -> tuple[bool, bytes]:
+        """Read bytes; a client that connects cannot be noticed."""
+        if self._ends is None or not select.select([self._ends[0]], [], [], wait)[0]:
+            return False, b""
+        return False, os.read(self._ends[0], MAX_READ_BYTES)
+
+    def send(self, data: bytes) -> None:
+        """Send; what is not read is dropped, as on a serial line."""
+        if self._ends is not None:
+            with contextlib.suppress(BlockingIOError):
+                os.write(self._ends[0], data)
+
+    def unplug(self) -> None:
+        """Close both ends."""
+        if self._ends is not None:
+            for end in self._ends:
+                os.close(end)
+            if self._link is not None:
+                self._link.unlink(missing_ok=True)
+        self._ends = None
+
+    def plug(self) -> None:
+        """Make a pseudo-terminal that hands every byte through."""
+        import tty  # not on Windows
+
+        self._ends = os.openpty()
+        tty.setraw(self._ends[1])
+        os.set_blocking(self._ends[0], False)
+        name = os.ttyname(self._ends[1])
+        if self._link is not None:
+            self._link.unlink(missing_ok=True)
+            self._link.symlink_to(name)
+        self.address = str(self._link or name)
+
+
+class SerialEndpoint:
+    """A serial device; the client is at the other end of a cable."""
+
+    def __init__(self, path: str, line: SerialLine) -> None:
+        self.address = path
+        self._line = line
+        self._port: Port | None = None
+        self.plug()
+
+    def receive(self, wait: float) -> tuple[bool, bytes]:
+        """Read bytes; a client that connects cannot be noticed."""
+        if self._port is None or not self._port.wait(wait):
+            return False, b""
+        return False, self._port.take()
+
+    def send(self, data: bytes) -> None:
+        """Send."""
+        if self._port is not None:
+            self._port.send(data)
+
+    def unplug(self) -> None:
+        """Close the device."""
+        if self._port is not None:
+            self._port.close()
+        self._port = None
+
+    def plug(self) -> None:
+        """Open the device."""
+        self._port = open_port(self.address, self._line)
+
+
+def open_front(where: str, line: SerialLine) -> Endpoint:
+    """Open the endpoint that the user names; `line` is how a serial device is set.
+
+    It is `tcp:PORT`, `tcp:HOST:PORT`, `udp:…`, `pty`, `pty:LINK`, or a serial device's path.
+    Without a host only this computer can connect; port 0 takes a free one.
+
+    Raises:
+        InputError: it cannot be opened.
+    """
+    kind, _, rest = where.partition(":")
+    with opening(where):
+        if kind == "tcp":
+            return TcpEndpoint(*listening_at(where))
+        if kind == "udp":
+            return UdpEndpoint(*listening_at(where, "udp"))
+        if kind == "pty":
+            return PtyEndpoint(Path(rest) if rest else None)
+        return SerialEndpoint(where, line)
+
+
+def listening_at(where: str, kind: str = "tcp") -> tuple[str, int]:
+    """Take `tcp:PORT` or `tcp:HOST:PORT` apart; InputError: another kind of address."""
+    found, _, rest = where.partition(":")
+    if found != kind:
+        raise InputError(f"--port {where}", "is another kind of line", f"{kind}:PORT is expected")
+    return host_and_port(rest if ":" in rest else f"127.0.0.1:{rest}", where)
+
+
+@contextlib.contextmanager
+def opening(where: str) -> Iterator[None]:
+    """Turn what goes wrong when an address is opened into an InputError."""
+    try:
+        yield
+    except OSError as error:
+        found = (error.strerror or str(error)).lower()
+        raise InputError(f"--port {where}", found, "", "Choose another one.") from error
