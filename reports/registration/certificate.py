@@ -183,7 +183,7 @@ def _place_table(summary: dict[str, Any]) -> doc.Table | None:
     base, leds = summary.get("base") or {}, summary.get("leds") or []
     frame = "the instrument's frame" if posed(summary) else "the rig"
     rows = _pose_rows("Base", frame, base)
-    rows += _pose_rows("Target", "the flange's frame", summary.get("target") or {})
+    rows += _pose_rows("Target", "the flange frame", summary.get("target") or {})
     for led in leds[:MAX_LEDS]:
         cells = [
             fmt.with_uncertainty(
