@@ -120,7 +120,7 @@ def _bare_regions(bare: Cells) -> str:
 def _identification(summary: dict[str, Any]) -> list[tuple[str, str]]:
     pairs, fit = summary.get("pairs") or {}, summary.get("reprojection") or {}
     sides = [fmt.quantity(fit.get(f"{side}_rms_px"), "px") for side in ("left", "right")]
-    corners = f"{fmt.count(pairs.get('corners'))}, {fmt.count(pairs.get('refused'))} refused"
+    corners = f"{fmt.count(pairs.get('corners'))}, {fmt.count(pairs.get('refused'))} rejected"
     baseline = format_with_uncertainty(summary.get("stereo") or {}, "baseline", "mm")
     return [
         ("Pictures", fmt.text_or_dash((summary.get("source") or {}).get("path"))),
@@ -136,9 +136,9 @@ def _point_table(entries: list[dict[str, Any]]) -> doc.Table:
     keys = {
         "Across [mm]": "total_lateral_mm",
         "In depth [mm]": "total_depth_mm",
-        "Worst in the field [mm]": "worst_total_mm",
+        "Largest in the field [mm]": "worst_total_mm",
     }
-    title = "U (k = 2) of one LED's place: in the middle of the field, and the worst in it."
+    title = "U (k = 2) of one LED's position: in the middle of the field, and the largest in it."
     return doc.tabulate(title, distance_columns(keys), entries)
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -16,6 +17,7 @@ N_ARROW_CELLS = 12  # across the image, for which the mean residual is drawn
 MAX_ARROW_LENGTH = 0.9  # of a cell's width: how long the 95th percentile of the arrows is drawn
 HEAD_LENGTH, HEAD_HALF_WIDTH = 0.3, 0.5  # of an arrow's length, and of the head's
 PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free around the data
+MIN_COARSE = 0.1  # mm, the largest value of a grid from which on a hundredth is fine enough
 MAX_TICKS = 24  # words along an axis of pairs; more would touch
 
 
@@ -236,7 +238,8 @@ def accuracy(results: Results) -> charts.Chart | None:
             grid = own.pivot_table(index="y_mm", columns="x_mm", values=name, dropna=False)
             grid = COVERAGE_FACTOR * grid
             title = f"{distance / 1e3:g} m away, from {words} [mm]"
-            panel = _grid_panel(grid, top, _two_digits, title, "mm")
+            finest = 2 if float(np.nanmax(grid.to_numpy())) >= MIN_COARSE else 3
+            panel = _grid_panel(grid, top, partial(_two_digits, finest=finest), title, "mm")
             panels.append(panel if name == parts[0][0] else replace(panel, y_label=""))
     return charts.Chart(tuple(panels), columns=2, row_height=1.55)
 
@@ -254,22 +257,24 @@ def contributions(results: Results) -> charts.Chart | None:
     if total is not None:
         ends = np.array([-0.6, len(table) - 0.4])
         marks.append(
-            charts.Line(ends, np.full(2, total), "tolerance", f"as it is: {quantity(total, 'mm')}")
+            charts.Line(
+                ends, np.full(2, total), "tolerance", f"at present: {quantity(total, 'mm')}"
+            )
         )
         top = max(top, total)
     # they stand side by side
     names = [text.replace(" ", "\n", 1) for text in charts.texts(table, "group")]
     ticks = tuple(zip(places.tolist(), names, strict=True))
     panel = charts.Panel(
-        tuple(marks), "U of the depth [mm]", "were they exact", x_ticks=ticks,
+        tuple(marks), "U of the depth [mm]", "source left out", x_ticks=ticks,
         x_range=(-0.6, len(table) - 0.4), y_range=(0.0, 1.08 * top), unit="mm",
     )  # fmt: skip
     return charts.Chart((panel,), row_height=1.9)
 
 
-def _two_digits(value: float) -> str:
-    """Two significant digits, and no finer than a micrometre: as many as fit a cell."""
-    return number(value, 0 if value >= 10 else min(decimals_of(value), 3))
+def _two_digits(value: float, finest: int) -> str:
+    """Two significant digits, and no more than `finest` decimals: as many as fit a cell."""
+    return number(value, 0 if value >= 10 else min(decimals_of(value), finest))
 
 
 def correlation(results: Results, write: Callable[[str], str] = str) -> charts.Chart | None:

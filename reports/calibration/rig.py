@@ -56,7 +56,7 @@ def _principal_point(point: dict[str, Any]) -> doc.Paragraph:
     u = fmt.finite(point.get("standard_uncertainty_px"))
     if distance is None or u is None or u == 0:
         return doc.Paragraph(
-            f"How well the {camera} camera's principal point is known is not stated."
+            f"The uncertainty of the {camera} camera's principal point is not stated."
         )
     text = (
         f"The {camera} camera's principal point lies "
@@ -64,19 +64,21 @@ def _principal_point(point: dict[str, Any]) -> doc.Paragraph:
         f"image's centre, {fmt.significant(distance / u)} times its standard uncertainty"
     )
     if not point.get("odd"):
-        return doc.Paragraph(f"{text}: within what cameras of this kind have.")
+        return doc.Paragraph(f"{text}: within the usual range of such cameras.")
     if point.get("believed"):
         return doc.Paragraph(
-            f"{text}. That is far off, yet the pictures give it: believe it. A picture cut out of "
-            "a larger sensor does that; sessions must be recorded in the same mode."
+            f"{text}. This is outside the usual range, but the pictures determine it well: the "
+            "result can be used. A picture cropped from a larger sensor has such a principal "
+            "point; record sessions in the same mode."
         )
     return doc.Paragraph(
-        f"{text}. That is far off, and the pictures do not give it: do not believe it."
+        f"{text}. This is outside the usual range, and the pictures do not determine it: the "
+        "result cannot be relied on. Take more pictures with tilted boards."
     )
 
 
 def stereo(results: Results) -> doc.Section:
-    """Say how the cameras stand to each other, and check the scale against the squares."""
+    """State the cameras' relative pose, and check the scale against the squares."""
     entry = results.summary.get("stereo") or {}
     convergence = format_with_uncertainty(entry, "convergence", "deg")
     rows = [
@@ -126,10 +128,11 @@ def _scale(summary: dict[str, Any]) -> tuple[doc.Block, ...]:
     off = fmt.significant(abs(found - given) / u) if u else fmt.DASH
     exact = square.get("stated_standard_uncertainty_mm")
     text = (
-        f"Triangulated, {board} comes out as "
+        f"Triangulated, {board} is "
         f"{fmt.with_uncertainty(found, fmt.expanded(u), 'mm', signed=False)} (k = 2) on average, "
-        f"where {fmt.exact_number(given)} mm is stated: {off} times the standard uncertainty "
-        f"apart. Single edges scatter by {fmt.quantity(square.get('deviation_mm'), 'mm')}. "
+        f"and {fmt.exact_number(given)} mm is stated: the difference is {off} times the "
+        "standard uncertainty. Single edges scatter by "
+        f"{fmt.quantity(square.get('deviation_mm'), 'mm')}. "
     )
     if exact is None:
         text += (
@@ -163,9 +166,9 @@ def main_improvement(summary: dict[str, Any]) -> str:
     first = summary.get("improve_first") or {}
     help_ = first.get("help")
     if not help_:
-        return "What to improve first is not known."
+        return "The largest source of uncertainty is not known."
     named = GROUPS.get(str(first.get("group")), fmt.text_or_dash(first.get("group")))
-    return f"What counts most is {named}: {help_}."
+    return f"The largest source of uncertainty: {named}. To reduce it: {help_}."
 
 
 def accuracy(results: Results) -> doc.Section:
@@ -186,9 +189,9 @@ def _point_table(entries: list[dict[str, Any]]) -> doc.Table:
         "Rig, depth": "systematic_depth_mm",
         "Both, across": "total_lateral_mm",
         "Both, depth": "total_depth_mm",
-        "Worst in the field, in all": "worst_total_mm",
+        "Largest in the field, both": "worst_total_mm",
     }
-    title = "U (k = 2) of one LED's place in the middle of the field, in mm."
+    title = "U (k = 2) of one LED's position in the middle of the field, in mm."
     return doc.tabulate(title, distance_columns(keys), entries, CalibrationNotes.POINT)
 
 
@@ -213,19 +216,19 @@ def distance_columns(keys: dict[str, str]) -> list[doc.Column]:
 
 
 def improvement(results: Results) -> doc.Section:
-    """Say what would help most."""
+    """List the sources of uncertainty, the largest first."""
     blocks: list[doc.Block] = [doc.Paragraph(fmt.capitalise(main_improvement(results.summary)))]
     table = results.table("contributions")
     if len(table):
         title = (
-            f"Depth of a point {format_distance(working_distance_entry(results.summary))} away, "
-            "by what its uncertainty comes from; U with k = 2."
+            f"Depth of a point {format_distance(working_distance_entry(results.summary))} away: "
+            "sources of its uncertainty; U with k = 2."
         )
         columns = (
             doc.Column("Source", "l", lambda e: fmt.capitalise(GROUPS.get(e["group"], e["group"]))),
-            doc.Column("U from it alone [mm]", "r", doc.expanded_field("alone_mm")),
-            doc.Column("U left, were it exact [mm]", "r", doc.expanded_field("without_mm")),
+            doc.Column("U from this source [mm]", "r", doc.expanded_field("alone_mm")),
+            doc.Column("U without this source [mm]", "r", doc.expanded_field("without_mm")),
         )
         blocks.append(doc.tabulate(title, columns, records(table), CalibrationNotes.GROUPS))
     blocks.append(figure_block(results, "contributions"))
-    return doc.Section("improvement", "What would help most", tuple(blocks))
+    return doc.Section("improvement", "Sources of uncertainty", tuple(blocks))

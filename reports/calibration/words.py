@@ -7,11 +7,11 @@ GROUPS = {
     "focal lengths": "the cameras' focal lengths",
     "principal points": "the principal points",
     "lens distortion": "the lens distortion",
-    "cameras' turns": "how the cameras are turned to each other",
-    "cameras' places": "where the cameras stand",
+    "cameras' turns": "the cameras' relative orientation",
+    "cameras' places": "the cameras' relative position",
     "pan axes and zeros": "the turning bases' axes and zeros",
     "pan readings": "the pan readings",
-    "spot noise": "the noise of the LEDs' own centres, not the rig",
+    "spot noise": "the noise of the LED spots, not the rig",
 }
 
 PARAMETERS = {
@@ -36,7 +36,7 @@ class CalibrationNotes:
     """Notes that stand under tables."""
 
     CHOSEN = (
-        "Chosen: no picture of a board can tell it. It sets where the rig's frame lies, or, with "
+        "Chosen: no picture of a board determines it. It sets where the rig's frame lies, or, with "
         "a base that never turned, how the camera's place is shared between pan centre, axis and "
         "mount. Pan axes are given by the turn that carries the rig's y axis to them."
     )
@@ -45,12 +45,12 @@ class CalibrationNotes:
         "found from the boards as well. The relation holds at the median of the pan readings."
     )
     STILL = (
-        "The bases stood still, so the pictures hold nothing of the turning axes, pan centres and "
+        "The bases stood still, so the pictures do not determine turning axes, pan centres and "
         "mounts: they were chosen, and the calibration holds at these pan readings only."
     )
     PAIRS = (
         "A positive tilt brings the upper edge (horizontal axis) or the right edge (vertical axis) "
-        "nearer. Behind the corners, in brackets: how many were refused. A view stands out if its "
+        "nearer. Behind the corners, in brackets: how many were rejected. A view stands out if its "
         "rms lies 3.5 robust standard deviations and half above the median of its camera's views."
     )
     COVERED = (
@@ -61,16 +61,16 @@ class CalibrationNotes:
         "Noise: one spot, both images, once; it averages out. Rig: the calibration's own "
         "uncertainty, all correlations included; it does not. Across: in the direction across the "
         "line of sight in which it is largest. A part of the rig's share shifts or turns the whole "
-        "picture alike, and a robot registered with the same rig takes that part up."
+        "field alike; the registration of a robot with the same rig compensates that part."
     )
     LENGTH = (
-        "What shifts or turns the whole picture falls out of a length: this is what the rig's own "
-        "scale and shape are worth."
+        "A shift or turn of the whole field does not change a length: only errors of the rig's "
+        "scale and shape count here."
     )
     GROUPS = (
-        "The parts do not add up, because parameters found from the same pictures hang together: "
-        "errors of one are made up for by another. What is left were a group exact says where more "
-        "or better pictures pay."
+        "The parts do not add up, because parameters found from the same pictures are correlated: "
+        "errors of one compensate those of another. The last column shows where more or better "
+        "pictures help."
     )
 
 
@@ -99,17 +99,17 @@ FIGURES = {
     ),
     "stances": FigurePlan(
         figures.board_poses,
-        "How the boards stood. Left: tilt about the vertical and about the horizontal axis; focal "
+        "Poses of the boards. Left: tilt about the vertical and about the horizontal axis; focal "
         "lengths and principal points need boards well off the middle, on all sides. Right: "
-        "distance, and tilt in all.",
+        "distance, and total tilt.",
         "Two scatter plots, a point a board: tilts in degrees, and distance in millimetres.",
-        "How the boards stood is not known.",
+        "The poses of the boards are not known.",
     ),
     "scene": FigurePlan(
         figures.scene,
         "Boards and cameras in space, from the middle between the cameras.",
         "Outlines of the boards in space before two pyramids that stand for the cameras.",
-        "Where the boards stood is not known.",
+        "The places of the boards are not known.",
     ),
     "rectified": FigurePlan(
         None,
@@ -128,15 +128,16 @@ FIGURES = {
     ),
     "contributions": FigurePlan(
         figures.contributions,
-        "What would be left of the depth's uncertainty (U, k = 2) at the working distance, were "
-        "one source exact. The lowest bar is what to improve first; the dotted line is as it is.",
-        "Bars, one a source, and a line for the uncertainty as it is, in millimetres.",
+        "Uncertainty of the depth (U, k = 2) at the working distance without one source. The "
+        "lowest bar shows what to improve first; the dotted line is the present uncertainty.",
+        "Bars, one a source, and a line for the present uncertainty, in millimetres.",
         "The uncertainty was not broken down.",
     ),
     "parameter_correlation": FigurePlan(
         figures.correlation,
         "Correlation of the rig's parameters, from −1 (blue) over 0 (pale) to +1 (orange). Strong "
-        "colour off the diagonal: the pictures know a combination better than either.",
+        "colour off the diagonal: the pictures determine a combination better than either "
+        "parameter.",
         "A square matrix of coloured cells, one row and one column a parameter.",
         "The correlation of the parameters is not known.",
     ),

@@ -102,7 +102,7 @@ def power(results: Results) -> doc.Section:
     blocks: list[doc.Block] = []
     visible = results.summary.get("visible") or []
     if visible:
-        title = "The smallest change that this check would have seen, four times in five."
+        title = "The smallest change that this check detects, four times in five."
         columns: tuple[doc.Column, ...] = (
             doc.Column("Change since the calibration", "l", doc.field("change")),
             doc.Column("Smallest", "r", _smallest_change),
@@ -117,8 +117,8 @@ def power(results: Results) -> doc.Section:
         title = "U (k = 2) of each figure in mm/m, by what it comes from."
         blocks.append(doc.tabulate(title, columns, records(table)))
     if not blocks:
-        blocks.append(doc.Paragraph("What the check could have seen is not known.", "note"))
-    return doc.Section("power", "What it would have seen", tuple(blocks))
+        blocks.append(doc.Paragraph("What the check can detect is not known.", "note"))
+    return doc.Section("power", "What this check detects", tuple(blocks))
 
 
 def _source_column(summary: dict[str, Any], figure: str) -> doc.Column:

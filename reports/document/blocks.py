@@ -109,7 +109,7 @@ class Film:
     kind: ClassVar[str] = "film"
     file: str  # its name beside the report
     caption: str
-    drawing: bytes = b""  # an MP4; none: too large for the page, which links to the file
+    drawing: bytes = b""  # an MP4; a page that would grow too large with it links to the file
     poster: str = ""  # name of the figure that is shown before it plays
 
 

@@ -20,7 +20,7 @@ FALSE_ALARM_NOTE = (
 )
 CONTRAST_NOTE = (
     "Mean error with the number of sessions in brackets, and the difference with its expanded "
-    "uncertainty (k = 2); what both sides share of a calibration's error drops out of it. "
+    "uncertainty (k = 2); the part of a calibration's error that both sides share cancels. "
     "A difference counts as shown beyond what chance gives all joints together."
 )
 LARGEST_NOTE = (
@@ -33,19 +33,19 @@ UNREPORTED_NOTE = (
     "(kept_in)."
 )
 VISIBLE_NOTE = (
-    "Visible: share of an offset's signal left after all that was fitted, for an offset "
-    "that was there before the registration and for one that arose since. Detectable: the "
-    "smallest offset that one session would notice; separable: that it would tell from an "
-    "offset of another joint. A dash: not known."
+    "Visible: share of an offset's signal that is left after the fit. Old: the offset was there at "
+    "registration; new: it arose later. Detectable: the "
+    "smallest offset that one session detects; separable: the smallest that it attributes to "
+    "this joint alone. A dash: not known."
 )
 METHOD_PARAGRAPHS = tuple(
     " ".join(sentences)
     for sentences in (
         (
             "The unit is the session: its mean error of a joint, with the part of its uncertainty",
-            "that every session draws anew (pixels, readings, clock) apart from the part that",
-            "sessions of one calibration share (rig, registration, marker). A new calibration may",
-            "shift all that follows by as much as it states.",
+            "that is independent in every session (pixels, readings, clock) apart from the part",
+            "that sessions of one calibration share (rig, registration, marker). A new",
+            "calibration may shift all that follows by as much as it states.",
         ),
         (
             "Where sessions scatter more than that, by the median of what neighbours in time",
@@ -58,7 +58,7 @@ METHOD_PARAGRAPHS = tuple(
         ),
         ("Sessions that stand apart from those before and after are marked, and left out of it.",),
         (
-            "Assumed: what sessions draw anew is independent from one to the next. A change of",
+            "Assumed: these parts are independent from one session to the next. A change of",
             "conditions (load, warm-up, poses) that moves a joint's error counts as a change.",
         ),
     )
@@ -127,14 +127,16 @@ def hidden_errors(results: Results) -> doc.Section:
         doc.Column("Arm", "l", doc.field("arm")),
         doc.Column("Joint", "l", doc.field("joint", str)),
         doc.Column("Sessions without a figure", "r", _sessions_without_figure),
-        doc.Column("Visible at registration", "r", doc.field("visible", fmt.percent)),
-        doc.Column("Visible since", "r", doc.field("visible_since", fmt.percent)),
+        doc.Column("Visible, old offset", "r", doc.field("visible", fmt.percent)),
+        doc.Column("Visible, new offset", "r", doc.field("visible_since", fmt.percent)),
         doc.Column("Detectable [°]", "r", doc.field("detectable_deg", fmt.significant)),
         doc.Column("Separable [°]", "r", doc.field("separable_deg", fmt.significant)),
     )
     title = "What the sessions of each joint could show: medians over its sessions."
     shown = doc.tabulate(title, columns, records(table), VISIBLE_NOTE)
-    return doc.Section("unseen", "What could not be seen", (*_hidden_blocks(results, table), shown))
+    return doc.Section(
+        "unseen", "What was not determined", (*_hidden_blocks(results, table), shown)
+    )
 
 
 def _sessions_without_figure(one: dict[str, Any]) -> str:
@@ -193,7 +195,7 @@ def method(results: Results) -> doc.Section:
           "folder": "that robot and the folder that holds the session"}  # fmt: skip
     grouping = by.get(str(summary.get("by")), fmt.text_or_dash(summary.get("by")))
     items = (
-        f"Arms are told apart by {grouping}.",
+        f"Arms are distinguished by {grouping}.",
         *METHOD_PARAGRAPHS,
         FALSE_ALARM_NOTE.format(rate=rate),
     )

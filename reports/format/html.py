@@ -27,6 +27,7 @@ from reports.results import ReportError
 
 TEMPLATES = Path(__file__).with_name("templates")
 PAGE, STYLE = "report.html.j2", "report.css"
+MAX_PAGE_BYTES = 3_000_000  # of a page with films in it: more is slow to send and to open
 
 
 def page(document: Document, look: Look = DEFAULT_BRANDING) -> str:
@@ -60,6 +61,13 @@ def page(document: Document, look: Look = DEFAULT_BRANDING) -> str:
         "logo": look.logo and {"address": look.logo.address, **look.logo.size},
         "owner": look.owner,
     }  # fmt: skip
+    text = _render(data, look)
+    if data["films"] and len(text.encode()) > MAX_PAGE_BYTES:
+        text = _render(data | {"films": {}}, look)  # it names the file instead
+    return text
+
+
+def _render(data: dict[str, Any], look: Look) -> str:
     if look.templates is None or not (look.templates / PAGE).is_file():
         return _template().render(data)
     return _render_custom(look.templates, data)
@@ -130,7 +138,9 @@ def _template_line(problem: Exception, folder: Path) -> str:
 def _template_error(place: str, problem: Exception) -> ReportError:
     found = f"{problem}".rstrip(".") or type(problem).__name__
     expected = "a Jinja2 template is expected"
-    return ReportError(place, found, expected, "Mend it: docs/reports.md says what it is given.")
+    return ReportError(
+        place, found, expected, "Correct it: docs/reports.md lists the data that it gets."
+    )
 
 
 def _custom_style(look: Look) -> str:

@@ -50,7 +50,7 @@ def _typeset_custom(folder: Path, files: dict[str, bytes]) -> bytes:
         return _compile(own, format="pdf", timestamp=0, root=str(folder), **FONTS)
     except (typst.TypstError, RuntimeError) as problem:
         place = _diagnostic_place(folder, str(getattr(problem, "diagnostic", "")))
-        remedy = "Mend it: docs/reports.md says what it is given."
+        remedy = "Correct it: docs/reports.md lists the data that it gets."
         raise ReportError(place, str(problem), "a typst template is expected", remedy) from None
 
 

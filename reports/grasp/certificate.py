@@ -31,12 +31,10 @@ REMEDIES = {  # by the state, what to do
 OTHERWISE = "See in the states over time why it ended, then grab again."
 MAX_STAGES = 9  # rows of the table of page one; the appendix has all
 MIN_STAGE_S = 1e-6  # a state that was left at once is no stage
-# of a film that the page holds: with it a page stays below 3 MB; a larger one lies beside it
-MAX_FILM_BYTES = 500_000
 PICTURES = doc.Figure(
     "pictures",
-    "Both cameras, left and right. Above: the object as it was seen; below: the grasp. Box: what "
-    "was searched; ellipse: what was found.",
+    "Both cameras, left and right. Above: the object before the grasp; below: the grasp. Box: "
+    "searched window; ellipse: detected object.",
     "Pictures of both cameras: the object, and the grasp",
 )
 
@@ -144,19 +142,17 @@ def _duration(results: Results) -> tuple[str, ...]:
     lifts = [float(one["t_s"]) for one in records(results.table("passages"))
              if one["to_state"] == "lifted"]  # fmt: skip
     until = f"Lifted {fmt.number(lifts[-1] - float(t[0]), 1)} s after the start. " if lifts else ""
-    return (f"{until}In all it took {fmt.number(float(np.ptp(t)), 1)} s.",)
+    return (f"{until}Total time {fmt.number(float(np.ptp(t)), 1)} s.",)
 
 
 def _film(results: Results) -> tuple[doc.Film, ...]:
-    """The film: in the page where it is small enough, else where it lies."""
+    """The film, by the name of its file beside the report."""
     name = results.summary.get("film")
     if not name:
         return ()
     film = results.films.get(str(name), b"")
-    held = film if len(film) <= MAX_FILM_BYTES else b""
-    return (
-        doc.Film(str(name), "Film of the grab: both cameras, every cycle.", held, PICTURES.name),
-    )
+    caption = "Film of the grab: both cameras, every cycle."
+    return (doc.Film(str(name), caption, film, PICTURES.name),)
 
 
 def _stage_table(results: Results) -> tuple[doc.Table, ...]:
@@ -196,10 +192,10 @@ def _unchecked(summary: dict[str, Any]) -> list[str]:
     sentences = []
     if summary.get("state") == "lifted" and _grip_distance_text(summary) is None:
         sentences.append(
-            "By the cameras, that the object came along: they did not see it after the descent, "
-            "and the gripper's status alone says so."
+            "Whether the cameras confirm the lift: they did not see the object after the descent, "
+            "so the verdict rests on the gripper's status alone."
         )
     if not summary.get("hand"):
         sentences.append("Where the hand really was: its LEDs were not measured.")
-    sentences.append("How firmly the object is held, and whether a second grab would end alike.")
+    sentences.append("How firmly the object is held, and whether a second grab would succeed.")
     return sentences

@@ -19,7 +19,7 @@ FIGURES = {
     ),
     "track": doc.FigurePlan(
         figures.track,
-        "The target's track and the grip point's way, in the robot's base.",
+        "Track of the target and path of the grip point, in the robot's base frame.",
         "Lines in space: target and grip point",
         "The target was not seen by both cameras.",
     ),
@@ -27,7 +27,7 @@ FIGURES = {
         figures.windows,
         "CAMSHIFT in both pictures: centre and size of the target's box, quality.",
         "Strips over time: centre, size, quality",
-        "CAMSHIFT saw nothing of the target's colours.",
+        "CAMSHIFT found nothing of the target's colours.",
     ),
     "joints": doc.FigurePlan(
         figures.joints,
@@ -37,10 +37,11 @@ FIGURES = {
     ),
     "margins": doc.FigurePlan(
         figures.margins,
-        "Standard uncertainty of the target's place in the base, and what the gripper "
-        "leaves of expanded uncertainty. From the descent on, the hand hides part of the target.",
-        "Three lines over time, and what the gripper leaves",
-        "The target's place was never known.",
+        "Expanded uncertainty U (k = 2) of the target's position in the base frame, and the "
+        "clearance that the gripper leaves. From the descent on, the hand hides part of the "
+        "target.",
+        "Three lines over time, and the gripper's clearance",
+        "The target's position was not measured.",
     ),
 }
 
@@ -77,7 +78,7 @@ def _states(results: Results) -> doc.Section:
         doc.Column("because", "l", doc.field("reason", str), wide=True),
     )
     passages = records(results.table("passages"))
-    table = doc.tabulate("Every passage from one state to another.", columns, passages)
+    table = doc.tabulate("Every change of state.", columns, passages)
     return doc.Section("states", "States over time", (_figure_block(results, "states"), table))
 
 
@@ -100,11 +101,11 @@ def _joints(results: Results) -> doc.Section:
 
 
 def _tool_offset_section(results: Results) -> doc.Section:
-    """Did the arm stand where it was told to, by the LEDs on its flange?"""
+    """Compare the hand's position by the LEDs on its flange with the ordered one."""
     hand = results.summary.get("hand")
     if not hand:
-        text = "Nobody looked at the hand: there was no descent, or nothing was to move."
-        return doc.Section("hand", "The hand, seen by its LEDs", (doc.Paragraph(text),))
+        text = "The hand was not measured: there was no descent, or the arm was not to move."
+        return doc.Section("hand", "Position of the hand by its LEDs", (doc.Paragraph(text),))
     blocks: list[doc.Block] = [doc.Paragraph(as_sentence(hand["reason"]))]
     rows = [
         doc.row(what, *(fmt.number(v, 2) for v in hand[f"{key}_mm"] or (None,) * 3))
@@ -112,14 +113,14 @@ def _tool_offset_section(results: Results) -> doc.Section:
             ("grip point above the object, as ordered", "told"),
             ("the same, by the encoders", "read"),
             ("the same, by the LEDs", "seen"),
-            ("at the object: seen less ordered", "off"),
+            ("at the object: by the LEDs less ordered", "off"),
             ("its expanded uncertainty (k = 2)", "off_expanded_uncertainty"),
         )
     ]
     head = ("", "x [mm]", "y [mm]", "z [mm]")
     caption = f"{hand['measured']} of {hand['pictures']} pairs of pictures showed the flange."
     blocks.append(doc.Table(caption, "lrrr", head, tuple(rows)))
-    return doc.Section("hand", "The hand, seen by its LEDs", tuple(blocks))
+    return doc.Section("hand", "Position of the hand by its LEDs", tuple(blocks))
 
 
 def _margins(results: Results) -> doc.Section:
@@ -133,10 +134,13 @@ def _margins(results: Results) -> doc.Section:
             )
             for what, key in (("sideways", "across"), ("along the approach", "along"))
         )
-        head = ("direction", "gripper leaves [mm]", "needed [mm]")
+        head = ("direction", "clearance [mm]", "needed [mm]")
         blocks.append(doc.Table("Margins of the planned grasp.", "lrr", head, rows))
         raised = fmt.number(margin["raised_mm"], 1)
-        text = f"Gripped {raised} mm above its middle, so the tips stay off the table."
+        text = (
+            f"The grip point is {raised} mm above the object's centre, so that the tips stay "
+            "clear of the table."
+        )
         blocks.append(doc.Paragraph(text))
     return doc.Section("margins", "Margins", tuple(blocks))
 
@@ -155,6 +159,6 @@ def _plan(results: Results) -> doc.Section:
         taken = f"taken: score {fmt.significant(plan['score'])} ({parts})"
         rows.insert(0, doc.row(plan["branch"], taken))
     if rows:
-        head = ("branch", "why")
+        head = ("posture", "reason")
         blocks.append(doc.Table("The arm's postures.", "ll", head, tuple(rows), wide=(1,)))
     return doc.Section("plan", "Plan", tuple(blocks))

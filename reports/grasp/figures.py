@@ -4,6 +4,7 @@ import numpy as np
 import pandas as pd
 
 from reports.document import charts
+from reports.document.formatting import COVERAGE_FACTOR
 from reports.results import Results
 
 N_JOINTS = 6
@@ -114,11 +115,16 @@ def planned_motion(results: Results) -> charts.Chart | None:
 
 
 def margins(results: Results) -> charts.Chart | None:
-    """Standard uncertainty of the target's place over time, and what the gripper leaves."""
+    """Expanded uncertainty (k = 2) of the target's position over time, and the clearance."""
     table = results.table("cycles")
     t = charts.column(table, "t_s")
     marks: list[charts.Mark] = [
-        charts.Line(t, charts.column(table, f"u_{axis}_mm"), f"series_{place}", f"u({axis})")
+        charts.Line(
+            t,
+            COVERAGE_FACTOR * charts.column(table, f"u_{axis}_mm"),
+            f"series_{place}",
+            f"U({axis})",
+        )
         for place, axis in zip((1, 2, 3), "xyz", strict=True)
     ]
     if not np.isfinite(charts.column(table, "u_x_mm")).any():
@@ -129,9 +135,9 @@ def margins(results: Results) -> charts.Chart | None:
         allowed = margin.get(f"{key}_mm")
         if allowed:
             most = max(most, MAX_MARGIN_RATIO * float(allowed))
-            marks.append(charts.Level(float(allowed), "tolerance", f"room {what}"))
+            marks.append(charts.Level(float(allowed), "tolerance", f"clearance {what}"))
     ends = (0.0, most) if most else None
-    panel = charts.Panel(tuple(marks), "u [mm]", "time [s]", y_range=ends, unit="mm")
+    panel = charts.Panel(tuple(marks), "U [mm]", "time [s]", y_range=ends, unit="mm")
     return charts.Chart((panel,), row_height=1.7)
 
 

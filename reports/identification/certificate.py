@@ -50,7 +50,7 @@ def certificate(results: Results) -> doc.Section:
     )
     figure = doc.Figure(
         "identified_residuals",
-        "What is left of each pose: by base and tool alone, and by the identified arm.",
+        "Residual of each pose: with base and tool alone, and with the identified arm.",
         "Two strips over the poses: position in millimetres, orientation in degrees.",
     )
     blocks = (
@@ -78,7 +78,7 @@ def _findings(summary: dict[str, Any], first: float | None, second: float | None
             f"(k = 2) too {way}."
         )
     if first is not None and second is not None:
-        times = f", {fmt.significant(first / second)} times better" if 0 < second < first else ""
+        times = f", {fmt.significant(first / second)} times less" if 0 < second < first else ""
         sentences.append(
             f"On poses held out, the mean position residual goes from "
             f"{fmt.quantity(first, 'mm', 3)} to {fmt.quantity(second, 'mm', 3)}{times}."
@@ -106,8 +106,8 @@ def _remarks(summary: dict[str, Any]) -> list[str]:
     if scatter is not None:
         several = fmt.count(summary["recordings"].get("count"))
         remarks.append(
-            f"The {several} recordings differ by {fmt.number(scatter, 1)} times what each by "
-            "itself would leave: the uncertainties include that."
+            f"The {several} recordings differ by {fmt.number(scatter, 1)} times their own "
+            "uncertainties: the uncertainties include that."
         )
     return [*remarks, *(fmt.text_or_dash(text) for text in summary.get("warnings") or [])]
 

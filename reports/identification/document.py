@@ -60,7 +60,7 @@ class IdentificationNotes:
     )
     JUDGED = "The arm was not identified from these."
     PLACES = (
-        "Base and tool are found anew with every model; only changes of the arm's own numbers are "
+        "Base and tool are found again with every model; only changes of the arm's own numbers are "
         "shown. All are adjusted together, the arm's held by weak priors: standard deviations of "
         "3 mm and 3° about its file, less for twists and lengths where these show that they lie "
         "closer. U: k = 2."

@@ -32,7 +32,7 @@ def certificate(results: Results) -> doc.Section:
     warnings = [fmt.text_or_dash(text) for text in summary.get("warnings") or []]
     label = "The robot is registered"
     if blind or dim:
-        label += ", and blind to some of its own errors"
+        label += "; some encoder offsets stay hidden"
     texts = [_accuracy_text(summary), _shift_text(summary), *_hidden_sentences(summary, blind, dim)]
     verdict = doc.Verdict(
         tone="undecided" if blind or dim or warnings or fits_worse(fit) else "conform",

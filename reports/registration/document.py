@@ -4,7 +4,7 @@ from typing import Any
 
 from reports.document import blocks as doc
 from reports.document import formatting as fmt
-from reports.registration.certificate import certificate, posed
+from reports.registration.certificate import MIN_SHIFT, certificate, posed
 from reports.registration.evidence import RegistrationNotes, axes, residuals
 from reports.results import Results
 from reports.session.phrases import (
@@ -63,12 +63,17 @@ def visibility(results: Results) -> doc.Section:
     columns = (
         doc.Column("Joint", "c", doc.field("joint")),
         doc.Column("Visible", "r", doc.field("visible_fraction", fmt.percent)),
-        doc.Column("Base moved [mm/°]", "r", doc.field("base_shift_mm_per_deg", fmt.significant)),
+        doc.Column("Base moved [mm/°]", "r", _shift),
         doc.Column("In words", "l", _share_text, wide=True),
     )
     title = "What this registration leaves visible of a constant offset that was there already."
     table = doc.tabulate(title, columns, joints, RegistrationNotes.VISIBLE)
     return doc.Section("visibility", "What the registration hides", (table,))
+
+
+def _shift(joint: dict[str, Any]) -> str:
+    shift = fmt.finite(joint.get("base_shift_mm_per_deg"))
+    return fmt.significant(0.0 if shift is not None and abs(shift) < MIN_SHIFT else shift)
 
 
 def _share_text(joint: dict[str, Any]) -> str:

@@ -148,8 +148,8 @@ class RegistrationNotes:
     HELD_LEDS = "The LEDs were held as the marker had them."
     NOTHING_HIDDEN = (
         "The robot's encoders took no part in finding its base, so the base hides nothing of their "
-        "errors. What LEDs hide that were found through the encoders is said by their own "
-        "registration."
+        "errors. The registration of LEDs that were found through the encoders says what "
+        "they hide."
     )
     NOT_KNOWN = "What the registration hides is not known."
     VISIBLE = (
@@ -158,10 +158,10 @@ class RegistrationNotes:
         "degree of it moved the base. One that arises later shows in full in every session that "
         "is measured with this registration."
     )
-    HOLD_OUT = "Where both are alike, the registration carries over to poses that it has not seen."
+    HOLD_OUT = "Where both are alike, the registration holds at other poses too."
     FIXTURE = (
         "χ² of six degrees of freedom: above 22.5 once in a thousand by chance. A pair beyond it "
-        "saw the board or a base move."
+        "indicates that the board or a base moved."
     )
     AXES = "Compared without the registration: cameras alone. False alarm: 0.1 % over all rows."
     GEARS = "1 where the encoder turns as the joint does; it needs neither base nor table."
@@ -183,8 +183,8 @@ FIGURES = {
     ),
     "over_time": doc.FigurePlan(
         residuals_over_time,
-        "RMS residual of each pair's spots. A registration that no longer holds rises from some "
-        "pair on.",
+        "RMS residual of each pair's spots. It rises from the pair on at which the registration "
+        "stops holding.",
         "Two strips over the pairs: rms residual in pixels, left and right camera.",
         "The residuals were not kept.",
     ),
@@ -197,7 +197,7 @@ FIGURES = {
     ),
     "poses": doc.FigurePlan(
         pose_residuals,
-        "What base and target leave of each pose.",
+        "Residual of each pose, with base and target fitted.",
         "Strips over the poses: residual of the position in millimetres, of the turn in degrees.",
         "The residuals were not kept.",
     ),

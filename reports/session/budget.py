@@ -108,8 +108,8 @@ def budget(results: Results) -> doc.Section:
         blocks.append(_source_table(table, results.summary))
     figure = doc.Figure(
         "budget",
-        "Share of each source in the sum of the variances of a joint's mean error. What is largest "
-        "is what to improve first.",
+        "Share of each source in the sum of the variances of a joint's mean error; above each bar "
+        "the joint's U, in degrees. Improve the largest source first.",
         "Stacked bars, one a joint: share of variance in percent by source.",
     )
     otherwise = "The uncertainty was not broken down by source."

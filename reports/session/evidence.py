@@ -50,7 +50,7 @@ FIGURES = {
         evidence.residuals,
         "Where each spot was seen, less where the measured pose puts it, either camera. Good spots "
         "lie as a round cloud about zero, most of them within the circle. Where they are too many "
-        "to be told apart, the shade is the logarithm of their number.",
+        "to be distinguished, the shade is the logarithm of their number.",
         "Two scatter plots of residuals in pixels, left and right camera.",
         "The residuals of the spots were not kept.",
     ),

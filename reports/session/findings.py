@@ -49,10 +49,10 @@ def joints(results: Results) -> doc.Section:
     if hidden:
         blocks.append(
             doc.Paragraph(
-                f"A constant offset of {fmt.joint_names(hidden)} could not have been seen in this "
-                "session, however large: it moves the base or the LEDs that were fitted through "
-                "the same encoders, or the clock. An error figure for such a joint says nothing "
-                "about its zero.",
+                f"A constant offset of {fmt.joint_names(hidden)} cannot show in this "
+                "session, whatever its size: it moves the base or the LEDs that were fitted "
+                "through the same encoders, or the clock. An error figure for such a joint says "
+                "nothing about its zero.",
                 "note",
             )
         )

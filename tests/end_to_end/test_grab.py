@@ -57,6 +57,7 @@ def test_a_grab_leaves_a_film_a_session_and_a_report(tmp_path: Path) -> None:
     with av.open(str(out / "grab.mp4")) as film:
         assert film.streams.video[0].frames == len(session) == summary["cycles"]
     page = (out / "report.html").read_text()
+    assert 'src="data:video/mp4;base64,' in page
     for word in ("Grasped and lifted", "States over time", "CAMSHIFT", "Joint angles", "Margins"):
         assert word in page
     assert (out / "report.pdf").read_bytes().startswith(b"%PDF")

@@ -86,7 +86,7 @@ def write_report_folder(
         summary = to_json_value(results.summary)
         text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
         (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
-        write_reports(_with_film(results, folder), folder)
+        write_reports(_with_film(results, out), folder)  # a grab wrote it to `out` before
         if frames:
             table = results.tables["frames"]
             table.to_csv(

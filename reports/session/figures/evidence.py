@@ -158,7 +158,7 @@ def budget(results: Results) -> charts.Chart | None:
     for place, name in zip(x, shares.columns, strict=True):
         u = (joints.get(name) or {}).get("expanded_uncertainty_deg")
         if fmt.finite(u) is not None:
-            marks.append(charts.Note(float(place), 104.0, f"U = {fmt.quantity(u, '°')}"))
+            marks.append(charts.Note(float(place), 104.0, fmt.significant(u)))
     ticks = tuple((float(i), f"q{name}") for i, name in zip(x, shares.columns, strict=True))
     panel = charts.Panel(
         tuple(marks), "share of variance [%]", x_ticks=ticks, y_range=(0, 112), unit="%",

@@ -18,7 +18,11 @@ DESK = {"width": 1300, "height": 900}
 MARGIN = 19 / 210  # of an A4 page, 20 mm less a millimetre for letters that lean out
 MORE_PAGES = 2  # that a browser may print than the PDF has
 MAX_BYTES = 3_000_000  # of a page
-KINDS = ("every_cause", "good", "motion", "not_held", "fleet")
+KINDS = (
+    "every_cause", "good", "motion", "not_held", "fleet", "grab", "identification", "plan",
+)  # fmt: skip
+RUNS = ("nonconforming", "undecided", "conforming")
+MIN_PAGES = 5  # of a run's report
 
 pytestmark = pytest.mark.browser
 
@@ -45,6 +49,7 @@ def test_a_page_can_be_read_on_a_phone_and_on_a_desk_by_day_and_night(
         assert looks.small(tab) == []
         assert tab.evaluate(looks.CLIPPED) == []
         assert tab.evaluate(looks.TOUCHING) == []
+        assert tab.evaluate(looks.CROWDED) == []
         tab.page.set_viewport_size(DESK)
         for scheme in ("light", "dark"):
             tab.page.emulate_media(color_scheme=scheme)
@@ -89,11 +94,11 @@ def test_the_certificate_s_rows_put_the_verdict_first_on_a_phone(
         assert sorted(places).index(places[-1]) == 1  # behind the joint's number
 
 
-@pytest.mark.parametrize("name", ["nonconforming", "undecided", "conforming", "every_cause"])
+@pytest.mark.parametrize("name", [*RUNS, *KINDS])
 def test_no_page_on_paper_is_half_empty_and_nothing_leaves_the_margins(
     tmp_path: Path, name: str
 ) -> None:
     pages = looks.printed_pages(pdf_of(name), tmp_path)
-    assert len(pages) > 5
+    assert len(pages) > (MIN_PAGES if name in RUNS else 0)
     assert looks.half_empty(pages) == []
     assert looks.beyond_margin(pages, MARGIN) == []

@@ -10,17 +10,12 @@ from reports import render_html, render_pdf
 from reports.document.blocks import Facts, Verdict, collect_figures
 from reports.plan.document import document
 from reports.results import Results
-from tests.support import planning
 from tests.support.reports.page import tables
+from tests.support.reports.plan import planned
 from verify.planning.proposal import ProposedRig
-from verify.planning.request import FAULT_KINDS
-from verify.planning.results import PlanProvenance, plan_results, rig_entry
+from verify.planning.results import rig_entry
 
 PICTURES = {"plan_detectable", "correlation", "plan_joints", "plan_path", "plan_view"}
-DOUBT = (
-    "No uncertainty is stated for rig, robot table: taken as exact; the predicted uncertainties "
-    "hold on that condition."
-)
 
 
 def through_encoders(plain: Results) -> Results:
@@ -35,10 +30,7 @@ def through_encoders(plain: Results) -> Results:
 
 @pytest.fixture(scope="module")
 def every() -> dict[str, Results]:
-    given = planning.bench(), planning.wish(observe=FAULT_KINDS), planning.conditions()
-    origin = PlanProvenance(*given, {"rig.toml": "sha256:00"}, (DOUBT,))
-    with planning.few_postures():
-        plain = plan_results(planning.planned(*given), origin)
+    plain = planned()
     return {
         "plain": plain,
         "blind": through_encoders(plain),

@@ -53,6 +53,15 @@ TOUCHING = """() => [...document.querySelectorAll(".xaxislayer-above > *")].flat
   return boxes.slice(1).filter(([box], i) => box.left < boxes[i][0].right - 1 && box.height < 20)
     .map(([, text]) => text.closest(".plot").id + ": " + text.textContent);
 })"""
+# numbers in the cells of a grid that touch their neighbours
+CROWDED = """() => [...document.querySelectorAll(".cartesianlayer > .subplot")].flatMap((panel) => {
+  const boxes = [...panel.querySelectorAll(".textpoint text")]
+    .map((text) => [text.getBoundingClientRect(), text])
+    .sort((a, b) => Math.round(a[0].top) - Math.round(b[0].top) || a[0].left - b[0].left);
+  return boxes.slice(1).filter(([box], i) =>
+    Math.abs(box.top - boxes[i][0].top) < 2 && box.left < boxes[i][0].right)
+    .map(([, text]) => text.closest(".js-plotly-plot").id + ": " + text.textContent);
+})"""
 
 
 @dataclass(frozen=True)

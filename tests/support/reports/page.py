@@ -19,7 +19,7 @@ from reports.document.charts import Chart, Path
 from reports.format import pdf as pdf_format
 from reports.render import DOCUMENTS
 from reports.results import Results
-from tests.support.reports import calibration, fleet, session
+from tests.support.reports import calibration, fleet, grasp, identification, plan, session
 
 
 def tables(of: Document) -> dict[str, Table]:
@@ -43,6 +43,8 @@ EVERY: dict[str, Callable[[], Results]] = {
     "held": calibration.held, "not_held": calibration.not_held, "board": calibration.board,
     "unchecked": partial(Results, {"kind": "calibration", "method": "check"}, {}, {}),
     "fleet": fleet.changed,
+    "grab": grasp.filmed, "identification": partial(identification.made, 1.0, outlying=True),
+    "plan": plan.planned,
 }  # fmt: skip
 made_of = cache(lambda name: EVERY[name]())
 html_of = cache(lambda name: page_of(made_of(name)))
