@@ -17,7 +17,7 @@ RULE = (
 )
 NOTHING = "no correction"
 TABLE_NOTE = (
-    "± U with k = 2. Detectable: the smallest offset that would be noticed. Separable: the "
+    "± U with k = 2. Detectable: the smallest offset that is detected. Separable: the "
     "smallest that can be attributed to this joint alone."
 )
 

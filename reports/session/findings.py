@@ -18,7 +18,7 @@ ERROR_NOTE = (
 )
 DETECTABILITY_NOTE = (
     "Visible: share of an offset's signal that is left after the fit. Old: the offset was there "
-    "at registration. New: it arose later. Detectable: the smallest offset that would be noticed "
+    "at registration. New: it arose later. Detectable: the smallest offset that is detected "
     "(false alarm 0.1 %, power 80 %). Separable: the smallest that can be attributed to this joint "
     "alone. A dash: not known."
 )

@@ -184,7 +184,7 @@ def hiding_parameter(results: Results, joint: dict[str, Any]) -> tuple[str, str]
             )
         if (summary.get("clock") or {}).get("observable") is False:
             return (
-                "the motion does not tell it from an offset of the encoder clock",
+                "the motion does not separate it from an offset of the encoder clock",
                 "first give the clock offset, or move at varied speeds in both directions",
             )
     for entry in summary.get("combinations") or []:

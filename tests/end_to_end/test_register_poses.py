@@ -47,7 +47,7 @@ def test_base_and_target_are_found_within_their_uncertainty_and_run_with(
     report = tmp_path / "report"
     done = verify("calibrate", "register", session, "-o", out, "--report", report)
     assert done.status == 0, done.err
-    assert "joints 1 and 6 that was there already is hidden altogether" in done.out
+    assert "joints 1 and 6 that was there already cannot show" in done.out
     found = open_session(out)
     error = difference(found.rig.rig_T_base[None], TRUTH.world_T_base[None])[0]
     error *= [1e3] * 3 + [180 / np.pi] * 3

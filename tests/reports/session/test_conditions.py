@@ -83,7 +83,7 @@ CASES: dict[str, tuple[Callable[[], Results], str, str, str]] = {
     "the clock": (
         partial(_results, {1: UNSEEN | {"visible_fraction_since_registration": 0.0}}, clock=BLIND),
         "joint 1",
-        "the motion does not tell it from an offset of the encoder clock",
+        "the motion does not separate it from an offset of the encoder clock",
         "first give the clock offset",
     ),
     "a singularity": (

@@ -179,7 +179,7 @@ def _hidden_fault_sentences(shares: Array) -> Iterator[str]:
     gone = [f"{j + 1}" for j, share in enumerate(shares) if share == 0]
     if gone:
         joints = f"joint{'s' if len(gone) > 1 else ''} {' and '.join(gone)}"
-        yield f"A constant offset of {joints} that was there already is hidden altogether."
+        yield f"A constant offset of {joints} that was there already cannot show."
     left = [f"joint {j + 1} {share:.0%}" for j, share in enumerate(shares) if share > 0]
     if left:
         yield f"Of such an offset there stays visible: {', '.join(left)}. A later one shows fully."

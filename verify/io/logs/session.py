@@ -114,7 +114,7 @@ class RisingTimes:
             place = f"{self._table.path}, line {self._table.line_of(first + row)}"
             found = f"{self._column.column} is {float(times[row]):.4g} s after the start"
             raise InputError(place, found, f"at most {MAX_SPAN:g} s are plausible",
-                             "Mend this row or the first, or state the unit.")  # fmt: skip
+                             "Correct this row or the first, or state the unit.")  # fmt: skip
         steps = np.diff(times, prepend=np.longdouble(self._last))
         if (steps < 0).any():
             row = int(np.flatnonzero(steps < 0)[0])

@@ -29,7 +29,7 @@ SAMPLE_ROWS = 20  # that show the decimal sign
 CHUNK_ROWS = 20_000
 HEAD_BYTES = 400_000
 PROGRESS_BYTES = 1000  # progress counts in kB
-REMEDY = "Mend the line, or export the table again."
+REMEDY = "Correct the line, or export the table again."
 
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(Z|[-+]\d\d:?\d\d)?")
