@@ -69,7 +69,7 @@ def load(
     if _plain(name_or_path) in plain:  # UR5, rv-3sd melfa
         return load(plain[_plain(name_or_path)], base=base, tip=tip)
     near = difflib.get_close_matches(name_or_path.lower(), known, n=1)
-    found = "it is not known" + (f', did you mean "{near[0]}"?' if near else "")
+    found = "is not known" + (f', did you mean "{near[0]}"?' if near else "")
     remedy = "Or give the path of a robot file (.toml) or a URDF (.urdf)."
     raise RobotError(f'robot "{name_or_path}"', found, f"known are {', '.join(known)}", remedy)
 
