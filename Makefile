@@ -8,7 +8,7 @@ SITE := $(VENV)/.docs-installed
 COMPILED := $(VENV)/.compiled
 PIP = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c .ci/constraints.txt
 
-.PHONY: demo test test-all lint check format samples accept pictures docs bench soak bench-coverage bench-diagnosis bench-grab fuzz clean
+.PHONY: demo test test-all test-long lint check format samples accept pictures docs bench soak bench-coverage bench-diagnosis bench-grab fuzz clean
 
 # packages that running needs
 $(RUN): pyproject.toml .ci/constraints.txt
@@ -46,9 +46,13 @@ demo: $(RUN)
 test: $(DEV) $(COMPILED)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not realtime and not browser"
 
-# all tests: the slow, the statistical, those in real time and in a browser too
+# nearly all tests: the slow, the statistical, those in real time and in a browser too
 test-all: $(DEV) $(COMPILED)
-	$(BIN)/python -m pytest -n 3 --dist worksteal
+	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not long"
+
+# what the CI leaves out for its time: the wheel in a fresh environment, further drivers and reports
+test-long: $(DEV) $(COMPILED)
+	$(BIN)/python -m pytest -m long
 
 lint: $(DEV)
 	$(BIN)/ruff check .

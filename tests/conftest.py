@@ -7,6 +7,7 @@ import pytest
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 LONGEST = "tests/end_to_end/test_documentation.py::test_the_readme"
+TUTORIAL = "tests/end_to_end/test_documentation.py::test_the_tutorial"  # nearly as long
 NICENESS = 19  # of all that runs beside tests in real time; more than of live frame encoding (10)
 REALTIME_FILES = pytest.StashKey[set[str]]()
 
@@ -24,6 +25,10 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     # at the head of the queue they share one worker; at the end, all workers would be left with
     # them, and with the longest, which cannot be shared
     items.sort(key=lambda i: (not i.nodeid.startswith(LONGEST), str(i.path) not in files))
+    tutorial = [i for i in items if i.nodeid.startswith(TUTORIAL)]
+    others = [i for i in items if not i.nodeid.startswith(TUTORIAL)]
+    half = len(others) // 2  # another worker's
+    items[:] = [*others[:half], *tutorial, *others[half:]]
 
 
 @pytest.hookimpl(wrapper=True)

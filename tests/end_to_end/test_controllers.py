@@ -35,7 +35,10 @@ def station(folder: Path, driver: str, address: str) -> Path:
 
 @pytest.mark.realtime
 @pytest.mark.slow
-@pytest.mark.parametrize("driver", ["rtde", "rosbridge", "opcua"])
+@pytest.mark.parametrize(
+    "driver",
+    ["rtde", *(pytest.param(d, marks=pytest.mark.long) for d in ("rosbridge", "opcua"))],
+)
 def test_a_watch_of_each_controller_finds_no_error_where_there_is_none(
     tmp_path: Path, driver: str
 ) -> None:

@@ -95,7 +95,7 @@ def test_descriptions_that_make_no_rig_are_refused(
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("place", [0, 7, 15])
+@pytest.mark.parametrize("place", [0, *(pytest.param(n, marks=pytest.mark.long) for n in (7, 15))])
 def test_the_table_in_the_documents_is_what_its_command_prints(place: int) -> None:
     """Rows do not depend on each other: some of them, with the command's other options."""
     command = re.search(r"^verify (plan iust_6r --table .*)$", DOCUMENT.read_text(), re.MULTILINE)

@@ -67,6 +67,7 @@ def test_the_wheel_is_small_and_holds_every_file_that_the_package_reads(wheel: P
     assert sorted(read - packed) == []
 
 
+@pytest.mark.long
 def test_a_fresh_environment_away_from_the_repository_runs_the_demo(
     wheel: Path, tmp_path: Path
 ) -> None:

@@ -1,4 +1,4 @@
-"""Reports as a reader sees them: on a phone, on a desk, by day and by night, on paper."""
+"""Reports as a reader sees them: on a phone, on a desk, by day and by night."""
 
 import re
 from collections.abc import Iterator
@@ -15,14 +15,9 @@ from tests.support.reports.page import made_of, pdf_of
 
 PHONE = {"width": 390, "height": 844}
 DESK = {"width": 1300, "height": 900}
-MARGIN = 19 / 210  # of an A4 page, 20 mm less a millimetre for letters that lean out
 MORE_PAGES = 2  # that a browser may print than the PDF has
 MAX_BYTES = 3_000_000  # of a page
-KINDS = (
-    "every_cause", "good", "motion", "not_held", "fleet", "grab", "identification", "plan",
-)  # fmt: skip
-RUNS = ("nonconforming", "undecided", "conforming")
-MIN_PAGES = 5  # of a run's report
+QUICK = ("every_cause", "good", "fleet", "grab", "plan")
 
 pytestmark = pytest.mark.browser
 
@@ -39,7 +34,10 @@ def opened(browser: Browser, folder: Path, results: Results, size: dict[str, int
         assert tab.complaints == []
 
 
-@pytest.mark.parametrize("name", KINDS)
+@pytest.mark.parametrize(
+    "name",
+    [n if n in QUICK else pytest.param(n, marks=pytest.mark.long) for n in looks.KINDS],
+)
 def test_a_page_can_be_read_on_a_phone_and_on_a_desk_by_day_and_night(
     browser: Browser, tmp_path: Path, name: str
 ) -> None:
@@ -92,13 +90,3 @@ def test_the_certificate_s_rows_put_the_verdict_first_on_a_phone(
         places = tab.evaluate(f"[...{row}.cells].map((cell) => cell.getBoundingClientRect().top)")
         assert len(set(places)) == len(places) == 5  # one below the other
         assert sorted(places).index(places[-1]) == 1  # behind the joint's number
-
-
-@pytest.mark.parametrize("name", [*RUNS, *KINDS])
-def test_no_page_on_paper_is_half_empty_and_nothing_leaves_the_margins(
-    tmp_path: Path, name: str
-) -> None:
-    pages = looks.printed_pages(pdf_of(name), tmp_path)
-    assert len(pages) > (MIN_PAGES if name in RUNS else 0)
-    assert looks.half_empty(pages) == []
-    assert looks.beyond_margin(pages, MARGIN) == []

@@ -17,6 +17,9 @@ from tests.support.devices.chromium import Tab
 MIN_TEXT_PX = 9.0
 MIN_CONTRAST, MIN_CONTRAST_LARGE = 4.5, 3.0  # WCAG 2.2, 1.4.3, level AA
 LARGE_PX, LARGE_BOLD_PX = 24.0, 18.66  # of the same: 18 pt, or 14 pt and bold
+KINDS = (
+    "every_cause", "good", "motion", "not_held", "fleet", "grab", "identification", "plan",
+)  # fmt: skip
 LIMIT_MS = 120_000.0  # until the plots are drawn
 SETTLED = "document.documentElement.dataset.drawn !== undefined || !document.querySelector('.plot')"
 # every piece of text that is to be seen, with the place and the colour of its letters
