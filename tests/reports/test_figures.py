@@ -47,5 +47,6 @@ def test_a_figure_is_accepted_by_plotly_drawn_alike_and_has_units(name: str, fig
     for panel in chart.panels if isinstance(chart, Chart) else ():
         for label in (panel.x_label, panel.y_label):
             counted = label in ("", "pair", "were they exact", "LEDs seen", "cost",
-                                "LEDs at its ends", "figure over its u", "source left out")  # fmt: skip
+                                "LEDs at its ends", "figure over its u",
+                                "source left out")  # fmt: skip
             assert counted or re.search(r"\[(s|°|mm|mm/m|px|%)\]$", label), label
