@@ -2,7 +2,6 @@
 
 import subprocess
 import sys
-from importlib.util import find_spec
 from pathlib import Path
 
 import cv2
@@ -130,11 +129,16 @@ def test_jpegs_go_through_as_they_are(session: Path, tmp_path: Path) -> None:
     assert found == data
 
 
+def test_without_its_extra_rerun_is_refused_with_what_to_install(
+    report: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, "rerun", None)  # as if it were not installed
+    assert "pip install" in verify("convert", report, "-o", tmp_path / "r.rrd").refusal
+    assert list(tmp_path.iterdir()) == []
+
+
 @pytest.mark.slow
 def test_rerun_verifies_a_recording(report: Path, session: Path, tmp_path: Path) -> None:
-    if find_spec("rerun") is None:
-        assert "pip install" in verify("convert", report, "-o", tmp_path / "r.rrd").refusal
-        pytest.skip("rerun-sdk is not installed")
     for name, source in (("r.rrd", report), ("s.rrd", session)):
         assert verify("convert", source, "-o", tmp_path / name).status == 0
         command = [str(Path(sys.executable).with_name("rerun")), "rrd", "verify", tmp_path / name]
