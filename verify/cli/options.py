@@ -101,6 +101,13 @@ class PageOptions:
         return page
 
 
+def duration_option(help_: str, *, show_default: bool = True) -> Any:
+    """The option --for; `show_default=False`: the help names it, as seconds would be a number."""
+    return typer.Option(
+        "--for", parser=parse_duration, metavar="<str>", show_default=show_default, help=help_
+    )
+
+
 JointTolerance = Annotated[
     str | None,
     typer.Option(

@@ -57,13 +57,7 @@ def run(
         ),
     ] = None,
     duration: Annotated[
-        float | None,
-        typer.Option(
-            "--for",
-            parser=option.parse_duration,
-            metavar="<str>",
-            help="Station: how long to watch: 60s, 10m, 1.5h.",
-        ),
+        float | None, option.duration_option("Station: how long to watch: 60s, 10m, 1.5h.")
     ] = None,
     on_alarm: Annotated[
         str | None,
@@ -122,13 +116,7 @@ def record(
         typer.Option("-o", "--out", help="The session to make; default: as the station names it."),
     ] = None,
     duration: Annotated[
-        float | None,
-        typer.Option(
-            "--for",
-            parser=option.parse_duration,
-            metavar="<str>",
-            help="How long to record: 60s, 10m, 1.5h.",
-        ),
+        float | None, option.duration_option("How long to record: 60s, 10m, 1.5h.")
     ] = None,
     page: Annotated[bool, typer.Option("--page", help="Serve a page for the browser.")] = False,
     page_port: option.PagePort = DEFAULT_PORT,

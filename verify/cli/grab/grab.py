@@ -49,13 +49,7 @@ def grab(
     page_token: option.PageToken = None,
     duration: Annotated[
         float,
-        typer.Option(
-            "--for",
-            parser=option.parse_duration,
-            metavar="<str>",
-            show_default=False,  # would be in seconds, as a number
-            help="Time limit: 60s, 10m.  [default: 60s]",
-        ),
+        option.duration_option("Time limit: 60s, 10m.  [default: 60s]", show_default=False),
     ] = 60.0,
     cell: Annotated[
         Path | None,

@@ -1,8 +1,7 @@
 """The state of taking board pictures, in a terminal and for the page (degrees, metres, pixels)."""
 
-import threading
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -15,7 +14,7 @@ from verify.core.records import Image
 from verify.live.boards.goals import BoardGoal, BoardPlacement, CameraCoverage
 from verify.live.boards.view import MAX_MOTION_PX
 from verify.live.outputs.terminal import TerminalDisplay, render_devices
-from verify.live.page.scene import small_jpeg
+from verify.live.snapshot import MAX_TEXT_LENGTH, SharedSnapshot, SnapshotPageSource
 from verify.live.state import DeviceStatus
 
 SEARCHING = "searching"  # nothing to take
@@ -50,22 +49,11 @@ class BoardSnapshot:
     look: BoardDetection | None = None
 
 
-@dataclass
-class BoardState:
-    """Shared between the loop, which writes, and lookers-on, who read."""
+class BoardState(SharedSnapshot[BoardSnapshot]):
+    """Shared between the loop, which writes, and displays, which read."""
 
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-    _now: BoardSnapshot = BoardSnapshot()
-
-    def change(self, **news: object) -> None:
-        """Take what is new: fields of `BoardSnapshot`."""
-        with self._lock:
-            self._now = replace(self._now, **news)  # type: ignore[arg-type]  # its own fields
-
-    def snapshot(self) -> BoardSnapshot:
-        """Say everything."""
-        with self._lock:
-            return self._now
+    def __init__(self) -> None:
+        super().__init__(BoardSnapshot())
 
 
 SHADES = " ░▒▓█"  # of a cell with no corner, with some, with many
@@ -116,16 +104,12 @@ def _coverage_map(covered: CameraCoverage) -> Text:
     return Text("\n".join(lines), style="green on grey23")
 
 
-MAX_TEXT_LENGTH = 2000  # characters of a description
-
-
-class BoardPageSource:
+class BoardPageSource(SnapshotPageSource[BoardSnapshot]):
     """Reads a state; nothing waits for it."""
 
     def __init__(self, state: BoardState, board: Board, description: str) -> None:
-        self._state, self._board, self._description = state, board, description
-        self._shown = 0
-        self._last_row: dict[str, Any] = {}
+        super().__init__(state)
+        self._board, self._description = board, description
 
     def hello(self) -> dict[str, Any]:
         """What never changes."""
@@ -150,9 +134,7 @@ class BoardPageSource:
             "now": [_standing(s) for s in now.standings],
             "finished": now.finished,
         }
-        news = [] if row == self._last_row else [row]
-        self._last_row = row
-        return news
+        return self.news(row)
 
     def state(self) -> dict[str, Any]:
         """What was covered, and what is missing."""
@@ -163,20 +145,10 @@ class BoardPageSource:
             "devices": [asdict(line) for line in now.devices],
         }
 
-    def alarms(self) -> Sequence[dict[str, Any]]:
-        """There are none."""
-        return ()
-
     def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
         """The newest pair, if it was not given yet."""
         look = self._state.snapshot().look
-        if look is None or look.number == self._shown:
-            return ()
-        self._shown = look.number
-        return [
-            (side, _view_fields(image, view), small_jpeg(image))
-            for side, (image, view) in enumerate(zip(look.images, look.views, strict=True))
-        ]
+        return self.new_pictures(look, () if look is None else look.views, _view_fields)
 
     def metrics(self) -> str:
         """How many pairs there are, for Prometheus."""

@@ -1,9 +1,8 @@
 """The state of recording a motion, in a terminal and for the page."""
 
-import threading
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,8 @@ from rich.text import Text
 
 from verify.core.records import Array, Image
 from verify.live.outputs.terminal import TerminalDisplay, render_devices
-from verify.live.page.scene import small_jpeg
 from verify.live.registration.goals import RegistrationGoal
+from verify.live.snapshot import MAX_TEXT_LENGTH, SharedSnapshot, SnapshotPageSource
 from verify.live.state import DeviceStatus
 
 
@@ -42,28 +41,16 @@ class RecordingSnapshot:
     look: SpotDetection | None = None
 
 
-@dataclass
-class RecordingState:
+class RecordingState(SharedSnapshot[RecordingSnapshot]):
     """Shared between the loop, which writes, and displays, which read."""
 
-    _lock: threading.Lock = field(default_factory=threading.Lock)
-    _now: RecordingSnapshot = field(default_factory=RecordingSnapshot)
-
-    def change(self, **news: object) -> None:
-        """Take what is new: fields of `RecordingSnapshot`."""
-        with self._lock:
-            self._now = replace(self._now, **news)  # type: ignore[arg-type]  # its own fields
-
-    def snapshot(self) -> RecordingSnapshot:
-        """Say everything."""
-        with self._lock:
-            return self._now
+    def __init__(self) -> None:
+        super().__init__(RecordingSnapshot())
 
 
 BAR_WIDTH = 20  # characters
 TITLE = "What `verify calibrate register` still needs"
 COMPLETE = "The motion has all that `verify calibrate register` needs"
-MAX_TEXT_LENGTH = 2000  # characters of a description
 
 
 def title(goals: Sequence[RegistrationGoal]) -> str:
@@ -119,16 +106,15 @@ def render_recording(now: RecordingSnapshot) -> RenderableType:
     )
 
 
-class RecordingPageSource:
+class RecordingPageSource(SnapshotPageSource[RecordingSnapshot]):
     """Reads a recording's state; nothing waits for it."""
 
     def __init__(
         self, state: RecordingState, robot: str, description: str, duration: float | None
     ) -> None:
-        self._state, self._robot, self._description = state, robot, description
+        super().__init__(state)
+        self._robot, self._description = robot, description
         self._ends = None if duration is None else round(time.time() + duration, 1)
-        self._shown = -1
-        self._last_row: dict[str, Any] = {}
 
     def hello(self) -> dict[str, Any]:
         """What never changes."""
@@ -147,9 +133,7 @@ class RecordingPageSource:
             "goals": [goal_fields(goal) for goal in now.goals],
             "finished": now.finished,
         }
-        news = [] if row == self._last_row else [row]
-        self._last_row = row
-        return news
+        return self.news(row)
 
     def state(self) -> dict[str, Any]:
         """How everything is."""
@@ -162,20 +146,10 @@ class RecordingPageSource:
             "devices": [asdict(line) for line in now.devices],
         }
 
-    def alarms(self) -> Sequence[dict[str, Any]]:
-        """There are none: nothing is compared."""
-        return ()
-
     def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
         """The newest pair in which spots were looked for, if it was not given yet."""
         look = self._state.snapshot().look
-        if look is None or look.number == self._shown:
-            return ()
-        self._shown = look.number
-        return [
-            (side, _spot_fields(image, centre), small_jpeg(image))
-            for side, (image, centre) in enumerate(zip(look.images, look.centres, strict=True))
-        ]
+        return self.new_pictures(look, () if look is None else look.centres, _spot_fields)
 
     def metrics(self) -> str:
         """Counts for Prometheus."""
