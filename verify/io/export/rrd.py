@@ -71,10 +71,11 @@ def write_rrd(content: ExportContent, path: Path, progress: Progress) -> None:
         if content.session is not None:
             _log_pictures(rr, recording, content.session, start, progress)
         recording.flush()
+        recording.disconnect()  # it writes the end
     except RuntimeError as error:  # the library writes in a thread, and says why on a log alone
         raise OSError("rerun-sdk could not write it; the disk may be full") from error
     finally:
-        with suppress(RuntimeError):
+        with suppress(RuntimeError):  # after an error; else it is done already
             recording.disconnect()
 
 
