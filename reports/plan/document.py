@@ -33,7 +33,7 @@ FIGURES = {
     "plan_detectable": doc.FigurePlan(
         figures.detectable,
         "Expanded uncertainty (k = 2) of each joint's mean error, and the smallest constant offset "
-        "that will be noticed.",
+        "that will be detected.",
         "Two upright bars a joint, in degrees.",
         "This motion shows no joint's offset.",
     ),
@@ -101,13 +101,13 @@ def _answer(summary: dict[str, Any]) -> doc.Verdict:
     if stated:
         best, worst = min(stated, key=stated.__getitem__), max(stated, key=stated.__getitem__)
         sentences.append(
-            f"The mean error of each joint will be known to ± {quantity(stated[best], '°')} "
-            f"(joint {best}) to ± {quantity(stated[worst], '°')} (joint {worst}), k = 2."
+            f"The mean error of each joint will be known to ±{quantity(stated[best], '°')} "
+            f"(joint {best}) to ±{quantity(stated[worst], '°')} (joint {worst}), k = 2."
         )
     if detectable:
         whose = "every joint" if not blind else name_joints(list(detectable))
         least = quantity(max(detectable.values()), "°")
-        sentences.append(f"A constant offset of {least} or more will be noticed in {whose}.")
+        sentences.append(f"A constant offset of {least} or more will be detected in {whose}.")
     if blind:
         sentences.append(f"This motion cannot show an offset of {name_joints(blind)}.")
     remarks = [PlanNotes.SAME_ANALYSIS, PlanNotes.OBSTACLES]
@@ -140,7 +140,7 @@ def _facts(summary: dict[str, Any]) -> list[tuple[str, str]]:
         facts.append(("Clock, U (k = 2)", quantity(2e3 * clock["standard_uncertainty_s"], "ms")))
     if flange:
         mm, deg = (expanded(flange.get(f"standard_uncertainty_{unit}")) for unit in ("mm", "deg"))
-        facts.append(("Flange, one pair", f"± {quantity(mm, 'mm')}, ± {quantity(deg, '°')}"))
+        facts.append(("Flange, one pair", f"±{quantity(mm, 'mm')}, ±{quantity(deg, '°')}"))
     if rig := summary.get("rig"):
         size = " × ".join(count(n).replace("\u202f", "") for n in rig["image_size"])
         facts += [

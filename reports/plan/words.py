@@ -53,7 +53,7 @@ class PlanNotes:
     KNOWN = (
         "U: of the mean error. At the flange: what that angle moves at most. Then the parts of U: "
         "pixels and readings average out over the pairs, the others do not. Detectable: the "
-        "smallest constant offset that will be noticed (false alarm 0.1 %, power 80 %)."
+        "smallest constant offset that will be detected (false alarm 0.1 %, power 80 %)."
     )
     CONFORMS = (
         "Conforms to: the largest error that will be judged to conform. A dash: undecided, however "
@@ -63,7 +63,7 @@ class PlanNotes:
     ASSUMED = "Each parameter by itself; 0 is taken as exact."
     JOINTS = (
         "U: expanded uncertainty of the joint's mean error (k as stated). Largest U: of its error "
-        "at any pose (k = 2). Detectable: the smallest constant offset that will be noticed (false "
+        "at any pose (k = 2). Detectable: the smallest constant offset that is detected (false "
         "alarm 0.1 %, power 80 %). Separable: the smallest that can be attributed to this joint "
         "alone. Visible: the share of an offset that was there at registration. The mean weights "
         "every pair alike. The fit behind the detectable offset also estimates the errors of rig "
@@ -79,7 +79,7 @@ class PlanNotes:
     )
     KINDS = (
         "U (k = 2): with all requested kinds estimated together. Detectable: the smallest that "
-        "will be noticed if it is alone. A dash: this motion does not show it."
+        "will be detected if it is alone. A dash: this motion does not show it."
     )
     SPAN = (
         "Upward: the share of pairs whose last travel was upward. Backlash shows where both "

@@ -175,7 +175,7 @@ def test_a_motion_registers_base_and_leds(tmp_path: Path) -> None:
     session = SAMPLES / "multi_joint_rv_3sd"
     message = register_motion(session, tmp_path)
     assert message.status == 0, message.err
-    assert "A constant offset of joints 1 and 6 that was there already is hidden" in message.out
+    assert "A constant offset of joints 1 and 6 that was there already cannot show" in message.out
     assert {path.name for path in (tmp_path / "report").iterdir()} == WRITTEN
     again = shutil.copytree(session, tmp_path / "session")
     for name in ("rig.toml", "marker.toml"):

@@ -41,9 +41,9 @@ def every() -> dict[str, Results]:
 def test_the_verdict_is_first(every: dict[str, Results]) -> None:
     first = document(every["plain"]).sections[0].blocks[0]
     assert isinstance(first, Verdict)
-    assert first.sentence.startswith("The mean error of each joint will be known to ± 0.")
+    assert first.sentence.startswith("The mean error of each joint will be known to ±0.")
     assert "A constant offset of 0." in first.sentence
-    assert first.sentence.endswith("° or more will be noticed in every joint.")
+    assert first.sentence.endswith("° or more will be detected in every joint.")
     assert any("Taken as exact" in remark for remark in first.remarks)
 
 
@@ -53,7 +53,7 @@ def test_undetectable_offsets_are_stated_with_the_cause(every: dict[str, Results
     assert "geometry" not in [section.name for section in sections]
     first = sections[0].blocks[0]
     assert isinstance(first, Verdict)
-    assert "noticed in joints 2, 3, 4 and 5." in first.sentence
+    assert "detected in joints 2, 3, 4 and 5." in first.sentence
     assert "This motion cannot show an offset of joints 1 and 6." in first.sentence
     assert first.tone == "undecided"
     assert first.remarks[0].startswith("Base or LEDs were registered through")
