@@ -176,6 +176,7 @@ def test_the_site_builds_without_a_warning(tmp_path: Path) -> None:
     assert "data:image/png;base64," in page
 
 
+@pytest.mark.slow
 @pytest.mark.long
 def test_the_notebook_prints_what_it_shows() -> None:
     kept = notebook.PAGE.read_text()

@@ -114,6 +114,7 @@ def test_a_session_that_cannot_be_made_is_refused_before_a_device_is_opened(
 
 
 @pytest.mark.realtime
+@pytest.mark.slow
 @pytest.mark.long
 def test_from_two_uncalibrated_cameras_to_a_report(tmp_path: Path) -> None:
     """Record, calibrate, register, watch, report, by `verify` alone; judged by the true world."""
