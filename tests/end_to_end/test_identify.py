@@ -72,6 +72,7 @@ def test_a_laser_tracker_s_poses_need_no_registration(
     assert robots.load(str(out / "ur10_identified.urdf")).dof == 6
 
 
+@pytest.mark.slow
 def test_several_targets_are_columns_and_what_was_found_is_measured_with(tmp_path: Path) -> None:
     """Three targets a pose, placed nowhere; then one target's poses: run takes what was found."""
     truth = faulty_arm("rv_3sd_melfa", 3)

@@ -21,7 +21,14 @@ from tests.support.reports.page import (
 )
 
 
-@pytest.mark.parametrize("name", ["nonconforming", "good", "motion", "fleet"])
+@pytest.mark.parametrize(
+    "name",
+    [
+        "nonconforming",
+        "motion",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("good", "fleet")),
+    ],
+)
 def test_the_same_results_give_the_same_pdf(name: str) -> None:
     assert (reports.render_pdf(EVERY[name]()) == pdf_of(name)) is True
     assert not re.search(rb"CreationDate|ModDate", pdf_of(name))

@@ -34,7 +34,10 @@ def complaint(folder: Path, shown: Board, stated: Board) -> InputError:
     ("shown", "stated", "found", "expected"),
     [
         (PLAIN, CHARUCO, "no marker was found.*a plain board of 7 x 5 inner corners", "ChArUco"),
-        (CHARUCO, PLAIN, "with markers, as in DICT_5X5_250", "a plain one of 7 x 5 inner corners"),
+        pytest.param(
+            CHARUCO, PLAIN, "with markers, as in DICT_5X5_250",
+            "a plain one of 7 x 5 inner corners", marks=pytest.mark.slow,
+        ),
         (OTHER, CHARUCO, "markers as in DICT_4X4_250", "DICT_5X5_100"),
         (replace(PLAIN, columns=8), PLAIN, "8 x 5 inner corners", ""),
     ],

@@ -82,6 +82,7 @@ def test_a_worker_loads_nothing_that_it_may_never_need() -> None:
     assert done.stdout.strip() == "[]"
 
 
+@pytest.mark.slow
 def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
     pool: ProcessPool, tmp_path: Path
 ) -> None:
@@ -94,6 +95,7 @@ def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
     assert (tmp_path / "b").read_text() == "x" * MAX_ATTEMPTS
 
 
+@pytest.mark.slow
 def test_a_process_that_is_killed_while_it_has_nothing_to_do_is_replaced() -> None:
     with closing(ProcessPool(1)) as pool:
         pool.ready()
@@ -105,6 +107,7 @@ def test_a_process_that_is_killed_while_it_has_nothing_to_do_is_replaced() -> No
     assert other != pid
 
 
+@pytest.mark.slow
 def test_closing_sends_every_process_home(pool: ProcessPool) -> None:
     tasks: deque[Task] = deque([Pid(0), Pid(1)])
     pids = [outcome for _, outcome in pool.run(tasks)]
