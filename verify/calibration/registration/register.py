@@ -241,12 +241,19 @@ def _adjust_observable(
 def _reject_pairs(
     adjusted: AdjustedRegistration, setup: AdjustmentSetup
 ) -> tuple[AdjustedRegistration, list[int]]:
-    """Leave out pairs whose pose is farther from the readings' than noise explains."""
-    rows, spotted = adjusted.rows, adjusted.spotted
-    size = np.zeros(len(spotted))
-    np.add.at(size, rows.pair[rows.pose], rows.residual[rows.pose] ** 2)
-    wild = size > MAX_MISFIT_RATIO * max(float(np.median(size)), POSE_ROWS)
-    if not wild.any():
-        return adjusted, []
-    spotted = replace(spotted, used=spotted.used & ~wild[spotted.pair])
-    return adjust(spotted, setup, adjusted.at, adjusted.free), spotted.frame[wild].tolist()
+    """Leave out pairs whose pose is farther from the readings' than noise explains.
+
+    Adjusts again without them until no pair is: the first fit bends towards what is wrong.
+    """
+    rejected: list[int] = []
+    while True:
+        rows, spotted = adjusted.rows, adjusted.spotted
+        size = np.zeros(len(spotted))
+        np.add.at(size, rows.pair[rows.pose], rows.residual[rows.pose] ** 2)
+        used = np.unique(spotted.pair[spotted.used])
+        wild = size > MAX_MISFIT_RATIO * max(float(np.median(size[used])), POSE_ROWS)
+        if not wild.any():
+            return adjusted, rejected
+        rejected += spotted.frame[wild].tolist()
+        spotted = replace(spotted, used=spotted.used & ~wild[spotted.pair])
+        adjusted = adjust(spotted, setup, adjusted.at, adjusted.free)

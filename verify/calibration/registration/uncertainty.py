@@ -205,7 +205,7 @@ def visible_fractions(adjusted: AdjustedRegistration, held: Array | None = None)
     )
     design = predicted.design
     left, whole = np.zeros(taken.shape[1]), np.zeros(taken.shape[1])
-    for i in range(len(spotted)):
+    for i in np.unique(spotted.pair[spotted.used]):  # of a rejected pair no spot is used
         mine = (spotted.pair == i) & spotted.used
         lower = np.linalg.cholesky(block_diagonal(spotted.covariance[mine]))
         joints = predicted.by_joint[mine].reshape(len(lower), -1)

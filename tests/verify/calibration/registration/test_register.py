@@ -184,6 +184,26 @@ def test_a_healthy_simulated_arm_is_registered_to_within_its_uncertainty(
     assert abs(registered.skew) < 4 * registered.skew_standard_uncertainty
 
 
+def test_pairs_that_the_readings_contradict_are_left_out_and_named(
+    simulated: InMemory, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pairs = find_spots(simulated, lambda _done, _total: None)
+    monkeypatch.setattr(register, "find_spots", lambda _recording, _progress: pairs)
+    read = simulated.encoders
+    q = read.q.copy()
+    slipped = (read.t > read.t[0] + 2.0) & (read.t < read.t[0] + 2.2)
+    q[slipped, 1] += np.deg2rad(4.0)
+    wrong = replace(simulated, encoders=replace(read, q=q))
+    sound = register_motion(simulated, keep_base=True, marker=simulated.marker)
+    found = register_motion(wrong, keep_base=True, marker=simulated.marker)
+    assert set(found.left_out.values()) == {"the readings contradict it"}
+    at = {f: simulated.frames.t_left[f] - found.clock_offset for f in found.left_out}
+    assert all(1.95 < t - read.t[0] < 2.25 for t in at.values())
+    assert found.pairs_used == sound.pairs_used - len(found.left_out)
+    assert found.misfit == pytest.approx(sound.misfit, rel=0.15)
+    np.testing.assert_allclose(found.visible_fractions, sound.visible_fractions, atol=0.03)
+
+
 def test_results_are_laid_out_in_the_file_s_units(registered: MotionRegistration) -> None:
     found = replace(registered, left_out={5: "why", 6: "why"})
     results = motion_results(found, robot="iust_6r")
