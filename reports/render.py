@@ -9,7 +9,7 @@ from reports.document.blocks import Document, collect_figures
 from reports.document.charts import Chart
 from reports.document.charts import Path as SpacePath
 from reports.fleet import document as fleet_document
-from reports.format import branding, html, matplotlib, pdf
+from reports.format import branding, html, pdf
 from reports.format.branding import DEFAULT_BRANDING, Look
 from reports.grasp import document as grasp_document
 from reports.identification import document as identification_document
@@ -68,7 +68,9 @@ def charts(results: Results) -> dict[str, Chart | SpacePath]:
 
 
 def draw(chart: Chart | SpacePath) -> "Figure":
-    """Draw a chart as the PDF has it, as a matplotlib figure."""
+    """Draw a chart as a matplotlib figure."""
+    from reports.format import matplotlib  # late: no report needs it
+
     return matplotlib.figure(chart)
 
 

@@ -1,8 +1,8 @@
 """Charts in any format: panels of lines, bands, points, cells and bars; columns ready to draw.
 
-A chart is drawn by `reports.format.matplotlib` on paper and by `reports.format.plotly` on the
-screen. A role stands for a colour and a line style. Lines break where pairs are missing; long ones
-are thinned and keep their extremes.
+A chart is drawn by `reports.format.svg` on paper, by `reports.format.plotly` on the screen and by
+`reports.format.matplotlib` for a user of Python. A role stands for a colour and a line style. Lines
+break where pairs are missing; long ones are thinned and keep their extremes.
 """
 
 from collections.abc import Iterable

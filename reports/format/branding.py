@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from xml.etree import ElementTree
 
-import matplotlib.image
+from PIL import Image
 
 from reports.results import ReportError, one_line
 
@@ -139,7 +139,8 @@ def _png_size(path: Path, content: bytes) -> tuple[float, float]:
     if max(width, height) > MAX_PX:  # asked before anybody unpacks it
         raise _invalid_logo(path, f"has {width} x {height} px", f"at most {MAX_PX} a side")
     try:
-        matplotlib.image.imread(io.BytesIO(content), format="png")
+        with Image.open(io.BytesIO(content), formats=["PNG"]) as picture:
+            picture.load()
     except (OSError, SyntaxError, ValueError, EOFError):
         raise _invalid_logo(path, "is a damaged PNG", "a whole one") from None
     return width, height

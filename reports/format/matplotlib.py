@@ -1,8 +1,6 @@
-"""Charts on paper: matplotlib figures, saved as SVG with the same bytes every time."""
+"""Charts for a user of Python: the figures of the report as matplotlib draws them."""
 
-import io
 from collections.abc import Iterable
-from functools import cache
 from pathlib import Path as File
 from typing import Any, Literal
 
@@ -11,18 +9,17 @@ import numpy as np
 from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from matplotlib.font_manager import findfont
-from matplotlib.ft2font import FT2Font
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from reports.document import charts
 from reports.document.charts import Chart, Mark, Panel, Path, isolated_points, pieces
-from reports.results import one_line
+from reports.format.drawing import LINE_WIDTHS
+from reports.format.lettering import printable
+from reports.format.svg import relative_width
 
 LINE_WIDTH_IN = 6.69  # 170 mm, what A4 leaves between the margins of the report
-MAX_LABEL_LETTERS = 34  # letters of a user's word beside a plot; longer ones would push it aside
 LEGEND_IN = 0.2  # height of a row of the legend
 LEGEND_LINE_LETTERS = 118  # letters of the legend's size in a line
 LEGEND_SIGN_LETTERS = 7  # what the sign before a legend's word and the gap behind it take
@@ -37,45 +34,12 @@ MAX_AXIS_STEPS = 5  # between the numbers of the longest axis
 MAX_ZOOM = 1.0  # zoom: beyond it the labels on both sides are cut
 # of a box's diagonal, upwards in the picture at zoom 1: more cuts those below
 MAX_BOX_HEIGHT = 0.78
-LINE_WIDTHS = {"error": 0.6, "resolved": 1.1, "encoder": 0.9, "vector": 0.35}
-
-
-def svg(chart: Chart | Path) -> bytes:
-    """Draw a chart as SVG; the same chart gives the same bytes."""
-    with mpl.rc_context(fname=STYLE):
-        buffer = io.BytesIO()
-        figure(chart).savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-    return buffer.getvalue()
 
 
 def figure(chart: Chart | Path) -> Figure:
     """Draw a chart."""
     with mpl.rc_context(fname=STYLE):
         return _draw_path(chart) if isinstance(chart, Path) else _draw_panels(chart)
-
-
-def relative_width(chart: Chart | Path) -> float:
-    """Tell what share of the line width a chart takes."""
-    if isinstance(chart, Path):
-        return 1.0 if chart.from_above else 0.72
-    return chart.width
-
-
-def printable(text: str) -> str:
-    """A user's word shortened, letters that the font lacks replaced; line breaks are kept."""
-    return "\n".join(_printable_line(line) for line in text.split("\n"))
-
-
-def _printable_line(text: str) -> str:
-    text = one_line(text)
-    if len(text) > MAX_LABEL_LETTERS:
-        text = text[: MAX_LABEL_LETTERS - 1] + "…"
-    return "".join(c if ord(c) in _font_characters() else "\ufffd" for c in text)
-
-
-@cache
-def _font_characters() -> frozenset[int]:
-    return frozenset(FT2Font(findfont("DejaVu Sans")).get_charmap())
 
 
 def _colour(role: str) -> str:

@@ -9,12 +9,12 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any, cast
 
-import matplotlib as mpl
 import typst
 
 from reports.document.blocks import Document, collect_figures, to_template_data
-from reports.format import matplotlib
+from reports.format import svg
 from reports.format.branding import DEFAULT_BRANDING, LANGUAGE, WORDS, Look
+from reports.format.lettering import FONTS as FONTS_FOLDER
 from reports.format.pictures import compact
 from reports.results import ReportError
 
@@ -23,7 +23,7 @@ TEMPLATE_FILE = "report.typ"
 LINE_WIDTH_MM, MAX_PICTURE_HEIGHT_MM = 170.0, 85.0  # a third of a page: words fit beside it
 FONTS: dict[str, Any] = {
     "ignore_system_fonts": True,
-    "font_paths": [str(Path(mpl.get_data_path()) / "fonts" / "ttf")],
+    "font_paths": [str(FONTS_FOLDER)],
 }
 _compile = cast("Callable[..., bytes]", typst.compile)  # its types leave out files in memory
 
@@ -80,8 +80,8 @@ def typst_files(document: Document, look: Look = DEFAULT_BRANDING) -> dict[str, 
             drawn[name] = {"file": f"{name}.svg", "width": _picture_width(content)}
             files[f"{name}.svg"] = _png_in_svg(content)
         else:
-            drawn[name] = {"file": f"{name}.svg", "width": matplotlib.relative_width(content)}
-            files[f"{name}.svg"] = matplotlib.svg(content)
+            drawn[name] = {"file": f"{name}.svg", "width": svg.relative_width(content)}
+            files[f"{name}.svg"] = svg.svg(content)
     if look.logo is not None:
         files["logo.svg"] = (
             look.logo.content if look.logo.is_svg else _png_in_svg(look.logo.content)

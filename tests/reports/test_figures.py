@@ -7,7 +7,7 @@ import pytest
 
 from reports.document.blocks import collect_figures
 from reports.document.charts import Chart
-from reports.format import matplotlib, plotly
+from reports.format import plotly, svg
 from tests.support.reports.page import coloured, document_of, drawing_of
 
 CALIBRATION = {
@@ -43,7 +43,7 @@ def test_a_figure_is_accepted_by_plotly_drawn_alike_and_has_units(name: str, fig
     plot = coloured(plotly.specification(chart))
     go.Figure(plot["data"], plot["layout"])
     go.Figure(plot["data"], plot["narrow"])
-    assert matplotlib.svg(chart) == matplotlib.svg(chart)
+    assert svg.svg(chart) == svg.svg(chart)
     for panel in chart.panels if isinstance(chart, Chart) else ():
         for label in (panel.x_label, panel.y_label):
             counted = label in ("", "pair", "were they exact", "LEDs seen", "cost",

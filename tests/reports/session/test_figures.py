@@ -10,8 +10,8 @@ import typst
 from reports.document import charts
 from reports.document.blocks import collect_figures
 from reports.document.charts import Band, Line, Path
-from reports.format import matplotlib as format_matplotlib
-from reports.format import pdf, plotly
+from reports.format import pdf, plotly, svg
+from reports.format.lettering import printable
 from reports.session.document import document
 from reports.session.figures import motion
 from reports.session.figures.evidence import residuals
@@ -75,7 +75,7 @@ def test_the_shares_of_variance_add_up_to_all() -> None:
 @pytest.mark.parametrize("figure", ["joint_errors", "pose", "path", "clock"])
 def test_every_line_is_visible_in_the_image(figure: str) -> None:
     chart = drawing_of("nonconforming", figure)
-    files = {"main.typ": b'#image("chart.svg")', "chart.svg": format_matplotlib.svg(chart)}
+    files = {"main.typ": b'#image("chart.svg")', "chart.svg": svg.svg(chart)}
     page = typst.compile(files, format="png", ppi=200.0, **pdf.FONTS)
     pixels = matplotlib.image.imread(io.BytesIO(page), format="png")[:, :, :3]
     if isinstance(chart, Path):
@@ -93,9 +93,9 @@ def test_every_line_is_visible_in_the_image(figure: str) -> None:
 
 def test_a_user_s_word_is_no_link_in_a_plot_and_letters_that_the_font_lacks_are_replaced() -> None:
     assert "<" not in plotly.escape_label('<a href="javascript:alert(1)">x</a>')
-    assert format_matplotlib.printable("LED 漢") == "LED \ufffd"
-    assert format_matplotlib.printable("LED °σ") == "LED °σ"
-    assert len(format_matplotlib.printable("x" * 500)) < 50
+    assert printable("LED 漢") == "LED \ufffd"
+    assert printable("LED °σ") == "LED °σ"
+    assert len(printable("x" * 500)) < 50
 
 
 def test_numbers_arrive_in_the_page_as_they_are_in_the_table() -> None:
