@@ -9,7 +9,6 @@ import typer
 
 from verify.cli import options as option
 from verify.cli.terminal import report_files, terminal
-from verify.core.version import __version__
 from verify.errors import InputError
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
@@ -62,6 +61,7 @@ def batch(
 
     Example: verify batch sample_sessions -o fleet-report
     """
+    from verify.core.version import __version__
     from verify.fleet.batch.finding import find_sessions
     from verify.fleet.batch.records import BatchOptions
     from verify.fleet.batch.run import measure_all

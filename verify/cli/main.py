@@ -28,7 +28,6 @@ from verify.cli.run import demo, record, run
 from verify.cli.simulate import simulate
 from verify.cli.terminal import show_log, terminal
 from verify.errors import InputError, WatchDefectError, one_line
-from verify.io.files import lacks_memory, memory_refusal, system_refusal
 
 # typer brings its own copy of click or uses the installed one, depending on its version; either
 # way what it raises on wrong usage is the base of its BadParameter
@@ -121,6 +120,8 @@ def _status(words: list[str]) -> int:
     except (KeyboardInterrupt, typer.Abort):  # older typer; newer ones give back the status
         outcome = INTERRUPTED
     except Exception as problem:
+        from verify.io.files import lacks_memory, memory_refusal, system_refusal
+
         if lacks_memory(problem):
             return _refuse(str(memory_refusal("memory")))
         if isinstance(problem, OSError) and problem.errno in REFUSALS:

@@ -5,26 +5,16 @@ import logging
 import os
 import sys
 import threading
-import webbrowser
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from rich.console import Console
-from rich.progress import (
-    BarColumn,
-    MofNCompleteColumn,
-    Progress,
-    ProgressColumn,
-    Task,
-    TextColumn,
-    TimeRemainingColumn,
-)
-from rich.text import Text
+from typing import TYPE_CHECKING, Any
 
 from verify.errors import one_line
+
+if TYPE_CHECKING:  # imported with the first bar: `--help` answers at once
+    from rich.progress import Progress
 
 MAX_LINES = 10  # progress lines where there is no terminal to draw a bar on
 STDIN = 0  # its descriptor
@@ -70,6 +60,15 @@ class Terminal:
     @contextmanager
     def progress(self, what: str) -> Iterator["ProgressCounter"]:
         """Show how far long work has come: a bar on a terminal, plain lines elsewhere."""
+        from rich.console import Console
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeRemainingColumn,
+        )
+
         console, silent = Console(stderr=True), self.quiet or self.as_json
         if silent or not console.is_terminal:
             yield ProgressCounter(None, what, silent=silent)
@@ -78,7 +77,7 @@ class Terminal:
             TextColumn("{task.description}"),
             BarColumn(),
             MofNCompleteColumn(),
-            _PairRate(),
+            TextColumn("{task.fields[rate]}"),
             TimeRemainingColumn(),
         )
         with Progress(*columns, console=console, transient=True) as bar:
@@ -88,8 +87,11 @@ class Terminal:
 def report_files(folder: Path, name: str = "report") -> str:
     """Name the two files of a report in a sentence, as links on a terminal; --open opens one."""
     page, paper = folder / f"{name}.html", folder / f"{name}.pdf"
-    if terminal.opens and not webbrowser.open(page.resolve().as_uri()):
-        terminal.warn(f"No browser was found to open {page}.")
+    if terminal.opens:
+        import webbrowser
+
+        if not webbrowser.open(page.resolve().as_uri()):
+            terminal.warn(f"No browser was found to open {page}.")
     return f"{_link(page)} and {_link(paper)}"
 
 
@@ -122,25 +124,21 @@ def _write(line: str) -> None:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
-class _PairRate(ProgressColumn):
-    def render(self, task: Task) -> Text:
-        """Write the rate, once it is known."""
-        return Text("" if task.speed is None else f"{task.speed:.1f}/s")
-
-
 class ProgressCounter:
     """Receives `done, total` and shows it."""
 
-    def __init__(self, bar: Progress | None, what: str, *, silent: bool) -> None:
+    def __init__(self, bar: "Progress | None", what: str, *, silent: bool) -> None:
         self._bar, self._what, self._silent = bar, what, silent
-        self._task = bar.add_task(what, total=None) if bar is not None else None
+        self._task = bar.add_task(what, total=None, rate="") if bar is not None else None
         self._lines = 0
 
     def __call__(self, done: int, total: int, note: str = "") -> None:
         """Show that `done` of `total` are finished, with a note on them."""
         if self._bar is not None and self._task is not None:
             text = f"{self._what}, {note}" if note else self._what
-            self._bar.update(self._task, completed=done, total=total, description=text)
+            speed = self._bar.tasks[self._task].speed  # one task a bar
+            rate = "" if speed is None else f"{speed:.1f}/s"
+            self._bar.update(self._task, completed=done, total=total, description=text, rate=rate)
         elif not self._silent and done * MAX_LINES // max(total, 1) > self._lines:
             self._lines = done * MAX_LINES // max(total, 1)
             sys.stderr.write(f"{self._what}: {done} of {total}{f', {note}' if note else ''}\n")

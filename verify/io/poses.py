@@ -74,7 +74,7 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
     Raises:
         InputError: names the file, the line and the column.
     """
-    table, warnings = open_table(Path(path), torn)
+    table, warnings = open_table(Path(path), torn, spare="t_s")
     # one column of an optional group requires all of the group
     optional = (QUATERNION, POSITION_UNCERTAINTY, ORIENTATION_UNCERTAINTY, TARGET)
     present = [group for group in optional if any(name in table.header for name in group)]

@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 
 from verify.core.readings import MAX_GAP
 from verify.core.records import Array
-from verify.errors import InputError, one_line
+from verify.errors import InputError
 from verify.io.files import read_bytes
+from verify.io.rows import whole_rows
 from verify.io.toml import did_you_mean
 
 _PAIR_TIMES = ("t_left_s", "t_right_s")
@@ -118,7 +119,7 @@ def read_encoders(
     Raises:
         InputError: names the file, the line and the column.
     """
-    table, warnings = open_table(Path(path), torn)
+    table, warnings = open_table(Path(path), torn, spare="t_s")
     wanted = tuple(f"q{joint}_deg" for joint in range(1, joints + 1))
     present = [name for name in table.header if _JOINT.fullmatch(name)]
     if present and (len(present) < joints or set(present) - set(wanted)):
@@ -321,19 +322,20 @@ class CsvTable:
             raise InputError(place, f"is not CSV: {error}", "", "Export it again.") from error
 
 
-def open_table(path: Path, torn: bool) -> tuple[CsvTable, tuple[str, ...]]:
-    """Read a CSV file's header and rows; the warnings name a last row that was cut off."""
+def open_table(path: Path, torn: bool, spare: str = "") -> tuple[CsvTable, tuple[str, ...]]:
+    """Read a CSV file's header and rows; the warnings name a last row that is left out.
+
+    A last row without an end of line is left out where the recording was cut off (`torn`). Else,
+    if it may lack digits, it is left out of a table that has the column `spare`, and refused in
+    others, whose rows belong to something by their number.
+    """
     data = read_bytes(path)
-    warnings: tuple[str, ...] = ()
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         raise InputError(path, "is UTF-16", "UTF-8 is expected", "Save it again as UTF-8.")
     data = data.removeprefix(codecs.BOM_UTF8)
-    if torn:
-        whole = data[: max(data.rfind(b"\n"), data.rfind(b"\r")) + 1]
-        if whole != data:
-            warnings = (one_line(f"{path}: the last line was cut off and is left out."),)
-        data = whole
-    return CsvTable(path, data, _header(path, data)), warnings
+    header = _header(path, data)
+    data, warnings = whole_rows(path, data, torn, spare in header)
+    return CsvTable(path, data, header), warnings
 
 
 def _header(path: Path, data: bytes) -> list[str]:

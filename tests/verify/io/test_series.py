@@ -10,6 +10,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.recorded import refusal
 from verify.errors import InputError
+from verify.io.rows import END
 from verify.io.series import ALARM_COLUMNS, read_alarms, read_encoders, read_frames
 
 
@@ -31,7 +32,7 @@ FRAMES = (
         ENCODERS.replace("\n", "\r\n"),
         ENCODERS.replace("\n", "\r"),
         "\ufeff" + ENCODERS,
-        ENCODERS.rstrip("\n"),
+        ENCODERS.replace("\n", ".0\n").replace("deg.0", "deg").rstrip("\n"),
         ENCODERS + "\n\n",
         ENCODERS.replace(",", " , "),
         ENCODERS.replace("10", "+1e1"),
@@ -50,6 +51,28 @@ def test_one_table_reads_the_same_however_a_program_writes_it(path: Path, text: 
     assert warnings == ()
     assert_array_equal(encoders.t, [0, 0.5, 1])
     assert_allclose(np.rad2deg(encoders.q), [[10, 20], [11, 21], [12, 22]])
+
+
+@pytest.mark.parametrize("last", ["2.0,13,2", "2.0,13,23", "2.0,13", "2.", "\0\0\0"])
+def test_a_last_row_that_may_lack_digits_is_left_out_with_a_warning(path: Path, last: str) -> None:
+    path.write_text(ENCODERS + last)  # 23, or cut from 23.5
+    encoders, warnings = read_encoders(path, 2)
+    assert_array_equal(encoders.t, [0, 0.5, 1])
+    assert warnings == (f"{path}: the last line {END}; it is left out.",)
+
+
+@pytest.mark.parametrize(("last", "whole"), [("2.0,13,23.50", True), ("2.0,13,23.5", False)])
+def test_equal_decimals_in_all_rows_show_that_the_last_is_whole(
+    path: Path, last: str, whole: bool
+) -> None:
+    path.write_text(re.sub(r"([12]\d)$", r"\1.25", ENCODERS, flags=re.MULTILINE) + last)
+    encoders, warnings = read_encoders(path, 2)
+    assert (len(encoders), len(warnings)) == ((4, 0) if whole else (3, 1))
+
+
+def test_a_cut_row_that_belongs_to_an_image_is_refused(path: Path) -> None:
+    path.write_text(FRAMES.rstrip("\n"))
+    assert "last line: has no end of line" in str(refusal(read_frames, path))
 
 
 def test_frames_have_the_rigs_pan_where_the_file_gives_none(path: Path) -> None:
@@ -138,9 +161,8 @@ def test_a_table_in_utf_16_is_refused(path: Path) -> None:
         read_encoders(path, 2)
 
 
-def test_half_a_last_line_is_left_out_of_a_torn_table_alone(path: Path) -> None:
-    path.write_text(ENCODERS + "1.5,13,2")  # the 3 of 23 was not written any more
-    assert len(read_encoders(path, 2)[0]) == 4
+def test_any_last_line_without_an_end_is_left_out_of_a_torn_table(path: Path) -> None:
+    path.write_text(ENCODERS.replace("2\n", "2.5\n").replace("20\n", "20.5\n") + "1.5,13,23.5")
     encoders, warnings = read_encoders(path, 2, torn=True)
     assert len(encoders) == 3
     assert len(warnings) == 1

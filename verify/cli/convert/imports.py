@@ -30,6 +30,7 @@ from verify.io.logs.mapping import (
     settle_units,
 )
 from verify.io.logs.table import LogTable, open_log
+from verify.io.rows import left_out, unended
 from verify.io.session.folder import SESSION_FILE, load_arm
 from verify.io.session.keys import RunTable
 from verify.io.session.keys import read as read_keys
@@ -226,6 +227,15 @@ def _settle(
     if mapping.joints and arm is None:
         remedy = "Give --robot; the readings are checked by its limits."
         raise InputError("--robot", "is missing", "joint readings belong to a robot", remedy)
+    if table.cut_off:
+        if mapping.time is None:  # rows belong to those of another table by their number
+            raise unended(table.path)
+        terminal.warn(left_out(table.path))
+    if mapping.time is None:
+        terminal.warn(
+            f"{table.path}: no column is taken for the time, so its rows are visits in order. "
+            "Name it by --map if there is one."
+        )
     outline = logs.read_outline(table, mapping, progress)
     stated = StatedUnits(options.angles, options.lengths, options.rotation)
     mapping = settle_units(table, mapping, stated, outline.joints, outline.step)

@@ -37,13 +37,21 @@ _UNIT_NAMES = {
     "degree": DEGREES, "degrees": DEGREES, "°": DEGREES, "radian": RADIANS, "radians": RADIANS,
     "sec": "s", "second": "s", "seconds": "s", "µs": "us", "µm": "um",
 }  # fmt: skip
+_OTHER_UNIT = re.compile(r".*[\[(]\s*(?P<unit>[^\W\d][^\[\]()]*?)\s*[\])]\s*")
+# of columns that are numbered as joints are, and hold no reading of an encoder
+_NO_READING = re.compile(
+    r"vel|speed|accel|torque|effort|current|temperature|voltage|target|command|desired|setpoint|"
+    r"soll|aspos|(?<![^\W\d_])(qdd?|dd?q|tau|cmd|ref|set|err|error|temp|acc)(?![^\W\d_])"
+)
+# an array of a ROS message: which joint is which, its names say and not its numbers
+_UNNAMED = re.compile(r"(.*[^a-z])?(?<!joint[_. ])(?<!axis[_. ])positions?[\[._ ]*\d+\]?")
 _TIMES = ("t", "time", "timestamp", "zeit", "time stamp", "datetime", "date", "zeitstempel")
 # names of readings by maker, with the unit that its documents state
 MAKERS = (
     ("UR, RTDE", re.compile(r"actual_q_([0-5])"), 0, RADIANS, True),
-    ("KUKA", re.compile(r"\$?(?:axis_act(?:_meas)?[._ ]?)?a([1-6])"), 1, DEGREES, False),
-    ("ABB", re.compile(r"rax_([1-6])"), 1, DEGREES, False),
-    ("Fanuc", re.compile(r"j(?:oint)?[ _]?([1-6])"), 1, DEGREES, False),
+    ("KUKA", re.compile(r"\$?(?:axis_act(?:_meas)?[._ ]?)?a([1-9]\d?)"), 1, DEGREES, False),
+    ("ABB", re.compile(r"rax_([1-9]\d?)"), 1, DEGREES, False),
+    ("Fanuc", re.compile(r"j(?:oint)?[ _]?([1-9]\d?)"), 1, DEGREES, False),
 )
 # names of three angles, with the axes that they turn about and their unit; capitals: moving axes
 EULER = (
@@ -125,7 +133,7 @@ def propose_mapping(
 
 def _propose_time(table: LogTable, named: Mapping[str, tuple[str, str]]) -> list[MappedColumn]:
     for column, (stem, unit) in named.items():
-        if stem in _TIMES or column == TIME:
+        if stem.strip("_%") in _TIMES or column == TIME:
             if table.is_date(column):
                 return [MappedColumn(column, TIME, "date")]
             return [MappedColumn(column, TIME, unit if unit in TIME_UNITS else "")]
@@ -156,7 +164,7 @@ def _propose_joints(
                 ]  # fmt: skip
     angles = [
         column for column, (_, unit) in named.items()
-        if given or unit in (DEGREES, RADIANS) or not unit
+        if given or (unit in (DEGREES, RADIANS, "") and _may_be_reading(column.lower()))
     ]  # fmt: skip
     stems = {column if given else named[column][0]: column for column in angles}
     try:
@@ -169,6 +177,11 @@ def _propose_joints(
         MappedColumn(stems[name], f"q{j}", named[stems[name]][1])
         for j, name in enumerate(names, start=1)
     ]
+
+
+def _may_be_reading(name: str) -> bool:
+    """Whether a numbered column may be a joint's reading, by its name in small letters."""
+    return not (_NO_READING.search(name) or _UNNAMED.fullmatch(name))
 
 
 def _propose_pose(named: Mapping[str, tuple[str, str]]) -> tuple[list[MappedColumn], str]:
@@ -347,6 +360,10 @@ def _time_unit(table: LogTable, c: MappedColumn, step: float) -> tuple[str, str]
 def _joint_unit(
     table: LogTable, c: MappedColumn, stated: str, spread: JointRange
 ) -> tuple[str, str]:
+    if (other := _OTHER_UNIT.fullmatch(c.column)) and (not c.unit or c.reason):
+        found = f'has "{c.column}", whose unit "{other["unit"]}" is not known'
+        remedy = f'Convert it, or name every column by --map: "{c.target}={c.column}:deg,…".'
+        raise InputError(table.path, found, "deg or rad is expected", remedy)
     if stated:
         _require_agreement(table, c, stated, "--angles")
         return stated, ""

@@ -19,6 +19,7 @@ ENCODERS, POSES = "encoders.csv", "poses.csv"
 MAX_TIME = 1e6  # s: times beyond count from some other start, and are counted from the first row
 MAX_SPAN = 1e7  # s, of a recording: more is a damaged number
 MAX_DISTANCE = 5e4  # mm, of a pose from the first
+MAX_COARSE = 0.01  # share of rows with another reading at the time of the row before
 STEP_ROWS = 200  # that show the median step of the time
 
 Progress = Callable[[int, int], None]
@@ -129,18 +130,31 @@ class RisingTimes:
 def write_encoders(
     table: LogTable, mapping: ColumnMapping, start: np.longdouble, path: Path, progress: Progress
 ) -> int:
-    """Write encoders.csv; returns how many rows repeat a time and were left out."""
+    """Write encoders.csv; returns how many rows repeat a time and were left out.
+
+    Raises:
+        InputError: times that go back, or are too coarse for the readings.
+    """
     scale = [np.rad2deg(ANGLE_UNITS[c.unit]) for c in mapping.joints]
     times = RisingTimes(table, mapping.time, start)
     names = tuple(c.column for c in (*mapping.joints, *((mapping.time,) if mapping.time else ())))
+    coarse, last = 0, np.full(len(scale), np.nan)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         head = "t_s," if mapping.time else ""
         file.write(head + ",".join(f"{c.target}_deg" for c in mapping.joints) + "\n")
         for first, values in table.chunks(names, progress):
             texts, kept = times.take(first, values)
             degrees = np.stack([values[c.column] for c in mapping.joints], axis=1) * scale
+            steps = np.diff(degrees, axis=0, prepend=last[None])
+            coarse += int(np.count_nonzero(steps[np.flatnonzero(kept == 0)].any(axis=1)))
+            last = degrees[-1]
             rows = zip(texts, degrees.tolist(), kept, strict=True)
             file.writelines(f"{t}{','.join(f'{q:.9f}' for q in r)}\n" for t, r, k in rows if k)
+            count = first + len(kept)
+    if mapping.time is not None and coarse > MAX_COARSE * count:
+        found = f"{coarse} of {count} rows repeat the time of another reading"
+        expected = f"{mapping.time.column} is written too coarsely to say when each was taken"
+        raise InputError(table.path, found, expected, "Export the times with more decimals.")
     return times.repeats
 
 

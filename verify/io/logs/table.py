@@ -5,14 +5,12 @@ UTF-8, UTF-16 or Latin-1; a separator at the end of each line.
 """
 
 import codecs
-import csv
 import io
-import math
 import re
-from collections import Counter
+from collections import Counter, deque
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
-from itertools import islice
+from itertools import islice, zip_longest
 from pathlib import Path
 from typing import Any
 
@@ -22,6 +20,7 @@ import pandas as pd
 from verify.core.records import Array
 from verify.errors import InputError
 from verify.io.files import refused_as_input_error, require_file
+from verify.io.rows import is_whole, split, unended
 
 SEPARATORS = {";": "semicolons", "\t": "tabs", ",": "commas", " ": "spaces"}
 MAX_PREAMBLE = 60  # lines above the header
@@ -29,10 +28,16 @@ SAMPLE_ROWS = 20  # that show the decimal sign
 CHUNK_ROWS = 20_000
 HEAD_BYTES = 400_000
 PROGRESS_BYTES = 1000  # progress counts in kB
+MAX_NUMBER = 1e20  # in whatever unit, ns since 1970 too; its square is finite
 REMEDY = "Correct the line, or export the table again."
 
 _NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
 _DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(Z|[-+]\d\d:?\d\d)?")
+_UNIT = re.compile(  # a cell of a line of units
+    r"[\[(](?P<bracketed>[^\[\]()]*)[\])]|"
+    r"(?P<known>deg|degrees?|rad|radians?|°|s|sec|seconds?|ms|[uµ]s|ns|mm|m|[uµ]m)|-?",
+    re.IGNORECASE,
+)
 
 Progress = Callable[[int, int], None]
 
@@ -46,8 +51,10 @@ class LogTable:
     separator: str
     decimal: str
     header_line: int  # from 1
+    skipped: int  # lines above the rows: to the names, or to their units below them
     names: tuple[str, ...]
     sample: tuple[tuple[str, ...], ...]  # the first rows, as they are written
+    cut_off: bool  # the last line may lack digits, and is left out
 
     def describe(self) -> str:
         """How the table is written, in words."""
@@ -83,7 +90,7 @@ class LogTable:
             total = self.path.stat().st_size // PROGRESS_BYTES
             file = self.path.open(encoding=self.encoding, errors="replace", newline="")
         with file:
-            lines = (line for line in islice(file, self.header_line, None) if line.strip())
+            lines = (line for line in islice(file, self.skipped, None) if self._is_row(line))
             while block := list(islice(lines, CHUNK_ROWS)):
                 if any(self._is_too_long(line) for line in block):  # pandas would cut it off
                     raise self._fault(names)
@@ -95,7 +102,7 @@ class LogTable:
                     }
                 except (ValueError, pd.errors.ParserError) as error:
                     raise self._fault(names) from error
-                if not all(np.isfinite(column).all() for column in values.values()):
+                if not all((np.abs(column) <= MAX_NUMBER).all() for column in values.values()):
                     raise self._fault(names)
                 yield done, values
                 done += len(block)
@@ -122,6 +129,10 @@ class LogTable:
             return False
         return any(cell.strip() for cell in split(line.rstrip(), self.separator)[len(self.names) :])
 
+    def _is_row(self, line: str) -> bool:
+        """Whether a line below the header is a row: not blank, and not cut off."""
+        return bool(line.strip()) and not (self.cut_off and line[-1] not in "\r\n")
+
     def line_of(self, row: int) -> int:
         """Line of a row, both counted as an editor does; blank lines are no rows."""
         return next(line for index, (line, _) in enumerate(self._rows()) if index == row)
@@ -129,12 +140,12 @@ class LogTable:
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         with self.path.open(encoding=self.encoding, errors="replace", newline="") as file:
             for number, line in enumerate(file, start=1):
-                if number > self.header_line and line.strip():
+                if number > self.skipped and self._is_row(line):
                     yield number, split(line.rstrip("\r\n"), self.separator)
 
     def _is_number(self, cell: str) -> bool:
         other_sign = {".": ",", ",": "."}[self.decimal]
-        return other_sign not in cell and math.isfinite(float(cell.replace(",", ".")))
+        return other_sign not in cell and abs(float(cell.replace(",", "."))) <= MAX_NUMBER
 
     def _fault(self, names: tuple[str, ...]) -> InputError:
         """Word what is wrong with the first row that cannot be read."""
@@ -151,20 +162,14 @@ class LogTable:
                     continue
                 found = f'{name} is "{cell[:40]}"' if cell else f"{name} is empty"
                 expected = "a date" if kind is _DATE else f'a number with "{self.decimal}"'
+                if kind is _NUMBER and cell and ":" in cell:
+                    expected += " or a date such as 2026-10-25T09:30:07.5Z"
+                if kind is _NUMBER and cell and kind.fullmatch(cell):
+                    expected += f" of at most {MAX_NUMBER:g}"
                 return InputError(
                     f"{self.path}, line {line}", found, f"{expected} is expected", REMEDY
                 )
         return InputError(self.path, "cannot be read as a table", self.describe(), REMEDY)
-
-
-def split(line: str, separator: str) -> list[str]:
-    """Cut a line into cells; spaces count once."""
-    if separator == " ":
-        return line.split()
-    try:
-        return next(csv.reader([line], delimiter=separator), [])
-    except csv.Error:  # a cell longer than csv takes: no quotes are looked for
-        return line.split(separator)
 
 
 def _seconds(cells: "pd.Series[str]") -> Array:
@@ -178,7 +183,7 @@ def open_log(path: Path) -> LogTable:
     """Find out how a table is written.
 
     Raises:
-        InputError: no line names columns with rows of numbers below it.
+        InputError: no line names columns with whole rows of numbers below it.
     """
     require_file(path)
     with refused_as_input_error(path), path.open("rb") as file:
@@ -186,26 +191,63 @@ def open_log(path: Path) -> LogTable:
     encoding = _encoding(data)
     # line ends as a file opened with newline="" has them: CR alone is one
     text = io.StringIO(data.decode(encoding, errors="replace"), newline="")
-    lines = [line.rstrip("\r\n") for line in islice(text, MAX_PREAMBLE + SAMPLE_ROWS)]
+    written = list(islice(text, MAX_PREAMBLE + SAMPLE_ROWS))
+    lines = [line.rstrip("\r\n") for line in written]
+    ended = written[-1:] != lines[-1:]
     for separator in SEPARATORS:
         for number, line in enumerate(lines[:MAX_PREAMBLE]):
-            names = [name.strip() for name in split(line, separator)]
+            names = [name.strip() for name in split(line.lstrip("# "), separator)]
             while names and not names[-1]:
                 names.pop()  # a separator at the end of the line
-            rows = [split(row, separator) for row in lines[number + 1 :] if row.strip()]
-            rows = rows[:SAMPLE_ROWS]
-            if len(lines) - 1 > number + len(rows):
-                rows = rows[:-1] or rows  # the last line of the head may be cut off
+            units = _units("".join(lines[number + 1 : number + 2]), separator, len(names))
+            skipped = number + (2 if units else 1)
+            rows = [split(row, separator) for row in lines[skipped:] if row.strip()]
+            above = rows if ended else rows[:-1]  # of a line that may be cut off
+            rows = (above or rows)[:SAMPLE_ROWS]
             if _is_header(names, rows):
+                if not above:
+                    raise unended(path)
+                names = [_with_unit(*pair) for pair in zip_longest(names, units, fillvalue="")]
                 _require_unique(path, number + 1, names)
                 width = len(names)
                 sample = tuple(tuple((row + [""] * width)[:width]) for row in rows)
-                decimal = _decimal(path, separator, sample)
                 return LogTable(
-                    path, encoding, separator, decimal, number + 1, tuple(names), sample
+                    path=path,
+                    encoding=encoding,
+                    separator=separator,
+                    decimal=_decimal(path, separator, sample),
+                    header_line=number + 1,
+                    skipped=skipped,
+                    names=tuple(names),
+                    sample=sample,
+                    cut_off=not _ends_whole(path, encoding, separator, sample),
                 )
     expected = "a line with the columns' names and rows of numbers below it are expected"
     raise InputError(path, "is no table", expected, "Export it with a header line.")
+
+
+def _units(line: str, separator: str, columns: int) -> list[str]:
+    """Units of the columns, of the line below their names; [] where that is no line of units."""
+    cells = [_UNIT.fullmatch(cell.strip()) for cell in split(line.lstrip("# "), separator)]
+    if len(cells) != columns or None in cells:
+        return []
+    units = [(cell["bracketed"] or cell["known"] or "").strip() for cell in cells if cell]
+    return units if any(units) else []
+
+
+def _with_unit(name: str, unit: str) -> str:
+    return f"{name} [{unit}]" if unit and not name.endswith(("]", ")")) else name
+
+
+def _ends_whole(
+    path: Path, encoding: str, separator: str, sample: tuple[tuple[str, ...], ...]
+) -> bool:
+    """Whether the last line has its end, or shows that it lacks no digit."""
+    with path.open(encoding=encoding, errors="replace", newline="") as file:
+        last = deque(file, 1).pop()
+    if last[-1] in "\r\n" or not last.strip():
+        return True
+    return is_whole(split(last, separator), sample, len(sample[0]))
 
 
 def _encoding(data: bytes) -> str:

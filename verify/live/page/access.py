@@ -4,8 +4,6 @@ A page of another origin in the same browser can send requests here, also under 
 point here (DNS rebinding). It cannot choose the headers Host and Origin: both are checked.
 """
 
-import hmac
-import ipaddress
 from collections.abc import Mapping
 from dataclasses import dataclass
 
@@ -84,6 +82,8 @@ def is_loopback(address: str) -> bool:
     """Whether only this computer can reach an address."""
     if address == "localhost":
         return True
+    import ipaddress
+
     try:
         return ipaddress.ip_address(address).is_loopback
     except ValueError:
@@ -91,4 +91,6 @@ def is_loopback(address: str) -> bool:
 
 
 def _equal_in_constant_time(one: str | None, other: str) -> bool:
+    import hmac  # not above: `--help` loads this module for its constants
+
     return one is not None and hmac.compare_digest(one.encode(), other.encode())

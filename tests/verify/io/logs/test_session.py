@@ -1,7 +1,7 @@
 """Tables of controllers and instruments become encoders.csv and poses.csv."""
 
 import io
-from collections.abc import Sequence
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,41 +10,19 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import robots
-from tests.support.command import Outcome, verify
+from tests.support.command import verify
 from tests.support.recorded import write_session
+from tests.support.tables import ROWS, Q, T, convert, joints_of, write_table
 from verify.core.records import Array
 from verify.io.joints import match_joint_names
 from verify.io.logs.mapping import parse_name
+from verify.io.rows import END
 from verify.io.session.keys import read_poses
 from verify.io.session.session import open_session
 
-ROWS = 300
-T = 0.012 * np.arange(ROWS)
-Q = np.deg2rad(70) * np.sin(np.outer(T, [1.0, 0.8, 0.6, 1.1, 1.3, 0.9])) + 0.1  # rad
 TURNS = Rotation.from_rotvec(np.column_stack([0.3 * np.sin(T), 0.5 * np.cos(T), 0.1 * T]))
 PLACES = np.column_stack([900 + 100 * np.sin(T), 200 * np.cos(T), 300 + T])  # mm
 TRIANGLE = np.array([[0.0, 0.0, 0.0], [120.0, 0.0, 0.0], [30.0, 80.0, 0.0]])  # mm, in its own frame
-ALL_JOINTS = [f"q{j}_deg" for j in range(1, 7)]
-
-
-def write_table(
-    path: Path, names: Sequence[str], rows: Array, separator: str = ",", comma: bool = False,
-    before: str = "", encoding: str = "utf-8", end: str = "",
-) -> Path:  # fmt: skip
-    lines = [separator.join(names) + end]
-    for row in rows:
-        cells = [f"{value:.9f}" for value in row]
-        lines.append(separator.join(c.replace(".", ",") if comma else c for c in cells) + end)
-    path.write_text(before + "\n".join([*lines, ""]), encoding=encoding)
-    return path
-
-
-def convert(source: Path, out: Path, *options: str | Path) -> Outcome:
-    return verify("convert", source, "-o", out, *options)
-
-
-def joints_of(folder: Path) -> Array:
-    return np.deg2rad(pd.read_csv(folder / "encoders.csv")[ALL_JOINTS].to_numpy())
 
 
 def rtde(path: Path) -> Path:
@@ -177,6 +155,30 @@ def test_a_damaged_table_is_refused_by_its_line(
     assert not (tmp_path / "out").exists()
 
 
+@pytest.mark.parametrize("cut", [1, 2, 9, 11, 14, 60])
+@pytest.mark.parametrize("decimals", [9, 0], ids=["fixed", "varying"])
+def test_a_table_cut_within_its_last_row_loses_that_row_and_says_so(
+    cut: int, decimals: int, tmp_path: Path
+) -> None:
+    source = write_table(tmp_path / "log.csv", ["time_s", *(f"J{j}_deg" for j in range(1, 7))],
+                         np.column_stack([T, np.rad2deg(Q)]))  # fmt: skip
+    text = source.read_text() if decimals else re.sub(r"0+(?=[,\n])", "", source.read_text())
+    source.write_text(text[:-cut])
+    done = convert(source, tmp_path / "out", "--robot", "iust_6r", "--yes")
+    assert done.status == 0, done.err
+    whole = decimals and cut == 1  # only the end of line is lacking, and equal decimals show it
+    assert (END in done.err) == (not whole)
+    np.testing.assert_allclose(joints_of(tmp_path / "out"), Q[: ROWS if whole else -1], atol=1e-7)
+
+
+def test_a_cut_table_without_times_is_refused(tmp_path: Path) -> None:
+    source = write_table(tmp_path / "log.csv", [f"J{j}_deg" for j in range(1, 7)], np.rad2deg(Q))
+    source.write_text(source.read_text()[:-3])
+    said = convert(source, tmp_path / "out", "--robot", "iust_6r", "--yes").refusal
+    assert f"last line: {END}" in said
+    assert not (tmp_path / "out").exists()
+
+
 def check_poses(folder: Path, atol_mm: float = 1e-4) -> None:
     found = pd.read_csv(folder / "poses.csv")
     np.testing.assert_allclose(found[["x_mm", "y_mm", "z_mm"]], PLACES, atol=atol_mm)
@@ -290,8 +292,9 @@ def rows_of(path: Path) -> list[str]:
         (7, f'0.05,"{"x" * 200_000}",0,0,0,0,0', ("line 7", "actual_q_0 is")),
         (7, "0.05,0.1", ("line 7", "actual_q_1 is empty")),  # in the head too
         (7, "0.05,1e999,0,0,0,0,0", ("line 7", '"1e999"')),
-        (7, "1e300,0,0,0,0,0,0", ("line 7", "1e+300 s after the start")),
-        (2, "-1e300,0,0,0,0,0,0", ("line 3", "1e+300 s after the start")),
+        (7, "1e300,0,0,0,0,0,0", ("line 7", '"1e300"', "of at most 1e+20")),
+        (7, "1e19,0,0,0,0,0,0", ("line 7", "1e+19 s after the start")),
+        (2, "-1e19,0,0,0,0,0,0", ("line 3", "1e+19 s after the start")),
     ],
 )
 def test_hostile_cells_are_named(
