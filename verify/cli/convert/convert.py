@@ -2,11 +2,17 @@
 
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from verify.cli.options import ReplaceInFolder, refuse_options
+from verify.cli.terminal import terminal
+
+if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
+    from verify.io.export.content import ExportContent
+
+FILES = ("mat", "mcap", "rrd")
 
 
 class ExportFormat(StrEnum):
@@ -117,7 +123,6 @@ def convert(
 
     Example: verify convert sample_sessions/multi_joint_fault_6r -o fault.mcap
     """
-    from verify.cli.convert.exports import convert_out
     from verify.cli.convert.imports import ImportOptions, convert_bag, convert_tables
     from verify.errors import InputError
     from verify.io.bags.bag import is_bag
@@ -155,7 +160,7 @@ def convert(
             expected = "a session, a report of `verify run` or a ROS 2 bag is expected"
             remedy = "Give a folder with session.toml, results or metadata.yaml."
             raise InputError(first, "is a folder of another kind", expected, remedy)
-        convert_out(first, out, None if to is None else to.value, force=force)
+        _convert_out(first, out, None if to is None else to.value, force=force)
         return
     if to is not None:
         expected = "it is for sessions and reports"
@@ -176,3 +181,57 @@ def convert(
         yes=yes,
     )
     (convert_bag if is_bag(first) else convert_tables)(sources, out, options, force=force)
+
+
+def _convert_out(source: Path, out: Path, to: str | None, *, force: bool) -> None:
+    """Write what a folder holds in a format, by its name or by the ending of `out`.
+
+    Raises:
+        InputError: the folder is damaged, lacks what the format shows, or `out` cannot be written.
+    """
+    from verify.errors import InputError
+    from verify.io.export.content import read_content, require_poses
+    from verify.io.export.tables import FOLDERS
+    from verify.io.files import require_apart, write_file_whole, write_folder_whole
+    from verify.io.results import refuse_file
+
+    kind = to or out.suffix.removeprefix(".")
+    if kind not in (*FOLDERS, *FILES):
+        expected = f"--to is one of {', '.join((*FOLDERS, *FILES))}"
+        remedy = "Give --to, or let -o end with .mat, .mcap or .rrd."
+        raise InputError("-o", f"{out} does not say the format", expected, remedy)
+    require_apart(out, source)
+    if kind in FILES:
+        refuse_file(out, force=force)
+    content = read_content(source)
+    if kind in ("tum", "mcap", "rrd"):  # what shows readings and pictures on one clock
+        terminal.warn(*content.notes)
+    if kind == "tum":
+        require_poses(content, source)
+    if kind in FOLDERS:
+        with write_folder_whole(out, force) as folder:
+            FOLDERS[kind](content, folder)
+            written = sorted(path.name for path in folder.iterdir())
+    else:
+        with write_file_whole(out) as path:
+            _write_file(content, kind, path)
+        written = [out.name]
+    terminal.say(f"{out}: {', '.join(written)}")
+    terminal.record({"type": "result", "out": str(out), "format": kind, "files": written})
+
+
+def _write_file(content: "ExportContent", kind: str, path: Path) -> None:
+    from verify.io.export.tables import write_mat
+
+    if kind == "mat":
+        write_mat(content, path)
+        return
+    with terminal.progress("messages") as progress:
+        if kind == "mcap":
+            from verify.io.export.mcap import write_mcap
+
+            write_mcap(content, path, progress)
+            return
+        from verify.io.export.rrd import write_rrd
+
+        write_rrd(content, path, progress)
