@@ -17,11 +17,12 @@ import logging
 import math
 import threading
 import time
-from collections.abc import Coroutine
+from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
 from dataclasses import dataclass, field, replace
 from datetime import UTC
 from importlib import util
+from pathlib import Path
 from typing import Any, Final, TypeVar
 
 import numpy as np
@@ -31,6 +32,7 @@ from verify.devices import ports
 from verify.devices.encoders import intake
 from verify.devices.protocols import EncoderReading
 from verify.errors import InputError
+from verify.io.files import read_bytes
 
 T = TypeVar("T")
 ANSWER_TIMEOUT: Final = 1.0  # s, of each request
@@ -38,6 +40,8 @@ SESSION_TIMEOUT: Final = 3.0  # s until a session stands: five requests
 POLL_RATE: Final = 50.0  # Hz
 SOURCE_CYCLE: Final = 0.01  # s, of a controller, unless it is stated
 MAX_SPAN: Final = 0.1  # s: axes that moved farther apart in time are not of one instant
+POLICIES: Final = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
+MAX_KEY_BYTES: Final = 1 << 20  # bytes, of a certificate or key
 JOIN_TIMEOUT: Final = 1.0  # s
 POLL_STEP: Final = 0.001  # s: how often a pending answer is looked for
 
@@ -47,6 +51,85 @@ def require_asyncua() -> None:
     if util.find_spec("asyncua") is None:
         remedy = "Run pip install 'verify-robot[opcua]'."
         raise InputError("OPC UA", "needs the package asyncua", "it is not installed", remedy)
+
+
+@dataclass(frozen=True, slots=True)
+class OpcUaSecurity:
+    """How the messages to and from a server are signed and encrypted.
+
+    Raises:
+        InputError: a file is missing or is none of its kind, or key and certificate differ.
+    """
+
+    certificate: Path  # of this computer, with an application URI: X.509, PEM or DER
+    private_key: Path  # without a password
+    server_certificate: Path | None = None  # None: the one that the server shows is believed
+    policy: str = POLICIES[0]
+
+    def __post_init__(self) -> None:
+        require_asyncua()
+        from cryptography.hazmat.primitives import serialization
+
+        key = _parsed(
+            self.private_key, "private key without a password",
+            lambda data: serialization.load_pem_private_key(data, None),
+            lambda data: serialization.load_der_private_key(data, None),
+        )  # fmt: skip
+        if self._load(self.certificate).public_key() != key.public_key():
+            found = f"is not the key of {self.certificate.name}"
+            raise InputError(self.private_key, found, "", "Give the two that were made together.")
+        if self.server_certificate is not None:
+            self._load(self.server_certificate)
+        if not self.application_uri():
+            found, expected = "names no application URI", "OPC UA servers compare it"
+            remedy = "Make a certificate with a URI as subject alternative name."
+            raise InputError(self.certificate, found, expected, remedy)
+
+    def application_uri(self) -> str:
+        """The name of the application that the certificate is for; empty: it has none."""
+        from cryptography import x509
+
+        try:
+            extensions = self._load(self.certificate).extensions
+            names = extensions.get_extension_for_class(x509.SubjectAlternativeName).value
+        except (x509.ExtensionNotFound, ValueError):
+            return ""
+        return next(iter(names.get_values_for_type(x509.UniformResourceIdentifier)), "")
+
+    async def apply(self, client: Any) -> None:
+        """Have a client of asyncua encrypt; what the server refuses is raised as asyncua does."""
+        from asyncua import ua
+        from asyncua.crypto import security_policies
+        from asyncua.crypto.uacrypto import CertProperties
+
+        own, key, server = (
+            None if file is None else CertProperties(file, "pem" if _is_pem(file) else "der")
+            for file in (self.certificate, self.private_key, self.server_certificate)
+        )
+        policy = getattr(security_policies, f"SecurityPolicy{self.policy}")
+        mode = ua.MessageSecurityMode.SignAndEncrypt
+        client.application_uri = self.application_uri()
+        await client.set_security(policy, own, key, server_certificate=server, mode=mode)
+
+    @staticmethod
+    def _load(file: Path) -> Any:
+        from cryptography import x509
+
+        pem, der = x509.load_pem_x509_certificate, x509.load_der_x509_certificate
+        return _parsed(file, "X.509 certificate", pem, der)
+
+
+def _is_pem(file: Path) -> bool:
+    return read_bytes(file, MAX_KEY_BYTES).lstrip().startswith(b"-----BEGIN")
+
+
+def _parsed(file: Path, what: str, pem: Callable[[bytes], Any], der: Callable[[bytes], Any]) -> Any:
+    data = read_bytes(file, MAX_KEY_BYTES)
+    try:
+        return (pem if _is_pem(file) else der)(data)
+    except Exception as error:  # of many kinds, as the library does
+        remedy = "Export it again in one of these formats."
+        raise InputError(file, f"is no {what}", "PEM or DER is expected", remedy) from error
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,6 +143,9 @@ class OpcUaSettings:
     cycle: float = SOURCE_CYCLE  # s: values were read within half of it of their stamp
     arrival: bool = False  # take the middle of request and answer instead of the stamps
     latency: float = 0.1  # s, by which a value may be older; used only with `arrival`
+    security: OpcUaSecurity | None = None  # None: nothing is signed or encrypted
+    user: str = ""  # of the server; empty: the one in the url, or nobody
+    password: str = field(default="", repr=False)
 
     def __post_init__(self) -> None:
         require_asyncua()
@@ -113,10 +199,13 @@ class OpcUaPort:
         )
         self._pending: Future[Any] | None = None
         try:
-            self._run(self._client.connect()).result(SESSION_TIMEOUT)
+            self._run(self._connect(settings)).result(SESSION_TIMEOUT)
         except Exception as error:  # of many kinds, where what answers is no OPC UA
             self._broken = True
             self.close()
+            if isinstance(error, TimeoutError) and _pins_certificate(settings):
+                text = "no answer; or it has another certificate than server_certificate"
+                raise OSError(text) from error  # a server does not answer what it cannot decrypt
             raise _described(error) from error
 
     def wait(self, seconds: float) -> bool:
@@ -161,6 +250,14 @@ class OpcUaPort:
         if not self._thread.is_alive():
             self._loop.close()
 
+    async def _connect(self, settings: OpcUaSettings) -> None:
+        if settings.user:
+            self._client.set_user(settings.user)
+            self._client.set_password(settings.password)
+        if settings.security is not None:
+            await settings.security.apply(self._client)
+        await self._client.connect()
+
     async def _end(self) -> None:
         if self._broken:
             self._client.disconnect_socket()
@@ -175,11 +272,18 @@ class OpcUaPort:
         return asyncio.run_coroutine_threadsafe(work, self._loop)
 
 
+def _pins_certificate(settings: OpcUaSettings) -> bool:
+    return settings.security is not None and settings.security.server_certificate is not None
+
+
 def _described(error: Exception) -> OSError:
     """Turn what the library raises into what a port raises."""
     if isinstance(error, OSError):  # TimeoutError too
         return error
     text = " ".join(str(error).split()) or type(error).__name__
+    if text.startswith("No matching endpoints"):
+        text = "offers no channel of this security: see certificate, private_key, security_policy"
+        return OSError(f"the server {text}")
     return OSError(f"the server refuses: {text}")
 
 

@@ -4,7 +4,7 @@ Two pictures make a pair where each is the other's nearest in time, and no more 
 apart; both keep their own stamps. Nothing but the stamps is held in memory.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -101,28 +101,21 @@ def _read_outline(bag: Bag, request: BagRequest, progress: Progress) -> BagOutli
     """First pass: all stamps, the depth of the pictures, the joints' names and range."""
     left, right, joints = request.topics.names
     times: dict[str, list[int]] = {left: [], right: [], joints: []}
-    greatest, names = 0, None
+    greatest, joint_names = 0, JointNames(f"{bag.path}, {joints}", request)
     spread = JointRange.empty(request.arm.dof)
-    seen: set[str] = set()
     for message in bag.messages(times, lambda d, n: progress(d, 2 * n, "stamps")):
         time = message.stamp if request.stamps == HEADER else message.received
         if message.topic != joints:
             greatest = max(greatest, pictures.greatest_sample(message, _place(bag, message)))
             times[message.topic].append(time)
             continue
-        seen.update(map(str, message.content.name))
-        if names is None:
-            names = _try_names(bag, message, request)
+        names = joint_names.find(message)
         values = None if names is None else joint_values(message, names)
         if values is not None:
             _require_numbers(_place(bag, message), values)
             spread.add(values)
             times[joints].append(time)
-    if names is None or not times[joints]:
-        place = f"{bag.path}, {joints}"
-        names = match_joint_names(place, sorted(seen), request.arm, request.joint_names)
-        found = f"has no message with all of {', '.join(names)}"
-        raise InputError(place, found, "", "Record one publisher of all joints, or name another.")
+    names = joint_names.require(found=bool(times[joints]))
     spread.require_within(f"{bag.path}, {joints}", request.arm, names, request.unit)
     for topic, stamps in times.items():
         _require_stamps(f"{bag.path}, {topic}", stamps, request.stamps)
@@ -139,14 +132,49 @@ def _read_outline(bag: Bag, request: BagRequest, progress: Progress) -> BagOutli
     )  # fmt: skip
 
 
-def _try_names(bag: Bag, message: BagMessage, request: BagRequest) -> tuple[str, ...] | None:
-    """Match the names of one message; None: it is another publisher's, of a gripper perhaps."""
-    names = [str(name) for name in message.content.name]
-    try:
-        place = f"{bag.path}, {message.topic}"
-        return match_joint_names(place, names, request.arm, request.joint_names)
-    except InputError:
-        return None
+class JointNames:
+    """The names of the arm's joints in messages of one topic, which several devices may share."""
+
+    def __init__(self, place: str, request: BagRequest) -> None:
+        self._place, self._request = place, request
+        self._names: tuple[str, ...] | None = None
+        self._tried: set[frozenset[str]] = set()
+
+    def find(self, message: BagMessage) -> tuple[str, ...] | None:
+        """Match a message's names; None: neither it nor one before it names the whole arm.
+
+        Raises:
+            InputError: it names another arm than one before it.
+        """
+        listed = frozenset(map(str, message.content.name))
+        if listed not in self._tried:
+            self._tried.add(listed)
+            found = self._match(listed)
+            if found and self._names and found != self._names:
+                both = f"{', '.join(self._names)} and of {', '.join(found)}"
+                remedy = "Name those of the robot in its order: --joint-names NAME1,NAME2,…"
+                raise InputError(self._place, f"has the joints of {both}", "one arm", remedy)
+            self._names = self._names or found
+        return self._names
+
+    def require(self, *, found: bool) -> tuple[str, ...]:
+        """Give the names; InputError: they are not all in one message (`found`)."""
+        if self._names is not None and found:
+            return self._names
+        seen = sorted(frozenset[str]().union(*self._tried))
+        request = self._request
+        names = match_joint_names(self._place, seen, request.arm, request.joint_names)
+        lacks = f"has no message with all of {', '.join(names)}"
+        remedy = "Record one publisher of all joints, or name another."
+        raise InputError(self._place, lacks, "", remedy)
+
+    def _match(self, listed: Iterable[str]) -> tuple[str, ...] | None:
+        try:
+            return match_joint_names(
+                self._place, sorted(listed), self._request.arm, self._request.joint_names
+            )
+        except InputError:  # another device's, of a gripper perhaps
+            return None
 
 
 def joint_values(message: BagMessage, names: Sequence[str]) -> Array | None:

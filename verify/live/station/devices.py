@@ -65,7 +65,7 @@ ENCODER_KEYS: dict[str, tuple[str, ...]] = {
     "rosbridge": (*COMMON_KEYS, *ANGLE_KEYS, "port", "topic", "joint_names", *STAMP_KEYS),
     "opcua": (
         *(*COMMON_KEYS, *ANGLE_KEYS, "port", "nodes", "angle_unit", "rate_hz"),
-        *STAMP_KEYS,
+        *(*STAMP_KEYS, *networked.SECURITY_KEYS, "user"),
     ),
     "sim": (*COMMON_KEYS, "rate_hz"),
 }

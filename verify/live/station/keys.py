@@ -71,6 +71,11 @@ class StationEncodersTable(msgspec.Struct, kw_only=True, omit_defaults=True):
     joint_names: list[str] | None = None
     nodes: list[str] | None = None
     stamp: str | None = None
+    certificate: str | None = None
+    private_key: str | None = None
+    server_certificate: str | None = None
+    security_policy: str | None = None
+    user: str | None = None
 
 
 class PanTable(msgspec.Struct, kw_only=True, omit_defaults=True):

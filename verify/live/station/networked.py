@@ -1,11 +1,12 @@
 """From [encoders] to the settings of the controllers that are read over a network protocol."""
 
 import math
+import os
 import re
 from pathlib import Path
 from typing import Any
 
-from verify.devices.encoders.opcua import OpcUaSettings
+from verify.devices.encoders.opcua import POLICIES, OpcUaSecurity, OpcUaSettings
 from verify.devices.encoders.rosbridge import RosbridgeSettings
 from verify.devices.encoders.rtde import MAX_RTDE_RATE, RTDE_JOINTS, RtdeSettings
 from verify.io.toml import key_error, one_of
@@ -13,6 +14,8 @@ from verify.live.station.keys import StationEncodersTable
 
 MAX_POLL_RATE = 200.0  # Hz: a poll of more is slower than its server
 RADIANS_PER_UNIT = {"deg": math.radians(1.0), "rad": 1.0}
+SECURITY_KEYS = ("certificate", "private_key", "server_certificate", "security_policy")
+PASSWORD_VARIABLE = "VERIFY_OPCUA_PASSWORD"
 _HOST = r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)"
 _PORTS = {  # what the address of each driver looks like, and an example
     "rtde": (re.compile(rf"tcp:{_HOST}:[0-9]{{1,5}}"), "tcp:192.168.0.20:30004"),
@@ -61,7 +64,36 @@ def opcua_settings(path: Path, table: StationEncodersTable, joints: int) -> OpcU
     if table.rate_hz is not None:
         _check_range(path, "rate_hz", table.rate_hz, 0.5, MAX_POLL_RATE)
         given["rate"] = table.rate_hz
-    return OpcUaSettings(_address(path, table), nodes, **given)
+    url = _address(path, table)
+    if table.user is not None:
+        given |= {"user": table.user, "password": _password(path, table.user, url)}
+    return OpcUaSettings(url, nodes, **given, security=_security(path, table))
+
+
+def _security(path: Path, table: StationEncodersTable) -> OpcUaSecurity | None:
+    """Read the keys of an encrypted channel; None: there are none."""
+    given = {key: value for key in SECURITY_KEYS if (value := getattr(table, key)) is not None}
+    if not given:
+        return None
+    for key in SECURITY_KEYS[:2]:
+        if key not in given:
+            expected = "an encrypted channel needs certificate and private_key"
+            raise key_error(path, f"encoders.{key}", "is missing", expected)
+    policy = given.pop("security_policy", POLICIES[0])
+    one_of(path, "encoders.security_policy", policy, POLICIES)
+    return OpcUaSecurity(**{key: path.parent / file for key, file in given.items()}, policy=policy)
+
+
+def _password(path: Path, user: str, url: str) -> str:
+    """Take the user's password from the environment: a station file is no place for one."""
+    if "@" in url:
+        raise key_error(path, "encoders.user", "is given, and port names a user too", "one of both")
+    password = os.environ.get(PASSWORD_VARIABLE)
+    if password is None:
+        found = f'is "{user}", whose password is not in the environment'
+        remedy = f"Set it before the command: export {PASSWORD_VARIABLE}=…"
+        raise key_error(path, "encoders.user", found, "the server asks for both", remedy)
+    return password
 
 
 def _address(path: Path, table: StationEncodersTable) -> str:

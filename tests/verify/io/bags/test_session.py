@@ -170,6 +170,27 @@ def test_joints_of_a_gripper_between_are_left_alone(session: Recording, tmp_path
     assert len(found.encoders) == len(session.encoders)
 
 
+def test_two_arms_on_one_topic_are_not_guessed_between(session: Recording, tmp_path: Path) -> None:
+    def add(contents: Contents) -> None:
+        kind, rows = contents.topics["/joint_states"]
+        names = [f"robot2/joint_{j}" for j in range(1, 7)]
+        other = [(t, contents.messages.joints(t, names, np.ones(6))) for t, _ in rows]
+        contents.topics["/joint_states"] = kind, [*rows, *other]
+
+    first, second = ([f"robot{k}/joint_{j}" for j in range(1, 7)] for k in (1, 2))
+    contents = bag_of("mcap", session, names=first, change=add)
+    said = refusal(tmp_path, contents)
+    assert "has the joints of robot1/joint_1" in said
+    assert ", robot2/joint_6; one arm" in said
+    bag = tmp_path / "bag"
+    done = convert(bag, tmp_path / "out", "--joint-names", ",".join(first))
+    assert done.status == 0, done.err
+    found = open_recording(tmp_path / "out").encoders
+    np.testing.assert_allclose(found.q, session.encoders.q, rtol=0, atol=1e-11)
+    said = convert(bag, tmp_path / "other", "--joint-names", ",".join(second)).out
+    assert "robot2/joint_1 → q1" in said
+
+
 def test_the_right_camera_is_placed_by_its_projection_without_tf(
     session: Recording, tmp_path: Path
 ) -> None:

@@ -192,6 +192,27 @@ OPCUA = 'driver = "opcua"\nport = "opc.tcp://127.0.0.1:4840"\n'
             f'driver = "opcua"\nport = "opc.tcp://me:secret@h:x"\n{NODES}',
             'encoders.port: is "h:x"; an address such as opc.tcp://192.168.0.20:4840',
         ),
+        (
+            OPCUA + NODES + 'certificate = "own.der"\n',
+            "encoders.private_key: is missing; an encrypted channel needs certificate and",
+        ),
+        (
+            OPCUA + NODES + 'security_policy = "None"\n',
+            "encoders.certificate: is missing; an encrypted channel needs certificate and",
+        ),
+        (
+            OPCUA + NODES + 'certificate = "c"\nprivate_key = "k"\nsecurity_policy = "Basic256"\n',
+            'security_policy: is "Basic256"',
+        ),
+        (OPCUA + NODES + 'certificate = "c.der"\nprivate_key = "k.pem"\n', "k.pem: no such file"),
+        (
+            OPCUA + NODES + 'user = "reader"\n',
+            'encoders.user: is "reader", whose password is not in the environment',
+        ),
+        (
+            f'driver = "opcua"\nport = "opc.tcp://me:secret@h:1"\nuser = "me"\n{NODES}',
+            "encoders.user: is given, and port names a user too",
+        ),
     ],
 )
 def test_settings_of_controllers_have_ranges_and_a_line_each(
@@ -201,6 +222,16 @@ def test_settings_of_controllers_have_ranges_and_a_line_each(
         encoders(tmp_path, text)
     assert str(tmp_path) in str(problem.value)
     assert "secret" not in str(problem.value)
+
+
+def test_a_users_password_comes_from_the_environment(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("VERIFY_OPCUA_PASSWORD", "secret")
+    made = encoders(tmp_path, OPCUA + NODES + 'user = "reader"\n')
+    made.open_encoders().close()
+    assert made.warnings == ()
+    assert "secret" not in repr(made)
 
 
 def test_bases_follow_on_request_only(tmp_path: Path) -> None:
