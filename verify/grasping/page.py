@@ -65,7 +65,7 @@ def _age_status(name: str, now: float, t: float | None, limit: float) -> tuple[s
     if t is None:
         return name, False, "nothing has come yet"
     old = max(now - t, 0.0)
-    return name, old <= limit, f"{old:.2f} s old; {limit:g} s are allowed"
+    return name, old <= limit, f"{old:.2f} s old, limit {limit:g} s"
 
 
 def _joined(*parts: str) -> str:

@@ -115,6 +115,7 @@ class RunPageSource:
             "encoder_deg": _degrees(row.encoder),
             "clock": None if clock is None else clock.source,
             "offset_s": None if clock is None else round(clock.offset, 6),
+            "offset_u_s": None if clock is None else clock.standard_uncertainty,
         }
 
     def _scene(self, row: JointRow) -> dict[str, Any]:

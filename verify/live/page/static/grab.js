@@ -6,6 +6,8 @@ const ANSWER_MS = 1000; // within which a stop must be heard of
 const LATE_MS = 10000; // a stop that could not be sent for longer belongs to the past
 const LOST = "This page's connection is lost. That stops nothing: use key h at the terminal, or the emergency stop.";
 const UNHEARD = "STOP was not answered. Use key h at the terminal, or the emergency stop.";
+const NOT_SENT = "Not sent: the connection is lost.";
+const NO_SELECTION = "An object can be selected while nothing moves and the hand is up and empty.";
 const SAFE = new Set(["idle", "searching", "tracking", "lifted", "released"]);
 
 const $ = (id) => document.getElementById(id);
@@ -54,11 +56,12 @@ export class Grab {
   }
 
   grab() {
-    if (!$("grab").disabled) this.send(`grab ${this.row.passages}`);
+    if (!$("grab").disabled) say($("answer"), this.send(`grab ${this.row.passages}`) ? "Grab sent." : NOT_SENT);
+    else if (this.row) say($("answer"), this.lost ? NOT_SENT : "Grab is not possible now: nothing was sent.");
   }
 
   select() {
-    if ($("select").disabled) return;
+    if ($("select").disabled) return say($("answer"), this.lost ? NOT_SENT : NO_SELECTION);
     this.selector.arm(true);
     say($("answer"), "Drag a rectangle around the object in either picture; Escape ends the selection.");
   }
@@ -89,7 +92,7 @@ export class Grab {
     this.answers = row.answers;
     if (this.stopped && row.stops > this.stopped.heard) {
       this.stopped = null;
-      say($("answer"), `STOP was heard: ${row.state}.`);
+      say($("answer"), `STOP was received: ${row.state}.`);
     }
     this.target(row);
     this.warn();
@@ -99,28 +102,29 @@ export class Grab {
     const idle = this.finished || this.lost;
     $("grab").disabled = idle || row.grab_lacks !== "";
     $("select").disabled = idle || !row.may_choose;
+    $("select").title = $("select").disabled ? NO_SELECTION : "S; then drag, or arrows, Shift and arrows, Enter";
     this.selector.offer(!$("select").disabled);
   }
 
   why(row) {
     if (this.finished) return "";
-    if (row.state === "holding-operator") return this.facts.execute ? "Held. Keys at the terminal: r goes on, u opens the fingers and goes up, q ends." : "Held. Ctrl-C at the terminal ends it.";
+    if (row.state === "holding-operator") return this.facts.execute ? "Held. Keys at the terminal: r resumes, u opens the fingers and goes up, q ends." : "Held. Ctrl-C at the terminal ends it.";
     if (row.status === null) return "Select the object: drag a rectangle around it.";
-    if (row.grab_lacks === "") return "The grab may be ordered.";
+    if (row.grab_lacks === "") return "Grab is possible: the target is tracked and a grasp is planned.";
     if (!this.facts.execute) return "";
-    return row.grab_lacks === null ? `Grab counts while following; now: ${row.state}.` : `Grab waits for: ${row.grab_lacks}.`;
+    return row.grab_lacks === null ? `Grab is possible while following; now: ${row.state}.` : `Grab waits for: ${row.grab_lacks}.`;
   }
 
   target(row) {
     const known = row.position_mm !== null;
-    const facts = { Seen: row.status === null ? "no target yet" : [row.status, row.unseen_because].filter(Boolean).join(": ") };
+    const facts = { Target: row.status === null ? "no target yet" : [row.status, row.unseen_because].filter(Boolean).join(": ") };
     if (known) {
-      facts["Place in the base"] = row.position_mm.map((v, i) => `${"xyz"[i]} ${v.toFixed(1)} ± ${(2 * row.standard_uncertainty_mm[i]).toFixed(1)}`).join(", ") + " mm (2u)";
-      facts.Size = row.size_mm.every((v) => v !== null) ? `${row.size_mm[0]} wide, ${row.size_mm[1]} high, mm` : "not known";
+      facts["Place in the base"] = row.position_mm.map((v, i) => `${"xyz"[i]} ${v.toFixed(1)} ± ${(2 * row.standard_uncertainty_mm[i]).toFixed(1)}`).join(", ") + " mm (k = 2)";
+      facts.Size = row.size_mm.every((v) => v !== null) ? `${row.size_mm[0]} mm wide, ${row.size_mm[1]} mm high` : "not known";
       facts.Speed = `${row.speed_mm_s} mm/s`;
     } else facts["Place in the base"] = "not known";
     facts.Quality = row.quality === null ? "–" : `${row.quality.toFixed(2)} of 1`;
-    facts.Joints = row.q_deg === null ? "not read yet" : row.q_deg.map((v) => `${v.toFixed(1).replace(/^-0\.0$/, "0.0")}°`).join("  ");
+    facts.Joints = row.q_deg === null ? "not read yet" : row.q_deg.map((v) => `${v.toFixed(1).replace(/^-0\.0$/, "0.0").replace("-", "−")}°`).join("  ");
     list($("target"), facts);
   }
 
@@ -162,12 +166,12 @@ export class Grab {
 }
 
 function planned(plan) {
-  const left = (way) => `${plan.margin[`${way}_mm`].toFixed(1)} mm are left, ${plan.margin[`${way}_needed_mm`].toFixed(1)} mm needed`;
+  const left = (way) => `${plan.margin[`${way}_mm`].toFixed(1)} mm, ${plan.margin[`${way}_needed_mm`].toFixed(1)} mm needed`;
   return {
     "Grip point": plan.grip_mm.map((v, i) => `${"xyz"[i]} ${v.toFixed(1)}`).join(", ") + " mm",
-    "Sideways": left("across"),
-    "Along": left("along"),
-    "Takes": `${(plan.duration_s - plan.up_s).toFixed(1)} s to the object, ${plan.up_s.toFixed(1)} s up`,
+    "Margin sideways": left("across"),
+    "Margin along": left("along"),
+    "Duration": `${(plan.duration_s - plan.up_s).toFixed(1)} s to the object, ${plan.up_s.toFixed(1)} s up`,
   };
 }
 

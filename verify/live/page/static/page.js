@@ -87,8 +87,9 @@ const takers = {
     if (message.mode === "calibrate") return boards.begin(message);
     if (message.mode === "record") return recording.begin(message);
     if (message.mode === "grab") return grab.begin(message), sceneOf(message, "Arm and target", "Arm, target and planned way");
-    sceneOf(message, "Arm and marker", "Arm as seen and as the encoders tell it");
+    sceneOf(message, "Arm and LEDs", "Arm and LEDs as measured and by the encoders");
     strips.begin(message.joints, message.tolerance_deg);
+    $("last-joint").textContent = Math.min(message.joints, 9);
   },
   rows(message) {
     if (hello.mode === "calibrate") return boards.now(message.rows.at(-1));
@@ -102,7 +103,7 @@ const takers = {
       scene.show({ measured, encoder, cameras });
       strips.meters(last.scene.statistic);
     }
-    $("figures").dataset.clock = last?.clock ? `${last.clock}, offset ${last.offset_s.toFixed(6)} s` : "";
+    $("figures").dataset.clock = last?.clock ? clockWords(last) : "";
   },
   state: (message) => (showState(message), hello.mode === "run" && showOverall()),
   alarms: showAlarms,
@@ -131,9 +132,9 @@ function showState(state) {
   if (hello.mode === "grab") return grab.state(state);
   if (hello.mode === "record") return recording.state(state);
   const dropped = Object.entries(state.dropped).map(([reason, count]) => `${count} ${reason}`);
-  const latency = state.latency_p50_ms === null ? "–" : `${state.latency_p50_ms} ms, 99 % within ${state.latency_p99_ms} ms`;
+  const latency = state.latency_p50_ms === null ? "–" : `median ${state.latency_p50_ms} ms, 99 % within ${state.latency_p99_ms} ms`;
   const figures = {
-    "Pairs": `${state.measured} of ${state.pairs} measured, ${state.rate_hz.toFixed(1)} a second`,
+    "Pairs": `${state.measured} of ${state.pairs} measured, ${state.rate_hz.toFixed(1)} per second`,
     "Dropped": dropped.join("; ") || "none",
     "Latency": latency,
     "Clock": $("figures").dataset.clock || "–",
@@ -166,7 +167,7 @@ function showAlarms({ alarms }) {
   if (list.dataset.key === key) return;
   list.dataset.key = key;
   if (!alarms.length) {
-    list.replaceChildren(element("li", `None so far; ${hello?.false_alarms_per_hour ?? "?"} false ones an hour are allowed for.`, "none"));
+    list.replaceChildren(element("li", `None so far. False alarms expected: ${hello?.false_alarms_per_hour ?? "?"} per hour.`, "none"));
     return;
   }
   list.replaceChildren(...alarms.map(alarmItem));
@@ -180,6 +181,11 @@ function alarmItem(alarm) {
   item.append(time, element("span", alarm.text));
   if (alarm.ended_s !== null) item.append(element("span", ` Over at ${clock(alarm.ended_s)}.`, "over"));
   return item;
+}
+
+function clockWords({ clock, offset_s, offset_u_s }) {
+  const known = offset_u_s === null ? "" : ` ± ${(2000 * offset_u_s).toFixed(2)} ms (k = 2)`;
+  return `${clock}, offset ${(1000 * offset_s).toFixed(2).replace("-", "−")}${known || " ms"}`;
 }
 
 function clock(seconds) {
@@ -210,7 +216,7 @@ function otherTheme() {
 function pause() {
   paused = !paused;
   $("pause").setAttribute("aria-pressed", String(paused));
-  $("pause").textContent = paused ? "Go on" : "Pause";
+  $("pause").textContent = paused ? "Resume" : "Pause";
   connection("well", "live");
 }
 

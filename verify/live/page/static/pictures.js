@@ -33,8 +33,8 @@ export class PictureView {
     context.font = "600 12px system-ui, sans-serif";
     for (const { led, x, y } of leds) mark(context, (x + 0.5) * scale, (y + 0.5) * scale, String(led + 1));
     const names = leds.map(({ led }) => `${led + 1} ${this.names[led] ?? ""}`.trim());
-    this.caption.textContent = `${this.side.toLowerCase()}: ${names.length ? `LEDs ${names.join(", ")}` : "no LED recognised"}`;
-    this.canvas.setAttribute("aria-label", `${this.side} camera, ${leds.length} of ${this.names.length} LEDs recognised`);
+    this.caption.textContent = `${this.side.toLowerCase()}: ${names.length ? `LEDs ${names.join(", ")}` : "no LED identified"}`;
+    this.canvas.setAttribute("aria-label", `${this.side} camera, ${leds.length} of ${this.names.length} LEDs identified`);
   }
 
   spots(context, spots, scale) {
@@ -69,7 +69,7 @@ export class PictureView {
       const [x, y] = place.map(at);
       twice(() => [[7, 14], [-7, -14]].forEach(([near, far]) => (context.moveTo(x + near, y), context.lineTo(x + far, y), context.moveTo(x, y + near), context.lineTo(x, y + far))), "#4fd6ff");
     }
-    this.caption.textContent = `${this.side.toLowerCase()}: ${status}${missing}${place ? "; cross: where it should be" : ""}`;
+    this.caption.textContent = `${this.side.toLowerCase()}: ${status}${missing}${place ? "; cross: estimated place" : ""}`;
     this.canvas.setAttribute("aria-label", `${this.side} camera, target ${status}${outline ? `, at ${outline.centre.map(Math.round).join(", ")} pixels` : ""}`);
   }
 

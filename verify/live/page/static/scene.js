@@ -1,4 +1,4 @@
-// Arm and marker in three dimensions: as seen, and as the encoders tell; or the arm, its planned way and
+// Arm and LEDs in three dimensions: as measured, and by the encoders; or the arm, its planned way and
 // the target. Lines on a canvas.
 import { sized } from "./canvas.js";
 
@@ -138,19 +138,25 @@ export class Scene {
     context.font = "12px system-ui, sans-serif";
     for (const [name, tip] of axes) {
       this.path(context, [[0, 0, 0], tip]);
-      context.fillText(name, ...this.place(tip));
+      const [x, y] = this.place(tip);
+      context.fillText(name, x - (name === "z" ? 14 : 0), y);
     }
   }
 
   frusta(context, colours) {
     context.strokeStyle = context.fillStyle = colours.muted;
+    const across = this.cameras.map(({ at_mm: o }) => this.place(o)[0]);
     this.cameras.forEach(({ rotation: r, at_mm: o }, side) => {
       const at = (x, y, z) => [0, 1, 2].map((i) => r[i][0] * x + r[i][1] * y + r[i][2] * z + o[i]);
       const corners = [at(-45, -28, 80), at(45, -28, 80), at(45, 28, 80), at(-45, 28, 80)];
       this.path(context, [...corners, corners[0]]);
       corners.forEach((corner) => this.path(context, [at(0, 0, 0), corner]));
-      context.fillText(side ? "right" : "left", ...this.place(at(0, 0, -20)));
+      const outside = across[side] > across[1 - side] ? 1 : -1; // names of cameras that stand close do not meet
+      const [x, y] = this.place(at(0, 0, -20));
+      context.textAlign = outside > 0 ? "left" : "right";
+      context.fillText(side ? "right" : "left", x + 8 * outside, y + 4);
     });
+    context.textAlign = "left";
   }
 
   arm(context, part, colour, dash, thickness) {

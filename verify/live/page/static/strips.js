@@ -25,6 +25,7 @@ export class Strips {
     this.shown = [];
     this.tolerance = tolerance;
     this.root.replaceChildren();
+    this.root.style.setProperty("--joints", joints); // by which a large window is shared out
     this.strips = Array.from({ length: joints }, (_, j) => this.make(j, j === joints - 1));
   }
 
@@ -49,7 +50,7 @@ export class Strips {
     chart.setAttribute("aria-label", `Error of joint ${j + 1} over the last ${SPAN} seconds`);
     strip.append(told, chart);
     this.root.append(strip);
-    const part = { strip, name, value, fill, level, chart, last, half: SMALLEST };
+    const part = { strip, name, value, fill, level, chart, last, half: SMALLEST, mark: SMALLEST / 2 };
     part.plot = new uPlot(this.options(part, j), [[], [], [], [], [], [], []], chart);
     return part;
   }
@@ -69,7 +70,7 @@ export class Strips {
       padding: [6, 14, 6, 0],
       axes: [
         { ...axis, size: () => (timed() ? 22 : 0), gap: 4, space: 40, incrs: [5, 10], values: (_, splits) => splits.map((s) => (!timed() ? "" : s ? `−${-s} s` : "now")) },
-        { ...axis, size: 50, gap: 6, space: 20, values: (_, splits) => splits.map((v) => `${v > 0 ? "+" : v < 0 ? "−" : ""}${Number(Math.abs(v).toFixed(5))}°`) },
+        { ...axis, size: 50, gap: 6, space: 20, splits: () => [-part.mark, 0, part.mark], values: (_, splits) => splits.map((v) => `${v > 0 ? "+" : v < 0 ? "−" : ""}${Number(Math.abs(v).toFixed(5))}°`) },
       ],
       hooks: { setCursor: [() => this.say(part, j)] },
     };
@@ -101,7 +102,8 @@ export class Strips {
       fill.classList.toggle("high", share > 0.7);
       const tolerance = this.tolerance?.[j] ?? null;
       const limit = tolerance === null ? "" : `tolerance ±${tolerance}°, `;
-      this.strips[j].level.textContent = `${limit}alarm level ${Math.round(Math.min(share, 1) * 100)} %`;
+      const alarmed = this.strips[j].strip.classList.contains("alarmed");
+      this.strips[j].level.textContent = `${limit}${alarmed ? "in alarm" : `alarm level ${Math.round(Math.min(share, 1) * 100)} %`}`;
     });
   }
 
@@ -120,6 +122,7 @@ export class Strips {
     const [above, below] = [edge(1), edge(-1)];
     const tolerance = this.tolerance?.[j] ?? null;
     part.half = halfHeight(above, below, tolerance);
+    part.mark = tolerance !== null && tolerance < part.half && tolerance > part.half / 4 ? tolerance : part.half / 2;
     const level = (v) => x.map(() => v);
     const { width, height } = size(part.chart);
     if (width !== part.plot.width || height !== part.plot.height) part.plot.setSize({ width, height });
