@@ -10,8 +10,10 @@ of a series identify, 30 % judge (ten splits); and series B by the model of seri
 """
 
 import sys
+import tempfile
 import time
 from collections import Counter, defaultdict
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
@@ -20,7 +22,10 @@ from typing import Any
 import numpy as np
 
 import robots
-from tests.support.published import series
+from tests.bench.goals import Figure, Line
+from tests.bench.session import command
+from tests.support.beside import SHARED
+from tests.support.published import series, write_session
 from tests.support.true_arm import TrueArm, faulty_arm, recorded
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.fit import pose_residuals
@@ -37,6 +42,21 @@ ARMS = ("iust_6r", "rv_3sd_melfa")
 KINDS = ("poses", "positions", "points")
 ARMS_DRAWN = 50
 LOG_NOISE = np.log([2e-5, 1e-3])  # m
+POSES, MOST_S = 2800, 20.0
+ROUNDS = 3
+
+
+def lines() -> Iterator[Line]:
+    """Time `verify identify` on poses of the real UR10, warm."""
+    if not (SHARED / "data").is_dir():
+        yield f"identification of {POSES} poses: not timed, the published data are not here"
+        return
+    with tempfile.TemporaryDirectory() as place:
+        rows = select_rows(series("A", every=4), np.arange(POSES))
+        session = write_session(Path(place) / "ur10", rows)
+        free = ("--base", "free", "--leds", "free", "--force", "-o", str(Path(place) / "out"))
+        spent = [command("identify", str(session), *free)[0] for _ in range(ROUNDS)]
+    yield Figure(f"identify, {POSES} poses", min(spent), "s", most=MOST_S, note=f"best of {ROUNDS}")
 
 
 def simulated(arms: int) -> None:

@@ -16,17 +16,19 @@ from scipy.spatial.transform import RigidTransform
 import robots
 from robots.transforms import Array, difference
 from tests.bench.detection import medians
+from tests.bench.goals import Figure, Line
 from tests.support.postures import stretched, wrist_on_axis_1
 
 POSES = 4096  # solved in closed form each round
 FEW = 64  # solved one by one in each round
 ROUNDS = 9
+LEAST = {"ours": 100.0}  # %: every singular pose too
 REACHED = 1e-6  # m and rad: looser than ours promises, so that nobody fails by a last digit
 
 Solve = Callable[[Array, Array], Iterable[Array]]  # poses, readings -> each pose's answers
 
 
-def lines() -> Iterator[str]:
+def lines() -> Iterator[Line]:
     """Time, then robustness, one line a comparison."""
     for name in robots.names():
         arm = robots.load(name)
@@ -90,7 +92,7 @@ def _damped(arm: robots.DhArm, poses: Array, readings: Array) -> list[Array]:
     return answers
 
 
-def _times(arm: robots.DhArm, solvers: dict[str, Solve]) -> Iterator[str]:
+def _times(arm: robots.DhArm, solvers: dict[str, Solve]) -> Iterator[Line]:
     random = np.random.default_rng(1)
     q = random.uniform(arm.lower, arm.upper, (POSES, 6))
     poses, readings = robots.forward(arm, q), q + random.normal(0, 0.01, q.shape)
@@ -101,13 +103,13 @@ def _times(arm: robots.DhArm, solvers: dict[str, Solve]) -> Iterator[str]:
     }
     spent = {name: taken / counts[name] for name, taken in medians(tasks, ROUNDS).items()}
     ours = spent["ours"]
-    yield f"{arm}: all branches of {POSES} poses at once, {ours * 1e6:.2f} µs a pose"
+    yield Figure(f"{arm}, all branches of {POSES} poses at once, a pose", ours * 1e6, "µs")
     for name, taken in spent.items():
         if name != "ours":
-            yield f"{arm}: {name} takes {taken / ours:.1f} times as long"
+            yield Figure(f"{arm}, ours / {name}", ours / taken)
 
 
-def _shares(arm: robots.DhArm, solvers: dict[str, Solve]) -> Iterator[str]:
+def _shares(arm: robots.DhArm, solvers: dict[str, Solve]) -> Iterator[Line]:
     kinds = {"random": _random, "next to a singularity": _near, "on a singularity": _on}
     for kind, draw in kinds.items():
         q = draw(arm)
@@ -116,7 +118,9 @@ def _shares(arm: robots.DhArm, solvers: dict[str, Solve]) -> Iterator[str]:
         for name, solve in solvers.items():
             answers = zip(solve(poses, readings), poses, strict=True)
             solved = [_solved(arm, answer, pose) for answer, pose in answers]
-            yield f"{arm}: {kind}, {name} solves {100 * np.mean(solved):.1f} % of {len(q)}"
+            label = f"{arm}, {kind}, solved by {name}"
+            yield Figure(label, 100 * float(np.mean(solved)), "%", least=LEAST.get(name),
+                         note=f"of {len(q)}")  # fmt: skip
 
 
 def _random(arm: robots.DhArm) -> Array:

@@ -4,7 +4,16 @@ import sys
 import tempfile
 from pathlib import Path
 
-from tests.support.pictures import first_page, gallery, notebook, rig_drawing, stamp, tutorial
+from tests.bench import store
+from tests.support.pictures import (
+    first_page,
+    gallery,
+    growth,
+    notebook,
+    rig_drawing,
+    stamp,
+    tutorial,
+)
 from verify import analyse, open_session
 
 SAMPLE = stamp.ROOT / "sample_sessions" / "multi_joint_fault_6r"
@@ -27,6 +36,8 @@ def main(names: list[str]) -> None:
             stamp.write("setup", rig_drawing.rig_drawing(open_session(SAMPLE)))
         if "report" in wanted:
             make_report()
+        if "growth" in names or (not names and store.FILE.is_file()):  # from what make bench keeps
+            stamp.write("growth", growth.growth())
         if "tutorial" in wanted:
             tutorial.make(folder)
         if "notebook" in wanted:
