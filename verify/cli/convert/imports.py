@@ -14,10 +14,9 @@ from verify.cli.terminal import terminal
 from verify.errors import InputError
 from verify.io import fiducials
 from verify.io import rig as io_rig
-from verify.io.bags.bag import open_bag
+from verify.io.bags.bag import choose_topics, open_bag
 from verify.io.bags.cameras import rig_from_bag
 from verify.io.bags.session import BagRequest, BagSession, write_bag_session
-from verify.io.bags.topics import choose_topics
 from verify.io.files import read_bytes, require_apart, write_folder_whole
 from verify.io.joints import RADIANS
 from verify.io.logs import session as logs

@@ -1,6 +1,6 @@
-"""Open a ROS 1 bag, a ROS 2 bag or an MCAP file, and stream its messages."""
+"""Open a ROS 1 bag, a ROS 2 bag or an MCAP file, choose its topics, and stream its messages."""
 
-from collections.abc import Callable, Generator, Iterable, Iterator
+from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +10,9 @@ from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
 from verify.errors import InputError
+from verify.io.bags.mcap import McapReader, has_own_encoding
 from verify.io.files import lacks_memory, refused_as_input_error, require_file
+from verify.io.toml import did_you_mean
 
 FILES = (".bag", ".mcap", ".db3")
 METADATA = "metadata.yaml"  # of a ROS 2 bag, which is a folder
@@ -18,6 +20,9 @@ SECOND = 1_000_000_000  # ns
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_INFO, JOINT_STATE = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/JointState"
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
+PICTURES = (IMAGE, COMPRESSED)
+MODEL_NAMES = ("camera_info", "calibration")  # of ROS; of Foxglove's examples
+MAX_NAMED = 12  # topics in a refusal
 MAX_REASON = 200  # characters of what a library says
 REPAIRS = {  # programs of others that mend a recording that was cut off
     ".bag": "Repair it by `rosbag reindex`, or record it again.",
@@ -60,8 +65,9 @@ def is_bag(path: Path) -> bool:
 class Bag:
     """A bag that is open."""
 
-    def __init__(self, path: Path, reader: AnyReader) -> None:
-        self.path, self._reader = path, reader
+    def __init__(self, path: Path, reader: AnyReader | McapReader) -> None:
+        self.path = path
+        self._reader: Any = reader
         topics = reader.topics
         self.topics = tuple(
             BagTopic(name, info.msgtype or "", info.msgcount) for name, info in topics.items()
@@ -108,6 +114,8 @@ class Bag:
 def open_bag(path: Path) -> Iterator[Bag]:
     """Open a bag: a .bag, .mcap or .db3 file, or the folder of a ROS 2 bag.
 
+    An MCAP file may hold Foxglove's schemas or ROS 1 instead.
+
     Raises:
         InputError: there is none, or it is damaged, cut off or of a kind that is not known.
     """
@@ -120,8 +128,12 @@ def open_bag(path: Path) -> Iterator[Bag]:
     # older ROS 2 bags do not hold the definitions of their messages
     store = get_typestore(Stores.ROS2_HUMBLE)
     try:
-        reader = AnyReader([path], default_typestore=store)
-        reader.open()
+        reader: AnyReader | McapReader
+        if path.suffix == ".mcap" and not folder and has_own_encoding(path):
+            reader = McapReader(path)
+        else:
+            reader = AnyReader([path], default_typestore=store)
+            reader.open()
     except Exception as error:  # damaged bytes raise whatever the parsers run into
         raise unreadable(path, error) from error
     try:
@@ -151,10 +163,107 @@ def unreadable(path: Path, error: Exception) -> Exception:
         return error
     reason = " ".join(str(error).split())[:MAX_REASON].rstrip(".") or type(error).__name__
     found = f"cannot be read as a bag ({reason})"
-    return InputError(
-        path, found, "a whole ROS bag or MCAP file of ROS 2 is expected", _repair(path)
-    )
+    return InputError(path, found, "a whole ROS bag or MCAP file is expected", _repair(path))
 
 
 def _repair(path: Path) -> str:
     return REPAIRS.get(path.suffix, "Repair it by `ros2 bag reindex`, or record it again.")
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenTopics:
+    """Topics that a session is made of."""
+
+    left: BagTopic
+    right: BagTopic
+    joints: BagTopic
+
+    @property
+    def names(self) -> tuple[str, str, str]:
+        """Their names: left, right, joints."""
+        return self.left.name, self.right.name, self.joints.name
+
+
+def choose_topics(
+    bag: Bag, left: str | None = None, right: str | None = None, joints: str | None = None
+) -> ChosenTopics:
+    """Take the topics that are named; for the others the one that it can only be.
+
+    Raises:
+        InputError: there is none or more than one, it is of another kind, or empty; lists the
+            topics and names the option.
+    """
+    sides = [
+        _named(bag, f"--{side}", name, PICTURES) if name else _of_side(bag, side)
+        for side, name in (("left", left), ("right", right))
+    ]
+    if sides[0].name == sides[1].name:
+        found = f"{sides[1].name} is the left camera's too"
+        raise InputError("--right", found, "each camera has its own pictures")
+    if joints:
+        readings = _named(bag, "--joints", joints, (JOINT_STATE,))
+    else:
+        readings = _only(bag, "--joints", bag.of_kind(JOINT_STATE), "sensor_msgs/JointState")
+    chosen = ChosenTopics(sides[0], sides[1], readings)
+    for topic in (chosen.left, chosen.right, chosen.joints):
+        if not topic.count:
+            remedy = "Record it again, or name another topic."
+            raise InputError(f"{bag.path}, {topic.name}", "has no messages", "", remedy)
+    return chosen
+
+
+def camera_info_topic(bag: Bag, pictures: str) -> str | None:
+    """Find the camera model that belongs to a picture topic: camera_info in its namespace."""
+    infos = {topic.name for topic in bag.of_kind(CAMERA_INFO) if topic.count}
+    parts = pictures.split("/")
+    # /left/image_raw and /left/image_raw/compressed both go with /left/camera_info
+    for depth in range(len(parts) - 1, 1, -1):
+        for name in ("/".join([*parts[:depth], last]) for last in MODEL_NAMES):
+            if name in infos:
+                return name
+    return None
+
+
+def _named(bag: Bag, option: str, name: str, kinds: Sequence[str]) -> BagTopic:
+    topic = next((t for t in bag.topics if t.name == name), None)
+    if topic is None:
+        names = tuple(t.name for t in bag.of_kind(*kinds))
+        found = f"{bag.path} has no topic {name}"
+        raise InputError(
+            option, found, f"it has {_listed(names)}", did_you_mean(name, names).strip()
+        )
+    if topic.kind not in kinds:
+        expected = f"{' or '.join(kinds)} is expected"
+        raise InputError(option, f"{name} is of the type {topic.kind}", expected)
+    return topic
+
+
+def _of_side(bag: Bag, side: str) -> BagTopic:
+    """The picture topic with the side in its name; uncompressed ones come first."""
+    found = [t for t in bag.of_kind(*PICTURES) if side in t.name.lower()]
+    raw = [t for t in found if t.kind == IMAGE and t.count]
+    if len(raw) == 1:
+        return raw[0]
+    if not found:
+        names = [t.name for t in bag.of_kind(*PICTURES)]
+        remedy = f"Say which one is the {side} camera's: --{side} TOPIC."
+        what = f'has no picture topic with "{side}" in its name'
+        raise InputError(bag.path, what, f"it has {_listed(names)}", remedy)
+    return _only(bag, f"--{side}", tuple(found), f"pictures of the {side} camera")
+
+
+def _only(bag: Bag, option: str, found: tuple[BagTopic, ...], what: str) -> BagTopic:
+    if len(found) == 1:
+        return found[0]
+    if not found:
+        names = [f"{t.name} ({t.kind})" for t in bag.topics]
+        raise InputError(bag.path, f"has no topic of {what}", f"it has {_listed(names)}",
+                         "Record that topic too.")  # fmt: skip
+    names = [topic.name for topic in found]
+    remedy = f"Choose one: {option} TOPIC."
+    raise InputError(bag.path, f"has {len(found)} topics of {what}: {_listed(names)}", "", remedy)
+
+
+def _listed(names: Sequence[str]) -> str:
+    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
+    return (", ".join(names[:MAX_NAMED]) or "none") + more

@@ -19,8 +19,7 @@ from scipy.spatial.transform import Rotation
 from verify.core.records import Array
 from verify.core.rig import Camera, Rig
 from verify.errors import InputError
-from verify.io.bags.bag import TRANSFORMS, Bag
-from verify.io.bags.topics import camera_info_topic
+from verify.io.bags.bag import TRANSFORMS, Bag, camera_info_topic
 
 STATIC = "/tf_static"
 MIN_BASELINE, MAX_BASELINE = 0.01, 10.0  # m: more is a slip of the unit

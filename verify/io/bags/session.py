@@ -18,8 +18,7 @@ import robots
 from verify.core.records import Array
 from verify.errors import InputError
 from verify.io.bags import pictures
-from verify.io.bags.bag import SECOND, Bag, BagMessage
-from verify.io.bags.topics import ChosenTopics
+from verify.io.bags.bag import SECOND, Bag, BagMessage, ChosenTopics
 from verify.io.encoding import VideoWriter
 from verify.io.joints import ANGLE_UNITS, RADIANS, JointRange, match_joint_names
 
