@@ -19,6 +19,7 @@ HEAD_LENGTH, HEAD_HALF_WIDTH = 0.3, 0.5  # of an arrow's length, and of the head
 PANEL_MARGIN = 0.06  # share of its extent that a panel leaves free around the data
 MIN_COARSE = 0.1  # mm, the largest value of a grid from which on a hundredth is fine enough
 MAX_TICKS = 24  # words along an axis of pairs; more would touch
+SQUARE_IN = 4.2  # in, the largest height of a correlation matrix: its labels take the rest
 
 
 def view_errors(results: Results) -> charts.Chart | None:
@@ -285,7 +286,8 @@ def correlation(results: Results, write: Callable[[str], str] = str) -> charts.C
     if len(names) < 2 or not values.size:
         return None
     rows = tuple((at, f"{name} ({at + 1})") for at, name in enumerate(names))
-    panel = charts.correlation_panel(
-        values, rows, tuple((at, f"{at + 1}") for at in range(len(names)))
-    )
-    return charts.Chart((panel,), row_height=0.3 + 0.175 * len(names), width=0.85)
+    step = 1 + len(names) // MAX_TICKS
+    columns = tuple((at, f"{at + 1}") for at in range(0, len(names), step))
+    panel = charts.correlation_panel(values, rows, columns)
+    height = min(0.3 + 0.175 * len(names), SQUARE_IN)
+    return charts.Chart((panel,), row_height=height, width=0.85)

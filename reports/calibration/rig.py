@@ -168,7 +168,7 @@ def main_improvement(summary: dict[str, Any]) -> str:
     if not help_:
         return "The largest source of uncertainty is not known."
     named = GROUPS.get(str(first.get("group")), fmt.text_or_dash(first.get("group")))
-    return f"The largest source of uncertainty: {named}. To reduce it: {help_}."
+    return f"The largest source of uncertainty is {named}. To reduce it, {help_}."
 
 
 def accuracy(results: Results) -> doc.Section:

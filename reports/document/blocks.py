@@ -49,10 +49,13 @@ class Bullets:
 
 @dataclass(frozen=True, slots=True)
 class Facts:
-    """Labels and what they stand for, side by side; an empty text is a line to be filled in."""
+    """Labels and what they stand for, side by side.
+
+    An empty text is a line to be filled in; several are a list.
+    """
 
     kind: ClassVar[str] = "facts"
-    items: tuple[tuple[str, str], ...]
+    items: tuple[tuple[str, str | tuple[str, ...]], ...]
     columns: int = 1  # of labels, on paper
 
 
@@ -163,8 +166,10 @@ def answer_and_evidence(answer: Section, evidence: Iterable[Section | None]) -> 
 
 def remedies(actions: Iterable[str], unchecked: Iterable[str]) -> Facts:
     """End page one: what to do, and what was not checked."""
-    items = ("What to do", actions), ("Not checked", unchecked)
-    return Facts(tuple((label, " ".join(texts) or "nothing") for label, texts in items))
+    items = ("What to do", tuple(actions)), ("Not checked", tuple(unchecked))
+    return Facts(
+        tuple((label, t if len(t) > 1 else " ".join(t) or "nothing") for label, t in items)
+    )
 
 
 def collect_figures(document: Document) -> dict[str, Chart | Path | bytes]:

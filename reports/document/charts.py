@@ -50,7 +50,7 @@ def records(table: pd.DataFrame) -> list[dict[str, Any]]:
 
 
 def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
-    """Give the times of the pairs and the axis' label; from the first if days after the clock's.
+    """Give the times of the pairs, from the first, and the axis' label.
 
     Where nobody noted times, the pairs are counted.
     """
@@ -58,9 +58,7 @@ def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
     valid = t[np.isfinite(t)]
     if not len(valid):
         return np.arange(len(t), dtype=np.float64), "pose, in order"
-    if abs(valid[0]) <= 86_400:
-        return t, "time [s]"
-    return t - valid[0], f"time since {valid[0]:.3f} s [s]"
+    return t - valid[0], "time from the first pair [s]"
 
 
 def trace(t: Array, y: Array) -> tuple[Array, Array]:

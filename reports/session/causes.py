@@ -66,12 +66,12 @@ def cause_name(entry: dict[str, Any]) -> str:
         name = f"{name} ({turns} per turn, phase {fmt.number(entry['phase_deg'], 1)}°)"
     joint = entry.get("joint")
     name = name if joint is None else f"{name} of joint {joint}"
-    return name if fmt.finite(entry.get("t_s")) is None else f"{name} {instant(entry)}"
+    return name if fmt.finite(entry.get("t_s")) is None else f"{name} at {_seconds(entry)}"
 
 
-def instant(entry: dict[str, Any]) -> str:
-    """Say when a fault began, on the clock of the errors over time: `at 12.3 s`."""
-    return f"at {fmt.number(entry.get('t_s'), 1)} s"
+def _seconds(entry: dict[str, Any]) -> str:
+    """When a fault began, from the first pair."""
+    return f"{fmt.number(entry.get('t_s'), 1)} s"
 
 
 def format_value(entry: dict[str, Any]) -> str:
@@ -228,6 +228,8 @@ def _cause_sentence(text: CauseText, entry: dict[str, Any], value: float) -> str
         parameter=entry.get("parameter", "a link parameter"),
         turns=f"{turns} {'wave' if turns == '1' else 'waves'}",
         turn=fmt.number(entry.get("turn_deg"), 3),
-        since=text.since if fmt.finite(entry.get("t_s")) is None else instant(entry),
+        since=text.since
+        if fmt.finite(entry.get("t_s")) is None
+        else f"{_seconds(entry)} after the first pair",
         way=text.ways[value <= 0] if text.ways else "",
     )

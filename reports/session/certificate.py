@@ -17,8 +17,8 @@ from reports.session.headline import MAX_CAUSES, headline
 
 MAX_ALARMS = 4  # listed, the first; alarms.csv has all
 ALARM_NOTE = (
-    "t: when the alarm was raised, shortly after its cause, on the time axis of the errors. "
-    "alarms.csv lists every alarm."
+    "At: when the alarm was raised, from the first pair, shortly after its cause. alarms.csv lists "
+    "every alarm."
 )
 OFFSET = 0.14  # of two marks of a joint from its place on the axis
 TOLERANCE_ROOM = 1.3  # times the tolerance that the scale spans at least
@@ -72,11 +72,17 @@ def _identification(results: Results) -> list[tuple[str, str]]:
         *((label, str(stated.get(key) or "")) for key, label in FIELDS),
         ("Instrument", instrument),
         ("Poses measured" if posed else "Pairs measured", measured),
-        ("Date of measurement", str(session.get("started") or "")[:10]),
+        ("Date of measurement", _moment(str(session.get("started") or ""))),
         ("Date of issue", str(stated.get("issued") or "")),
         ("Software", doc.software(results.summary)),
         ("Signature", ""),
     ]
+
+
+def _moment(started: str) -> str:
+    """Write an instant of ISO 8601 as a person reads it; a date stays a date."""
+    date, time, zone = started[:10], started[11:19], started[19:]
+    return f"{date}, {time} UTC" if time and zone in ("Z", "+00:00") else date
 
 
 def overview_chart(joints: list[dict[str, Any]]) -> charts.Chart | None:
@@ -138,9 +144,10 @@ def _pose_table(results: Results) -> list[doc.Table]:
             rows.append(
                 doc.row(label, rms, largest(entry), place, limit, phrases.verdict_cell(entry))
             )
-    head = ("Error of the flange", "RMS", "Largest error ± U", "Where", "Tolerance", "Verdict")
+    head = ("Error of the flange", "RMS", "Largest error ± U", "Place", "Tolerance", "Verdict")
     caption = (
-        "Error of the flange's pose over the measured pairs, k = 2; where, in the base's frame."
+        "Error of the flange's pose over the measured pairs, k = 2; place in the base's frame, t "
+        "from the first pair."
     )
     return [doc.Table(caption, "lrrlrl", head, tuple(rows), wide=(5,))] if rows else []
 
@@ -169,17 +176,17 @@ def _causes(summary: dict[str, Any]) -> doc.Facts:
 
 
 def _alarm_blocks(results: Results) -> tuple[doc.Block, ...]:
-    """List what a watched run told, and the cause that the diagnosis found for it."""
+    """List the alarms of a watched run, and the cause that the diagnosis found for each."""
     if "alarms" not in results.tables:
         return ()
     alarms = records(results.table("alarms").astype({"joint": float}))
     if not alarms:
         return (doc.Paragraph("The robot was watched, and no alarm was raised."),)
     columns = (
-        doc.Column("Alarm", "l", doc.field("alarm", fmt.count)),
+        doc.Column("No.", "l", doc.field("alarm", fmt.count)),
         doc.Column("At [s]", "r", doc.field("t_s", fmt.number, 1)),
-        doc.Column("Told", "l", doc.field("text"), wide=True),
-        doc.Column("Explained by", "l", partial(_explanation, results.summary), wide=True),
+        doc.Column("Alarm text", "l", doc.field("text"), wide=True),
+        doc.Column("Explained by", "l", partial(_explanation, results.summary)),
     )
     return (
         doc.tabulate(
@@ -202,4 +209,4 @@ def _explanation(summary: dict[str, Any], alarm: dict[str, Any]) -> str:
         if one.get("kind") != "ambiguous" and one.get("joint") in (None, int(joint))
         and (fmt.finite(one.get("t_s")) or raised) <= raised
     ]  # fmt: skip
-    return "; ".join(named) or "no cause that the diagnosis found"
+    return "; ".join(named) or "no cause found"

@@ -7,6 +7,7 @@ from reports.document import blocks as doc
 from reports.document import formatting as fmt
 from reports.results import Results
 from reports.session import phrases
+from reports.session.times import FIRST_PAIR
 
 DECISION_RULE = (
     "Conform: |ê| + 1.645 u within the tolerance at every measured pair, no lack of fit, and the "
@@ -30,6 +31,9 @@ def conditions(results: Results) -> doc.Section:
 
 def _provenance(summary: dict[str, Any], rule: str) -> list[tuple[str, str]]:
     items = [("Decision rule", rule), ("Software", doc.software(summary))]
+    first = fmt.finite(summary.get(FIRST_PAIR))
+    if first is not None:
+        items.append(("Times", f"from the first pair, t_s = {first:.3f} s in frames.csv"))
     for name, value in (summary.get("thresholds") or {}).items():
         text = str(value) if isinstance(value, str) else fmt.exact_number(value)
         items.append((fmt.capitalise(fmt.text_or_dash(name).replace("_", " ")), text))

@@ -17,6 +17,7 @@ from reports.session import (
     performance,
     sweeps,
 )
+from reports.session.times import from_first_pair
 
 Writer = Callable[[Results], Section]
 ANSWERS: tuple[Writer, ...] = (
@@ -39,6 +40,7 @@ APPENDIX: tuple[Writer, ...] = (  # in the order in which an expert checks it
 
 def document(results: Results) -> Document:
     """Lay out the whole report."""
+    results = from_first_pair(results)
     session = results.summary.get("session") or {}
     robot = (results.setup.get("robot") or {}).get("name") or session.get("robot") or DASH
     description = session.get("description") or "a recorded session"

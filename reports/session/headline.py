@@ -7,6 +7,7 @@ from reports.document.blocks import Verdict, uncertain_field
 from reports.results import Results
 from reports.session import causes as session_causes
 from reports.session import phrases
+from reports.session.times import from_first_pair
 
 LABELS = {
     "conform": "The robot conforms",
@@ -22,6 +23,7 @@ SINGULAR_NAMES = ("the robot base", "the measured point")
 
 def headline(results: Results) -> Verdict:
     """Say the verdict, what to do about it, and the conditions it holds on."""
+    results = from_first_pair(results)
     summary = results.summary
     tone = phrases.tone(summary.get("verdict"))
     sentence = {

@@ -161,16 +161,18 @@ class Results(reports.Results):
         `finding`; `summary["diagnosis"]` has their figures.
         """
         from reports.session import causes
+        from reports.session.times import from_first_pair
 
         entries = self.summary["diagnosis"]
+        told = from_first_pair(self).summary["diagnosis"]
         rows = [{name: entry.get(name) for name in CAUSE_COLUMNS} for entry in entries]
         table = pd.DataFrame(rows, columns=list(CAUSE_COLUMNS)).astype({"joint": "Int64"})
         ambiguous = [entry["kind"] == "ambiguous" for entry in entries]
         table["finding"] = [
             causes.rivals(entry, " or ") if several else causes.finding(entry)
-            for entry, several in zip(entries, ambiguous, strict=True)
+            for entry, several in zip(told, ambiguous, strict=True)
         ]
-        table["remedy"] = [causes.remedy(entry) for entry in entries]
+        table["remedy"] = [causes.remedy(entry) for entry in told]
         return table
 
     @property

@@ -45,8 +45,13 @@ def test_every_kind_has_its_remedy() -> None:
 def test_what_begins_in_the_session_is_stated_with_its_instant() -> None:
     moments = (KINDS["step"], KINDS["base_moved"] | {"t_s": 3.2})
     step, moved = map(session_causes.finding, moments)
-    assert step.startswith("joint 4's reading changed by +0.800° ± 0.080° (k = 2) at 7.0 s: find")
-    assert "has moved by 1.20 ± 0.12 mm (k = 2) and 0.081° at 3.2 s: register" in moved
+    assert step.startswith(
+        "joint 4's reading changed by +0.800° ± 0.080° (k = 2) 7.0 s after the first pair: find"
+    )
+    assert (
+        "has moved by 1.20 ± 0.12 mm (k = 2) and 0.081° 3.2 s after the first pair: register"
+        in moved
+    )
 
 
 def test_signs_are_stated_as_corrections() -> None:

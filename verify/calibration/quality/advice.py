@@ -119,23 +119,23 @@ def _image(covered: ImageCoverage) -> Iterator[str]:
         if chosen.any():
             names = [_region(row, column) for row, column in np.argwhere(chosen).tolist()]
             yield (
-                f"{word} lies in the {_join_words(names)} of the {side} image: hold the board "
-                "there."
+                f"{word} lies in the {_join_words(names)} of the {side} image: the lens is "
+                "extrapolated there. Hold the board there."
             )
     bare = [
-        f"{edge} ({100 * margin:.0f} %)"
+        f"{edge} edge ({100 * margin:.0f} % bare)"
         for edge, margin in zip(EDGES, covered.margins.tolist(), strict=True)
         if margin > MAX_EDGE_GAP
     ]
     if bare and covered.regions.any():
         yield (
-            f"No corner comes near the {_join_words(bare)} edge of the {side} image: the lens "
-            "distortion is a guess there; let the board reach into it."
+            f"No corner comes near the {_join_words(bare)} of the {side} image: the lens "
+            "distortion is extrapolated there. Let the board reach into it."
         )
     elif 0 < covered.reach < MIN_RADIUS_SHARE:
         yield (
             f"In the {side} image no corner lies farther than {100 * covered.reach:.0f} % of the "
-            "way to the image's corners: the lens distortion is not determined beyond; let the "
+            "way to the image's corners: the lens distortion is not determined beyond. Let the "
             "board reach into them."
         )
 
@@ -154,8 +154,9 @@ def _distance(distances: Sequence[float]) -> Iterator[str]:
         return
     middle = (near + far) / 2
     yield (
-        f"All boards stood between {near:.2f} m and {far:.2f} m: add some at "
-        f"{0.75 * middle:.2f} m or nearer and some at {1.3 * middle:.2f} m or farther."
+        f"All boards stood between {near:.2f} m and {far:.2f} m, which determines the focal "
+        f"lengths poorly: add some at {0.75 * middle:.2f} m or nearer and some at "
+        f"{1.3 * middle:.2f} m or farther."
     )
 
 

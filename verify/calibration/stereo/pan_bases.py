@@ -156,7 +156,10 @@ def base_sentences(found: Estimate, scatter: ErrorScatter | None, readings: Arra
             f"pan readings: scatter by {np.rad2deg(scatter.deviation):.2g}°, which was allowed for."
         )
     elif scatter is not None:
+        hidden = np.format_float_positional(
+            np.rad2deg(scatter.deviation), 1, fractional=False, trim="-"
+        )
         yield (
-            "pan readings: no scatter is visible, taken as exact; "
-            f"{np.rad2deg(scatter.deviation):.1g}° could hide and is stated."
+            "pan readings: no scatter is visible; the smallest that would be, "
+            f"{hidden}°, is stated as their standard uncertainty."
         )

@@ -225,7 +225,7 @@ class JointAlarms:
             number=next(self._numbers) if first is None else first.number,
             kind="change",
             began=now if first is None else first.began,
-            t=row.t,
+            t=row.t if first is None else first.t,
             text=text + ".",
             joints=joints,
             error=change.size,
