@@ -16,7 +16,6 @@ from scipy.spatial.transform import Rotation
 
 from verify.core.records import Array
 from verify.errors import InputError
-from verify.io.joints import ANGLE_UNITS
 
 MAX_FLEX = 0.5  # mm: sides of a rigid triangle, from row to row
 MIN_HEIGHT = 5.0  # mm: of p3 above the line of p1 and p2
@@ -24,8 +23,8 @@ AXES = set("xyzXYZ")
 TOL_NORM = 2e-3  # of a quaternion's length
 
 
-def rotations(values: Array, kind: str, unit: str, first: int = 0) -> Array:
-    """Turn angles (m, 3) or quaternions (m, 4), scalar first, into unit quaternions (m, 4).
+def rotations(values: Array, kind: str, first: int = 0) -> Array:
+    """Turn angles (m, 3), rad, or quaternions (m, 4), scalar first, into unit quaternions (m, 4).
 
     `first` is the number of the first row, from 0.
 
@@ -40,12 +39,11 @@ def rotations(values: Array, kind: str, unit: str, first: int = 0) -> Array:
             found = f"a quaternion of row {row} has the length {length[wrong[0], 0]:.4g}"
             raise InputError("--rotation quaternion", found, "a turn's has the length 1")
         return np.asarray(values / length)
-    angles = values * ANGLE_UNITS[unit]
     if kind == "rotvec":
-        turns = Rotation.from_rotvec(angles)
+        turns = Rotation.from_rotvec(values)
     else:
         require_rotation(kind)
-        turns = Rotation.from_euler(kind, angles)
+        turns = Rotation.from_euler(kind, values)
     return np.roll(turns.as_quat(), 1, axis=1)
 
 

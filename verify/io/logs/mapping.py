@@ -127,7 +127,7 @@ def propose_mapping(
     columns = [*_propose_time(table, named), *_propose_joints(table, named, arm, joint_names)]
     taken = {column.column for column in columns}
     rest = {column: parsed for column, parsed in named.items() if column not in taken}
-    pose, rotation = _propose_pose(rest)
+    pose, rotation = _propose_pose(table, rest)
     return ColumnMapping((*columns, *pose), rotation)
 
 
@@ -184,8 +184,14 @@ def _may_be_reading(name: str) -> bool:
     return not (_NO_READING.search(name) or _UNNAMED.fullmatch(name))
 
 
-def _propose_pose(named: Mapping[str, tuple[str, str]]) -> tuple[list[MappedColumn], str]:
-    """Columns of positions and orientations, or of three points, and how they turn."""
+def _propose_pose(
+    table: LogTable, named: Mapping[str, tuple[str, str]]
+) -> tuple[list[MappedColumn], str]:
+    """Columns of positions and orientations, or of three points, and how they turn.
+
+    Raises:
+        InputError: the poses are of several targets.
+    """
     stems = {stem: (column, unit) for column, (stem, unit) in named.items()}
 
     def take(
@@ -204,10 +210,14 @@ def _propose_pose(named: Mapping[str, tuple[str, str]]) -> tuple[list[MappedColu
         if points := take(corners, POINTS):
             return points, ""
     position: list[MappedColumn] = []
-    for form in ("{a}", "pos_{a}", "position_{a}", "position.{a}"):
+    for form in ("{a}", "pos_{a}", "position_{a}", "position.{a}", "t{a}"):
         position = position or take([form.format(a=a) for a in POSITION], POSITION)
     if not position:
         return [], ""
+    if "target" in stems:
+        found = f'has a column "{stems["target"][0]}"'
+        remedy = "Export each target alone, or write poses.csv with its column target yourself."
+        raise InputError(table.path, found, "poses of one target are expected", remedy)
     for form in ("q{a}", "q_{a}", "orientation.{a}", "orientation_{a}"):
         if turn := take([form.format(a=a) for a in "wxyz"], QUATERNION):
             return [*position, *turn], "quaternion"

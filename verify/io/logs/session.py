@@ -97,6 +97,8 @@ class RisingTimes:
     def __init__(self, table: LogTable, column: MappedColumn | None, start: np.longdouble) -> None:
         self._table, self._column, self._start = table, column, start
         self._last = -np.inf
+        self._row: Array | None = None  # the last one, without its time
+        self._rows = self._coarse = 0  # all; those with other numbers at the time of the one before
         self.repeats = 0
 
     def take(self, first: int, values: dict[str, Array]) -> tuple[list[str], Array]:
@@ -123,8 +125,21 @@ class RisingTimes:
             found = f"{self._column.column} goes back by {-float(steps[row]):.6g} s"
             raise InputError(place, found, "times rise", "Sort the rows, or export one run alone.")
         self._last = times[-1]
-        self.repeats += int((steps == 0).sum())
+        repeated = np.flatnonzero(steps == 0)
+        self.repeats += len(repeated)
+        rows = np.stack([v for name, v in values.items() if name != self._column.column], axis=1)
+        before = np.vstack([rows[:1] if self._row is None else self._row, rows[:-1]])
+        self._coarse += int((rows != before)[repeated].any(axis=1).sum())
+        self._row, self._rows = rows[-1:], first + len(rows)
         return [f"{t:.9f}," for t in times], np.asarray(steps > 0)
+
+    def require_fine(self) -> None:
+        """Refuse times that are written too coarsely for their rows, by an InputError."""
+        if self._column is not None and self._coarse > MAX_COARSE * self._rows:
+            found = f"{self._coarse} of {self._rows} rows repeat the time of another row"
+            expected = f"{self._column.column} is written too coarsely to say when each was taken"
+            remedy = "Export the times with more decimals."
+            raise InputError(self._table.path, found, expected, remedy)
 
 
 def write_encoders(
@@ -138,23 +153,15 @@ def write_encoders(
     scale = [np.rad2deg(ANGLE_UNITS[c.unit]) for c in mapping.joints]
     times = RisingTimes(table, mapping.time, start)
     names = tuple(c.column for c in (*mapping.joints, *((mapping.time,) if mapping.time else ())))
-    coarse, last = 0, np.full(len(scale), np.nan)
     with path.open("w", encoding="utf-8", newline="\n") as file:
         head = "t_s," if mapping.time else ""
         file.write(head + ",".join(f"{c.target}_deg" for c in mapping.joints) + "\n")
         for first, values in table.chunks(names, progress):
             texts, kept = times.take(first, values)
             degrees = np.stack([values[c.column] for c in mapping.joints], axis=1) * scale
-            steps = np.diff(degrees, axis=0, prepend=last[None])
-            coarse += int(np.count_nonzero(steps[np.flatnonzero(kept == 0)].any(axis=1)))
-            last = degrees[-1]
             rows = zip(texts, degrees.tolist(), kept, strict=True)
             file.writelines(f"{t}{','.join(f'{q:.9f}' for q in r)}\n" for t, r, k in rows if k)
-            count = first + len(kept)
-    if mapping.time is not None and coarse > MAX_COARSE * count:
-        found = f"{coarse} of {count} rows repeat the time of another reading"
-        expected = f"{mapping.time.column} is written too coarsely to say when each was taken"
-        raise InputError(table.path, found, expected, "Export the times with more decimals.")
+    times.require_fine()
     return times.repeats
 
 
@@ -164,7 +171,8 @@ def write_poses(
     """Write poses.csv; returns how many rows repeat a time and were left out.
 
     Raises:
-        InputError: a body that is not rigid, an orientation that is none, a pose too far away.
+        InputError: a body that is not rigid, an orientation that is none, a pose too far away,
+            times that go back or are too coarse.
     """
     times = RisingTimes(table, mapping.time, start)
     names = tuple(c.column for c in mapping.columns if c not in mapping.joints)
@@ -192,6 +200,7 @@ def write_poses(
                 numbers = [f"{a},{b}" for a, b in zip(numbers, turns, strict=True)]
             rows = zip(texts, numbers, kept, strict=True)
             file.writelines(f"{t}{row}\n" for t, row, k in rows if k)
+    times.require_fine()
     return times.repeats
 
 
@@ -213,8 +222,8 @@ def _read_poses(
         raise InputError("--map", "names no x, y, z", "a pose has a position")
     if not turn:
         return position, None
-    numbers = np.stack([values[c.column] for c in turn], axis=1)
-    return position, rotations(numbers, mapping.rotation, turn[0].unit, first)
+    numbers = [values[c.column] * ANGLE_UNITS.get(c.unit, 1.0) for c in turn]
+    return position, rotations(np.stack(numbers, axis=1), mapping.rotation, first)
 
 
 def _require_near(table: LogTable, position: Array, origin: Array) -> None:

@@ -111,3 +111,44 @@ def test_a_number_beyond_all_sense_ends_a_table_of_poses_in_one_line(tmp_path: P
     path.write_text(path.read_text().replace("900.000000000", "1e300", 1))
     said = convert(path, tmp_path / "out", "--yes", "--instrument", "tracker").refusal
     assert 'line 2: x_mm is "1e300"' in said
+
+
+POSES = np.column_stack([T, 900 + T, 200 + T, 300 + T])
+POSE_NAMES = ["time_s", "x_mm", "y_mm", "z_mm"]
+
+
+def test_each_angle_of_an_orientation_has_its_own_unit(tmp_path: Path) -> None:
+    angles = np.column_stack([30 + T, np.deg2rad(20 + T), 10 + T])
+    names = [*POSE_NAMES, "A_deg", "B_rad", "C_deg"]
+    path = write_table(tmp_path / "p.csv", names, np.column_stack([POSES, angles]))
+    done = convert(path, tmp_path / "out", "--yes", "--instrument", "tracker")
+    assert done.status == 0, done.err
+    found = np.loadtxt(tmp_path / "out" / "poses.csv", delimiter=",", skiprows=1)[0, 4:]
+    a, b, c = np.deg2rad([30, 20, 10]) / 2  # Rz(a) Ry(b) Rx(c), as a product of quaternions
+    w = np.cos(a) * np.cos(b) * np.cos(c) + np.sin(a) * np.sin(b) * np.sin(c)
+    z = np.sin(a) * np.cos(b) * np.cos(c) - np.cos(a) * np.sin(b) * np.sin(c)
+    np.testing.assert_allclose(found[[0, 3]], [w, z], atol=1e-8)
+
+
+def test_poses_of_several_targets_are_not_mixed(tmp_path: Path) -> None:
+    rows = np.insert(POSES, 1, 1 + np.arange(len(T)) % 2, axis=1)
+    path = write_table(tmp_path / "p.csv", ["time_s", "Target", *POSE_NAMES[1:]], rows)
+    said = convert(path, tmp_path / "out", "--yes", "--instrument", "tracker").refusal
+    assert 'has a column "Target"; poses of one target are expected' in said
+
+
+def test_poses_with_coarse_times_are_refused(tmp_path: Path) -> None:
+    rows = np.column_stack([np.round(T, 1), POSES[:, 1:]])
+    path = write_table(tmp_path / "p.csv", POSE_NAMES, rows)
+    said = convert(path, tmp_path / "out", "--yes", "--instrument", "tracker").refusal
+    assert "time_s is written too coarsely" in said
+
+
+def test_positions_as_tum_names_them(tmp_path: Path) -> None:
+    path = write_table(
+        tmp_path / "p.csv", ["# timestamp", "tx", "ty", "tz"], POSES / [1, 1e3, 1e3, 1e3], " "
+    )
+    options = ("--yes", "--instrument", "tracker", "--lengths", "m")
+    assert convert(path, tmp_path / "out", *options).status == 0
+    found = np.loadtxt(tmp_path / "out" / "poses.csv", delimiter=",", skiprows=1)
+    np.testing.assert_allclose(found, POSES, atol=1e-5)
