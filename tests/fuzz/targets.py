@@ -212,6 +212,7 @@ def _files(folder: Path) -> Iterator[Target]:
     yield Target("doctor", station, "doctor {in}/station.toml", 0.5)
     for driver in ("rtde", "rosbridge", "opcua"):  # nobody answers: the keys alone are read
         network = folder / driver / "station.toml"
+        network.parent.mkdir()
         verify("run", network, "--new-station", "--robot", "ur5", "--driver", driver)
         text = network.read_text().replace("192.168.0.20", "127.0.0.1").replace("30.0", "10.0")
         own = r"(?m)^# (stamp|cycle_ms|latency_ms|angle_unit|rate_hz) "

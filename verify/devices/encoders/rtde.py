@@ -137,6 +137,7 @@ class RtdeEncoders(PortDriver):
         readings = []
         for kind, payload in packages:
             readings += self._take(kind, payload, chunk.t)
+        self._give_up_if_late()  # what comes may be no sample, time and again
         return readings
 
     def state(self) -> DeviceState:
@@ -172,7 +173,7 @@ class RtdeEncoders(PortDriver):
         waited = self.link.now() - self._talk.since
         if awaited is PackageType.DATA:
             if waited > SILENCE_TIMEOUT:
-                self.link.drop(f"the stream fell silent for {waited:.1f} s")
+                self.link.drop(f"no sample for {waited:.1f} s")
         elif waited > ANSWER_TIMEOUT:
             self._drop("request without an answer")
             self._give_up(f"no answer to the request {awaited.name.lower().replace('_', ' ')}")

@@ -104,6 +104,15 @@ class Poor(RtdeEngine):
         return super()._set_up(payload.replace(b"actual_q", b"actual_p"))
 
 
+class Strange(RtdeEngine):
+    """Sends samples of a recipe that nobody asked for, and sends on."""
+
+    def _sample(self, t: float) -> bytes:
+        sample = bytearray(super()._sample(t))
+        sample[3] += 1
+        return bytes(sample)
+
+
 @pytest.mark.realtime
 @pytest.mark.parametrize(
     ("engine", "words"),
@@ -113,6 +122,7 @@ class Poor(RtdeEngine):
         (Poor(Ramp()), "the controller has no output actual_q"),
         (Garbage(Ramp()), "what answers there is no RTDE, whose port is 30004"),
         (Mute(Ramp()), "no answer to the request version"),
+        (Strange(Ramp()), "not connected: no sample for 2."),
     ],
     ids=lambda value: value if isinstance(value, str) else "",
 )
