@@ -21,6 +21,7 @@ import robots
 from tests.support import planning
 from tests.support.bags import bag_of, write_bag
 from tests.support.command import ROOT, verify
+from tests.support.foxglove import write_mcap
 from tests.support.grasp.cells import CELL, STATION
 from tests.support.posed import poses_csv, write_posed
 from tests.support.simulated import FIXTURE, MINIMAL, SMALL_BOARDS
@@ -252,6 +253,10 @@ def _recordings(folder: Path) -> Iterator[Target]:
     shutil.copy(mcap, bag / "bag.mcap")
     words = "convert {in}/bag.mcap -o {out} --robot iust_6r"
     yield Target("convert bag", bag, words, 0.5)
+    foxglove = folder / "foxglove"
+    foxglove.mkdir()
+    write_mcap(foxglove / "bag.mcap", whole, "json")
+    yield Target("convert foxglove", foxglove, words, 0.3)
     yield Target("convert out", folder / "video", "convert {in} -o {out} --to mcap", 0.5)
 
 
