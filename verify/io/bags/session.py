@@ -21,12 +21,13 @@ from verify.io.bags import pictures
 from verify.io.bags.bag import SECOND, Bag, BagMessage, ChosenTopics
 from verify.io.encoding import VideoWriter
 from verify.io.joints import ANGLE_UNITS, RADIANS, JointRange, match_joint_names
+from verify.io.series import MAX_SPEED, MIN_SPIKE
 
 HEADER, RECEIVED = "header", "received"  # which time of a message counts
 STAMPS = (HEADER, RECEIVED)
 SIDES = ("left", "right")
 EPOCH = 946_684_800 * SECOND  # 2000-01-01: a stamp before is no date, but a time since start-up
-MAX_LATE = 0.01  # share of readings that are not later than the one before
+MAX_LATE = 0.01  # share of readings that are not later than the one before, or leap from it
 MIN_PAIRS = 2
 
 Stamps = NDArray[np.int64]  # ns
@@ -265,8 +266,6 @@ def _write_streams(
     wanted = [set(outline.pairs[:, side].tolist()) for side in (0, 1)]
     periods = np.diff(outline.picture_times[0][outline.pairs[:, 0]])
     rate = SECOND / float(np.median(periods))
-    scale = np.rad2deg(ANGLE_UNITS[request.unit])
-    last, written = None, 0
     with ExitStack() as stack:
         videos = [
             PictureStream(stack.enter_context(VideoWriter(folder / f"{side}.mkv", rate)),
@@ -275,8 +274,7 @@ def _write_streams(
         ]  # fmt: skip
         path = folder / "encoders.csv"
         table = stack.enter_context(path.open("w", encoding="utf-8", newline="\n"))
-        columns = ",".join(f"q{joint}_deg" for joint in range(1, request.arm.dof + 1))
-        table.write(f"t_s,{columns}\n")
+        readings = ReadingStream(table, request.arm.dof, outline.start)
         topics = (left, right, joints)
         for message in bag.messages(topics, lambda d, n: progress(n + d, 2 * n, "pictures")):
             if message.topic != joints:
@@ -286,19 +284,45 @@ def _write_streams(
                 continue
             values = joint_values(message, outline.names)
             time = message.stamp if request.stamps == HEADER else message.received
-            if values is not None and (last is None or time > last):
-                _write_reading(table, _seconds(time, outline.start), values * scale)
-                last, written = time, written + 1
-    if outline.readings - written > MAX_LATE * outline.readings:
-        found = f"{outline.readings - written} of {outline.readings} readings go back in time"
-        expected = "one publisher, whose stamps rise"
-        remedy = "Name another topic by --joints, or use --stamps received."
-        raise InputError(f"{bag.path}, {joints}", found, expected, remedy)
-    return written
+            if values is not None:
+                readings.add(time, values * ANGLE_UNITS[request.unit])
+    readings.require_one_publisher(f"{bag.path}, {joints}")
+    return readings.written
 
 
-def _write_reading(table: TextIO, time: str, degrees: Array) -> None:
-    table.write(f"{time},{','.join(f'{q:.9f}' for q in degrees.tolist())}\n")
+class ReadingStream:
+    """Writes encoders.csv: the readings whose times rise."""
+
+    def __init__(self, table: TextIO, joints: int, start: int) -> None:
+        self._table, self._start = table, start
+        self._last: tuple[int, Array] | None = None  # ns, rad
+        self.written = self._late = self._leaps = 0
+        table.write("t_s," + ",".join(f"q{joint}_deg" for joint in range(1, joints + 1)) + "\n")
+
+    def add(self, time: int, q: Array) -> None:
+        """Append a reading q (n,), rad, of a time, ns, unless that is not later than the last."""
+        if self._last is not None:
+            elapsed = time - self._last[0]
+            if elapsed <= 0:
+                self._late += 1
+                return
+            turned = np.abs((q - self._last[1] + np.pi) % (2 * np.pi) - np.pi)
+            self._leaps += bool((turned > max(MAX_SPEED * elapsed / SECOND, MIN_SPIKE)).any())
+        self._last, self.written = (time, q), self.written + 1
+        degrees = ",".join(f"{angle:.9f}" for angle in np.rad2deg(q).tolist())
+        self._table.write(f"{_seconds(time, self._start)},{degrees}\n")
+
+    def require_one_publisher(self, place: str) -> None:
+        """Refuse, by an InputError, readings that two publishers or a wrong clock have mixed."""
+        count = self.written + self._late
+        if self._late > MAX_LATE * count:
+            found = f"{self._late} of {count} readings are not later than the one before"
+            remedy = "Name another topic by --joints, or use --stamps received."
+            raise InputError(place, found, "one publisher, whose stamps rise", remedy)
+        if self._leaps > MAX_LATE * count:
+            found = f"{self._leaps} of {count} readings leap from the one before as no arm turns"
+            remedy = "Record it without the other, such as joint_state_publisher."
+            raise InputError(place, found, "one publisher of the joints", remedy)
 
 
 class PictureStream:

@@ -191,6 +191,19 @@ def test_two_arms_on_one_topic_are_not_guessed_between(session: Recording, tmp_p
     assert "robot2/joint_1 → q1" in said
 
 
+def test_a_second_publisher_of_the_same_joints_is_noticed(
+    session: Recording, tmp_path: Path
+) -> None:
+    def add(contents: Contents) -> None:
+        kind, rows = contents.topics["/joint_states"]
+        names = [f"joint_{j}" for j in range(1, 7)]  # all at 0: joint_state_publisher's
+        zeros = [(t + 5e-4, contents.messages.joints(t, names, np.zeros(6))) for t, _ in rows]
+        contents.topics["/joint_states"] = kind, [*rows, *zeros]
+
+    said = refusal(tmp_path, bag_of("mcap", session, change=add))
+    assert "readings leap from the one before as no arm turns; one publisher" in said
+
+
 def test_the_right_camera_is_placed_by_its_projection_without_tf(
     session: Recording, tmp_path: Path
 ) -> None:
