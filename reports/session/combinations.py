@@ -158,8 +158,13 @@ def _hidden_sentences(own: pd.DataFrame) -> tuple[str, ...]:
 
 
 def _joint_table(own: pd.DataFrame) -> doc.Table:
+    faults = records(own)
+
     def cell_of(kind: str) -> Callable[[int], str]:
-        return lambda joint: _format_cell(_kind_entries(own[own["joint"] == joint], kind))
+        return lambda joint: _format_cell(
+            [e for e in faults if e["joint"] == joint and _column_of(e) == kind],
+            100.0 if kind == "gain" else 1.0,  # in percent
+        )
 
     columns = [
         doc.Column("Joint", "l", lambda joint: f"q{joint}"),
@@ -170,24 +175,21 @@ def _joint_table(own: pd.DataFrame) -> doc.Table:
     return doc.tabulate(title, columns, joints, TABLE_NOTE, FAULT_NOTE)
 
 
-def _kind_entries(entries: pd.DataFrame, kind: str) -> pd.DataFrame:
-    """Rows that a column stands for; a gain in percent."""
-    if kind in ("once", "waves"):
-        waves = entries[entries["kind"] == "eccentricity"]
-        return waves[(waves["per_turn"] == 1) == (kind == "once")]
-    chosen = entries[entries["kind"] == kind]
-    factor = 100 if kind == "gain" else 1
-    return chosen.assign(
-        detectable=chosen["detectable"] * factor, separable=chosen["separable"] * factor
-    )
+def _column_of(entry: dict[str, Any]) -> str:
+    """The column in which a fault stands."""
+    if entry["kind"] == "eccentricity":
+        return "once" if entry["per_turn"] == 1 else "waves"
+    return str(entry["kind"])
 
 
-def _format_cell(entries: pd.DataFrame) -> str:
+def _format_cell(entries: list[dict[str, Any]], factor: float) -> str:
     """`detected / identified`, the worst of several."""
-    if entries.empty or not fmt.finite(entries["detectable"].max()):
+    known = [value for e in entries if (value := fmt.finite(e["detectable"])) is not None]
+    if not known:
         return fmt.DASH
-    separable = entries["separable"].max(skipna=False)
-    return f"{fmt.significant(entries['detectable'].max())} / {fmt.significant(separable)}"
+    separable = [_float_or_nan(e["separable"]) for e in entries]
+    worst = math.nan if any(map(math.isnan, separable)) else factor * max(separable)
+    return f"{fmt.significant(factor * max(known))} / {fmt.significant(worst)}"
 
 
 def _other_table(entries: pd.DataFrame) -> doc.Table:

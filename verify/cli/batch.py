@@ -168,7 +168,7 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
     from verify.fleet.batch import tables
     from verify.fleet.trends.assess import assess
     from verify.io.files import write_folder_whole
-    from verify.io.results import RESULTS
+    from verify.io.results import RESULTS, write_reports
 
     with write_folder_whole(out, force=True) as folder:
         if not done.kept:
@@ -180,8 +180,7 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
             reported = [s for s, place in done.kept if (place / "report.html").exists()]
             results = assess(sessions, failures, request, reported)
             reports.write(results, folder / RESULTS)
-            (folder / "fleet.html").write_text(reports.render_html(results), encoding="utf-8")
-            (folder / "fleet.pdf").write_bytes(reports.render_pdf(results))
+            write_reports(results, folder, "fleet")
     if not done.kept:
         found = f"none of its {len(done.failures)} sessions could be measured"
         raise InputError(out / "failures.csv", found, "", "It gives the reason of each session.")

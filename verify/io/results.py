@@ -7,6 +7,7 @@ the figures are those of `reports`, which is loaded when one of them is first as
 import errno
 import json
 import os
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path, PurePath
@@ -15,7 +16,6 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 import reports
-from reports import ReportError
 from reports.results import to_json_value
 from verify.errors import InputError
 from verify.io.files import (
@@ -79,7 +79,7 @@ def write_report_folder(
     with write_folder_whole(out, force) as folder:
         try:
             reports.write(results, folder / RESULTS)
-        except ReportError as error:
+        except reports.ReportError as error:
             if isinstance(error.__cause__, OSError):  # such as a full disk: `files` words it
                 raise error.__cause__ from None
             raise
@@ -88,26 +88,26 @@ def write_report_folder(
         (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
         write_reports(_with_film(results, out), folder)  # a grab wrote it to `out` before
         if frames:
-            table = results.tables["frames"]
-            table.to_csv(
-                folder / "frames.csv", index=False, float_format="%.6f", lineterminator="\n"
-            )
+            path, table = folder / "frames.csv", results.tables["frames"]
+            table.to_csv(path, index=False, float_format="%.6f", lineterminator="\n")
             if "alarms" in results.tables:
                 alarms = results.tables["alarms"].astype({"joint": "Int64"})
                 alarms.to_csv(folder / ALARMS, index=False, lineterminator="\n")
 
 
-def write_reports(results: reports.Results, folder: Path) -> None:
-    """Write report.html and report.pdf."""
-    (folder / "report.html").write_text(reports.render_html(results), encoding="utf-8")
-    (folder / "report.pdf").write_bytes(reports.render_pdf(results))
+def write_reports(results: reports.Results, folder: Path, name: str = "report") -> None:
+    """Write NAME.html and NAME.pdf; both are made at once, as half of it is outside Python."""
+    with ThreadPoolExecutor(1) as pool:
+        page = pool.submit(reports.render_html, results)
+        (folder / f"{name}.pdf").write_bytes(reports.render_pdf(results))
+    (folder / f"{name}.html").write_text(page.result(), encoding="utf-8")
 
 
 def read_results(out: Path) -> reports.Results:
     """Read what an earlier run left; raises InputError: `out` holds no results, or damaged ones."""
     try:
         return _with_film(reports.read(out / RESULTS), out)
-    except ReportError as error:
+    except reports.ReportError as error:
         raise InputError(error.place, error.found, error.expected, error.remedy) from error
 
 
