@@ -52,7 +52,9 @@ def carry_to_instant(
             continue
         lever[i, n - 1] = lagrange_weights(instant[: n + 1], t, weight, slope)
         intervals[count] = taken[i] - instant[1] if n == 1 else -2.0 * (t - taken[i])
-        spread[i] = weight[0] ** 2 * covariance[i]
+        for x in range(2):
+            for y in range(2):
+                spread[i, x, y] = weight[0] ** 2 * covariance[i, x, y]
         k = 0
         for v in range(3):
             if row[v] < 0:
@@ -64,12 +66,14 @@ def carry_to_instant(
                 velocity[i, x] += slope[k] * away
                 for y in range(2):
                     spread[i, x, y] += weight[k] ** 2 * around[v][2][row[v], x, y]
-        mean += velocity[i]
+        for x in range(2):
+            mean[x] += velocity[i, x]
         shared[count], shown[i] = i, True
         count += 1
     if count == 0:
         return count, place, spread, velocity, lever
-    mean /= count
+    for x in range(2):
+        mean[x] /= count
     scatter = velocity_scatter(velocity, shared[:count], mean)
     typical = median(intervals[:count])
     for i in range(m):
