@@ -1,4 +1,4 @@
-"""Tracking a coloured object in stereo: its rate, and how often it errs in hard scenes.
+"""Tracking a coloured object: its cost beside full-frame CamShift's, and errors in hard scenes.
 
 python -m tests.bench.tracking [SCENES]     of each kind
 """
@@ -8,39 +8,46 @@ from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
-from statistics import median
-from time import perf_counter
-from typing import Any
+from time import thread_time
+from typing import Any, TypeVar
 
 import cv2
 import numpy as np
 
+from tests.bench.goals import Figure, Line
 from tests.bench.grasping import ENDS
 from tests.support.grasp.caps import BLUE, GREEN, RED, YELLOW, Cap, Path, Slab, pairs, small_rig
 from tests.support.scene import make_rig, project
-from verify.core.records import Array, StereoPair
+from verify.analysis.warm_up import warm_up
+from verify.core.records import Array, Image, StereoPair
 from verify.core.rig import Rig
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.run import run
+from verify.grasping.tracking.camshift import camshift, find_blobs
+from verify.grasping.tracking.selection import model_from_box
 from verify.grasping.tracking.target import BoxSelection, ColourSelection, TrackingOptions
 from verify.grasping.tracking.track import TargetTracker
 from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, cell_setup
 
-SECONDS = 2.0  # of film for the rate
+SECONDS = 1.0  # of film for the rate
+ROUNDS = 5  # of which the best counts, picture by picture
+MOST_TRACKED, MOST_FOUND_AGAIN = 0.15, 0.4  # of full-frame CamShift's time for one picture
 SCENES = 5  # of each kind; docs/tracking.md gives the figures of 40
 WRONG = 0.04  # m: `tracked`, but a cap's width from the target or more, or nearer to another
 GRIP = 0.003  # m
 PERIOD = 1 / 30  # s, from one pair of pictures to the next
+Result = TypeVar("Result")
 STOP = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 1.0)
 
 
-def lines(scenes: int = SCENES) -> Iterator[str]:
+def lines(scenes: int = SCENES) -> Iterator[Line]:
     """One line a figure."""
-    yield from rate()
-    yield from whole_loop()
+    with one_core():
+        yield from rate()
+        yield from whole_loop()
     for name, make in SCENARIOS.items():
         yield robustness(name, make, scenes)
 
@@ -55,39 +62,71 @@ def one_core() -> Iterator[None]:
         cv2.setNumThreads(threads)
 
 
-def compared(what: str, ours: list[float], theirs: list[float], slowest: bool) -> Iterator[str]:
-    """Our seconds beside full-frame CamShift's."""
-    figures = {"median": median, "mean": np.mean} | ({"slowest": max} if slowest else {})
-    unit, wanted = ("pair", "") if slowest else ("cycle", " (wanted: 30)")
-    for name, figure in figures.items():
-        mine, other = float(figure(ours)), float(figure(theirs))
-        message = f"{1e3 * mine:.1f} ms a {unit}, {1 / mine:.0f} Hz{wanted}"
-        yield f"{what}, {name}: {message}; {mine / other:.2f} of full-frame CamShift"
-
-
-def rate() -> Iterator[str]:
-    """Two pictures of 1280 x 720 to a 3D target, on one core; by the processor's clock."""
-    rig = make_rig()
+def rate() -> Iterator[Line]:
+    """Pictures of 1280 x 720: one alone, and a pair to the 3D target."""
     path: Path = lambda t: (0.1 * np.sin(2 * t), 0.02, 0.7 + 0.05 * np.cos(2 * t))  # noqa: E731
-    ours, theirs = [], []
-    with one_core():
-        film = list(pairs([Cap(BLUE, path), Cap(GREEN, lambda _t: (-0.1, 0, 0.8))], rig, SECONDS))
-        tracker = TargetTracker(rig, ColourSelection("blue"), TrackingOptions())
-        naive = _FullFrame()
-        for pair in film:
-            begin = perf_counter()
-            status = tracker.step(pair).status
-            took = perf_counter() - begin
-            spent = naive.step(pair)
-            if status == "tracked":
-                ours.append(took)
-                theirs.append(spent)
-    yield from compared("pair to 3D target", ours, theirs, slowest=True)
+    rig, caps = make_rig(), [Cap(BLUE, path), Cap(GREEN, lambda _t: (-0.1, 0, 0.8))]
+    film = list(pairs(caps, rig, SECONDS))
+    rounds = [_track_film(rig, film) for _ in range(ROUNDS)]
+    stereo, both, tracked, again, one = np.min(rounds, axis=0).T
+    for name, spent, most in (
+        ("one picture, tracked", tracked, MOST_TRACKED),
+        ("one picture, found again", again, MOST_FOUND_AGAIN),
+    ):
+        yield compared(name, spent, one, np.median, most)
+    for figure in (np.median, np.mean, np.max):
+        yield compared(f"pair to 3D target, {figure.__name__}", stereo, both, figure)
 
 
-def whole_loop() -> Iterator[str]:
-    """Two pictures of 1280 x 720 to the joints' command, from search to lift, on one core."""
-    right, mode = ExecutePermission("bench"), CellMode(auto=True)
+def compared(
+    name: str,
+    ours: Array,
+    theirs: Array,
+    figure: Callable[[Array], float],
+    most: float | None = None,
+) -> Figure:
+    """Our seconds over full-frame CamShift's."""
+    mine, other = float(figure(ours)), float(figure(theirs))
+    note = f"{1e3 * mine:.2f} ms, full-frame CamShift {1e3 * other:.2f} ms"
+    return Figure(name, mine / other, most=most, note=note)
+
+
+def _track_film(rig: Rig, film: list[StereoPair]) -> list[tuple[float, ...]]:
+    """Track a film: s of each pair in which the target is tracked.
+
+    The pair, by us and by CamShift on both pictures; its left picture alone, where it is predicted,
+    where it is not, and by CamShift.
+    """
+    tracker = TargetTracker(rig, ColourSelection("blue"), TrackingOptions())
+    naive, before, model, rows = _FullFrame(), None, None, []
+    for pair in film:
+        took, now = timed(tracker.step, pair)
+        one, other = naive.search(0, pair.left), naive.search(1, pair.right)
+        if before is not None and model is not None and now.windows[0] is not None:
+            known = now.windows[0], model, before.extent
+            tracked, _ = timed(camshift, pair.left, before.box, *known)
+            again, _ = timed(find_blobs, pair.left, model)
+            rows.append((took, one + other, tracked, again, one))
+        before = now.left
+        if before is not None and model is None:
+            model = model_from_box(pair.left, before.box)
+    return rows
+
+
+def timed(what: Callable[..., Result], *arguments: Any) -> tuple[float, Result]:
+    """Call a function: the seconds of the processor that it takes, and what it returns."""
+    began = thread_time()
+    result = what(*arguments)
+    return thread_time() - began, result
+
+
+def whole_loop() -> Iterator[Line]:
+    """Two pictures of 1280 x 720 to the joints' command, from search to lift.
+
+    The hand's LEDs are not measured: a station does that on a thread of its own.
+    """
+    warm_up()
+    right, mode = ExecutePermission("bench"), CellMode(auto=True, closed=False)
     grab = cell_grab(cell_setup(FULL_SIZE), draw_scene(0), right=right, mode=mode)
     ours: list[float] = []
     theirs: list[float] = []
@@ -95,12 +134,13 @@ def whole_loop() -> Iterator[str]:
 
     def look(cycle: LoopCycle) -> None:
         if cycle.pair is not None:
-            theirs.append(naive.step(cycle.pair))
+            theirs.append(naive.search(0, cycle.pair.left) + naive.search(1, cycle.pair.right))
             ours.append(cycle.took)
 
-    with one_core():
-        state = run(grab.loop, grab.source, ENDS, look).state.value
-    yield from compared("pair to joint command", ours, theirs, slowest=False)
+    state = run(grab.loop, grab.source, ENDS, look).state.value
+    for figure in (np.median, np.mean):
+        name = f"pair to joint command, {figure.__name__}"
+        yield compared(name, np.array(ours), np.array(theirs), figure)
     within = float(np.mean(np.array(ours) < PERIOD))
     yield f"  {within:.1%} of {len(ours)} cycles within a picture's time; it ended {state}"
 
@@ -113,16 +153,15 @@ class _FullFrame:
         self.histogram = np.zeros((30, 8), dtype=np.float32)
         self.histogram[17:22, 3:] = 255.0  # blue
 
-    def step(self, pair: StereoPair) -> float:
-        """Track in both pictures; the seconds it takes."""
-        begin = perf_counter()
-        for side, image in enumerate((pair.left, pair.right)):
-            hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
-            weights = cv2.calcBackProject([hsv], [0, 1], self.histogram, [0, 180, 0, 256], 1.0)
-            weights[hsv[..., 2] < 25] = 0
-            window = self.windows[side] or (0, 0, image.shape[1], image.shape[0])
-            self.windows[side] = tuple(cv2.CamShift(weights, window, STOP)[1])
-        return perf_counter() - begin
+    def search(self, side: int, image: Image) -> float:
+        """Track in one picture, 0 the left one; the seconds of the processor that it takes."""
+        begin = thread_time()
+        hsv = cv2.cvtColor(image, cv2.COLOR_BGR2HSV)
+        weights = cv2.calcBackProject([hsv], [0, 1], self.histogram, [0, 180, 0, 256], 1.0)
+        weights[hsv[..., 2] < 25] = 0
+        window = self.windows[side] or (0, 0, image.shape[1], image.shape[0])
+        self.windows[side] = tuple(cv2.CamShift(weights, window, STOP)[1])
+        return thread_time() - begin
 
 
 @dataclass(frozen=True)

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from verify.core.records import Array
-from verify.grasping.tracking.kalman import KalmanTrack, begin_track
+from verify.grasping.tracking.kalman import KalmanTrack, begin_track, distances
 from verify.grasping.tracking.pairing import StereoObject
 from verify.grasping.tracking.target import TrackingOptions, TrackingStatus
 
@@ -107,11 +107,14 @@ def best_hypothesis(
     Besides what its track says, one that was out of sight for long may have been put anywhere.
     """
     grown = math.log(candidate.area / known.area) / SIGMA_LOG_AREA
-    ways = []
-    for explanation in known.track.explanations(t):
-        squared, volume = explanation.track.distance(candidate.place.point, candidate.spread)
-        cost = squared + volume - 2 * math.log(explanation.prior)
-        ways.append(TrackHypothesis(explanation.track, explanation.abrupt, cost + grown**2))
+    motions = known.track.explanations(t)
+    squared, volume = distances(
+        [motion.track for motion in motions], candidate.place.point, candidate.spread
+    )
+    ways = [
+        TrackHypothesis(motion.track, motion.abrupt, cost - 2 * math.log(motion.prior) + grown**2)
+        for motion, cost in zip(motions, (squared + volume).tolist(), strict=True)
+    ]
     if t > known.t:
         gone = -math.expm1(-(t - known.t) / RELOCATION_TIME)
         cost = -2 * math.log(density) - 2 * math.log(gone)
@@ -178,11 +181,10 @@ class TargetIdentity:
         """The track, predicted, that a candidate continues; None where there is none."""
         known = [k for k in (self.target, self._again, *self._others, *self._tentative) if k]
         tracks = [k.track.at(t) for k in known]
-        place, spread = candidate.place.point, candidate.spread
-        distances = [track.distance(place, spread)[0] for track in tracks]
-        if not distances or min(distances) > MAX_SMOOTH_SQUARED_DISTANCE:
+        if not tracks:
             return None
-        return tracks[distances.index(min(distances))]
+        away = distances(tracks, candidate.place.point, candidate.spread)[0]
+        return tracks[int(away.argmin())] if away.min() <= MAX_SMOOTH_SQUARED_DISTANCE else None
 
     def choose(self, t: float, candidate: StereoObject) -> None:
         """Begin with a target that a person selected."""
@@ -238,8 +240,8 @@ class TargetIdentity:
         again = self._again
         if again is not None:
             there = again.track.at(t)
-            squared, _ = there.distance(candidate.place.point, candidate.spread)
-            near = squared < MAX_SQUARED_DISTANCE
+            away = distances([there], candidate.place.point, candidate.spread)[0]
+            near = away[0] < MAX_SQUARED_DISTANCE
             again = self._updated(again, t, candidate, there) if near else None
         assert self.target is not None
         new = replace(self._new(t, candidate), area=self.target.area, extent=self.target.extent)

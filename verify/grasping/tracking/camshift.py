@@ -13,6 +13,7 @@ Source: Bradski, Intel Technology Journal Q2, 1998; the moments are eqs. 13-16 o
 paper.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -26,11 +27,17 @@ from verify.grasping.tracking.colour import ColourModel, to_hsv
 MIN_WEIGHT = 127  # of 255: a pixel above it belongs to the target rather than not
 STOP_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 1.0)  # iterations, px
 MIN_PIXELS = 12  # pixels; less is noise
+# by a pixel's weight p: what it counts for inside the outline, where a hole is the target's in
+# another colour; and p (255 - p), the variance of a trial
+HOLE_WEIGHT = np.where(np.arange(256) > MIN_WEIGHT, np.arange(256), 255).astype(np.uint8)
+TRIAL_VARIANCE = (np.arange(256) * np.arange(255, -1, -1)).astype(np.uint16)
 CLOSING_KERNEL = np.ones((3, 3), dtype=np.uint8)  # px by which lettering may split a target
 MAX_EXTENT_RATIO = 1.2  # of the expected extent: a larger patch is cut to that size
 MIN_NOISE = 0.02  # px, standard: 8-bit colours and demosaicing leave no less
 COARSE_STEP = 4  # of the coarse search: every fourth pixel of every fourth row
 MIN_COARSE_PIXELS = 3  # coarse pixels
+# similarity of a mixture of colours below which coarse pixels, if so many, are not the target's
+UNLIKE, MIN_COMPARED_PIXELS = 0.3, 100
 MAX_PLACES = 8  # places that are searched closely, largest first
 MAX_RELATIVE_WIDTH = 0.4  # of the picture's width: a wall of that colour is no target
 SEARCH_MARGIN = 1.5  # search region over the coarse box
@@ -104,34 +111,41 @@ def target_mask(weights: Image, window: Box) -> NDArray[np.uint8] | None:
     """
     if min(window[2:]) < 1:
         return None
-    likely = np.asarray(weights > MIN_WEIGHT, dtype=np.uint8)
+    likely = cv2.threshold(weights, MIN_WEIGHT, 255, cv2.THRESH_BINARY)[1]
     closed = cv2.morphologyEx(likely, cv2.MORPH_CLOSE, CLOSING_KERNEL)
-    _, labels, stats, middles = cv2.connectedComponentsWithStats(closed, connectivity=8)
-    piece = _main_component(np.asarray(labels), np.asarray(stats), window)
-    if piece is None:
+    pieces = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    mask = np.zeros_like(weights)
+    main = _main_piece([p for p in pieces if _count_pixels(p) >= MIN_PIXELS], mask, window)
+    if main is None:
         return None
-    bx, by, bw, bh = stats[piece, :4]
-    within = (middles[:, 0] >= bx) & (middles[:, 0] < bx + bw)
-    within &= (middles[:, 1] >= by) & (middles[:, 1] < by + bh)
-    within[0] = False  # the background
-    within[piece] = True
-    held = np.asarray(within[labels], dtype=np.uint8) * np.uint8(255)
-    outlines, _ = cv2.findContours(held, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)
-    return np.asarray(cv2.drawContours(held, outlines, -1, 255, cv2.FILLED), dtype=np.uint8)
+    bx, by, bw, bh = cv2.boundingRect(main)
+    boxes = (cv2.boundingRect(piece) for piece in pieces)
+    middles = ((x + w / 2 - bx, y + h / 2 - by) for x, y, w, h in boxes)
+    held = [p for p, (x, y) in zip(pieces, middles, strict=True) if 0 <= x < bw and 0 <= y < bh]
+    return np.asarray(cv2.drawContours(mask, held, -1, 255, cv2.FILLED), dtype=np.uint8)
 
 
-def _main_component(labels: NDArray[Any], stats: NDArray[Any], window: Box) -> int | None:
-    """The label with most pixels in the middle of a window, or in all of it; None for noise."""
+def _count_pixels(outline: Any) -> float:
+    """Pixels of a piece by its outline (n, 1, 2), px, itself and its holes included."""
+    return cv2.contourArea(outline) + len(outline) / 2 + 1
+
+
+def _main_piece(pieces: list[Any], blank: NDArray[np.uint8], window: Box) -> Any:
+    """The outline of most pixels in the middle of a window, or in all of it; None for none."""
+    if len(pieces) == 1:
+        bx, by, bw, bh = cv2.boundingRect(pieces[0])
+        return pieces[0] if boxes_overlap((bx, by, bw, bh), window) else None
     x, y, width, height = window
-    middle = labels[
-        y + height // 4 : y + height - height // 4, x + width // 4 : x + width - width // 4
-    ]
-    for part in (middle, labels[y : y + height, x : x + width]):
-        counts = np.bincount(part.reshape(-1), minlength=len(stats))
-        counts[stats[:, cv2.CC_STAT_AREA] < MIN_PIXELS] = 0
+    labels = blank.copy()
+    for number, piece in enumerate(pieces[:255], 1):
+        cv2.drawContours(labels, [piece], -1, number, cv2.FILLED)
+    whole = labels[y : y + height, x : x + width]
+    middle = whole[height // 4 : height - height // 4, width // 4 : width - width // 4]
+    for part in (middle, whole):
+        counts = np.bincount(part.reshape(-1), minlength=2)
         counts[0] = 0  # the background
         if counts.any():
-            return int(counts.argmax())
+            return pieces[int(counts.argmax()) - 1]
     return None
 
 
@@ -139,7 +153,7 @@ def _limit_to_extent(
     weights: Image, mask: NDArray[np.uint8], window: Box, expected: Array
 ) -> NDArray[np.uint8]:
     """Keep of a patch what a window of the expected size holds, by mean shift from the middle."""
-    width, height = (int(side) for side in np.ceil(MAX_EXTENT_RATIO * expected))
+    width, height = (math.ceil(MAX_EXTENT_RATIO * side) for side in expected.tolist())
     wx, wy, ww, wh = window
     if ww <= width and wh <= height:
         return mask
@@ -176,47 +190,41 @@ def _measure_blob(
 ) -> Blob:
     bx, by, bw, bh = cv2.boundingRect(mask)
     part = np.s_[by : by + bh, bx : bx + bw]
-    chosen = mask[part] > 0
-    hole = chosen & (weights[part] <= MIN_WEIGHT)  # in the outline: the target's, not its colour
-    belief = np.where(chosen, weights[part] / 255.0, 0.0)
-    filled = np.where(hole, 1.0, belief)
+    colours, inside = hsv[part], mask[part]
+    belief = cv2.bitwise_and(weights[part], inside)
+    filled = np.asarray(
+        cv2.bitwise_and(cv2.LUT(weights[part], HOLE_WEIGHT), inside), dtype=np.uint8
+    )
     moments = cv2.moments(filled)
     total = moments["m00"]
     middle = np.array([moments["m10"], moments["m01"]]) / total
     spread = np.array([[moments["mu20"], moments["mu11"]], [moments["mu11"], moments["mu02"]]])
     height, width = mask.shape
     touched = (bx == 0, by == 0, bx + bw == width, by + bh == height)
-    everything = float(weights.sum()) / 255.0
+    values = np.cumsum(cv2.calcHist([colours], [2], inside, [256], [0, 256]))
     return Blob(
         centre=middle + np.array([corner[0] + bx, corner[1] + by]),
         covariance=_centroid_covariance(filled, middle, total),
         spread=spread / total,
         extent=np.array([bw, bh], dtype=float),
-        area=float(np.count_nonzero(chosen)),
+        area=float(values[-1]),
         reach=reach,
         box=(corner[0] + bx, corner[1] + by, bw, bh),
-        share=float(belief.sum()) / max(everything, 1e-9),
-        similarity=model.similarity(hsv[part], np.asarray(chosen, dtype=np.uint8)),
-        value=_median(hsv[part][..., 2][chosen]),
+        share=cv2.sumElems(belief)[0] / max(cv2.sumElems(weights)[0], 1.0),
+        similarity=model.similarity(colours, inside),
+        value=float(values.searchsorted(values[-1] / 2)),
         cut=any(a and b for a, b in zip(touched, at_edge, strict=True)),
     )
 
 
-def _median(values: Image) -> float:
-    """The median of whole numbers up to 255, by counting: several times as fast as by sorting."""
-    below = np.cumsum(np.bincount(values, minlength=256))
-    return float(np.searchsorted(below, below[-1] / 2))
-
-
-def _centroid_covariance(belief: Array, middle: Array, total: float) -> Array:
+def _centroid_covariance(weights: Image, middle: Array, total: float) -> Array:
     """Covariance of the centroid, (2, 2) px²: each pixel is a trial of variance p (1 - p)."""
-    x = np.arange(belief.shape[1]) - middle[0]
-    y = np.arange(belief.shape[0]) - middle[1]
-    variance = belief * (1.0 - belief) / total**2
-    by_column, by_row = variance.sum(axis=0), variance.sum(axis=1)
-    mixed = float(y @ variance @ x)
-    found = np.array([[float(by_column @ x**2), mixed], [mixed, float(by_row @ y**2)]])
-    return found + np.eye(2) * MIN_NOISE**2
+    trials = cv2.moments(cv2.LUT(weights, TRIAL_VARIANCE))
+    (x, y), m00, m10, m01 = middle.tolist(), trials["m00"], trials["m10"], trials["m01"]
+    xx = (trials["m20"] - 2 * x * m10 + x * x * m00) / total**2 + MIN_NOISE**2
+    yy = (trials["m02"] - 2 * y * m01 + y * y * m00) / total**2 + MIN_NOISE**2
+    xy = (trials["m11"] - x * m01 - y * m10 + x * y * m00) / total**2
+    return np.array([[xx, xy], [xy, yy]])
 
 
 def find_blobs(
@@ -243,17 +251,21 @@ def coarse_boxes(image: Image, model: ColourModel) -> list[Box]:
     """Search coarsely for patches of a colour: boxes in pixels of the picture, largest first."""
     size = (image.shape[1] // COARSE_STEP, image.shape[0] // COARSE_STEP)
     coarse = to_hsv(np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_NEAREST), np.uint8))
-    likely = np.asarray(model.back_project(coarse) > MIN_WEIGHT, dtype=np.uint8)
-    stats = cv2.connectedComponentsWithStats(likely, connectivity=8)[2][1:]  # 0: the background
-    sides = stats[:, [cv2.CC_STAT_WIDTH, cv2.CC_STAT_HEIGHT]]
-    fits = (stats[:, cv2.CC_STAT_AREA] >= MIN_COARSE_PIXELS) & (
-        sides.max(axis=1) <= MAX_RELATIVE_WIDTH * size[0]
+    weights = model.back_project(coarse)
+    likely = np.asarray(
+        cv2.threshold(weights, MIN_WEIGHT, 255, cv2.THRESH_BINARY)[1], dtype=np.uint8
     )
-    patches = sorted(stats[fits].tolist(), key=lambda row: -row[cv2.CC_STAT_AREA])
-    return [
-        (COARSE_STEP * x, COARSE_STEP * y, COARSE_STEP * width, COARSE_STEP * height)
-        for x, y, width, height, _ in patches[:MAX_PLACES]
-    ]
+    pieces = cv2.findContours(likely, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    sized = sorted(((_count_pixels(p), cv2.boundingRect(p)) for p in pieces), reverse=True)
+    found: list[Box] = []
+    for count, (x, y, width, height) in sized:
+        if count < MIN_COARSE_PIXELS or max(width, height) > MAX_RELATIVE_WIDTH * size[0]:
+            continue
+        part = np.s_[y : y + height, x : x + width]
+        if count < MIN_COMPARED_PIXELS or model.similarity(coarse[part], likely[part]) > UNLIKE:
+            box = (COARSE_STEP * x, COARSE_STEP * y, COARSE_STEP * width, COARSE_STEP * height)
+            found.append(box)
+    return found[:MAX_PLACES]
 
 
 def boxes_overlap(one: Box, other: Box) -> bool:

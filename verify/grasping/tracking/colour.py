@@ -42,7 +42,7 @@ class ColourModel:
     """How well each colour fits the target, and what the target's own mixture of colours is."""
 
     weight: NDArray[np.float32]  # (180, 256), 0 to 255, by hue and saturation: back projection
-    mixture: Array | None = None  # (30, 8), sums to 1: the target as seen; None: only its name
+    mixture: NDArray[np.float32] | None = None  # (30, 8), of the target; None: only its name
     values: tuple[float, float] = (MIN_VALUE, 255.0)  # DN, gate of the value, in the light of then
     value: float = 128.0  # DN, median of the target's value, in the light of then
     light: float = 1.0  # of now, over that of then: the gate goes with it
@@ -52,7 +52,7 @@ class ColourModel:
         ranges = [0, N_HUES, 0, N_SATURATIONS]
         weights = cv2.calcBackProject([hsv], [0, 1], self.weight, ranges, 1.0)
         low = max(self.values[0] * self.light, MIN_VALUE)
-        gate = cv2.inRange(hsv[..., 2], low, max(self.values[1] * self.light, low))
+        gate = cv2.inRange(cv2.extractChannel(hsv, 2), low, max(self.values[1] * self.light, low))
         return np.asarray(cv2.bitwise_and(weights, gate), dtype=np.uint8)
 
     def in_light(self, value: float) -> "ColourModel":
@@ -67,7 +67,8 @@ class ColourModel:
         """
         if self.mixture is None:
             return 1.0
-        return float(np.sum(np.sqrt(self.mixture * colour_histogram(hsv, mask))))
+        found = colour_histogram(hsv, mask)
+        return 1.0 - cv2.compareHist(self.mixture, found, cv2.HISTCMP_BHATTACHARYYA) ** 2
 
 
 def to_hsv(bgr: Image) -> Image:
@@ -97,12 +98,10 @@ def named_colour(name: str) -> ColourModel:
     return ColourModel(weight)
 
 
-def colour_histogram(hsv: Image, mask: Mask) -> Array:
-    """Count a region's colours in coarse bins: (30, 8), summing to 1; all 0 for no pixel."""
-    counts = cv2.calcHist(
-        [hsv], [0, 1], mask, [N_HUE_BINS, N_SATURATION_BINS], [0, N_HUES, 0, N_SATURATIONS]
-    )
-    return counts.astype(float) / max(float(counts.sum()), 1.0)
+def colour_histogram(hsv: Image, mask: Mask) -> NDArray[np.float32]:
+    """Count a region's colours in coarse bins, (30, 8)."""
+    bins, ranges = [N_HUE_BINS, N_SATURATION_BINS], [0, N_HUES, 0, N_SATURATIONS]
+    return np.asarray(cv2.calcHist([hsv], [0, 1], mask, bins, ranges), dtype=np.float32)
 
 
 SMOOTHING_SIGMA = (2.0, 14.0)  # hue steps, DN of saturation: noise, shading and interpolated chroma
@@ -137,9 +136,9 @@ def learn_colour(hsv: Image, inside: Mask, outside: Mask) -> ColourModel:
     fine = replace(fine, values=(low, high))
     own = (fine.back_project(hsv) > MIN_WEIGHT) & target
     middle = float(np.median(value[own])) if own.any() else fine.value
-    return replace(
-        fine, mixture=colour_histogram(hsv, np.asarray(own, dtype=np.uint8)), value=middle
-    )
+    mixture = colour_histogram(hsv, np.asarray(own, dtype=np.uint8))
+    mixture /= max(float(mixture.sum()), 1.0)
+    return replace(fine, mixture=mixture, value=middle)
 
 
 def _weight_colours(hsv: Image, target: BoolMask, ground: BoolMask, share: float) -> ColourModel:
@@ -177,7 +176,8 @@ def blend(old: ColourModel, new: ColourModel, share: float) -> ColourModel:
     if old.mixture is None or new.mixture is None:
         return old
     weight = ((1 - share) * old.weight + share * new.weight).astype(np.float32)
-    return replace(old, weight=weight, mixture=(1 - share) * old.mixture + share * new.mixture)
+    mixture = ((1 - share) * old.mixture + share * new.mixture).astype(np.float32)
+    return replace(old, weight=weight, mixture=mixture)
 
 
 def _count(hsv: Image, where: BoolMask) -> Array:

@@ -9,6 +9,7 @@ size stays bounded.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,8 +79,7 @@ class KalmanTrack:
         steady = self._stepped(t, [[1.0, dt], [0.0, 1.0]], noise)
         free = self.at(t)
         push = (ABRUPT_SPEED_RATIO * self.fastest) ** 2
-        d = len(self.mean) // 2
-        pushed = np.kron([[push * dt**2, push * dt], [push * dt, push]], np.eye(d))
+        pushed = _each_coordinate([[push * dt**2, push * dt], [push * dt, push]], len(self.mean))
         abrupt = replace(free, covariance=free.covariance + pushed)
         return [
             MotionHypothesis(steady, P_STEADY),
@@ -103,22 +103,11 @@ class KalmanTrack:
         square = self.speed**2 + share * (float(np.mean(self.velocity**2)) - self.speed**2)
         return replace(self, speed=max(math.sqrt(square), MIN_SPEED_RATIO * self.fastest))
 
-    def distance(self, position: Array, covariance: Array) -> tuple[float, float]:
-        """Squared Mahalanobis distance of a measured position from the predicted one.
-
-        With it ln det(2 pi S) of the innovation's covariance.
-        """
-        spread = self.position_covariance + covariance
-        off = position - self.position
-        squared = float(off @ np.linalg.solve(spread, off))
-        return squared, float(np.linalg.slogdet(2 * np.pi * spread)[1])
-
     def _stepped(
         self, t: float, step: list[list[float]], noise: list[list[float]]
     ) -> "KalmanTrack":
-        each = np.eye(len(self.mean) // 2)
-        carry = np.kron(step, each)
-        covariance = carry @ self.covariance @ carry.T + np.kron(noise, each)
+        carry = _each_coordinate(step, len(self.mean))
+        covariance = carry @ self.covariance @ carry.T + _each_coordinate(noise, len(self.mean))
         return replace(self, t=max(t, self.t), mean=carry @ self.mean, covariance=covariance)
 
 
@@ -129,6 +118,26 @@ class MotionHypothesis:
     track: KalmanTrack
     prior: float  # probability beforehand
     abrupt: bool = False
+
+
+def distances(
+    tracks: Sequence[KalmanTrack], position: Array, covariance: Array
+) -> tuple[Array, Array]:
+    """Squared Mahalanobis distances (n,) of a measured position (d,) from the predicted ones.
+
+    With them ln det(2 pi S) of the innovations' covariances, (n,).
+    """
+    spread = np.array([track.position_covariance for track in tracks]) + covariance
+    off = position - np.array([track.position for track in tracks])
+    squared = (off * np.linalg.solve(spread, off[..., None])[..., 0]).sum(axis=1)
+    return squared, np.linalg.slogdet(2 * np.pi * spread)[1]
+
+
+def _each_coordinate(matrix: list[list[float]], size: int) -> Array:
+    """Apply a (2, 2) of position and velocity to each coordinate by itself: (size, size)."""
+    whole, each = np.zeros((2, size // 2, 2, size // 2)), np.arange(size // 2)
+    whole[:, each, :, each] = matrix
+    return whole.reshape(size, size)
 
 
 def begin_track(t: float, position: Array, covariance: Array, speed: float) -> KalmanTrack:

@@ -6,13 +6,13 @@ its extent, which does not average out.
 
 from dataclasses import dataclass
 
+import cv2
 import numpy as np
 
 from verify.core.records import Array, StereoPair
-from verify.core.rig import Camera, Rig, distortion_jacobian
+from verify.core.rig import Camera, Rig, distort_with_jacobian
 from verify.measurement.sensitivities import camera_derivatives
 from verify.measurement.systematics import CAMERA_KEYS, unit
-from verify.measurement.triangulation import ray_midpoints
 
 # of a patch's extent, standard: by as much its centroid misses the object's middle, differently in
 # either picture: reflections, shading, the side a camera sees. It does not average out.
@@ -20,6 +20,8 @@ U_COLOUR_CENTRE = 0.005
 # px by which a patch reaches beyond its object: pixels that show a quarter of it count
 RIM_WIDTH = 1.0
 U_EXTENT = 1.0  # px, standard, of an extent: whole pixels, and a rim that depends on what is behind
+UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-12)
+MIN_SIN2 = 1e-12  # squared sine of the angle between rays: below, they are parallel
 N_ITERATIONS = 2  # of Gauss-Newton: from the midpoint of the rays the first leaves a millionth
 
 
@@ -37,14 +39,15 @@ class PannedCamera:
 
     def slope(self, inside: Array) -> Array:
         """Derivative of x/z, y/z by a point of the rig, (2, 3), at a point (3,) in the camera."""
-        x, y, z = inside
-        flat = np.array([[1.0, 0.0, -x / z], [0.0, 1.0, -y / z]]) / z
+        x, y, z = inside.tolist()
+        flat = np.array([[1 / z, 0.0, -x / z**2], [0.0, 1 / z, -y / z**2]])
         found: Array = flat @ self.rig_T_camera[:3, :3].T
         return found
 
-    def lens(self, xy: Array) -> Array:
-        """Derivative of the pixel by x/z and y/z, (2, 2) px."""
-        return self.camera.matrix[:2, :2] @ distortion_jacobian(xy, self.camera.distortion)
+    def picture(self, xy: Array) -> tuple[Array, Array]:
+        """Pixel (2,) of x/z and y/z, and its derivative by them, (2, 2) px."""
+        distorted, slope = distort_with_jacobian(xy, self.camera.distortion.tolist())
+        return self.camera.to_pixels(distorted), self.camera.matrix[:2, :2] @ slope
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,8 +86,9 @@ def line_of_sight(
     camera: PannedCamera, pixel: Array, covariance: Array, extent: Array
 ) -> LineOfSight:
     """Make a line of sight of a pixel (2,), its covariance (2, 2) px² and the patch's extent."""
-    xy = camera.camera.normalise(pixel)
-    lens = camera.lens(xy)
+    optics = camera.camera.matrix, camera.camera.distortion
+    xy = cv2.undistortPoints(pixel[None], *optics, criteria=UNDISTORT_CRITERIA)[0, 0]
+    lens = camera.picture(xy)[1]
     back = np.linalg.inv(lens)
     return LineOfSight(camera, xy, back @ covariance @ back.T, lens, extent)
 
@@ -97,9 +101,9 @@ def project(camera: PannedCamera, point: Array) -> tuple[Array, Array, LineOfSig
     """
     inside = camera.inside(point)
     xy = inside[:2] / inside[2]
-    lens = camera.lens(xy)
+    pixel, lens = camera.picture(xy)
     exact = LineOfSight(camera, xy, np.zeros((2, 2)), lens, np.zeros(2))
-    return camera.camera.project(inside), lens @ camera.slope(inside), exact
+    return pixel, lens @ camera.slope(inside), exact
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,8 +119,17 @@ class StereoPoint:
 
 def ray_midpoint(left: LineOfSight, right: LineOfSight) -> Array:
     """The point midway between two lines of sight, (3,) m; nan where they do not meet."""
-    centres = [sight.placed.rig_T_camera[:3, 3] for sight in (left, right)]
-    return ray_midpoints(centres[0], left.ray, centres[1], right.ray)[0]
+    a, b = left.placed.rig_T_camera[:3, 3], right.placed.rig_T_camera[:3, 3]
+    u, w, apart = left.ray, right.ray, b - a
+    uu, uw, ww, along_u, along_w = u @ u, u @ w, w @ w, apart @ u, apart @ w
+    square = uu * ww - uw * uw
+    if square > MIN_SIN2 * uu * ww:
+        s = (along_u * ww - along_w * uw) / square
+        t = (along_u * uw - along_w * uu) / square
+        if s > 0 and t > 0:
+            midpoint: Array = (a + s * u + b + t * w) / 2
+            return midpoint
+    return np.full(3, np.nan)
 
 
 def locate(left: LineOfSight, right: LineOfSight, rig: Rig, start: Array) -> StereoPoint | None:

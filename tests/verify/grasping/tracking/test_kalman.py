@@ -4,7 +4,12 @@ import numpy as np
 import pytest
 
 from verify.core.records import Array
-from verify.grasping.tracking.kalman import VELOCITY_TIME_CONSTANT, KalmanTrack, begin_track
+from verify.grasping.tracking.kalman import (
+    VELOCITY_TIME_CONSTANT,
+    KalmanTrack,
+    begin_track,
+    distances,
+)
 
 SIGMA = 0.003  # m
 NOISE = np.eye(3) * SIGMA**2
@@ -89,6 +94,7 @@ def test_a_target_at_rest_gets_a_small_process_noise() -> None:
 
 def test_a_push_explains_what_neither_rest_nor_its_usual_motion_does() -> None:
     ways, far = rested(60).explanations(2.0), np.array([0.03, 0, 0])
-    costs = [sum(way.track.distance(far, NOISE)) - 2 * np.log(way.prior) for way in ways]
+    likely = np.sum(distances([way.track for way in ways], far, NOISE), axis=0)
+    costs = likely - 2 * np.log([way.prior for way in ways])
     assert [way.abrupt for way in ways] == [False, False, True]
     assert costs[2] < min(costs[:2])
