@@ -1,4 +1,4 @@
-"""MCAP files without ROS 2, written by the package mcap: Foxglove's schemas, and ROS 1."""
+"""MCAP files of no ROS 2 profile, written by the package mcap: Foxglove's schemas, and ROS."""
 
 import base64
 import json
@@ -126,18 +126,21 @@ def write_mcap(
 
     `change` changes the fields of every message of Foxglove's schemas.
     """
-    contents = bag_of("ros1" if encoding == "ros1" else "mcap", recording, pictures)
+    ros1, of_ros = encoding == "ros1", encoding in ("ros1", "cdr")
+    contents = bag_of("ros1" if ros1 else "mcap", recording, pictures)
     classes = protobuf_classes()
     store = contents.messages.store
+    serialize = store.serialize_ros1 if ros1 else store.serialize_cdr
     with path.open("wb") as file:
         writer = Writer(file)
-        writer.start(profile="ros1" if encoding == "ros1" else "")
+        writer.start(profile="ros1" if ros1 else "")
         for topic, (kind, rows) in contents.topics.items():
             name = kind.rsplit("/", 1)[1]
-            if encoding == "ros1":
-                definition = store.generate_msgdef(kind, ros_version=1)[0]
-                ros_name = kind.replace("/msg/", "/")
-                schema = writer.register_schema(ros_name, "ros1msg", definition.encode())
+            if of_ros:
+                definition = store.generate_msgdef(kind, ros_version=1 if ros1 else 2)[0]
+                ros_name = kind.replace("/msg/", "/") if ros1 else kind
+                form = "ros1msg" if ros1 else "ros2msg"
+                schema = writer.register_schema(ros_name, form, definition.encode())
             elif encoding == "json":
                 schema = writer.register_schema(f"foxglove.{TYPES[name]}", "jsonschema", b"{}")
             else:
@@ -146,15 +149,14 @@ def write_mcap(
             channel = writer.register_channel(topic, encoding, schema)
             for t, message in rows:
                 time = START * 10**9 + round(t * 1e9)
-                fields = {} if encoding == "ros1" else fields_of(message)
+                fields = {} if of_ros else fields_of(message)
                 change(fields)
-                if encoding == "ros1":
-                    data = bytes(store.serialize_ros1(message, message.__msgtype__))
+                if of_ros:
+                    data = bytes(serialize(message, message.__msgtype__))
                 elif encoding == "json":
                     data = json.dumps(to_json(fields)).encode()
                 else:
-                    made = classes[TYPES[name]](**to_protobuf(fields))
-                    data = made.SerializeToString()
+                    data = classes[TYPES[name]](**to_protobuf(fields)).SerializeToString()
                 writer.add_message(channel, time, data, time)
         writer.finish()
     return path

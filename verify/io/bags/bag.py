@@ -162,6 +162,8 @@ def unreadable(path: Path, error: Exception) -> Exception:
     if lacks_memory(error) or isinstance(error, InputError):
         return error
     reason = " ".join(str(error).split())[:MAX_REASON].rstrip(".") or type(error).__name__
+    if reason == "Profile is not ros2":  # of a file without the summary that tells what it holds
+        reason = "cut off, or neither ROS nor JSON or protobuf"
     found = f"cannot be read as a bag ({reason})"
     return InputError(path, found, "a whole ROS bag or MCAP file is expected", _repair(path))
 

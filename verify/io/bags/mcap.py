@@ -1,4 +1,4 @@
-"""MCAP files that hold no ROS 2: Foxglove's schemas as JSON or protobuf, and ROS 1.
+"""MCAP files that are not of ROS 2's profile: Foxglove's schemas as JSON or protobuf, and ROS.
 
 Foxglove's messages become those of ROS that say the same:
 
@@ -14,7 +14,7 @@ import json
 from collections.abc import Callable, Generator, Iterable
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cache, partial
 from importlib import util
 from pathlib import Path
 from typing import Any
@@ -26,7 +26,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from verify.errors import InputError
 
-ENCODINGS = ("json", "protobuf", "ros1")
+ENCODINGS = ("json", "protobuf", "ros1", "cdr")
 FOXGLOVE = "foxglove."  # before the names of its schemas
 Undecoded = Callable[[], Any]
 _TYPES = get_typestore(Stores.ROS2_HUMBLE).types
@@ -43,14 +43,15 @@ class McapConnection:
 
 
 def has_own_encoding(path: Path) -> bool:
-    """Whether a whole MCAP file holds nothing of ROS 2, and something that `McapReader` reads."""
+    """Whether an MCAP file is whole, not of ROS 2's profile, and holds what `McapReader` reads."""
     with path.open("rb") as file:
         try:
-            summary = make_reader(file).get_summary()
+            reader = make_reader(file)
+            profile, summary = reader.get_header().profile, reader.get_summary()
         except Exception:  # damaged bytes raise whatever the parser runs into: rosbags words it
             return False
     found = {channel.message_encoding for channel in summary.channels.values()} if summary else ()
-    return "cdr" not in found and any(encoding in found for encoding in ENCODINGS)
+    return profile != "ros2" and any(encoding in found for encoding in ENCODINGS)
 
 
 class McapReader:
@@ -113,12 +114,9 @@ def _decoder(
 ) -> tuple[Callable[[bytes], Any], str]:
     """What makes a message of ROS of bytes, and its kind; other schemas keep their name."""
     name = "" if schema is None else schema.name
-    if encoding == "ros1" and schema is not None:
+    if schema is not None and schema.encoding in ("ros1msg", "ros2msg"):
         kind = name.replace("/", "/msg/", 1) if "/msg/" not in name else name
-        store = get_typestore(Stores.ROS1_NOETIC)
-        if kind not in store.types:
-            store.register(get_types_from_msg(schema.data.decode(), kind))
-        return lambda raw: store.deserialize_ros1(raw, kind), kind
+        return partial(_decode_ros, kind, schema.data, encoding == "ros1"), kind
     kind, convert = _SCHEMAS.get(name.removeprefix(FOXGLOVE), (name, _unknown))
     if encoding == "json":
         return lambda raw: convert(json.loads(raw)), kind
@@ -128,10 +126,24 @@ def _decoder(
             raise InputError(path, found, "the package mcap-protobuf-support reads them", remedy)
         from mcap_protobuf.decoder import DecoderFactory
 
-        decode = DecoderFactory().decoder_for(encoding, schema)
-        if decode is not None:
-            return lambda raw: convert(decode(raw)), kind
+        parse = DecoderFactory().decoder_for(encoding, schema)
+        if parse is not None:
+            return lambda raw: convert(parse(raw)), kind
     return _unknown, name
+
+
+@cache
+def _ros_types(kind: str, definition: bytes, ros1: bool) -> Any:
+    """Types of ROS, with that of a kind, which may be a user's own."""
+    store = get_typestore(Stores.ROS1_NOETIC if ros1 else Stores.ROS2_HUMBLE)
+    if kind not in store.types:
+        store.register(get_types_from_msg(definition.decode(), kind))
+    return store
+
+
+def _decode_ros(kind: str, definition: bytes, ros1: bool, raw: bytes) -> Any:
+    store = _ros_types(kind, definition, ros1)
+    return store.deserialize_ros1(raw, kind) if ros1 else store.deserialize_cdr(raw, kind)
 
 
 def _unknown(_message: Any) -> Any:

@@ -1,4 +1,4 @@
-"""MCAP files without ROS 2: Foxglove's schemas as JSON and protobuf, and ROS 1."""
+"""MCAP files of no ROS 2 profile: Foxglove's schemas as JSON and protobuf, and ROS."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -29,7 +29,7 @@ def session(tmp_path_factory: pytest.TempPathFactory) -> Recording:
     return open_session(write_session(tmp_path_factory.mktemp("mcap") / "session"))
 
 
-@pytest.mark.parametrize("encoding", ["json", "protobuf", "ros1"])
+@pytest.mark.parametrize("encoding", ["json", "protobuf", "ros1", "cdr"])
 def test_pictures_times_readings_and_cameras_survive(
     encoding: str, session: Recording, tmp_path: Path
 ) -> None:
@@ -60,6 +60,7 @@ def test_a_file_that_was_cut_off_is_refused(session: Recording, tmp_path: Path) 
     bag = write_mcap(tmp_path / "a.mcap", session, "json")
     bag.write_bytes(bag.read_bytes()[:-200])
     said = convert(bag, tmp_path / "out").refusal
+    assert "(cut off, or neither ROS nor JSON or protobuf)" in said
     assert "`mcap recover`" in said
     assert not (tmp_path / "out").exists()
 
