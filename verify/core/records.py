@@ -4,7 +4,9 @@ Metres, radians and seconds throughout; image coordinates in pixels, (x, y), pix
 whole numbers. `a_T_b` carries coordinates in b to coordinates in a.
 """
 
-from dataclasses import dataclass, fields, replace
+import math
+from dataclasses import dataclass, fields
+from functools import cache
 from typing import Any, TypeVar
 
 import numpy as np
@@ -17,11 +19,14 @@ Record = TypeVar("Record")
 
 def take_rows(record: Record, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Record:
     """Take some rows of each array of a dataclass, by index or mask; other fields stay."""
-    dataclass_record: Any = record
-    values = {f.name: getattr(record, f.name) for f in fields(dataclass_record)}
-    arrays = {name: value[rows] for name, value in values.items() if isinstance(value, np.ndarray)}
-    taken: Record = replace(dataclass_record, **arrays)
-    return taken
+    kind = type(record)
+    values = (getattr(record, name) for name in _field_names(kind))
+    return kind(*(value[rows] if isinstance(value, np.ndarray) else value for value in values))
+
+
+@cache
+def _field_names(kind: Any) -> tuple[str, ...]:
+    return tuple(f.name for f in fields(kind))
 
 
 @dataclass(frozen=True, slots=True)
@@ -123,7 +128,7 @@ class Pose:
     def reprojection_rms_px(self) -> float:
         """Root mean square distance of the used spots from those that the pose predicts."""
         used = self.residual[~self.rejected]
-        return float(np.sqrt(np.mean(np.sum(used**2, axis=1)))) if len(used) else float("nan")
+        return math.sqrt(float(np.vdot(used, used)) / len(used)) if len(used) else math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@ Taken from scipy.special: importing scipy.stats takes a third of a second, in ev
 """
 
 from collections.abc import Callable
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -33,6 +34,12 @@ def correlation(covariance: Array) -> Array:
 def chi2_isf(share: ArrayLike, degrees: ArrayLike) -> Array:
     """Value that a chi² variable exceeds with a given probability."""
     return _chdtri(degrees, share)
+
+
+@lru_cache(maxsize=1024)
+def chi2_bound(share: float, degrees: int) -> float:
+    """`chi2_isf` of one value, kept: a measured pair needs the same few."""
+    return float(chi2_isf(share, degrees))
 
 
 def chi2_sf(value: ArrayLike, degrees: ArrayLike) -> Array:

@@ -262,7 +262,7 @@ def _raw_sighting(
         velocity=np.zeros((len(index), 2)),
         lever=np.zeros((len(index), 3)),
     )
-    depth = np.full(len(index), np.nan)
+    depth = np.empty(0)
     if correspondence.rig_T_flange is not None and len(index):
         ahead = camera.camera_T_rig(pan)[2] @ correspondence.rig_T_flange  # the optical axis
         depth = setup.marker.leds[sighting.led] @ ahead[:3] + ahead[3]

@@ -22,14 +22,13 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Pose, Sighting
 from verify.core.rig import Camera, Rig
-from verify.core.statistics import chi2_isf
+from verify.core.statistics import chi2_bound
 from verify.measurement.kernels import pose as kernel
 from verify.measurement.kernels.pose import MOTION_RATE, SCALE
 
@@ -118,7 +117,8 @@ def fit_pose(
     """
     views = stack_sightings(left, right, rig, marker.leds)
     keep = np.ones(len(views.centre), dtype=np.bool_)
-    tolerance = np.diag(np.repeat(_excess_variance(views, marker), 2))
+    sigmas = marker.centre_shift_standard_uncertainty or 0, marker.led_standard_uncertainty or 0
+    tolerance = _tolerance(rig.left, rig.right, (len(left), len(right)), sigmas)
     while True:
         fit = _gauss_newton(views, keep, start)
         worst, size = _worst_spot(fit, tolerance)
@@ -128,7 +128,8 @@ def fit_pose(
             tolerance, parameter_columns = tolerance + columns @ columns.T, None
             worst, size = _worst_spot(fit, tolerance)
             sound = size < MAX_SPOT_CHI2 and _plausible(fit, tolerance)
-        last = keep.sum() <= MIN_SPOTS or (~keep).sum() >= len(keep) // 3
+        kept = int(np.count_nonzero(keep))
+        last = kept <= MIN_SPOTS or len(keep) - kept >= len(keep) // 3
         if last or size < MAX_SPOT_CHI2:
             return _pose(fit, keep, sound)
         keep[worst] = False
@@ -183,9 +184,8 @@ def _gauss_newton(views: SightingStack, keep: NDArray[np.bool_], start: Array) -
 
 def perturb(pose: Array, step: Array) -> Array:
     """Move a pose by a translation and a small rotation vector, both in the outer frame's axes."""
-    moved = pose.copy()
-    moved[:3, :3] = cv2.Rodrigues(step[3:])[0] @ pose[:3, :3]
-    moved[:3, 3] += step[:3]
+    moved = np.array(pose, dtype=float, order="C")
+    kernel.move_pose(moved, np.ascontiguousarray(step, dtype=float))
     return moved
 
 
@@ -198,12 +198,18 @@ def _determined_functionals(fit: _PoseFit) -> Array:
     return np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
 
 
-def _excess_variance(views: SightingStack, marker: Marker) -> Array:
-    """Variance a spot may show beside its noise before it counts as an outlier, (s,), px²."""
-    shift = marker.centre_shift_standard_uncertainty or 0.0
-    led = marker.led_standard_uncertainty or 0.0
+@lru_cache(maxsize=16)
+def _tolerance(
+    left: Camera, right: Camera, counts: tuple[int, int], sigmas: tuple[float, float]
+) -> Array:
+    """Covariance spots may show beside noise before one counts as an outlier, (2 s, 2 s), px².
+
+    `sigmas`, m, of an apparent LED centre and of an LED's place.
+    """
+    focal = np.repeat([left.matrix[0, 0], right.matrix[0, 0]], counts)
     # half a metre: nearer than LEDs are watched, so the bound is generous
-    return MODEL_ERROR_PX**2 + np.square(views.focal[:, 0, 0] / 0.5) * (shift**2 + led**2)
+    variance = MODEL_ERROR_PX**2 + np.square(focal / 0.5) * (sigmas[0] ** 2 + sigmas[1] ** 2)
+    return np.diag(np.repeat(variance, 2))
 
 
 def _worst_spot(fit: _PoseFit, tolerance: Array) -> tuple[int, float]:
@@ -214,11 +220,11 @@ def _worst_spot(fit: _PoseFit, tolerance: Array) -> tuple[int, float]:
 def _plausible(fit: _PoseFit, tolerance: Array) -> bool:
     """Whether the kept spots' residuals as a whole are what noise, motion and tolerance reach."""
     rows = fit.rows
-    known = int(np.sum(fit.directions[1]))
+    known = int(np.count_nonzero(fit.directions[1]))
     if len(rows) <= known:
         return True
     (noise, acceleration, weight), off = fit.spread, fit.predicted[0].reshape(-1)
-    bound = float(chi2_isf(P_CONTRADICTION, len(rows) - known))
+    bound = chi2_bound(P_CONTRADICTION, len(rows) - known)
     if off @ weight @ off < bound:
         return True
     spread = (noise + acceleration + tolerance)[np.ix_(rows, rows)]
@@ -228,7 +234,7 @@ def _plausible(fit: _PoseFit, tolerance: Array) -> bool:
 def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool) -> Pose:
     residual, by_point, _ = fit.predicted
     noise, acceleration, weight = fit.spread
-    variance = (noise.diagonal() + acceleration.diagonal()).reshape(-1, 2)
+    variance = noise.diagonal() + acceleration.diagonal()
     off, determined = residual.reshape(-1), _determined_functionals(fit)
     return Pose(
         rig_T_flange=fit.rig_T_flange,
@@ -241,7 +247,7 @@ def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool) -> Pose:
         sensitivity=by_point,
         curvature=fit.curvature,
         residual=residual,
-        spot_uncertainty=np.sqrt(variance.sum(axis=1) / 2),
+        spot_uncertainty=np.sqrt((variance[::2] + variance[1::2]) / 2),
         rejected=~keep,
         consistent=consistent,
         chi2=float(off @ weight @ off),

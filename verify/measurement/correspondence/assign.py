@@ -43,9 +43,9 @@ from verify.measurement.correspondence.refinement import (
     departure,
     follow_prediction,
     is_single_led,
+    merge,
     refine,
     score,
-    unique,
 )
 from verify.measurement.correspondence.views import SpotViews, prepare_views
 
@@ -143,15 +143,7 @@ def assign_leds(
     found = _find(views, prediction, expected)
     if len(found) == 0:
         return _no_result("too_few_leds")
-    evidence = score(views, found)
-    informed = evidence.copy()
-    if prediction is not None:
-        off = _departures(views, found, prediction)
-        informed += np.minimum(off**2, JUMP_COST)
-    best = int(np.argmin(informed))
-    rivals = conflicts(found, best) & (evidence < evidence[best] + MIN_ADVANTAGE)
-    alternatives = int(rivals.sum())
-    rivals &= informed < informed[best] + MIN_ADVANTAGE
+    best, alternatives, rivals = _rank(views, found, prediction)
     if alternatives == 0 and is_single_led(found)[best]:
         choice = "continuity"
     elif alternatives == 0:
@@ -179,13 +171,29 @@ def _find(
         near = _departures(views, found, prediction) <= MAX_REFERENCE_DEPARTURE
         there = found if near.all() else found.take(near)
         tracked = follow_prediction(views, there, prediction.rig_T_flange, *prediction.sigmas)
-        found = unique(found.join(tracked))
+        found = merge(found, tracked)
     stray = is_single_led(found)
     if not stray.any():
         return found
     if prediction is not None:
         stray &= _departures(views, found, prediction) > MAX_REFERENCE_DEPARTURE
     return found.take(~stray)
+
+
+def _rank(
+    views: SpotViews, found: Hypotheses, prediction: PosePrediction | None
+) -> tuple[int, int, NDArray[np.bool_]]:
+    """Find the best hypothesis, how many rivals it has, and which ones are also near (h,)."""
+    if len(found) == 1:
+        return 0, 0, np.zeros(1, dtype=np.bool_)
+    evidence = score(views, found)
+    informed = evidence.copy()
+    if prediction is not None:
+        off = _departures(views, found, prediction)
+        informed += np.minimum(off**2, JUMP_COST)
+    best = int(np.argmin(informed))
+    rivals = conflicts(found, best) & (evidence < evidence[best] + MIN_ADVANTAGE)
+    return best, int(rivals.sum()), rivals & (informed < informed[best] + MIN_ADVANTAGE)
 
 
 def _departures(views: SpotViews, found: Hypotheses, prediction: PosePrediction) -> Array:
@@ -207,6 +215,8 @@ def _nearest(views: SpotViews, found: Hypotheses, expected_poses: Sequence[Array
 
 def _needs_colour(views: SpotViews, found: Hypotheses, best: int) -> bool:
     """Say whether the same search, colour-blind, would have left a rival to the one found."""
+    if views.allowed.all():
+        return False
     everything = np.repeat(np.isfinite(views.pixels[:, None, :, 0]), len(views.leds), axis=1)
     if np.array_equal(views.allowed, everything):
         return False

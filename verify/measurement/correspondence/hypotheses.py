@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array, take_rows
+from verify.core.records import Array
 from verify.measurement.correspondence.kernels import fit, seeds
 from verify.measurement.correspondence.kernels import points as kernels_points
 from verify.measurement.correspondence.kernels.fit import HypothesisArrays
@@ -64,11 +64,11 @@ def build_graph(views: SpotViews, points: TriangulatedPoints) -> SeedGraph:
 
 def find_edges(graph: SeedGraph) -> Index:
     """List pairs of nodes that agree, (e, 2), best first."""
-    agreeing = np.flatnonzero(graph.deviation <= MAX_DEVIATION)
-    one, other = np.divmod(agreeing, len(graph.deviation))
+    one, other = (graph.deviation <= MAX_DEVIATION).nonzero()
     once = one < other
-    best = np.argsort(graph.deviation.ravel()[agreeing[once]], kind="stable")[:MAX_EDGES]
-    return np.column_stack([one[once][best], other[once][best]])
+    one, other = one[once], other[once]
+    best = graph.deviation[one, other].argsort(kind="stable")[:MAX_EDGES]
+    return np.ascontiguousarray(np.array([one[best], other[best]]).T)
 
 
 def find_triangles(graph: SeedGraph, leds: Array) -> Index:
@@ -77,7 +77,6 @@ def find_triangles(graph: SeedGraph, leds: Array) -> Index:
 
 
 FREE_SIGMA = np.repeat([10.0, 3.0], 3)  # m, rad: so large that the images alone decide the pose
-POSE_SLICE, SHIFT_SLICE = np.arange(6), np.arange(6, 8)  # of a covariance
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +105,7 @@ class Hypotheses:
 
     def take(self, chosen: NDArray[np.bool_] | Index | slice) -> "Hypotheses":
         """Keep some, by index, mask or slice."""
-        return take_rows(self, chosen)
+        return Hypotheses(*(array[chosen] for array in self.arrays))
 
     def join(self, other: "Hypotheses") -> "Hypotheses":
         """Append others."""
@@ -114,13 +113,15 @@ class Hypotheses:
         return Hypotheses(*(np.concatenate(pair) for pair in pairs))
 
 
-def start_hypotheses(views: SpotViews, rotation: Array, position: Array, spot: Index) -> Hypotheses:
-    """Begin hypotheses (h of them) at coarse poses, nothing held."""
+def start_hypotheses(
+    views: SpotViews, rotation: Array, position: Array, spot: Index, sigma: Array = FREE_SIGMA
+) -> Hypotheses:
+    """Begin hypotheses (h of them) at coarse poses, held by `sigma` (6,), m and rad."""
     count = len(position)
     hold, covariance = np.empty((count, 6)), np.zeros((count, fit.N_FREE, fit.N_FREE))
-    hold[:] = FREE_SIGMA**-2
-    covariance[:, POSE_SLICE, POSE_SLICE] = FREE_SIGMA**2
-    covariance[:, SHIFT_SLICE, SHIFT_SLICE] = views.skew**2
+    hold[:] = sigma**-2
+    diagonals = covariance.reshape(count, fit.N_FREE**2)[:, :: fit.N_FREE + 1]
+    diagonals[:, :6], diagonals[:, 6:] = sigma**2, views.skew**2
     chi2 = np.full(count, np.inf)
     return Hypotheses(rotation, position, np.zeros((count, 2)), spot, hold, covariance, chi2)
 
@@ -137,7 +138,8 @@ def seed_hypotheses(
     What the nodes leave open (all turns, or that about their line) stays as in `rig_R_flange`.
     """
     count, corners = nodes.shape
-    rotation = np.array([rig_R_flange] * count).reshape(-1, 3, 3)
+    rotation = np.empty((count, 3, 3))
+    rotation[:] = rig_R_flange
     if corners == 2:
         rig, led = points.rig[graph.point[nodes]], views.leds[graph.led[nodes]]
         line = (led[:, 1] - led[:, 0]) @ rig_R_flange.T

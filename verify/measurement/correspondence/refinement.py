@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array
-from verify.core.statistics import chi2_isf
-from verify.measurement.correspondence.hypotheses import POSE_SLICE, Hypotheses, start_hypotheses
+from verify.core.statistics import chi2_bound
+from verify.measurement.correspondence.hypotheses import Hypotheses, start_hypotheses
 from verify.measurement.correspondence.kernels import spots as kernel
 from verify.measurement.correspondence.kernels.fit import fit_all, predict_all
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
@@ -48,8 +48,7 @@ def follow_prediction(
     place = np.repeat([position, rotation], 3)
     none = np.full((1, 2, len(views.leds)), -1, dtype=np.int64)
     pose = rig_T_flange[None].copy()
-    predicted = start_hypotheses(views, pose[:, :3, :3].copy(), pose[:, :3, 3].copy(), none)
-    predicted.covariance[:, POSE_SLICE, POSE_SLICE] = place**2
+    predicted = start_hypotheses(views, pose[:, :3, :3].copy(), pose[:, :3, 3].copy(), none, place)
     joined = predicted.join(found)
     joined.hold[:] = place**-2
     first, others = joined.take(slice(0, 1)), joined.take(slice(1, None))  # views of `joined`
@@ -70,12 +69,11 @@ def _is_complete(views: SpotViews, found: Hypotheses) -> bool:
 
     So well that no assignment with an LED less would have more evidence.
     """
-    spots = np.count_nonzero(np.isfinite(views.pixels[..., 0]), axis=1)
     return (
         len(found) == 1
-        and bool(np.all(found.spot >= 0))
-        and bool(np.all(spots == len(views.leds)))
-        and bool(found.chi2[0] < SPOT_REWARD + UNPAIRED_COST)
+        and views.pixels.shape[1] == len(views.leds)
+        and found.chi2.item() < SPOT_REWARD + UNPAIRED_COST
+        and found.spot.min() >= 0
     )
 
 
@@ -88,7 +86,8 @@ def _settle(views: SpotViews, hypotheses: Hypotheses) -> Hypotheses:
     if not np.array_equal(spots, hypotheses.spot):
         hypotheses.spot[:] = spots
         _fit(views, hypotheses, 2)
-    return unique(hypotheses.take(select_likely(hypotheses.spot, hypotheses.chi2)))
+    likely = select_likely(hypotheses.spot, hypotheses.chi2)
+    return unique(hypotheses if len(likely) == len(hypotheses) else hypotheses.take(likely))
 
 
 def unique(hypotheses: Hypotheses) -> Hypotheses:
@@ -98,7 +97,15 @@ def unique(hypotheses: Hypotheses) -> Hypotheses:
     first: dict[bytes, int] = {}
     for index in np.argsort(hypotheses.chi2, kind="stable").tolist():
         first.setdefault(hypotheses.spot[index].tobytes(), index)
-    return hypotheses.take(np.array(list(first.values())))
+    kept = list(first.values())
+    return hypotheses.take(slice(kept[0], kept[0] + 1) if len(kept) == 1 else np.array(kept))
+
+
+def merge(some: Hypotheses, others: Hypotheses) -> Hypotheses:
+    """Keep the best fit of each assignment of both."""
+    if len(some) == len(others) == 1 and np.array_equal(some.spot, others.spot):
+        return others if others.chi2.item() < some.chi2.item() else some
+    return unique(some.join(others))
 
 
 def select_likely(spot: Index, chi2: Array) -> Index:
@@ -108,7 +115,8 @@ def select_likely(spot: Index, chi2: Array) -> Index:
     """
     used, leds, both = kernel.count_all(spot)
     freedom = np.maximum(2 * used - DOF_BY_LEDS[np.minimum(leds, 3)], 1)
-    return np.flatnonzero((both > 0) & (chi2 <= chi2_isf(P_REJECT, freedom)))
+    bound = np.array([chi2_bound(P_REJECT, degrees) for degrees in freedom.tolist()])
+    return np.flatnonzero((both > 0) & (chi2 <= bound))
 
 
 def _fit(views: SpotViews, hypotheses: Hypotheses, steps: int) -> None:

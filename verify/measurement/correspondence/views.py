@@ -64,11 +64,11 @@ def prepare_views(
         uneven = side * (SKEW_SHARE * skew) ** 2
         kernel.prepare_image(
             (
-                np.array(found.centre, order="C"),
-                np.array(found.covariance, order="C"),
-                np.array(found.merged, order="C"),
-                np.array(found.saturated, order="C"),
-                np.array(found.colour, order="C"),
+                np.ascontiguousarray(found.centre),
+                np.ascontiguousarray(found.covariance),
+                np.ascontiguousarray(found.merged),
+                np.ascontiguousarray(found.saturated),
+                np.ascontiguousarray(found.colour),
             ),
             (matrix[side], lens[side]),
             (MODEL_PX**2 + uneven, MERGED_PX**2),
