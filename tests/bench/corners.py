@@ -3,25 +3,38 @@
 Root mean square error of a coordinate against cv2.projectPoints, its ratio to this tool's, and the
 time a view. cornerSubPix starts at this tool's corners, the best start there is.
 
+Then the time of a whole calibration beside OpenCV's.
+
     python -m tests.bench corners
 """
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from time import perf_counter
+from time import perf_counter, thread_time
+from typing import Any
 
 import cv2
 import numpy as np
 
+from tests.bench.goals import Figure, Line
+from tests.bench.tracking import one_core
 from tests.support.beside import SHARED
 from tests.support.boards.board_images import Look, camera, corners, picture, random_pose
+from tests.support.boards.made_views import fixed_rig, poses
 from verify.calibration.corners.find import find_board
-from verify.core.fiducials import Board, BoardView
+from verify.calibration.stereo.calibrate import calibrate
+from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array, Image
+from verify.core.rig import Camera
 from verify.io import rig as io_rig
 
 BOARD = Board(9, 7, 0.040)
 VIEWS = 12
+PAIRS, SMALL = 30, (640, 480)  # of a whole calibration
+HALF_WINDOWS = (11, 5)  # px, of cornerSubPix
+MOST_CALIBRATION = 3.0  # of the time of OpenCV's chain
+SUB_PIX_STOP = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 30, 1e-3)  # as its examples have
 LOOKS = {
     "clean": None,
     "noisy": Look(),
@@ -33,13 +46,80 @@ Scene = tuple[Image, Array]  # a picture and its true corners
 Method = Callable[[Image, BoardView], Array]
 
 
-def lines() -> Iterator[str]:
-    """One line a set of pictures and method."""
+def lines() -> Iterator[Line]:
+    """One line a set of pictures and method, and the time of a calibration."""
+    with one_core():
+        yield from calibration()
     for name, look in LOOKS.items():
         yield from compared(f"synthetic, {name}", synthetic(look))
     session = SHARED / "sessions" / "calibration_boards"
     if session.is_dir():
         yield from compared("recorded session", recorded(session))
+
+
+def calibration() -> Iterator[Line]:
+    """Time from pictures to a calibrated rig over OpenCV's with the same pictures.
+
+    OpenCV's needs the longer the worse its corners are: with the window of its examples, which
+    holds neighbouring corners in pictures so small, and with one that fits the squares.
+    """
+    rig = fixed_rig()
+    sides = _small(rig.left), _small(rig.right)
+    scenes = list(_board_pairs(sides))
+    find_board(scenes[0][0][0], BOARD)  # loads what is compiled
+    began = thread_time()
+    views = [[find_board(image, BOARD) for image, _ in pair] for pair in scenes]
+    pans = sides[0].pan, sides[1].pan
+    calibrate([BoardPair(i, *pans, *pair) for i, pair in enumerate(views)], BOARD, SMALL)
+    ours = thread_time() - began
+    errors = [
+        view.centre - truth[view.corner]
+        for pair, of_pair in zip(views, scenes, strict=True)
+        for view, (_, truth) in zip(pair, of_pair, strict=True)
+        if view is not None
+    ]
+    yield f"calibration: corners {rms(errors):.4f} px in {len(errors)} of {2 * PAIRS} views"
+    for half in HALF_WINDOWS:
+        theirs = _open_cv_seconds(scenes, half)
+        name = f"calibration, {PAIRS} pairs of {SMALL[0]} x {SMALL[1]}, over OpenCV's, {half} px"
+        note = f"{ours:.2f} s beside {theirs:.2f} s"
+        yield Figure(name, ours / theirs, most=MOST_CALIBRATION, note=note)
+
+
+def _open_cv_seconds(scenes: list[list[Scene]], half: int) -> float:
+    """findChessboardCorners, cornerSubPix and stereoCalibrate: s of the processor."""
+    began = thread_time()
+    sides: list[list[Any]] = [[], []]
+    for pair in scenes:
+        for side, (image, _) in zip(sides, pair, strict=True):
+            _, found = cv2.findChessboardCorners(image, (BOARD.columns, BOARD.rows))
+            side.append(cv2.cornerSubPix(image, found, (half, half), (-1, -1), SUB_PIX_STOP))
+    points = [BOARD.points.astype(np.float32)] * PAIRS
+    start = np.eye(3), np.zeros(5), np.eye(3), np.zeros(5)
+    cv2.stereoCalibrate(points, *sides, *start, SMALL, flags=0)
+    return thread_time() - began
+
+
+def _small(view: Camera) -> Camera:
+    """The camera at SMALL: half the resolution, the same middle."""
+    matrix = view.matrix / 2
+    matrix[1:, 2] = (SMALL[1] - 1) / 2, 1.0
+    return replace(view, matrix=matrix)
+
+
+def _board_pairs(sides: tuple[Camera, Camera]) -> Iterator[list[Scene]]:
+    """PAIRS boards that both cameras show whole."""
+    rng, count = np.random.default_rng(5), 0
+    while count < PAIRS:
+        rig_T_board = poses(rng, 1)[0]
+        placed = [np.linalg.inv(side.rig_T_camera(side.pan)) @ rig_T_board for side in sides]
+        truth = [corners(BOARD, side, pose) for side, pose in zip(sides, placed, strict=True)]
+        if all(((at > 12) & (at < np.array(SMALL) - 13)).all() for at in truth):
+            count += 1
+            images = [
+                picture(BOARD, *view, rng, size=SMALL) for view in zip(sides, placed, strict=True)
+            ]
+            yield list(zip(images, truth, strict=True))
 
 
 def synthetic(look: Look | None) -> Iterator[Scene]:

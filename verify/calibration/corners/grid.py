@@ -68,22 +68,42 @@ def fit_map(squares: Array, pixels: Array, shape: tuple[int, ...]) -> CornerMap 
     if homography is None or abs(homography[2, 2]) < 1e-9:
         return None
     start = np.append(homography.ravel()[:8] / homography[2, 2], [0.0, 0.0])
+    weight = PRIOR_RESIDUAL / scale / PRIOR_RADIAL
 
     def misses(parameters: Array) -> Array:
-        prior = parameters[8:] / PRIOR_RADIAL * PRIOR_RESIDUAL / scale
-        return np.append((_apply_map(parameters, squares) - normalised).ravel(), prior)
+        off = _apply_map(parameters, squares) - normalised
+        return np.concatenate([off.ravel(), weight * parameters[8:]])
 
-    found = least_squares(misses, start, method="lm", x_scale="jac")
+    def slopes(parameters: Array) -> Array:
+        return np.vstack([_map_slopes(parameters, squares), weight * np.eye(2, 10, 8)])
+
+    found = least_squares(misses, start, jac=slopes, method="lm", x_scale="jac")
     return CornerMap(np.asarray(found.x), middle, scale)
 
 
 def _apply_map(parameters: Array, squares: Array) -> Array:
-    h = np.append(parameters[:8], 1.0).reshape(3, 3)
-    flat = squares @ h[:, :2].T + h[:, 2]
-    xy = flat[:, :2] / flat[:, 2:]
+    flat = squares @ parameters[[[0, 3], [1, 4]]] + parameters[[2, 5]]
+    xy = flat / (squares @ parameters[6:8] + 1)[:, None]
     r2 = np.sum(xy**2, axis=1, keepdims=True)
     bent: Array = xy * (1 + r2 * (parameters[8] + r2 * parameters[9]))
     return bent
+
+
+def _map_slopes(parameters: Array, squares: Array) -> Array:
+    """Derivative of `_apply_map` by its parameters, (2 n, 10)."""
+    k1, k2 = parameters[8:]
+    across = np.column_stack([squares, np.ones(len(squares))])
+    across /= (squares @ parameters[6:8] + 1)[:, None]
+    xy = across @ parameters[[[0, 3], [1, 4], [2, 5]]]
+    slopes = np.zeros((len(squares), 2, 10))
+    slopes[:, 0, :3] = slopes[:, 1, 3:6] = across
+    slopes[:, :, 6:8] = -xy[:, :, None] * across[:, None, :2]
+    r2 = np.sum(xy**2, axis=1)[:, None, None]
+    squared = xy[:, :, None] * xy[:, None]
+    by_xy = squared * (2 * k1 + 4 * k2 * r2) + np.eye(2) * (1 + r2 * (k1 + r2 * k2))
+    found: Array = by_xy @ slopes
+    found[:, :, 8:] = xy[:, :, None] * np.concatenate([r2, r2**2], axis=2)
+    return found.reshape(-1, 10)
 
 
 def block_points(block: Block) -> Array:

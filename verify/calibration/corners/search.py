@@ -6,7 +6,9 @@ are tried from the quickest to the one that withstands most, on the image and on
 (half the size, equalised, twice the size).
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
 
 import cv2
 import numpy as np
@@ -24,9 +26,18 @@ from verify.core.records import Array, Image
 MIN_CORNERS = 3  # inner corners a side, OpenCV's least
 MAX_CORNERS = 60  # inner corners a side at which growing stops
 SEED_CORNERS = (4, 3, 5)  # inner corners a side that a general search starts from
-QUAD_FLAGS = cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
-# of the sector-based finder: noise, blur and steep views; dark or overexposed boards
-SECTOR_FLAGS = (cv2.CALIB_CB_EXHAUSTIVE, cv2.CALIB_CB_NORMALIZE_IMAGE)
+Finder = Callable[..., Any]  # picture and counts to whether there is a board, and its corners
+# by black quadrangles: in a few ms where the light is even; and boards cut by the image's border
+QUICK_FINDER: Finder = partial(cv2.findChessboardCorners, flags=0)
+QUAD_FINDER: Finder = partial(
+    cv2.findChessboardCorners,
+    flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE,
+)
+# by sectors: noise, blur and steep views; dark or overexposed boards
+SECTOR_FINDERS: tuple[Finder, ...] = (
+    partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_EXHAUSTIVE),
+    partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_NORMALIZE_IMAGE),
+)
 
 
 def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
@@ -37,37 +48,33 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
     if min(columns, rows) < MIN_CORNERS:
         return None
     counts = (columns, rows)
-    for flags in SECTOR_FLAGS:
-        grid = _find_whole(grey, grey, 1.0, counts, flags)
+    for finder in (QUICK_FINDER, *SECTOR_FINDERS):
+        grid = _find_whole(grey, grey, 1.0, counts, finder)
         if grid is not None:
             return grid
     other = find_by_growing(grey)
     if other is not None and sorted(other.shape[:2]) == sorted(counts):
         return other
-    grid = _find_whole(grey, grey, 1.0, counts, None)
+    grid = _find_whole(grey, grey, 1.0, counts, QUAD_FINDER)
     if grid is not None or other is not None:
         return grid  # where a board of other counts is in view, there is no need to search harder
     for picture, scale in picture_variants(grey):
-        for variant in (*SECTOR_FLAGS, None):
-            grid = _find_whole(grey, picture, scale, counts, variant)
+        for finder in (*SECTOR_FINDERS, QUAD_FINDER):
+            grid = _find_whole(grey, picture, scale, counts, finder)
             if grid is not None:
                 return grid
     return None
 
 
 def _find_whole(
-    grey: Image, picture: Image, scale: float, counts: tuple[int, int], flags: int | None
+    grey: Image, picture: Image, scale: float, counts: tuple[int, int], finder: Finder
 ) -> Array | None:
     """Search a variant of an image, `scale` times its size, for the whole of a board.
 
-    Returns (rows, columns, 2), px of the image `grey` (h, w), in which it is checked, or None.
-    Counts are columns and rows; flags are of OpenCV's sector-based finder, None for its older
-    finder by black quadrangles, which finds boards cut by the image's border.
+    Returns (rows, columns, 2), px of the image `grey` (h, w), in which it is checked, or None;
+    counts are columns and rows.
     """
-    if flags is None:
-        found, corners = cv2.findChessboardCorners(picture, counts, flags=QUAD_FLAGS)
-    else:
-        found, corners = cv2.findChessboardCornersSB(picture, counts, flags=flags)
+    found, corners = finder(picture, counts)
     if not found:
         return None
     places = undo_scale(np.asarray(corners, dtype=float).reshape(-1, 2), scale)

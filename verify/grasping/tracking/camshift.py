@@ -114,14 +114,15 @@ def target_mask(weights: Image, window: Box) -> NDArray[np.uint8] | None:
     likely = cv2.threshold(weights, MIN_WEIGHT, 255, cv2.THRESH_BINARY)[1]
     closed = cv2.morphologyEx(likely, cv2.MORPH_CLOSE, CLOSING_KERNEL)
     pieces = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    mask = np.zeros_like(weights)
-    main = _main_piece([p for p in pieces if _count_pixels(p) >= MIN_PIXELS], mask, window)
+    large = [piece for piece in pieces if _count_pixels(piece) >= MIN_PIXELS]
+    main = _main_piece(large, weights.shape, window)
     if main is None:
         return None
     bx, by, bw, bh = cv2.boundingRect(main)
     boxes = (cv2.boundingRect(piece) for piece in pieces)
     middles = ((x + w / 2 - bx, y + h / 2 - by) for x, y, w, h in boxes)
     held = [p for p, (x, y) in zip(pieces, middles, strict=True) if 0 <= x < bw and 0 <= y < bh]
+    mask = np.zeros_like(weights)
     return np.asarray(cv2.drawContours(mask, held, -1, 255, cv2.FILLED), dtype=np.uint8)
 
 
@@ -130,23 +131,18 @@ def _count_pixels(outline: Any) -> float:
     return cv2.contourArea(outline) + len(outline) / 2 + 1
 
 
-def _main_piece(pieces: list[Any], blank: NDArray[np.uint8], window: Box) -> Any:
+def _main_piece(pieces: list[Any], shape: tuple[int, ...], window: Box) -> Any:
     """The outline of most pixels in the middle of a window, or in all of it; None for none."""
-    if len(pieces) == 1:
-        bx, by, bw, bh = cv2.boundingRect(pieces[0])
-        return pieces[0] if boxes_overlap((bx, by, bw, bh), window) else None
     x, y, width, height = window
-    labels = blank.copy()
-    for number, piece in enumerate(pieces[:255], 1):
-        cv2.drawContours(labels, [piece], -1, number, cv2.FILLED)
-    whole = labels[y : y + height, x : x + width]
-    middle = whole[height // 4 : height - height // 4, width // 4 : width - width // 4]
-    for part in (middle, whole):
-        counts = np.bincount(part.reshape(-1), minlength=2)
-        counts[0] = 0  # the background
-        if counts.any():
-            return pieces[int(counts.argmax()) - 1]
-    return None
+
+    def held(piece: Any) -> tuple[int, int]:
+        mask = cv2.drawContours(np.zeros(shape, dtype=np.uint8), [piece], -1, 1, cv2.FILLED)
+        part = mask[y : y + height, x : x + width]
+        middle = part[height // 4 : height - height // 4, width // 4 : width - width // 4]
+        return cv2.countNonZero(middle), cv2.countNonZero(part)
+
+    main = max(pieces, key=held, default=None)
+    return None if main is None or held(main)[1] == 0 else main
 
 
 def _limit_to_extent(

@@ -21,7 +21,7 @@ U_COLOUR_CENTRE = 0.005
 RIM_WIDTH = 1.0
 U_EXTENT = 1.0  # px, standard, of an extent: whole pixels, and a rim that depends on what is behind
 UNDISTORT_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 100, 1e-12)
-MIN_SIN2 = 1e-12  # squared sine of the angle between rays: below, they are parallel
+MIN_SINE = 1e-6  # of half the angle between rays: below, they are parallel
 N_ITERATIONS = 2  # of Gauss-Newton: from the midpoint of the rays the first leaves a millionth
 
 
@@ -120,16 +120,10 @@ class StereoPoint:
 def ray_midpoint(left: LineOfSight, right: LineOfSight) -> Array:
     """The point midway between two lines of sight, (3,) m; nan where they do not meet."""
     a, b = left.placed.rig_T_camera[:3, 3], right.placed.rig_T_camera[:3, 3]
-    u, w, apart = left.ray, right.ray, b - a
-    uu, uw, ww, along_u, along_w = u @ u, u @ w, w @ w, apart @ u, apart @ w
-    square = uu * ww - uw * uw
-    if square > MIN_SIN2 * uu * ww:
-        s = (along_u * ww - along_w * uw) / square
-        t = (along_u * uw - along_w * uu) / square
-        if s > 0 and t > 0:
-            midpoint: Array = (a + s * u + b + t * w) / 2
-            return midpoint
-    return np.full(3, np.nan)
+    u, w = left.ray, right.ray
+    (s, t), _, rank, _ = np.linalg.lstsq(np.column_stack([u, -w]), b - a, rcond=MIN_SINE)
+    midpoint: Array = (a + s * u + b + t * w) / 2
+    return midpoint if rank == 2 and min(s, t) > 0 else np.full(3, np.nan)
 
 
 def locate(left: LineOfSight, right: LineOfSight, rig: Rig, start: Array) -> StereoPoint | None:
