@@ -20,7 +20,7 @@ from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import Comparison, JointComparison
 from verify.analysis.least_squares import Whitener, residual_products, whiten
 from verify.core.fiducials import Marker
-from verify.core.records import Array
+from verify.core.records import Array, Measurement
 from verify.core.rig import Rig
 from verify.io.session.session import Session
 from verify.measurement.systematics import Systematics, covariance_root
@@ -46,6 +46,8 @@ class SessionComparison:
     clock: ClockEstimate  # of the readings
     comparison: Comparison  # pairs that repeat each other's errors count in full
     joints: JointComparison  # measured angles of the compared pairs
+    # one a row of the track, whose spots can be fitted anew; none where the poses are given
+    measurements: tuple[Measurement, ...] = ()
 
     @property
     def clock_uncertainty(self) -> float | None:

@@ -19,6 +19,7 @@ from verify.analysis.comparison import (
 )
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
+from verify.analysis.diagnosis.faults import about_turned_camera
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import (
     JointErrors,
@@ -79,6 +80,7 @@ __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
 MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
+MIN_MISFIT_TURNED = 10.0  # of the causes: a turned camera is tried though it is none of them
 MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
 NO_TOLERANCE = Tolerance(None, None, None)
 
@@ -190,16 +192,19 @@ def compare_session(
         known[list(unreachable)] = False
     if not len(comparison):
         raise _comparison_refusal(session, track, reached=not unreachable)
-    return SessionComparison(session, track, systematics, clock, comparison, joints), unreachable
+    posed = tuple(m for m in measured.measurements if m.status == "measured" and m.pose is not None)
+    compared = SessionComparison(session, track, systematics, clock, comparison, joints, posed)
+    return compared, unreachable
 
 
 def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Linearise a session about the errors that are there, find their causes, resolve them.
 
-    Pairs that repeat each other's errors count for fewer. What a cause leaves in every pair from
-    its beginning on repeats itself as well: so causes are found first with all that counted as
-    noise, then again with what they themselves leave. A pair whose reading lies between one from
-    before a change and one from after it weighs nothing.
+    A turned camera is found first, and the session linearised anew about its angle. Pairs that
+    repeat each other's errors count for fewer. What a cause leaves in every pair from its beginning
+    on repeats itself as well: so causes are found first with all that counted as noise, then again
+    with what they themselves leave. A pair whose reading lies between one from before a change and
+    one from after it weighs nothing.
     """
     session, joints = compared.session, compared.joints
 
@@ -223,11 +228,18 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
         return resolved, autocorrelation(model.white.by_pair(left))
 
     factors = explained(built(middle), None)[1]
-    across = np.zeros(0, dtype=np.int64)
-    for _ in range(MAX_ROUNDS):
+    rounds, changes, across, plain = 0, 0, np.zeros(0, dtype=np.int64), middle
+    cameras = bool(plain.systematic[:, :, -1].any())
+    while rounds < MAX_ROUNDS:
         model = built(inflate_covariance(without_weight(middle, across), factors))
         found = find_causes(model, resolve_errors(model), session.arm, session.rig)
-        resolved, _ = explained(model, found)
+        angle = found.camera_turn
+        turned = angle != 0 or (cameras and middle is plain and found.misfit > MIN_MISFIT_TURNED)
+        if not rounds and changes < 2 and turned == (middle is plain):
+            middle = about_turned_camera(compared, plain, angle, built) if turned else plain
+            factors, changes = explained(built(middle), None)[1], changes + 1
+            continue
+        resolved, rounds = explained(model, found)[0], rounds + 1
         more = np.union1d(across, found.straddling(middle.t))
         found = replace(found, outlying=np.union1d(found.outlying, across))
         if not resolved.causes:
@@ -236,7 +248,8 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
         if len(more) == len(across) and np.all(left > (1 - TOL_REPEATED) * factors):
             break
         factors, across = np.minimum(left, factors), more
-    return model, found, resolved
+    # what is told of pairs is their whole error, no tangent's
+    return replace(model, comparison=replace(model.comparison, xi=plain.xi)), found, resolved
 
 
 def zero_undetermined_columns(comparison: Comparison) -> Comparison:

@@ -22,7 +22,7 @@ from verify.analysis.joint_errors import ResolvedErrors
 from verify.analysis.model import JointErrorModel, SessionComparison, add_pan_noise
 from verify.analysis.session import session_model
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Measurement
 from verify.errors import InputError
 from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
 from verify.measurement.track import Track, collect_track
@@ -62,7 +62,7 @@ class Watched:
     """A session whose poses are measured, and what its user knows."""
 
     session: InMemory
-    track: Track
+    measurements: tuple[Measurement, ...]
     systematics: Systematics
     clock: ClockEstimate
     noise: int  # seed of the spots' noise
@@ -108,7 +108,7 @@ def watched(seed: int) -> Watched:
 
 def measured(
     session: InMemory, systematics: Systematics, noise: int, skew: float = 0.0, turned: float = 0.0
-) -> Track:
+) -> tuple[Measurement, ...]:
     """Poses from true spots with white noise; the right camera is late by `skew`, and turned."""
     rng, played = np.random.default_rng(noise), session.simulated
     late = replace(
@@ -117,9 +117,13 @@ def measured(
         true_pan=played.true_pan + np.array([0.0, turned]),
     )
     spots = [late.spots(side) for side in (0, 1)]
-    found = list(measured_at_spots(session, systematics, rng, spots=spots))
-    effects = [sensitivities(systematics, m, session.rig, session.marker) for m in found]
-    return collect_track(found, session.rig, effects)
+    return tuple(measured_at_spots(session, systematics, rng, spots=spots))
+
+
+def _tracked(watched: Watched, found: tuple[Measurement, ...]) -> Track:
+    session = watched.session
+    effects = [sensitivities(watched.systematics, m, session.rig, session.marker) for m in found]
+    return collect_track(list(found), session.rig, effects)
 
 
 def judged(
@@ -127,12 +131,14 @@ def judged(
 ) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Judge a session with a fault in it, by the steps of a run."""
     session, clock = watched.session, watched.clock
-    track = watched.track if fault is None else _seen(watched, fault)
+    found, track = _seen(watched, fault)
     readings = _read(watched, fault)
     comparison = compare(track, session.arm, readings, clock.offset)
     comparison = add_pan_noise(comparison, track, watched.systematics)
     joints = solve_joints(comparison, session.arm)
-    compared = SessionComparison(session, track, watched.systematics, clock, comparison, joints)
+    compared = SessionComparison(
+        session, track, watched.systematics, clock, comparison, joints, found
+    )
     return session_model(compared)
 
 
@@ -182,13 +188,16 @@ def _reading_error(
     return reading_error(true_t, true, direction, [wrong])
 
 
-def _seen(watched: Watched, fault: Injected) -> Track:
-    """The poses with a fault of the arm, its base, the LED body or a camera."""
-    session, track = watched.session, watched.track
-    if fault.kind == "camera_skew":
-        return measured(session, watched.systematics, watched.noise, skew=fault.size)
-    if fault.kind == "camera_turned":
-        return measured(session, watched.systematics, watched.noise, turned=fault.size)
+def _seen(watched: Watched, fault: Injected | None) -> tuple[tuple[Measurement, ...], Track]:
+    """The pairs and their poses with a fault of the arm, its base, the LED body or a camera."""
+    session, found = watched.session, watched.measurements
+    changes = {"camera_skew": "skew", "camera_turned": "turned"}
+    if fault is not None and fault.kind in changes:
+        change = {changes[fault.kind]: fault.size}
+        found = measured(session, watched.systematics, watched.noise, **change)
+    track = _tracked(watched, found)
+    if fault is None:
+        return found, track
     pose = track.base_T_flange
     if fault.kind == "dh":
         pose = (
@@ -200,7 +209,7 @@ def _seen(watched: Watched, fault: Injected) -> Track:
         pose = _displaced(fault) @ pose
     elif fault.kind == "led_body_slipped":
         pose = pose @ _displaced(fault)
-    return replace(track, base_T_flange=pose)
+    return found, replace(track, base_T_flange=pose)
 
 
 def _bent(arm: robots.Arm, fault: Injected) -> robots.Arm:

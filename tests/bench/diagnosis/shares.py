@@ -2,13 +2,16 @@
 
 False accusations: of sessions without a fault, those with any cause listed. Detection, a kind of
 fault and a joint: the session itself states what it would notice (detectable) and what it would
-tell from every other fault (separable). A fault is put in at 1.5 times the separable size; between
-that and 1.5 times the detectable one; and at half the separable one. Verdicts: a joint that is
+tell from every other fault (separable). A fault is put in at 1.5 times the separable size; at that
+size, where four of five are named; between 1.5 times the detectable and 1.5 times the separable
+one; and at half the separable one. Verdicts: a joint that is
 sound, or has one of three faults whose mean is next to nothing, at a tolerance of 0.2°. A step
 comes at any pair but the outermost; it is named with its instant (± 2 pairs) and its size (4 u),
 and the verdicts on the other joints at 0.2° stay what they were.
 
-    python -m tests.bench.diagnosis.shares [SESSIONS] [SEED]
+    python -m tests.bench.diagnosis.shares [SESSIONS] [SEED] [KIND ...]
+
+With kinds, detection of those alone.
 """
 
 import os
@@ -16,6 +19,7 @@ import sys
 from collections import defaultdict
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -35,8 +39,9 @@ SESSIONS = 100  # with faults; three times as many without
 SEED = 20261121
 HEALTHY = 3
 MOST_FALSE = 0.02
-LEVELS = ("1.5 sep", "between", "0.5 sep")
+LEVELS = ("1.5 sep", "sep", "between", "0.5 sep")
 LEAST_RIGHT, MOST_WRONG = 0.90, 0.02
+STATED = 0.80  # share named at the separable size; a cell fails where two standard errors below
 LEAST_KEPT = 0.95  # verdicts on other joints after a step
 MAX_PAIRS_OFF, MAX_SIGMA_OFF = 2.01, 4.0  # of a step's instant and size
 UNMADE = ("beta",)  # a DH table has none to put a fault into
@@ -61,8 +66,8 @@ def healthy(seed: int) -> list[str]:
     return [f"{c.kind} {c.joint or ''}" for c in judged(watched(seed), None)[1].causes]
 
 
-def trials(seed: int) -> list[Trial]:
-    """Put every fault into one session, one at a time."""
+def trials(kinds: tuple[str, ...], seed: int) -> list[Trial]:
+    """Put every fault, or those of some kinds, into one session, one at a time."""
     case, rng = watched(seed), np.random.default_rng([seed, 1])
     model, found_none, resolved = judged(case, None)
     first = int(rng.choice(instants(model)))
@@ -72,6 +77,8 @@ def trials(seed: int) -> list[Trial]:
     stated = detectable(every).assign(begin=steps[0].begin)
     stated, sound = stated[stated["separable"].notna()], _verdicts(model, resolved)
     found = []
+    if kinds:
+        stated = stated[stated["kind"].isin(kinds)]
     for _, rows in stated.groupby([stated["kind"], stated["joint"].fillna(0)]):
         usable = rows[~rows["parameter"].astype(str).str.startswith(UNMADE)]
         if len(usable):
@@ -89,7 +96,8 @@ def _trial(
     case: Watched, row: pd.Series, level: str, rng: np.random.Generator, sound: list[str | None]
 ) -> Trial:
     low, high = 1.5 * float(row["detectable"]), 1.5 * float(row["separable"])
-    size = {"1.5 sep": high, "between": low * (high / low) ** rng.random(), "0.5 sep": high / 3}
+    between = low * (high / low) ** rng.random()
+    size = {"1.5 sep": high, "sep": high / 1.5, "between": between, "0.5 sep": high / 3}
     joint = None if pd.isna(row["joint"]) else int(row["joint"])
     sign = 1.0 if row["kind"] == "eccentricity" else float(rng.choice([-1.0, 1.0]))
     fault = Injected(
@@ -131,28 +139,33 @@ def accusations(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
     return int(not good)
 
 
-def detection(pool: ProcessPoolExecutor, sessions: int, seed: int) -> int:
+def detection(pool: ProcessPoolExecutor, sessions: int, seed: int, kinds: tuple[str, ...]) -> int:
     """Print the table a kind and joint; return how many cells fail."""
     seeds = seeds_of([seed, 2], sessions)
     cells: dict[tuple[str, int, str], list[Trial]] = defaultdict(list)
-    for outcome in pool.map(trials, seeds):
+    for outcome in pool.map(partial(trials, kinds), seeds):
         for trial in outcome:
             cells[trial.kind, trial.joint or 0, trial.level].append(trial)
-    print(f"{'fault':28s} n    1.5 separable    between: named    0.5 separable")
-    print(f"{'':28s}       named  wrong    or inside  wrong   wrong  named")
+    print(f"{'fault':28s} n    1.5 separable   separable  between: named    0.5 separable")
+    print(f"{'':28s}       named  wrong    named     or inside  wrong   wrong  named")
     failed = 0
     for kind, joint in sorted({key[:2] for key in cells}):
-        high, between, low = (cells[kind, joint, level] for level in LEVELS)
+        high, least, between, low = (cells[kind, joint, level] for level in LEVELS)
         named, inside = _share(high, "named"), np.mean([t.named or t.inside for t in between])
-        wrong = _share(low, "wrong")
-        bad = [bool(b) for b in (named < LEAST_RIGHT, inside < LEAST_RIGHT, wrong > MOST_WRONG)]
+        wrong, stated = _share(low, "wrong"), _share(least, "named")
+        short = stated < STATED - 2 * np.sqrt(STATED * (1 - STATED) / len(least))
+        limits = named < LEAST_RIGHT, short, inside < LEAST_RIGHT, wrong > MOST_WRONG
+        bad = [bool(b) for b in limits]
         failed += sum(bad)
         marks = ["!" if b else " " for b in bad]
         name = f"{kind}, joint {joint}" if joint else kind
         print(f"{name:28s} {len(high):3d}  {named:5.0%}{marks[0]} {_share(high, 'wrong'):5.0%}"
-              f"      {inside:5.0%}{marks[1]}    {_share(between, 'wrong'):5.0%}"
-              f"   {wrong:5.1%}{marks[2]} {_share(low, 'named'):5.0%}", flush=True)  # fmt: skip
+              f"    {stated:5.0%}{marks[1]}    {inside:5.0%}{marks[2]}"
+              f"    {_share(between, 'wrong'):5.0%}   {wrong:5.1%}{marks[3]}"
+              f" {_share(low, 'named'):5.0%}", flush=True)  # fmt: skip
     steps = [t for key, cell in cells.items() if key[::2] == ("step", LEVELS[0]) for t in cell]
+    if not steps:
+        return failed
     kept = float(np.mean([t.kept for t in steps]))
     failed += int(kept < LEAST_KEPT)
     print(f"after a step {kept:.1%} of the other joints keep their verdict"
@@ -177,12 +190,14 @@ def verdict_shares(pool: ProcessPoolExecutor, count: int, seed: int) -> int:
     return failed
 
 
-def main(sessions: int, seed: int) -> int:
+def main(sessions: int, seed: int, kinds: tuple[str, ...]) -> int:
     """Print the tables; 1 where a cell fails."""
     with ProcessPoolExecutor(max_workers=os.cpu_count()) as pool:
-        failed = verdict_shares(pool, TRIALS, seed)
-        failed += accusations(pool, sessions, seed)
-        failed += detection(pool, sessions, seed)
+        failed = 0
+        if not kinds:
+            failed += verdict_shares(pool, TRIALS, seed)
+            failed += accusations(pool, sessions, seed)
+        failed += detection(pool, sessions, seed, kinds)
     print("all cells hold" if not failed else f"{failed} cells fail (!)")
     return int(failed > 0)
 
@@ -190,4 +205,5 @@ def main(sessions: int, seed: int) -> int:
 if __name__ == "__main__":
     os.environ["OMP_NUM_THREADS"] = "1"
     count = int(sys.argv[1]) if len(sys.argv) > 1 else SESSIONS
-    sys.exit(main(count, int(sys.argv[2]) if len(sys.argv) > 2 else SEED))
+    seed = int(sys.argv[2]) if len(sys.argv) > 2 else SEED
+    sys.exit(main(count, seed, tuple(sys.argv[3:])))

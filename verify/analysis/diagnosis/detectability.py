@@ -19,6 +19,10 @@ from verify.core.statistics import chi2_isf
 
 MAX_RIVAL_RATIO = 100.0  # the listed size: a rival that leaves less of a fault is the same as it
 POWER_SIGMA = 0.84  # standard deviations beyond a threshold: it is passed four times in five
+# Of a rival's chance: the closest is beaten 85 times in 100, as others come close besides; of what
+# begins in the session, of the largest chance at the instants where it resembles a drift most.
+RIVAL_SIGMA = 1.04
+INSTANTS_SIGMA = 2.0
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 DETECTABILITY_COLUMNS = [
     "joint", "kind", "parameter", "per_turn", "unit", "detectable", "separable", "rival_joint",
@@ -95,17 +99,17 @@ def _sizes(products: FaultProducts, ways: list[_FaultVariant]) -> tuple[Array, A
     listed = (np.sqrt(price) + POWER_SIGMA) / left
     named = (np.sqrt(np.maximum(price, MIN_ADVANTAGE + chance)) + POWER_SIGMA) / left
     same_name = _same_name(products)[:, fault]
-    # what begins in the session fits best at one of many instants, by chance too
-    instant = chi2_isf(1 / np.array([f.instants for f in products.faults]), 1)
-    advantages = required_advantage(products)[fault].T + instant[:, None]
+    advantages = required_advantage(products)[fault].T
     rival = np.full(len(ways), -1)
     for k, beside in _remainders_beside(products, first, last):
         advantage = advantages[k]
+        # the rival gains by the very chance by which the fault loses
+        z = INSTANTS_SIGMA if products.faults[k].instants > 1 else RIVAL_SIGMA
         with np.errstate(divide="ignore"):
-            needed = (np.sqrt(np.maximum(advantage, 0.0)) + POWER_SIGMA) / (beside * scale)
+            needed = (z + np.sqrt(np.maximum(z**2 + advantage, 0.0))) / (beside * scale)
         needed[needed > np.fmin(MAX_RIVAL_RATIO * listed, largest)] = np.nan
         # a rival with many more coefficients asks for nothing: it never stands in its place
-        harder = ~same_name[k] & (advantage > 0) & ~np.isnan(named) & ~(needed <= named)
+        harder = ~same_name[k] & (advantage > -(z**2)) & ~np.isnan(named) & ~(needed <= named)
         named[harder], rival[harder] = needed[harder], k
     return listed, named, rival.tolist()
 

@@ -78,6 +78,13 @@ class Diagnosis:
     misfit: float  # chi-squared a degree of freedom that the causes leave, where they lack; else 1
     products: FaultProducts
 
+    @property
+    def camera_turn(self) -> float:
+        """Turn of the right camera before the session, rad; 0 where none is suspected."""
+        suspects = [c for cause in self.causes for c in (cause.candidates or (cause,))]
+        turns = (c for c in suspects if c.fault.kind == "camera_turned" and c.fault.begin is None)
+        return next((c.value for c in turns), 0.0)
+
     def straddling(self, t: Array) -> NDArray[np.int64]:
         """Pairs of t (n,), s, that lie out beside a change: readings of before and after meet."""
         begins = [c.fault.begin for c in self.causes if c.fault.begin is not None]
