@@ -161,7 +161,7 @@ def test_the_picture_of_the_report_says_what_the_report_says() -> None:
 
 
 def test_every_document_is_a_page_of_the_site() -> None:
-    named = re.findall(r": (\w+\.md)$", SITE.read_text(), flags=re.MULTILINE)
+    named = re.findall(r": ([\w-]+\.md)$", SITE.read_text(), flags=re.MULTILINE)
     pages = [path.name for path in (ROOT / "docs").glob("*.md")]
     assert sorted(named) == sorted([*pages, "notebook.md"])
 

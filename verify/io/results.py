@@ -7,7 +7,6 @@ the figures are those of `reports`, which is loaded when one of them is first as
 import errno
 import json
 import os
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path, PurePath
@@ -96,11 +95,9 @@ def write_report_folder(
 
 
 def write_reports(results: reports.Results, folder: Path, name: str = "report") -> None:
-    """Write NAME.html and NAME.pdf; both are made at once, as half of it is outside Python."""
-    with ThreadPoolExecutor(1) as pool:
-        page = pool.submit(reports.render_html, results)
-        (folder / f"{name}.pdf").write_bytes(reports.render_pdf(results))
-    (folder / f"{name}.html").write_text(page.result(), encoding="utf-8")
+    """Write NAME.html and NAME.pdf, one after the other: together they would need more memory."""
+    (folder / f"{name}.html").write_text(reports.render_html(results), encoding="utf-8")
+    (folder / f"{name}.pdf").write_bytes(reports.render_pdf(results))
 
 
 def read_results(out: Path) -> reports.Results:

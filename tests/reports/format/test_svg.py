@@ -21,9 +21,15 @@ PPI = 144.0  # dots of the drawn page an inch
 
 
 def inked(drawing: bytes) -> Array:
-    """Where a drawing has ink, (rows, columns), with a margin of 20 dots around the drawing."""
-    page = f'#set page(width: auto, height: auto, margin: {20 * 72 / PPI}pt)\n#image("a.svg")'
-    files = {"main.typ": page.encode(), "a.svg": drawing}
+    """Where a drawing has ink, (rows, columns); 20 dots around it show what it would cut off."""
+    root = ElementTree.fromstring(drawing)
+    width, height = (float(v) for v in root.attrib["viewBox"].split()[2:])
+    root.attrib |= {"width": f"{width + 20}pt", "height": f"{height + 20}pt",
+                    "viewBox": f"-10 -10 {width + 20} {height + 20}"}  # fmt: skip
+    files = {
+        "main.typ": b'#set page(width: auto, height: auto, margin: 0pt)\n#image("a.svg")',
+        "a.svg": ElementTree.tostring(root),
+    }
     shown = imread(io.BytesIO(typst.compile(files, format="png", ppi=PPI, **pdf.FONTS)), "png")
     return np.asarray(shown[:, :, :3].min(axis=2) < 0.9)
 

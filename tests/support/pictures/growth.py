@@ -19,13 +19,17 @@ def growth(path: Path = store.FILE) -> bytes:
     points = store.figures(json.loads(path.read_text()), "growth")
     drawing = Drawing(figsize=(WIDTH_IN, HEIGHT_IN), layout="constrained")
     panels = [list(own) for _, own in groupby(points, key=lambda point: point.along)]
-    for axes, own in zip(drawing.subplots(2, 2).ravel(), panels, strict=True):
+    grid = drawing.subplots(2, 2).ravel()
+    for axes in grid[len(panels) :]:  # not measured
+        axes.set_visible(False)
+    for axes, own in zip(grid, panels, strict=False):
         for name, colour in zip(dict.fromkeys(point.name for point in own), COLOURS, strict=False):
             line: list[Figure] = [point for point in own if point.name == name]
-            axes.plot([p.at for p in line], [p.value for p in line], "o-", color=colour, label=name)
+            axes.plot([p.at for p in line], [p.value for p in line], "o-", color=colour, label=name,
+                      clip_on=False)  # fmt: skip
         top = 1.15 * max(point.value for point in own)
         axes.set(xlabel=own[0].along, ylabel=own[0].unit, ylim=(0.0, top), xlim=(0.0, None))
-        axes.legend(frameon=False, fontsize=8, loc="lower right")
+        axes.legend(frameon=False, fontsize=8, loc="best")
         axes.grid(color="#dfe2e6", linewidth=0.6)
         axes.spines[["top", "right"]].set_visible(False)
         if len({point.at for point in own}) < 4:
