@@ -8,8 +8,7 @@ n of the pairs before, after and before the one before:
 
     symbol  meaning                                                     unit
     z_i     centre, (2,)                                                px
-    n       1 (a line) where one neighbour alone shows the LED; 3 at
-            most, where both and the pair before them do                1
+    n       number of those pairs: 1 gives a line, 2 a parabola         1
     a_i     derivative of order n + 1 of the image motion, which the
             sightings do not show: acceleration, jerk, snap. The pose
             fit takes it as a rigid body's with a prior                 px/s^(n+1)

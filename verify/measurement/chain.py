@@ -272,19 +272,19 @@ def _raw_sighting(
 
 def _measure_causally(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> _CausalPair:
     """Measure a pair by the one before; the first of a burst by the one after."""
-    measurement = _fit(assigned, around, setup, settled=False)
+    measurement = _fit(assigned, (*around[:2], None), setup, settled=False)
     kept = assigned if measurement.pose is None else _without_rejected(assigned, measurement.pose)
     return _CausalPair(assigned, kept, around, measurement)
 
 
 def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measurement:
-    """Measure a pair by both its neighbours."""
+    """Measure a pair by both its neighbours, and the pair before those."""
     causal = now.measurement
     moved = any(s is None or s.lever.any() for s in (causal.left, causal.right))
-    if after is None or not moved:
-        return replace(causal, settled=True)
     before, _, earlier = now.around
-    return _fit(now.assigned, (before, after.kept, earlier), setup)
+    if not moved or (after is None and earlier is None):
+        return replace(causal, settled=True)
+    return _fit(now.assigned, (before, after.kept if after else None, earlier), setup)
 
 
 def _fit(

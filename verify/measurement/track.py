@@ -114,8 +114,8 @@ def _image_derivative(measurements: list[Measurement], i: int, side: str, order:
     """
     now: Sighting = getattr(measurements[i], side)
     total, count = np.zeros_like(now.centre), np.zeros((len(now), 1))
-    # windows hold all that the curve went through: the pair before the one before, of a cubic
-    earliest, latest = i - max(2, order - 1), min(i - order + 2, len(measurements) - order - 1)
+    # windows hold all that the curve went through: the pair before the one before as well
+    earliest, latest = i - min(order, 3), min(i - order + 2, len(measurements) - order - 1)
     for first in range(max(earliest, 0), latest + 1):
         window = measurements[first : first + order + 1]
         found = [getattr(m, side) for m in window]

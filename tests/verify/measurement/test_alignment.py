@@ -66,6 +66,10 @@ def test_both_neighbours_know_the_acceleration_and_a_jerk_costs_its_lever() -> N
     aligned = carried(*(raw(at(t), t) for t in (1.004, 0.94, 1.068)))
     assert_allclose(aligned.lever[:, [0, 2]], 0)
     assert_allclose(aligned.centre - at(1.0), aligned.lever[:, 1:2] * jerk, rtol=1e-6)
+    # so do the two pairs before, where there is none after: the last pair, before a gap
+    last = carried(*(raw(at(t), t) for t in (1.004, 0.94, 0.87)))
+    assert_allclose(last.lever[:, [0, 2]], 0)
+    assert_allclose(last.centre - at(1.0), last.lever[:, 1:2] * jerk, rtol=1e-6)
     # the pair before the one before shows the jerk as well
     cubic = carried(*(raw(at(t), t) for t in (1.004, 0.94, 1.068, 0.87)))
     assert_allclose(cubic.centre, np.broadcast_to(at(1.0), START.shape), atol=1e-9)

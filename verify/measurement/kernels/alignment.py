@@ -30,7 +30,7 @@ def carry_to_instant(
 
     LEDs that no neighbour shows move like the others, with their spread as uncertainty. `around`:
     the spots of the pictures before, after, and before the one before, which counts only beside
-    both others; empty where there is none.
+    one of the others; empty where there is none.
 
     Gives how many LEDs a neighbour shows too, without which nothing else is of use; centre (m, 2);
     covariance (m, 2, 2); velocity (m, 2), px/s; levers (m, 3), s², s³, s⁴.
@@ -44,7 +44,7 @@ def carry_to_instant(
     for i in range(m):
         instant[0], n = taken[i], 0
         for v in range(3):
-            row[v] = row_of(around[v][0], led[i]) if v < 2 or n == 2 else -1
+            row[v] = row_of(around[v][0], led[i]) if v < 2 or n > 0 else -1
             if row[v] >= 0:
                 n += 1
                 instant[n] = around[v][3][row[v]]
