@@ -132,12 +132,17 @@ def whole_loop() -> Iterator[Line]:
     theirs: list[float] = []
     naive = _FullFrame()
 
-    def look(cycle: LoopCycle) -> None:
-        if cycle.pair is not None:
-            theirs.append(naive.search(0, cycle.pair.left) + naive.search(1, cycle.pair.right))
-            ours.append(cycle.took)
+    cycle = grab.loop.cycle
 
-    state = run(grab.loop, grab.source, ENDS, look).state.value
+    def timed_cycle(pair: StereoPair | None) -> LoopCycle:
+        took, now = timed(cycle, pair)
+        if pair is not None:
+            theirs.append(naive.search(0, pair.left) + naive.search(1, pair.right))
+            ours.append(took)
+        return now
+
+    grab.loop.cycle = timed_cycle  # type: ignore[method-assign]
+    state = run(grab.loop, grab.source, ENDS, lambda _: None).state.value
     for figure in (np.median, np.mean):
         name = f"pair to joint command, {figure.__name__}"
         yield compared(name, np.array(ours), np.array(theirs), figure)

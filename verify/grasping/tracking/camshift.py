@@ -141,8 +141,9 @@ def _main_piece(pieces: list[Any], shape: tuple[int, ...], window: Box) -> Any:
         middle = part[height // 4 : height - height // 4, width // 4 : width - width // 4]
         return cv2.countNonZero(middle), cv2.countNonZero(part)
 
-    main = max(pieces, key=held, default=None)
-    return None if main is None or held(main)[1] == 0 else main
+    counts = [held(piece) for piece in pieces]
+    most = max(counts, default=(0, 0))
+    return pieces[counts.index(most)] if most[1] else None
 
 
 def _limit_to_extent(
