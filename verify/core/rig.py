@@ -89,11 +89,6 @@ def distort(xy: Array, coefficients: Coefficients) -> Array:
     return distorted
 
 
-def distortion_jacobian(xy: Array, coefficients: Coefficients) -> Array:
-    """Derivative of `distort` by the coordinates, (..., 2, 2)."""
-    return distort_with_jacobian(xy, coefficients)[1]
-
-
 def distort_with_jacobian(xy: Array, coefficients: Coefficients) -> tuple[Array, Array]:
     """Apply `distort` and take its derivative by the coordinates: (..., 2) and (..., 2, 2).
 

@@ -27,7 +27,6 @@ MAX_OFFSETS = 30_000  # that are tried, whatever the time stamps say: ten minute
 MAX_INSTANTS = 100_000  # that are looked up at a time: a few megabytes
 MAX_SQUARED_MISFIT = 100.0  # beyond which a motion has one vote
 MAX_PAIRS_BY_POSE = 40  # where each offset costs a comparison
-COARSE_STEP_BY_POSE = 0.05  # s, likewise: the fine search converges from further off
 MAX_OFFSETS_BY_POSE = 400
 MIN_OVERLAP = 0.5  # of the pairs must have a reading at an offset that is tried
 MOTION_LAG = 0.3  # s between the poses of a motion: noise falls, motion grows with it

@@ -26,7 +26,7 @@ from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.body_poses import BodyPose
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import Array, Sighting
-from verify.core.rig import Camera, Rig, distort, distortion_jacobian
+from verify.core.rig import Camera, Rig, distort_with_jacobian
 from verify.measurement.pose import perturb
 
 BASE_COLUMNS = slice(0, 6)  # of the design: base, LEDs, clock, skew
@@ -235,5 +235,5 @@ def project_points(camera: Camera, points: Array) -> tuple[Array, Array]:
     perspective = np.zeros((len(points), 2, 3))
     perspective[:, 0, 0] = perspective[:, 1, 1] = 1 / points[:, 2]
     perspective[:, :, 2] = -xy / points[:, 2:3]
-    by_xy = camera.matrix[:2, :2] @ distortion_jacobian(xy, camera.distortion)
-    return camera.to_pixels(distort(xy, camera.distortion)), by_xy @ perspective
+    distorted, by_xy = distort_with_jacobian(xy, camera.distortion)
+    return camera.to_pixels(distorted), camera.matrix[:2, :2] @ by_xy @ perspective

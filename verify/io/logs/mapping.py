@@ -24,7 +24,6 @@ POINTS = tuple(f"p{point}{axis}" for point in (1, 2, 3) for axis in "xyz")
 POSE_TARGETS = (*POSITION, *QUATERNION, *ANGLES, *POINTS)
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9, "date": 1.0}  # s
 LENGTH_UNITS = {"mm": 1.0, "m": 1e3, "um": 1e-3}  # mm
-ROTATIONS = ("rotvec", "quaternion")  # besides the three axes of Euler angles
 MAX_RADIANS = 2 * np.pi * 1.001  # one turn either way: more is in degrees
 MAX_STEP = {"s": 1.0, "ms": 500.0, "us": 5e5}  # median from row to row, where no unit is stated
 
