@@ -65,7 +65,7 @@ def figures(results: Results) -> charts.Chart | None:
         reach = max(reach, abs(value) + half, limit * u)
     panel = charts.Panel(
         tuple(marks),
-        "figure [mm/m]",
+        "value [mm/m]",
         x_ticks=tuple(
             (float(at), SHORT_NAMES.get(str(entry.get("figure")), ""))
             for at, entry in enumerate(entries)

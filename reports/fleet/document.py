@@ -36,7 +36,8 @@ CHANGE_NOTE = (
 def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
     held, arms = results.summary.get("sessions") or {}, len(results.summary.get("arms") or [])
-    period = f", {held['first']} to {held['last']}" if held.get("first") else ""
+    ends = dict.fromkeys([held.get("first"), held.get("last")])  # a single day is named once
+    period = f", {' to '.join(map(str, ends))}" if held.get("first") else ""
     evidence_sections = (
         joints,
         changes,

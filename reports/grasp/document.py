@@ -72,10 +72,10 @@ def document(results: Results) -> doc.Document:
 def _states(results: Results) -> doc.Section:
     columns = (
         doc.Column("t [s]", "r", doc.field("t_s", fmt.number, 2)),
-        doc.Column("from", "l", doc.field("from_state", str)),
-        doc.Column("to", "l", doc.field("to_state", str)),
-        doc.Column("event", "l", doc.field("event", str)),
-        doc.Column("because", "l", doc.field("reason", str), wide=True),
+        doc.Column("From", "l", doc.field("from_state", str)),
+        doc.Column("To", "l", doc.field("to_state", str)),
+        doc.Column("Event", "l", doc.field("event", str)),
+        doc.Column("Because", "l", doc.field("reason", str), wide=True),
     )
     passages = records(results.table("passages"))
     table = doc.tabulate("Every change of state.", columns, passages)

@@ -159,7 +159,7 @@ def _known(summary: dict[str, Any]) -> doc.Table:
     columns = [
         doc.Column("Joint", "c", doc.field("joint")),
         doc.Column("U [°]", "r", doc.field("expanded_uncertainty_deg", significant)),
-        doc.Column("at the flange [mm]", "r", _at_flange),
+        doc.Column("At the flange [mm]", "r", _at_flange),
         *(doc.Column(f"{PARTS.get(g, g)} [°]", "r", _part_field(g)) for g in groups),
         doc.Column("Detectable [°]", "r", doc.field("minimum_detectable_error_deg", significant)),
     ]
@@ -209,7 +209,7 @@ def joints(results: Results) -> doc.Section:
         doc.Column("Joint", "c", doc.field("joint")),
         doc.Column("U [°]", "r", doc.field("expanded_uncertainty_deg", significant)),
         doc.Column("k", "r", doc.field("coverage_factor", number, 2)),
-        doc.Column("largest U [°]", "r", doc.expanded_field("largest_standard_uncertainty_deg")),
+        doc.Column("Largest U [°]", "r", doc.expanded_field("largest_standard_uncertainty_deg")),
         doc.Column("Detectable [°]", "r", doc.field("minimum_detectable_error_deg", significant)),
         doc.Column("Separable [°]", "r", doc.field("minimum_separable_error_deg", significant)),
         doc.Column("Visible", "r", doc.field("visible_fraction", percent)),

@@ -32,7 +32,7 @@ def detectable(results: Results) -> charts.Chart | None:
         return None
     ticks = tuple((float(at), f"q{j.get('joint')}") for at, j in zip(places, joints, strict=True))
     panel = charts.Panel(
-        tuple(marks), "[°]", x_ticks=ticks, x_range=(-0.6, len(joints) - 0.4),
+        tuple(marks), "angle [°]", x_ticks=ticks, x_range=(-0.6, len(joints) - 0.4),
         y_range=(0.0, AXIS_MARGIN * highest), unit="°",
     )  # fmt: skip
     return charts.Chart((panel,), row_height=1.8)

@@ -137,7 +137,7 @@ def _unstated_table(effects: list[dict[str, Any]]) -> list[doc.Block]:
         doc.Column("Source", "l", doc.field("source", fmt.text_or_dash)),
         doc.Column("Error", "l", doc.field("error", fmt.text_or_dash), wide=True),
         doc.Column("Joint", "r", doc.field("joint", fmt.count)),
-        doc.Column("moved by [°]", "r", doc.field("moves_mean_error_deg", fmt.significant)),
+        doc.Column("Moved by [°]", "r", doc.field("moves_mean_error_deg", fmt.significant)),
     )
     title = "What it would take to matter: the mean error that each would move the most."
     return [doc.tabulate(title, columns, effects)] if effects else []

@@ -217,11 +217,11 @@ def _positions(entry: dict[str, Any]) -> doc.Table:
         doc.Column("Pose", "l", doc.field("pose", str)),
         doc.Column("Visits", "r", doc.field("visits", fmt.count)),
         doc.Column("AP [mm]", "r", lambda p: _interval(p, "ap", "mm")),
-        doc.Column("of noise [mm]", "r", doc.field("ap_of_noise_mm", fmt.number)),
-        doc.Column("without bias [mm]", "r", doc.field("ap_less_bias_mm", fmt.number)),
+        doc.Column("Of noise [mm]", "r", doc.field("ap_of_noise_mm", fmt.number)),
+        doc.Column("Without bias [mm]", "r", doc.field("ap_less_bias_mm", fmt.number)),
         doc.Column("RP [mm]", "r", lambda p: _interval(p, "rp", "mm")),
-        doc.Column("floor [mm]", "r", doc.field("rp_floor_mm", fmt.number)),
-        doc.Column("robot's RP [mm]", "r", lambda p: _format_robot_share(p, "rp", "mm")),
+        doc.Column("Floor [mm]", "r", doc.field("rp_floor_mm", fmt.number)),
+        doc.Column("Robot's RP [mm]", "r", lambda p: _format_robot_share(p, "rp", "mm")),
     )
     notes = INTERVAL_NOTE, BIAS_NOTE, FLOOR_NOTE if measured_floor else STATED_FLOOR_NOTE
     title = "Pose accuracy AP and pose repeatability RP of positions."
@@ -260,8 +260,8 @@ def _variation(poses: list[dict[str, Any]]) -> doc.Table | None:
         doc.Column("Pose", "l", doc.field("pose", str)),
         doc.Column("Ways", "r", doc.field("ways", fmt.count)),
         doc.Column("vAP [mm]", "r", lambda v: _interval(v, "vap", "mm")),
-        doc.Column("noise alone up to [mm]", "r", doc.field("vap_of_noise_mm", fmt.number)),
-        doc.Column("largest angle [°]", "r", doc.field("vap_deg", fmt.number)),
+        doc.Column("Noise alone up to [mm]", "r", doc.field("vap_of_noise_mm", fmt.number)),
+        doc.Column("Largest angle [°]", "r", doc.field("vap_deg", fmt.number)),
     )
     entries = _entries_with(poses, "variation")
     title = "Multi-directional variation vAP: barycentres of one pose, approached from other poses."
@@ -273,9 +273,9 @@ def _drift(poses: list[dict[str, Any]]) -> doc.Table | None:
         doc.Column("Pose", "l", doc.field("pose", str)),
         doc.Column("Blocks", "r", doc.field("blocks", fmt.count)),
         doc.Column("dAP [mm]", "r", doc.field("dap_mm", fmt.number)),
-        doc.Column("noise alone up to [mm]", "r", doc.field("dap_of_noise_mm", fmt.number)),
+        doc.Column("Noise alone up to [mm]", "r", doc.field("dap_of_noise_mm", fmt.number)),
         doc.Column("dRP [mm]", "r", doc.field("drp_mm", fmt.number)),
-        doc.Column("noise alone up to [mm]", "r", doc.field("drp_of_noise_mm", fmt.number)),
+        doc.Column("Noise alone up to [mm]", "r", doc.field("drp_of_noise_mm", fmt.number)),
     )
     entries = _entries_with(poses, "drift")
     title = "Drift: largest change of AP and RP from the first visits to later ones."
@@ -303,9 +303,9 @@ def _paths(paths: list[dict[str, Any]]) -> doc.Table:
         doc.Column("Length [mm]", "r", doc.field("length_mm", fmt.number, 1)),
         doc.Column("Speed [mm/s]", "r", doc.field("speed_mm_s", fmt.number, 1)),
         doc.Column("AT [mm]", "r", lambda p: _interval(p, "at", "mm")),
-        doc.Column("noise alone up to [mm]", "r", doc.field("at_largest_of_noise_mm", fmt.number)),
+        doc.Column("Noise alone up to [mm]", "r", doc.field("at_largest_of_noise_mm", fmt.number)),
         doc.Column("RT [mm]", "r", lambda p: _interval(p, "rt", "mm")),
-        doc.Column("robot's RT [mm]", "r", lambda p: _format_robot_share(p, "rt", "mm")),
+        doc.Column("Robot's RT [mm]", "r", lambda p: _format_robot_share(p, "rt", "mm")),
     )
     title = "Path accuracy AT and path repeatability RT of positions."
     return doc.tabulate(title, columns, paths, INTERVAL_NOTE, MAXIMUM_NOTE)

@@ -4,13 +4,17 @@ The session is a sample; its README.md states the truth. docs/reports.md lists t
 """
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
+import pandas as pd
 import pytest
 
 from reports.document.blocks import to_template_data
+from reports.format.pdf import pages
 from reports.session.certificate import certificate
-from tests.support.reports.page import made_of, pdf_text_of, strings
+from reports.session.document import document
+from tests.support.reports.page import made_of, pdf_text, pdf_text_of, strings
 
 QUESTIONS = {
     "Is my robot all right?": "The robot does not conform",
@@ -46,3 +50,17 @@ def test_without_a_tolerance_page_one_says_what_is_taken_as_exact_and_what_to_do
     assert "Every figure holds on that condition" in text
     assert "give a tolerance" in text
     assert "and the tolerance" not in text
+
+
+def test_page_one_of_a_watched_run_holds_its_alarms() -> None:
+    text = (
+        "The reading of joint 2 has changed by +0.349° ± 0.011° (k = 2) against what is measured."
+    )
+    told = [(number, 2, float(number), text) for number in range(1, 5)]
+    alarms = pd.DataFrame(told, columns=["alarm", "joint", "t_s", "text"])
+    results = made_of("nonconforming")
+    watched = replace(results, tables=results.tables | {"alarms": alarms})
+    laid_out = document(watched)
+    alone = replace(laid_out, sections=laid_out.sections[:1])
+    first = pdf_text(pages(alone)).split("\f")[0]
+    assert "alarms.csv lists every alarm" in first

@@ -84,14 +84,17 @@ def page_of(results: Results) -> str:
 
 
 def pdf_text_of(name: str) -> str:
-    """The text of the PDF as a reader copies it; skip without pdftotext."""
+    """The text of the PDF of that name."""
+    return pdf_text(pdf_of(name))
+
+
+def pdf_text(pdf: bytes) -> str:
+    """The text of a PDF as a reader copies it; skip without pdftotext."""
     tool = shutil.which("pdftotext")
     if tool is None:
         pytest.skip("pdftotext is not installed (poppler-utils)")
     command = [tool, "-layout", "-", "-"]
-    return subprocess.run(
-        command, check=True, capture_output=True, input=pdf_of(name)
-    ).stdout.decode()
+    return subprocess.run(command, check=True, capture_output=True, input=pdf).stdout.decode()
 
 
 VOID = {"meta", "br", "img", "link", "input", "hr"}
