@@ -78,7 +78,7 @@ GALLERY = (
         "The robot as it moves: errors against tolerance, pictures, alarms. It takes no orders.",
         ("verify run --new-station station.toml",
          "verify run station.toml --for 180s --tolerance 0.5 --page"),
-        ready="/within|beyond/.test(document.querySelector('#overall').textContent)",
+        ready="/all joints within/.test(document.querySelector('#overall').textContent)",
     ),
     Shown(
         "grab_page", "Page of a grasp",

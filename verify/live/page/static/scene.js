@@ -152,9 +152,10 @@ export class Scene {
       this.path(context, [...corners, corners[0]]);
       corners.forEach((corner) => this.path(context, [at(0, 0, 0), corner]));
       const outside = across[side] > across[1 - side] ? 1 : -1; // names of cameras that stand close do not meet
-      const [x, y] = this.place(at(0, 0, -20));
+      const drawn = [at(0, 0, 0), ...corners].map((corner) => this.place(corner));
+      const x = Math.max(...drawn.map(([right]) => right * outside)) * outside;
       context.textAlign = outside > 0 ? "left" : "right";
-      context.fillText(side ? "right" : "left", x + 8 * outside, y + 4);
+      context.fillText(side ? "right" : "left", x + 5 * outside, drawn[0][1] + 4);
     });
     context.textAlign = "left";
   }
