@@ -58,7 +58,7 @@ def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
     valid = t[np.isfinite(t)]
     if not len(valid):
         return np.arange(len(t), dtype=np.float64), "pose, in order"
-    return t - valid[0], "time from the first pair [s]"
+    return t - valid[0], "since first pair [s]"
 
 
 def trace(t: Array, y: Array) -> tuple[Array, Array]:

@@ -93,7 +93,7 @@ def test_a_rotation_vector_is_followed_through_whole_turns_and_lost_pairs() -> N
 def test_times_are_shown_from_the_first_pair(first: float) -> None:
     t, label = time_axis(pd.DataFrame({"t_s": [np.nan, first, first + 1]}))
     assert_allclose(t, [np.nan, 0, 1])
-    assert label == "time from the first pair [s]"
+    assert label == "since first pair [s]"
 
 
 def test_a_missing_column_is_all_unknown_and_runs_gather_equal_neighbours() -> None:
