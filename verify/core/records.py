@@ -19,9 +19,12 @@ Record = TypeVar("Record")
 
 def take_rows(record: Record, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Record:
     """Take some rows of each array of a dataclass, by index or mask; other fields stay."""
-    kind = type(record)
+    kind: Any = type(record)
     values = (getattr(record, name) for name in _field_names(kind))
-    return kind(*(value[rows] if isinstance(value, np.ndarray) else value for value in values))
+    taken: Record = kind(
+        *(value[rows] if isinstance(value, np.ndarray) else value for value in values)
+    )
+    return taken
 
 
 @cache

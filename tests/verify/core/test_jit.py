@@ -35,9 +35,9 @@ from verify.analysis.session import analyse
 from verify.core.fiducials import Board
 from verify.calibration.corners.find import find_board
 from verify.compile_ahead import compile_ahead
-from verify.measurement.correspondence.kernels.fit import rotation_matrix
+from verify.core.kernels.linear_algebra import dot
 import numpy as np
-print(jit.CACHE, rotation_matrix(np.zeros(3))[0, 0])
+print(jit.CACHE, dot(np.array([1.0, 0.0, 0.0]), np.ones(3)))
 """
 
 

@@ -12,6 +12,8 @@ import numpy as np
 from verify.core.jit import compiled
 from verify.core.records import Array
 
+SMALL_ANGLE = 1e-9  # rad: below, sine and angle are the same
+
 
 @compiled
 def dot(a: Array, b: Array) -> float:
@@ -43,11 +45,20 @@ def scale_to_one(vector: Array) -> None:
 
 
 @compiled
-def compose(a: Array, b: Array, product: Array) -> None:
-    """Fill in the product of two matrices (3, 3)."""
-    for i in range(3):
-        for j in range(3):
-            product[i, j] = a[i, 0] * b[0, j] + a[i, 1] * b[1, j] + a[i, 2] * b[2, j]
+def rotate(axes: Array, vector: Array) -> None:
+    """Rotate the first three columns of (3 or 4, 3 or 4) in place by a rotation vector (3,)."""
+    x, y, z = vector[0], vector[1], vector[2]
+    angle = math.sqrt(x * x + y * y + z * z)
+    half = 0.5 * angle
+    sine = math.sin(angle) / angle if angle > SMALL_ANGLE else 1.0
+    versine = 0.5 * (math.sin(half) / half) ** 2 if angle > SMALL_ANGLE else 0.5
+    for j in range(3):
+        a, b, c = axes[0, j], axes[1, j], axes[2, j]
+        # Rodrigues: v + sine (w x v) + versine (w x (w x v))
+        d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
+        axes[0, j] = a + sine * d + versine * (y * f - z * e)
+        axes[1, j] = b + sine * e + versine * (z * d - x * f)
+        axes[2, j] = c + sine * f + versine * (x * e - y * d)
 
 
 @compiled

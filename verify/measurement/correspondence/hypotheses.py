@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array
+from verify.core.records import Array, take_rows
 from verify.measurement.correspondence.kernels import fit, seeds
 from verify.measurement.correspondence.kernels import points as kernels_points
 from verify.measurement.correspondence.kernels.fit import HypothesisArrays
@@ -105,7 +105,7 @@ class Hypotheses:
 
     def take(self, chosen: NDArray[np.bool_] | Index | slice) -> "Hypotheses":
         """Keep some, by index, mask or slice."""
-        return Hypotheses(*(array[chosen] for array in self.arrays))
+        return take_rows(self, chosen)
 
     def join(self, other: "Hypotheses") -> "Hypotheses":
         """Append others."""

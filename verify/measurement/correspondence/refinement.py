@@ -12,7 +12,7 @@ from verify.core.records import Array
 from verify.core.statistics import chi2_bound
 from verify.measurement.correspondence.hypotheses import Hypotheses, start_hypotheses
 from verify.measurement.correspondence.kernels import spots as kernel
-from verify.measurement.correspondence.kernels.fit import fit_all, predict_all
+from verify.measurement.correspondence.kernels.fit import fit_all
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
 from verify.measurement.correspondence.views import SpotViews
 
@@ -132,11 +132,11 @@ def _explained_spots(views: SpotViews, hypotheses: Hypotheses, largest: float) -
 
     An LED whose place is known worse than `largest` (px) gets none.
     """
-    pose = hypotheses.rotation, hypotheses.position, hypotheses.shift
-    predicted = predict_all(views.cameras, MIN_DEPTH, views.leds, *pose)
     spots = views.pixels, views.covariance, views.merged
     limits = MIN_DEPTH, views.led_play * views.mean_focal, MAX_DEVIATION, largest, MERGED_COST
-    return kernel.gather_all(spots, views.allowed, limits, predicted, hypotheses.covariance)
+    return kernel.gather_all(
+        views.cameras, spots, views.allowed, limits, views.leds, hypotheses.arrays
+    )
 
 
 def score(views: SpotViews, hypotheses: Hypotheses) -> Array:

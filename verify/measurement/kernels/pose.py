@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled
-from verify.core.kernels.linear_algebra import dot, factor, invert, solve
+from verify.core.kernels.linear_algebra import dot, factor, invert, rotate, solve
 from verify.core.records import Array
 
 Flags = NDArray[np.bool_]
@@ -27,7 +27,6 @@ SCALE = np.repeat([LEVER, 1.0], 3)  # m and rad: units in which both are alike
 # for the linearisation that its uncertainty rests on.
 MAX_UNCERTAINTY = 0.1  # rad, or 10 mm at the marker's size
 MIN_INFORMATION = 1e-10  # information a direction, relative to the best: rounding, not measurement
-SMALL_ANGLE = 1e-9  # rad: below, sine and angle are the same
 MAX_ITERATIONS = 25
 # Acceleration assumed a speed, 1/s: arms move in sines near 0.5 Hz (2 pi f = 3) or in ramps of a
 # third of a second. The session's own motion corrects it afterwards (comparison.py).
@@ -97,19 +96,9 @@ def predict_spots(
 
 @compiled
 def move_pose(pose: Array, step: Array) -> None:
-    """Move a pose (4, 4) in place by translation and rotation vector (6,): Rodrigues' formula."""
-    x, y, z = step[3], step[4], step[5]
-    angle = math.sqrt(x * x + y * y + z * z)
-    half = 0.5 * angle
-    sine = math.sin(angle) / angle if angle > SMALL_ANGLE else 1.0
-    versine = 0.5 * (math.sin(half) / half) ** 2 if angle > SMALL_ANGLE else 0.5
+    """Move a pose (4, 4) in place by translation and rotation vector (6,)."""
+    rotate(pose, step[3:])
     for j in range(3):
-        a, b, c = pose[0, j], pose[1, j], pose[2, j]
-        # v + sine (w x v) + versine (w x (w x v))
-        d, e, f = y * c - z * b, z * a - x * c, x * b - y * a
-        pose[0, j] = a + sine * d + versine * (y * f - z * e)
-        pose[1, j] = b + sine * e + versine * (z * d - x * f)
-        pose[2, j] = c + sine * f + versine * (x * e - y * d)
         pose[j, 3] += step[j]
 
 

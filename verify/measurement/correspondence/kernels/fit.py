@@ -1,4 +1,4 @@
-"""Fit a pose and a shift of the right image to the spots of many hypotheses; predict their images.
+"""Fit a pose and a shift of the right image to the spots of many hypotheses.
 
 With u the LEDs' images predicted at pose T and shift s, z their spots, V the spots' covariance,
 H a weight that keeps the pose and S the variance of the shift, each Gauss-Newton step minimises
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled
-from verify.core.kernels.linear_algebra import compose, copy_to, factor, invert, solve
+from verify.core.kernels.linear_algebra import factor, invert, rotate, solve
 from verify.core.records import Array
 
 # rotation (h, 3, 3), position (h, 3) m, shift (h, 2) px, spots (h, 2, n), -1 for none, inverse
@@ -20,30 +20,6 @@ from verify.core.records import Array
 HypothesisArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array, Array]
 
 N_FREE = 8  # pose and shift
-SMALL_ANGLE = 1e-4  # rad: below, series are exact to rounding
-
-
-@compiled
-def rotation_matrix(vector: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,), by Rodrigues' formula."""
-    x, y, z = vector[0], vector[1], vector[2]
-    square = x * x + y * y + z * z
-    angle = math.sqrt(square)
-    if angle < SMALL_ANGLE:
-        sine, versine = 1.0 - square / 6.0, 0.5 - square / 24.0
-    else:
-        sine, versine = math.sin(angle) / angle, (1.0 - math.cos(angle)) / square
-    cosine = math.cos(angle)
-    turn = np.empty((3, 3))
-    turn[0, 0], turn[1, 1], turn[2, 2] = (
-        cosine + versine * x * x,
-        cosine + versine * y * y,
-        cosine + versine * z * z,
-    )
-    turn[0, 1], turn[1, 0] = versine * x * y - sine * z, versine * x * y + sine * z
-    turn[0, 2], turn[2, 0] = versine * x * z + sine * y, versine * x * z - sine * y
-    turn[1, 2], turn[2, 1] = versine * y * z - sine * x, versine * y * z + sine * x
-    return turn
 
 
 @compiled
@@ -119,7 +95,7 @@ def fit_all(
     pixels, noise = spots
     nearest, play, shift_weight = limits
     rotations, positions, shifts, chosen, hold, covariance, chi2 = hypotheses
-    roots, before = np.empty((2, len(leds), 2, 2)), np.empty((3, 3))
+    roots = np.empty((2, len(leds), 2, 2))
     pixel, derivative, white = np.empty(2), np.zeros((2, N_FREE)), np.empty(N_FREE)
     information, root = np.empty((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE))
     pull = np.empty(N_FREE)
@@ -161,43 +137,10 @@ def fit_all(
                 pull[6] -= shift_weight * shift[0]
                 pull[7] -= shift_weight * shift[1]
                 solve(root, pull)
+                rotate(rotation, pull[3:6])
                 for i in range(3):
-                    copy_to(before[i], rotation[i])
                     position[i] += pull[i]
-                compose(rotation_matrix(pull[3:6]), before, rotation)
                 shift[0] += pull[6]
                 shift[1] += pull[7]
         invert(root, covariance[h])
         chi2[h] = total + shift_weight * (shift[0] * shift[0] + shift[1] * shift[1])
-
-
-@compiled
-def predict_all(
-    cameras: tuple[Array, Array, Array],
-    nearest: float,
-    leds: Array,
-    rotation: Array,
-    position: Array,
-    shift: Array,
-) -> tuple[Array, Array, Array]:
-    """Give every LED's image (h, 2, n, 2), its derivative (h, 2, n, 2, 8), and depth (h, 2, n).
-
-    Arguments are those of `fit_all`.
-    """
-    camera_R_rig, center, focal = cameras
-    count, each = len(position), len(leds)
-    image, depth = np.empty((count, 2, each, 2)), np.empty((count, 2, each))
-    derivative = np.empty((count, 2, each, 2, N_FREE))
-    for h in range(len(position)):
-        for side in range(2):
-            for led in range(len(leds)):
-                pixel, slope = image[h, side, led], derivative[h, side, led]
-                depth[h, side, led] = predict_image(
-                    leds[led], rotation[h], position[h], camera_R_rig[side], center[side],
-                    focal[side], nearest, pixel, slope,
-                )  # fmt: skip
-                slope[0, 6] = slope[1, 7] = float(side)
-                slope[0, 7] = slope[1, 6] = 0.0
-                for axis in range(2):
-                    pixel[axis] += side * shift[h, axis]
-    return image, derivative, depth

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled
-from verify.core.kernels.linear_algebra import distance
+from verify.core.kernels.linear_algebra import distance, factor, invert
 from verify.core.records import Array
 from verify.measurement.triangulation import MIN_SIN2
 
@@ -133,21 +133,6 @@ def pair_spots(
 
 
 @compiled
-def invert_symmetric(m: Array, inverse: Array) -> None:
-    """Fill in the inverse of a symmetric matrix (3, 3), by cofactors."""
-    a = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
-    b = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
-    c = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
-    scale = 1.0 / (m[0, 0] * a + m[0, 1] * b + m[0, 2] * c)
-    inverse[0, 0] = a * scale
-    inverse[0, 1] = inverse[1, 0] = b * scale
-    inverse[0, 2] = inverse[2, 0] = c * scale
-    inverse[1, 1] = (m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]) * scale
-    inverse[1, 2] = inverse[2, 1] = (m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]) * scale
-    inverse[2, 2] = (m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]) * scale
-
-
-@compiled
 def locate_points(
     cameras: tuple[Array, Array, Array], spread: Array, where: Array, spot: Index
 ) -> tuple[Array, Array]:
@@ -158,7 +143,8 @@ def locate_points(
     """
     camera_R_rig, center, focal = cameras
     rig, covariance = np.empty((len(spot), 3)), np.empty((len(spot), 3, 3))
-    local, slope, information = np.empty(3), np.empty(3), np.empty((3, 3))
+    local, slope = np.empty(3), np.empty(3)
+    information, root = np.empty((3, 3)), np.empty((3, 3))
     for c in range(len(spot)):
         for i in range(3):
             rig[c, i] = where[spot[c, 0], spot[c, 1], i]
@@ -178,5 +164,6 @@ def locate_points(
                 for i in range(3):
                     for j in range(3):
                         information[i, j] += slope[i] * weight * slope[j]
-        invert_symmetric(information, covariance[c])
+        factor(information, 0.0, root)
+        invert(root, covariance[c])
     return rig, covariance

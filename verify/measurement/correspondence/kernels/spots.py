@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from verify.core.jit import compiled
 from verify.core.kernels.linear_algebra import dot
 from verify.core.records import Array
+from verify.measurement.correspondence.kernels.fit import N_FREE, HypothesisArrays, predict_image
 
 Index = NDArray[np.int64]
 Flags = NDArray[np.bool_]
@@ -41,33 +42,39 @@ def choose_spots(cost: Array, spot: Index) -> None:
 
 @compiled
 def gather_all(
+    cameras: tuple[Array, Array, Array],
     spots: tuple[Array, Array, Flags],
     allowed: Flags,
     limits: tuple[float, float, float, float, float],
-    predicted: tuple[Array, Array, Array],
-    covariance: Array,
+    leds: Array,
+    hypotheses: HypothesisArrays,
 ) -> Index:
     """Give the spot (h, 2, n) that each LED gets in each image, -1 for none.
 
-    `spots`: (2, s, 2) px, their covariance (2, s, 2, 2) px², and which are merged (2, s). `allowed`
-    (2, n, s): this spot may be that LED. `limits`: nearest depth (m), an LED's play times the focal
-    length (m px), the gate in standard deviations, the largest uncertainty (px) of an LED worth
-    looking for, and what a merged spot costs. `predicted`: LED images (h, 2, n, 2) px, their
-    derivative (h, 2, n, 2, 8), depths (h, 2, n) m. `covariance` (h, 8, 8), of pose and shift.
+    `cameras`, `leds` and `hypotheses` are those of `fit_all`. `spots`: (2, s, 2) px, their
+    covariance (2, s, 2, 2) px², and which are merged (2, s). `allowed` (2, n, s): this spot may be
+    that LED. `limits`: nearest depth (m), an LED's play times the focal length (m px), the gate in
+    standard deviations, the largest uncertainty (px) of an LED worth looking for, and what a merged
+    spot costs.
     """
+    camera_R_rig, center, focal = cameras
     pixels, noise, merged = spots
     nearest, play, gate, largest, merged_cost = limits
-    cost = np.empty((allowed.shape[1], allowed.shape[2]))
-    spot = np.empty((len(covariance), 2, len(cost)), np.int64)
+    rotation, position, shift, _, _, covariance, _ = hypotheses
+    cost, image = np.empty((allowed.shape[1], allowed.shape[2])), np.empty(2)
+    spot, slope = np.empty((len(covariance), 2, len(cost)), np.int64), np.zeros((2, N_FREE))
     for h in range(len(spot)):
         for side in range(2):
+            slope[0, 6] = slope[1, 7] = float(side)
             for led in range(len(cost)):
-                image, slope = predicted[0][h, side, led], predicted[1][h, side, led]
-                depth = predicted[2][h, side, led]
+                depth = predict_image(
+                    leds[led], rotation[h], position[h], camera_R_rig[side], center[side],
+                    focal[side], nearest, image, slope,
+                )  # fmt: skip
                 xx, xy, yy = 0.0, 0.0, 0.0  # variance of the predicted image, px²
-                for i in range(slope.shape[1]):
+                for i in range(N_FREE):
                     x, y = 0.0, 0.0
-                    for j in range(slope.shape[1]):
+                    for j in range(N_FREE):
                         x += slope[0, j] * covariance[h, j, i]
                         y += slope[1, j] * covariance[h, j, i]
                     xx += x * slope[0, i]
@@ -77,7 +84,8 @@ def gather_all(
                 play2 = (play / max(depth, nearest)) ** 2
                 for k in range(cost.shape[1]):
                     cost[led, k] = math.inf
-                    x, y = pixels[side, k, 0] - image[0], pixels[side, k, 1] - image[1]
+                    x = pixels[side, k, 0] - (image[0] + side * shift[h, 0])
+                    y = pixels[side, k, 1] - (image[1] + side * shift[h, 1])
                     a = noise[side, k, 0, 0] + (xx + play2)
                     b = noise[side, k, 0, 1] + xy
                     d = noise[side, k, 1, 1] + (yy + play2)
