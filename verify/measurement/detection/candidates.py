@@ -18,10 +18,9 @@ from verify.measurement.detection.fit import TOL_LAST_STEP, Patches, SpotFit, co
 from verify.measurement.detection.kernels.candidates import (
     MIN_WINDOW_SIDE,
     compact_blobs,
+    contrast_boxes,
     find_blobs,
-    top_hat,
 )
-from verify.measurement.detection.kernels.patches import read_grey
 from verify.measurement.detection.kernels.pixels import PAR_PEAK, PAR_XX, PAR_YY
 from verify.measurement.detection.profile import spot_light
 
@@ -32,7 +31,7 @@ MAX_AXIS_RATIO = 2.5  # at half height; an LED blurred by motion over its own le
 MIN_FILL = 0.6  # blob area over its ellipse's: an LED fills it, a bent or branched blob does not
 DEFAULT_DIAMETER = (2.0, 40.0)  # px; least that sampling supports, and a 5 mm LED at 13 cm
 BACKGROUND_FACTOR = 1.5  # background window over the largest diameter: no LED survives in it
-MAX_COMPILED_PIXELS = 40_000  # of a window: above, OpenCV is as quick, whatever an LED measures
+MAX_SMALL_AREA = 40_000  # px, of a window: larger ones are searched where something is bright
 MAX_BLOBS = 1024  # blobs listed in one window, those of higher levels first
 MAX_CANDIDATES = 64  # blobs fitted, best contrast first: bounds the time in a cluttered room
 
@@ -64,8 +63,8 @@ def find_candidates(
         windows = np.array([[0, 0, image.shape[1], image.shape[0]]])
     boxes = windows.tolist()
     area = [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes]
-    if image.ndim == 2 and max(area, default=0) <= MAX_COMPILED_PIXELS:
-        found = find_in_small_windows(image, windows, largest)
+    if image.ndim == 2 and max(area, default=0) <= MAX_SMALL_AREA:
+        found = find_blobs(image, windows, 0, *blob_arguments(largest))
         halved = np.ones(len(found), dtype=np.intp)
     else:
         factor = [2 if pixels > MAX_FULL_SIZE_AREA else 1 for pixels in area]
@@ -74,30 +73,14 @@ def find_candidates(
         ]
         found = np.concatenate([np.empty((0, 4)), *parts])
         halved = np.repeat(np.array(factor, np.intp), [len(part) for part in parts])
-    best = select_highest(found, halved, (smallest, largest))
+    width = 2.0 * found[:, 2]
+    chosen = found[(width + halved >= smallest) & (width - halved <= largest)]  # to a pixel
+    best = chosen[np.argsort(-chosen[:, 3], kind="stable")[:MAX_CANDIDATES]]
     return Candidates(best[:, :2], best[:, 2].copy(), best[:, 3])
 
 
-def select_highest(found: Array, tolerance: NDArray[np.intp], across: tuple[float, float]) -> Array:
-    """List the blobs of a width, highest contrast first, at most MAX_CANDIDATES; (m, 4) as found.
-
-    `found` (n, 4), as `compact_blobs` fills it; `tolerance` (n,), px, error of a blob's width;
-    `across`, px, least and largest width.
-    """
-    width = 2.0 * found[:, 2]
-    chosen = found[(width + tolerance >= across[0]) & (width - tolerance <= across[1])]
-    return chosen[np.argsort(-chosen[:, 3], kind="stable")[:MAX_CANDIDATES]]
-
-
-def find_in_small_windows(image: Image, windows: NDArray[np.int64], largest: float) -> Array:
-    """Find blobs in small windows of a grey picture, (n, 4): x, y, radius (px), contrast (DN)."""
-    side = background_window(largest)
-    shape = float(2 * side), MAX_AXIS_RATIO, MIN_FILL
-    return find_blobs(image, windows, side // 2, LEVELS, shape, MAX_BLOBS)
-
-
 def find_in_large_window(image: Image, window: list[int], factor: int, largest: float) -> Array:
-    """Find blobs in a window of any picture, made smaller by a factor, (n, 4): the same columns."""
+    """Find blobs in a window of any picture, made smaller by a factor, as `find_blobs` does."""
     x0, y0, x1, y1 = window
     part = image[y0:y1, x0:x1]
     height, width = part.shape[0] // factor, part.shape[1] // factor
@@ -111,29 +94,26 @@ def find_in_large_window(image: Image, window: list[int], factor: int, largest: 
     if part.ndim == 3:
         blue, green, red = cv2.split(part)
         part = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
-    side = background_window(largest / factor)
-    found = np.empty((MAX_BLOBS, 4))
-    shape = float(2 * side), MAX_AXIS_RATIO, MIN_FILL
-    found = found[: compact_blobs(local_contrast(part, side), LEVELS, shape, found)]
+    part = np.ascontiguousarray(part)
+    reach, levels, shape, most = blob_arguments(largest / factor)
+    boxes = contrast_boxes(part, reach, LEVELS[-1])
+    if boxes[:1].tolist() == [[0, 0, width, height]]:  # OpenCV is quicker for all of a picture
+        square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+        contrast = np.asarray(cv2.morphologyEx(part, cv2.MORPH_TOPHAT, square), np.uint8)
+        found = np.empty((most, 4))
+        found = found[: compact_blobs(contrast, levels, shape, found)]
+    else:
+        found = find_blobs(part, boxes, 2 * reach, reach, levels, shape, most)
     found[:, :3] *= factor
     # a pixel of the halved picture is centred between the two it came from
     found[:, :2] += (factor - 1) / 2 + np.array([x0, y0])
     return found
 
 
-def background_window(largest: float) -> int:
-    """Side of the square that surroundings are taken from, an odd number of px."""
-    return int(BACKGROUND_FACTOR * largest) | 1
-
-
-def local_contrast(image: Image, side: int) -> Image:
-    """Contrast of what is smaller than a square of `side` px, an odd number: the top hat, DN."""
-    if image.size > MAX_COMPILED_PIXELS:
-        window = np.ones((side, side), np.uint8)
-        return np.asarray(cv2.morphologyEx(image, cv2.MORPH_TOPHAT, window), np.uint8)
-    contrast = np.empty_like(image, order="C")
-    top_hat(np.ascontiguousarray(image), side // 2, contrast)
-    return contrast
+def blob_arguments(largest: float) -> tuple[int, tuple[int, ...], tuple[float, float, float], int]:
+    """Last arguments of `find_blobs` for LEDs of a largest width, px."""
+    reach = int(BACKGROUND_FACTOR * largest) // 2
+    return reach, LEVELS, (4.0 * reach + 2.0, MAX_AXIS_RATIO, MIN_FILL), MAX_BLOBS
 
 
 RADII = (8, 11, 14, 18, 26, 40, 62)  # px, of cut-outs: few, so that many share a batch
@@ -253,19 +233,19 @@ def read_pixels(
     """Read the image at offsets (n, p), or (1, p) for all, from the origins; colours combined."""
     values = np.empty((len(origin), 4, column.shape[1]))
     whole = np.ones(len(origin))
-    if image.ndim == 2:
-        colour = np.empty((len(origin), 3))
-        read_grey(image, origin, scale, column, row, values, colour)
-        return LocatedPatches(Patches(values, scale, whole, whole, noise), origin, colour)
     height, width = image.shape[:2]
     x, y = origin[:, :1] + column, origin[:, 1:] + row
-    inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
-    pixels = image[y.clip(0, height - 1), x.clip(0, width - 1)]
+    inside = np.ones(x.shape, dtype=np.bool_)
+    if min(x.min(), y.min()) < 0 or x.max() >= width or y.max() >= height:
+        inside = (x >= 0) & (x < width) & (y >= 0) & (y < height)
+        x, y = x.clip(0, width - 1), y.clip(0, height - 1)
+    pixels = image.reshape(-1, *image.shape[2:]).take(y * width + x, axis=0)
     core = column**2 + row**2 <= np.square(scale)[:, None]
     values[:, 2], values[:, 3] = column, row
-    if is_grey(pixels):
-        values[:, 0], values[:, 1] = pixels[..., 0], inside
-        colour = np.repeat(channel_contrast(pixels[..., :1], core), 3, axis=1)
+    if image.ndim == 2 or is_grey(pixels):
+        one = pixels.reshape(*pixels.shape[:2], -1)[..., :1]
+        values[:, 0], values[:, 1] = one[..., 0], inside
+        colour = np.repeat(channel_contrast(one, core), 3, axis=1)
         return LocatedPatches(Patches(values, scale, whole, whole, noise), origin, colour)
     colour = channel_contrast(pixels, core)
     weight = channel_weights(colour)

@@ -47,7 +47,7 @@ from verify.measurement.detection.kernels.quality import (
     COL_SOUND,
 )
 from verify.measurement.detection.noise import background_noise, refine_noise
-from verify.measurement.detection.occlusion import score_rims, unoccluded_centres
+from verify.measurement.detection.occlusion import unoccluded_centres
 
 CENTRE = slice(COL_CENTRE_X, COL_CENTRE_Y + 1)
 COVARIANCE = slice(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1)
@@ -103,8 +103,7 @@ def detect(
     if lossy:
         assessed[:, COVARIANCE] *= quality.lossy_scale(assessed)[:, None]
     quality.doubt_shapes(assessed)
-    scores = score_rims([fit for _, fit in batches], kept, assessed)
-    shift, covariance = unoccluded_centres(scores)
+    shift, covariance = unoccluded_centres([fit for _, fit in batches], kept, assessed)
     one_led = np.where(assessed[:, COL_MERGED] > 0, -1, kept)
     curvature_shift, curvature_covariance = correct_for_background(
         image, candidates, batches, one_led

@@ -21,8 +21,8 @@ from verify.measurement.detection.kernels import noise as kernel
 from verify.measurement.detection.kernels.noise import TYPICAL_GAIN
 from verify.measurement.detection.kernels.pixels import QUANTISATION
 
-STENCIL_WIDTH = 5
-N_SAMPLE_ROWS = 24  # rows sampled: some 30,000 stencils, read noise to about 1 %
+N_SAMPLE_ROWS = 24  # rows sampled
+N_SAMPLE = 10_000  # pixels of them at least: read noise to 2 %, a fifth of TEXTURE_SHARE
 TYPICAL_READ = 1.5  # DN, where no unclipped dark pixel shows it
 TYPICAL_SPREAD = 1.0  # relative, how far a sensor may be from typical
 TEXTURE_SHARE = 0.1  # relative: what unseen texture may add to the dark variance
@@ -37,19 +37,14 @@ def background_noise(image: Image, *, lossy: bool = False) -> tuple[Noise, float
     """
     grey = image if image.ndim == 2 else image[..., 1]
     rows = np.ascontiguousarray(grey[:: max(len(grey) // N_SAMPLE_ROWS, 1)])
-    typical = Noise(TYPICAL_READ, TYPICAL_GAIN, 0.0)
-    if rows.shape[1] < STENCIL_WIDTH:
-        return typical, TYPICAL_SPREAD
-    level, difference = kernel.stencils(rows)
-    mostly_unclipped = len(level) > rows.size // 2
-    black = kernel.level_quantile(level, 0.01) if mostly_unclipped else 0.0
+    unclipped, black, dark, spread = kernel.dark_variance(rows, max(rows.size // N_SAMPLE, 1))
     if lossy:
         return Noise(TYPICAL_READ, TYPICAL_GAIN, black), TYPICAL_SPREAD
-    best, spread, at = kernel.quietest_class(level, difference, black)
-    if not np.isfinite(best) or (len(level) < rows.size // 2 and at > TYPICAL_READ**2):
+    if not np.isfinite(dark) or (unclipped <= 0.5 and dark > TYPICAL_READ**2):
         # nothing unclipped, or what is not black here may be all texture
-        return typical, TYPICAL_SPREAD
-    return Noise(float(np.sqrt(max(at, QUANTISATION))), TYPICAL_GAIN, black), spread + TEXTURE_SHARE
+        return Noise(TYPICAL_READ, TYPICAL_GAIN, 0.0), TYPICAL_SPREAD
+    read = float(np.sqrt(max(dark, QUANTISATION)))
+    return Noise(read, TYPICAL_GAIN, black), spread + TEXTURE_SHARE
 
 
 def refine_noise(

@@ -8,7 +8,7 @@ Model, to first order in the depth d of a bite in direction k (24 directions rou
 
     symbol  meaning                                                        unit
     d       depth of the bite                                              half-widths
-    g, i    gradient and information of the log-likelihood, `RimScore`     half-widths^-1, ^-2
+    g, i    gradient and information of the log-likelihood                half-widths^-1, ^-2
     pull    shift of the centre a unit of depth, (2,)                      px
 
 A bite adds harmonics to the rim's radius: the first shifts the centre, the second changes the
@@ -20,10 +20,10 @@ Source: Hoeting et al., Bayesian model averaging: a tutorial, Statistical Scienc
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 from verify.core.records import Array
 from verify.measurement.detection.fit import SpotFit
@@ -31,42 +31,67 @@ from verify.measurement.detection.kernels import occlusion as kernel
 
 N_DIRECTIONS = 24  # round the rim: steps of 15°, under a bite's own width
 ANGLES = 2 * np.pi / N_DIRECTIONS * np.arange(N_DIRECTIONS)
+PRIOR_DEPTH = 0.05  # half-widths, scale of what is expected; far deeper ones show without a prior
+P_SHARED = 0.1  # prior probability that something hides one side of an image's LEDs
+P_OCCLUDED = 0.8  # of an LED's being bitten then
+P_SINGLE = 0.02  # of an LED's being bitten, where no side is shared
 DIRECTION_VECTORS = np.column_stack([np.cos(ANGLES), np.sin(ANGLES)])
 
 
-@dataclass(frozen=True, slots=True)
-class RimScore:
-    """Log-likelihood of a bite in each direction, first order in its depth in half-widths."""
+def unoccluded_centres(
+    fits: Sequence[SpotFit], numbers: NDArray[np.int64], assessed: Array
+) -> tuple[Array, Array]:
+    """Average over all bites that n spots of an image may have; none without one LED's shape.
 
-    gradient: Array  # (n, N_DIRECTIONS), of the log-likelihood, other parameters following
-    information: Array  # (n, N_DIRECTIONS)
-    pull: Array  # (n, N_DIRECTIONS, 2), px a depth, by which the centre moves when it is granted
-
-
-def score_rims(fits: Sequence[SpotFit], numbers: NDArray[np.int64], assessed: Array) -> RimScore:
-    """Compute the rim scores of n spots from residuals; 0 for spots without one LED's shape.
-
-    `fits` are of spots numbered on from fit to fit, `numbers` (n,) those to score; columns of
+    `fits` are of spots numbered on from fit to fit, `numbers` (n,) those meant; columns of
     `assessed` (n, 16) as in kernels/quality.py. Where the reduced chi² is above 1, unmodelled
     errors make the pixels worth less.
-    """
-    shape = len(numbers), N_DIRECTIONS
-    score, begin = (np.zeros(shape), np.zeros(shape), np.zeros((*shape, 2))), 0
-    for fit in fits:
-        kernel.score_all(
-            numbers - begin, assessed, fit.parameters, fit.information, fit.gradient, fit.model,
-            fit.whitened, DIRECTION_VECTORS, score,
-        )  # fmt: skip
-        begin += len(fit.parameters)
-    return RimScore(*score)
-
-
-def unoccluded_centres(score: RimScore) -> tuple[Array, Array]:
-    """Average over all bites that an image's spots may have.
 
     Gives what to add to the centres for those of the whole discs, (n, 2) px, and to their
     covariances, (n, 2, 2) px².
     """
-    evidence, depth, depth2 = kernel.depth_posterior(score.gradient, score.information)
-    probability = kernel.occlusion_probability(evidence)
-    return kernel.average_shifts(probability, depth, depth2, score.pull)
+    shape, begin = (len(numbers), N_DIRECTIONS), 0
+    gradient, information, pull = np.zeros(shape), np.zeros(shape), np.zeros((*shape, 2))
+    for fit in fits:
+        kernel.score_all(
+            numbers - begin, assessed, fit.parameters, fit.information, fit.gradient, fit.model,
+            fit.whitened, DIRECTION_VECTORS, (gradient, information, pull),
+        )  # fmt: skip
+        begin += len(fit.parameters)
+    evidence, depth, square = depth_posterior(gradient, information)
+    probability = occlusion_probability(evidence)
+    shift = ((probability * depth)[:, None] @ pull)[:, 0]
+    covariance = np.swapaxes(pull, 1, 2) @ ((probability * square)[..., None] * pull)
+    return shift, covariance - shift[:, :, None] * shift[:, None]
+
+
+def depth_posterior(gradient: Array, information: Array) -> tuple[Array, Array, Array]:
+    """Suppose a bite of unknown depth in each direction of each spot, (n, d) throughout.
+
+    The half-normal prior and the Gaussian likelihood make a normal law cut off at 0. Gives the
+    log-likelihood ratio of a bite to none; the depth's posterior mean and mean square.
+    """
+    sigma = 1.0 / np.sqrt(information + PRIOR_DEPTH**-2)
+    z = gradient * sigma
+    cut_off = log_ndtr(z) + z * z / 2.0
+    excess = z + np.exp(-cut_off) / np.sqrt(2.0 * np.pi)
+    evidence = np.log(2.0 / PRIOR_DEPTH * sigma) + cut_off
+    return evidence, sigma * excess, sigma * sigma * (1.0 + z * excess)
+
+
+def occlusion_probability(evidence: Array) -> Array:
+    """Posterior probability of each spot's bite in each direction, (n, d).
+
+    Shared out among no bite, one of each spot's own, and bites on one side of all spots. `evidence`
+    (n, d): log-likelihood ratio of each spot's bite in each direction to none.
+    """
+    hit = np.log(P_OCCLUDED) + evidence
+    either = np.logaddexp(np.log(1.0 - P_OCCLUDED), hit)
+    sides = np.log(P_SHARED / N_DIRECTIONS) + either.sum(axis=0)
+    own = np.log(P_SINGLE / N_DIRECTIONS) + evidence
+    free = np.logaddexp(np.log(1.0 - P_SINGLE), np.logaddexp.reduce(own, axis=1))
+    alone = np.log(1.0 - P_SHARED) + free.sum()
+    total = np.logaddexp(alone, np.logaddexp.reduce(sides))
+    probability: Array = np.exp(sides - total + hit - either)
+    probability += np.exp(alone - total + own - free[:, None])
+    return probability

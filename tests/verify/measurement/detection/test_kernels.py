@@ -12,8 +12,23 @@ from scipy.signal import savgol_filter
 from scipy.stats import norm
 
 from verify.core.records import Image
-from verify.measurement.detection.kernels.candidates import find_blobs, flood_fill, top_hat
-from verify.measurement.detection.kernels.noise import stencils, variance_line
+from verify.measurement.detection.kernels.candidates import (
+    contrast_boxes,
+    find_blobs,
+    flood_fill,
+    top_hat,
+)
+from verify.measurement.detection.kernels.noise import (
+    CLASS_PARTS,
+    FIRST_LEVEL,
+    LEVEL_PARTS,
+    LOWEST_LEVEL,
+    N_CLASSES,
+    N_DIFFERENCES,
+    N_LEVELS,
+    count_stencils,
+    variance_line,
+)
 from verify.measurement.detection.kernels.pixels import (
     N_FREE_ROWS,
     clip,
@@ -47,11 +62,11 @@ def test_a_blob_is_found_once_at_its_highest_level_and_where_it_is_in_the_pictur
         column, row = np.meshgrid(np.arange(90) - x, np.arange(60) - y)
         picture += np.asarray(peak * np.exp(-(column**2 + row**2) / 18), np.uint8)
     windows = np.array([[10, 15, 80, 55], [5, 5, 7, 50]])
-    blobs = find_blobs(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), 9)
+    blobs = find_blobs(picture, windows, 0, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), 9)
     np.testing.assert_allclose(blobs[:, :2], [[20, 30], [60, 25]], atol=0.1)
     np.testing.assert_array_equal(blobs[:, 3], [220, 50])
     # of more than are listed, the brightest
-    blobs = find_blobs(picture, windows, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), 1)
+    blobs = find_blobs(picture, windows, 0, 30, (160, 80, 40, 18), (99.0, 2.5, 0.6), 1)
     np.testing.assert_array_equal(blobs[:, 3], [220])
 
 
@@ -63,10 +78,37 @@ def test_levels_and_differences_are_those_of_unclipped_neighbours(width: int, me
     whole = rows.astype(float)
     inside = (rows > 0) & (rows < 255)
     clean = np.lib.stride_tricks.sliding_window_view(inside, 5, axis=1).all(axis=2)
-    level, difference = stencils(rows)
-    cubic = savgol_filter(whole, 5, 3, axis=1)[:, 2:-2]
-    assert level == pytest.approx(cubic[clean], abs=1e-9)
-    assert np.array_equal(difference, np.abs(np.diff(whole, 4, axis=1))[clean])
+    levels = np.zeros(N_LEVELS, np.int32)
+    differences = np.zeros((N_CLASSES, N_DIFFERENCES), np.int32)
+    assert count_stencils(rows, 1, levels, differences) == clean.size
+    cubic = savgol_filter(whole, 5, 3, axis=1)[:, 2:-2][clean]
+    level = np.rint(LEVEL_PARTS * cubic).astype(int) + LOWEST_LEVEL
+    assert_array_equal(levels, np.bincount(level, minlength=N_LEVELS))
+    expected, size = np.zeros_like(differences), np.abs(np.diff(whole, 4, axis=1))[clean]
+    part = (level - FIRST_LEVEL) // CLASS_PARTS
+    known = (part >= 0) & (part < N_CLASSES)
+    np.add.at(expected, (part[known], size[known].astype(int)), 1)
+    assert_array_equal(differences, expected)
+
+
+@pytest.mark.parametrize("reach", [3, 15, 30])
+def test_no_contrast_is_outside_the_boxes_that_are_searched(reach: int) -> None:
+    rng = np.random.default_rng(reach)
+    boxes, window = 0, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
+    for turn in range(30):
+        height, width = rng.integers(3, 150 + 25 * reach, 2)
+        picture = rng.integers(0, 12, (height, width)).astype(np.uint8)
+        picture += rng.integers(0, 60, picture.shape, np.uint8) * (turn % 3 == 2)
+        for x, y in rng.integers(0, [width, height], (3, 2)).tolist():
+            cv2.circle(picture, (x, y), int(rng.integers(1, 6)), int(rng.integers(20, 255)), -1)
+        contrast = cv2.morphologyEx(picture, cv2.MORPH_TOPHAT, window)
+        covered = np.zeros(picture.shape, np.uint8)
+        for x0, y0, x1, y1 in contrast_boxes(picture, reach, 18).tolist():
+            covered[y0:y1, x0:x1] += 1
+            boxes += 1
+        assert covered.max(initial=0) <= 1
+        assert contrast[covered == 0].max(initial=0) <= 18
+    assert boxes > 30  # not the whole picture each time
 
 
 def test_a_small_spot_that_fits_by_chance_is_no_noise_estimate() -> None:

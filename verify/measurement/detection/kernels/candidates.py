@@ -4,17 +4,33 @@ The contrast is the top hat: the image less its opening by a square, which is th
 least values about each pixel. Levels are searched from the brightest down, so that a bright blob
 does not hide a faint neighbour. OpenCV's top hat takes as many steps a pixel as its square is wide,
 this one three.
+
+A large picture is searched where a block of pixels may exceed the lowest level: its greatest value
+less the opening of the blocks' least values, which is at most that of the pixels.
+
+A blob is measured at half its height. Of the pixels above half the peak and connected with it,
+holes filled, A many:
+
+    half width = sqrt(A / pi),  moments = sum (d d') / A + 1/12,  d px from their mean
 """
+
+import math
 
 import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled
 from verify.core.records import Array, Image
-from verify.measurement.detection.kernels.patches import measure_half_height
+from verify.measurement.kernels.alignment import merge_boxes
 
 MIN_WINDOW_SIDE = 3  # px, side of a window: smaller ones show no blob
+BLOCK = 16  # px, side of a block
+MAX_BOXES = 64  # boxes that are searched one by one; with more, as one
+MAX_SHARE = 0.4  # of a picture, that these boxes and what is about them may cover
 BOX_MARGIN = 2  # px about a region's box: its half height may lie below the level
+MIN_PIXELS = 12  # px; fewer show no shape
+OUTSIDE, INSIDE = 0, 1
+Boxes = NDArray[np.int64]
 Labels = NDArray[np.int32]
 
 
@@ -25,36 +41,19 @@ def top_hat(image: Image, reach: int, contrast: Image) -> None:
     Borders hold nothing.
     """
     height, width = image.shape
-    low, turned = np.empty((height, width), np.uint8), np.empty((width, height), np.uint8)
+    low = np.empty((height, width), np.uint8)
     column_minima(image, reach, low)
-    level, uneven = low[0, 0], np.uint8(0)
-    for y in range(height):
-        for x in range(width):
-            uneven |= low[y, x] ^ level
-    if uneven == 0:  # as where there is nothing but black between the LEDs
-        for y in range(height):
-            for x in range(width):
-                contrast[y, x] = image[y, x] - level
-        return
-    transpose(low, turned)
+    turned = np.ascontiguousarray(low.T)
     column_minima(turned, reach, turned)
     for x in range(width):  # the greatest of the least: the least of the complement
         for y in range(height):
             turned[x, y] = 255 - turned[x, y]
     column_minima(turned, reach, turned)
-    transpose(turned, low)
+    low = np.ascontiguousarray(turned.T)
     column_minima(low, reach, low)
     for y in range(height):
         for x in range(width):
             contrast[y, x] = image[y, x] - (255 - low[y, x])
-
-
-@compiled
-def transpose(image: Image, turned: Image) -> None:
-    """Make rows of columns."""
-    for x in range(image.shape[1]):
-        for y in range(image.shape[0]):
-            turned[x, y] = image[y, x]
 
 
 @compiled
@@ -95,9 +94,57 @@ def column_minima(image: Image, reach: int, least: Image) -> None:
 
 
 @compiled
+def contrast_boxes(image: Image, reach: int, level: int) -> Boxes:
+    """Boxes (n, 4), disjoint, outside which no pixel's contrast exceeds a level, DN.
+
+    `image` (h, w), `reach` as for `find_blobs`. Columns: x0, y0, x1, y1, px, upper bounds
+    exclusive. A box includes what is within BOX_MARGIN of such pixels. The whole picture is the one
+    box where they would be many or large.
+    """
+    height, width = image.shape
+    shape = -(-height // BLOCK), -(-width // BLOCK)
+    most, least = np.zeros(shape, np.uint8), np.empty(shape, np.uint8)
+    above, below = np.empty(width, np.uint8), np.empty(width, np.uint8)
+    for row in range(shape[0]):
+        above[:], below[:] = 0, 255
+        for y in range(row * BLOCK, min((row + 1) * BLOCK, height)):
+            for x in range(width):
+                above[x], below[x] = max(above[x], image[y, x]), min(below[x], image[y, x])
+        for column in range(shape[1]):
+            low = below[column * BLOCK]
+            for x in range(column * BLOCK, min((column + 1) * BLOCK, width)):
+                most[row, column], low = max(most[row, column], above[x]), min(low, below[x])
+            least[row, column] = low
+    contrast = np.empty(shape, np.uint8)
+    top_hat(least, -(-reach // BLOCK), contrast)
+    for row in range(shape[0]):
+        for column in range(shape[1]):
+            contrast[row, column] += most[row, column] - least[row, column]
+    label, stack = np.zeros(shape, np.int32), np.empty((contrast.size, 2), np.int32)
+    boxes, count, area = np.empty((MAX_BOXES + 1, 4)), 0, 0.0
+    for row in range(shape[0]):
+        for column in range(shape[1]):
+            if contrast[row, column] <= level or label[row, column] > 0 or count > MAX_BOXES:
+                continue
+            x0, y0, x1, y1 = flood_fill(contrast, level, row, column, label, 1, stack)
+            boxes[count, 0] = max(BLOCK * x0 - BOX_MARGIN, 0)
+            boxes[count, 1] = max(BLOCK * y0 - BOX_MARGIN, 0)
+            boxes[count, 2] = min(BLOCK * (x1 + 1) + BOX_MARGIN, width)
+            boxes[count, 3] = min(BLOCK * (y1 + 1) + BOX_MARGIN, height)
+            count += 1
+    apart = boxes[: merge_boxes(boxes[:count])]
+    for x0, y0, x1, y1 in apart:
+        area += (x1 - x0 + 4 * reach) * (y1 - y0 + 4 * reach)
+    if count > MAX_BOXES or area > MAX_SHARE * image.size:
+        return np.array([[0, 0, width, height]])
+    return apart.astype(np.int64)
+
+
+@compiled
 def find_blobs(
     image: Image,
-    windows: NDArray[np.int64],
+    windows: Boxes,
+    margin: int,
     reach: int,
     levels: tuple[int, ...],
     shape: tuple[float, float, float],
@@ -105,20 +152,22 @@ def find_blobs(
 ) -> Array:
     """List compact bright blobs in windows of a grey picture, (m, 4), as `compact_blobs` does.
 
-    `windows` (n, 4): x0, y0, x1, y1, upper bounds exclusive. `reach`, px: what has brightness at
-    that distance all around is background. `levels` and `shape` as for `compact_blobs`. At most
-    `most` are listed.
+    `windows` (n, 4): x0, y0, x1, y1, upper bounds exclusive; a `margin`, px, about them is
+    background only. `reach`, px: what has brightness at that distance all around is background.
+    `levels` and `shape` as for `compact_blobs`. At most `most` are listed.
     """
     found, count = np.empty((most, 4)), 0
     for window in windows:
         x0, y0, x1, y1 = window
         if min(x1 - x0, y1 - y0) < MIN_WINDOW_SIDE:
             continue
-        part = image[y0:y1, x0:x1].copy()
+        left, top = max(x0 - margin, 0), max(y0 - margin, 0)
+        part = image[top : y1 + margin, left : x1 + margin].copy()
         contrast = np.empty_like(part)
         top_hat(part, reach, contrast)
+        own = contrast[y0 - top : y1 - top, x0 - left : x1 - left].copy()
         before = count
-        count += compact_blobs(contrast, levels, shape, found[before:])
+        count += compact_blobs(own, levels, shape, found[before:])
         for k in range(before, count):
             found[k, 0] += x0
             found[k, 1] += y0
@@ -174,6 +223,65 @@ def compact_blobs(
 
 
 @compiled
+def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -> bool:
+    """Measure the brightest blob of a picture at half its height; False: none, or not compact.
+
+    `part` (h, w), DN above the surroundings; `longest` axis ratio; `fill`, least area over its
+    ellipse's; `blob` (4,), filled: centre's column and row, px; half width, px; height, DN.
+    """
+    height, width = part.shape
+    at_y, at_x, peak = 0, 0, np.int64(-1)
+    for y in range(height):
+        for x in range(width):
+            if part[y, x] > peak:
+                at_y, at_x, peak = y, x, part[y, x]
+    filled = np.full((height + 2, width + 2), INSIDE, np.uint8)  # with a rim that is no part of it
+    label, stack = np.zeros(filled.shape, np.int32), np.empty((filled.size, 2), np.int32)
+    flood_outside(part, peak, filled, stack)
+    flood_fill(filled, OUTSIDE, at_y + 1, at_x + 1, label, 1, stack)
+    area, x_sum, y_sum = 0, 0, 0
+    for y in range(height):
+        for x in range(width):
+            if label[y + 1, x + 1] == 1 and 2 * part[y, x] > peak:
+                area, x_sum, y_sum = area + 1, x_sum + x, y_sum + y
+    if area == 0 or area == height * width:
+        return False
+    blob[0], blob[1], blob[3] = x_sum / area, y_sum / area, peak
+    blob[2] = math.sqrt(area / math.pi)
+    xx, xy, yy = 0.0, 0.0, 0.0
+    for y in range(height):
+        for x in range(width):
+            if label[y + 1, x + 1] == 1 and 2 * part[y, x] > peak:
+                xx += (x - blob[0]) * (x - blob[0])
+                xy += (x - blob[0]) * (y - blob[1])
+                yy += (y - blob[1]) * (y - blob[1])
+    # a pixel is a square, not a point: its own variance is 1/12
+    xx, xy, yy = xx / area + 1 / 12, xy / area, yy / area + 1 / 12
+    mean, split = (xx + yy) / 2.0, math.hypot((xx - yy) / 2.0, xy)
+    long, short = 2.0 * math.sqrt(mean + split), 2.0 * math.sqrt(max(mean - split, 0.0))
+    return area < MIN_PIXELS or (long <= longest * short and area >= fill * math.pi * long * short)
+
+
+@compiled
+def flood_outside(part: Image, peak: np.int64, label: Image, stack: Labels) -> None:
+    """Mark what of the lower pixels is connected to the rim, side by side: the rest are holes."""
+    height, width = label.shape
+    count = 1
+    stack[0, 0], stack[0, 1], label[0, 0] = 0, 0, OUTSIDE
+    while count > 0:
+        count -= 1
+        y, x = stack[count, 0], stack[count, 1]
+        for dy, dx in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+            v, u = y + dy, x + dx
+            if v < 0 or u < 0 or v >= height or u >= width or label[v, u] != INSIDE:
+                continue
+            rim = v == 0 or u == 0 or v == height - 1 or u == width - 1
+            if rim or 2 * part[v - 1, u - 1] <= peak:
+                stack[count, 0], stack[count, 1], label[v, u] = v, u, OUTSIDE
+                count += 1
+
+
+@compiled
 def flood_fill(
     contrast: Image,
     level: int,
@@ -181,7 +289,7 @@ def flood_fill(
     x: int,
     label: Labels,
     number: int,
-    stack: NDArray[np.int32],
+    stack: Labels,
 ) -> tuple[int, int, int, int]:
     """Label what is above a level and connected with a pixel, also by corners; give its box."""
     height, width = contrast.shape

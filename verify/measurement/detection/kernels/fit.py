@@ -82,6 +82,21 @@ def sum_products(rows: Array, products: Array) -> None:
         products[last, b] = products[b, last] = total
 
 
+@compiled_sums
+def multiply_rows(rows: Array, others: Array, products: Array) -> None:
+    """Fill in products of rows (m, p) with others (n, p), four of these at once: (m, n)."""
+    for a in range(rows.shape[0]):
+        for b in range(0, others.shape[0], 4):
+            first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
+            for k in range(rows.shape[1]):
+                first += rows[a, k] * others[b, k]
+                second += rows[a, k] * others[b + 1, k]
+                third += rows[a, k] * others[b + 2, k]
+                fourth += rows[a, k] * others[b + 3, k]
+            products[a, b], products[a, b + 1] = first, second
+            products[a, b + 2], products[a, b + 3] = third, fourth
+
+
 @compiled
 def normal_equations(
     p: Array, rows: Array, out: float, prior: Array, information: Array, gradient: Array
@@ -265,7 +280,7 @@ def priors_from_pixels(
         copy_to(mean[n], usual[0])
         copy_to(weight[n], usual[1])
         copy_to(start[n], usual[0])
-        floor = value_at_rank(value, len(value) * 3 // 10)
+        floor = select(value, len(value) * 3 // 10)
         top = floor_priors(value, valid, column, row, scale[n], floor, weight[n])
         mean[n, PAR_FLOOR] = floor
         mean[n, PAR_PEAK] = (
@@ -284,22 +299,6 @@ def priors_from_pixels(
             start[n, PAR_PEAK] = top - start[n, PAR_FLOOR]
             start_values(value, column, row, scale[n], floor, top, start[n])
     return mean, weight, start, full
-
-
-@compiled
-def value_at_rank(value: Array, rank: int) -> float:
-    """The value (p,), DN, that so many others are no greater than."""
-    counts = np.zeros(int(SENSOR_LIMIT) + 1, np.int64)
-    for one in value:
-        whole = int(one)
-        if whole != one:  # of combined colours
-            return select(value, rank)
-        counts[whole] += 1
-    level, below = 0, counts[0]
-    while below <= rank:
-        level += 1
-        below += counts[level]
-    return float(level)
 
 
 @compiled

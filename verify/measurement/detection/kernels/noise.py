@@ -25,7 +25,7 @@ from verify.measurement.detection.kernels.pixels import (
 )
 from verify.measurement.detection.kernels.quality import N_FITTED
 
-# what `stencils` gives of whole numbers from 0 to 255 is whole again, and can be counted
+# levels are whole thirty-fifths, differences whole: both can be counted
 LEVEL_PARTS, LOWEST_LEVEL, N_LEVELS = 35, 6 * 255, 50 * 255 + 1  # a level in parts of one DN
 N_DIFFERENCES = 8 * 255 + 1
 BLOCK_PIXELS = 64  # pixels that are looked at together
@@ -38,6 +38,10 @@ TRIM_SIGMA = 3.0  # sigma; the variance within it is TRIMMED_VARIANCE of the who
 TRIMMED_VARIANCE = 0.9733
 MIN_ABOVE_BLACK = 5.0  # DN above the limit of black: nearer, clipping narrows the noise
 CLASS_WIDTH = 12.0  # DN, width of a level class
+N_CLASSES = math.ceil((256.0 - MIN_ABOVE_BLACK) / CLASS_WIDTH)
+FIRST_LEVEL = LOWEST_LEVEL + int(LEVEL_PARTS * MIN_ABOVE_BLACK)
+CLASS_PARTS = int(LEVEL_PARTS * CLASS_WIDTH)
+BLACK_SHARE = 0.01  # share of a picture that is no brighter than black
 MIN_STENCILS = 60  # stencils a level class must hold: 15 % on its variance
 INDEPENDENT_SHARE = 0.5  # share of independent information: neighbouring stencils overlap
 TYPICAL_GAIN = 1 / 35  # DN, 9,000 electrons over 255 DN: a usual small pixel
@@ -45,40 +49,44 @@ MIN_GAIN = 1e-4  # DN, 2.5 million electrons: no sensor holds more
 MAX_GAIN = 0.2  # DN, 1,300 electrons: above, it is the shape that does not fit
 MAX_MISFIT_RATIO = 1.7  # times the best misfit: more is a shape that the profiles do not have
 
+Counts = NDArray[np.int32]
+
 
 @compiled
-def stencils(rows: Image) -> tuple[Array, Array]:
-    """Local cubic's value and size of the fourth difference (k,), DN, wherever nothing is clipped.
+def count_stencils(rows: Image, apart: int, levels: Counts, differences: Counts) -> int:
+    """Count levels and fourth differences of five neighbours in a row, wherever nothing is clipped.
 
-    `rows` (r, w), DN.
+    `rows` (r, w), DN, of which one block of BLOCK_PIXELS in each `apart` is looked at. Filled:
+    `levels` (N_LEVELS,), of the local cubic's value, in parts; `differences` (N_CLASSES,
+    N_DIFFERENCES), of their size, DN, by classes of brightness. Gives how many pixels were looked
+    at.
     """
-    count, places = 0, rows.shape[1] - 4
-    level, difference = np.empty(rows.size), np.empty(rows.size)
-    inside, clean = np.empty(rows.shape[1], np.bool_), np.empty(places, np.bool_)
+    looked, places = 0, rows.shape[1] - 4
+    level, difference = np.empty(BLOCK_PIXELS, np.int32), np.empty(BLOCK_PIXELS, np.int32)
+    clean = np.empty(BLOCK_PIXELS, np.bool_)
     for r in range(rows.shape[0]):
-        row = rows[r]
-        for k in range(rows.shape[1]):
-            inside[k] = (row[k] != 0) & (row[k] != 255)
-        for k in range(places):
-            clean[k] = inside[k] & inside[k + 1] & inside[k + 2] & inside[k + 3] & inside[k + 4]
-        for begin in range(0, places, BLOCK_PIXELS):
-            end, some = min(begin + BLOCK_PIXELS, places), False
-            for k in range(begin, end):
-                some = some | clean[k]
-            if not some:  # as nearly everywhere in a dark picture
-                continue
-            for k in range(begin, end):
+        for begin in range(r % apart * BLOCK_PIXELS, places, apart * BLOCK_PIXELS):
+            row, count = rows[r, begin:], min(BLOCK_PIXELS, places - begin)
+            looked += count
+            for k in range(count):
+                a, b, c, d, e = row[k], row[k + 1], row[k + 2], row[k + 3], row[k + 4]
+                clean[k] = (min(a, b, c, d, e) > 0) & (max(a, b, c, d, e) < 255)
+            for k in range(count):
+                ends, middle = np.int32(row[k]) + np.int32(row[k + 4]), np.int32(row[k + 2])
+                sides = np.int32(row[k + 1]) + np.int32(row[k + 3])
+                level[k] = LOWEST_LEVEL - 3 * ends + 12 * sides + 17 * middle
+                difference[k] = abs(ends - 4 * sides + 6 * middle)
+            for k in range(count):
                 if clean[k]:
-                    a, b, c = float(row[k]), float(row[k + 1]), float(row[k + 2])
-                    d, e = float(row[k + 3]), float(row[k + 4])
-                    level[count] = (-3.0 * (a + e) + 12.0 * (b + d) + 17.0 * c) / 35.0
-                    difference[count] = abs(a - 4.0 * b + 6.0 * c - 4.0 * d + e)
-                    count += 1
-    return level[:count], difference[:count]
+                    levels[level[k]] += 1
+                    part = (level[k] - FIRST_LEVEL) // CLASS_PARTS
+                    if 0 <= part < N_CLASSES:
+                        differences[part, difference[k]] += 1
+    return looked
 
 
 @compiled
-def counts_quantile(counts: NDArray[np.int64], number: int, share: float) -> tuple[int, int, float]:
+def counts_quantile(counts: Counts, number: int, share: float) -> tuple[int, int, float]:
     """Where a quantile of counted whole numbers lies: two of them, and how far in between.
 
     `counts`: how often each occurs, from 0 on; `number` (one at least): in all. A `share` of 0.5 is
@@ -99,52 +107,39 @@ def counts_quantile(counts: NDArray[np.int64], number: int, share: float) -> tup
 
 
 @compiled
-def level_quantile(level: Array, share: float) -> float:
-    """A quantile of levels (k,), k > 0, as `stencils` gives them: whole thirty-fifths."""
-    counts = np.zeros(N_LEVELS, np.int64)
-    for value in level:
-        counts[int(value * LEVEL_PARTS + LOWEST_LEVEL + 0.5)] += 1
-    first, second, between = counts_quantile(counts, len(level), share)
-    low = (first - LOWEST_LEVEL) / LEVEL_PARTS
-    above = (second - LOWEST_LEVEL) / LEVEL_PARTS
-    return float(low + (above - low) * between)
-
-
-@compiled
-def quietest_class(level: Array, difference: Array, black: float) -> tuple[float, float, float]:
+def dark_variance(rows: Image, apart: int) -> tuple[float, float, float, float]:
     """Find the class of brightness whose dark variance is least, its uncertainty included.
 
-    `level` (k,), DN, and `difference` (k,), DN, whole numbers, as `stencils` gives them; `black`,
-    DN. Gives the least (inf where no class has members enough), its relative spread, its dark
-    variance.
+    `rows` and `apart` as for `count_stencils`. Gives what share of the pixels is not clipped; the
+    black level, DN, 0 where that is less than half; the dark variance, DN², nan where no class has
+    members enough; its relative spread.
     """
-    number = math.ceil((256.0 + CLASS_WIDTH - MIN_ABOVE_BLACK) / CLASS_WIDTH)
-    best, spread, at = np.inf, 0.0, 0.0
-    counts = np.empty((number, N_DIFFERENCES), np.int64)
-    levels, members = np.zeros(number), np.zeros(number, np.int64)
-    for k in range(len(level)):
-        part = math.floor((level[k] - MIN_ABOVE_BLACK) / CLASS_WIDTH)
-        if 0 <= part < number:
-            if members[part] == 0:  # few classes have any
-                counts[part] = 0
-            counts[part, int(difference[k])] += 1
-            levels[part] += level[k]
-            members[part] += 1
-    for part in range(number - 1):
-        if members[part] < MIN_STENCILS:
+    levels = np.zeros(N_LEVELS, np.int32)
+    differences = np.zeros((N_CLASSES, N_DIFFERENCES), np.int32)
+    looked, clean = count_stencils(rows, apart, levels, differences), levels.sum()
+    black, best, spread, at = 0.0, np.inf, 0.0, np.nan
+    if 2 * clean > looked:
+        low, high, between = counts_quantile(levels, clean, BLACK_SHARE)
+        black = (low + (high - low) * between - LOWEST_LEVEL) / LEVEL_PARTS
+    for part in range(N_CLASSES):
+        members, total, first = 0, 0, FIRST_LEVEL + part * CLASS_PARTS
+        for level in range(first, min(first + CLASS_PARTS, N_LEVELS)):
+            members += levels[level]
+            total += levels[level] * (level - LOWEST_LEVEL)
+        if members < MIN_STENCILS:
             continue
-        first, second, between = counts_quantile(counts[part], members[part], 0.5)
-        most = TRIM_SIGMA * max((first + (second - first) * between) / MAD_OVER_SIGMA, 1.0)
-        total, count = 0.0, 0
-        for value in range(min(int(most) + 1, N_DIFFERENCES)):
-            total += float(counts[part, value]) * value * value
-            count += counts[part, value]
-        variance = total / count / TRIMMED_VARIANCE / STENCIL_GAIN
-        dark = variance - TYPICAL_GAIN * (levels[part] / members[part] - black)
+        low, high, between = counts_quantile(differences[part], members, 0.5)
+        most = TRIM_SIGMA * max((low + (high - low) * between) / MAD_OVER_SIGMA, 1.0)
+        squares, count = 0.0, 0
+        for size in range(min(int(most) + 1, N_DIFFERENCES)):
+            squares += float(differences[part, size]) * size * size
+            count += differences[part, size]
+        variance = squares / count / TRIMMED_VARIANCE / STENCIL_GAIN
+        dark = variance - TYPICAL_GAIN * (total / members / LEVEL_PARTS - black)
         relative = math.sqrt(2.0 / (INDEPENDENT_SHARE * count))
         if dark + 2.0 * relative * variance < best:
             best, spread, at = dark + 2.0 * relative * variance, relative, dark
-    return best, spread, at
+    return clean / max(looked, 1), black, at, spread
 
 
 @compiled

@@ -1,11 +1,11 @@
-"""Score a partial occlusion of each spot's rim in each direction, and average over them.
+"""Score a partial occlusion of each spot's rim in each direction.
 
 A bite of depth b in direction s lowers pixel k by b v_k(s). With D the derivatives by the spot's
 parameters and r the residual, all over the pixels' sigmas, the parameters eliminated,
 
     information = v'v - v'D (D'D)⁻¹ D'v,  gradient = v'r - r'D (D'D)⁻¹ D'v
 
-of the log-likelihood in b; its posterior, with a half-normal prior on b, is a clipped normal law.
+of the log-likelihood in b.
 """
 
 import math
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from verify.core.jit import compiled, compiled_sums
 from verify.core.kernels.linear_algebra import factor, solve_each
 from verify.core.records import Array
+from verify.measurement.detection.kernels.fit import multiply_rows
 from verify.measurement.detection.kernels.pixels import (
     N_PARAMETERS,
     PAR_PEAK,
@@ -33,15 +34,10 @@ from verify.measurement.detection.kernels.pixels import (
 )
 from verify.measurement.detection.kernels.quality import COL_MERGED, COL_MISFIT, COL_SATURATED
 
-MIN_Z = -30.0  # standard deviations: below, the complementary error function ends
 MIN_RADIUS = 1e-9  # half-widths: nearer the very centre no bite changes anything
 OCCLUSION_WIDTH = 0.3  # rad, standard deviation: a stalk of a third to a half of its LED's diameter
 RIM_RADIUS = 1.8  # half-widths: no rim beyond
 MIN_INFORMATION = 0.05  # share of a bite's information that the fit's own parameters must leave
-PRIOR_DEPTH = 0.05  # half-widths, scale of what is expected; far deeper ones show without a prior
-P_SHARED = 0.1  # prior probability that something hides one side of an image's LEDs
-P_OCCLUDED = 0.8  # of an LED's being bitten then
-P_SINGLE = 0.02  # of an LED's being bitten, where no side is shared
 
 
 @compiled
@@ -92,20 +88,12 @@ def depth_profile(
 def cross_products(
     whitened: Array, near: NDArray[np.int64], sunk: Array, cross: Array, whole: Array
 ) -> None:
-    """Products of every row (11, p) with every bite (d, m), and of every bite with itself.
-
-    Two bites at once, d being even: a row that is loaded is used twice.
-    """
-    row = np.empty(len(near))
+    """Products of every row (11, p) with every bite (d, m), and of every bite with itself."""
+    rows = np.empty((ROW_WHITENED, len(near)))
     for a in range(ROW_WHITENED):
         for at in range(len(near)):
-            row[at] = whitened[a, near[at]]
-        for side in range(0, len(sunk), 2):
-            one, other = 0.0, 0.0
-            for at in range(len(near)):
-                one += row[at] * sunk[side, at]
-                other += row[at] * sunk[side + 1, at]
-            cross[a, side], cross[a, side + 1] = one, other
+            rows[a, at] = whitened[a, near[at]]
+    multiply_rows(rows, sunk, cross)
     for side in range(len(sunk)):
         total = 0.0
         for at in range(len(near)):
@@ -158,123 +146,15 @@ def score_all(
             for b in range(follow.shape[1]):
                 follow[a, b] = cross[a, b]
         solve_each(root, follow)
-        eliminate_parameters(cross, whole, follow, gradient[n], left, slope)
+        for side in range(directions):
+            left[side], slope[side] = whole[side], cross[ROW_RESIDUAL, side]
+        for a in range(N_PARAMETERS):
+            for side in range(directions):
+                left[side] -= cross[a, side] * follow[a, side]
+                slope[side] -= gradient[n, a] * follow[a, side]
         worth = max(assessed[m, COL_MISFIT], 1.0)
         for side in range(directions):
             if left[side] > MIN_INFORMATION * whole[side]:
                 score[0][m, side], score[1][m, side] = slope[side] / worth, left[side] / worth
                 score[2][m, side, 0] = -follow[PAR_X, side]
                 score[2][m, side, 1] = -follow[PAR_Y, side]
-
-
-@compiled
-def eliminate_parameters(
-    cross: Array, whole: Array, follow: Array, gradient: Array, left: Array, slope: Array
-) -> None:
-    """Fill in each bite's information and slope (d,) once a spot's parameters give way to it.
-
-    `cross` (11, d), products of derivatives and residual with each bite; `whole` (d,), of each bite
-    with itself; `follow` (10, d), how the parameters give way; `gradient` (10,), of the spot's fit;
-    `left` and `slope`, filled.
-    """
-    for b in range(len(left)):
-        left[b], slope[b] = whole[b], cross[ROW_RESIDUAL, b]
-    for a in range(N_PARAMETERS):
-        for side in range(len(whole)):
-            left[side] -= cross[a, side] * follow[a, side]
-        for side in range(len(whole)):
-            slope[side] -= gradient[a] * follow[a, side]
-
-
-@compiled
-def depth_posterior(gradient: Array, information: Array) -> tuple[Array, Array, Array]:
-    """Suppose a bite of unknown depth in each direction of each spot, (n, d) throughout.
-
-    From the gradient of the log-likelihood at depth 0 and the information on the depth: the
-    half-normal prior and the Gaussian likelihood make a normal law cut off at 0. Gives the
-    log-likelihood ratio of a bite to none; the depth's posterior mean and mean square.
-    """
-    spots, directions = gradient.shape
-    evidence, mean = np.empty((spots, directions)), np.empty((spots, directions))
-    square = np.empty((spots, directions))
-    for n in range(spots):
-        for side in range(directions):
-            sigma = 1.0 / math.sqrt(information[n, side] + 1.0 / (PRIOR_DEPTH * PRIOR_DEPTH))
-            z = gradient[n, side] * sigma
-            cut_off = log_normal_cdf(z) + z * z / 2.0
-            evidence[n, side] = math.log(2.0 * sigma / PRIOR_DEPTH) + cut_off
-            hazard = math.exp(-cut_off) / math.sqrt(2.0 * math.pi)
-            mean[n, side] = sigma * (z + hazard)
-            square[n, side] = sigma * sigma * (1.0 + z * (z + hazard))
-    return evidence, mean, square
-
-
-@compiled
-def log_normal_cdf(z: float) -> float:
-    """Logarithm of the share of a standard normal law that is below z."""
-    if z > MIN_Z:
-        return math.log(0.5 * math.erfc(-z / math.sqrt(2.0)))
-    # Mills' ratio as an asymptotic series: the next term is under 1e-6 of it here
-    x = 1.0 / (z * z)
-    series = -x * (1.0 - x * (3.0 - x * 15.0))
-    return -z * z / 2.0 - math.log(-z * math.sqrt(2.0 * math.pi)) + math.log1p(series)
-
-
-@compiled
-def average_shifts(
-    probability: Array, depth: Array, depth2: Array, pull: Array
-) -> tuple[Array, Array]:
-    """Average each spot's shift (n, 2), px, over its bites; with its covariance (n, 2, 2), px².
-
-    (n, d): probability of a bite, its mean depth and mean square; `pull` (n, d, 2), px a depth.
-    """
-    spots, directions = probability.shape
-    shift, covariance = np.empty((spots, 2)), np.empty((spots, 2, 2))
-    for n in range(spots):
-        for i in range(2):
-            shift[n, i] = 0.0
-            for side in range(directions):
-                shift[n, i] += pull[n, side, i] * probability[n, side] * depth[n, side]
-        for i in range(2):
-            for j in range(2):
-                covariance[n, i, j] = -shift[n, i] * shift[n, j]
-                for side in range(directions):
-                    spread = probability[n, side] * depth2[n, side]
-                    covariance[n, i, j] += pull[n, side, i] * spread * pull[n, side, j]
-    return shift, covariance
-
-
-@compiled
-def occlusion_probability(evidence: Array) -> Array:
-    """Posterior probability of each spot's bite in each direction, (n, d).
-
-    Shared out among no bite, one of each spot's own, and bites on one side of all spots. `evidence`
-    (n, d): log-likelihood ratio of each spot's bite in each direction to none.
-    """
-    spots, directions = evidence.shape
-    probability = np.empty((spots, directions))
-    sides = np.full(directions, math.log(P_SHARED / directions))
-    own, free = math.log(P_SINGLE / directions), np.full(spots, math.log(1.0 - P_SINGLE))
-    missed, struck = math.log(1.0 - P_OCCLUDED), math.log(P_OCCLUDED)
-    nothing_shared = math.log(1.0 - P_SHARED)
-    for n in range(spots):
-        for side in range(directions):
-            sides[side] += log_sum_exp(missed, struck + evidence[n, side])
-            free[n] = log_sum_exp(free[n], own + evidence[n, side])
-        nothing_shared += free[n]
-    total = nothing_shared
-    for side in range(directions):
-        total = log_sum_exp(total, sides[side])
-    for n in range(spots):
-        for side in range(directions):
-            hit = struck + evidence[n, side]
-            with_others = sides[side] - total + hit - log_sum_exp(missed, hit)
-            alone = nothing_shared - total + own + evidence[n, side] - free[n]
-            probability[n, side] = math.exp(with_others) + math.exp(alone)
-    return probability
-
-
-@compiled
-def log_sum_exp(one: float, other: float) -> float:
-    """Logarithm of the sum of two numbers of which the logarithms are given."""
-    return max(one, other) + math.log1p(math.exp(-abs(one - other)))

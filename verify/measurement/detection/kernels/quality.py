@@ -201,20 +201,12 @@ def doubt_shapes(assessed: Array) -> None:
     assessed[:, [COL_COVARIANCE_XX, COL_COVARIANCE_YY]] += doubt[:, None]
 
 
-@compiled
 def mark_duplicates(assessed: Array) -> Flags:
     """Say which of the spots (n, 16) are another one, fitting better or equal and first, again."""
-    twin = np.empty(len(assessed), np.bool_)
-    for a in range(len(assessed)):
-        one, twin[a] = assessed[a], False
-        for b in range(len(assessed)):
-            other = assessed[b]
-            better = other[COL_MISFIT] < one[COL_MISFIT] or (
-                other[COL_MISFIT] == one[COL_MISFIT] and b < a
-            )
-            off = math.hypot(
-                one[COL_CENTRE_X] - other[COL_CENTRE_X], one[COL_CENTRE_Y] - other[COL_CENTRE_Y]
-            )
-            if better and off < MIN_SEPARATION * min(one[COL_DIAMETER], other[COL_DIAMETER]):
-                twin[a] = True
-    return twin
+    misfit, width = assessed[:, COL_MISFIT], assessed[:, COL_DIAMETER]
+    apart = assessed[:, None, : COL_CENTRE_Y + 1] - assessed[:, : COL_CENTRE_Y + 1]
+    near = np.hypot(apart[..., 0], apart[..., 1]) < MIN_SEPARATION * np.minimum(
+        width[:, None], width
+    )
+    rank = np.argsort(np.argsort(misfit, kind="stable"))
+    return np.asarray((near & (rank[:, None] > rank)).any(axis=1), dtype=np.bool_)
