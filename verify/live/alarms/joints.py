@@ -99,9 +99,9 @@ class ToleranceWatch:
         self._systematic = np.where(valid, systematic, self._systematic)
 
     def _raised(self, j: int, mean: float, doubt: float, row: JointRow, now: float) -> Alarm:
-        text = (
-            f"Joint {j + 1} reads {format_error_deg(mean, doubt)} off, "
-            f"beyond its tolerance of {math.degrees(self._tolerance[j]):g}°."
+        text = (  # an average: while the error still grows, it lags
+            f"Joint {j + 1} reads {format_error_deg(mean, doubt)} off on an average of "
+            f"{AVERAGING_TIME:g} s, beyond its tolerance of {math.degrees(self._tolerance[j]):g}°."
         )
         return Alarm(next(self._numbers), "tolerance", now, row.t, text, (j + 1,), mean, doubt)
 
