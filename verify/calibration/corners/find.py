@@ -41,7 +41,7 @@ from verify.core.records import Array, Image
 
 MIN_CORNERS = 4  # corners that fix a homography
 N_PASSES = 2  # the second with the plane and lens that the first found
-MAX_MAP_ERROR = 0.1  # px by which plane and lens of a pass may miss a corner where it is the last
+MAX_MAP_ERROR = 0.1  # px by which plane and lens of a pass may miss any corner where it is the last
 MIN_CORNER_SHARE = 0.75  # of a plain board's corners: the others may be covered or in glare
 
 
@@ -174,7 +174,7 @@ def refine_corners(
         if good.sum() < MIN_CORNERS or is_degenerate(squares[good]):
             return None
         centre = np.array([c if f is None else f.centre for c, f in zip(centre, fits, strict=True)])
-        if np.abs(centre - board_map(squares)).max() < MAX_MAP_ERROR:
+        if good.all() and np.abs(centre - board_map(squares)).max() < MAX_MAP_ERROR:
             break
     found = [fit for fit in fits if fit is not None]
     return BoardView(corner[good], centre[good], corner_covariances(found))

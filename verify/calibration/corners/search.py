@@ -26,6 +26,7 @@ from verify.core.records import Array, Image
 MIN_CORNERS = 3  # inner corners a side, OpenCV's least
 MAX_CORNERS = 60  # inner corners a side at which growing stops
 SEED_CORNERS = (4, 3, 5)  # inner corners a side that a general search starts from
+MAX_START_ERROR = 0.1  # squares by which a corner may be off for its fit to begin
 Finder = Callable[..., Any]  # picture and counts to whether there is a board, and its corners
 # by black quadrangles: in a few ms where the light is even; and boards cut by the image's border
 QUICK_FINDER: Finder = partial(cv2.findChessboardCorners, flags=0)
@@ -48,7 +49,10 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
     if min(columns, rows) < MIN_CORNERS:
         return None
     counts = (columns, rows)
-    for finder in (QUICK_FINDER, *SECTOR_FINDERS):
+    grid = _find_whole(grey, grey, 1.0, counts, QUICK_FINDER)
+    if grid is not None and _is_smooth(grey, grid):
+        return grid
+    for finder in SECTOR_FINDERS:
         grid = _find_whole(grey, grey, 1.0, counts, finder)
         if grid is not None:
             return grid
@@ -64,6 +68,17 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
             if grid is not None:
                 return grid
     return None
+
+
+def _is_smooth(grey: Image, grid: Array) -> bool:
+    """Whether every corner lies where the map through all puts it, as the start of a fit has to."""
+    rows, columns = grid.shape[:2]
+    grid_map = fit_grid_map(grey, grid)
+    if grid_map is None:
+        return False
+    mapped = grid_map(block_points((0, 0, columns, rows))).reshape(grid.shape)
+    square = min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1))
+    return bool(np.linalg.norm(grid - mapped, axis=2).max() < MAX_START_ERROR * square)
 
 
 def _find_whole(
