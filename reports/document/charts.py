@@ -227,6 +227,8 @@ PALETTE = {
     "series_8": ("#999999", "#8a8f96"),
 }
 DASHES = {"encoder": "dash", "tolerance": "dot"}  # told apart without colour too
+STROKES = {"error": 1.1, "resolved": 2.0, "encoder": 1.6, "vector": 0.7}  # px on a screen
+STROKE = 1.4  # px, of every other line
 RED_BLUE = ((0.0, "low"), (0.5, "paper"), (1.0, "high"))
 SERIES = [name for name in PALETTE if name.startswith("series_")]
 
@@ -355,6 +357,16 @@ class Path:
     labels: tuple[str, str, str]
     ranges: Box
     from_above: bool = False  # x and y once more beside it, in a plane
+
+
+def legend(chart: Chart) -> dict[str, Mark]:
+    """The marks that have a name, each name once."""
+    found: dict[str, Mark] = {}
+    for panel in chart.panels:
+        for mark in panel.marks:
+            if name := getattr(mark, "name", ""):
+                found.setdefault(name, mark)
+    return found
 
 
 def letter_roles(cells: Cells, scheme: int) -> list[list[str]]:

@@ -5,12 +5,11 @@ from html import escape
 
 import numpy as np
 
-from reports.document.charts import DASHES, PALETTE, Array
+from reports.document.charts import DASHES, PALETTE, STROKE, STROKES, Array
 from reports.format.lettering import FAMILY, LINE_PITCH, text_height
 
 DASH_LENGTHS = {"dash": (4.0, 2.0), "dot": (1.2, 1.6)}  # times the line's width
-LINE_WIDTHS = {"error": 0.6, "resolved": 1.1, "encoder": 0.9, "vector": 0.35}
-LINE_WIDTH = 0.8
+PT_PER_PX = 0.56  # a line on paper beside the same on a screen
 DESCENT = 0.24  # of a line's pitch: what its letters reach below their base
 CAP = 0.36  # of the letters' size: half a capital's height
 
@@ -106,6 +105,11 @@ def dashed(dash: str, width: float) -> str:
     """Give the attribute of a dash's name; nothing for a solid line."""
     lengths = " ".join(f"{width * part:.2f}" for part in DASH_LENGTHS.get(dash, ()))
     return f' stroke-dasharray="{lengths}"' if lengths else ""
+
+
+def line_width(role: str) -> float:
+    """Give the width of a role's lines on paper, pt."""
+    return PT_PER_PX * STROKES.get(role, STROKE)
 
 
 def dash_of(role: str) -> str:

@@ -10,7 +10,7 @@ from PIL import Image
 
 from reports.document import charts
 from reports.document.charts import Array, Indices, Mark, isolated_points, pieces
-from reports.format.drawing import LINE_WIDTH, LINE_WIDTHS, Drawing, colour, dash_of, paint
+from reports.format.drawing import Drawing, colour, dash_of, line_width, paint
 from reports.format.scales import HALF_RUN, Scale, edges
 
 NOTE_SIZE, CELL_SIZE = 6.0, 6.5  # pt
@@ -69,7 +69,7 @@ def _draw(mark: Mark, _drawing: Drawing, _frame: Frame) -> None:
 def _line(mark: charts.Line, drawing: Drawing, frame: Frame) -> None:
     places = frame.places(mark.x, mark.y)
     parts = [places[piece] for piece in pieces(mark.x + mark.y)]
-    dash, width = dash_of(mark.role), LINE_WIDTHS.get(mark.role, LINE_WIDTH)
+    dash, width = dash_of(mark.role), line_width(mark.role)
     joined = [part for part in parts if len(part) > 1]
     drawing.lines(joined, mark.role, width, dash, "butt" if dash else "round")
     drawing.dots(places[isolated_points(mark.x, mark.y)], mark.role, DOT)

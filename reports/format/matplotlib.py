@@ -15,7 +15,7 @@ from matplotlib.ticker import MaxNLocator
 
 from reports.document import charts
 from reports.document.charts import Chart, Mark, Panel, Path, isolated_points, pieces
-from reports.format.drawing import LINE_WIDTHS
+from reports.format.drawing import line_width
 from reports.format.lettering import printable
 from reports.format.svg import relative_width
 
@@ -48,7 +48,7 @@ def _colour(role: str) -> str:
 
 def _draw_panels(chart: Chart) -> Figure:
     rows = -(-len(chart.panels) // chart.columns)
-    legend = _legend(chart)
+    legend = charts.legend(chart)
     columns = _legend_columns(legend)
     lines = -(-len(legend) // columns)  # rounded up
     height = rows * chart.row_height + 0.25 + LEGEND_IN * lines
@@ -65,15 +65,6 @@ def _draw_panels(chart: Chart) -> Figure:
         names = [printable(name) for name in legend]
         figure.legend(handles, names, loc="outside upper left", ncols=columns, borderaxespad=0.1)
     return figure
-
-
-def _legend(chart: Chart) -> dict[str, Mark]:
-    found: dict[str, Mark] = {}
-    for panel in chart.panels:
-        for mark in panel.marks:
-            if name := getattr(mark, "name", ""):
-                found.setdefault(name, mark)
-    return found
 
 
 def _legend_columns(names: Iterable[str]) -> int:
@@ -165,7 +156,7 @@ def _draw_line(axes: Axes, line: charts.Line) -> None:
         line.y,
         color=colour,
         linestyle=_line_style(line.role),
-        linewidth=LINE_WIDTHS.get(line.role, 0.8),
+        linewidth=line_width(line.role),
     )
     alone = isolated_points(line.x, line.y)
     if alone.any():

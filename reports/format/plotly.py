@@ -24,7 +24,6 @@ TOP_PX, BOTTOM_PX = 34, 44  # for the legend and for the label of the time axis
 MAX_BOX_DIAGONAL = 1.2  # diagonal of a box, its longest side 1, that the nearest view holds
 MAX_TICKS = 6  # of the longest axis in space
 MARKER_PX = 7  # a point that stands for itself
-LINE_WIDTHS = {"error": 1.1, "resolved": 2.0, "encoder": 1.6, "vector": 0.7}
 
 
 def specification(chart: Chart | Path) -> dict[str, Any]:
@@ -118,7 +117,7 @@ def _hover(panel: Panel) -> dict[str, Any]:
 def _line(line: charts.Line, panel: Panel) -> list[dict[str, Any]]:
     style = {
         "color": colour(line.role),
-        "width": LINE_WIDTHS.get(line.role, 1.4),
+        "width": charts.STROKES.get(line.role, charts.STROKE),
         "dash": charts.DASHES.get(line.role, "solid"),
     }
     traces = [

@@ -11,7 +11,7 @@ import numpy as np
 
 from reports.document import charts
 from reports.document.charts import Chart, Mark, Panel, Path
-from reports.format.drawing import LINE_WIDTH, Drawing, dash_of
+from reports.format.drawing import Drawing, dash_of, line_width
 from reports.format.lettering import printable, text_height, text_width
 from reports.format.marks import DOT, Frame, draw_marks
 from reports.format.scales import Scale, extent, scale
@@ -51,7 +51,7 @@ def svg(chart: Chart | Path) -> bytes:
         drawing = Drawing(width, PATH_HEIGHT_IN * POINTS)
         space.draw_path(drawing, chart)
         return drawing.svg()
-    legend = _legend(chart)
+    legend = charts.legend(chart)
     rows = -(-len(chart.panels) // chart.columns)  # rounded up
     drawing = Drawing(width, (rows * chart.row_height + BELOW_IN) * POINTS)
     top = draw_legend(drawing, [(printable(name), mark) for name, mark in legend.items()])
@@ -199,15 +199,6 @@ def _powers_and_title(drawing: Drawing, frame: Frame, panel: Panel, lower: float
                      anchor="start")  # fmt: skip
 
 
-def _legend(chart: Chart) -> dict[str, Mark]:
-    found: dict[str, Mark] = {}
-    for panel in chart.panels:
-        for mark in panel.marks:
-            if name := getattr(mark, "name", ""):
-                found.setdefault(name, mark)
-    return found
-
-
 def _legend_rows(words: list[str], width: float) -> list[list[float]]:
     """Share a legend's words out in rows; each has where its words begin, pt."""
     taken = [SIGN + SIGN_GAP + text_width(word, TICK_SIZE) + LEGEND_GAP for word in words]
@@ -233,6 +224,6 @@ def draw_legend(drawing: Drawing, entries: list[tuple[str, Mark]]) -> float:
         elif isinstance(mark, charts.Points):
             drawing.dots(sign.mean(axis=0, keepdims=True), role, DOT)
         else:
-            drawing.lines([sign], role, LINE_WIDTH, dash_of(role))
+            drawing.lines([sign], role, line_width(""), dash_of(role))
         drawing.text(x + SIGN + SIGN_GAP, y, word, TICK_SIZE, anchor="start")
     return LEGEND_ROW * len(rows)

@@ -84,7 +84,10 @@ def sum_products(rows: Array, products: Array) -> None:
 
 @compiled_sums
 def multiply_rows(rows: Array, others: Array, products: Array) -> None:
-    """Fill in products of rows (m, p) with others (n, p), four of these at once: (m, n)."""
+    """Fill in products (m, n) of rows (m, p) with others (n, p), four of n at once.
+
+    n is a multiple of four.
+    """
     for a in range(rows.shape[0]):
         for b in range(0, others.shape[0], 4):
             first, second, third, fourth = 0.0, 0.0, 0.0, 0.0
