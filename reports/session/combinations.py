@@ -109,8 +109,7 @@ COLUMNS = (
 TABLE_NOTE = (
     "Before the slash: the smallest fault that the diagnosis would detect; after it: the smallest "
     "that it would also identify among all faults it knows, in four of five such sessions, all "
-    "faults tried at once: a little more than where one offset alone is noticed. Backlash and a "
-    "turned camera of that size are identified less often. "
+    "faults tried at once: a little more than where one offset alone is noticed. "
     "A dash: nothing shows, or it was not tried with this motion."
 )
 FAULT_NOTE = (

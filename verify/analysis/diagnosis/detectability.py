@@ -1,28 +1,28 @@
 """How small a fault of each kind this session would list, and tell from every other fault.
 
 After Baarda's internal reliability, with the thresholds that the diagnosis itself asks: what a
-fault must lower chi-squared by to be listed, and by how much it must beat each rival.
+fault must lower chi-squared by to be listed, and by how much it must beat each rival. The closest
+of many rivals is another one in each session, by chance: so noise is drawn, and a size is sought
+that is named in four draws of five.
 """
 
-from collections.abc import Iterator
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from verify.analysis.diagnosis.causes import MIN_ADVANTAGE, required_advantage
+from verify.analysis.diagnosis.causes import required_advantage
 from verify.analysis.diagnosis.faults import UNIT_SCALES, Name
 from verify.analysis.diagnosis.search import FaultProducts
 from verify.core.records import Array
-from verify.core.statistics import chi2_isf
 
 MAX_RIVAL_RATIO = 100.0  # the listed size: a rival that leaves less of a fault is the same as it
 POWER_SIGMA = 0.84  # standard deviations beyond a threshold: it is passed four times in five
-# Of a rival's chance: the closest is beaten 85 times in 100, as others come close besides; of what
-# begins in the session, of the largest chance at the instants where it resembles a drift most.
-RIVAL_SIGMA = 1.04
-INSTANTS_SIGMA = 2.0
+NAMED_SHARE = 0.80  # of the sessions in which a fault of the separable size is named
+DRAWS, SEED = 100, 20261126
+TOL_ALIKE = 1e-9  # of a fault's square: what rounding leaves of it beside its equal
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 DETECTABILITY_COLUMNS = [
     "joint", "kind", "parameter", "per_turn", "unit", "detectable", "separable", "rival_joint",
@@ -37,8 +37,8 @@ def detectable(products: FaultProducts) -> pd.DataFrame:
     displacement), `per_turn` (waves of an eccentricity), `unit`; `detectable` and `separable`, in
     that unit, nan where no size would do; `rival_joint`, `rival_kind`: from which it is told last.
     A step's are those of one in the middle of the session, an eccentricity's those of its least
-    favourable phase, a displacement's those of one along or about one axis alone, from the
-    beginning.
+    favourable phase where it is listed and of any phase where it is named, a displacement's those
+    of one along or about one axis alone, from the beginning.
     """
     ways = _fault_directions(products)
     listed, named, rival = _sizes(products, ways)
@@ -86,58 +86,95 @@ def _fault_directions(products: FaultProducts) -> list[_FaultVariant]:
 def _sizes(products: FaultProducts, ways: list[_FaultVariant]) -> tuple[Array, Array, list[int]]:
     """Least sizes listed and named, SI, a way each, and the rival that asks for most (or -1)."""
     fault, first, last = (np.array([way[k] for way in ways], dtype=np.int64) for k in range(3))
-    scale = np.minimum(products.scale[first], products.scale[last])
-    largest = np.array([products.faults[way.fault].largest for way in ways])
-    own, other, mixed = (
-        products.gram[ends] for ends in ((first, first), (last, last), (first, last))
-    )
+    gram, scale = products.gram, np.minimum(products.scale[first], products.scale[last])
+    own, other, mixed = (gram[ends] for ends in ((first, first), (last, last), (first, last)))
     left = _worst_mixture(own, other, mixed, alone=first == last) * scale
     left[~products.visible[fault]] = np.nan
-    # beside those that resemble it, the best of all rivals fits something by mere chance
-    chance = chi2_isf(1 / max(int(products.visible.sum()), 2), 1)
-    price = products.price[fault]
-    listed = (np.sqrt(price) + POWER_SIGMA) / left
-    named = (np.sqrt(np.maximum(price, MIN_ADVANTAGE + chance)) + POWER_SIGMA) / left
-    same_name = _same_name(products)[:, fault]
-    advantages = required_advantage(products)[fault].T
-    rival = np.full(len(ways), -1)
-    for k, beside in _remainders_beside(products, first, last):
-        advantage = advantages[k]
-        # the rival gains by the very chance by which the fault loses
-        z = INSTANTS_SIGMA if products.faults[k].instants > 1 else RIVAL_SIGMA
-        with np.errstate(divide="ignore"):
-            needed = (z + np.sqrt(np.maximum(z**2 + advantage, 0.0))) / (beside * scale)
-        needed[needed > np.fmin(MAX_RIVAL_RATIO * listed, largest)] = np.nan
-        # a rival with many more coefficients asks for nothing: it never stands in its place
-        harder = ~same_name[k] & (advantage > -(z**2)) & ~np.isnan(named) & ~(needed <= named)
-        named[harder], rival[harder] = needed[harder], k
-    return listed, named, rival.tolist()
+    listed = (np.sqrt(products.price[fault]) + POWER_SIGMA) / left
+    named, rival = np.full(len(ways), np.nan), [-1] * len(ways)
+    chance = _Chance.of(products)
+    for k in np.flatnonzero(~np.isnan(listed)).tolist():
+        needed, among = _named_sizes(products, chance, ways[k])
+        size = float(np.sort(needed)[int(NAMED_SHARE * DRAWS)])
+        closest = among[:, needed >= size].sum(axis=1)
+        if closest.any():
+            rival[k] = int(chance.fault[np.argmax(closest)])
+        if size <= min(MAX_RIVAL_RATIO * listed[k], products.faults[ways[k].fault].largest):
+            named[k] = size
+    return listed, named, rival
 
 
-def _same_name(products: FaultProducts) -> NDArray[np.bool_]:
-    """Which faults (c, c) have the same name."""
-    number = {name: i for i, name in enumerate(dict.fromkeys(f.name for f in products.faults))}
-    which = np.array([number[f.name] for f in products.faults])
-    alike: NDArray[np.bool_] = which[:, None] == which
-    return alike
+@dataclass(frozen=True)
+class _Chance:
+    """What noise alone gives the v visible faults, in m draws.
+
+    Faults of as many columns as each other, f, are a group of k; those of each are orthonormal.
+    """
+
+    fault: NDArray[np.int64]  # (v,)
+    given: list[Array]  # (k, f, p) a group: what a unit of each plain column gives them
+    noise: list[Array]  # (k, f, m)
+    gain: Array  # (v, m), by which the noise lowers chi-squared
+    needed: Array  # (v, v), by which the second has to be beaten by the first
+
+    @classmethod
+    def of(cls, products: FaultProducts) -> "_Chance":
+        """Draw the moments that noise of the stated size makes."""
+        gram = products.gram
+        value, axis = np.linalg.eigh(gram)
+        drawn = np.random.default_rng(SEED).standard_normal((len(value), DRAWS // 2))
+        moment = (axis * np.sqrt(np.maximum(value, 0.0))) @ np.hstack([drawn, -drawn])
+        given, noise = [], []
+        for _, at in products.seen:
+            factor = np.linalg.cholesky(gram[at[:, :, None], at[:, None, :]])
+            given.append(np.linalg.solve(factor, gram[at] * products.scale))
+            noise.append(np.linalg.solve(factor, moment[at]))
+        fault = np.concatenate([which for which, _ in products.seen])
+        names = [products.faults[k].name for k in fault.tolist()]
+        needed = required_advantage(products)[np.ix_(fault, fault)]
+        needed[[[one == other for other in names] for one in names]] = -np.inf
+        return cls(fault, given, noise, _group_sums([n**2 for n in noise]), needed)
 
 
-def _remainders_beside(
-    products: FaultProducts, first: NDArray[np.int64], last: NDArray[np.int64]
-) -> Iterator[tuple[int, Array]]:
-    """What is left of each way's unit column beside every visible fault in turn, (ways,)."""
-    gram = products.gram
-    left = np.empty((len(products.faults), len(first)))
-    ways = (first, first), (last, last), (first, last)
-    for which, at in products.seen:
-        rows = gram[at]
-        shared = np.linalg.solve(gram[at[:, :, None], at[:, None, :]], rows)
-        one, other, mixed = (
-            gram[a, b] - np.sum(rows[:, :, a] * shared[:, :, b], axis=1) for a, b in ways
-        )
-        left[which] = _worst_mixture(one, other, mixed, alone=first == last)
-    for k in np.flatnonzero(products.visible).tolist():
-        yield k, left[k]
+def _group_sums(groups: list[Array]) -> Array:
+    """Sum each group's rows (k, f, m) a fault, (v, m)."""
+    return np.concatenate([group.sum(axis=1) for group in groups])
+
+
+def _named_sizes(
+    products: FaultProducts, chance: _Chance, way: _FaultVariant
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Sizes (m,), SI, from which a fault is named in each draw, and which rivals (v, m) ask for it.
+
+    A fault of size s lowers chi-squared by the square of s times what it gives the columns, plus
+    noise; it is listed from its price on, and named where it leads each rival by as much as is
+    asked. Of an eccentricity, each draw has another phase.
+    """
+    own = int(np.flatnonzero(chance.fault == way.fault)[0])
+    unit = [given[:, :, [way.first]] for given in chance.given]
+    if way.first != way.last:
+        phase = 2 * np.pi * np.arange(DRAWS) / DRAWS
+        last = [given[:, :, [way.last]] for given in chance.given]
+        unit = [a * np.cos(phase) + b * np.sin(phase) for a, b in zip(unit, last, strict=True)]
+    square = _group_sums([u**2 for u in unit])
+    mixed = _group_sums([u * noise for u, noise in zip(unit, chance.noise, strict=True)])
+    short = chance.gain[own] - chance.gain - chance.needed[own][:, None]
+    more = square[own] - square
+    led = _from_then_on(more, mixed[own] - mixed, short)
+    alike = more <= TOL_ALIKE * square[own]  # by all of it: chance alone decides, at any size
+    led = np.where(alike, np.where(short > 0, 0.0, np.inf), led)
+    price = float(products.price[way.fault])
+    listed = _from_then_on(square[own], mixed[own], chance.gain[own] - price)
+    size = np.maximum(listed, led.max(axis=0))
+    return size, (led == size) & (led > listed)
+
+
+def _from_then_on(square: Array, half: Array, constant: Array) -> Array:
+    """From which s on `square` s^2 + 2 `half` s + `constant` is above 0."""
+    with np.errstate(divide="ignore", invalid="ignore"):  # of one that is no rival, or the same
+        discriminant = half**2 - square * constant
+        crossing = (np.sqrt(np.maximum(discriminant, 0.0)) - half) / square
+    return np.where(discriminant > 0, np.maximum(crossing, 0.0), 0.0)
 
 
 def _worst_mixture(one: Array, other: Array, mixed: Array, *, alone: NDArray[np.bool_]) -> Array:

@@ -25,6 +25,7 @@ from verify.analysis.model import JointErrorModel
 from verify.core.records import Array
 
 MIN_PAIRS_BESIDE = 3  # before and after an instant; fewer are outliers
+RIVAL_INSTANTS = 8  # of steps that are tried in any case; the likeliest one is sought besides
 MOVING_KINDS = ("base_moved", "led_body_slipped", "camera_turned")
 MIN_WORTH = (
     15.0  # of chi-squared beyond Schwarz's criterion, of a change sought before any other fault
@@ -60,12 +61,14 @@ def begun(model: JointErrorModel, fault: Fault, first: int) -> Fault:
 
 
 def stated_steps(model: JointErrorModel, moving: list[Fault]) -> list[Fault]:
-    """Steps in the middle, by which detectable sizes are stated; and the earliest, as rivals."""
+    """Steps in the middle, by which detectable sizes are stated; and at others, as rivals."""
     at = instants(model)
     steps = [f for f in moving if f.kind == "step"]
-    return (
-        [begun(model, f, int(k)) for k in at[[len(at) // 2, 0]] for f in steps] if len(at) else []
-    )
+    if not len(at):
+        return []
+    rivals = np.linspace(0, len(at) - 1, RIVAL_INSTANTS).round().astype(np.int64)
+    chosen = dict.fromkeys([len(at) // 2, *rivals.tolist()])
+    return [begun(model, f, int(at[k])) for k in chosen for f in steps]
 
 
 @dataclass(frozen=True)

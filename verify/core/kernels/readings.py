@@ -15,6 +15,10 @@ from verify.core.records import Array
 N_END_READINGS = 4  # through which a cubic gives the speed at an end
 
 
+# Of the time from a turning point to the threshold, a parabola is within half of it for 0.71.
+RESTED = 0.85
+
+
 @compiled
 def slope_at(t: Array, q: Array, i: int, joint: int, longest: float) -> float:
     """Joint's speed at reading i by second-order differences, as numpy.gradient; 0 beside a gap."""
@@ -167,19 +171,37 @@ def in_burst(t: Array, longest: float, instant: float) -> bool:
 def travel_directions(q: Array, thresholds: Array) -> NDArray[np.int8]:
     """Joints' direction of travel (m, j) after each reading: +1, -1, or 0 before any.
 
-    q (m, j), rad; beyond its threshold (j,), rad, from its extreme a joint has turned back.
+    q (m, j), rad; beyond its threshold (j,), rad, from its extreme a joint has turned back. From
+    when on, is then sought.
     """
     directions = np.empty(q.shape, np.int8)
     for j in range(q.shape[1]):
         extreme, direction = q[0, j], 0
         for i in range(len(q)):
             value = q[i, j]
-            if direction == 0:
-                if abs(value - extreme) > thresholds[j]:
-                    direction, extreme = (1 if value > extreme else -1), value
-            elif (value - extreme) * direction >= 0:
+            if (value - extreme) * direction > 0:
                 extreme = value
             elif abs(value - extreme) > thresholds[j]:
-                direction, extreme = -direction, value
+                direction = 1 if value > extreme else -1
+                for k in range(_turning_point(q[:, j], i, extreme, thresholds[j]), i):
+                    directions[k, j] = direction
+                extreme = value
             directions[i, j] = direction
     return directions
+
+
+@compiled
+def _turning_point(q: Array, found: int, extreme: float, threshold: float) -> int:
+    """Reading from which on a joint moves back, of q (m,), rad, beyond the threshold at `found`.
+
+    A joint that turns without a rest is as long on its way there as on its way back. After a rest,
+    it moves from the last reading on that is within half of the threshold.
+    """
+    begin, last = found - 1, -1
+    while begin >= 0 and abs(q[begin] - extreme) <= threshold:
+        if last < 0 and abs(q[begin] - extreme) <= threshold / 2:
+            last = begin
+        begin -= 1
+    middle = (begin + found + 1) // 2
+    rested = begin < 0 or last - middle > RESTED * (found - middle)
+    return last + 1 if rested else middle
