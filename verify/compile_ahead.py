@@ -16,7 +16,8 @@ from verify.analysis.warm_up import (
     warm_up_comparison,
     warm_up_detection,
 )
-from verify.calibration.corners.find import CornerPrediction, fit_corner
+from verify.calibration.corners.find import refine_corners
+from verify.core.fiducials import Board
 from verify.core.processes import READY, ChildProcess, ParentLine
 from verify.core.rig import Camera
 
@@ -83,8 +84,9 @@ def _refit() -> None:
 
 def _compile_corner_fit() -> None:
     """A picture without a corner."""
-    place = CornerPrediction(np.full(2, 2 * SQUARE_PX), SQUARE_PX * np.eye(2), np.zeros((2, 2)))
-    fit_corner(np.zeros((80, 80)), place)
+    board, corner = Board(3, 3, 1.0), np.arange(9)
+    places = SQUARE_PX * (1 + board.points[:, :2])
+    refine_corners(np.zeros((80, 80), dtype=np.uint8), board, corner, places)
 
 
 if __name__ == "__main__":

@@ -11,8 +11,6 @@ All pixels weigh the same. The noise s and the correlation of neighbouring pixel
 scatters) are estimated from the residuals of all corners of a view.
 """
 
-from dataclasses import dataclass
-
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -26,7 +24,7 @@ from verify.calibration.corners.kernels.fit import (
     COL_XY,
     COL_YY,
     N_COLUMNS,
-    fit_crossing,
+    fit_crossings,
 )
 from verify.calibration.corners.kernels.model import N_PARAMETERS, PAR_X, PAR_Y, STEP_TABLE
 from verify.calibration.corners.search import (
@@ -43,55 +41,6 @@ MIN_CORNERS = 4  # corners that fix a homography
 N_PASSES = 2  # the second with the plane and lens that the first found
 MAX_MAP_ERROR = 0.1  # px by which plane and lens of a pass may miss any corner where it is the last
 MIN_CORNER_SHARE = 0.75  # of a plain board's corners: the others may be covered or in glare
-
-
-@dataclass(frozen=True, slots=True)
-class CornerPrediction:
-    """Expected place of a corner, and the board's plane about it."""
-
-    centre: Array  # (2,), px
-    jacobian: Array  # (2, 2), d px / d squares, columns along the board's x and y
-    bend: Array  # (2, 2), d² px / d squares², columns along the board's x and y
-    markers: tuple[float, int] | None = None  # squares between a marker and its square's edge;
-    # sign of u · v (from the corner, board's axes) where the white squares are
-
-
-@dataclass(frozen=True, slots=True)
-class Corner:
-    """A fitted corner."""
-
-    parameters: Array  # (13,)
-    centre: Array  # (2,), px
-    covariance: Array  # (2, 2), px², if its residuals were independent from pixel to pixel
-    variance: float  # DN², of the residuals
-    scatter: tuple[float, float]  # of the centre's scores from cell to cell: found, expected
-
-
-def fit_corner(
-    grey: Array, place: CornerPrediction, parameters: Array | None = None
-) -> Corner | None:
-    """Measure one corner in an image (h, w), DN; other threads run meanwhile.
-
-    The place is good to a tenth of a square; `parameters` are of an earlier fit, whose centre it
-    is. Returns None where there is no crossing: too few pixels, no convergence, or a place outside
-    the window.
-    """
-    found = np.zeros(N_PARAMETERS) if parameters is None else parameters.copy()
-    result = np.empty(N_COLUMNS)
-    at = (place.centre, place.jacobian, place.bend)
-    margin, white = place.markers or (0.0, 0)
-    if not fit_crossing(
-        grey, at, (float(margin), float(white)), parameters is not None, STEP_TABLE, found, result
-    ):
-        return None
-    variance = float(result[COL_VARIANCE])
-    return Corner(
-        parameters=found,
-        centre=place.centre + found[[PAR_X, PAR_Y]],
-        covariance=variance * result[[[COL_XX, COL_XY], [COL_XY, COL_YY]]],
-        variance=variance,
-        scatter=(float(result[COL_FOUND]), float(result[COL_EXPECTED])),
-    )
 
 
 def find_board(image: Image, board: Board) -> BoardView | None:
@@ -156,51 +105,51 @@ def refine_corners(
 ) -> BoardView | None:
     """Refine corners (n,) from where they were found (n, 2)."""
     squares = board.points[corner, :2] / board.square
-    pixels, margins = grey.astype(float), marker_margins(board, corner)
-    fits: list[Corner | None] = [None] * len(corner)
+    pixels, markers = np.array(grey, order="C"), marker_margins(board, corner)
+    fitted, results = np.zeros(len(corner), dtype=bool), np.empty((len(corner), N_COLUMNS))
+    parameters = np.empty((len(corner), N_PARAMETERS))
     centre, good = start, np.ones(len(corner), dtype=bool)
     for _ in range(N_PASSES):
         board_map = fit_map(squares[good], centre[good], grey.shape)
         if board_map is None:
             return None
-        centre = np.where(good[:, None], centre, board_map(squares))
-        plane = zip(centre, board_map.jacobian(squares), board_map.bend(squares), strict=True)
-        places = [CornerPrediction(*at, margin) for at, margin in zip(plane, margins, strict=True)]
-        fits = [
-            fit_corner(pixels, place, None if fit is None else fit.parameters)
-            for place, fit in zip(places, fits, strict=True)
-        ]
-        good = np.array([fit is not None for fit in fits])
+        mapped = board_map(squares)
+        centre = np.where(good[:, None], centre, mapped)
+        at = (centre, board_map.jacobian(squares), board_map.bend(squares))
+        fit_crossings(pixels, at, markers, STEP_TABLE, fitted, parameters, results)
+        good = fitted.copy()
         if good.sum() < MIN_CORNERS or is_degenerate(squares[good]):
             return None
-        centre = np.array([c if f is None else f.centre for c, f in zip(centre, fits, strict=True)])
-        if good.all() and np.abs(centre - board_map(squares)).max() < MAX_MAP_ERROR:
+        centre = np.where(good[:, None], centre + parameters[:, [PAR_X, PAR_Y]], centre)
+        if good.all() and np.abs(centre - mapped).max() < MAX_MAP_ERROR:
             break
-    found = [fit for fit in fits if fit is not None]
-    return BoardView(corner[good], centre[good], corner_covariances(found))
+    return BoardView(corner[good], centre[good], corner_covariances(results[good]))
 
 
-def corner_covariances(corners: list[Corner]) -> Array:
-    """Covariance of each corner (n, 2, 2), px².
+def corner_covariances(results: Array) -> Array:
+    """Covariance of each corner (n, 2, 2), px², by the results (n, 6) of the fits.
 
     Noise and its correlation are those of all corners together, enlarged for one that fits worse.
     """
-    found, expected = np.sum([c.scatter for c in corners], axis=0)
-    variance = np.array([c.variance for c in corners])
-    usual = np.median(variance)
-    each = np.array([c.covariance / c.variance for c in corners])
-    scaled: Array = each * (found / expected * np.maximum(variance, usual))[:, None, None]
+    found, expected = results[:, [COL_FOUND, COL_EXPECTED]].sum(axis=0)
+    variance = results[:, COL_VARIANCE]
+    each = results[:, [COL_XX, COL_XY, COL_XY, COL_YY]].reshape(-1, 2, 2)
+    noise = found / expected * np.maximum(variance, np.median(variance))
+    scaled: Array = each * noise[:, None, None]
     return scaled
 
 
-def marker_margins(board: Board, corner: NDArray[np.int64]) -> list[tuple[float, int] | None]:
-    """Distance of markers from edges, and where white is, for each corner; None: a plain board."""
+def marker_margins(board: Board, corner: NDArray[np.int64]) -> Array:
+    """Distance of markers from edges, squares, and where white is, for each corner (n, 2).
+
+    White is where u · v (from the corner, board's axes) has the sign given; 0: a plain board.
+    """
     if board.marker is None:
-        return [None] * len(corner)
+        return np.zeros((len(corner), 2))
     margin = (1 - board.marker / board.square) / 2
     # The first square is black, hence also the one before the first corner.
     parity = (corner % board.columns + corner // board.columns) % 2
-    return [(margin, 1 if odd else -1) for odd in parity]
+    return np.stack([np.full(len(corner), margin), 2.0 * parity - 1], axis=1)
 
 
 def find_charuco(grey: Image, board: Board) -> tuple[NDArray[np.int64], Array]:

@@ -10,20 +10,23 @@ The map carries board coordinates s (2), in squares from the first corner, to pi
 It serves the surroundings of corners, not the calibration.
 """
 
+import itertools
 from dataclasses import dataclass
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from verify.core.records import Array, Image
 
 PRIOR_RADIAL = 0.3  # at half the image's width: a strongly distorting lens
 PRIOR_RESIDUAL = 0.5  # px: how well few corners would have to fit before they speak on the lens
 STEP = 0.05  # squares, of numerical derivatives
+MAX_STEPS = 40  # of a fit of the map; three are usual
+TOL_MAP = 1e-9  # of the sum of squares that a step gains
 # squares from a corner, diagonally, where its four squares' brightness is read
 SAMPLE_OFFSET = 0.25
+AROUND = SAMPLE_OFFSET * np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]])
 # white, white, white, black, as at a board's rim, makes 1.0; a crossing far more
 MIN_CROSSING_CONTRAST = 1.4
 MIN_LINE_SHARE = 0.6  # of a row's or column's corners: some may be covered or in glare
@@ -67,24 +70,38 @@ def fit_map(squares: Array, pixels: Array, shape: tuple[int, ...]) -> CornerMap 
     homography, _ = cv2.findHomography(squares, normalised)
     if homography is None or abs(homography[2, 2]) < 1e-9:
         return None
-    start = np.append(homography.ravel()[:8] / homography[2, 2], [0.0, 0.0])
+    parameters = np.append(homography.ravel()[:8] / homography[2, 2], [0.0, 0.0])
     weight = PRIOR_RESIDUAL / scale / PRIOR_RADIAL
+    known = weight**2 * np.diag(np.arange(10) >= 8)
+    damping, now = 1e-6, _map_cost(parameters, squares, normalised, known)
+    for _ in range(MAX_STEPS):
+        slopes = _map_slopes(parameters, squares)
+        off = (normalised - _apply_map(parameters, squares)).ravel()
+        matrix = slopes.T @ slopes + known
+        size = np.sqrt(np.diag(matrix))
+        damped = matrix / np.outer(size, size) + damping * np.eye(10)
+        pull = (slopes.T @ off - known @ parameters) / size
+        step = np.linalg.solve(damped, pull)
+        trial = parameters + step / size
+        before, now = now, _map_cost(trial, squares, normalised, known)
+        if not now <= before:
+            now, damping = before, damping * 100
+            continue
+        parameters, damping = trial, damping / 10
+        if step @ pull <= TOL_MAP * now:
+            break
+    return CornerMap(parameters, middle, scale)
 
-    def misses(parameters: Array) -> Array:
-        off = _apply_map(parameters, squares) - normalised
-        return np.concatenate([off.ravel(), weight * parameters[8:]])
 
-    def slopes(parameters: Array) -> Array:
-        return np.vstack([_map_slopes(parameters, squares), weight * np.eye(2, 10, 8)])
-
-    found = least_squares(misses, start, jac=slopes, method="lm", x_scale="jac")
-    return CornerMap(np.asarray(found.x), middle, scale)
+def _map_cost(parameters: Array, squares: Array, normalised: Array, known: Array) -> float:
+    off = _apply_map(parameters, squares) - normalised
+    return float(np.sum(off**2) + parameters @ known @ parameters)
 
 
 def _apply_map(parameters: Array, squares: Array) -> Array:
     flat = squares @ parameters[[[0, 3], [1, 4]]] + parameters[[2, 5]]
     xy = flat / (squares @ parameters[6:8] + 1)[:, None]
-    r2 = np.sum(xy**2, axis=1, keepdims=True)
+    r2 = (xy[:, 0] ** 2 + xy[:, 1] ** 2)[:, None]
     bent: Array = xy * (1 + r2 * (parameters[8] + r2 * parameters[9]))
     return bent
 
@@ -95,15 +112,17 @@ def _map_slopes(parameters: Array, squares: Array) -> Array:
     across = np.column_stack([squares, np.ones(len(squares))])
     across /= (squares @ parameters[6:8] + 1)[:, None]
     xy = across @ parameters[[[0, 3], [1, 4], [2, 5]]]
-    slopes = np.zeros((len(squares), 2, 10))
-    slopes[:, 0, :3] = slopes[:, 1, 3:6] = across
-    slopes[:, :, 6:8] = -xy[:, :, None] * across[:, None, :2]
-    r2 = np.sum(xy**2, axis=1)[:, None, None]
-    squared = xy[:, :, None] * xy[:, None]
-    by_xy = squared * (2 * k1 + 4 * k2 * r2) + np.eye(2) * (1 + r2 * (k1 + r2 * k2))
-    found: Array = by_xy @ slopes
-    found[:, :, 8:] = xy[:, :, None] * np.concatenate([r2, r2**2], axis=2)
-    return found.reshape(-1, 10)
+    r2 = (xy[:, 0] ** 2 + xy[:, 1] ** 2)[:, None]
+    radial, by_r2 = 1 + r2 * (k1 + r2 * k2), 2 * (k1 + 2 * k2 * r2)
+    slopes = np.empty((len(squares), 2, 10))
+    for axis in range(2):
+        by_xy = by_r2 * xy[:, axis, None] * xy
+        by_xy[:, axis] += radial[:, 0]
+        slopes[:, axis, :3] = by_xy[:, :1] * across
+        slopes[:, axis, 3:6] = by_xy[:, 1:] * across
+    slopes[:, :, 6:8] = -((radial + by_r2 * r2) * xy)[:, :, None] * across[:, None, :2]
+    slopes[:, :, 8:] = xy[:, :, None] * np.stack([r2, r2 * r2], axis=2)
+    return slopes.reshape(-1, 10)
 
 
 def block_points(block: Block) -> Array:
@@ -119,43 +138,41 @@ def fit_grid_map(grey: Image, grid: Array) -> CornerMap | None:
     return fit_map(block_points((0, 0, columns, rows)), grid.reshape(-1, 2), grey.shape)
 
 
-def crossings(grey: Image, grid_map: CornerMap, squares: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """Contrast of the crossings at places (n, 2) of a board, in squares, and whether each is one.
+def crossings(grey: Image, places: Array) -> tuple[Array, NDArray[np.bool_]]:
+    """Contrast of crossings, and whether each is one, by places in their four squares (..., 4, 2).
 
-    Contrast is half the difference of both diagonals (n,), DN, positive where the square with lower
-    x and y is the brighter, nan outside the image (h, w). It must be a crossing where opposite
-    squares agree well enough.
+    The squares, px in the image (h, w), in order: lower x and y, higher ones, lower x and higher y,
+    higher x and lower y. Contrast (...), half the difference of both diagonals, DN, is positive
+    where the first square is among the brighter ones, nan outside the image. It must be a crossing
+    where opposite squares agree well enough.
     """
-    around = np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]]) * SAMPLE_OFFSET
-    places = grid_map((squares[:, None] + around).reshape(-1, 2)).reshape(-1, 4, 2)
     height, width = grey.shape
-    inside = ((places >= 0) & (places <= [width - 1, height - 1])).all(axis=(1, 2))
+    inside = ((places >= 0) & (places <= [width - 1, height - 1])).all(axis=(-1, -2))
     soft = cv2.blur(grey, (3, 3))
-    x, y = (places[..., k].astype(np.float32) for k in (0, 1))
-    read = cv2.remap(soft, x, y, cv2.INTER_LINEAR).astype(float)
-    contrast = (read[:, 0] + read[:, 1] - read[:, 2] - read[:, 3]) / 4
-    unlike = np.abs(read[:, 0] - read[:, 1]) + np.abs(read[:, 2] - read[:, 3]) + 2.0  # DN, noise
+    x, y = (places[..., k].reshape(-1, 4).astype(np.float32) for k in (0, 1))
+    read = cv2.remap(soft, x, y, cv2.INTER_LINEAR).astype(float).reshape(places.shape[:-1])
+    contrast = (read[..., 0] + read[..., 1] - read[..., 2] - read[..., 3]) / 4
+    noise = 2.0  # DN
+    unlike = np.abs(read[..., 0] - read[..., 1]) + np.abs(read[..., 2] - read[..., 3]) + noise
     contrast[~inside] = np.nan
     return contrast, inside & (4 * np.abs(contrast) > MIN_CROSSING_CONTRAST * unlike)
 
 
-def alternating_crossings(grey: Image, grid_map: CornerMap, squares: Array) -> NDArray[np.bool_]:
-    """Where crossings are whose colours alternate as most do, (n,)."""
-    contrast, there = crossings(grey, grid_map, squares)
-    parity = np.where(squares.sum(axis=1) % 2 == 0, 1, -1)
-    sign = np.sign(np.nansum(parity * contrast))
-    good: NDArray[np.bool_] = there & (np.nan_to_num(contrast) * parity * sign > 0)
-    return good
+def block_crossings(
+    grey: Image, grid_map: CornerMap, block: Block
+) -> tuple[Array, NDArray[np.bool_]]:
+    """Contrast of a block's crossings, and whether each is one, (rows, columns)."""
+    around = (block_points(block)[:, None] + AROUND).reshape(-1, 2)
+    return crossings(grey, grid_map(around).reshape(block[3], block[2], 4, 2))
 
 
-def is_whole(grey: Image, grid: Array) -> bool:
-    """Whether a grid (rows, columns, 2) is a chessboard and no part of a larger one."""
-    rows, columns = grid.shape[:2]
-    grid_map = fit_grid_map(grey, grid)
-    if grid_map is None:
-        return False
-    return has_crossings(grey, grid_map, (0, 0, columns, rows)) and not any(
-        has_crossings(grey, grid_map, line) for line in neighbour_lines(columns, rows)
+def is_whole(grey: Image, grid_map: CornerMap, columns: int, rows: int) -> bool:
+    """Whether corners from the map's first one on are a chessboard and no part of a larger one."""
+    contrast, there = block_crossings(grey, grid_map, (-1, -1, columns + 2, rows + 2))
+    inner, edges = slice(1, -1), (slice(0, 1), slice(-1, None))
+    around = [*((inner, edge) for edge in edges), *((edge, inner) for edge in edges)]
+    return alternate(contrast[inner, inner], there[inner, inner]) and not any(
+        alternate(contrast[line], there[line]) for line in around
     )
 
 
@@ -166,11 +183,24 @@ def neighbour_lines(columns: int, rows: int) -> list[Block]:
 
 def has_crossings(grey: Image, grid_map: CornerMap, block: Block) -> bool:
     """Whether crossings are in every row and column of a block."""
-    columns, rows = block[2:]
-    good = alternating_crossings(grey, grid_map, block_points(block)).reshape(rows, columns)
-    if columns == 1 or rows == 1:
+    return alternate(*block_crossings(grey, grid_map, block))
+
+
+def alternate(contrast: Array, there: NDArray[np.bool_]) -> bool:
+    """Whether every row and column (rows, columns) has crossings whose colours alternate."""
+    signed = _checkered(contrast)
+    good = there & (signed * np.sign(signed.sum()) > 0)
+    if min(good.shape) == 1:
         return bool(good.mean() >= MIN_LINE_SHARE)
     return bool(min(good.mean(axis=0).min(), good.mean(axis=1).min()) >= MIN_LINE_SHARE)
+
+
+def _checkered(contrast: Array) -> Array:
+    """Contrast (rows, columns) with every other sign changed; 0 where it is not known."""
+    signed: Array = np.nan_to_num(contrast)
+    signed[1::2, ::2] *= -1
+    signed[::2, 1::2] *= -1
+    return signed
 
 
 def orient_grid(grey: Image, grid: Array, columns: int, rows: int) -> Array | None:
@@ -180,12 +210,19 @@ def orient_grid(grey: Image, grid: Array, columns: int, rows: int) -> Array | No
     first square is black come before the others; where the pattern looks alike in several, the one
     that stands most nearly upright is taken. None where the grid has other counts.
     """
-    orders = [np.rot90(side, k) for side in (grid, grid[:, ::-1]) for k in range(4)]
-    orders = [o for o in orders if o.shape[:2] == (rows, columns) and is_right_handed(o)]
+    along, down = (np.gradient(grid, axis=axis)[:, :, None] for axis in (1, 0))
+    around = grid[:, :, None] + along * AROUND[:, :1] + down * AROUND[:, 1:]
+    contrast, _ = crossings(grey, around)
+    orders = []
+    for mirrored, turns in itertools.product((False, True), range(4)):
+        order, shown = (np.rot90(a[:, ::-1] if mirrored else a, turns) for a in (grid, contrast))
+        if order.shape[:2] == (rows, columns) and is_right_handed(order):
+            sign = -1 if (mirrored + turns) % 2 else 1  # each exchanges the diagonals
+            orders.append((order, sign * _checkered(shown).sum() < 0))
     if not orders:
         return None
-    black = [o for o in orders if first_is_black(grey, o)]
-    best = max(black or orders, key=uprightness)
+    black = [order for order, first_is_black in orders if first_is_black]
+    best = max(black or [order for order, _ in orders], key=uprightness)
     return np.ascontiguousarray(best.reshape(-1, 2))
 
 
@@ -203,14 +240,3 @@ def uprightness(grid: Array) -> float:
     """How much x points right and y down."""
     steps = axes(grid)
     return float(np.trace(steps / np.linalg.norm(steps, axis=1, keepdims=True)))
-
-
-def first_is_black(grey: Image, grid: Array) -> bool:
-    """Whether the square before the first corner is black."""
-    grid_map = fit_grid_map(grey, grid)
-    if grid_map is None:
-        return False
-    squares = block_points((0, 0, grid.shape[1], grid.shape[0]))
-    contrast, _ = crossings(grey, grid_map, squares)
-    parity = np.where(squares.sum(axis=1) % 2 == 0, 1, -1)
-    return bool(np.nansum(parity * contrast) < 0)

@@ -6,6 +6,7 @@ are tried from the quickest to the one that withstands most, on the image and on
 (half the size, equalised, twice the size).
 """
 
+import math
 from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
@@ -49,8 +50,8 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
     if min(columns, rows) < MIN_CORNERS:
         return None
     counts = (columns, rows)
-    grid = _find_whole(grey, grey, 1.0, counts, QUICK_FINDER)
-    if grid is not None and _is_smooth(grey, grid):
+    grid = _find_whole(grey, grey, 1.0, counts, QUICK_FINDER, MAX_START_ERROR)
+    if grid is not None:
         return grid
     for finder in SECTOR_FINDERS:
         grid = _find_whole(grey, grey, 1.0, counts, finder)
@@ -70,31 +71,37 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
     return None
 
 
-def _is_smooth(grey: Image, grid: Array) -> bool:
-    """Whether every corner lies where the map through all puts it, as the start of a fit has to."""
-    rows, columns = grid.shape[:2]
-    grid_map = fit_grid_map(grey, grid)
-    if grid_map is None:
-        return False
-    mapped = grid_map(block_points((0, 0, columns, rows))).reshape(grid.shape)
-    square = min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1))
-    return bool(np.linalg.norm(grid - mapped, axis=2).max() < MAX_START_ERROR * square)
-
-
 def _find_whole(
-    grey: Image, picture: Image, scale: float, counts: tuple[int, int], finder: Finder
+    grey: Image,
+    picture: Image,
+    scale: float,
+    counts: tuple[int, int],
+    finder: Finder,
+    max_error: float = math.inf,
 ) -> Array | None:
     """Search a variant of an image, `scale` times its size, for the whole of a board.
 
     Returns (rows, columns, 2), px of the image `grey` (h, w), in which it is checked, or None;
-    counts are columns and rows.
+    counts are columns and rows. No corner may be off the map through all by more than `max_error`,
+    squares.
     """
     found, corners = finder(picture, counts)
     if not found:
         return None
     places = undo_scale(np.asarray(corners, dtype=float).reshape(-1, 2), scale)
     grid = places.reshape(counts[1], counts[0], 2)
-    return grid if is_whole(grey, grid) else None
+    grid_map = fit_grid_map(grey, grid)
+    if grid_map is None or not is_whole(grey, grid_map, *counts):
+        return None
+    return grid if _map_error(grid, grid_map) < max_error else None
+
+
+def _map_error(grid: Array, grid_map: CornerMap) -> float:
+    """How far a corner lies from where the map through all puts it, at most, squares."""
+    rows, columns = grid.shape[:2]
+    mapped = grid_map(block_points((0, 0, columns, rows))).reshape(grid.shape)
+    square = min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1))
+    return float(np.linalg.norm(grid - mapped, axis=2).max() / square)
 
 
 def picture_variants(grey: Image) -> Iterator[tuple[Image, float]]:
@@ -133,8 +140,11 @@ def find_by_growing(grey: Image) -> Array | None:
             if corners.size != 2 * rows * columns:
                 continue
             grid = grow_grid(grey, np.asarray(corners, dtype=float).reshape(rows, columns, 2))
-            if grid is not None and is_whole(grey, grid):
-                return grid
+            grid_map = None if grid is None else fit_grid_map(grey, grid)
+            if grid is not None and grid_map is not None:
+                rows, columns = grid.shape[:2]
+                if is_whole(grey, grid_map, columns, rows):
+                    return grid
     return None
 
 

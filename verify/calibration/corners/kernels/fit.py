@@ -6,6 +6,8 @@ fitted again. A calibration fits thousands of corners of hundreds of pixels: in 
 would pass over all of them dozens of times.
 """
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -37,9 +39,11 @@ from verify.core.kernels.linear_algebra import copy_to, factor, invert, median, 
 from verify.core.records import Array
 
 START_BLUR = 0.06  # squares: wide enough to draw in a start that is some pixels off
+MIN_BLUR = 0.7  # px: what is sharper shows no difference in pixels
 MAX_LOG_BLUR = 4.0  # either way, of the log of a blur in px
 MAX_ITERATIONS = 25  # a good start takes three
 TOL_STEP = 1e-3  # px; the step after it is below 1e-5
+TOL_GAIN = 1e-5  # of the sum of squares
 MAX_DEVIATION = 0.5  # of the contrast: what differs more is no part of the corner (a border, dirt)
 EDGE_SIGMA = 0.5  # px that an edge's pixels may be off: sharpening and saturation deform it
 OUTLIER_SIGMA = 5.0  # sigma, and more than that
@@ -54,31 +58,53 @@ N_COLUMNS = 6
 
 
 @compiled
-def fit_crossing(
-    grey: Array,
+def fit_crossings(
+    grey: NDArray[np.uint8],
     at: tuple[Array, Array, Array],
-    markers: tuple[float, float],
-    known_before: bool,
+    markers: Array,
     steps: Array,
-    p: Array,
-    result: Array,
-) -> bool:
-    """Fit a corner in an image (h, w), DN; returns whether there is one.
+    fitted: NDArray[np.bool_],
+    parameters: Array,
+    results: Array,
+) -> None:
+    """Fit the corners of a view (h, w), DN, all of whose pixels weigh the same.
 
-    `at` is centre, jacobian and bend of `find.CornerPrediction`, `markers` as for `window_pixels`,
-    `steps` the table of F. The parameters p (13,), see model.py, are filled, and so is result (6,)
-    where there is a crossing; `known_before`: p is of an earlier fit, whose centre is the expected
-    one.
+    `at`: expected centres (n, 2), px, good to a tenth of a square; d px / d squares (n, 2, 2),
+    columns along the board's x and y; d² px / d squares² (n, 2, 2), likewise. `markers` (n, 2) as
+    for `window_pixels`, `steps` the table of F. Parameters (n, 13), see model.py, and results
+    (n, 6) are filled where there is a crossing, and `fitted` (n,) says where; where it is true
+    beforehand the parameters are of an earlier fit, whose centre is the expected one.
     """
-    centre, jacobian, bend = at
-    pixels, edges = window_pixels(grey, centre, jacobian, markers), np.empty(N_EDGE_VALUES)
+    centres, jacobians, bends = at
+    edges, usual, known = np.empty(N_EDGE_VALUES), (0.0, 0.0, 0.0), False
+    for i in range(len(centres)):
+        p, jacobian = parameters[i], jacobians[i]
+        pixels = window_pixels(grey, centres[i], jacobian, (markers[i, 0], markers[i, 1]))
+        fill_edges(jacobian, bends[i], edges)
+        if fitted[i]:
+            p[PAR_X], p[PAR_Y] = 0.0, 0.0
+            fitted[i] = fit_crossing(pixels, jacobian, edges, steps, p, results[i])
+            continue
+        if known:
+            start_values(pixels, edges, usual, p)
+            fitted[i] = fit_crossing(pixels, jacobian, edges, steps, p, results[i])
+        if not fitted[i]:
+            blur = math.log(max(START_BLUR * edges[EDGE_SCALE], MIN_BLUR))
+            start_values(pixels, edges, (blur, blur, 0.0), p)
+            fitted[i] = fit_crossing(pixels, jacobian, edges, steps, p, results[i])
+        if fitted[i]:  # the lens blurs the next corner much alike
+            known = True
+            spread = math.copysign(p[PAR_SPREAD], p[PAR_SPREAD] * p[PAR_CONTRAST])
+            usual = (p[PAR_BLUR_1], p[PAR_BLUR_2], spread)
+
+
+@compiled
+def fit_crossing(
+    pixels: Array, jacobian: Array, edges: Array, steps: Array, p: Array, result: Array
+) -> bool:
+    """Fit a corner's pixels (4, p) by the start in p (13,); returns whether there is one."""
     if pixels.shape[1] < MIN_PIXELS:
         return False
-    fill_edges(jacobian, bend, edges)
-    if known_before:
-        p[PAR_X], p[PAR_Y] = 0.0, 0.0
-    else:
-        start_values(pixels, edges, START_BLUR * edges[EDGE_SCALE], p)
     settled, rows = converge(pixels, edges, steps, p)
     for _ in range(N_REJECTIONS):
         if not settled:
@@ -118,7 +144,7 @@ def converge(pixels: Array, edges: Array, steps: Array, p: Array) -> tuple[bool,
     """Find the parameters by Gauss-Newton with Levenberg's damping.
 
     Pixels (4, p), edges (5,), `steps` the table of F; p (13,) holds the start, and the best met
-    afterwards. Returns whether it settled, and the model's rows (14, p) there.
+    afterwards. Returns whether it settled, and the model's rows (14, p) within TOL_STEP of it.
     """
     count = pixels.shape[1]
     known, rows = np.empty((N_KNOWN_ROWS, count)), np.empty((N_ROWS, count))
@@ -139,6 +165,9 @@ def converge(pixels: Array, edges: Array, steps: Array, p: Array) -> tuple[bool,
         solve(root, step)
         for a in range(N_PARAMETERS):
             trial[a] = p[a] + step[a]
+        if is_small(step, products) and damping < 1.0:
+            copy_to(p, trial)  # the picture there is the same
+            return True, rows
         away = max(abs(trial[PAR_X]), abs(trial[PAR_Y]), abs(trial[PAR_SPREAD]))
         blur = max(abs(trial[PAR_BLUR_1]), abs(trial[PAR_BLUR_2]))
         if not (away < edges[EDGE_SCALE] and blur < MAX_LOG_BLUR):  # another corner, or no lens
@@ -150,10 +179,18 @@ def converge(pixels: Array, edges: Array, steps: Array, p: Array) -> tuple[bool,
             copy_to(p, trial)
             rows, tried = tried, rows
             sum_products(rows, products)
-        if max(abs(step[PAR_X]), abs(step[PAR_Y])) < TOL_STEP and damping < 1.0:
-            return True, rows
         damping = damping / 10.0 if better else damping * 30.0
     return False, rows
+
+
+@compiled
+def is_small(step: Array, products: Array) -> bool:
+    """Whether a step moves the place by next to nothing, and gains next to nothing."""
+    gain = 0.0
+    for a in range(N_PARAMETERS):
+        gain += step[a] * products[ROW_RESIDUAL, a]
+    still = max(abs(step[PAR_X]), abs(step[PAR_Y])) < TOL_STEP
+    return bool(still and gain < TOL_GAIN * products[ROW_RESIDUAL, ROW_RESIDUAL])
 
 
 @compiled_sums
@@ -202,30 +239,37 @@ def centre_covariance(pixels: Array, rows: Array, result: Array) -> bool:
     if not factor(products[:N_PARAMETERS, :N_PARAMETERS].copy(), 0.0, root):
         return False
     invert(root, inverse)
-    count = rows.shape[1]
-    scores = np.zeros((CELLS_PER_SIDE * CELLS_PER_SIDE // 2 + 1, 2))
-    taken = np.zeros((len(scores), 2, N_PARAMETERS))
+    count, cells = rows.shape[1], CELLS_PER_SIDE * CELLS_PER_SIDE // 2 + 1
+    influence = np.zeros((2, count))  # d centre / d pixel
+    for axis in range(2):
+        for a in range(N_PARAMETERS):
+            add_scaled(influence[axis], inverse[axis, a], rows[a])
+    taken = np.zeros((cells, 2, N_ROWS))  # by the fit, and the scores behind
     for k in range(count):
         cell = int(pixels[COL_CELL, k])
-        for axis in range(2):
-            influence = 0.0  # d centre / d pixel
-            for a in range(N_PARAMETERS):
-                influence += inverse[axis, a] * rows[a, k]
-            scores[cell, axis] += influence * rows[ROW_RESIDUAL, k]
-            for a in range(N_PARAMETERS):
-                taken[cell, axis, a] += influence * rows[a, k]
+        for a in range(N_ROWS):
+            taken[cell, 0, a] += influence[0, k] * rows[a, k]
+            taken[cell, 1, a] += influence[1, k] * rows[a, k]
     variance = products[ROW_RESIDUAL, ROW_RESIDUAL] / (count - N_PARAMETERS)
     # in units of the centre's variance, so that all corners of a view speak alike
-    unit, spent = inverse[PAR_X, PAR_X] + inverse[PAR_Y, PAR_Y], 0.0
-    for cell in range(len(scores)):
+    unit, spent, scattered = inverse[PAR_X, PAR_X] + inverse[PAR_Y, PAR_Y], 0.0, 0.0
+    for cell in range(cells):
         for axis in range(2):
-            form = 0.0
             for i in range(N_PARAMETERS):
+                form = 0.0
                 for j in range(N_PARAMETERS):
-                    form += taken[cell, axis, i] * inverse[i, j] * taken[cell, axis, j]
-            spent += form
+                    form += inverse[i, j] * taken[cell, axis, j]
+                spent += taken[cell, axis, i] * form
+            scattered += taken[cell, axis, ROW_RESIDUAL] ** 2
     result[COL_XX], result[COL_XY] = inverse[PAR_X, PAR_X], inverse[PAR_X, PAR_Y]
     result[COL_YY] = inverse[PAR_Y, PAR_Y]
     result[COL_VARIANCE], result[COL_EXPECTED] = variance, 1.0 - spent / unit
-    result[COL_FOUND] = sum_of_squares(scores.ravel()) / (unit * variance)
+    result[COL_FOUND] = scattered / (unit * variance)
     return True
+
+
+@compiled_sums
+def add_scaled(total: Array, factor: float, values: Array) -> None:
+    """Add a multiple of some values (n,) to others."""
+    for k in range(len(total)):
+        total[k] += factor * values[k]

@@ -16,6 +16,7 @@ compiled. One loop does one thing, for then the processor takes several pixels a
 """
 
 import math
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +43,6 @@ PAR_SHADE, PAR_SHADE_X, PAR_SHADE_Y, PAR_CONTRAST, PAR_TILT_X, PAR_TILT_Y = rang
 N_PARAMETERS = 13
 ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
 N_ROWS = N_PARAMETERS + 1
-MIN_BLUR = 0.7  # px: what is sharper shows no difference in pixels
 # What is known of each pixel: for each edge its place along and across it, px; the share of its
 # light from beyond the edge, drawn back by the spread, and from the other side, each with the
 # size of its slope, 1/px
@@ -60,7 +60,7 @@ STEP_TABLE = np.stack([ndtr(_NODES), np.exp(-_NODES * _NODES / 2) / np.sqrt(2 * 
 
 @compiled
 def window_pixels(
-    grey: Array, centre: Array, jacobian: Array, markers: tuple[float, float]
+    grey: NDArray[Any], centre: Array, jacobian: Array, markers: tuple[float, float]
 ) -> Array:
     """Pixels within half a square, near an edge, and outside ChArUco markers.
 
@@ -158,8 +158,12 @@ def select_pixels(pixels: Array, own: NDArray[np.bool_], count: int) -> Array:
 
 
 @compiled
-def start_values(pixels: Array, edges: Array, blur: float, p: Array) -> None:
-    """Fill in what to start from (13,); the contrast's sign from the means of the quadrants."""
+def start_values(pixels: Array, edges: Array, blurs: tuple[float, float, float], p: Array) -> None:
+    """Fill in what to start from (13,); the contrast from the means of the quadrants.
+
+    `blurs`: of the edges along the board's x and y, as logarithms, and the spread of the brighter
+    colour.
+    """
     cos_1, sin_1 = math.cos(edges[EDGE_START_1]), math.sin(edges[EDGE_START_1])
     cos_2, sin_2 = math.cos(edges[EDGE_START_2]), math.sin(edges[EDGE_START_2])
     high, highs, low, lows = 0.0, 0, 0.0, 0
@@ -173,8 +177,9 @@ def start_values(pixels: Array, edges: Array, blur: float, p: Array) -> None:
     high, low = high / max(highs, 1), low / max(lows, 1)
     p[:] = 0.0
     p[PAR_TURN_1], p[PAR_TURN_2] = edges[EDGE_START_1], edges[EDGE_START_2]
-    p[PAR_BLUR_1] = p[PAR_BLUR_2] = math.log(max(blur, MIN_BLUR))
     p[PAR_SHADE], p[PAR_CONTRAST] = (high + low) / 2, (high - low) / 2
+    p[PAR_BLUR_1], p[PAR_BLUR_2] = blurs[0], blurs[1]
+    p[PAR_SPREAD] = math.copysign(blurs[2], blurs[2] * p[PAR_CONTRAST])
 
 
 @compiled_sums
@@ -203,18 +208,25 @@ def blurred_step(
     Source: Taylor's series about the nearest step; F's derivatives are Hermite's polynomials times
     its slope.
     """
-    inverse = 1.0 / width
-    for k in range(len(distance)):
+    inverse, count = 1.0 / width, len(distance)
+    nearest = np.empty(count, np.int32)  # look-ups apart: the processor takes sums several at once
+    for k in range(count):
         z = min(max((sign * distance[k] - spread) * inverse, -TABLE_END), TABLE_END)
-        at = int((z + TABLE_END) * (1.0 / TABLE_STEP) + 0.5)
-        u = at * TABLE_STEP - TABLE_END
-        d, uu = z - u, u * u
+        nearest[k] = np.int32((z + TABLE_END) * (1.0 / TABLE_STEP) + 0.5)
+        share[k] = z
+    for k in range(count):
+        near[k] = steps[1, nearest[k]]
+    for k in range(count):
+        u = nearest[k] * TABLE_STEP - TABLE_END
+        d, uu, slope = share[k] - u, u * u, near[k]
         second, third = (uu - 1.0) / 2.0, (3.0 - uu) * u / 6.0
         fourth = ((uu - 6.0) * uu + 3.0) / 24.0
         higher = second / 3.0 + d * (third / 4.0 + d * fourth / 5.0)
-        share[k] = steps[0, at] + steps[1, at] * d * (1.0 + d * (d * higher - u / 2.0))
+        share[k] = slope * d * (1.0 + d * (d * higher - u / 2.0))
         higher = second + d * (third + d * fourth)
-        near[k] = steps[1, at] * inverse * (1.0 + d * (d * higher - u))
+        near[k] = slope * inverse * (1.0 + d * (d * higher - u))
+    for k in range(count):
+        share[k] += steps[0, nearest[k]]
 
 
 @compiled
