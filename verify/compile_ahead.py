@@ -17,7 +17,11 @@ from verify.analysis.warm_up import (
     warm_up_detection,
 )
 from verify.calibration.corners.find import refine_corners
-from verify.core.fiducials import Board
+from verify.calibration.stereo.bundle import normal_equations
+from verify.calibration.stereo.calibrate import stack_corners
+from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel
+from verify.calibration.stereo.parameters import N_ERRORS, BundleState
+from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.processes import READY, ChildProcess, ParentLine
 from verify.core.rig import Camera
 
@@ -55,7 +59,7 @@ def compile_in_parallel() -> None:
 
 def _compile_detection() -> None:
     warm_up_detection()
-    _compile_corner_fit()
+    _compile_calibration()
 
 
 def _compile_fits() -> None:
@@ -75,18 +79,27 @@ def _compile_part(line: ParentLine, part: int) -> None:
 
 def _refit() -> None:
     """One drawn world of one pair, in which nothing moved."""
-    still = Camera(np.eye(3), np.zeros(5), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.0, np.eye(4))
-    camera = camera_draws(still, "left", {}, np.zeros(1))
+    camera = camera_draws(_still_camera(), "left", {}, np.zeros(1))
     points = np.random.default_rng(0).normal(size=(1, 2 * N_SPOTS, 3)) + 5.0
     views = ViewDraws(camera, camera, N_SPOTS)
     refit_pose(np.eye(4), points, np.zeros((1, 2 * N_SPOTS, 2)), views, np.eye(4 * N_SPOTS))
 
 
-def _compile_corner_fit() -> None:
-    """A picture without a corner."""
+def _still_camera() -> Camera:
+    return Camera(np.eye(3), np.zeros(5), np.zeros(3), np.array([0.0, 1.0, 0.0]), 0.0, np.eye(4))
+
+
+def _compile_calibration() -> None:
+    """A picture without a corner, and a pair of a board that stands before one camera twice."""
     board, corner = Board(3, 3, 1.0), np.arange(9)
     places = SQUARE_PX * (1 + board.points[:, :2])
     refine_corners(np.zeros((80, 80), dtype=np.uint8), board, corner, places)
+    view = BoardView(corner, places, np.tile(np.eye(2), (9, 1, 1)))
+    corners = stack_corners([BoardPair(0, 0.0, 0.0, view, view)], board)
+    ahead = np.eye(4)[None].copy()
+    ahead[0, 2, 3] = 1.0
+    state = BundleState(_still_camera(), _still_camera(), ahead, np.zeros((1, N_ERRORS)))
+    normal_equations(state, corners, AdjustmentModel((BASE_FIXED, BASE_FIXED)), np.ones(18))
 
 
 if __name__ == "__main__":

@@ -16,14 +16,13 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.optimize import least_squares
 
 from verify.core.records import Array, Image
 
 PRIOR_RADIAL = 0.3  # at half the image's width: a strongly distorting lens
 PRIOR_RESIDUAL = 0.5  # px: how well few corners would have to fit before they speak on the lens
 STEP = 0.05  # squares, of numerical derivatives
-MAX_STEPS = 40  # of a fit of the map; three are usual
-TOL_MAP = 1e-9  # of the sum of squares that a step gains
 # squares from a corner, diagonally, where its four squares' brightness is read
 SAMPLE_OFFSET = 0.25
 AROUND = SAMPLE_OFFSET * np.array([[-1, -1], [1, 1], [-1, 1], [1, -1]])
@@ -70,32 +69,18 @@ def fit_map(squares: Array, pixels: Array, shape: tuple[int, ...]) -> CornerMap 
     homography, _ = cv2.findHomography(squares, normalised)
     if homography is None or abs(homography[2, 2]) < 1e-9:
         return None
-    parameters = np.append(homography.ravel()[:8] / homography[2, 2], [0.0, 0.0])
+    start = np.append(homography.ravel()[:8] / homography[2, 2], [0.0, 0.0])
     weight = PRIOR_RESIDUAL / scale / PRIOR_RADIAL
-    known = weight**2 * np.diag(np.arange(10) >= 8)
-    damping, now = 1e-6, _map_cost(parameters, squares, normalised, known)
-    for _ in range(MAX_STEPS):
-        slopes = _map_slopes(parameters, squares)
-        off = (normalised - _apply_map(parameters, squares)).ravel()
-        matrix = slopes.T @ slopes + known
-        size = np.sqrt(np.diag(matrix))
-        damped = matrix / np.outer(size, size) + damping * np.eye(10)
-        pull = (slopes.T @ off - known @ parameters) / size
-        step = np.linalg.solve(damped, pull)
-        trial = parameters + step / size
-        before, now = now, _map_cost(trial, squares, normalised, known)
-        if not now <= before:
-            now, damping = before, damping * 100
-            continue
-        parameters, damping = trial, damping / 10
-        if step @ pull <= TOL_MAP * now:
-            break
-    return CornerMap(parameters, middle, scale)
 
+    def misses(parameters: Array) -> Array:
+        off = _apply_map(parameters, squares) - normalised
+        return np.concatenate([off.ravel(), weight * parameters[8:]])
 
-def _map_cost(parameters: Array, squares: Array, normalised: Array, known: Array) -> float:
-    off = _apply_map(parameters, squares) - normalised
-    return float(np.sum(off**2) + parameters @ known @ parameters)
+    def slopes(parameters: Array) -> Array:
+        return np.vstack([_map_slopes(parameters, squares), weight * np.eye(2, 10, 8)])
+
+    found = least_squares(misses, start, jac=slopes, method="lm", x_scale="jac")
+    return CornerMap(np.asarray(found.x), middle, scale)
 
 
 def _apply_map(parameters: Array, squares: Array) -> Array:

@@ -19,27 +19,24 @@ with Levenberg-Marquardt damping and analytic derivatives. Each board's own unkn
 from its own corners (Schur complement), so the system to solve has the shared parameters only.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from verify.calibration.stereo import gauge, projection
+from verify.calibration.stereo import gauge, kernels
 from verify.calibration.stereo.gauge import AdjustmentModel
 from verify.calibration.stereo.parameters import (
     BEND,
     BOW,
     MOTION,
-    N_CAMERA_PARAMETERS,
     N_ERRORS,
     N_SHARED,
+    PAN_ERRORS,
     PAR_AXIS,
     PAR_CENTER,
-    PAR_FOCAL,
-    PAR_LENS,
     PAR_OFFSET,
-    PAR_PRINCIPAL,
     PAR_TURN,
     PAR_ZERO,
     BundleState,
@@ -47,149 +44,63 @@ from verify.calibration.stereo.parameters import (
     base_rotations,
     camera_columns,
     lens_values,
+    step_camera,
+    step_poses,
 )
 from verify.core.records import Array
-from verify.core.rig import Camera, distort_with_jacobian
+from verify.core.rig import Camera
 
 MAX_ITERATIONS = 60
 TOL_COST = 1e-4  # chi² that a step still gains: a hundredth of an uncertainty
+LEAST_DAMPING = 1e-8  # more would slow what the pictures hardly show
+FIRST_DAMPING = 1e-4  # where a step without it led astray
 Index = NDArray[np.int64]
 N_LOCAL = 6 + N_ERRORS  # a board's own unknowns: its pose, its errors
 ERRORS = slice(6, N_LOCAL)
-N_SEEN = N_CAMERA_PARAMETERS + 3  # shared parameters that move one camera's pixels
+N_SEEN = kernels.COL_POSE  # shared parameters that move one camera's pixels
 LOCAL_COLUMNS = slice(N_SEEN, N_SEEN + N_LOCAL)  # behind them
-
-
-def predict(state: BundleState, corners: CornerStack) -> Array:
-    """Predict the corners' pixels, (n, 2); NaN behind a camera."""
-    pixels = np.full((len(corners), 2), np.nan)
-    for side, camera in enumerate(state.cameras):
-        own = np.flatnonzero(corners.camera == side)
-        pixels[own] = _project(camera, _side_corners(camera, side, state, corners, own).point)
-    return pixels
-
-
-def _project(camera: Camera, point: Array) -> Array:
-    """Pixels (n, 2) of points (3, n) in the camera's frame; NaN behind the camera."""
-    ahead = point[2] > 0
-    pixels = np.full((len(ahead), 2), np.nan)
-    pixels[ahead] = camera.project(point.T[ahead])
-    return pixels
 
 
 @dataclass(frozen=True, slots=True)
 class _CameraCorners:
-    """The n corners of one camera, and that camera's pose at each of them."""
+    """The n corners of one camera, placed and projected; see `kernels.see_corners`."""
 
-    point: Array  # (3, n), in the camera frame
-    rig_R_camera: Array  # (3, 3, n)
-    turned: Array  # (b, 3, 3), rig axes from turntable axes, of each board
+    rows: Index  # (n,), among all corners
     board: Index  # (n,)
-    arm: Array  # (3, n), corner from the board's origin, rig axes
-    normal: Array  # (3, n), into the board, rig axes
-    modes: Array  # (3, n), of the bow
-    from_camera: Array  # (3, n), corner from the optical centre, rig axes
-    from_pan_center: Array  # (3, n), corner from the pan centre, rig axes
+    modes: Array  # (n, 3), of the bow
+    camera: tuple[Array, Array]
+    places: tuple[Array, Array, Array]
+    pixels: Array  # (n, 2), NaN behind the camera
 
 
-def _side_corners(
-    camera: Camera, side: int, state: BundleState, corners: CornerStack, own: Index
-) -> _CameraCorners:
-    board = corners.board[own]
-    turned = base_rotations(camera, corners.pan[:, side] + state.pan_error[:, side])
-    centre = camera.pan_center + turned @ camera.mount[:3, 3]
-    rig_R_camera = _per_corner(turned @ camera.mount[:3, :3], board)
-    pose = _per_corner(state.boards[:, :3], board)
-    modes = corners.modes[own].T
-    x, y, z = corners.point[own].T
-    z = z + np.einsum("ni,in->n", state.bow + state.errors[board, BEND], modes)
-    arm = pose[:, 0] * x + pose[:, 1] * y + pose[:, 2] * z
-    points_rig = arm + pose[:, 3] + side * state.errors[board, MOTION].T
-    from_camera = points_rig - centre[board].T
-    return _CameraCorners(
-        point=_rows_times_matrices(from_camera, rig_R_camera),
-        rig_R_camera=rig_R_camera,
-        turned=turned,
-        board=board,
-        arm=arm,
-        normal=pose[:, 2],
-        modes=modes,
-        from_camera=from_camera,
-        from_pan_center=points_rig - camera.pan_center[:, None],
-    )
+def _see(side: int, state: BundleState, corners: CornerStack) -> _CameraCorners:
+    camera, rows = state.cameras[side], np.flatnonzero(corners.camera == side)
+    placed = camera_poses(camera, corners.pan[:, side] + state.pan_error[:, side])
+    (fx, _, cx), (_, fy, cy), _ = camera.matrix
+    moved = np.concatenate([state.errors[:, MOTION], state.errors[:, BEND] + state.bow], axis=1)
+    arms, points, seen = np.empty((3, len(rows), 3))
+    at = _CameraCorners(
+        rows, corners.board[rows], corners.modes[rows],
+        (np.array([fx, fy, cx, cy, *camera.distortion]), placed),
+        (arms, points, seen), np.empty((len(rows), 2)),
+    )  # fmt: skip
+    shape, boards = (corners.point[rows], at.modes), (np.ascontiguousarray(state.boards), moved)
+    kernels.see_corners(at.board, shape, boards, at.camera, side, at.places, at.pixels)
+    return at
 
 
-def _per_corner(matrices: Array, board: Index) -> Array:
-    """Matrices (b, i, j) of the boards as those of their corners, (i, j, n)."""
-    return np.take(np.ascontiguousarray(matrices.transpose(1, 2, 0)), board, axis=2)
-
-
-def _rows_times_matrices(rows: Array, matrices: Array) -> Array:
-    """Rows (..., 3, n) by matrices (3, 3, n)."""
-    one, two, three = (rows[..., i, None, :] * matrices[i] for i in range(3))
-    product: Array = one + two + three
-    return product
-
-
-def _cross(vectors: Array, rows: Array) -> Array:
-    """Cross products of vectors (3, n) with rows (2, 3, n)."""
-    x, y, z = vectors
-    u, v, w = rows[:, 0], rows[:, 1], rows[:, 2]
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
+def predict(state: BundleState, corners: CornerStack) -> Array:
+    """Predict the corners' pixels, (n, 2); NaN behind a camera."""
+    pixels = np.empty((len(corners), 2))
+    for side in range(2):
+        at = _see(side, state, corners)
+        pixels[at.rows] = at.pixels
+    return pixels
 
 
 def _seen(side: int) -> Index:
     """Shared parameters that move one camera's pixels."""
     return np.arange(N_SHARED)[np.r_[camera_columns(side), BOW]]
-
-
-def _columns(camera: Camera, side: int, at: _CameraCorners) -> Array:
-    """Derivatives by a camera, bow and the boards' own, (2, 40, n); the last column is empty."""
-    depth, xy = at.point[2], at.point[:2] / at.point[2]
-    x, y = xy
-    distorted, by_xy = distort_with_jacobian(xy.T, camera.distortion)
-    focal = camera.matrix[[0, 1], [0, 1]]
-    by_inside = np.empty((2, 3, len(depth)))
-    by_inside[:, :2] = by_xy.transpose(1, 2, 0) * focal[:, None, None] / depth
-    by_inside[:, 2] = -(by_inside[:, 0] * x + by_inside[:, 1] * y)
-    by_point = _rows_times_matrices(by_inside, at.rig_R_camera.transpose(1, 0, 2))
-    columns = np.zeros((2, N_SEEN + N_LOCAL + 1, len(depth)))
-    for axis in range(2):
-        columns[axis, PAR_FOCAL.start + axis] = distorted[:, axis]
-        columns[axis, PAR_PRINCIPAL.start + axis] = 1.0
-    columns[:, PAR_LENS] = focal[:, None, None] * _lens_derivatives(x, y)
-    turned = _per_corner(at.turned, at.board)
-    # points move against the camera: a rotation u about o moves a point r from o by -(u × r)
-    about_center = -_cross(at.from_pan_center, by_point)
-    columns[:, PAR_CENTER] = -by_point
-    columns[:, PAR_AXIS] = about_center - _rows_times_matrices(about_center, turned)
-    columns[:, PAR_ZERO] = camera.pan_axis @ about_center
-    columns[:, PAR_TURN] = -_rows_times_matrices(_cross(at.from_camera, by_point), turned)
-    columns[:, PAR_OFFSET] = -_rows_times_matrices(by_point, turned)
-    by_height = np.einsum("cin,in->cn", by_point, at.normal)
-    bend = by_height[:, None] * at.modes
-    columns[:, N_CAMERA_PARAMETERS:N_SEEN] = bend
-    own = columns[:, LOCAL_COLUMNS]
-    own[:, :3], own[:, 3:6] = by_point, _cross(at.arm, by_point)
-    own[:, 6 + side] = columns[:, PAR_ZERO]
-    if side:
-        own[:, ERRORS][:, MOTION] = by_point
-    own[:, ERRORS][:, BEND] = bend
-    return columns
-
-
-def _lens_derivatives(x: Array, y: Array) -> Array:
-    """Derivative of `distort` by its five coefficients, (2, 5, n); the model is linear in them."""
-    xx, yy, twice_xy = x * x, y * y, 2 * x * y
-    r2 = xx + yy
-    r4 = r2 * r2
-    r6 = r4 * r2
-    return np.array(
-        [
-            [x * r2, x * r4, twice_xy, r2 + 2 * xx, x * r6],
-            [y * r2, y * r4, r2 + 2 * yy, twice_xy, y * r6],
-        ]
-    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -260,18 +171,18 @@ def _products(side: int, state: BundleState, corners: CornerStack, weight: Array
 
     Columns: the camera's parameters (22), the bow (3), the board's own (14), the residual.
     """
-    camera = state.cameras[side]
-    rows = np.flatnonzero(corners.camera == side)
-    at = _side_corners(camera, side, state, corners, rows)
-    columns = _columns(camera, side, at)
-    columns[:, -1] = (corners.observed[rows] - _project(camera, at.point)).T
-    root = (corners.root[rows] * np.sqrt(weight[rows])[:, None, None]).transpose(1, 2, 0)
-    first, second = (r[0] * columns[0] + r[1] * columns[1] for r in root)
-    ends = np.searchsorted(corners.board[rows], np.arange(len(state.boards) + 1))
-    products = np.empty((len(state.boards), len(first), len(first)))
-    for b in range(len(state.boards)):
-        x, y = (whitened[:, ends[b] : ends[b + 1]] for whitened in (first, second))
-        products[b] = x @ x.T + y @ y.T
+    camera, at = state.cameras[side], _see(side, state, corners)
+    columns = np.zeros((len(at.rows), 2, kernels.N_COLUMNS))
+    columns[:, :, kernels.COL_RESIDUAL] = corners.observed[at.rows] - at.pixels
+    root = corners.root[at.rows] * np.sqrt(weight[at.rows])[:, None, None]
+    facing = np.ascontiguousarray(state.boards), at.modes
+    base = at.camera[1][:, :3, :3] @ camera.mount[:3, :3].T, camera.pan_center, camera.pan_axis
+    kernels.fill_columns(at.board, facing, base, at.camera, side, at.places, root, columns)
+    ends = np.searchsorted(at.board, np.arange(len(state.boards) + 1)).tolist()
+    products = np.empty((len(state.boards), kernels.N_COLUMNS, kernels.N_COLUMNS))
+    for own, start, end in zip(products, ends[:-1], ends[1:], strict=True):
+        whitened = columns[start:end].reshape(-1, kernels.N_COLUMNS)
+        np.matmul(whitened.T, whitened, out=own)
     return products
 
 
@@ -326,7 +237,7 @@ def adjust(
     """
     pan = corners.pan[0]
     state = gauge.apply_gauge(state, model, pan)
-    before, damping = cost(state, corners, model, weight), 1e-4
+    before, damping = cost(state, corners, model, weight), LEAST_DAMPING
     for _ in range(iterations):
         trial, promised = _damped_step(state, corners, model, weight, damping)
         now = cost(trial, corners, model, weight)
@@ -338,7 +249,7 @@ def adjust(
         else:
             if promised < TOL_COST:
                 break
-            damping *= 10
+            damping = max(10 * damping, FIRST_DAMPING)
             if damping > 1e8:
                 break
     return state
@@ -361,6 +272,75 @@ def _damped_step(
     promised = float(gradient @ step) + float(
         np.einsum("bi,bij,bj->", system.own_gradient, system.own, system.own_gradient)
     )
-    return gauge.apply_gauge(
-        projection.step_state(state, corners, step, own_step), model, pan
-    ), promised
+    return gauge.apply_gauge(step_state(state, corners, step, own_step), model, pan), promised
+
+
+def step_state(state: BundleState, corners: CornerStack, change: Array, own: Array) -> BundleState:
+    """Step the shared parameters by (47,) and each board's own by (b, 14), all at once.
+
+    Images of boards determine least of all a rotation of the rig against its own baseline; in the
+    rig frame it carries every board along an arc that a straight step leaves at once. So a board
+    moves with its camera, exactly; J D is what this does already to first order:
+
+        rig_T_board' = exp(d - J D) (rig_T_camera' camera_T_rig) rig_T_board
+
+    with the board's own step d and the step D of the camera's parameters.
+    """
+    changes = (change[camera_columns(0)], change[camera_columns(1)])
+    errors = state.errors + own[:, 6:]
+    cameras = _cameras(state, changes, corners.pan.mean(axis=0))
+    boards, beyond = state.boards.copy(), own[:, :6].copy()
+    host = np.ones(len(boards), dtype=np.int64)  # the camera that each board moves with
+    host[corners.board[corners.camera == 0]] = 0  # the left one, where it saw the board
+    for side, (old, new, d) in enumerate(zip(state.cameras, cameras, changes, strict=True)):
+        mine = host == side
+        before = corners.pan[mine, side] + state.pan_error[mine, side]
+        after = corners.pan[mine, side] + errors[mine, PAN_ERRORS][:, side]
+        carried = camera_poses(new, after) @ np.linalg.inv(camera_poses(old, before))
+        beyond[mine] -= _motion(old, before, after - before, d, boards[mine, :3, 3])
+        boards[mine] = carried @ boards[mine]
+    return BundleState(*cameras, step_poses(boards, beyond), errors, state.bow + change[BOW])
+
+
+def _cameras(state: BundleState, changes: tuple[Array, Array], pan: Array) -> tuple[Camera, Camera]:
+    """Step both cameras; the right one moves with the left one, at the mean readings (2,)."""
+    left, right = (step_camera(c, d) for c, d in zip(state.cameras, changes, strict=True))
+    at_left, at_right = pan[:1], pan[1:]
+    before = camera_poses(state.right, at_right)
+    carried = camera_poses(left, at_left) @ np.linalg.inv(camera_poses(state.left, at_left))
+    still = np.zeros(1)
+    straight = _motion(state.right, at_right, still, changes[1], before[:, :3, 3])
+    with_left = _motion(state.left, at_left, still, changes[0], before[:, :3, 3])
+    wanted = step_poses(carried @ before, straight - with_left)
+    turntable = camera_poses(right, at_right) @ np.linalg.inv(right.mount)
+    return left, replace(right, mount=(np.linalg.inv(turntable) @ wanted)[0])
+
+
+def camera_poses(camera: Camera, pan: Array) -> Array:
+    """Place a camera for readings (b,), rad: rig_T_camera (b, 4, 4)."""
+    turned = np.tile(np.eye(4), (len(pan), 1, 1))
+    turned[:, :3, :3] = base_rotations(camera, pan)
+    turned[:, :3, 3] = camera.pan_center
+    return turned @ camera.mount
+
+
+def _motion(camera: Camera, pan: Array, turned_on: Array, change: Array, points: Array) -> Array:
+    """How a step of a camera carries points (b, 3) that go with it, to first order, (b, 6)."""
+    placed_there = camera_poses(camera, pan)
+    turned = placed_there[:, :3, :3] @ camera.mount[:3, :3].T
+    about_center = change[PAR_AXIS] - turned @ change[PAR_AXIS]
+    about_center = about_center + (change[PAR_ZERO] + turned_on)[:, None] * camera.pan_axis
+    about_camera = turned @ change[PAR_TURN]
+    shift = (
+        change[PAR_CENTER]
+        + turned @ change[PAR_OFFSET]
+        + _cross(about_center, points - camera.pan_center)
+        + _cross(about_camera, points - placed_there[:, :3, 3])
+    )
+    return np.concatenate([shift, about_center + about_camera], axis=1)
+
+
+def _cross(turn: Array, arm: Array) -> Array:
+    """Cross products of vectors (b, 3)."""
+    (x, y, z), (u, v, w) = turn.T, arm.T
+    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)
