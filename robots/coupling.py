@@ -61,7 +61,7 @@ def coupled(arm: Arm, q: Array) -> Coupling | None:
         return _by_singular_values(arm, q)
     assert isinstance(arm, DhArm)
     theta = arm.theta(q)
-    factors = _factors(arm, q, theta)
+    factors = _factors(arm, forward(arm, q), theta)
     near = [(name, float(value)) for name, value, gate in factors if value < gate]
     if not near:
         return None
@@ -70,14 +70,42 @@ def coupled(arm: Arm, q: Array) -> Coupling | None:
     return _coupling(stills, TOL_ORTHOGONAL, "+".join(names), near[0][1])
 
 
-def couplings(arm: Arm, q: Array) -> tuple[Coupling | None, ...]:
-    """Say the same of many postures (m, n), rad; those of a DH arm are looked at together."""
+def couplings(
+    arm: Arm, q: Array, base_T_flange: Array | None = None
+) -> tuple[Coupling | None, ...]:
+    """Say the same of many postures (m, n), rad; those of a DH arm are looked at together.
+
+    `base_T_flange` (m, 4, 4), m: `forward` of the postures, where it is known.
+    """
     q = np.asarray(q, dtype=float)
     if not len(q) or not isinstance(arm, DhArm):
         return tuple(coupled(arm, one) for one in q)
-    factors = _factors(arm, q, arm.theta(q))
-    near = np.any([value < GATE_MARGIN * gate for _, value, gate in factors], 0)
+    pose = forward(arm, q) if base_T_flange is None else base_T_flange
+    (_, one, gate), *others = _factors(arm, pose, arm.theta(q))
+    near = one < GATE_MARGIN * gate
+    for _, value, gate in others:
+        near |= value < GATE_MARGIN * gate
+    if not near.any():
+        return (None,) * len(q)
     return tuple(coupled(arm, one) if close else None for one, close in zip(q, near, strict=True))
+
+
+def branch_distance(arm: Arm, q: Array, base_T_flange: Array) -> Array:
+    """Say within what distance of joint angles another of their pose's cannot be nearest, (m,).
+
+    Half that from q (m, n), rad, to the next answer of `inverse`, or less, for poses (m, 4, 4), m,
+    that q reaches. Answers differ in the sign of θ5 or in θ4 by half a turn, in that of the elbow's
+    bend, or in the side of axis 1 on which the wrist is. 0 of an arm by URDF: nothing is known.
+    """
+    if not isinstance(arm, DhArm):
+        return np.zeros(len(q))
+    theta = arm.theta(q)
+    bend, c1, s1 = theta[:, 2] - _stretched_elbow(arm), np.cos(theta[:, 0]), np.sin(theta[:, 0])
+    x, y = (base_T_flange[:, :2, 3] - arm.d[5] * base_T_flange[:, :2, 2]).T
+    shoulder = np.arctan2(np.abs(c1 * x + s1 * y), np.abs(c1 * y - s1 * x))
+    inner = np.arcsin(np.minimum(np.abs(np.sin(theta[:, 4])), np.abs(np.sin(bend))))
+    half: Array = np.minimum(inner, shoulder)
+    return half if arm.linkage is None else half / np.linalg.norm(arm.linkage, 2)
 
 
 def _self_motions(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array:
@@ -98,12 +126,12 @@ def _self_motions(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array
     return np.asarray(vt[np.minimum(s, s[-1] + TOL_ORTHOGONAL) == s])
 
 
-def _factors(arm: DhArm, q: Array, theta: Array) -> list[tuple[str, Array, float]]:
+def _factors(arm: DhArm, pose: Array, theta: Array) -> list[tuple[str, Array, float]]:
     """What vanishes at singularities, (...,) of postures (..., 6), and the gate of each."""
     return [
         ("wrist", np.abs(np.sin(theta[..., 4])), WRIST_GATE),
         ("elbow", np.abs(np.sin(theta[..., 2] - _stretched_elbow(arm))), ELBOW_GATE),
-        ("shoulder", np.abs(_wrist_distance(arm, forward(arm, q), theta)), SHOULDER_GATE),
+        ("shoulder", np.abs(_wrist_distance(arm, pose, theta)), SHOULDER_GATE),
     ]
 
 

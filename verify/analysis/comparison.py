@@ -7,13 +7,15 @@ angles of measured poses come from the inverse, the branch nearest the readings.
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
-from robots.transforms import cross_matrix
+from robots.transforms import cross_matrix, invert
+from verify.analysis.kernels import Chain, follow_poses, place_flange
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
 from verify.core.records import Array
@@ -97,8 +99,7 @@ def compare(
     index = np.flatnonzero(known)
     there = there[index]
     q, rate = readings.at(there), readings.rate(there)
-    jacobian = robots.jacobian(arm, q)
-    encoder = robots.forward(arm, q)
+    encoder, jacobian = _flange(arm, q)
     measured, determined, carry = _complete_poses(
         track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)
     )
@@ -120,7 +121,7 @@ def compare(
         covariance=own + spread,
         covariance_measured=own,
         systematic=-carry @ track.systematic[index],
-        alignment_error=-np.einsum("nij,nj->ni", carry, track.alignment_error[index]),
+        alignment_error=-(carry @ track.alignment_error[index, :, None])[:, :, 0],
         determined=determined,
         rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
     )
@@ -134,18 +135,19 @@ def _reading_covariance(
     rate: Array,
 ) -> Array:
     """Covariance of xi by the readings of some pairs of a track, (n, 6, 6)."""
-    variance = np.repeat(readings.noise[None] ** 2, len(index), axis=0)
+    variance = readings.noise[None] ** 2
     if stated.interpolation is not None:
         variance = variance + stated.interpolation[index] ** 2
     if stated.resolution is not None:
         variance = variance + stated.resolution**2 / 12
-    spread: Array = np.einsum("nij,nj,nkj->nik", jacobian, variance, jacobian)
+    spread: Array = (jacobian * variance[:, None]) @ np.swapaxes(jacobian, 1, 2)
     if stated.time is not None:
-        speed = np.einsum("nij,nj->ni", jacobian, rate)
-        time = (
-            stated.time[index, None, None] if isinstance(stated.time, np.ndarray) else stated.time
-        )
-        spread = spread + time**2 * speed[:, :, None] * speed[:, None, :]
+        moved = jacobian @ rate[:, :, None]
+        if isinstance(stated.time, np.ndarray):
+            moved *= stated.time[index, None, None]
+        else:
+            moved *= stated.time
+        spread += moved @ np.swapaxes(moved, 1, 2)
     return spread
 
 
@@ -154,12 +156,23 @@ def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Compar
 
     There the first order is exact to the third: a joint that is 3° off accuses no neighbour.
     """
-    between = comparison.q - error / 2
-    return replace(
-        comparison,
-        jacobian=robots.jacobian(arm, between),
-        base_T_jacobian=robots.forward(arm, between),
-    )
+    pose, jacobian = _flange(arm, comparison.q - error / 2)
+    return replace(comparison, jacobian=jacobian, base_T_jacobian=pose)
+
+
+def _flange(arm: robots.Arm, q: Array) -> tuple[Array, Array]:
+    """Place the flange, (n, 4, 4), m, and say how it moves with each joint, (n, 6, j)."""
+    poses, jacobians = np.empty((len(q), 4, 4)), np.empty((len(q), 6, arm.dof))
+    place_flange(_chain(arm), q, poses, jacobians)
+    return poses, jacobians
+
+
+@lru_cache(maxsize=4)
+def _chain(arm: robots.Arm) -> Chain:
+    """An arm's frames from one to the next, as `verify.analysis.kernels` has them."""
+    rest = robots.link_frames(arm, np.zeros((1, arm.dof)))[0]
+    steps = np.concatenate([rest[:1], invert(rest[:-1]) @ rest[1:]])
+    return steps, np.array(arm.turning, dtype=float)
 
 
 def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:
@@ -203,7 +216,8 @@ def _complete_poses(
     from the old origin to the new one.
     """
     filled, known = measured.copy(), list(determined)
-    carry = np.tile(np.eye(6), (len(measured), 1, 1))
+    carry = np.empty((len(measured), 6, 6))
+    carry[:] = np.eye(6)
     for i, functionals in enumerate(determined):
         if functionals.shape[1] == 6:
             continue
@@ -247,7 +261,7 @@ def alignment_scale(track: Track) -> Array:
     neighbouring pairs the assumption stands.
     """
     scale = np.ones(len(track))
-    if not track.covariance_alignment.any():
+    if len(track) < MIN_ACCELERATIONS + 2 or not track.covariance_alignment.any():
         return scale
     for order in np.unique(track.order).tolist():
         square, chosen = _mean_square_motion(track, order), track.order == order
@@ -305,19 +319,14 @@ class JointComparison:
 
 def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:
     """Find the joint angles of every measured pose, and how well each is known."""
-    n, dof = comparison.q.shape
-    q, reached = robots.nearest(arm, comparison.base_T_measured, comparison.q)
-    jacobian = comparison.jacobian.copy()
-    if reached.any():
-        jacobian[reached] = robots.jacobian(arm, q[reached])
-    inverse = np.asarray(np.linalg.pinv(jacobian, rcond=1e-9), dtype=np.float64)
-    # an exact singularity is flagged, not fatal
-    open_joints = np.array(
-        [_undetermined_joints(inverse[i], jacobian[i], comparison.determined[i]) for i in range(n)],
-        dtype=bool,
-    ).reshape(n, dof)
+    q, reached, jacobian, inverse = _nearest(comparison, arm)
+    open_joints = np.zeros(q.shape, dtype=np.bool_)
+    for i, determined in enumerate(comparison.determined):
+        if determined.shape[1] < 6 or arm.dof > 6:
+            open_joints[i] = _undetermined_joints(inverse[i], jacobian[i], determined)
     q = np.where(reached[:, None] & ~open_joints, q, np.nan)
     error = comparison.q - q
+    couplings = robots.couplings(arm, comparison.q, comparison.base_T_encoder)
     turned = np.swapaxes(inverse, 1, 2)
     return JointComparison(
         q=q,
@@ -328,9 +337,36 @@ def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:
         reached=reached,
         coupling=tuple(
             found if there else None
-            for found, there in zip(robots.couplings(arm, comparison.q), reached, strict=True)
+            for found, there in zip(couplings, reached.tolist(), strict=True)
         ),
     )
+
+
+def _nearest(
+    comparison: Comparison, arm: robots.Arm
+) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+    """Find the joint angles nearest to the readings, and whether a pose is reached, (n,).
+
+    Then the Jacobians there, or else where it was taken, and their inverses. Newton from the
+    readings, unless another branch of the inverse may be as near; then all of them.
+    """
+    poses, q = comparison.base_T_measured, comparison.q.copy()
+    jacobian, inverse = comparison.jacobian.copy(), np.empty((*q.shape, 6))
+    followed = np.zeros(len(q), dtype=np.bool_)
+    if arm.dof == 6:
+        away = np.empty(len(q))
+        follow_poses(_chain(arm), np.ascontiguousarray(poses), q, jacobian, inverse, away)
+        followed = away < robots.branch_distance(arm, q, poses)
+    if followed.all():
+        return q, followed, jacobian, inverse
+    rest, reached = np.flatnonzero(~followed), followed.copy()
+    q[rest], reached[rest] = robots.nearest(arm, poses[rest], comparison.q[rest])
+    jacobian[rest] = comparison.jacobian[rest]
+    there = rest[reached[rest]]
+    jacobian[there] = _flange(arm, q[there])[1]
+    # an exact singularity is flagged, not fatal
+    inverse[rest] = np.linalg.pinv(jacobian[rest], rcond=1e-9)
+    return q, reached, jacobian, inverse
 
 
 def _undetermined_joints(inverse: Array, jacobian: Array, determined: Array) -> NDArray[np.bool_]:

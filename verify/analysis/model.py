@@ -145,8 +145,7 @@ def clock_effect(comparison: Comparison, *, steady: bool = False) -> Array:
         moves = np.abs(mean) > MIN_SPEED_SIGMA * noise / np.sqrt(len(rate))
         varies = rate.std(axis=0) > MIN_SPEED_SIGMA * noise
         rate = np.where(varies, rate, np.where(moves, mean, 0.0))
-    effect: Array = -np.einsum("nij,nj->ni", comparison.jacobian, rate)[:, :, None]
-    return effect
+    return -(comparison.jacobian @ rate[:, :, None])
 
 
 def _zero_rounding(hidden: Array, jacobian: Array, white: Whitener) -> Array:

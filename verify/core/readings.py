@@ -43,6 +43,8 @@ class Readings:
         single reading: a visit). Where the arm moves and the readings stop, there is none.
         """
         available: NDArray[np.bool_] = bracketed(self._contiguous[0], MAX_GAP, _as_contiguous(t))
+        if available.all():
+            return available
         gaps = np.flatnonzero(~available & (t >= self.t[0]) & (t <= self.t[-1]))
         if len(gaps):
             after = np.searchsorted(self.t, t[gaps])
@@ -116,9 +118,14 @@ class Readings:
         A joint has turned back once it is further from its extreme than the readings' noise can
         explain; at rest the last direction is kept.
         """
-        held = np.clip(np.searchsorted(self.t, t, side="right") - 1, 0, len(self.t) - 1)
+        held = np.maximum(np.searchsorted(self.t, t, side="right") - 1, 0)
+        return self._directions[held]
+
+    @cached_property
+    def _directions(self) -> Array:
+        """Last direction of travel after each reading, (m, joints)."""
         thresholds = np.maximum(5 * self.noise, MIN_TRAVEL)
-        return travel_directions(self._contiguous[1], thresholds)[held].astype(np.float64)
+        return travel_directions(self._contiguous[1], thresholds).astype(np.float64)
 
 
 def _as_contiguous(values: Array) -> Array:

@@ -5,7 +5,6 @@ from functools import lru_cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Sighting
@@ -59,8 +58,10 @@ def spot_derivatives(views: SpotGeometry, names: tuple[str, ...]) -> Array:
     )
     for side, camera, pan, own in views.sides:
         columns, keys = plan.camera[side]
+        kinds, twists = _kinds(keys, columns), _twists(keys, camera, pan)
         spots = views.inside[own], views.points_rig[own], views.by_point[own]
-        moved[columns, own] = camera_derivatives(keys, camera, pan, *spots)
+        optics = camera.matrix, camera.distortion
+        kernel.fill_by_camera(kinds, twists, optics, spots, own.start, moved)
     return moved
 
 
@@ -69,7 +70,8 @@ class _ParameterGroups:
     """Parameters by what they belong to."""
 
     body: Index  # (., 4), of LEDs and their body: column, kind, LED, axis
-    camera: dict[str, tuple[NDArray[np.intp], tuple[str, ...]]]  # columns, and the parameters' keys
+    # columns, and the parameters' keys
+    camera: dict[str, tuple[tuple[int, ...], tuple[str, ...]]]
 
 
 @lru_cache(maxsize=16)
@@ -87,7 +89,7 @@ def _group_parameters(names: tuple[str, ...], leds: tuple[str, ...]) -> _Paramet
             led, _, axis_name = key.rpartition(".")
             body.append((column, kernel.LED, leds.index(led), AXES.index(axis_name[0])))
     sides = {
-        side: (np.array([c for c, _ in found], dtype=np.intp), tuple(key for _, key in found))
+        side: (tuple(c for c, _ in found), tuple(key for _, key in found))
         for side, found in camera.items()
     }
     return _ParameterGroups(np.array(body, dtype=np.int64).reshape(-1, 4), sides)
@@ -101,18 +103,23 @@ def camera_derivatives(
     `keys` are their names in rig.toml; `pan`, rad, as read; `inside` and `points` (m, 3), m, the
     points in the camera and the same in the rig; `by_point` (m, 2, 3), d px / d point in the rig.
     """
-    places = [np.ascontiguousarray(part) for part in (inside, points, by_point)]
+    spots = (
+        np.ascontiguousarray(inside), np.ascontiguousarray(points), np.ascontiguousarray(by_point)
+    )  # fmt: skip
+    moved, kinds = np.zeros((len(keys), len(points), 2)), _kinds(keys, tuple(range(len(keys))))
     optics = camera.matrix, camera.distortion
-    return kernel.by_camera(_kinds(keys), _twists(keys, camera, pan), optics, *places)
+    kernel.fill_by_camera(kinds, _twists(keys, camera, pan), optics, spots, 0, moved)
+    return moved
 
 
 @lru_cache(maxsize=32)
-def _kinds(keys: tuple[str, ...]) -> Index:
-    """What each of one camera's parameters is, and which one of its kind, (k, 2)."""
+def _kinds(keys: tuple[str, ...], columns: tuple[int, ...]) -> Index:
+    """Each of one camera's parameters: its column, what it is, which one of its kind, (k, 3)."""
     kinds = {kernel.MIDDLE: ("cx_px", "cy_px"), kernel.FOCAL: ("fx_px", "fy_px"), kernel.LENS: LENS}
     places = {name: (kind, i) for kind, names in kinds.items() for i, name in enumerate(names)}
-    found = [places.get(key, (kernel.MOTION, 0)) for key in keys]
-    return np.array(found, dtype=np.int64).reshape(-1, 2)
+    pairs = zip(columns, keys, strict=True)
+    found = [(column, *places.get(key, (kernel.MOTION, 0))) for column, key in pairs]
+    return np.array(found, dtype=np.int64).reshape(-1, 3)
 
 
 @lru_cache(maxsize=8)
@@ -123,7 +130,7 @@ def _twists(keys: tuple[str, ...], camera: Camera, pan: float) -> Array:
     """
     turned = np.asarray(cv2.Rodrigues(camera.pan_axis * (pan + camera.pan_zero))[0], dtype=float)
     twists = np.zeros((len(keys), 6))
-    for i, (kind, _) in enumerate(_kinds(keys).tolist()):
+    for i, kind, _ in _kinds(keys, tuple(range(len(keys)))).tolist():
         if kind == kernel.MOTION:
             twists[i] = _twist(keys[i], camera, pan, turned)
     return twists

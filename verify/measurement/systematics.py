@@ -155,11 +155,12 @@ def sensitivities(
     if pose is None or left is None or right is None:
         raise ValueError("only a measured pair has sensitivities")
     base_R_rig = rig.rig_T_base[:3, :3].T
-    gain = np.concatenate([base_R_rig @ pose.gain[:3], base_R_rig @ pose.gain[3:]])
+    gain = (base_R_rig @ pose.gain.reshape(2, 3, -1)).reshape(6, -1)
     names = (*parameters.names, *PAN_READINGS)
     columns = -gain @ pixel_sensitivities(names, measurement, rig, marker)
     places, axes = _base_parameters(names)
-    columns[:, places] = _by_base(rig, pose)[:, axes]
+    if places:
+        columns[:, places] = _by_base(rig, pose)[:, axes]
     return columns
 
 

@@ -89,8 +89,7 @@ def _alignment_errors(measurements: list[Measurement]) -> Array:
     for i, now in enumerate(measurements):
         if now.status != "measured" or now.pose is None:
             continue
-        left_over = np.zeros_like(now.pose.residual)
-        start = 0
+        left_over, start = np.zeros_like(now.pose.residual), 0
         for side in ("left", "right"):
             sighting: Sighting | None = getattr(now, side)
             if sighting is None:
@@ -99,24 +98,32 @@ def _alignment_errors(measurements: list[Measurement]) -> Array:
             curvature = now.pose.curvature[start : start + len(sighting)]
             start += len(sighting)
             for order, known in ((2, curvature), (3, 0.0), (4, 0.0)):
+                windows = _windows(i, order, len(measurements))
                 lever = sighting.lever[:, order - 2, None]
-                if lever.any():
-                    shown = _image_derivative(measurements, i, side, order) - known
+                if windows and lever.any():
+                    shown = _image_derivative(measurements, i, side, windows, order) - known
                     part += lever * np.nan_to_num(shown)
         errors.append(now.pose.gain @ left_over.reshape(-1))
     return np.array(errors).reshape(-1, 6)
 
 
-def _image_derivative(measurements: list[Measurement], i: int, side: str, order: int) -> Array:
+def _windows(i: int, order: int, count: int) -> range:
+    """First pairs of the windows of neighbours that show a derivative in pair i of so many."""
+    # windows hold all that the curve went through: the pair before the one before as well
+    earliest, latest = i - min(order, 3), min(i - order + 2, count - order - 1)
+    return range(max(earliest, 0), latest + 1)
+
+
+def _image_derivative(
+    measurements: list[Measurement], i: int, side: str, windows: range, order: int
+) -> Array:
     """Derivative of each LED's image in pair i, (m, 2), px/s^order; nan where no window shows it.
 
     The mean over the windows of neighbouring pairs that hold the pair: its noise is the least.
     """
     now: Sighting = getattr(measurements[i], side)
     total, count = np.zeros_like(now.centre), np.zeros((len(now), 1))
-    # windows hold all that the curve went through: the pair before the one before as well
-    earliest, latest = i - min(order, 3), min(i - order + 2, len(measurements) - order - 1)
-    for first in range(max(earliest, 0), latest + 1):
+    for first in windows:
         window = measurements[first : first + order + 1]
         found = [getattr(m, side) for m in window]
         if any(s is None or s.pan != now.pan or not len(s) for s in found):
@@ -149,7 +156,7 @@ def _centres_of(leds: NDArray[np.int64], sighting: Sighting) -> Array:
 
 def _lowest_order(measurement: Measurement) -> int:
     sides = [s.lever for s in (measurement.left, measurement.right) if s is not None]
-    return 2 + int(np.argmax(np.any(np.concatenate(sides), axis=0))) if sides else 2
+    return 2 + int(np.concatenate(sides).any(axis=0).argmax()) if sides else 2
 
 
 def _pan(sighting: Sighting | None) -> float:

@@ -38,23 +38,24 @@ def place_leds(
 
 
 @compiled
-def by_camera(
+def fill_by_camera(
     kinds: Index,
     twists: Array,
     camera: tuple[Array, Array],
-    inside: Array,
-    points: Array,
-    by_point: Array,
-) -> Array:
-    """Derivative of one camera's spots by its parameters, (k, s, 2), px a SI unit.
+    spots: tuple[Array, Array, Array],
+    first: int,
+    moved: Array,
+) -> None:
+    """Fill in how one camera's parameters move its s spots.
 
-    `kinds` (k, 2): what each parameter is, and which one of its kind; `twists` (k, 6), how it moves
-    the camera: translation at the rig's origin (m) and turn; `camera`: its matrix (3, 3), px, and
-    k1, k2, p1, p2, k3; `inside` and `points` (s, 3), m, points in the camera and the same in the
-    rig; `by_point` (s, 2, 3), d px / d point in the rig.
+    `kinds` (k, 3): the parameter's column, what it is, which one of its kind; `twists` (k, 6), how
+    it moves the camera: translation at the rig's origin (m) and turn; `camera`: its matrix (3, 3),
+    px, and k1, k2, p1, p2, k3; `spots`: points in the camera and the same in the rig, (s, 3), m,
+    and d px / d point in the rig, (s, 2, 3); `moved` (p, n, 2), px a SI unit, zeros: those of the
+    camera's spots, from `first` on, are filled.
     """
-    matrix, lens = camera
-    moved, lenses, ideal = np.zeros((len(kinds), len(points), 2)), np.empty((5, 2)), np.empty(2)
+    (matrix, lens), (inside, points, by_point) = camera, spots
+    lenses, ideal = np.empty((5, 2)), np.empty(2)
     for s in range(len(points)):
         x, y = inside[s, 0] / inside[s, 2], inside[s, 1] / inside[s, 2]
         r2, twice = x * x + y * y, 2.0 * x * y
@@ -69,15 +70,15 @@ def by_camera(
             for c in range(5):
                 ideal[i] += lens[c] * lenses[c, i]
         for k in range(len(kinds)):
-            which = kinds[k, 1]
-            if kinds[k, 0] == MIDDLE:
-                moved[k, s, which] = 1.0
-            elif kinds[k, 0] == FOCAL:
-                moved[k, s, which] = ideal[which]
-            elif kinds[k, 0] == LENS:
+            column, kind, which = kinds[k, 0], kinds[k, 1], kinds[k, 2]
+            if kind == MIDDLE:
+                moved[column, first + s, which] = 1.0
+            elif kind == FOCAL:
+                moved[column, first + s, which] = ideal[which]
+            elif kind == LENS:
                 for axis in range(2):
                     for i in range(2):
-                        moved[k, s, axis] += matrix[axis, i] * lenses[which, i]
+                        moved[column, first + s, axis] += matrix[axis, i] * lenses[which, i]
             else:
                 u, v, w = points[s, 0], points[s, 1], points[s, 2]
                 for axis in range(2):
@@ -85,8 +86,7 @@ def by_camera(
                     along = a * twists[k, 0] + b * twists[k, 1] + c * twists[k, 2]
                     about = twists[k, 3] * (v * c - w * b) + twists[k, 4] * (w * a - u * c)
                     about += twists[k, 5] * (u * b - v * a)
-                    moved[k, s, axis] = -(along + about)
-    return moved
+                    moved[column, first + s, axis] = -(along + about)
 
 
 @compiled
