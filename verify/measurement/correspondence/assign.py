@@ -222,22 +222,20 @@ def _needs_colour(views: SpotViews, found: Hypotheses, best: int) -> bool:
         return False
     chosen = found.take(np.array([best]))
     blind = replace(views, allowed=everything)
-    pool = chosen.join(search_assignments(blind, chosen.rotation[0], single=True))
+    pool = chosen.join(search_assignments(blind, chosen.rig_T_flange(0)[:3, :3], single=True))
     evidence = score(blind, pool)
     return bool(np.any(conflicts(pool, 0) & (evidence < evidence[0] + MIN_ADVANTAGE)))
 
 
 def _build_result(found: Hypotheses, best: int, choice: str, alternatives: int) -> Correspondence:
-    rig_T_flange = np.eye(4)
-    rig_T_flange[:3, :3] = found.rotation[best]
-    rig_T_flange[:3, 3] = found.position[best]
-    left_led, right_led = (np.flatnonzero(side >= 0) for side in found.spot[best])
+    left, right = found.spot[best]
+    left_led, right_led = (left >= 0).nonzero()[0], (right >= 0).nonzero()[0]
     return Correspondence(
         left_led=left_led,
-        left_spot=found.spot[best, 0, left_led],
+        left_spot=left[left_led],
         right_led=right_led,
-        right_spot=found.spot[best, 1, right_led],
-        rig_T_flange=rig_T_flange,
+        right_spot=right[right_led],
+        rig_T_flange=found.rig_T_flange(best),
         choice=choice,
         alternatives=alternatives,
         status="measured",

@@ -13,9 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array, take_rows
-from verify.measurement.correspondence.kernels import fit, seeds
-from verify.measurement.correspondence.kernels import points as kernels_points
-from verify.measurement.correspondence.kernels.fit import HypothesisArrays
+from verify.measurement.correspondence.kernels import fit, points, seeds
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
 from verify.measurement.correspondence.views import SpotViews
 
@@ -39,34 +37,25 @@ class SeedGraph:
 
     point: Index  # (m,)
     led: Index  # (m,)
-    deviation: Array  # (m, m), standard deviations of distance; inf where excluded
+    deviation: Array  # (m, m), standard deviations of distance; inf where excluded, and below
 
 
 def find_points(views: SpotViews) -> TriangulatedPoints:
     """Pair left with right spots that lie on each other's epipolar line, within noise and skew."""
-    spots = views.pixels, views.covariance
-    spot, where = kernels_points.pair_spots(
-        views.cameras, spots, views.allowed, views.leds, views.mean_focal, views.skew, MAX_POINTS
+    return TriangulatedPoints(
+        *points.find_points(views.scene, views.mean_focal, views.skew, MAX_POINTS)
     )
-    places = kernels_points.locate_points(views.cameras, views.covariance, where, spot)
-    return TriangulatedPoints(spot, *places)
 
 
-def build_graph(views: SpotViews, points: TriangulatedPoints) -> SeedGraph:
+def build_graph(views: SpotViews, found: TriangulatedPoints) -> SeedGraph:
     """Join points that may be LEDs at the marker's distances, within noise and skew."""
-    left, right = points.spot.T
-    possible = np.flatnonzero(views.allowed[0][:, left] & views.allowed[1][:, right])
-    led, point = np.divmod(possible, len(points.spot))
-    places = points.spot, points.rig, points.covariance
-    deviation = seeds.join_nodes(places, point, led, views.leds, views.led_play)
-    return SeedGraph(point, led, deviation)
+    places = found.spot, found.rig, found.covariance
+    return SeedGraph(*seeds.join_nodes(views.scene, places, views.led_play))
 
 
 def find_edges(graph: SeedGraph) -> Index:
     """List pairs of nodes that agree, (e, 2), best first."""
     one, other = (graph.deviation <= MAX_DEVIATION).nonzero()
-    once = one < other
-    one, other = one[once], other[once]
     best = graph.deviation[one, other].argsort(kind="stable")[:MAX_EDGES]
     return np.ascontiguousarray(np.array([one[best], other[best]]).T)
 
@@ -76,32 +65,32 @@ def find_triangles(graph: SeedGraph, leds: Array) -> Index:
     return seeds.list_triangles(graph.deviation, find_edges(graph), graph.led, leds, MAX_SEEDS)
 
 
-FREE_SIGMA = np.repeat([10.0, 3.0], 3)  # m, rad: so large that the images alone decide the pose
+FREE_SIGMAS = 10.0, 3.0  # m, rad: so large that the images alone decide the pose
+IDENTITY = np.eye(4)
 
 
 @dataclass(frozen=True, slots=True)
 class Hypotheses:
     """Assignments of spots to LEDs, with the pose that each one means."""
 
-    rotation: Array  # (h, 3, 3), rig_R_flange
-    position: Array  # (h, 3), m, flange in the rig
-    shift: Array  # (h, 2), px, of the right image
+    state: Array  # (h, 85), pose, shift of the right image and their fit: `kernels.fit`
     spot: Index  # (h, 2, n), left and right spot of each LED, -1 for none
-    hold: Array  # (h, 6), 1/m² and 1/rad²: how firmly each step keeps the pose where it is
-    covariance: Array  # (h, 8, 8), m, rad, px
-    chi2: Array  # (h,), the shift's own share included; inf before the first fit
 
     def __len__(self) -> int:
         """Count the hypotheses."""
-        return len(self.position)
+        return len(self.state)
 
     @property
-    def arrays(self) -> HypothesisArrays:
-        """Their arrays, as compiled functions take them."""
-        return (
-            self.rotation, self.position, self.shift, self.spot, self.hold, self.covariance,
-            self.chi2,
-        )  # fmt: skip
+    def chi2(self) -> Array:
+        """Chi² of each, (h,), the shift's own share included; inf before the first fit."""
+        return self.state[:, fit.CHI2]
+
+    def rig_T_flange(self, which: int) -> Array:
+        """Give the pose (4, 4) that one of them means."""
+        pose, state = IDENTITY.copy(), self.state[which]
+        pose[:3, :3] = state[: fit.POSITION].reshape(3, 3)
+        pose[:3, 3] = state[fit.POSITION : fit.SHIFT]
+        return pose
 
     def take(self, chosen: NDArray[np.bool_] | Index | slice) -> "Hypotheses":
         """Keep some, by index, mask or slice."""
@@ -109,26 +98,13 @@ class Hypotheses:
 
     def join(self, other: "Hypotheses") -> "Hypotheses":
         """Append others."""
-        pairs = zip(self.arrays, other.arrays, strict=True)
-        return Hypotheses(*(np.concatenate(pair) for pair in pairs))
-
-
-def start_hypotheses(
-    views: SpotViews, rotation: Array, position: Array, spot: Index, sigma: Array = FREE_SIGMA
-) -> Hypotheses:
-    """Begin hypotheses (h of them) at coarse poses, held by `sigma` (6,), m and rad."""
-    count = len(position)
-    hold, covariance = np.empty((count, 6)), np.zeros((count, fit.N_FREE, fit.N_FREE))
-    hold[:] = sigma**-2
-    diagonals = covariance.reshape(count, fit.N_FREE**2)[:, :: fit.N_FREE + 1]
-    diagonals[:, :6], diagonals[:, 6:] = sigma**2, views.skew**2
-    chi2 = np.full(count, np.inf)
-    return Hypotheses(rotation, position, np.zeros((count, 2)), spot, hold, covariance, chi2)
+        state = np.concatenate([self.state, other.state])
+        return Hypotheses(state, np.concatenate([self.spot, other.spot]))
 
 
 def seed_hypotheses(
     views: SpotViews,
-    points: TriangulatedPoints,
+    found: TriangulatedPoints,
     graph: SeedGraph,
     nodes: Index,
     rig_R_flange: Array,
@@ -137,16 +113,14 @@ def seed_hypotheses(
 
     What the nodes leave open (all turns, or that about their line) stays as in `rig_R_flange`.
     """
-    count, corners = nodes.shape
-    rotation = np.empty((count, 3, 3))
-    rotation[:] = rig_R_flange
-    if corners == 2:
-        rig, led = points.rig[graph.point[nodes]], views.leds[graph.led[nodes]]
+    rotation = np.array(rig_R_flange, order="C")[None]
+    if nodes.shape[1] == 2:
+        rig, led = found.rig[graph.point[nodes]], views.leds[graph.led[nodes]]
         line = (led[:, 1] - led[:, 0]) @ rig_R_flange.T
         rotation = np.ascontiguousarray(_minimal_rotations(line, rig[:, 1] - rig[:, 0]) @ rotation)
-    places, node = (points.spot, points.rig), (graph.point, graph.led)
-    position, spot = seeds.begin_poses(places, node, nodes, views.leds, rotation)
-    return start_hypotheses(views, rotation, position, spot)
+    places, node = (found.spot, found.rig), (graph.point, graph.led)
+    sigmas = (*FREE_SIGMAS, views.skew)
+    return Hypotheses(*seeds.begin_poses(places, node, nodes, views.leds, rotation, sigmas))
 
 
 def _minimal_rotations(source: Array, target: Array) -> Array:

@@ -14,7 +14,11 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array, Spots
 from verify.core.rig import Camera, Rig
 from verify.measurement.correspondence.kernels import views as kernel
+from verify.measurement.correspondence.kernels.fit import Limits, Scene
+from verify.measurement.correspondence.kernels.points import Index
 
+MIN_SKEW = 1e-3  # px: in effect simultaneous; avoids a division by zero
+MIN_DEPTH = 0.02  # m, depth below which a point cannot be imaged
 MAX_SPOTS = 48  # an image; the brightest: bounds the work, twice the clutter of a bad scene
 MODEL_PX = 0.1  # px, what lens and pan leave unexplained after a fair calibration
 MERGED_PX = 1.0  # px, by how much a neighbour's light drags a spot's centre, order of magnitude
@@ -41,9 +45,17 @@ class SpotViews:
     skew: float  # px, by how much the whole marker may have moved between the two images
 
     @property
-    def cameras(self) -> tuple[Array, Array, Array]:
-        """What a projection needs: camera_R_rig, centres and focal lengths."""
-        return self.camera_R_rig, self.center, self.focal
+    def scene(self) -> Scene:
+        """Cameras, spots and marker, as compiled functions take them."""
+        return (
+            self.camera_R_rig, self.center, self.focal, self.pixels, self.covariance, self.merged,
+            self.allowed, self.leds,
+        )  # fmt: skip
+
+    @property
+    def limits(self) -> Limits:
+        """What bounds a fit, as compiled functions take it."""
+        return MIN_DEPTH, self.led_play * self.mean_focal, 1 / max(self.skew, MIN_SKEW) ** 2
 
 
 def prepare_views(
@@ -54,51 +66,53 @@ def prepare_views(
     Spots come brightest first; those past the first 48 are left out. `pans`, rad, are readings of
     the bases; `skew`, px: how far LEDs may have moved in the image between the two exposures.
     """
-    most = min(max(map(len, spots)), MAX_SPOTS)
-    pixels, covariance = np.empty((2, most, 2)), np.empty((2, most, 2, 2))
-    merged = np.empty((2, most), dtype=np.bool_)
-    allowed = np.empty((2, len(marker), most), dtype=np.bool_)
-    matrix, lens, focal = _optics(rig.left, rig.right)
-    light = np.array([LED_COLOURS.get(colour or "", kernel.ANY) for colour in marker.colours])
-    for side, found in enumerate(spots):
-        uneven = side * (SKEW_SHARE * skew) ** 2
-        kernel.prepare_image(
-            (
-                np.ascontiguousarray(found.centre),
-                np.ascontiguousarray(found.covariance),
-                np.ascontiguousarray(found.merged),
-                np.ascontiguousarray(found.saturated),
-                np.ascontiguousarray(found.colour),
-            ),
-            (matrix[side], lens[side]),
-            (MODEL_PX**2 + uneven, MERGED_PX**2),
-            light,
-            pixels[side],
-            covariance[side],
-            merged[side],
-            allowed[side],
-        )
-    placed = rig.left.rig_T_camera(pans[0]), rig.right.rig_T_camera(pans[1])
+    matrix, lens, focal, camera_R_rig, center = _optics(rig.left, rig.right, pans)
+    pixels, covariance, merged, allowed = kernel.prepare_images(
+        (_arrays(spots[0]), _arrays(spots[1])),
+        (matrix, lens),
+        (MODEL_PX**2, MERGED_PX**2, (SKEW_SHARE * skew) ** 2),
+        _light(marker.colours),
+        min(max(map(len, spots)), MAX_SPOTS),
+    )
     return SpotViews(
         pixels=pixels,
         covariance=covariance,
         merged=merged,
         allowed=allowed,
-        camera_R_rig=np.array([pose[:3, :3].T for pose in placed]),
-        center=np.array([pose[:3, 3] for pose in placed]),
+        camera_R_rig=camera_R_rig,
+        center=center,
         focal=focal,
-        mean_focal=float(focal.mean()),
+        mean_focal=focal.sum().item() / 4,
         leds=np.array(marker.leds, order="C"),
         led_play=led_sigma(marker),
         skew=skew,
     )
 
 
+def _arrays(spots: Spots) -> kernel.ImageSpots:
+    """Give an image's spots as the kernel takes them."""
+    return (
+        np.ascontiguousarray(spots.centre), np.ascontiguousarray(spots.covariance),
+        np.ascontiguousarray(spots.merged), np.ascontiguousarray(spots.saturated),
+        np.ascontiguousarray(spots.colour),
+    )  # fmt: skip
+
+
+@lru_cache(maxsize=4)
+def _light(colours: tuple[str | None, ...]) -> Index:
+    """Give what each LED shines in, (n,)."""
+    return np.array([LED_COLOURS.get(colour or "", kernel.ANY) for colour in colours])
+
+
 @lru_cache(maxsize=4)  # two cameras are the same ones for many pairs
-def _optics(left: Camera, right: Camera) -> tuple[Array, Array, Array]:
-    """Camera matrices (2, 3, 3), lenses (2, 5) and focal lengths (2, 2)."""
-    matrix = np.array([left.matrix, right.matrix])
-    return matrix, np.array([left.distortion, right.distortion]), matrix[:, [0, 1], [0, 1]]
+def _optics(
+    left: Camera, right: Camera, pans: tuple[float, float]
+) -> tuple[Array, Array, Array, Array, Array]:
+    """Camera matrices, lenses (2, 5), focal lengths (2, 2), camera_R_rig, and centres (2, 3)."""
+    matrix, lens = np.array([left.matrix, right.matrix]), [left.distortion, right.distortion]
+    placed = np.array([left.rig_T_camera(pans[0]), right.rig_T_camera(pans[1])])
+    turns = np.ascontiguousarray(np.swapaxes(placed[:, :3, :3], 1, 2))
+    return matrix, np.array(lens), matrix[:, [0, 1], [0, 1]], turns, placed[:, :3, 3].copy()
 
 
 def led_sigma(marker: Marker) -> float:

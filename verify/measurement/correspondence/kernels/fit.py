@@ -15,11 +15,18 @@ from verify.core.jit import compiled
 from verify.core.kernels.linear_algebra import factor, invert, rotate, solve
 from verify.core.records import Array
 
-# rotation (h, 3, 3), position (h, 3) m, shift (h, 2) px, spots (h, 2, n), -1 for none, inverse
-# variances (h, 6) by which a step keeps the pose, covariance (h, 8, 8), chi² (h,)
-HypothesisArrays = tuple[Array, Array, Array, NDArray[np.int64], Array, Array, Array]
+# camera_R_rig (2, 3, 3), optical centres (2, 3) m, focal lengths (2, 2) px; spots (2, s, 2) px, NaN
+# where there is none, covariance (2, s, 2, 2) px², which are merged (2, s), which LEDs each may be
+# (2, n, s); LEDs (n, 3) m, flange frame
+Scene = tuple[Array, Array, Array, Array, Array, NDArray[np.bool_], NDArray[np.bool_], Array]
+# nearest depth, m; an LED's play times the focal length, m px; inverse variance of the shift, 1/px²
+Limits = tuple[float, float, float]
 
 N_FREE = 8  # pose and shift
+# Where the figures of a hypothesis stand in its row: rotation (3, 3), position (3,) m, shift (2,)
+# px, inverse variances (6,) by which a step keeps the pose, chi², covariance (8, 8)
+POSITION, SHIFT, HOLD, CHI2, COVARIANCE = 9, 12, 14, 20, 21
+N_STATE = COVARIANCE + N_FREE**2
 
 
 @compiled
@@ -66,6 +73,21 @@ def predict_image(
 
 
 @compiled
+def begin_fit(state: Array, sigmas: tuple[float, float, float]) -> None:
+    """Fill in what a hypothesis (85,) has beside its pose before its first fit.
+
+    `sigmas`: standard deviations by which steps keep the pose, m and rad, and of the shift, px.
+    """
+    for i in range(SHIFT, N_STATE):
+        state[i] = 0.0
+    state[CHI2] = math.inf
+    for i in range(N_FREE):
+        state[COVARIANCE + i * (N_FREE + 1)] = sigmas[i // 3] ** 2
+    for i in range(6):
+        state[HOLD + i] = sigmas[i // 3] ** -2
+
+
+@compiled
 def whitener(spread: Array, play: float, root: Array) -> None:
     """Inverse Cholesky factor of a (2, 2) covariance to whose diagonal `play` is added."""
     root[0, 0], root[0, 1] = 1.0 / math.sqrt(spread[0, 0] + play), 0.0
@@ -76,31 +98,22 @@ def whitener(spread: Array, play: float, root: Array) -> None:
 
 @compiled
 def fit_all(
-    cameras: tuple[Array, Array, Array],
-    spots: tuple[Array, Array],
-    limits: tuple[float, float, float],
-    leds: Array,
-    hypotheses: HypothesisArrays,
-    steps: int,
+    scene: Scene, limits: Limits, state: Array, chosen: NDArray[np.int64], steps: int
 ) -> None:
     """Fit h hypotheses in place by Gauss-Newton, their spots held.
 
-    `cameras`: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px. `spots`: (2, s, 2)
-    px and their covariance (2, s, 2, 2) px². `limits`: nearest depth (m), an LED's play times the
-    focal length (m px), and the inverse variance of the shift. `leds` (n, 3), m, flange frame. Of
-    `hypotheses` all but `spot` and `hold` are changed; chi² includes the shift's share. 0 `steps`
-    compute covariance and chi² alone.
+    `state` (h, 85), of which all but what keeps the pose is changed; chi² includes the shift's
+    share. `chosen` (h, 2, n): spots, -1 for none. 0 `steps` compute covariance and chi² alone.
     """
-    camera_R_rig, center, focal = cameras
-    pixels, noise = spots
+    camera_R_rig, center, focal, pixels, noise, _, _, leds = scene
     nearest, play, shift_weight = limits
-    rotations, positions, shifts, chosen, hold, covariance, chi2 = hypotheses
     roots = np.empty((2, len(leds), 2, 2))
     pixel, derivative, white = np.empty(2), np.zeros((2, N_FREE)), np.empty(N_FREE)
     information, root = np.empty((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE))
     pull = np.empty(N_FREE)
-    for h in range(len(chi2)):
-        rotation, position, shift = rotations[h], positions[h], shifts[h]
+    for h in range(len(state)):
+        rotation, position = state[h, :POSITION].reshape(3, 3), state[h, POSITION:SHIFT]
+        shift, covariance = state[h, SHIFT:HOLD], state[h, COVARIANCE:].reshape(N_FREE, N_FREE)
         total = 0.0
         for step in range(steps + 1):
             information[:], pull[:], total = 0.0, 0.0, 0.0
@@ -129,7 +142,7 @@ def fit_all(
                             for b in range(a + 1):
                                 information[a, b] += white[a] * white[b]
             for a in range(N_FREE):
-                information[a, a] += hold[h, a] if a < 6 else shift_weight
+                information[a, a] += state[h, HOLD + a] if a < 6 else shift_weight
                 for b in range(a):
                     information[b, a] = information[a, b]
             factor(information, 0.0, root)
@@ -142,5 +155,5 @@ def fit_all(
                     position[i] += pull[i]
                 shift[0] += pull[6]
                 shift[1] += pull[7]
-        invert(root, covariance[h])
-        chi2[h] = total + shift_weight * (shift[0] * shift[0] + shift[1] * shift[1])
+        invert(root, covariance)
+        state[h, CHI2] = total + shift_weight * (shift[0] * shift[0] + shift[1] * shift[1])

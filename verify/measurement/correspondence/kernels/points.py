@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from verify.core.jit import compiled
 from verify.core.kernels.linear_algebra import distance, factor, invert
 from verify.core.records import Array
+from verify.measurement.correspondence.kernels.fit import Scene
 from verify.measurement.triangulation import MIN_SIN2
 
 Index = NDArray[np.int64]
@@ -74,25 +75,16 @@ def ray_midpoint(center: Array, a: Array, b: Array, point: Array) -> float:
 
 
 @compiled
-def pair_spots(
-    cameras: tuple[Array, Array, Array],
-    spots: tuple[Array, Array],
-    allowed: NDArray[np.bool_],
-    leds: Array,
-    mean_focal: float,
-    skew: float,
-    limit: int,
-) -> tuple[Index, Array]:
+def find_points(
+    scene: Scene, mean_focal: float, skew: float, limit: int
+) -> tuple[Index, Array, Array]:
     """List pairs of spots on each other's epipolar line (c, 2), left and right, best first.
 
-    `cameras`: camera_R_rig (2, 3, 3), centres (2, 3) m, focal lengths (2, 2) px. `spots`: (2, s, 2)
-    px, NaN where there is none, and their covariance (2, s, 2, 2) px². `allowed` (2, n, s): this
-    spot may be that LED. `leds` (n, 3), m, flange frame. `mean_focal`, px; `skew`, px, by how much
-    the marker may have moved between the images. At most `limit` pairs are listed, by mismatch over
-    its noise. Gives the points of all spots too, (s, s, 3), m, left by right.
+    `mean_focal`, px; `skew`, px, by how much the marker may have moved between the images. At most
+    `limit` pairs are listed, by mismatch over its noise. Gives their points, (c, 3), m, and the
+    points' covariance, (c, 3, 3), m².
     """
-    camera_R_rig, center, focal = cameras
-    pixels, covariance = spots
+    camera_R_rig, center, focal, pixels, covariance, _, allowed, leds = scene
     most, count, size = pixels.shape[1], np.int64(0), 0.0
     where, costs, spot = np.empty((most, most, 3)), np.empty(limit), np.empty((limit, 2), np.int64)
     for one in range(len(leds)):
@@ -129,19 +121,17 @@ def pair_spots(
                 spot[place, 0], spot[place, 1] = left, right
                 if count < len(costs):
                     count += 1
-    return spot[:count], where
+    rig, spread = locate_points(scene, where, spot[:count])
+    return spot[:count], rig, spread
 
 
 @compiled
-def locate_points(
-    cameras: tuple[Array, Array, Array], spread: Array, where: Array, spot: Index
-) -> tuple[Array, Array]:
+def locate_points(scene: Scene, where: Array, spot: Index) -> tuple[Array, Array]:
     """Place the points of c pairs of spots (c, 3), m, with their covariance (c, 3, 3), m².
 
-    `cameras` and `where` (s, s, 3), m, are those of `pair_spots`; `spread` (2, s, 2, 2), px²,
-    covariance of the spots; `spot` (c, 2), left and right.
+    `where` (s, s, 3), m: those of all pairs; `spot` (c, 2), left and right.
     """
-    camera_R_rig, center, focal = cameras
+    camera_R_rig, center, focal, _, spread, _, _, _ = scene
     rig, covariance = np.empty((len(spot), 3)), np.empty((len(spot), 3, 3))
     local, slope = np.empty(3), np.empty(3)
     information, root = np.empty((3, 3)), np.empty((3, 3))

@@ -15,6 +15,7 @@ import numpy as np
 from verify.core.jit import compiled
 from verify.core.kernels.linear_algebra import cross, distance, dot, scale_to_one
 from verify.core.records import Array
+from verify.measurement.correspondence.kernels.fit import N_STATE, POSITION, Scene, begin_fit
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index, insert_cost
 
 # height over longest side: of a more slender triangle, gathering about a line finds the third LED
@@ -31,16 +32,24 @@ def variance_along(covariance: Array, x: float, y: float, z: float) -> float:
 
 @compiled
 def join_nodes(
-    points: tuple[Index, Array, Array], point: Index, led: Index, leds: Array, play: float
-) -> Array:
-    """Measure how far every two nodes (m, m) are from the marker's distance, in deviations.
+    scene: Scene, points: tuple[Index, Array, Array], play: float
+) -> tuple[Index, Index, Array]:
+    """List the nodes, and how far every two are from the marker's distance, in deviations.
 
-    Infinitely far are nodes that share a spot or an LED. `points`: spots (c, 2), places (c, 3) m,
-    covariance (c, 3, 3) m²; `point` and `led` (m,), of each node; `leds` (n, 3), m, flange frame;
-    `play`, m: how far an LED's light may be from where the marker has it.
+    `points`: spots (c, 2), places (c, 3) m, covariance (c, 3, 3) m²; `play`, m: how far an LED's
+    light may be from where the marker has it. Gives point and LED of each node, (m,) both, and the
+    upper half of (m, m); infinitely far are nodes that share a spot or an LED.
     """
     spot, rig, covariance = points
-    count, deviation = len(spot), np.empty((len(led), len(led)))
+    allowed, leds = scene[6], scene[7]
+    count, nodes = len(spot), 0
+    point, led = np.empty(len(leds) * count, np.int64), np.empty(len(leds) * count, np.int64)
+    for one in range(len(leds)):
+        for i in range(count):
+            if allowed[0, one, spot[i, 0]] and allowed[1, one, spot[i, 1]]:
+                point[nodes], led[nodes] = i, one
+                nodes += 1
+    deviation = np.empty((nodes, nodes))
     apart, sigma = np.empty((count, count)), np.empty((count, count))
     apart[:], sigma[:] = math.inf, 1.0
     for i in range(count):
@@ -61,13 +70,13 @@ def join_nodes(
     for a in range(len(leds)):
         for b in range(len(leds)):
             wanted[a, b] = distance(leds[a], leds[b])
-    for a in range(len(led)):
-        deviation[a, a] = math.inf
-        for b in range(a):
-            off = abs(apart[point[a], point[b]] - wanted[led[a], led[b]])
-            off = math.inf if led[a] == led[b] else off / sigma[point[a], point[b]]
-            deviation[a, b] = deviation[b, a] = off
-    return deviation
+    for b in range(nodes):
+        for a in range(nodes):
+            deviation[a, b] = math.inf
+            if a < b and led[a] != led[b]:
+                off = abs(apart[point[a], point[b]] - wanted[led[a], led[b]])
+                deviation[a, b] = off / sigma[point[a], point[b]]
+    return point[:nodes], led[:nodes], deviation
 
 
 @compiled
@@ -119,34 +128,37 @@ def begin_poses(
     nodes: Index,
     leds: Array,
     rotation: Array,
+    sigmas: tuple[float, float, float],
 ) -> tuple[Array, Index]:
-    """Begin a pose at each set of nodes: the position (h, 3), m, and spots (h, 2, n), -1 for none.
+    """Begin a hypothesis at each set of nodes: `state` (h, 85), as `fit_all` has it, and spots.
 
     `points`: spots (c, 2) and places (c, 3) m; `graph`: point and LED of each node, (m,) both;
-    `nodes` (h, 1), (h, 2) or (h, 3); `leds` (n, 3), m, flange frame; `rotation` (h, 3, 3), filled
-    where there are three nodes.
+    `nodes` (h, 1), (h, 2) or (h, 3); `leds` (n, 3), m, flange frame; `rotation` (h, 3, 3) or (1, 3,
+    3), of no use where there are three nodes; `sigmas` as in `begin_fit`. Spots (h, 2, n): -1 for
+    none.
     """
     spots, rig = points
     point, led = graph
     corners = nodes.shape[1]
     rig_axes, led_axes = np.empty((3, 3)), np.empty((3, 3))
     where, which = np.empty(3, dtype=np.int64), np.empty(3, dtype=np.int64)
-    position, spot = np.empty((len(nodes), 3)), np.full((len(nodes), 2, len(leds)), -1)
+    state, spot = np.empty((len(nodes), N_STATE)), np.full((len(nodes), 2, len(leds)), -1)
     for h in range(len(nodes)):
+        begin_fit(state[h], sigmas)
         for k in range(corners):
             where[k], which[k] = point[nodes[h, k]], led[nodes[h, k]]
             spot[h, 0, which[k]], spot[h, 1, which[k]] = spots[where[k], 0], spots[where[k], 1]
         if corners == 3:
             triangle_axes(rig[where[0]], rig[where[1]], rig[where[2]], rig_axes)
             triangle_axes(leds[which[0]], leds[which[1]], leds[which[2]], led_axes)
-            for i in range(3):
-                for j in range(3):
-                    rotation[h, i, j] = 0.0
-                    for k in range(3):
-                        rotation[h, i, j] += rig_axes[k, i] * led_axes[k, j]
         for i in range(3):
-            position[h, i] = 0.0
+            for j in range(3):
+                state[h, 3 * i + j] = rotation[h % len(rotation), i, j] if corners < 3 else 0.0
+                for k in range(3 if corners == 3 else 0):
+                    state[h, 3 * i + j] += rig_axes[k, i] * led_axes[k, j]
+        for i in range(3):
+            state[h, POSITION + i] = 0.0
             for k in range(corners):
-                arm = dot(rotation[h, i], leds[which[k]])
-                position[h, i] += (rig[where[k], i] - arm) / corners
-    return position, spot
+                arm = dot(state[h, 3 * i : 3 * i + 3], leds[which[k]])
+                state[h, POSITION + i] += (rig[where[k], i] - arm) / corners
+    return state, spot

@@ -13,6 +13,8 @@ from verify.core.jit import compiled
 from verify.core.records import Array
 
 Flags = NDArray[np.bool_]
+# centres (m, 2) px, covariance (m, 2, 2) px², merged (m,), saturated (m,) and colour (m, 3)
+ImageSpots = tuple[Array, Array, Flags, Flags, Array]
 
 BLUE, GREEN, RED = 0, 1, 2  # channels of a colour, and LEDs that shine in them
 WHITE, ANY = 3, 4  # LEDs without a hue, and those that may have any
@@ -46,8 +48,32 @@ def undistort(x: float, y: float, lens: Array) -> tuple[float, float]:
 
 
 @compiled
+def prepare_images(
+    spots: tuple[ImageSpots, ImageSpots],
+    optics: tuple[Array, Array],
+    model: tuple[float, float, float],
+    light: NDArray[np.int64],
+    most: int,
+) -> tuple[Array, Array, Flags, Flags]:
+    """Prepare both images' spots, the first s of them, or fewer where there are no more.
+
+    `optics`: camera matrices (2, 3, 3), px, and lenses (2, 5); `model`: px², variance beside the
+    noise, that of a merged spot and of the right image's in addition; `light` (n,), of each LED:
+    BLUE to ANY; `most`: s. Gives what `prepare_image` fills, for the left and the right one.
+    """
+    pixels, covariance = np.empty((2, most, 2)), np.empty((2, most, 2, 2))
+    merged, allowed = np.empty((2, most), np.bool_), np.empty((2, len(light), most), np.bool_)
+    for side in range(2):
+        prepare_image(
+            spots[side], (optics[0][side], optics[1][side]), (model[0] + side * model[2], model[1]),
+            light, pixels[side], covariance[side], merged[side], allowed[side],
+        )  # fmt: skip
+    return pixels, covariance, merged, allowed
+
+
+@compiled
 def prepare_image(
-    spots: tuple[Array, Array, Flags, Flags, Array],
+    spots: ImageSpots,
     camera: tuple[Array, Array],
     model: tuple[float, float],
     light: NDArray[np.int64],
@@ -58,8 +84,7 @@ def prepare_image(
 ) -> None:
     """Fill in one image's spots, the first s of them, or fewer where there are no more.
 
-    `spots`: centres (m, 2) px, covariance (m, 2, 2) px², merged (m,), saturated (m,) and colour
-    (m, 3). `camera`: matrix (3, 3), px, and lens (5,). `model`: px², variance beside the noise, and
+    `camera`: matrix (3, 3), px, and lens (5,). `model`: px², variance beside the noise, and
     that of a merged spot in addition. `light` (n,), of each LED: BLUE to ANY. Filled: `pixels`
     (s, 2), ideal px, NaN where there is no spot; `covariance` (s, 2, 2), px²; `merged` (s,);
     `allowed` (n, s): this spot may be that LED.
