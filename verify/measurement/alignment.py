@@ -68,8 +68,8 @@ def align(
         _view(now, sighting.pan, camera), (views[0], views[1], views[2]), t
     )
     if matched:
-        return replace(
-            sighting, centre=centre, covariance=covariance, t=t, velocity=velocity, lever=lever
+        return Sighting(
+            sighting.led, centre, covariance, t, sighting.pan, sighting.peak, velocity, lever
         )
     at_once = np.all(np.abs(t - now.taken) < TOL_INSTANT)
     return replace(sighting, t=t) if at_once else None

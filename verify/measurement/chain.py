@@ -252,6 +252,7 @@ def _raw_sighting(
     else:
         camera, own, t, pan = setup.rig.right, spots[1], pair.t_right, pair.pan_right
         image, index, led = pair.right, correspondence.right_spot, correspondence.right_led
+    depth = np.empty(0)
     sighting = Sighting(
         led=led,
         centre=own.centre[index],
@@ -262,7 +263,6 @@ def _raw_sighting(
         velocity=np.zeros((len(index), 2)),
         lever=np.zeros((len(index), 3)),
     )
-    depth = np.empty(0)
     if correspondence.rig_T_flange is not None and len(index):
         ahead = camera.camera_T_rig(pan)[2] @ correspondence.rig_T_flange  # the optical axis
         depth = setup.marker.leds[sighting.led] @ ahead[:3] + ahead[3]
@@ -292,7 +292,7 @@ def _fit(
 ) -> Measurement:
     """Align a pair by its neighbours and fit the pose."""
     found = assigned.correspondence
-    leds = len(set(found.left_led.tolist()) | set(found.right_led.tolist()))
+    leds = len({*found.left_led.tolist(), *found.right_led.tolist()})
     measurement = Measurement(
         assigned.frame, assigned.pair_t, found.status, leds, choice=found.choice,
         whole_frame=assigned.whole_frame, settled=settled,
@@ -316,7 +316,10 @@ def _fit(
         return replace(measurement, status="outlier")
     good = pose.consistent and not pose.reprojection_rms_px > MAX_REPROJECTION_PX
     status = "measured" if good else "outlier"
-    return replace(measurement, status=status, pose=pose, left=left, right=right)
+    return Measurement(
+        assigned.frame, assigned.pair_t, status, leds, pose, left, right, found.choice,
+        assigned.whole_frame, settled,
+    )  # fmt: skip
 
 
 def _without_rejected(assigned: _AssignedPair, pose: Pose) -> _AssignedPair:

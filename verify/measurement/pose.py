@@ -35,6 +35,7 @@ from verify.measurement.kernels.pose import MOTION_RATE, SCALE
 MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 P_CONTRADICTION = 1e-7  # of the pair's chi² as a whole
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
+IDENTITY = np.eye(6)
 MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
 
 
@@ -65,10 +66,10 @@ def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) ->
     camera_R_rig, origin, lens, focal, middle = placed
     return SightingStack(
         points=np.ascontiguousarray(points[np.concatenate([left.led, right.led])]),
-        centre=_concatenate(left.centre, right.centre),
-        covariance=_concatenate(left.covariance, right.covariance),
-        velocity=_concatenate(left.velocity, right.velocity),
-        lever=_concatenate(left.lever, right.lever),
+        centre=np.concatenate([left.centre, right.centre]),
+        covariance=np.concatenate([left.covariance, right.covariance]),
+        velocity=np.concatenate([left.velocity, right.velocity]),
+        lever=np.concatenate([left.lever, right.lever]),
         camera_R_rig=camera_R_rig,
         origin=origin,
         lens=lens,
@@ -89,10 +90,6 @@ def _camera_rows(
     rows = placed[side, :3, :3], placed[side, :3, 3], lens, matrix[:, :, :2], matrix[:, :, 2]
     r, origin, lens, focal, middle = map(np.ascontiguousarray, rows)
     return r, origin, lens, focal, middle
-
-
-def _concatenate(left: Array, right: Array) -> Array:
-    return np.ascontiguousarray(np.concatenate([left, right]))
 
 
 # d spots by what is stated of rig and marker, columns of unit variance (2 s, p), at a pose (4, 4)
@@ -121,13 +118,11 @@ def fit_pose(
     tolerance = _tolerance(rig.left, rig.right, (len(left), len(right)), sigmas)
     while True:
         fit = _gauss_newton(views, keep, start)
-        worst, size = _worst_spot(fit, tolerance)
-        sound = size < MAX_SPOT_CHI2 and _plausible(fit, tolerance)
+        worst, size, sound = _judge(fit, tolerance)
         if not sound and parameter_columns is not None:
             columns = parameter_columns(fit.rig_T_flange, fit.predicted[1])
             tolerance, parameter_columns = tolerance + columns @ columns.T, None
-            worst, size = _worst_spot(fit, tolerance)
-            sound = size < MAX_SPOT_CHI2 and _plausible(fit, tolerance)
+            worst, size, sound = _judge(fit, tolerance)
         kept = int(np.count_nonzero(keep))
         last = kept <= MIN_SPOTS or len(keep) - kept >= len(keep) // 3
         if last or size < MAX_SPOT_CHI2:
@@ -173,12 +168,13 @@ class _PoseFit:
     twist: Array  # (6,)
     prior: tuple[float, float]
     curvature: Array  # (s, 2), px/s²
+    figures: tuple[Array, Array, Array, float]  # of `kernels.pose.fit_covariances`
 
 
 def _gauss_newton(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> _PoseFit:
     pose = np.array(start, dtype=float, order="C")
     spots = views.covariance, views.velocity, views.lever
-    rows = np.flatnonzero(np.repeat(keep, 2))
+    rows = keep.repeat(2).nonzero()[0]
     return _PoseFit(rows, pose, *kernel.fit_spots(views.places, views.centre, spots, rows, pose))
 
 
@@ -193,7 +189,7 @@ def _determined_functionals(fit: _PoseFit) -> Array:
     """Functionals of the pose that the spots determine, (6, d): across what none of them shows."""
     directions, known = fit.directions
     if known.all():
-        return np.eye(6)
+        return IDENTITY.copy()
     hidden = directions[:, ~known] * SCALE[:, None]
     return np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
 
@@ -212,34 +208,25 @@ def _tolerance(
     return np.diag(np.repeat(variance, 2))
 
 
-def _worst_spot(fit: _PoseFit, tolerance: Array) -> tuple[int, float]:
-    """The kept spot that fits worst, by its own residual in its own uncertainty."""
-    return kernel.worst_spot(fit.predicted, fit.spread, fit.gain, fit.rows, tolerance)
-
-
-def _plausible(fit: _PoseFit, tolerance: Array) -> bool:
-    """Whether the kept spots' residuals as a whole are what noise, motion and tolerance reach."""
-    rows = fit.rows
-    known = int(np.count_nonzero(fit.directions[1]))
-    if len(rows) <= known:
-        return True
-    (noise, acceleration, weight), off = fit.spread, fit.predicted[0].reshape(-1)
-    bound = chi2_bound(P_CONTRADICTION, len(rows) - known)
-    if off @ weight @ off < bound:
-        return True
-    spread = (noise + acceleration + tolerance)[np.ix_(rows, rows)]
-    return float(off[rows] @ np.linalg.solve(spread, off[rows])) < bound
+def _judge(fit: _PoseFit, tolerance: Array) -> tuple[int, float, bool]:
+    """The kept spot that fits worst, its chi², and whether all are what noise and such reach."""
+    freedom = len(fit.rows) - int(np.count_nonzero(fit.directions[1]))
+    bound = chi2_bound(P_CONTRADICTION, freedom) if freedom > 0 else np.inf
+    chi2 = fit.figures[3], bound
+    worst, size, agree = kernel.judge_fit(
+        fit.predicted, fit.spread, fit.gain, fit.rows, tolerance, chi2
+    )
+    return worst, size, agree and size < MAX_SPOT_CHI2
 
 
 def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool) -> Pose:
     residual, by_point, _ = fit.predicted
-    noise, acceleration, weight = fit.spread
-    variance = noise.diagonal() + acceleration.diagonal()
-    off, determined = residual.reshape(-1), _determined_functionals(fit)
+    pixels, alignment, uncertainty, chi2 = fit.figures
+    determined = _determined_functionals(fit)
     return Pose(
         rig_T_flange=fit.rig_T_flange,
-        covariance_pixels=fit.gain @ noise @ fit.gain.T,
-        covariance_alignment=fit.gain @ acceleration @ fit.gain.T,
+        covariance_pixels=pixels,
+        covariance_alignment=alignment,
         twist=fit.twist,
         acceleration_prior=fit.prior,
         determined=determined,
@@ -247,9 +234,9 @@ def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool) -> Pose:
         sensitivity=by_point,
         curvature=fit.curvature,
         residual=residual,
-        spot_uncertainty=np.sqrt((variance[::2] + variance[1::2]) / 2),
+        spot_uncertainty=uncertainty,
         rejected=~keep,
         consistent=consistent,
-        chi2=float(off @ weight @ off),
+        chi2=chi2,
         degrees_of_freedom=len(fit.rows) - determined.shape[1],
     )

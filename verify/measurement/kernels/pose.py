@@ -208,20 +208,21 @@ def spot_covariance(
     covariance, _, lever = spots
     noise, acceleration, weight = spread
     noise[:], weight[:] = 0.0, 0.0
+    moved, levers = np.empty((len(noise), N_FREE)), lever.copy()
     for s in range(len(covariance)):
         for a in range(2):
             for b in range(2):
                 noise[2 * s + a, 2 * s + b] = covariance[s, a, b]
+            for k in range(N_FREE):
+                moved[2 * s + a, k] = prior[k // 3] * design[2 * s + a, k]
+        for order in range(1, lever.shape[1]):
+            levers[s, order] *= MOTION_RATE**order
     for i in range(len(noise)):
         for j in range(i + 1):
             shared = 0.0
             for k in range(N_FREE):
-                shared += prior[k // 3] ** 2 * design[i, k] * design[j, k]
-            levers = 0.0
-            for order in range(lever.shape[1]):
-                product = lever[i // 2, order] * lever[j // 2, order]
-                levers += MOTION_RATE ** (2 * order) * product
-            shared *= levers
+                shared += moved[i, k] * moved[j, k]
+            shared *= dot(levers[i // 2], levers[j // 2])
             acceleration[i, j] = acceleration[j, i] = shared
     count = len(rows)
     kept, root = np.empty((count, count)), np.empty((count, count))
@@ -238,15 +239,15 @@ def spot_covariance(
 @compiled
 def pose_information(design: Array, weight: Array, weighted: Array, information: Array) -> None:
     """Fill in what the spots weigh in the pose (6, 2 s), and its information (6, 6)."""
-    information[:] = 0.0
+    information[:], weighted[:] = 0.0, 0.0
+    for row in range(len(design)):
+        for i in range(N_FREE):
+            for column in range(len(design)):
+                weighted[i, column] += design[row, i] * weight[row, column]
     for i in range(N_FREE):
         for column in range(len(design)):
-            total = 0.0
-            for row in range(len(design)):
-                total += design[row, i] * weight[row, column]
-            weighted[i, column] = total
             for j in range(N_FREE):
-                information[i, j] += total * design[column, j]
+                information[i, j] += weighted[i, column] * design[column, j]
 
 
 @compiled
@@ -264,6 +265,7 @@ def fit_spots(
     Array,
     tuple[float, float],
     Array,
+    tuple[Array, Array, Array, float],
 ]:
     """Fit a pose (4, 4), rig_T_flange, to s spots by Gauss-Newton; it is changed.
 
@@ -276,7 +278,8 @@ def fit_spots(
         (s, 2, 6), before the last step; those of `spot_covariance`, (2 s, 2 s) each; the gain
         (6, 2 s), d pose / d spot, 0 for spots that do not count; the directions of `covariance_of`,
         (6, 6) and (6,); the twist (6,), m/s and rad/s; the acceleration assumed, a component, m/s²
-        and rad/s²; the image acceleration of that twist, corrected for, (s, 2), px/s².
+        and rad/s²; the image acceleration of that twist, corrected for, (s, 2), px/s²; what
+        `fit_covariances` gives.
     """
     count, lever = len(centre), spots[2]
     residual, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
@@ -316,47 +319,95 @@ def fit_spots(
         move_pose(pose, step)
         if largest < TOL_STEP:
             break
-    motion = twist, prior, curvature
+    motion = twist, prior, curvature, fit_covariances(off, spread, gain)
     return (residual, by_point, by_pose), spread, gain, (directions, known), *motion
 
 
 @compiled
-def worst_spot(
+def fit_covariances(
+    off: Array, spread: tuple[Array, Array, Array], gain: Array
+) -> tuple[Array, Array, Array, float]:
+    """Give the pose's covariances (6, 6), spots' uncertainty (s,), px, and the residuals' chi².
+
+    Of the pose by the pixels' noise and by motion that is not known; of a spot in a coordinate by
+    both. `off` (2 s,), px; `spread` and `gain` are those of `fit_spots`.
+    """
+    noise, acceleration, weight = spread
+    pixels, alignment = np.zeros((N_FREE, N_FREE)), np.zeros((N_FREE, N_FREE))
+    uncertainty, chi2, half = np.empty(len(off) // 2), 0.0, np.empty(len(off))
+    for source, covariance in ((noise, pixels), (acceleration, alignment)):
+        for i in range(N_FREE):
+            half[:] = 0.0
+            for row in range(len(off)):
+                for column in range(len(off)):
+                    half[column] += gain[i, row] * source[row, column]
+            for j in range(N_FREE):
+                for column in range(len(off)):
+                    covariance[i, j] += half[column] * gain[j, column]
+    for row in range(len(off)):
+        for column in range(len(off)):
+            chi2 += off[row] * weight[row, column] * off[column]
+    for s in range(len(uncertainty)):
+        a, b = 2 * s, 2 * s + 1
+        variance = noise[a, a] + acceleration[a, a] + noise[b, b] + acceleration[b, b]
+        uncertainty[s] = math.sqrt(variance / 2.0)
+    return pixels, alignment, uncertainty, chi2
+
+
+@compiled
+def judge_fit(
     predicted: tuple[Array, Array, Array],
     spread: tuple[Array, Array, Array],
     gain: Array,
     rows: NDArray[np.int64],
     tolerance: Array,
-) -> tuple[int, float]:
-    """Find the kept spot that fits worst, and its residual in its own uncertainty, squared.
+    chi2: tuple[float, float],
+) -> tuple[int, float, bool]:
+    """Find the kept spot that fits worst, and say whether the kept ones agree as a whole.
 
     `predicted`, `spread` and `gain` (6, 2 s) are those of `fit_spots`; `rows` (2 k,), those of the
-    kept spots; `tolerance` (2 s, 2 s), px²: what spots may be off beside their noise.
+    kept spots; `tolerance` (2 s, 2 s), px²: what spots may be off beside their noise; `chi2`: that
+    of the residuals, and the greatest that noise, motion and tolerance reach.
+
+    Returns:
+        The worst spot; its residual in its own uncertainty, squared; whether they agree.
     """
     residual, _, by_pose = predicted
-    noise, acceleration, _ = spread
-    design = by_pose.reshape(-1, N_FREE)
-    hat, block = np.empty((2, len(design))), np.empty((2, 2))
+    design, count = by_pose.reshape(-1, N_FREE), len(rows)
+    total, root, off = np.empty((count, count)), np.empty((count, count)), np.empty(count)
+    for i in range(count):
+        off[i] = residual[rows[i] // 2, rows[i] % 2]
+        for j in range(count):
+            a, b = rows[i], rows[j]
+            total[i, j] = spread[0][a, b] + spread[1][a, b] + tolerance[a, b]
+    hat, half, block = np.empty((2, count)), np.empty((2, count)), np.empty((2, 2))
     worst, most = 0, -math.inf
-    for row in rows[::2]:
-        s = row // 2
+    for first in range(0, count, 2):
+        block[:], half[:] = 0.0, 0.0
         for axis in range(2):
-            for column in rows:
-                left = 1.0 if column == 2 * s + axis else 0.0
+            for i in range(count):
+                hat[axis, i] = 1.0 if i == first + axis else 0.0
                 for k in range(N_FREE):
-                    left -= design[2 * s + axis, k] * gain[k, column]
-                hat[axis, column] = left
-        block[:] = 0.0
-        for i in rows:
-            for j in rows:
-                total = noise[i, j] + acceleration[i, j] + tolerance[i, j]
-                for axis in range(2):
-                    block[axis, 0] += hat[axis, i] * total * hat[0, j]
-                    block[axis, 1] += hat[axis, i] * total * hat[1, j]
+                    hat[axis, i] -= design[rows[first + axis], k] * gain[k, rows[i]]
+            for i in range(count):
+                for j in range(count):
+                    half[axis, j] += hat[axis, i] * total[i, j]
+        for i in range(count):
+            for axis in range(2):
+                block[axis, 0] += half[axis, i] * hat[0, i]
+                block[axis, 1] += half[axis, i] * hat[1, i]
         a, d = block[0, 0] + MIN_VARIANCE, block[1, 1] + MIN_VARIANCE
-        x, y = residual[s, 0], residual[s, 1]
+        x, y = off[first], off[first + 1]
         across = (block[0, 1] + block[1, 0]) * x * y
         size = (d * x * x - across + a * y * y) / (a * d - block[0, 1] * block[1, 0])
         if size > most:
-            worst, most = s, size
-    return worst, most
+            worst, most = rows[first] // 2, size
+    own, most_chi2 = chi2
+    if not own < most_chi2:
+        solved = off.copy()
+        factor(total, 0.0, root)
+        solve(root, solved)
+        own = 0.0
+        for i in range(count):
+            own += off[i] * solved[i]
+    return worst, most, own < most_chi2
