@@ -46,18 +46,6 @@ def profile_table() -> Array:
     return np.stack([value, value_step, slope, slope_step])
 
 
-def spot_light(parameters: Array, place: Array) -> Array:
-    """Light of a spot (10,) as in fit.py at p places, (2, p) of its scale from its centre: DN."""
-    _, _, peak, _, _, _, xx, xy, yy, steepness = parameters
-    u, w = place
-    t = np.sqrt(np.maximum(xx * u * u + 2 * xy * u * w + yy * w * w, 0.0))
-    row = np.clip((steepness - MIN_LOG_STEEPNESS) / ROW_STEP, 0.0, N_STEEPNESS_ROWS - 1.001)
-    value, step = profile_table()[:2, int(row)]
-    samples = RADIUS_STEP * np.arange(len(value))
-    light: Array = peak * np.interp(t, samples, value + (row - int(row)) * step)
-    return light
-
-
 def blurred_disc(r: Array, ratio: float) -> Array:
     """Uniform disc of radius `ratio` convolved with a unit Gaussian, at radius r, 1 at the centre.
 

@@ -6,12 +6,15 @@ import pytest
 from scipy.ndimage import gaussian_filter
 
 from tests.support.leds.images import Sensor, Spot, centre_bound, picture, scattered
-from verify.core.records import Array, Noise, Spots
+from verify.core.records import Array, Spots
 from verify.errors import InputError
-from verify.measurement.detection.candidates import LocatedPatches, disc_offsets
-from verify.measurement.detection.detect import assess_spots, detect
-from verify.measurement.detection.fit import Patches, fit_spots
-from verify.measurement.detection.kernels.quality import COL_SOUND
+from verify.measurement.detection.detect import detect
+from verify.measurement.detection.kernels.fit import fit_from_start
+from verify.measurement.detection.kernels.patches import Picture, cut_patches, rows_of
+from verify.measurement.detection.kernels.pixels import ROW_VALID
+from verify.measurement.detection.kernels.quality import COL_SOUND, assess_all
+from verify.measurement.detection.kernels.start import expect_spot
+from verify.measurement.detection.profile import profile_table
 
 DISC = Spot(210, 0.6, radius=4.2)
 CASES = {  # spot, black level and floor, DN
@@ -212,10 +215,9 @@ def test_what_is_not_an_8_bit_picture_is_refused() -> None:
 
 
 def test_a_patch_without_a_single_pixel_that_counts_is_no_spot_and_no_crash() -> None:
-    column, row = (axis[0].astype(float) for axis in disc_offsets(8))
-    nothing = np.zeros_like(column)
-    pixels = np.stack([nothing, nothing, column, row])[None]
-    one = np.ones(1)
-    patches = Patches(pixels, 4.0 * one, one, one, Noise(1.5, 0.03, 0.0))
-    cut = LocatedPatches(patches, np.array([[100, 100]]), np.zeros((1, 3)))
-    assert not assess_spots([(cut, fit_spots(patches))], (200, 200))[:, COL_SOUND].any()
+    picture = Picture(np.zeros(200 * 200, np.uint8), 200, 200, 1)
+    fits = cut_patches(picture, np.array([[100.0, 100.0, 4.0, 20.0]]), False)
+    rows_of(fits, 0)[ROW_VALID] = 0.0
+    expect_spot(fits, 0, 1.5)
+    fit_from_start(fits, 0, np.array([1.5**2, 0.03, 0.0]), profile_table())
+    assert not assess_all(fits, 200, 200, 0.0)[:, COL_SOUND].any()

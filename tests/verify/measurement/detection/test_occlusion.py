@@ -9,7 +9,7 @@ from scipy.stats import norm
 from tests.support.leds.images import REACH, Sensor, Spot, centre_bound, scattered
 from verify.core.records import Array, Image, Spots
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.occlusion import PRIOR_DEPTH, depth_posterior
+from verify.measurement.detection.kernels.occlusion import PRIOR_DEPTH, depth_posterior
 
 BLUR, RADIUS, PEAK, FLOOR = 0.6, 4.2, 210.0, 6.0
 FINE = 8  # sub-pixels a side
@@ -116,16 +116,15 @@ def test_bitten_reflections_beside_them_do_not_move_whole_leds() -> None:
 
 
 def test_the_depth_of_a_bite_is_its_posterior_mean() -> None:
-    gradient, information = np.array([-700.0, 0.0, 300.0, 1500.0]), np.full(4, 1.5e4)
-    evidence, mean, square = depth_posterior(gradient[None], information[None])
-    for k, g in enumerate(gradient):
+    for gradient in (-700.0, 0.0, 300.0, 1500.0):
+        evidence, mean, square = depth_posterior(gradient, 1.5e4)
 
-        def moment(power: int, g: float = g) -> float:
+        def moment(power: int, g: float = gradient) -> float:
             return quad(
                 lambda b: 2 * b**power * norm.pdf(b, 0, PRIOR_DEPTH) * np.exp(g*b - 0.75e4 * b*b),
                 0, 1, points=[0.01, 0.05, 0.1, 0.2], limit=200,
             )[0]  # fmt: skip
 
-        assert evidence[0, k] == pytest.approx(np.log(moment(0)), abs=1e-6)
-        assert mean[0, k] == pytest.approx(moment(1) / moment(0), rel=1e-6)
-        assert square[0, k] == pytest.approx(moment(2) / moment(0), rel=1e-6)
+        assert evidence == pytest.approx(np.log(moment(0)), abs=1e-6)
+        assert mean == pytest.approx(moment(1) / moment(0), rel=1e-6)
+        assert square == pytest.approx(moment(2) / moment(0), rel=1e-6)

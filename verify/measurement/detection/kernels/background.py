@@ -1,66 +1,97 @@
-"""Sums over the pixels of spots that show how the room behind them is curved, and what it moves.
+"""Correct spots for the room that a bright camera shows behind them, and widen them by the rest.
 
-Symbols as in background.py: with D the derivatives by a spot's parameters, r its residuals and B
-those by the curvature, all over the pixels' sigmas, A the information on the parameters,
+Model: to a spot's plane, polynomials of second and third order are added,
 
-    S = B'B - B'D A⁻¹ D'B,   h = B'r - B'D A⁻¹ D'r
+    background = plane + c · b(u, w),   b = (u², u w, w², u³, u² w, u w², w³),   c ~ N(0, s²)
+
+with (u, w) the pixel's place from the spot's centre over the patch's radius. With D the derivatives
+by the spot's parameters, r the residuals and B those by c, all over the pixels' sigmas, A the
+information on the parameters,
+
+    S = B'B - B'D A⁻¹ D'B,   h = B'r - B'D A⁻¹ D'r,   c = (S + s⁻²)⁻¹ h,   centre += pull c
+
+    symbol  meaning                                                                 unit
+    s       curvature of the room over a patch, one for all spots of a picture      DN
+    S, h    information and gradient of c, the spot's parameters following          DN^-2, DN^-1
+    pull    -A⁻¹ D'B, the rows of x and y                                           px/DN
+
+s is averaged over AMPLITUDES by their evidence, the sum of (h c - ln |1 + s² S|) / 2. What is finer
+than that is measured: the correction and the fit together are linear in the pixels, so the same
+weights on N_AROUND patches of the room beside each spot show how far it would move a centre. Their
+median square over what noise and curvature explain, of all spots of a picture, adds the excess; a
+spot's own mean square does where it is MAX_OWN times that.
+Where the room is below black there is nothing of it.
 """
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.jit import compiled, compiled_sums
-from verify.core.kernels.linear_algebra import factor, solve_each
-from verify.core.records import Array, Image
+from verify.core.kernels.linear_algebra import factor, median, solve_each
+from verify.core.records import Array
 from verify.measurement.detection.kernels.fit import MIN_INFORMATION, multiply_rows
+from verify.measurement.detection.kernels.patches import (
+    PATCH_REACH,
+    Fits,
+    Index,
+    Picture,
+    channel_weights,
+    rows_of,
+)
 from verify.measurement.detection.kernels.pixels import (
     N_PARAMETERS,
     NEIGHBOUR_RADIUS,
     PAR_FLOOR,
     PAR_X,
     PAR_Y,
+    ROW_COLUMN,
     ROW_RADIUS2,
     ROW_RESIDUAL,
+    ROW_ROW,
     ROW_USED,
     ROW_VARIANCE,
     ROW_VISIBLE,
 )
+from verify.measurement.detection.kernels.quality import COL_MERGED
 
 N_TERMS = 7
 N_RIGHT = N_TERMS + 1  # residuals and terms; a multiple of four
 MIN_VISIBLE = 0.5  # share of the noise about a spot that clipping must leave: above black
-Index = NDArray[np.int64]
-Sums = tuple[Array, Array, Array, Array, Array]  # as `sum_curvature` gives them
+AMPLITUDES: Array = 0.1 * np.exp2(np.arange(9))  # DN, beside none at all
+N_AMPLITUDES = len(AMPLITUDES)
+N_AROUND = 8  # patches of the room about each spot, two radii away
+_ANGLES = 2 * np.pi / N_AROUND * np.arange(N_AROUND)
+DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+MIN_AROUND = 12  # responses, two a patch, of all spots of a picture: fewer show nothing
+MAX_OWN = 3.0  # of the picture's: a spot's own surroundings move it more than chance
+MEDIAN_CHI2 = 0.4549  # of chi² with one degree of freedom
 
 
 @compiled
-def surroundings_noise(model: Array) -> float:
-    """Mean variance, DN², of a spot's pixels that show the room alone; 0 if it is below black.
-
-    `model` (10, p), of the spot's pixels.
-    """
+def surroundings_noise(rows: Array) -> float:
+    """Mean variance, DN², of a spot's pixels that show the room alone; 0 if it is below black."""
     visible, variance, count = 0.0, 0.0, 0
-    for k in range(model.shape[1]):
-        if model[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2 and model[ROW_USED, k] > 0.0:
-            visible += model[ROW_VISIBLE, k]
-            variance += model[ROW_VARIANCE, k]
+    for k in range(rows.shape[1]):
+        if rows[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2 and rows[ROW_USED, k] > 0.0:
+            visible += rows[ROW_VISIBLE, k]
+            variance += rows[ROW_VARIANCE, k]
             count += 1
     return variance / count if visible > MIN_VISIBLE * max(count, 1) else 0.0
 
 
 @compiled
-def fill_right(x: float, y: float, pixels: Array, whitened: Array, right: Array) -> None:
+def fill_right(x: float, y: float, rows: Array, right: Array) -> None:
     """Fill in `right` (8, p): a spot's residuals, and the derivatives by the curvature's terms.
 
-    `x`, `y`: the spot's centre, px from the patch's; `pixels` (4, p) and `whitened` (11, p).
+    `x`, `y`: the spot's centre, px from the patch's.
     """
-    scale = -1.0 / pixels[3, 0]  # the topmost pixel comes first
-    for k in range(pixels.shape[1]):
-        u, w, floor = (pixels[2, k] - x) * scale, (pixels[3, k] - y) * scale, whitened[PAR_FLOOR, k]
+    scale = -1.0 / rows[ROW_ROW, 0]  # the topmost pixel comes first
+    for k in range(rows.shape[1]):
+        u, w = (rows[ROW_COLUMN, k] - x) * scale, (rows[ROW_ROW, k] - y) * scale
+        floor = rows[PAR_FLOOR, k]
         uu, ww = floor * u * u, floor * w * w
-        right[0, k], right[1, k] = whitened[ROW_RESIDUAL, k], uu
+        right[0, k], right[1, k] = rows[ROW_RESIDUAL, k], uu
         right[2, k], right[3, k] = floor * u * w, ww
         right[4, k], right[5, k] = uu * u, uu * w
         right[6, k], right[7, k] = ww * u, ww * w
@@ -68,69 +99,44 @@ def fill_right(x: float, y: float, pixels: Array, whitened: Array, right: Array)
 
 @compiled
 def sum_curvature(
-    spots: Index,
-    parameters: Array,
-    information: Array,
-    pixels: Array,
-    model: Array,
-    whitened: Array,
-    amplitudes: Array,
-) -> tuple[Sums, Array]:
-    """Sum up what m spots of a batch show of the room, and how likely curvature makes it.
+    fits: Fits, n: int, right: Array, follow: Array, solved: Array, evidence: Array
+) -> bool:
+    """Sum up what a spot shows of the room, and how likely curvature makes it.
 
-    `spots` (m,), of the batch; its `parameters` (n, 10), `information` (n, 10, 10), `pixels`
-    (n, 4, p), `model` (n, 10, p) and `whitened` (n, 11, p). `amplitudes` (k,), DN, rising.
-
-    Gives `noise` (m,), DN², of a pixel of the room, 0 where that does not show: all else is void;
-    `right` (m, 8, p), as by `fill_right`; `follow` (m, 10, 8), how the parameters follow r and B;
-    `inverse` (m, 10, 2), A⁻¹, its columns of x and y; `solved` (m, k, 8, 3): (S + s⁻²)⁻¹ times h
-    and the pull, from the second row on. And the log-likelihood ratio of curvature of each
-    amplitude to none, (k,).
+    `right` (8, p), as by `fill_right`. Filled: `follow` (10, 10): how the parameters follow r and
+    B, and the columns of x and y of A⁻¹; `solved` (9, 8, 3): (S + s⁻²)⁻¹ times h and the pull, from
+    the second row on. `evidence` (9,): log-likelihood ratio of curvature of each amplitude to none,
+    added to. False, and nothing added, where rounding leaves no S.
     """
-    count, size, k = len(spots), pixels.shape[2], len(amplitudes)
-    noise, right, evidence = np.zeros(count), np.empty((count, N_RIGHT, size)), np.zeros(k)
-    follow, inverse = np.empty((count, N_PARAMETERS, N_RIGHT)), np.empty((count, N_PARAMETERS, 2))
-    solved = np.empty((count, k, N_RIGHT, 3))
+    rows, left = rows_of(fits, n), np.empty((N_RIGHT, N_RIGHT))
     root, products = np.empty((N_PARAMETERS, N_PARAMETERS)), np.empty((N_PARAMETERS, N_RIGHT))
-    left = np.empty((N_RIGHT, N_RIGHT))
-    for m in range(count):
-        n = spots[m]
-        noise[m] = surroundings_noise(model[n])
-        if noise[m] == 0.0:
-            continue
-        fill_right(parameters[n, 0], parameters[n, 1], pixels[n], whitened[n], right[m])
-        multiply_rows(whitened[n, :N_PARAMETERS], right[m], products)
-        multiply_rows(right[m], right[m], left)
-        factor(information[n], -MIN_INFORMATION, root)
-        for a in range(N_PARAMETERS):
-            for b in range(N_RIGHT):
-                follow[m, a, b] = products[a, b]
-            for b in range(2):
-                inverse[m, a, b] = 1.0 if a == b else 0.0
-        solve_each(root, follow[m])
-        solve_each(root, inverse[m])
-        for a in range(N_PARAMETERS):
-            for b in range(N_RIGHT):
-                for c in range(N_RIGHT):
-                    left[b, c] -= products[a, b] * follow[m, a, c]
-        if not solve_amplitudes(left, follow[m], amplitudes, solved[m], evidence):
-            noise[m] = 0.0
-    return (noise, right, follow, inverse, solved), evidence
+    multiply_rows(rows[:N_PARAMETERS], right, products)
+    multiply_rows(right, right, left)
+    factor(fits.information[n], -MIN_INFORMATION, root)
+    for a in range(N_PARAMETERS):
+        for b in range(N_RIGHT):
+            follow[a, b] = products[a, b]
+        for b in range(2):
+            follow[a, N_RIGHT + b] = 1.0 if a == b else 0.0
+    solve_each(root, follow)
+    for a in range(N_PARAMETERS):
+        for b in range(N_RIGHT):
+            for c in range(N_RIGHT):
+                left[b, c] -= products[a, b] * follow[a, c]
+    return solve_amplitudes(left, follow, solved, evidence)
 
 
 @compiled
-def solve_amplitudes(
-    left: Array, follow: Array, amplitudes: Array, solved: Array, evidence: Array
-) -> bool:
-    """Fill in what a spot's curvature is at each of k amplitudes, DN, and add to their evidence.
+def solve_amplitudes(left: Array, follow: Array, solved: Array, evidence: Array) -> bool:
+    """Fill in what a spot's curvature is at each amplitude, and add to their evidence.
 
     `left` (8, 8), r and B with themselves, the spot's parameters following: h and S are in it;
     others as `sum_curvature` gives them. False, and nothing added, where rounding leaves no S: of a
     spot far over the limit, which hardly determines its own parameters.
     """
     root = np.empty((N_TERMS, N_TERMS))
-    for k in range(len(amplitudes) - 1, -1, -1):  # the largest has the least prior
-        if not factor(left[1:, 1:], -1.0 / amplitudes[k] ** 2, root):
+    for k in range(N_AMPLITUDES - 1, -1, -1):  # the largest has the least prior
+        if not factor(left[1:, 1:], -1.0 / AMPLITUDES[k] ** 2, root):
             return False
         for c in range(1, N_RIGHT):
             solved[k, c, 0] = left[c, 0]
@@ -138,7 +144,7 @@ def solve_amplitudes(
         solve_each(root, solved[k, 1:])
         for c in range(N_TERMS):
             evidence[k] += 0.5 * solved[k, 1 + c, 0] * left[1 + c, 0]
-            evidence[k] -= math.log(amplitudes[k] * root[c, c])
+            evidence[k] -= math.log(AMPLITUDES[k] * root[c, c])
     return True
 
 
@@ -152,11 +158,11 @@ def add_rows(factors: Array, rows: Array, total: Array) -> None:
 
 
 @compiled_sums
-def weigh_rows(model: Array, weight: Array, added: Array) -> tuple[float, float]:
+def weigh_rows(rows: Array, weight: Array, added: Array) -> tuple[float, float]:
     """Add to `weight` (2, p), both over the pixels' sigmas; give its sums of squares before."""
     first, second = 0.0, 0.0
     for k in range(weight.shape[1]):
-        scale = math.sqrt(model[ROW_USED, k] / model[ROW_VARIANCE, k])
+        scale = math.sqrt(rows[ROW_USED, k] / rows[ROW_VARIANCE, k])
         one, other = weight[0, k] * scale, weight[1, k] * scale
         first += one * one
         second += other * other
@@ -166,19 +172,18 @@ def weigh_rows(model: Array, weight: Array, added: Array) -> tuple[float, float]
 
 @compiled_sums
 def weigh_room(
-    values: Image, channels: Array, begin: int, place: Index, weight: Array
+    picture: Picture, channels: Array, begin: int, place: Index, weight: Array
 ) -> tuple[float, float]:
     """Sums of p pixels, less their mean, with each of two weights (2, p).
 
-    `values` (v,), DN, of a picture, `channels` (c,) of which make a pixel, weighted so; `begin`
-    plus `place` (p,): where each one's are.
+    `channels` (c,): their weights in a pixel; `begin` plus `place` (p,): where each one's are.
     """
     mean, first, second, first_all, second_all = 0.0, 0.0, 0.0, 0.0, 0.0
     for k in range(len(place)):
         at = begin + place[k]
-        value = channels[0] * values[at]
-        for c in range(1, len(channels)):
-            value += channels[c] * values[at + c]
+        value = channels[0] * picture.values[at]
+        for c in range(1, picture.channels):
+            value += channels[c] * picture.values[at + c]
         mean += value
         first += value * weight[0, k]
         second += value * weight[1, k]
@@ -189,61 +194,120 @@ def weigh_room(
 
 
 @compiled
-def correct_centres(
-    values: Image,
-    size: tuple[int, int],
-    channels: Array,
-    lights: tuple[Array, Array],
-    directions: Array,
-    spots: Index,
-    fit: tuple[Index, Array, Array, Array],
-    share: Array,
-    sums: Sums,
-) -> tuple[Array, Array, Array]:
-    """Correct m spots' centres, and apply their weights to the room beside them.
+def look_around(
+    picture: Picture, lights: Array, fits: Fits, n: int, weight: Array, moved: Array
+) -> None:
+    """Say what patches of the room beside a spot would move its centre by, `moved` (8, 2), px.
 
-    `values` (h w c,), DN, of a picture, `size` its width and height; `channels` (n, c), the
-    channels' weights; `lights` (l, 2) and (l,), px: place and reach of all lights; `directions`
-    (d, 2), unit vectors, of the patches two radii away from a spot. `spots` (m,), of the batch; of
-    that `fit`: centre pixels (n, 2), px, `pixels` (n, 4, p), `model` (n, 10, p), `whitened` (n, 11,
-    p). `share` (k,): probability of each amplitude; `sums` as by `sum_curvature`.
-
-    Gives shift and covariance, (m, 2, 3): px, px²; what noise and curvature explain of it, (m, 2)
-    px²; what patches of the room would move a centre by, (m, d, 2) px, nan where one is beyond the
-    picture or reached by a light.
+    `lights` (l, 4): place and half width of all lights, px; `weight` (2, p), of the pixels. nan
+    where a patch is beyond the picture or reached by a light.
     """
-    (width, height), colours, count = size, channels.shape[1], fit[1].shape[2]
-    noise, right, follow, inverse, solved = sums
-    moved, explained = np.full((len(spots), len(directions), 2), np.nan), np.zeros((len(spots), 2))
-    moments, place = np.zeros((len(spots), 2, 3)), np.empty(count, np.int64)
+    rows, channels = rows_of(fits, n), np.ones(3)
+    if picture.channels > 1:
+        channel_weights(fits.colour[n], channels)
+    radius, place = -int(rows[ROW_ROW, 0]), np.empty(rows.shape[1], np.int64)
+    for k in range(len(place)):
+        offset = picture.width * int(rows[ROW_ROW, k]) + int(rows[ROW_COLUMN, k])
+        place[k] = picture.channels * offset
+    for side in range(N_AROUND):
+        x = fits.origin[n, 0] + math.floor(2.0 * radius * DIRECTIONS[side, 0] + 0.5)
+        y = fits.origin[n, 1] + math.floor(2.0 * radius * DIRECTIONS[side, 1] + 0.5)
+        clear = radius <= x < picture.width - radius and radius <= y < picture.height - radius
+        for light in lights:
+            reach = radius + PATCH_REACH * light[2]
+            clear = clear and math.hypot(x - light[0], y - light[1]) > reach
+        moved[side, 0] = moved[side, 1] = math.nan
+        if clear:
+            begin = picture.channels * (picture.width * y + x)
+            moved[side, 0], moved[side, 1] = weigh_room(picture, channels, begin, place, weight)
+
+
+@compiled
+def correct_for_room(
+    picture: Picture, lights: Array, fits: Fits, kept: Index, assessed: Array, moments: Array
+) -> None:
+    """Correct m spots of a picture for the room behind them.
+
+    `lights` (l, 4): place and half width of all lights, px, which are no part of the room; `kept`
+    (m,), of the fits; `assessed` (m, 16), theirs. `moments` (m, 2, 3): shift, px, and covariance,
+    px², are added.
+    """
+    count, evidence, share = len(kept), np.zeros(N_AMPLITUDES), np.empty(N_AMPLITUDES)
+    noise, own = np.zeros(count), np.zeros((count, 2, 3))
+    follow = np.empty((count, N_PARAMETERS, N_RIGHT + 2))
+    solved = np.empty((count, N_AMPLITUDES, N_RIGHT, 3))
+    moved, explained = np.empty((count, N_AROUND, 2)), np.zeros((count, 2))
+    for m in range(count):
+        n = kept[m]
+        if assessed[m, COL_MERGED] == 0.0:
+            noise[m] = surroundings_noise(rows_of(fits, n))
+        if noise[m] > 0.0:
+            right = np.empty((N_RIGHT, fits.begin[n + 1] - fits.begin[n]))
+            fill_right(
+                fits.parameters[n, PAR_X], fits.parameters[n, PAR_Y], rows_of(fits, n), right
+            )
+            if not sum_curvature(fits, n, right, follow[m], solved[m], evidence):
+                noise[m] = 0.0
+    share_out(evidence, share)
     reach, factors = np.empty((N_RIGHT, 2)), np.empty((N_PARAMETERS, 2))
-    for m in range(len(spots)):
+    for m in range(count):
         if noise[m] == 0.0:
             continue
-        n, radius = spots[m], -int(fit[1][spots[m], 3, 0])
-        average_correction(follow[m], solved[m], share, reach, factors, moments[m])
-        weight, added = np.zeros((2, count)), np.zeros((2, count))
-        add_rows(inverse[m], fit[3][n], weight)
-        add_rows(factors, fit[3][n], added)
-        add_rows(reach, right[m], added)
-        first, second = weigh_rows(fit[2][n], weight, added)
-        explained[m, 0] = first * noise[m] + moments[m, 0, 1]
-        explained[m, 1] = second * noise[m] + moments[m, 1, 2]
-        for k in range(count):
-            place[k] = colours * (width * int(fit[1][n, 3, k]) + int(fit[1][n, 2, k]))
-        for side in range(len(directions)):
-            x = fit[0][n, 0] + math.floor(2.0 * radius * directions[side, 0] + 0.5)
-            y = fit[0][n, 1] + math.floor(2.0 * radius * directions[side, 1] + 0.5)
-            clear = radius <= x < width - radius and radius <= y < height - radius
-            for light in range(len(lights[1])):
-                off = math.hypot(x - lights[0][light, 0], y - lights[0][light, 1])
-                clear = clear and off > radius + lights[1][light]
-            if clear:
-                begin = colours * (width * y + x)
-                moved[m, side, 0], moved[m, side, 1] = weigh_room(
-                    values, channels[n], begin, place, weight
-                )
-    return moments, explained, moved
+        n, rows = kept[m], rows_of(fits, kept[m])
+        average_correction(follow[m], solved[m], share, reach, factors, own[m])
+        right = np.empty((N_RIGHT, rows.shape[1]))
+        weight, added = np.zeros((2, rows.shape[1])), np.zeros((2, rows.shape[1]))
+        fill_right(fits.parameters[n, PAR_X], fits.parameters[n, PAR_Y], rows, right)
+        add_rows(follow[m, :, N_RIGHT:].copy(), rows, weight)
+        add_rows(factors, rows, added)
+        add_rows(reach, right, added)
+        first, second = weigh_rows(rows, weight, added)
+        explained[m, 0] = first * noise[m] + own[m, 0, 1]
+        explained[m, 1] = second * noise[m] + own[m, 1, 2]
+        look_around(picture, lights, fits, n, weight, moved[m])
+    add_excess(moved, explained, own)
+    for m in range(count):
+        for i in range(2):
+            for j in range(3):
+                moments[m, i, j] += own[m, i, j]
+
+
+@compiled
+def share_out(evidence: Array, share: Array) -> None:
+    """Fill in the probability of each amplitude by its evidence; the rest is that of none."""
+    highest, total = 0.0, 0.0
+    for k in range(N_AMPLITUDES):
+        highest = max(highest, evidence[k])
+    for k in range(N_AMPLITUDES):
+        share[k] = math.exp(evidence[k] - highest)
+        total += share[k]
+    for k in range(N_AMPLITUDES):
+        share[k] /= total + math.exp(-highest)
+
+
+@compiled
+def add_excess(moved: Array, explained: Array, moments: Array) -> None:
+    """Widen the covariances of m spots by what the room beside them moves beyond what is explained.
+
+    `moved` (m, 8, 2), px; `explained` (m, 2), px², of their squares, 0 of spots left alone.
+    """
+    ratio, own, pooled = np.empty(moved.size), np.zeros(len(moved)), 0
+    for m in range(len(moved)):
+        before = pooled
+        for side in range(N_AROUND):
+            for i in range(2):
+                one = moved[m, side, i] ** 2 / explained[m, i]
+                if explained[m, i] > 0.0 and one >= 0.0:
+                    ratio[pooled], own[m] = one, own[m] + one
+                    pooled += 1
+        own[m] /= max(pooled - before, 1)
+    if pooled < MIN_AROUND:
+        return
+    usual = max(median(ratio[:pooled]) / MEDIAN_CHI2, 1.0)
+    for m in range(len(moved)):
+        excess = (own[m] if own[m] > MAX_OWN * usual else usual) - 1.0
+        for i in range(2):
+            moments[m, i, 1 + i] += excess * explained[m, i]
 
 
 @compiled
@@ -252,7 +316,7 @@ def average_correction(
 ) -> None:
     """Average a spot's correction over k amplitudes, each with its `share` (k,).
 
-    `follow` (10, 8) and `solved` (k, 8, 3) as by `sum_curvature`. Filled: `reach` (8, 2) and
+    `follow` (10, 10) and `solved` (k, 8, 3) as by `sum_curvature`. Filled: `reach` (8, 2) and
     `factors` (10, 2), px, by which the shift follows r and B, and D; `moments` (2, 3): the shift,
     px, and its covariance, px².
     """

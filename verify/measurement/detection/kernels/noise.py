@@ -1,8 +1,17 @@
-"""Sum up the noise of an image over its pixels, and regress it on the signal.
+"""Estimate an image's noise from its background and from the residuals of its spots.
+
+Model of a pixel's variance, s being the signal above black:
+
+    var(s) = read² + gain s,   DN²
+
+    symbol  meaning                                             unit
+    read    standard deviation in the dark, with quantisation   DN
+    gain    shot noise: variance a unit of signal               DN
+    black   level at which the signal is zero                   DN
 
 Of five pixels a to e of a row a local cubic leaves the fourth difference a - 4 b + 6 c - 4 d + e,
 whose variance is 70 times a pixel's; within classes of brightness its median bounds what belongs
-to the background. On the spots, squared residuals follow
+to the background, and the quietest class shows read. On the spots, squared residuals follow
 
     E[r²] = dark + gain signal, weighed by 1 / (2 (dark + gain signal)²)
 """
@@ -14,16 +23,25 @@ from numpy.typing import NDArray
 
 from verify.core.jit import compiled
 from verify.core.records import Array, Image
-from verify.measurement.detection.kernels.fit import MIN_NOISE_SHARE
+from verify.measurement.detection.kernels.patches import Fits, Picture, rows_of
 from verify.measurement.detection.kernels.pixels import (
     QUANTISATION,
     ROW_CORE,
     ROW_MEAN,
     ROW_SIGNAL,
     ROW_USED,
+    ROW_VALUE,
     ROW_VISIBLE,
 )
-from verify.measurement.detection.kernels.quality import N_FITTED
+from verify.measurement.detection.kernels.quality import (
+    COL_COUNT,
+    COL_ELONGATION,
+    COL_PEAK,
+    COL_SOUND,
+    MIN_NOISE_SHARE,
+    N_FITTED,
+    first_by,
+)
 
 # levels are whole thirty-fifths, differences whole: both can be counted
 LEVEL_PARTS, LOWEST_LEVEL, N_LEVELS = 35, 6 * 255, 50 * 255 + 1  # a level in parts of one DN
@@ -47,6 +65,12 @@ INDEPENDENT_SHARE = 0.5  # share of independent information: neighbouring stenci
 TYPICAL_GAIN = 1 / 35  # DN, 9,000 electrons over 255 DN: a usual small pixel
 MIN_GAIN = 1e-4  # DN, 2.5 million electrons: no sensor holds more
 MAX_GAIN = 0.2  # DN, 1,300 electrons: above, it is the shape that does not fit
+N_SAMPLE_ROWS = 24  # rows sampled
+N_SAMPLE = 10_000  # pixels of them at least: read noise to 2 %, a fifth of TEXTURE_SHARE
+TYPICAL_READ = 1.5  # DN, where no unclipped dark pixel shows it
+TEXTURE_SHARE = 0.1  # relative: what unseen texture may add to the dark variance
+TYPICAL_SPREAD = 1.0  # relative, how far a sensor may be from typical
+MAX_NOISE_SPOTS = 8  # spots whose residuals show the noise, brightest first: then come glints
 MAX_MISFIT_RATIO = 1.7  # times the best misfit: more is a shape that the profiles do not have
 
 Counts = NDArray[np.int32]
@@ -143,32 +167,82 @@ def dark_variance(rows: Image, apart: int) -> tuple[float, float, float, float]:
 
 
 @compiled
-def gather_residuals(
-    pixels: Array, model: Array, shares: tuple[Array, Array], own: Array, number: NDArray[np.int64]
-) -> tuple[Array, Array, NDArray[np.int64]]:
-    """Squared residuals (k,), DN², signals, DN, and spot numbers of spots' unclipped pixels.
+def background_noise(picture: Picture, lossy: bool, noise: Array) -> None:
+    """Fill in the noise (4,) of the quietest part of an image.
 
-    `pixels` (n, 4, p), as fitted, and their `model` (n, 10, p); `shares` (n,) and (n,), read share
-    and gain share of the patches; `own` (n,), how many of each spot's own pixels clipping leaves
-    alone: more than N_FITTED of a numbered one; `number` (n,), of the spots to gather, -1 for the
-    others.
+    Read variance, DN²; gain, DN, a usual one; black, DN; the relative uncertainty of the first. Of
+    BGR the green channel stands for all. Texture only ever adds to differences, so the quietest
+    class of brightness is believed; of a JPEG, which smooths what is dark, none.
     """
-    room, at = pixels.shape[0] * pixels.shape[2], 0
+    apart = max(picture.height // N_SAMPLE_ROWS, 1)
+    rows = np.empty((-(-picture.height // apart), picture.width), np.uint8)
+    for r in range(len(rows)):
+        begin = r * apart * picture.width * picture.channels + picture.channels // 2
+        for x in range(picture.width):
+            rows[r, x] = picture.values[begin + x * picture.channels]
+    unclipped, black, dark, spread = dark_variance(rows, max(rows.size // N_SAMPLE, 1))
+    # nothing unclipped, or what is not black here may be all texture
+    hidden = not math.isfinite(dark) or (unclipped <= 0.5 and dark > TYPICAL_READ**2)
+    noise[0] = TYPICAL_READ**2 if lossy or hidden else max(dark, QUANTISATION)
+    noise[1] = TYPICAL_GAIN
+    noise[2] = 0.0 if hidden and not lossy else black
+    noise[3] = TYPICAL_SPREAD if lossy or hidden else spread + TEXTURE_SHARE
+
+
+@compiled
+def refine_noise(fits: Fits, assessed: Array, noise: Array, spread: float) -> None:
+    """Let noise (3,) also explain the residuals of clean spots: bright pixels show the gain.
+
+    `noise`: read variance, gain, black, of the background; `assessed` (n, 16), of the fits;
+    `spread`, the relative standard uncertainty of the dark variance. Variance line by weighted
+    regression of residual² on signal; misfitting spots left out.
+    """
+    shows, rank = np.empty(len(assessed), np.int64), np.empty(len(assessed))
+    count, room = 0, 0
+    for n in range(len(assessed)):
+        rank[n] = -assessed[n, COL_PEAK] / assessed[n, COL_ELONGATION]
+        if assessed[n, COL_SOUND] > 0.0 and assessed[n, COL_COUNT] > 2 * N_FITTED:
+            shows[count] = n
+            count += 1
+    brightest = shows[: first_by(rank, shows[:count], MAX_NOISE_SPOTS)]
+    if len(brightest) == 0:
+        return
+    for n in brightest:
+        room += fits.begin[n + 1] - fits.begin[n]
     square, signal, spot = np.empty(room), np.empty(room), np.empty(room, np.int64)
-    for n in range(len(pixels)):
-        if number[n] < 0:
-            continue
-        paid = own[n] / (own[n] - N_FITTED)  # what the fit's parameters took, they took from those
-        for k in range(pixels.shape[2]):
-            if model[n, ROW_USED, k] > 0.0 and model[n, ROW_VISIBLE, k] > MIN_NOISE_SHARE:
-                off = pixels[n, 0, k] - model[n, ROW_MEAN, k]
-                # combined colours have a noise of their own; brought back to that of one channel
-                enlarged = off * off * (paid if model[n, ROW_CORE, k] > 0.0 else 1.0)
-                square[at] = enlarged / shares[0][n]
-                signal[at] = model[n, ROW_SIGNAL, k] * shares[1][n] / shares[0][n]
-                spot[at] = number[n]
-                at += 1
-    return square[:at], signal[:at], spot[:at]
+    count = 0
+    for number in range(len(brightest)):
+        n = brightest[number]
+        begin = count
+        count += gather_residuals(
+            rows_of(fits, n), fits.share[n], assessed[n, COL_COUNT], square[begin:], signal[begin:]
+        )
+        for k in range(begin, count):
+            spot[k] = number
+    line, usual = np.empty(2), np.empty(2)
+    line[0], line[1] = noise[0], TYPICAL_GAIN
+    usual[0], usual[1] = 1.0 / (spread * noise[0]), 1.0 / (TYPICAL_SPREAD * TYPICAL_GAIN)
+    variance_line(square[:count], signal[:count], spot[:count], line, usual)
+    noise[0], noise[1] = line[0], line[1]
+
+
+@compiled
+def gather_residuals(rows: Array, share: Array, own: float, square: Array, signal: Array) -> int:
+    """Gather squared residuals, DN², and signals, DN above black, of a spot's unclipped pixels.
+
+    `rows` (25, p) of the spot; `share` (2,), of the read variance and the gain; `own`, how many of
+    its own pixels clipping leaves alone, more than N_FITTED. Gives how many are filled in.
+    """
+    count, paid = 0, own / (own - N_FITTED)  # the fit's parameters took from those pixels
+    for k in range(rows.shape[1]):
+        if rows[ROW_USED, k] > 0.0 and rows[ROW_VISIBLE, k] > MIN_NOISE_SHARE:
+            off = rows[ROW_VALUE, k] - rows[ROW_MEAN, k]
+            # combined colours have a noise of their own; brought back to that of one channel
+            enlarged = off * off * (paid if rows[ROW_CORE, k] > 0.0 else 1.0)
+            square[count] = enlarged / share[0]
+            signal[count] = rows[ROW_SIGNAL, k] * share[1] / share[0]
+            count += 1
+    return count
 
 
 @compiled

@@ -1,24 +1,41 @@
-"""Score a partial occlusion of each spot's rim in each direction.
+"""Correct spot centres for an object that hides a sliver of the LED's rim.
+
+Model, to first order in the depth d of a bite in direction k (24 directions round the rim):
+
+    log L(d) = g_k d - i_k d² / 2,   d ~ half-normal(PRIOR_DEPTH),   d >= 0
+    centre   = fitted centre + E[d] pull_k, averaged over no bite, one of the spot's own, and bites
+               on one side of all spots, by their posterior probabilities
+
+    symbol  meaning                                                        unit
+    d       depth of the bite                                              half-widths
+    g, i    gradient and information of the log-likelihood                half-widths^-1, ^-2
+    pull    shift of the centre a unit of depth, (2,)                      px
+
+A bite adds harmonics to the rim's radius: the first shifts the centre, the second changes the
+ellipse, the third and higher ones, which no whole disc has, reveal it. One spot seldom shows them
+above its noise, but an object hides the same side of all LEDs of a marker. No threshold decides;
+what remains uncertain enlarges the covariance.
+
+Source: Hoeting et al., Bayesian model averaging: a tutorial, Statistical Science 14, 1999.
 
 A bite of depth b in direction s lowers pixel k by b v_k(s). With D the derivatives by the spot's
 parameters and r the residual, all over the pixels' sigmas, the parameters eliminated,
 
-    information = v'v - v'D (D'D)⁻¹ D'v,  gradient = v'r - r'D (D'D)⁻¹ D'v
-
-of the log-likelihood in b.
+    i = v'v - v'D (D'D)⁻¹ D'v,  g = v'r - r'D (D'D)⁻¹ D'v
 """
 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.jit import compiled, compiled_sums
 from verify.core.kernels.linear_algebra import factor, solve_each
 from verify.core.records import Array
 from verify.measurement.detection.kernels.fit import multiply_rows
+from verify.measurement.detection.kernels.patches import Fits, Index, rows_of
 from verify.measurement.detection.kernels.pixels import (
     N_PARAMETERS,
+    N_WHITENED,
     PAR_PEAK,
     PAR_X,
     PAR_Y,
@@ -30,10 +47,18 @@ from verify.measurement.detection.kernels.pixels import (
     ROW_VARIANCE,
     ROW_VISIBLE,
     ROW_W,
-    ROW_WHITENED,
 )
 from verify.measurement.detection.kernels.quality import COL_MERGED, COL_MISFIT, COL_SATURATED
 
+N_DIRECTIONS = 24  # round the rim: steps of 15°, under a bite's own width
+_ANGLES = 2 * np.pi / N_DIRECTIONS * np.arange(N_DIRECTIONS)
+DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
+PRIOR_DEPTH = 0.05  # half-widths, scale of what is expected; far deeper ones show without a prior
+P_SHARED = 0.1  # prior probability that something hides one side of an image's LEDs
+P_OCCLUDED = 0.8  # of an LED's being bitten then
+P_SINGLE = 0.02  # of an LED's being bitten, where no side is shared
+MIN_Z = -5.0  # sigma: below, a continued fraction gives the normal law's tail
+N_FRACTIONS = 24  # of it: good to rounding
 MIN_RADIUS = 1e-9  # half-widths: nearer the very centre no bite changes anything
 OCCLUSION_WIDTH = 0.3  # rad, standard deviation: a stalk of a third to a half of its LED's diameter
 RIM_RADIUS = 1.8  # half-widths: no rim beyond
@@ -41,25 +66,23 @@ MIN_INFORMATION = 0.05  # share of a bite's information that the fit's own param
 
 
 @compiled
-def occlusion_change(
-    peak: float, model: Array, near: NDArray[np.int64], sides: Array, sunk: Array
-) -> None:
+def occlusion_change(peak: float, rows: Array, near: Index, sunk: Array) -> None:
     """Change of pixels by a bite in each direction, per depth and over each pixel's sigma.
 
-    `peak`, DN; `model` (10, p), of the pixels; `near` (m,), the pixels meant; `sides` (d, 2), unit
-    vectors, of bites as wide as von Mises' bump, a Gaussian round a circle; `sunk` (d, m), filled.
+    `peak`, DN; `rows` (25, p); `near` (m,), the pixels meant; `sunk` (24, m), filled: bites are as
+    wide as von Mises' bump, a Gaussian round a circle.
     """
     u, w, depth = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
     for at in range(len(near)):
         k = near[at]
-        length = max(math.sqrt(model[ROW_U, k] ** 2 + model[ROW_W, k] ** 2), MIN_RADIUS)
-        u[at], w[at] = model[ROW_U, k] / length, model[ROW_W, k] / length
-        weight = model[ROW_VISIBLE, k] * math.sqrt(model[ROW_USED, k] / model[ROW_VARIANCE, k])
+        length = max(math.sqrt(rows[ROW_U, k] ** 2 + rows[ROW_W, k] ** 2), MIN_RADIUS)
+        u[at], w[at] = rows[ROW_U, k] / length, rows[ROW_W, k] / length
+        weight = rows[ROW_VISIBLE, k] * math.sqrt(rows[ROW_USED, k] / rows[ROW_VARIANCE, k])
         # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
-        depth[at] = 2.0 * peak * model[ROW_SLOPE, k] * model[ROW_RADIUS2, k] * weight
+        depth[at] = 2.0 * peak * rows[ROW_SLOPE, k] * rows[ROW_RADIUS2, k] * weight
     sharp = 1.0 / (OCCLUSION_WIDTH * OCCLUSION_WIDTH)
-    for side in range(len(sides)):
-        depth_profile(u, w, depth, sides[side, 0], sides[side, 1], sharp, sunk[side])
+    for side in range(N_DIRECTIONS):
+        depth_profile(u, w, depth, DIRECTIONS[side, 0], DIRECTIONS[side, 1], sharp, sunk[side])
 
 
 @compiled_sums
@@ -85,15 +108,13 @@ def depth_profile(
 
 
 @compiled_sums
-def cross_products(
-    whitened: Array, near: NDArray[np.int64], sunk: Array, cross: Array, whole: Array
-) -> None:
-    """Products of every row (11, p) with every bite (d, m), and of every bite with itself."""
-    rows = np.empty((ROW_WHITENED, len(near)))
-    for a in range(ROW_WHITENED):
+def cross_products(rows: Array, near: Index, sunk: Array, cross: Array, whole: Array) -> None:
+    """Products of the whitened rows (11 of 25, p) with every bite (d, m), and of it with itself."""
+    few = np.empty((N_WHITENED, len(near)))
+    for a in range(N_WHITENED):
         for at in range(len(near)):
-            rows[a, at] = whitened[a, near[at]]
-    multiply_rows(rows, sunk, cross)
+            few[a, at] = rows[a, near[at]]
+    multiply_rows(few, sunk, cross)
     for side in range(len(sunk)):
         total = 0.0
         for at in range(len(near)):
@@ -102,59 +123,138 @@ def cross_products(
 
 
 @compiled
-def score_all(
-    numbers: NDArray[np.int64],
-    assessed: Array,
-    parameters: Array,
-    information: Array,
-    gradient: Array,
-    model: Array,
-    whitened: Array,
-    sides: Array,
-    score: tuple[Array, Array, Array],
-) -> None:
-    """Score bites in d directions by the residuals of some of n fits.
+def score_bites(fits: Fits, n: int, worth: float, score: Array) -> None:
+    """Score bites in each direction by the residuals of a fit.
 
-    `numbers` (m,), of the fits to score; others belong to no fit here. `assessed` (m, 16), by
-    `assess_all`: saturated and merged ones show no bites. Of the fits: `parameters` and `gradient`
-    (n, 10), `information` (n, 10, 10), `model` (n, 10, p), `whitened` (n, 11, p). `sides` (d, 2),
-    unit vectors. `score` (m, d), (m, d), (m, d, 2): gradient, information, pull; filled where
-    enough is left.
+    `worth`: by which unmodelled errors make the pixels worth less; `score` (4, 24), filled where
+    enough is left: gradient, information, pull in x and in y.
     """
-    directions = len(sides)
-    found = np.empty(model.shape[2], np.int64)
-    cross, whole = np.empty((ROW_WHITENED, directions)), np.empty(directions)
-    root, follow = np.empty((N_PARAMETERS, N_PARAMETERS)), np.empty((N_PARAMETERS, directions))
-    left, slope = np.empty(directions), np.empty(directions)
-    for m in range(len(numbers)):
-        n = numbers[m]
-        if not 0 <= n < len(parameters):
-            continue
-        if assessed[m, COL_SATURATED] + assessed[m, COL_MERGED] > 0.0:
-            continue
-        count = 0
-        for k in range(model.shape[2]):
-            if model[n, ROW_RADIUS2, k] < RIM_RADIUS * RIM_RADIUS:
-                found[count] = k
-                count += 1
-        near = found[:count]
-        sunk = np.empty((directions, len(near)))
-        occlusion_change(parameters[n, PAR_PEAK], model[n], near, sides, sunk)
-        cross_products(whitened[n], near, sunk, cross, whole)
-        factor(information[n], 0.0, root)
+    rows, count = rows_of(fits, n), 0
+    found = np.empty(rows.shape[1], np.int64)
+    cross, whole = np.empty((N_WHITENED, N_DIRECTIONS)), np.empty(N_DIRECTIONS)
+    root, follow = np.empty((N_PARAMETERS, N_PARAMETERS)), np.empty((N_PARAMETERS, N_DIRECTIONS))
+    for k in range(rows.shape[1]):
+        found[count] = k
+        count += rows[ROW_RADIUS2, k] < RIM_RADIUS * RIM_RADIUS
+    near = found[:count]
+    sunk = np.empty((N_DIRECTIONS, count))
+    occlusion_change(fits.parameters[n, PAR_PEAK], rows, near, sunk)
+    cross_products(rows, near, sunk, cross, whole)
+    factor(fits.information[n], 0.0, root)
+    for a in range(N_PARAMETERS):
+        for side in range(N_DIRECTIONS):
+            follow[a, side] = cross[a, side]
+    solve_each(root, follow)
+    for side in range(N_DIRECTIONS):
+        left, slope = whole[side], cross[ROW_RESIDUAL, side]
         for a in range(N_PARAMETERS):
-            for b in range(follow.shape[1]):
-                follow[a, b] = cross[a, b]
-        solve_each(root, follow)
-        for side in range(directions):
-            left[side], slope[side] = whole[side], cross[ROW_RESIDUAL, side]
-        for a in range(N_PARAMETERS):
-            for side in range(directions):
-                left[side] -= cross[a, side] * follow[a, side]
-                slope[side] -= gradient[n, a] * follow[a, side]
-        worth = max(assessed[m, COL_MISFIT], 1.0)
-        for side in range(directions):
-            if left[side] > MIN_INFORMATION * whole[side]:
-                score[0][m, side], score[1][m, side] = slope[side] / worth, left[side] / worth
-                score[2][m, side, 0] = -follow[PAR_X, side]
-                score[2][m, side, 1] = -follow[PAR_Y, side]
+            left -= cross[a, side] * follow[a, side]
+            slope -= fits.gradient[n, a] * follow[a, side]
+        if left > MIN_INFORMATION * whole[side]:
+            score[0, side], score[1, side] = slope / worth, left / worth
+            score[2, side], score[3, side] = -follow[PAR_X, side], -follow[PAR_Y, side]
+
+
+@compiled
+def depth_posterior(gradient: float, information: float) -> tuple[float, float, float]:
+    """Suppose a bite of unknown depth.
+
+    The half-normal prior and the Gaussian likelihood make a normal law cut off at 0. Gives the
+    log-likelihood ratio of a bite to none; the depth's posterior mean and mean square.
+    """
+    sigma = 1.0 / math.sqrt(information + PRIOR_DEPTH**-2)
+    z = gradient * sigma
+    cut_off = log_scaled_law(z)
+    excess = z + math.exp(-cut_off) / math.sqrt(2.0 * math.pi)
+    evidence = math.log(2.0 / PRIOR_DEPTH * sigma) + cut_off
+    return evidence, sigma * excess, sigma * sigma * (1.0 + z * excess)
+
+
+@compiled
+def log_scaled_law(z: float) -> float:
+    """Logarithm of the share of a standard normal variable below z, over exp(-z²/2)."""
+    if z > MIN_Z:
+        return math.log(0.5 * math.erfc(-z * math.sqrt(0.5))) + z * z / 2.0
+    below = -z
+    for k in range(N_FRACTIONS, 0, -1):
+        below = k / below - z
+    return -math.log(below * math.sqrt(2.0 * math.pi))
+
+
+@compiled
+def log_add(a: float, b: float) -> float:
+    """Logarithm of exp(a) + exp(b)."""
+    return max(a, b) + math.log1p(math.exp(-abs(a - b)))
+
+
+@compiled
+def log_sum(values: Array) -> float:
+    """Logarithm of the sum of exp(v), of (n,)."""
+    most, total = -math.inf, 0.0
+    for value in values:
+        most = max(most, value)
+    for value in values:
+        total += math.exp(value - most)
+    return most + math.log(total)
+
+
+@compiled
+def occlusion_probability(evidence: Array) -> Array:
+    """Posterior probability of each spot's bite in each direction, (n, d).
+
+    Shared out among no bite, one of each spot's own, and bites on one side of all spots. `evidence`
+    (n, d): log-likelihood ratio of each spot's bite in each direction to none.
+    """
+    sides, alone = np.empty(N_DIRECTIONS), math.log(1.0 - P_SHARED)
+    own, hit = math.log(P_SINGLE / N_DIRECTIONS), math.log(P_OCCLUDED)
+    free, missed = np.empty(len(evidence)), math.log(1.0 - P_OCCLUDED)
+    either, probability = np.empty(evidence.shape), np.empty(evidence.shape)
+    for side in range(N_DIRECTIONS):
+        sides[side] = math.log(P_SHARED / N_DIRECTIONS)
+    for n in range(len(evidence)):
+        free[n] = log_add(math.log(1.0 - P_SINGLE), own + log_sum(evidence[n]))
+        alone += free[n]
+        for side in range(N_DIRECTIONS):
+            either[n, side] = log_add(missed, hit + evidence[n, side])
+            sides[side] += either[n, side]
+    total = log_add(alone, log_sum(sides))
+    for n in range(len(evidence)):
+        for side in range(N_DIRECTIONS):
+            here = evidence[n, side]
+            probability[n, side] = math.exp(sides[side] - total + hit + here - either[n, side])
+            probability[n, side] += math.exp(alone - total + own + here - free[n])
+    return probability
+
+
+@compiled
+def correct_for_bites(fits: Fits, kept: Index, assessed: Array, moments: Array) -> None:
+    """Average over all bites that m spots of an image may have; none without one LED's shape.
+
+    `kept` (m,), of the fits; `assessed` (m, 16), theirs; `moments` (m, 2, 3): what makes the
+    centres those of the whole discs, px, and its covariance, px², are added.
+    """
+    shape = len(kept), N_DIRECTIONS
+    score, evidence = np.zeros((len(kept), 4, N_DIRECTIONS)), np.empty(shape)
+    depth, square = np.empty(shape), np.empty(shape)
+    for m in range(len(kept)):
+        if assessed[m, COL_SATURATED] + assessed[m, COL_MERGED] == 0.0:
+            # where the reduced chi² is above 1, unmodelled errors make the pixels worth less
+            score_bites(fits, kept[m], max(assessed[m, COL_MISFIT], 1.0), score[m])
+        for side in range(N_DIRECTIONS):
+            found = depth_posterior(score[m, 0, side], score[m, 1, side])
+            evidence[m, side], depth[m, side], square[m, side] = found
+    probability = occlusion_probability(evidence)
+    for m in range(len(kept)):
+        shift, spread = np.zeros(2), np.zeros((2, 2))
+        for side in range(N_DIRECTIONS):
+            for i in range(2):
+                pull = score[m, 2 + i, side]
+                shift[i] += probability[m, side] * depth[m, side] * pull
+                for j in range(2):
+                    spread[i, j] += (
+                        probability[m, side] * square[m, side] * pull * score[m, 2 + j, side]
+                    )
+        for i in range(2):
+            moments[m, i, 0] += shift[i]
+            for j in range(2):
+                moments[m, i, 1 + j] += spread[i, j] - shift[i] * shift[j]

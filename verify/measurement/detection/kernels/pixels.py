@@ -5,7 +5,8 @@ A pixel at (u, w) half-widths from the centre, t² = xx u² + 2 xy u w + yy w²,
     mean mu = floor + slope . d + peak f(t),  variance = read + gain max(mu - black, 0)
 
 and after clipping at 0 or 255 the mean and variance of the clipped normal law, in closed form.
-Each loop has one statement, so that the processor takes several pixels at once.
+Each loop has one statement, so that the processor takes several pixels at once. All that is known
+of a spot's p pixels is in one array (25, p): derivatives, residuals, what was read, the model.
 """
 
 import math
@@ -25,13 +26,15 @@ from verify.measurement.detection.profile import (
 PAR_X, PAR_Y, PAR_PEAK, PAR_FLOOR, PAR_SLOPE_X, PAR_SLOPE_Y = range(6)
 PAR_XX, PAR_XY, PAR_YY, PAR_STEEPNESS = range(6, 10)
 N_PARAMETERS = 10
-ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
-ROW_WHITENED = N_PARAMETERS + 1
+ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives by the parameters
+N_WHITENED = N_PARAMETERS + 1  # rows over each pixel's sigma
 LATE_ROWS = slice(PAR_FLOOR, PAR_STEEPNESS)  # free until the pixels are weighed
-# rows of a patch's model: of each pixel, by the parameters
-ROW_MEAN, ROW_VARIANCE, ROW_SIGNAL, ROW_USED, ROW_VISIBLE = range(5)
-ROW_U, ROW_W, ROW_RADIUS2, ROW_SLOPE, ROW_CORE = range(5, 10)
-N_ROWS = 10
+# value, DN; 1 where inside the image and not clipped in part; px from the patch's centre pixel
+ROW_VALUE, ROW_VALID, ROW_COLUMN, ROW_ROW = range(11, 15)
+# the model of each pixel, by the parameters
+ROW_MEAN, ROW_VARIANCE, ROW_SIGNAL, ROW_USED, ROW_VISIBLE = range(15, 20)
+ROW_U, ROW_W, ROW_RADIUS2, ROW_SLOPE, ROW_CORE = range(20, 25)
+N_ROWS = 25
 NEIGHBOUR_RADIUS = 1.7  # half-widths; beyond, what does not fit is a neighbour and is left out
 OUTLIER_SIGMA = 5.0  # sigma, of a pixel there
 SENSOR_LIMIT = 255.0  # DN
@@ -97,45 +100,48 @@ def normal_law(z: Array, below: Array, density: Array) -> None:
 
 
 @compiled
-def expect_pixels(p: Array, pixels: Array, noise: Array, model: Array, rows: Array) -> None:
+def expect_pixels(p: Array, noise: Array, rows: Array) -> None:
     """Expect each pixel's mean and variance, as the sensor would clip it."""
     read, gain, black = noise[0], noise[1], noise[2]
     peak, floor, slope_x, slope_y = p[PAR_PEAK], p[PAR_FLOOR], p[PAR_SLOPE_X], p[PAR_SLOPE_Y]
-    count = pixels.shape[1]
+    count = rows.shape[1]
     for k in range(count):
-        model[ROW_MEAN, k] = (
-            floor + slope_x * pixels[2, k] + slope_y * pixels[3, k] + peak * rows[PAR_PEAK, k]
+        rows[ROW_MEAN, k] = (
+            floor
+            + slope_x * rows[ROW_COLUMN, k]
+            + slope_y * rows[ROW_ROW, k]
+            + peak * rows[PAR_PEAK, k]
         )
     for k in range(count):
-        signal = model[ROW_MEAN, k] - black
+        signal = rows[ROW_MEAN, k] - black
         signal = signal if signal > 0.0 else 0.0
-        model[ROW_SIGNAL, k], model[ROW_VARIANCE, k] = signal, read + gain * signal
+        rows[ROW_SIGNAL, k], rows[ROW_VARIANCE, k] = signal, read + gain * signal
     for k in range(count):
-        rows[ROW_RESIDUAL, k] = model[ROW_VARIANCE, k]
-    clip(model[ROW_MEAN], model[ROW_VARIANCE], model[ROW_VISIBLE], rows[LATE_ROWS])
+        rows[ROW_RESIDUAL, k] = rows[ROW_VARIANCE, k]
+    clip(rows[ROW_MEAN], rows[ROW_VARIANCE], rows[ROW_VISIBLE], rows[LATE_ROWS])
 
 
 @compiled
-def whiten_rows(p: Array, pixels: Array, scale: float, model: Array, rows: Array) -> float:
+def whiten_rows(p: Array, scale: float, rows: Array) -> float:
     """Leave out neighbours' pixels, and put every row over its pixels' sigmas.
 
     On entry `rows` hold, beside the profile's derivatives, the unclipped variances. Gives how many
     valid pixels are left out.
     """
-    peak, lever, count = p[PAR_PEAK], -2.0 * p[PAR_PEAK] / scale, pixels.shape[1]
+    peak, lever, count = p[PAR_PEAK], -2.0 * p[PAR_PEAK] / scale, rows.shape[1]
     for k in range(count):
-        residual = pixels[0, k] - model[ROW_MEAN, k]
+        residual = rows[ROW_VALUE, k] - rows[ROW_MEAN, k]
         far = residual * residual > OUTLIER_SIGMA**2 * rows[ROW_RESIDUAL, k]
-        outer = model[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2
-        model[ROW_USED, k] = pixels[1, k] * (0.0 if far & outer else 1.0)
+        outer = rows[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2
+        rows[ROW_USED, k] = rows[ROW_VALID, k] * (0.0 if far & outer else 1.0)
     for k in range(count):
-        rows[ROW_RESIDUAL, k] = model[ROW_USED, k] * math.sqrt(1.0 / model[ROW_VARIANCE, k])
+        rows[ROW_RESIDUAL, k] = rows[ROW_USED, k] * math.sqrt(1.0 / rows[ROW_VARIANCE, k])
     for k in range(count):
-        rows[PAR_FLOOR, k] = rows[ROW_RESIDUAL, k] * model[ROW_VISIBLE, k]
+        rows[PAR_FLOOR, k] = rows[ROW_RESIDUAL, k] * rows[ROW_VISIBLE, k]
     for k in range(count):
-        rows[ROW_RESIDUAL, k] *= pixels[0, k] - model[ROW_MEAN, k]
+        rows[ROW_RESIDUAL, k] *= rows[ROW_VALUE, k] - rows[ROW_MEAN, k]
     for k in range(count):
-        rows[PAR_YY, k] = rows[PAR_FLOOR, k] * model[ROW_SLOPE, k]
+        rows[PAR_YY, k] = rows[PAR_FLOOR, k] * rows[ROW_SLOPE, k]
     for k in range(count):
         rows[PAR_X, k], rows[PAR_Y, k] = (
             lever * rows[PAR_YY, k] * rows[PAR_X, k],
@@ -146,53 +152,51 @@ def whiten_rows(p: Array, pixels: Array, scale: float, model: Array, rows: Array
     for k in range(count):
         rows[PAR_STEEPNESS, k] = peak * rows[PAR_FLOOR, k] * rows[PAR_STEEPNESS, k]
     for k in range(count):
-        rows[PAR_SLOPE_X, k] = rows[PAR_FLOOR, k] * pixels[2, k]
+        rows[PAR_SLOPE_X, k] = rows[PAR_FLOOR, k] * rows[ROW_COLUMN, k]
     for k in range(count):
-        rows[PAR_SLOPE_Y, k] = rows[PAR_FLOOR, k] * pixels[3, k]
+        rows[PAR_SLOPE_Y, k] = rows[PAR_FLOOR, k] * rows[ROW_ROW, k]
     for k in range(count):
         rows[PAR_YY, k] *= peak
     for k in range(count):
-        rows[PAR_XX, k] = rows[PAR_YY, k] * model[ROW_U, k] * model[ROW_U, k]
+        rows[PAR_XX, k] = rows[PAR_YY, k] * rows[ROW_U, k] * rows[ROW_U, k]
     for k in range(count):
-        rows[PAR_XY, k] = 2.0 * rows[PAR_YY, k] * model[ROW_U, k] * model[ROW_W, k]
+        rows[PAR_XY, k] = 2.0 * rows[PAR_YY, k] * rows[ROW_U, k] * rows[ROW_W, k]
     for k in range(count):
-        rows[PAR_YY, k] *= model[ROW_W, k] * model[ROW_W, k]
-    return count_rejected(pixels, model)
+        rows[PAR_YY, k] *= rows[ROW_W, k] * rows[ROW_W, k]
+    return count_rejected(rows)
 
 
 @compiled_sums
-def count_rejected(pixels: Array, model: Array) -> float:
+def count_rejected(rows: Array) -> float:
     """How many valid pixels do not count."""
     total = 0.0
-    for k in range(pixels.shape[1]):
-        total += pixels[1, k] - model[ROW_USED, k]
+    for k in range(rows.shape[1]):
+        total += rows[ROW_VALID, k] - rows[ROW_USED, k]
     return total
 
 
 @compiled
-def weigh_pixels(
-    p: Array, pixels: Array, scale: float, noise: Array, table: Array, model: Array, rows: Array
-) -> float:
+def weigh_pixels(p: Array, scale: float, noise: Array, table: Array, rows: Array) -> float:
     """Place one patch's pixels on the spot that p (10,) describes, and weigh them.
 
-    `pixels` (4, p): value, 1 where valid, column, row; `scale`, px, half-width that the fit starts
-    from; `noise` (3,): read variance, gain, black; `table` (4, rows, samples), of the profiles.
-    Filled: `model` (10, p) but for ROW_CORE; `rows` (11, p): derivatives and residual, over each
-    pixel's sigma. Gives what the pixels that are left out add to chi².
+    `scale`, px, half-width that the fit starts from; `noise` (3,): read variance, gain, black;
+    `table` (4, rows, samples), of the profiles; `rows` (25, p): derivatives and residual, over each
+    pixel's sigma, and the model but for ROW_CORE are filled in. Gives what the pixels that are left
+    out add to chi².
     """
     x, y, xx, xy, yy = p[PAR_X], p[PAR_Y], p[PAR_XX], p[PAR_XY], p[PAR_YY]
-    inverse, count, samples = 1.0 / scale, pixels.shape[1], table.shape[2]
+    inverse, count, samples = 1.0 / scale, rows.shape[1], table.shape[2]
     for k in range(count):
-        model[ROW_U, k] = (pixels[2, k] - x) * inverse
-        model[ROW_W, k] = (pixels[3, k] - y) * inverse
+        rows[ROW_U, k] = (rows[ROW_COLUMN, k] - x) * inverse
+        rows[ROW_W, k] = (rows[ROW_ROW, k] - y) * inverse
     for k in range(count):
-        u, w = model[ROW_U, k], model[ROW_W, k]
+        u, w = rows[ROW_U, k], rows[ROW_W, k]
         rows[PAR_X, k], rows[PAR_Y, k] = xx * u + xy * w, xy * u + yy * w
     for k in range(count):
-        radius2 = rows[PAR_X, k] * model[ROW_U, k] + rows[PAR_Y, k] * model[ROW_W, k]
-        model[ROW_RADIUS2, k] = radius2 if radius2 > 0.0 else 0.0
+        radius2 = rows[PAR_X, k] * rows[ROW_U, k] + rows[PAR_Y, k] * rows[ROW_W, k]
+        rows[ROW_RADIUS2, k] = radius2 if radius2 > 0.0 else 0.0
     for k in range(count):
-        rows[ROW_RESIDUAL, k] = math.sqrt(model[ROW_RADIUS2, k])
+        rows[ROW_RESIDUAL, k] = math.sqrt(rows[ROW_RADIUS2, k])
     # f, df / d(t²) and df / d(ln steepness) from the table, to first order in t²
     place = (p[PAR_STEEPNESS] - MIN_LOG_STEEPNESS) / ROW_STEP
     place = min(max(place, 0.0), table.shape[1] - 1.001)
@@ -204,10 +208,10 @@ def weigh_pixels(
         index = int(radius * (1.0 / RADIUS_STEP) + 0.5) if radius < MAX_RADIUS else samples - 1
         sample = index * RADIUS_STEP
         # past the table the profile stays constant
-        beyond = min(model[ROW_RADIUS2, k] - sample * sample, 2 * MAX_RADIUS * RADIUS_STEP)
+        beyond = min(rows[ROW_RADIUS2, k] - sample * sample, 2 * MAX_RADIUS * RADIUS_STEP)
         step = table[1, line, index]
         slope = table[2, line, index] + share * table[3, line, index]
-        model[ROW_SLOPE, k], rows[PAR_STEEPNESS, k] = slope, step * (1.0 / ROW_STEP)
+        rows[ROW_SLOPE, k], rows[PAR_STEEPNESS, k] = slope, step * (1.0 / ROW_STEP)
         rows[PAR_PEAK, k] = table[0, line, index] + share * step + slope * beyond
-    expect_pixels(p, pixels, noise, model, rows)
-    return OUTLIER_SIGMA**2 * whiten_rows(p, pixels, scale, model, rows)
+    expect_pixels(p, noise, rows)
+    return OUTLIER_SIGMA**2 * whiten_rows(p, scale, rows)

@@ -17,12 +17,12 @@ than what a shift of its centre changes. s is measured: simulated spots of 4 to 
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.jit import compiled
-from verify.core.kernels.linear_algebra import factor, solve
+from verify.core.kernels.linear_algebra import factor, median, solve
 from verify.core.records import Array
-from verify.measurement.detection.kernels.fit import MIN_INFORMATION, core_counts
+from verify.measurement.detection.kernels.fit import MIN_INFORMATION
+from verify.measurement.detection.kernels.patches import Fits, Index, rows_of
 from verify.measurement.detection.kernels.pixels import (
     N_PARAMETERS,
     PAR_PEAK,
@@ -31,10 +31,13 @@ from verify.measurement.detection.kernels.pixels import (
     PAR_XY,
     PAR_Y,
     PAR_YY,
+    ROW_CORE,
+    ROW_MEAN,
+    ROW_VALUE,
+    ROW_VARIANCE,
+    ROW_VISIBLE,
     SENSOR_LIMIT,
 )
-
-Flags = NDArray[np.bool_]
 
 # parameters that a spot's own pixels pay for; the slopes live on the surroundings. With few pixels
 # left, of a spot far over the limit, its foot pays for them
@@ -63,6 +66,7 @@ MAX_STRETCHED_MISFIT = 3.5  # of a shape that is not longer, over the usual one
 # off: the widths give that as 0.36 stretch x diameter of Gaussians, 0.13 of discs; half an axis.
 STRETCH_SHARE = 0.15
 MIN_BORDER = 1.2  # half-widths that must be inside the image
+MIN_NOISE_SHARE = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
 MIN_SEPARATION = 0.5  # diameters of the smaller one: closer spots are one spot found twice
 
 # columns of an assessed spot: centre (px), covariance (px²), peak (DN), full width at half height
@@ -84,78 +88,84 @@ def centre_covariance(information: Array, row: Array) -> None:
     for a in range(N_PARAMETERS):
         for b in range(N_PARAMETERS):
             finite = finite and math.isfinite(information[a, b])
-    row[COL_COVARIANCE_XX : COL_COVARIANCE_YY + 1] = np.nan
+    for k in range(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1):
+        row[k] = math.nan
     if not finite:
         return
-    root, column = np.empty((N_PARAMETERS, N_PARAMETERS)), np.zeros(N_PARAMETERS)
+    root, column = np.empty((N_PARAMETERS, N_PARAMETERS)), np.zeros((2, N_PARAMETERS))
     factor(information, -MIN_INFORMATION, root)
-    column[PAR_X] = 1.0
-    solve(root, column)
-    row[COL_COVARIANCE_XX], row[COL_COVARIANCE_XY] = column[PAR_X], column[PAR_Y]
-    column[:] = 0.0
-    column[PAR_Y] = 1.0
-    solve(root, column)
-    row[COL_COVARIANCE_YX], row[COL_COVARIANCE_YY] = row[COL_COVARIANCE_XY], column[PAR_Y]
+    column[0, PAR_X], column[1, PAR_Y] = 1.0, 1.0
+    solve(root, column[0])
+    solve(root, column[1])
+    row[COL_COVARIANCE_XX], row[COL_COVARIANCE_XY] = column[0, PAR_X], column[0, PAR_Y]
+    row[COL_COVARIANCE_YX], row[COL_COVARIANCE_YY] = column[0, PAR_Y], column[1, PAR_Y]
 
 
 @compiled
-def assess_shape(counted: Array, peak: float, pixels: float, row: Array) -> None:
+def core_counts(rows: Array) -> tuple[float, float, float, int]:
+    """Count what judges a spot by its own pixels.
+
+    Pixels that clipping leaves alone; their squared residuals over the variance, summed; the
+    same in DN²; and how many of all are at the sensor's limit.
+    """
+    count, squares, square_dn, full = 0.0, 0.0, 0.0, 0
+    for k in range(rows.shape[1]):
+        core = rows[ROW_CORE, k]
+        alone = core if rows[ROW_VISIBLE, k] > MIN_NOISE_SHARE else 0.0
+        square = (rows[ROW_VALUE, k] - rows[ROW_MEAN, k]) ** 2 * alone
+        full += (core > 0.0) & (rows[ROW_VALUE, k] >= SENSOR_LIMIT)
+        count += alone
+        squares += square / rows[ROW_VARIANCE, k]
+        square_dn += square
+    return count, squares, square_dn, full
+
+
+@compiled
+def assess_shape(rows: Array, peak: float, pixels: float, row: Array) -> None:
     """Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
 
-    `counted` (4,), of `core_counts`; `peak`, DN; `pixels`, that misfit beyond
-    chance lifts together; `row` (16,), changed.
+    `rows` (25, p); `peak`, DN; `pixels`, that misfit beyond chance lifts together; `row` (16,),
+    changed.
     """
-    count, squares, square_dn, full = counted[0], counted[1], counted[2], counted[3]
+    count, squares, square_dn, full = core_counts(rows)
     freedom = count - N_FITTED
     paid = max(freedom, 1.0)
     misfit = squares / paid if freedom >= N_FITTED else 1.0
     rough = math.sqrt(square_dn / paid)
     merged = misfit > MAX_REDUCED_CHI2 and rough > MAX_RESIDUAL_RATIO * min(peak, SENSOR_LIMIT)
-    excess = max(misfit - 1.0 - MAX_CHI2_SIGMA * math.sqrt(2.0 / paid), 0.0) if full == 0.0 else 0.0
+    excess = max(misfit - 1.0 - MAX_CHI2_SIGMA * math.sqrt(2.0 / paid), 0.0) if full == 0 else 0.0
     larger = CORRELATED_PIXELS * misfit if merged else 1.0 + pixels * excess
     for k in range(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1):
         row[k] *= larger
     row[COL_MISFIT], row[COL_COUNT] = misfit, count
-    row[COL_SATURATED], row[COL_MERGED] = 1.0 if full > 0.0 else 0.0, 1.0 if merged else 0.0
+    row[COL_SATURATED], row[COL_MERGED] = 1.0 if full > 0 else 0.0, 1.0 if merged else 0.0
 
 
 @compiled
-def assess_all(
-    parameters: Array,
-    information: Array,
-    pixels: Array,
-    model: Array,
-    scale: Array,
-    origin: NDArray[np.int64],
-    size: tuple[int, int],
-    lifted: float,
-) -> Array:
+def assess_all(fits: Fits, width: int, height: int, lifted: float) -> Array:
     """Assess n fits, (n, 16).
 
-    `parameters` (n, 10); `information` (n, 10, 10); `pixels` (n, 4, p), as fitted; `model`
-    (n, 10, p), of the pixels at the parameters; `scale` (n,), px; `origin` (n, 2), px, of each
-    patch's centre pixel; `size`: width and height of the picture, px; `lifted`, pixels, as for
-    `assess_shape`.
+    `width` and `height` of the picture, px; `lifted`, pixels, as for `assess_shape`.
     """
-    assessed = np.empty((len(parameters), N_COLUMNS))
-    counted = core_counts(pixels, model)
-    for n in range(len(parameters)):
-        p, row = parameters[n], assessed[n]
-        x, y = origin[n, 0] + p[PAR_X], origin[n, 1] + p[PAR_Y]
+    n = len(fits.scale)
+    assessed = np.empty((n, N_COLUMNS))
+    for k in range(n):
+        p, row, scale = fits.parameters[k], assessed[k], fits.scale[k]
+        x, y = fits.origin[k, 0] + p[PAR_X], fits.origin[k, 1] + p[PAR_Y]
         mean = (p[PAR_XX] + p[PAR_YY]) / 2.0
         split = math.hypot((p[PAR_XX] - p[PAR_YY]) / 2.0, p[PAR_XY])
         positive = mean > split
-        long = scale[n] / math.sqrt(mean - split) if positive else scale[n]
-        short = scale[n] / math.sqrt(mean + split) if positive else scale[n]
+        long = scale / math.sqrt(mean - split) if positive else scale
+        short = scale / math.sqrt(mean + split) if positive else scale
         row[COL_CENTRE_X], row[COL_CENTRE_Y], row[COL_PEAK] = x, y, p[PAR_PEAK]
         row[COL_DIAMETER], row[COL_ELONGATION] = long + short, long / short
         turn = -2.0 * (long - short) / split if split > 0.0 else 0.0
         row[COL_STRETCH_X] = turn * (p[PAR_XX] - p[PAR_YY]) / 2.0
         row[COL_STRETCH_Y] = turn * p[PAR_XY]
-        centre_covariance(information[n], row)
-        assess_shape(counted[n], p[PAR_PEAK], lifted, row)
+        centre_covariance(fits.information[k], row)
+        assess_shape(rows_of(fits, k), p[PAR_PEAK], lifted, row)
         rim = MIN_BORDER * long - 0.5
-        inside = x > rim and y > rim and x < size[0] - 1.0 - rim and y < size[1] - 1.0 - rim
+        inside = x > rim and y > rim and x < width - 1.0 - rim and y < height - 1.0 - rim
         finite = True
         for value in p:
             finite = finite and math.isfinite(value)
@@ -163,50 +173,131 @@ def assess_all(
             positive
             and inside
             and finite
-            and p[PAR_PEAK] * math.sqrt(information[n, PAR_PEAK, PAR_PEAK]) > MIN_PEAK
+            and p[PAR_PEAK] * math.sqrt(fits.information[k, PAR_PEAK, PAR_PEAK]) > MIN_PEAK
             and long < MAX_AXIS_RATIO * short
-            and math.hypot(p[PAR_X], p[PAR_Y]) < MAX_SHIFT * scale[n] + 1.0
+            and math.hypot(p[PAR_X], p[PAR_Y]) < MAX_SHIFT * scale + 1.0
         )
         row[COL_SOUND] = 1.0 if sound else 0.0
     return assessed
 
 
-def lossy_scale(assessed: Array) -> Array:
-    """By how much the covariances of a JPEG's n spots (n, 16) are those of white noise, (n,)."""
-    misfit, merged = assessed[:, COL_MISFIT], assessed[:, COL_MERGED] > 0
-    whole = (assessed[:, COL_SATURATED] == 0) & ~merged
-    usual = max(float(np.median(misfit[whole])), MIN_LOSSY_MISFIT) if whole.any() else 1.0
-    odd = np.where(whole, np.maximum(misfit / usual - MAX_LOSSY_MISFIT, 0.0), 0.0)
-    scale: Array = np.where(merged, 1.0, LOSSY_SHARE * usual * (1.0 + CORRELATED_PIXELS * odd))
-    return scale
+@compiled
+def median_where(values: Array, column: int, wanted: Array) -> float:
+    """Median of a column of n rows, of those whose `wanted` (n,) is over 0; nan of none."""
+    some, count = np.empty(len(values)), 0
+    for n in range(len(values)):
+        if wanted[n] > 0.0:
+            some[count] = values[n, column]
+            count += 1
+    return median(some[:count]) if count > 0 else math.nan
 
 
+@compiled
+def widen_lossy(assessed: Array) -> None:
+    """Make the covariances of a JPEG's n spots (n, 16) those of its errors, which are not white."""
+    whole = np.empty(len(assessed))
+    for n in range(len(assessed)):
+        whole[n] = 1.0 - max(assessed[n, COL_SATURATED], assessed[n, COL_MERGED])
+    usual = median_where(assessed, COL_MISFIT, whole)
+    usual = 1.0 if math.isnan(usual) else max(usual, MIN_LOSSY_MISFIT)
+    for n in range(len(assessed)):
+        odd = max(assessed[n, COL_MISFIT] / usual - MAX_LOSSY_MISFIT, 0.0) * whole[n]
+        scale = LOSSY_SHARE * usual * (1.0 + CORRELATED_PIXELS * odd)
+        for k in range(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1):
+            assessed[n, k] *= 1.0 if assessed[n, COL_MERGED] > 0.0 else scale
+
+
+@compiled
 def doubt_shapes(assessed: Array) -> None:
     """Flag those of a picture's spots (n, 16) that are stretched alone; widen what is merged."""
-    stretch, clear = assessed[:, COL_STRETCH_X:], assessed[:, COL_MERGED] == 0
-    off, width = np.hypot(*stretch.T), assessed[:, COL_DIAMETER]
-    stretched = off > MAX_STRETCH * width
-    if np.all(clear & ~stretched):
+    count, alike, doubtful = len(assessed), 0, False
+    off, clear, length = np.empty(count), np.empty(count), np.empty((count, 1))
+    for n in range(count):
+        row = assessed[n]
+        off[n], clear[n] = math.hypot(row[COL_STRETCH_X], row[COL_STRETCH_Y]), 1.0 - row[COL_MERGED]
+        length[n, 0] = 2.0 * row[COL_DIAMETER] / (1.0 + 1.0 / row[COL_ELONGATION])
+        alike += clear[n] > 0.0
+        doubtful = doubtful or clear[n] == 0.0 or off[n] > MAX_STRETCH * row[COL_DIAMETER]
+    if not doubtful:
         return
-    if np.sum(clear) >= MIN_ALIKE:
-        off = np.minimum(off, np.hypot(*(stretch - np.median(stretch[clear], axis=0)).T))
-        misfit = assessed[:, COL_MISFIT] / max(float(np.median(assessed[clear, COL_MISFIT])), 1.0)
-        chance = 1.0 + MAX_LONGER_SIGMA * np.sqrt(2.0 / np.maximum(assessed[:, COL_COUNT], 1.0))
-        length = 2.0 * width / (1.0 + 1.0 / assessed[:, COL_ELONGATION])
-        length /= np.median(length[clear])
-        odd = (misfit > MAX_STRETCHED_MISFIT) | (length > MAX_LENGTH)
-        odd |= (misfit > chance) & (length > MAX_SURE_LENGTH)
-        assessed[odd & (off > MAX_STRETCH * width), COL_MERGED] = 1.0
-    doubt = np.where(assessed[:, COL_MERGED] > 0, STRETCH_SHARE * off * width, 0.0)
-    assessed[:, [COL_COVARIANCE_XX, COL_COVARIANCE_YY]] += doubt[:, None]
+    if alike >= MIN_ALIKE:
+        x, y = (
+            median_where(assessed, COL_STRETCH_X, clear),
+            median_where(assessed, COL_STRETCH_Y, clear),
+        )
+        misfit = max(median_where(assessed, COL_MISFIT, clear), 1.0)
+        usual = median_where(length, 0, clear)
+        for n in range(count):
+            row = assessed[n]
+            off[n] = min(off[n], math.hypot(row[COL_STRETCH_X] - x, row[COL_STRETCH_Y] - y))
+            chance = 1.0 + MAX_LONGER_SIGMA * math.sqrt(2.0 / max(row[COL_COUNT], 1.0))
+            over, longer = row[COL_MISFIT] / misfit, length[n, 0] / usual
+            odd = over > MAX_STRETCHED_MISFIT or longer > MAX_LENGTH
+            odd = odd or (over > chance and longer > MAX_SURE_LENGTH)
+            if odd and off[n] > MAX_STRETCH * row[COL_DIAMETER]:
+                row[COL_MERGED] = 1.0
+    for n in range(count):
+        if assessed[n, COL_MERGED] > 0.0:
+            doubt = STRETCH_SHARE * off[n] * assessed[n, COL_DIAMETER]
+            assessed[n, COL_COVARIANCE_XX] += doubt
+            assessed[n, COL_COVARIANCE_YY] += doubt
 
 
-def mark_duplicates(assessed: Array) -> Flags:
-    """Say which of the spots (n, 16) are another one, fitting better or equal and first, again."""
-    misfit, width = assessed[:, COL_MISFIT], assessed[:, COL_DIAMETER]
-    apart = assessed[:, None, : COL_CENTRE_Y + 1] - assessed[:, : COL_CENTRE_Y + 1]
-    near = np.hypot(apart[..., 0], apart[..., 1]) < MIN_SEPARATION * np.minimum(
-        width[:, None], width
-    )
-    rank = np.argsort(np.argsort(misfit, kind="stable"))
-    return np.asarray((near & (rank[:, None] > rank)).any(axis=1), dtype=np.bool_)
+@compiled
+def first_by(values: Array, index: Index, most: int) -> int:
+    """Put the `most` of n indices whose values are least first, in order; ties as they come.
+
+    `index` (n,) is changed: its first entries are those meant. Gives their number.
+    """
+    count = 0
+    for n in range(len(index)):
+        one, at = index[n], min(count, most)
+        while at > 0 and values[one] < values[index[at - 1]]:
+            if at < most:
+                index[at] = index[at - 1]
+            at -= 1
+        if at < most:
+            index[at] = one
+            count = min(count + 1, most)
+    return count
+
+
+@compiled
+def is_found_again(assessed: Array, spots: Index, n: int) -> bool:
+    """Whether a spot is another one of m spots, fitting better or equal and first, again."""
+    row = assessed[n]
+    for k in spots:
+        other = assessed[k]
+        off = math.hypot(
+            row[COL_CENTRE_X] - other[COL_CENTRE_X], row[COL_CENTRE_Y] - other[COL_CENTRE_Y]
+        )
+        better = other[COL_MISFIT] < row[COL_MISFIT]
+        better = better or (k < n and other[COL_MISFIT] == row[COL_MISFIT])
+        if better and off < MIN_SEPARATION * min(row[COL_DIAMETER], other[COL_DIAMETER]):
+            return True
+    return False
+
+
+@compiled
+def choose_spots(assessed: Array, least: float, largest: float, limit: int) -> Index:
+    """Choose the most LED-like of n spots (n, 16), no more than the limit, by falling peak.
+
+    `least` and `largest` diameter, px.
+    """
+    total, count, single = len(assessed), 0, 0
+    sound, chosen = np.empty(total, np.int64), np.empty(total, np.int64)
+    rank, height = np.empty(total), np.empty(total)
+    for n in range(total):
+        row = assessed[n]
+        if row[COL_SOUND] > 0.0 and least <= row[COL_DIAMETER] <= largest:
+            sound[count] = n
+            count += 1
+        height[n] = -row[COL_PEAK]
+        rank[n] = -row[COL_PEAK] / (1.0 + row[COL_MISFIT]) / row[COL_ELONGATION]
+    for n in sound[:count]:
+        if not is_found_again(assessed, sound[:count], n):
+            chosen[single] = n
+            single += 1
+    kept = chosen[: first_by(rank, chosen[:single], limit)]
+    first_by(height, kept, len(kept))
+    return kept
