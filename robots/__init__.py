@@ -21,7 +21,7 @@ those of a known family, `inverse` has a closed form for it too.
 
 from robots.arm import Arm, DhArm, UrdfArm
 from robots.check import Reach, SelfCheck, reach, self_check
-from robots.coupling import Coupling, branch_distance, coupled, couplings
+from robots.coupling import Coupling, coupled, couplings, singularity
 from robots.errors import RobotError
 from robots.export import export_urdf
 from robots.inverse import Branches, inverse, turns, within_limits
@@ -39,7 +39,6 @@ __all__ = [
     "RobotError",
     "SelfCheck",
     "UrdfArm",
-    "branch_distance",
     "coupled",
     "couplings",
     "example_names",
@@ -54,6 +53,7 @@ __all__ = [
     "pinocchio_model",
     "reach",
     "self_check",
+    "singularity",
     "turns",
     "within_limits",
 ]

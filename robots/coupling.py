@@ -9,9 +9,11 @@ u(orientation) / 0.2, and a good stereo pose is known to 0.25 mm and 0.10°, who
 """
 
 import itertools
+import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from robots import spherical_wrist
 from robots.arm import Arm, DhArm, UrdfArm
@@ -71,41 +73,45 @@ def coupled(arm: Arm, q: Array) -> Coupling | None:
 
 
 def couplings(
-    arm: Arm, q: Array, base_T_flange: Array | None = None
+    arm: Arm, q: Array, near: NDArray[np.bool_] | None = None
 ) -> tuple[Coupling | None, ...]:
     """Say the same of many postures (m, n), rad; those of a DH arm are looked at together.
 
-    `base_T_flange` (m, 4, 4), m: `forward` of the postures, where it is known.
+    `near` (m,): that of `singularity`, where it is known.
     """
     q = np.asarray(q, dtype=float)
     if not len(q) or not isinstance(arm, DhArm):
         return tuple(coupled(arm, one) for one in q)
-    pose = forward(arm, q) if base_T_flange is None else base_T_flange
-    (_, one, gate), *others = _factors(arm, pose, arm.theta(q))
-    near = one < GATE_MARGIN * gate
-    for _, value, gate in others:
-        near |= value < GATE_MARGIN * gate
-    if not near.any():
+    if near is None:
+        near = singularity(arm, q, forward(arm, q))[0]
+    if not np.count_nonzero(near):
         return (None,) * len(q)
     return tuple(coupled(arm, one) if close else None for one, close in zip(q, near, strict=True))
 
 
-def branch_distance(arm: Arm, q: Array, base_T_flange: Array) -> Array:
-    """Say within what distance of joint angles another of their pose's cannot be nearest, (m,).
+def singularity(arm: Arm, q: Array, base_T_flange: Array) -> tuple[NDArray[np.bool_], Array]:
+    """Say which postures q (m, n), rad, may be coupled, (m,), and how far others keep away, (m,).
 
-    Half that from q (m, n), rad, to the next answer of `inverse`, or less, for poses (m, 4, 4), m,
-    that q reaches. Answers differ in the sign of θ5 or in θ4 by half a turn, in that of the elbow's
-    bend, or in the side of axis 1 on which the wrist is. 0 of an arm by URDF: nothing is known.
+    Of poses (m, 4, 4), m, that q reaches. The second is within what distance of joint angles no
+    other answer of `inverse` than q can be nearest: half that to the next one, or less. Answers
+    differ in the sign of θ5 or in θ4 by half a turn, in that of the elbow's bend, or in the side of
+    axis 1 on which the wrist is. Of an arm by URDF nothing is known: True and 0.
     """
     if not isinstance(arm, DhArm):
-        return np.zeros(len(q))
-    theta = arm.theta(q)
-    bend, c1, s1 = theta[:, 2] - _stretched_elbow(arm), np.cos(theta[:, 0]), np.sin(theta[:, 0])
-    x, y = (base_T_flange[:, :2, 3] - arm.d[5] * base_T_flange[:, :2, 2]).T
-    shoulder = np.arctan2(np.abs(c1 * x + s1 * y), np.abs(c1 * y - s1 * x))
-    inner = np.arcsin(np.minimum(np.abs(np.sin(theta[:, 4])), np.abs(np.sin(bend))))
-    half: Array = np.minimum(inner, shoulder)
-    return half if arm.linkage is None else half / np.linalg.norm(arm.linkage, 2)
+        return np.ones(len(q), dtype=np.bool_), np.zeros(len(q))
+    near, half = [], []
+    stretched, d6 = _stretched_elbow(arm), arm.d[5].item()
+    # plain floats: of a few postures they take a tenth of what arrays would
+    places = zip(arm.theta(q).tolist(), base_T_flange[:, :2, 2:].tolist(), strict=True)
+    for theta, ((zx, px), (zy, py)) in places:
+        c, s, x, y = math.cos(theta[0]), math.sin(theta[0]), px - d6 * zx, py - d6 * zy
+        shoulder, across = abs(c * x + s * y), abs(c * y - s * x)
+        wrist, elbow = abs(math.sin(theta[4])), abs(math.sin(theta[2] - stretched))
+        values = (wrist, WRIST_GATE), (elbow, ELBOW_GATE), (shoulder, SHOULDER_GATE)
+        near.append(any(value < GATE_MARGIN * gate for value, gate in values))
+        half.append(min(math.asin(wrist), math.asin(elbow), math.atan2(shoulder, across)))
+    most = 1.0 if arm.linkage is None else float(np.linalg.norm(arm.linkage, 2))
+    return np.array(near, dtype=np.bool_), np.array(half) / most
 
 
 def _self_motions(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array:

@@ -142,13 +142,13 @@ def test_many_postures_at_once_are_coupled_as_each_alone(name: str) -> None:
 
 
 @EVERY_ARM
-def test_no_other_answer_is_nearer_than_the_branch_distance_twice(arm: robots.DhArm) -> None:
+def test_no_other_answer_is_nearer_than_twice_the_distance_said(arm: robots.DhArm) -> None:
     q = np.random.default_rng(5).uniform(-3.0, 3.0, (500, 6))
     q[::3] *= 0.3
     poses = robots.forward(arm, q)
     others = near(robots.inverse(arm, poses, hold=q).q, q[:, None]) - q[:, None]
     away = np.sort(np.nan_to_num(np.linalg.norm(others, axis=2), nan=np.inf), axis=1)
     assert np.all(away[:, 0] < 1e-6)
-    half = robots.branch_distance(arm, q, poses)
+    half = robots.singularity(arm, q, poses)[1]
     assert np.all(away[:, 1] >= 2 * half - 1e-6)
     assert np.median(half) > 0.2

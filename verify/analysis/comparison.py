@@ -96,7 +96,7 @@ def compare(
     there = track.t - offset
     if known is None:
         known = readings.available(there)
-    index = np.flatnonzero(known)
+    index = known.nonzero()[0]
     there = there[index]
     q, rate = readings.at(there), readings.rate(there)
     encoder, jacobian = _flange(arm, q)
@@ -106,7 +106,10 @@ def compare(
     spread = _reading_covariance(readings, stated, index, jacobian, rate)
     scale = alignment_scale(track)[:, None, None]
     own = (scale * track.covariance_alignment + track.covariance_pixels)[index]
-    own = carry @ own @ np.swapaxes(carry, 1, 2)
+    systematic, missed = -track.systematic[index], -track.alignment_error[index]
+    if carry is not None:
+        own, systematic = carry @ own @ np.swapaxes(carry, 1, 2), carry @ systematic
+        missed = (carry @ missed[:, :, None])[:, :, 0]
     return Comparison(
         index=index,
         t=track.t[index],
@@ -120,8 +123,8 @@ def compare(
         xi=twist_difference(encoder, measured),
         covariance=own + spread,
         covariance_measured=own,
-        systematic=-carry @ track.systematic[index],
-        alignment_error=-(carry @ track.alignment_error[index, :, None])[:, :, 0],
+        systematic=systematic,
+        alignment_error=missed,
         determined=determined,
         rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
     )
@@ -207,14 +210,16 @@ def twist_difference(a_T_one: Array, a_T_other: Array) -> Array:
 
 def _complete_poses(
     measured: Array, encoder: Array, determined: tuple[Array, ...]
-) -> tuple[Array, tuple[Array, ...], Array]:
+) -> tuple[Array, tuple[Array, ...], Array | None]:
     """Move measured poses along what their LEDs leave open to where the readings are nearest.
 
     A gauge, not a value: the LEDs that were seen stay where they are. The flange's origin moves
     about them, and with it the point that twists refer to. Returns the poses, what is determined
     there (functionals of twists at the new origin), and the matrices (n, 6, 6) that carry twists
-    from the old origin to the new one.
+    from the old origin to the new one; None where all poses are determined and stay.
     """
+    if all(functionals.shape[1] == 6 for functionals in determined):
+        return measured, determined, None
     filled, known = measured.copy(), list(determined)
     carry = np.empty((len(measured), 6, 6))
     carry[:] = np.eye(6)
@@ -319,14 +324,14 @@ class JointComparison:
 
 def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:
     """Find the joint angles of every measured pose, and how well each is known."""
-    q, reached, jacobian, inverse = _nearest(comparison, arm)
+    q, reached, jacobian, inverse, near = _nearest(comparison, arm)
     open_joints = np.zeros(q.shape, dtype=np.bool_)
     for i, determined in enumerate(comparison.determined):
         if determined.shape[1] < 6 or arm.dof > 6:
             open_joints[i] = _undetermined_joints(inverse[i], jacobian[i], determined)
     q = np.where(reached[:, None] & ~open_joints, q, np.nan)
     error = comparison.q - q
-    couplings = robots.couplings(arm, comparison.q, comparison.base_T_encoder)
+    couplings = robots.couplings(arm, comparison.q, near)
     turned = np.swapaxes(inverse, 1, 2)
     return JointComparison(
         q=q,
@@ -344,21 +349,23 @@ def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:
 
 def _nearest(
     comparison: Comparison, arm: robots.Arm
-) -> tuple[Array, NDArray[np.bool_], Array, Array]:
+) -> tuple[Array, NDArray[np.bool_], Array, Array, NDArray[np.bool_]]:
     """Find the joint angles nearest to the readings, and whether a pose is reached, (n,).
 
-    Then the Jacobians there, or else where it was taken, and their inverses. Newton from the
+    Then the Jacobians there, or else where it was taken, and their inverses; and whether the
+    readings may be near a singularity, (n,). Newton from the
     readings, unless another branch of the inverse may be as near; then all of them.
     """
     poses, q = comparison.base_T_measured, comparison.q.copy()
     jacobian, inverse = comparison.jacobian.copy(), np.empty((*q.shape, 6))
-    followed = np.zeros(len(q), dtype=np.bool_)
+    away = np.full(len(q), np.inf)
     if arm.dof == 6:
-        away = np.empty(len(q))
         follow_poses(_chain(arm), np.ascontiguousarray(poses), q, jacobian, inverse, away)
-        followed = away < robots.branch_distance(arm, q, poses)
-    if followed.all():
-        return q, followed, jacobian, inverse
+    postures, places = (comparison.q, q), (comparison.base_T_encoder, poses)
+    near, alone = robots.singularity(arm, np.concatenate(postures), np.concatenate(places))
+    followed, near = away < alone[len(q) :], near[: len(q)]
+    if np.count_nonzero(followed) == len(q):
+        return q, followed, jacobian, inverse, near
     rest, reached = np.flatnonzero(~followed), followed.copy()
     q[rest], reached[rest] = robots.nearest(arm, poses[rest], comparison.q[rest])
     jacobian[rest] = comparison.jacobian[rest]
@@ -366,7 +373,7 @@ def _nearest(
     jacobian[there] = _flange(arm, q[there])[1]
     # an exact singularity is flagged, not fatal
     inverse[rest] = np.linalg.pinv(jacobian[rest], rcond=1e-9)
-    return q, reached, jacobian, inverse
+    return q, reached, jacobian, inverse, near
 
 
 def _undetermined_joints(inverse: Array, jacobian: Array, determined: Array) -> NDArray[np.bool_]:

@@ -141,6 +141,9 @@ def follow_poses(
             if largest < TOL_STEP:
                 away[n] = math.sqrt(moved)
                 break
+        if away[n] == math.inf:
+            for i in range(6):
+                q[n, i] = begin[i]
 
 
 @compiled

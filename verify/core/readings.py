@@ -43,7 +43,7 @@ class Readings:
         single reading: a visit). Where the arm moves and the readings stop, there is none.
         """
         available: NDArray[np.bool_] = bracketed(self._contiguous[0], MAX_GAP, _as_contiguous(t))
-        if available.all():
+        if np.count_nonzero(available) == len(available):
             return available
         gaps = np.flatnonzero(~available & (t >= self.t[0]) & (t <= self.t[-1]))
         if len(gaps):

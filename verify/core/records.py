@@ -130,7 +130,7 @@ class Pose:
     @property
     def reprojection_rms_px(self) -> float:
         """Root mean square distance of the used spots from those that the pose predicts."""
-        used = self.residual[~self.rejected] if self.rejected.any() else self.residual
+        used = self.residual[~self.rejected] if np.count_nonzero(self.rejected) else self.residual
         return math.sqrt(float(np.vdot(used, used)) / len(used)) if len(used) else math.nan
 
 

@@ -155,7 +155,7 @@ class Comparer:
             for n, i in enumerate(comparison.index.tolist()):
                 alignment = track.covariance_alignment[i]
                 rows[i] = self._compared(pairs[i], comparison, joints, n, effects[n], alignment)
-        for i in np.flatnonzero(~known).tolist():
+        for i in (~known).nonzero()[0].tolist():
             rows[i] = self._measured_alone(*pairs[i], track.base_T_flange[i])
         return [rows[i] for i in range(len(pairs))]
 

@@ -280,7 +280,7 @@ def _measure_causally(assigned: _AssignedPair, around: Neighbours, setup: Setup)
 def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measurement:
     """Measure a pair by both its neighbours, and the pair before those."""
     causal = now.measurement
-    moved = any(s is None or s.lever.any() for s in (causal.left, causal.right))
+    moved = any(s is None or np.count_nonzero(s.lever) for s in (causal.left, causal.right))
     before, _, earlier = now.around
     if not moved or (after is None and earlier is None):
         return replace(causal, settled=True)
@@ -324,7 +324,7 @@ def _fit(
 
 def _without_rejected(assigned: _AssignedPair, pose: Pose) -> _AssignedPair:
     """Leave out spots that the pose fit rejected: the next pair must not rest on them."""
-    if not pose.rejected.any():
+    if not np.count_nonzero(pose.rejected):
         return assigned
     kept = np.split(~pose.rejected, [len(assigned.sides[0].sighting)])
     left, right = (

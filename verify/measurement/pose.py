@@ -188,7 +188,7 @@ def perturb(pose: Array, step: Array) -> Array:
 def _determined_functionals(fit: _PoseFit) -> Array:
     """Functionals of the pose that the spots determine, (6, d): across what none of them shows."""
     directions, known = fit.directions
-    if known.all():
+    if np.count_nonzero(known) == len(known):
         return IDENTITY.copy()
     hidden = directions[:, ~known] * SCALE[:, None]
     return np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -57,9 +58,7 @@ def concatenate(tracks: Sequence[Track]) -> Track:
 def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Array]) -> Track:
     """Gather what was measured; `systematic` holds (6, p) a measured pair, in base axes."""
     measured = [m for m in measurements if m.status == "measured" and m.pose is not None]
-    base_T_rig = np.linalg.inv(rig.rig_T_base)
-    turn = np.zeros((6, 6))
-    turn[:3, :3] = turn[3:, 3:] = base_T_rig[:3, :3]
+    base_T_rig, turn = _base(rig.rig_T_base.tobytes())
     n = len(measured)
     poses = [m.pose for m in measured if m.pose is not None]
     return Track(
@@ -76,6 +75,15 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
         systematic=np.array(systematic).reshape(n, 6, -1) if n else np.zeros((0, 6, 0)),
         determined=tuple(turn @ p.determined for p in poses),
     )
+
+
+@lru_cache(maxsize=4)
+def _base(rig_T_base: bytes) -> tuple[Array, Array]:
+    """Carry poses (4, 4) and twists (6, 6) from the rig to the robot's base, given as bytes."""
+    base_T_rig: Array = np.asarray(np.linalg.inv(np.frombuffer(rig_T_base).reshape(4, 4)))
+    turn = np.zeros((6, 6))
+    turn[:3, :3] = turn[3:, 3:] = base_T_rig[:3, :3]
+    return base_T_rig, turn
 
 
 def _alignment_errors(measurements: list[Measurement]) -> Array:
@@ -155,8 +163,11 @@ def _centres_of(leds: NDArray[np.int64], sighting: Sighting) -> Array:
 
 
 def _lowest_order(measurement: Measurement) -> int:
-    sides = [s.lever for s in (measurement.left, measurement.right) if s is not None]
-    return 2 + int(np.concatenate(sides).any(axis=0).argmax()) if sides else 2
+    for order in (2, 3, 4):
+        for side in (measurement.left, measurement.right):
+            if side is not None and np.count_nonzero(side.lever[:, order - 2]):
+                return order
+    return 2
 
 
 def _pan(sighting: Sighting | None) -> float:

@@ -140,11 +140,11 @@ def assign_leds(
     if len(spots[0]) == 0 or len(spots[1]) == 0:
         return _no_result("too_few_leds")
     views = prepare_views(spots, rig, pans, marker, motion_tolerance_px)
-    found = _find(views, prediction, expected)
+    found, lone = _find(views, prediction, expected)
     if len(found) == 0:
         return _no_result("too_few_leds")
     best, alternatives, rivals = _rank(views, found, prediction)
-    if alternatives == 0 and is_single_led(found)[best]:
+    if alternatives == 0 and lone and is_single_led(found)[best]:
         choice = "continuity"
     elif alternatives == 0:
         choice = "colour" if _needs_colour(views, found, best) else "geometry"
@@ -162,22 +162,25 @@ def assign_leds(
 
 def _find(
     views: SpotViews, prediction: PosePrediction | None, expected: Callable[[], Sequence[Array]]
-) -> Hypotheses:
-    """Search the images, and follow the prediction where there is one."""
+) -> tuple[Hypotheses, bool]:
+    """Search the images, and follow the prediction where there is one.
+
+    Says whether what it found may be a single LED.
+    """
     references = [prediction.rig_T_flange] if prediction is not None else expected()
     rig_R_flange = references[0][:3, :3] if len(references) else np.eye(3)
     found = search_assignments(views, rig_R_flange, single=prediction is not None)
     if prediction is not None:
         near = _departures(views, found, prediction) <= MAX_REFERENCE_DEPARTURE
-        there = found if near.all() else found.take(near)
+        there = found if np.count_nonzero(near) == len(near) else found.take(near)
         tracked = follow_prediction(views, there, prediction.rig_T_flange, *prediction.sigmas)
         found = merge(found, tracked)
     stray = is_single_led(found)
-    if not stray.any():
-        return found
+    if not np.count_nonzero(stray):
+        return found, False
     if prediction is not None:
         stray &= _departures(views, found, prediction) > MAX_REFERENCE_DEPARTURE
-    return found.take(~stray)
+    return found.take(~stray), True
 
 
 def _rank(
@@ -215,7 +218,7 @@ def _nearest(views: SpotViews, found: Hypotheses, expected_poses: Sequence[Array
 
 def _needs_colour(views: SpotViews, found: Hypotheses, best: int) -> bool:
     """Say whether the same search, colour-blind, would have left a rival to the one found."""
-    if views.allowed.all():
+    if np.count_nonzero(views.allowed) == views.allowed.size:
         return False
     everything = np.repeat(np.isfinite(views.pixels[:, None, :, 0]), len(views.leds), axis=1)
     if np.array_equal(views.allowed, everything):

@@ -53,7 +53,7 @@ def _chi2_bounds(leds: int) -> Array:
 
 def merge(some: Hypotheses, others: Hypotheses) -> Hypotheses:
     """Keep the best fit of each assignment of both."""
-    if len(some) == len(others) == 1 and np.array_equal(some.spot, others.spot):
+    if len(some) == len(others) == 1 and some.spot.tobytes() == others.spot.tobytes():
         return others if others.chi2.item() < some.chi2.item() else some
     both = some.join(others)
     return both.take(slice(kernel.keep_unique(both.state, both.spot, len(both))))
@@ -71,7 +71,7 @@ def score(views: SpotViews, hypotheses: Hypotheses) -> Array:
 def is_single_led(hypotheses: Hypotheses) -> NDArray[np.bool_]:
     """Say where one LED of several is all that both cameras see: any lamp would do as well."""
     several = hypotheses.spot.shape[2] > 1
-    alone: NDArray[np.bool_] = several & ((hypotheses.spot >= 0).all(axis=1).sum(axis=1) == 1)
+    alone: NDArray[np.bool_] = several & (kernel.count_all(hypotheses.spot)[2] == 1)
     return alone
 
 

@@ -66,7 +66,7 @@ def prepare_views(
     Spots come brightest first; those past the first 48 are left out. `pans`, rad, are readings of
     the bases; `skew`, px: how far LEDs may have moved in the image between the two exposures.
     """
-    matrix, lens, focal, camera_R_rig, center = _optics(rig.left, rig.right, pans)
+    matrix, lens, focal, mean_focal, camera_R_rig, center = _optics(rig.left, rig.right, pans)
     pixels, covariance, merged, allowed = kernel.prepare_images(
         (_arrays(spots[0]), _arrays(spots[1])),
         (matrix, lens),
@@ -82,7 +82,7 @@ def prepare_views(
         camera_R_rig=camera_R_rig,
         center=center,
         focal=focal,
-        mean_focal=focal.sum().item() / 4,
+        mean_focal=mean_focal,
         leds=np.array(marker.leds, order="C"),
         led_play=led_sigma(marker),
         skew=skew,
@@ -107,12 +107,13 @@ def _light(colours: tuple[str | None, ...]) -> Index:
 @lru_cache(maxsize=4)  # two cameras are the same ones for many pairs
 def _optics(
     left: Camera, right: Camera, pans: tuple[float, float]
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Camera matrices, lenses (2, 5), focal lengths (2, 2), camera_R_rig, and centres (2, 3)."""
+) -> tuple[Array, Array, Array, float, Array, Array]:
+    """Camera matrices, lenses (2, 5), focal lengths, their mean, camera_R_rig, and centres."""
     matrix, lens = np.array([left.matrix, right.matrix]), [left.distortion, right.distortion]
     placed = np.array([left.rig_T_camera(pans[0]), right.rig_T_camera(pans[1])])
     turns = np.ascontiguousarray(np.swapaxes(placed[:, :3, :3], 1, 2))
-    return matrix, np.array(lens), matrix[:, [0, 1], [0, 1]], turns, placed[:, :3, 3].copy()
+    focal = matrix[:, [0, 1], [0, 1]]
+    return matrix, np.array(lens), focal, float(focal.mean()), turns, placed[:, :3, 3].copy()
 
 
 def led_sigma(marker: Marker) -> float:
