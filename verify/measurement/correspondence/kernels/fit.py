@@ -31,45 +31,43 @@ N_STATE = COVARIANCE + N_FREE**2
 
 @compiled
 def predict_image(
-    led: Array,
+    scene: Scene,
+    side: int,
+    led: int,
     rotation: Array,
     position: Array,
-    camera_R_rig: Array,
-    center: Array,
-    focal: Array,
     nearest: float,
     pixel: Array,
     derivative: Array,
 ) -> float:
     """Predict one LED's image in one camera, without the shift; gives the depth, m.
 
-    `led` (3,), m, flange frame; `rotation` (3, 3), rig_R_flange, and `position` (3,), m;
-    `camera_R_rig` (3, 3); `center` (3,), m, rig frame; `focal` (2,), px; `nearest`, m: depth below
-    which nothing is imaged. Filled: `pixel` (2,), and of `derivative` (2, 8) the first six columns,
-    by position and rotation vector.
+    `side`: left or right; `rotation` (3, 3), rig_R_flange, and `position` (3,), m; `nearest`, m:
+    depth below which nothing is imaged. Filled: `pixel` (2,), and of `derivative` (2, 8) the first
+    six columns, by position and rotation vector.
     """
-    arm, local = np.empty(3), np.empty(3)
-    for i in range(3):
-        arm[i] = rotation[i, 0] * led[0] + rotation[i, 1] * led[1] + rotation[i, 2] * led[2]
-    for i in range(3):
-        local[i] = 0.0
-        for j in range(3):
-            local[i] += camera_R_rig[i, j] * (arm[j] + position[j] - center[j])
-    depth = local[2]
-    if depth <= nearest:
-        local[0], local[1], local[2] = 0.0, 0.0, 1.0
+    turn, center, focal, leds = scene[0], scene[1], scene[2], scene[7]
+    p, q, r = leds[led, 0], leds[led, 1], leds[led, 2]
+    u = rotation[0, 0] * p + rotation[0, 1] * q + rotation[0, 2] * r
+    v = rotation[1, 0] * p + rotation[1, 1] * q + rotation[1, 2] * r
+    w = rotation[2, 0] * p + rotation[2, 1] * q + rotation[2, 2] * r
+    p, q = u + position[0] - center[side, 0], v + position[1] - center[side, 1]
+    r = w + position[2] - center[side, 2]
+    depth = float(turn[side, 2, 0] * p + turn[side, 2, 1] * q + turn[side, 2, 2] * r)
+    ahead = depth if depth > nearest else 1.0
     for axis in range(2):
-        scale = focal[axis] / local[2]
-        pixel[axis] = scale * local[axis]
-        lean = -pixel[axis] / local[2]
-        a = scale * camera_R_rig[axis, 0] + lean * camera_R_rig[2, 0]
-        b = scale * camera_R_rig[axis, 1] + lean * camera_R_rig[2, 1]
-        c = scale * camera_R_rig[axis, 2] + lean * camera_R_rig[2, 2]
+        d, e, f = turn[side, axis, 0], turn[side, axis, 1], turn[side, axis, 2]
+        aside = d * p + e * q + f * r
+        scale = focal[side, axis] / ahead
+        pixel[axis] = scale * aside if depth > nearest else 0.0
+        lean = -pixel[axis] / ahead
+        a, b = scale * d + lean * turn[side, 2, 0], scale * e + lean * turn[side, 2, 1]
+        c = scale * f + lean * turn[side, 2, 2]
         derivative[axis, 0], derivative[axis, 1], derivative[axis, 2] = a, b, c
-        derivative[axis, 3] = c * arm[1] - b * arm[2]
-        derivative[axis, 4] = a * arm[2] - c * arm[0]
-        derivative[axis, 5] = b * arm[0] - a * arm[1]
-    return float(depth)
+        derivative[axis, 3] = c * v - b * w
+        derivative[axis, 4] = a * w - c * u
+        derivative[axis, 5] = b * u - a * v
+    return depth
 
 
 @compiled
@@ -105,7 +103,7 @@ def fit_all(
     `state` (h, 85), of which all but what keeps the pose is changed; chi² includes the shift's
     share. `chosen` (h, 2, n): spots, -1 for none. 0 `steps` compute covariance and chi² alone.
     """
-    camera_R_rig, center, focal, pixels, noise, _, _, leds = scene
+    pixels, noise, leds = scene[3], scene[4], scene[7]
     nearest, play, shift_weight = limits
     roots = np.empty((2, len(leds), 2, 2))
     pixel, derivative, white = np.empty(2), np.zeros((2, N_FREE)), np.empty(N_FREE)
@@ -123,9 +121,8 @@ def fit_all(
                     if which < 0:
                         continue
                     depth = predict_image(
-                        leds[led], rotation, position, camera_R_rig[side], center[side],
-                        focal[side], nearest, pixel, derivative,
-                    )  # fmt: skip
+                        scene, side, led, rotation, position, nearest, pixel, derivative
+                    )
                     derivative[0, 6] = derivative[1, 7] = float(side)
                     own = roots[side, led]
                     if step == 0:
@@ -139,12 +136,11 @@ def fit_all(
                         for a in range(N_FREE):
                             white[a] = x * derivative[0, a] + y * derivative[1, a]
                             pull[a] += white[a] * residual
-                            for b in range(a + 1):
+                        for a in range(N_FREE):
+                            for b in range(N_FREE):
                                 information[a, b] += white[a] * white[b]
             for a in range(N_FREE):
                 information[a, a] += state[h, HOLD + a] if a < 6 else shift_weight
-                for b in range(a):
-                    information[b, a] = information[a, b]
             factor(information, 0.0, root)
             if step < steps:
                 pull[6] -= shift_weight * shift[0]

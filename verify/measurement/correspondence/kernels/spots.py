@@ -66,7 +66,7 @@ def gather_all(scene: Scene, limits: Limits, state: Array, spot: Index, largest:
     `state` (h, 85), as `fit_all` has it; an LED whose place is known worse than `largest`, px, gets
     none. Says whether any has changed.
     """
-    camera_R_rig, center, focal, pixels, noise, merged, allowed, leds = scene
+    pixels, noise, merged, allowed, leds = scene[3], scene[4], scene[5], scene[6], scene[7]
     nearest, play, _ = limits
     cost, image = np.empty((allowed.shape[1], allowed.shape[2])), np.empty(2)
     slope, own, changed = np.zeros((2, N_FREE)), np.empty(len(leds), np.int64), False
@@ -76,10 +76,7 @@ def gather_all(scene: Scene, limits: Limits, state: Array, spot: Index, largest:
         for side in range(2):
             slope[0, 6] = slope[1, 7] = float(side)
             for led in range(len(cost)):
-                depth = predict_image(
-                    leds[led], rotation, position, camera_R_rig[side], center[side],
-                    focal[side], nearest, image, slope,
-                )  # fmt: skip
+                depth = predict_image(scene, side, led, rotation, position, nearest, image, slope)
                 xx, xy, yy = 0.0, 0.0, 0.0  # variance of the predicted image, px²
                 for i in range(N_FREE):
                     x, y = 0.0, 0.0
