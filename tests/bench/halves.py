@@ -3,7 +3,10 @@
 Each half is calibrated from scratch, z = (a - b) / sqrt(u_a² + u_b²) for each parameter; rms of z
 over the halves. All halves are of the same few pictures, so that rms of z scatters however true
 the uncertainties are: its range (5 to 95 %) is simulated, with corners that err exactly as stated.
-A set fails where its pooled z is beyond that range, or a half is refused and the whole is not.
+A half that is refused is calibrated all the same and set against the whole set: a refusal is right
+where a parameter is off by more than 3 of its own u; halves that are let through and as far off are
+named. A set fails where its pooled z is beyond its range, more single z are beyond theirs than
+chance explains, or a refusal is wrong.
 
     python -m tests.bench.halves [COUNT] [SEED] [SET …]
 """
@@ -12,6 +15,7 @@ import os
 import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
+from unittest.mock import patch
 
 import cv2
 import numpy as np
@@ -21,7 +25,7 @@ from tests.support.beside import shared
 from tests.support.boards.calibrated import departure, departure_covariance
 from tests.support.boards.made_views import found_pairs
 from verify.calibration.quality.accuracy import parameter_derivatives
-from verify.calibration.stereo import bundle, gauge
+from verify.calibration.stereo import bundle, gauge, refusals
 from verify.calibration.stereo.calibrate import calibrate, stack_corners
 from verify.calibration.stereo.estimate import invert
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel
@@ -35,6 +39,7 @@ from verify.errors import InputError
 
 COUNT, DRAWS, RANGE = 50, 400, (0.05, 0.95)
 LOW, HIGH = 0.8, 1.3  # of rms of z
+MOST_OFF = 3.0  # u, of a half from the whole set
 LENS = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
 DEPARTURE = (*(f"{side}.{key}" for side in ("left", "right") for key in LENS),
              "x", "y", "z", "rx", "ry", "rz")  # fmt: skip
@@ -98,31 +103,61 @@ def twins(pairs: Sequence[BoardPair], board: Board, size: tuple[int, int]) -> li
     return [BoardPair(i, 0.0, 0.0, *both) for i, both in enumerate(sides)]
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Outcome:
+    """A calibration from some of the pictures, and why it would be refused."""
+
+    found: Calibration
+    refusal: str  # "": it is not
+
+    def off(self, other: Calibration, count: int) -> Array:
+        """Parameters less another calibration's, over their own u, (count,)."""
+        u = np.sqrt(np.diag(departure_covariance(self.found)))
+        return (departure(self.found.rig, other.rig) / u)[:count]
+
+    def worst(self, whole: Calibration, count: int) -> str:
+        """What is farthest off the whole set's, and the focal length."""
+        off, focal = self.off(whole, count), whole.rig.left.matrix[0, 0]
+        at, share = int(np.argmax(np.abs(off))), self.found.rig.left.matrix[0, 0] / focal - 1
+        return (
+            f"{DEPARTURE[at]} is off by {off[at]:+.1f} u, left.fx by {off[0]:+.1f} u ({share:+.1%})"
+        )
+
+
+def calibrated(kit: BoardSet, pairs: Sequence[BoardPair]) -> Outcome:
+    """Calibrate, whether or not the focal length or principal point is known well enough."""
+    try:
+        return Outcome(kit.calibrate(pairs), "")
+    except InputError as error:
+        with patch.object(refusals, "refuse_undetermined"):
+            return Outcome(kit.calibrate(pairs), str(error))
+
+
 def halves(
     kit: BoardSet, pairs: Sequence[BoardPair], count: int, seed: int
-) -> tuple[Array, list[str]]:
-    """Differences (m, p) of random halves over their standard uncertainties; refusals."""
-    rng, z, refused = np.random.default_rng(seed), [], []
+) -> list[tuple[Outcome, Outcome]]:
+    """Random halves, calibrated."""
+    rng, found = np.random.default_rng(seed), []
     for _ in range(count):
         mixed = [pairs[i] for i in rng.permutation(len(pairs))]
-        split = mixed[: len(mixed) // 2], mixed[len(mixed) // 2 :]
-        try:
-            one, other = map(kit.calibrate, split)
-        except InputError as error:
-            refused.append(str(error))
-            continue
-        u = np.sqrt(np.diag(departure_covariance(one) + departure_covariance(other)))
-        z.append((departure(one.rig, other.rig) / u)[: kit.count])
-    return np.array(z), refused
+        half = len(mixed) // 2
+        found.append((calibrated(kit, mixed[:half]), calibrated(kit, mixed[half:])))
+    return found
 
 
-def chance(kit: BoardSet, pairs: Sequence[BoardPair]) -> Array:
+def difference(one: Outcome, other: Outcome, count: int) -> Array:
+    """Two halves' parameters less each other's, over their standard uncertainty, (count,)."""
+    both = departure_covariance(one.found) + departure_covariance(other.found)
+    return (departure(one.found.rig, other.found.rig) / np.sqrt(np.diag(both)))[:count]
+
+
+def chance(kit: BoardSet, pairs: Sequence[BoardPair], whole: Calibration) -> Array:
     """Rms of z (DRAWS, p) over all halves of pictures that err exactly as stated.
 
     To first order a parameter's error is the sum of what each picture moves it by, drawn from its
     own information; halves differ by these with random signs, as many of either.
     """
-    rig, every = (whole := kit.calibrate(pairs)).rig, kit.every(pairs)
+    rig, every = whole.rig, kit.every(pairs)
     corners = stack_corners(every, kit.board)
     state = BundleState(rig.left, rig.right, whole.rig_T_board, np.zeros((len(every), 8)))
     lens = lens_rows(state, kit.size, whole.noise**2)
@@ -143,29 +178,49 @@ def report(name: str, count: int, seed: int) -> int:
     """Print a set's figures beside what chance would show; 1 where they are beyond it."""
     kit = SETS[name]
     pairs = kit.pairs()
-    try:
-        drawn = chance(kit, pairs)
-    except InputError as error:
-        print(f"{name}: {len(pairs)} pictures, refused as a whole: {error}")
-        return 0
-    z, refused = halves(kit, pairs, count, seed)
+    whole = calibrated(kit, pairs)
+    drawn, splits = chance(kit, pairs, whole.found), halves(kit, pairs, count, seed)
+    z = np.array(
+        [
+            difference(*s, kit.count)
+            for s in splits
+            if whole.refusal or not any(h.refusal for h in s)
+        ]
+    )
     found = np.sqrt(np.mean(z**2, axis=0))
+    least, most = np.quantile(drawn, RANGE, axis=0)
     figures = {  # of the halves, and of each draw
         "pooled z": [np.sqrt(np.mean(rms**2, axis=-1)) for rms in (found, drawn)],
         f"of {kit.count} z in {LOW} to {HIGH}": [
             np.sum((rms > LOW) & (rms < HIGH), axis=-1) for rms in (found, drawn)
         ],
+        f"of {kit.count} z beyond": [
+            np.sum((rms < least) | (rms > most), axis=-1) for rms in (found, drawn)
+        ],
         **{f"z of {key}": pair for key, *pair in zip(DEPARTURE, found, drawn.T, strict=False)},
     }
-    print(f"{name}, seed {seed}: {count} halves of {len(pairs)} pictures, {len(refused)} refused; "
-          f"{cells.share(z):.1%} within {cells.WITHIN} u")  # fmt: skip
-    for error in refused:
-        print(f"  refused: {error}")
-    failed = int(len(refused) > 0)
+    refused = [half for split in splits for half in split if half.refusal]
+    far = [half for split in splits for half in split
+           if np.abs(half.off(whole.found, kit.count)).max() > MOST_OFF]  # fmt: skip
+    let = [half for half in far if not half.refusal]
+    print(f"{name}, seed {seed}: {count} splits of {len(pairs)} pictures, {len(refused)} halves "
+          f"refused; {cells.share(z):.1%} within {cells.WITHIN} u")  # fmt: skip
+    if whole.refusal:
+        print(
+            f"  refused as a whole, its halves set against each other all the same: {whole.refusal}"
+        )
+    else:
+        for half in refused:
+            word = "rightly" if half in far else "WRONGLY"
+            print(f"  refused {word}: forced through, {half.worst(whole.found, kit.count)}")
+    for half in let:
+        print(f"  let through: {half.worst(whole.found, kit.count)}")
+    failed = 0 if whole.refusal else sum(half not in far for half in refused)
     for label, (value, draws) in figures.items():
         low, high = np.quantile(draws, RANGE)
         out = "" if low <= value <= high else "  BEYOND"
-        failed += int(bool(out) and "pooled" in label)
+        many = "beyond" in label and value > high
+        failed += int(many or (bool(out) and "pooled" in label))
         print(f"  {label:20s} {value:5.2f}  (by chance {low:.2f} to {high:.2f}){out}")
     return failed
 

@@ -12,10 +12,10 @@ from verify.core.records import Array
 from verify.errors import InputError
 
 MIN_PAIRS = 3
-MAX_FOCAL_UNCERTAINTY = 0.05  # of the focal length; simulated, rms z is 1.1 up to it, 1.5 beyond
-MAX_PARALLEL_UNCERTAINTY = 0.01  # likewise, of boards that are parallel: z is 2 beyond it, as small
-# tilts are uncertain themselves
 MIN_NORMAL_SPREAD = np.deg2rad(6.0)  # boards whose normals spread by less are parallel
+# up to what share of the focal length a stated uncertainty holds, by the spread from which on:
+# small tilts are uncertain themselves, and then it is too small (simulated, rms z is 1.5 to 2)
+MAX_FOCAL_UNCERTAINTY = {0.0: 0.01, MIN_NORMAL_SPREAD: 0.05, np.deg2rad(10.0): 0.1}
 MAX_NAMED_PAIRS = 8  # pairs that a message lists
 MAX_PAN_SCATTER = np.deg2rad(2.0)  # scatter of readings beyond which they are no readings
 MORE_PICTURES = (
@@ -115,11 +115,11 @@ def refuse_undetermined(found: Estimate) -> None:
     The covariance decides where it can be believed; the boards' poses word the remedy too.
 
     Raises:
-        InputError: a focal length or principal point known worse than 5 % of the focal length, or
-            1 % where all boards are parallel.
+        InputError: a focal length or principal point known worse than 10 % of the focal length,
+            5 % where boards are tilted little, 1 % where all are parallel.
     """
     spread = _normal_spread(found)
-    limit = MAX_PARALLEL_UNCERTAINTY if spread < MIN_NORMAL_SPREAD else MAX_FOCAL_UNCERTAINTY
+    limit = max(share for least, share in MAX_FOCAL_UNCERTAINTY.items() if spread >= least)
     u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for index, (side, camera) in enumerate(zip(SIDES, found.state.cameras, strict=True)):
         own = u[camera_columns(index)] / camera.matrix[0, 0]

@@ -10,7 +10,7 @@ import pytest
 
 from tests.bench.calibration import deviation, study
 from tests.bench.cells import d2_ratio
-from tests.bench.halves import SETS, halves
+from tests.bench.halves import SETS, difference, halves
 from tests.support.boards.calibrated import (
     departure,
     departure_covariance,
@@ -370,8 +370,9 @@ def opencv_rms(pairs: list[BoardPair]) -> float:
 @pytest.mark.shared
 @pytest.mark.slow
 def test_halves_of_the_real_pairs_differ_as_stated(stereo_pairs: list[BoardPair]) -> None:
-    found, refused = halves(STEREO, stereo_pairs, 8, 5)
-    assert not refused
+    splits = halves(STEREO, stereo_pairs, 8, 5)
+    assert not any(half.refusal for split in splits for half in split)
+    found = np.array([difference(*split, STEREO.count) for split in splits])
     z = np.sqrt(np.mean(found**2, axis=0))
     assert 0.8 < np.sqrt(np.mean(z**2)) < 1.3
     assert z.max() < 2.0  # eight halves of the same 13 pairs
