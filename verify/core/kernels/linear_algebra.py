@@ -8,6 +8,7 @@ library calls are no quicker.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from verify.core.jit import compiled
 from verify.core.records import Array
@@ -147,7 +148,7 @@ def rotation_vectors(turns: Array, vectors: Array) -> None:
 
 
 @compiled
-def copy_to(target: Array, source: Array) -> None:
+def copy_to(target: NDArray[np.floating], source: NDArray[np.floating]) -> None:
     """Copy (n,) entry by entry: numba compiles slice assignment ten times as long."""
     for k in range(len(target)):
         target[k] = source[k]

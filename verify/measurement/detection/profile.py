@@ -9,6 +9,7 @@ sides leave the Gaussian along the same direction, f (t⁴ - t²), so the family
 from functools import cache
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.special import chndtr, chndtrinc, lambertw
 
 from verify.core.records import Array
@@ -23,8 +24,8 @@ MAX_RADIUS = 8.0  # half-widths; beyond it the last sample stands
 
 
 @cache
-def profile_table() -> Array:
-    """Tabulate the family once, (4, rows, samples), a row a steepness, a sample a radius.
+def profile_table() -> NDArray[np.float32]:
+    """Tabulate the family once, (rows, samples, 4), a row a steepness, a sample a radius.
 
     The four are f, its step to the next row (the last one has none), df / d(t²), and its step.
     """
@@ -43,7 +44,7 @@ def profile_table() -> Array:
         slope[row, 1:] = np.gradient(value[row], RADIUS_STEP)[1:] / (2 * t[1:])
         slope[row, 0] = (value[row, 1] - value[row, 0]) / RADIUS_STEP**2
     value_step, slope_step = (np.diff(table, axis=0, append=table[-1:]) for table in (value, slope))
-    return np.stack([value, value_step, slope, slope_step])
+    return np.stack([value, value_step, slope, slope_step], axis=-1).astype(np.float32)
 
 
 def blurred_disc(r: Array, ratio: float) -> Array:

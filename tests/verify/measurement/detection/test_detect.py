@@ -9,11 +9,10 @@ from tests.support.leds.images import Sensor, Spot, centre_bound, picture, scatt
 from verify.core.records import Array, Spots
 from verify.errors import InputError
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.kernels.fit import fit_from_start
+from verify.measurement.detection.kernels.fit import expect_spot, fit_from_start
 from verify.measurement.detection.kernels.patches import Picture, cut_patches, rows_of
 from verify.measurement.detection.kernels.pixels import ROW_VALID
 from verify.measurement.detection.kernels.quality import COL_SOUND, assess_all
-from verify.measurement.detection.kernels.start import expect_spot
 from verify.measurement.detection.profile import profile_table
 
 DISC = Spot(210, 0.6, radius=4.2)

@@ -42,6 +42,7 @@ from verify.measurement.detection.kernels.patches import (
 from verify.measurement.detection.kernels.pixels import (
     N_PARAMETERS,
     NEIGHBOUR_RADIUS,
+    ONE,
     PAR_FLOOR,
     PAR_X,
     PAR_Y,
@@ -52,12 +53,15 @@ from verify.measurement.detection.kernels.pixels import (
     ROW_USED,
     ROW_VARIANCE,
     ROW_VISIBLE,
+    ZERO,
+    Pixels,
+    Real,
 )
 from verify.measurement.detection.kernels.quality import COL_MERGED
 
 N_TERMS = 7
 N_RIGHT = N_TERMS + 1  # residuals and terms; a multiple of four
-MIN_VISIBLE = 0.5  # share of the noise about a spot that clipping must leave: above black
+MIN_VISIBLE = Real(0.5)  # share of the noise about a spot that clipping must leave: above black
 AMPLITUDES: Array = 0.1 * np.exp2(np.arange(9))  # DN, beside none at all
 N_AMPLITUDES = len(AMPLITUDES)
 N_AROUND = 8  # patches of the room about each spot, two radii away
@@ -68,38 +72,47 @@ MAX_OWN = 3.0  # of the picture's: a spot's own surroundings move it more than c
 MEDIAN_CHI2 = 0.4549  # of chi² with one degree of freedom
 
 
-@compiled
-def surroundings_noise(rows: Array) -> float:
+@compiled_sums
+def surroundings_noise(rows: Pixels) -> float:
     """Mean variance, DN², of a spot's pixels that show the room alone; 0 if it is below black."""
-    visible, variance, count = 0.0, 0.0, 0
+    visible, variance, count = ZERO, ZERO, ZERO
     for k in range(rows.shape[1]):
-        if rows[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS**2 and rows[ROW_USED, k] > 0.0:
-            visible += rows[ROW_VISIBLE, k]
-            variance += rows[ROW_VARIANCE, k]
-            count += 1
-    return variance / count if visible > MIN_VISIBLE * max(count, 1) else 0.0
+        used = rows[ROW_USED, k] > ZERO
+        room = rows[ROW_RADIUS2, k] > NEIGHBOUR_RADIUS * NEIGHBOUR_RADIUS
+        one = ONE if used & room else ZERO
+        visible += one * rows[ROW_VISIBLE, k]
+        variance += one * rows[ROW_VARIANCE, k]
+        count += one
+    return float(variance / count) if visible > MIN_VISIBLE * max(count, ONE) else 0.0
 
 
 @compiled
-def fill_right(x: float, y: float, rows: Array, right: Array) -> None:
+def fill_right(p: Array, rows: Pixels, right: Pixels) -> None:
     """Fill in `right` (8, p): a spot's residuals, and the derivatives by the curvature's terms.
 
-    `x`, `y`: the spot's centre, px from the patch's.
+    `p` (10,): the spot's parameters.
     """
-    scale = -1.0 / rows[ROW_ROW, 0]  # the topmost pixel comes first
+    scale = ONE / -rows[ROW_ROW, 0]  # the topmost pixel comes first
+    x, y = Real(p[PAR_X]), Real(p[PAR_Y])
     for k in range(rows.shape[1]):
         u, w = (rows[ROW_COLUMN, k] - x) * scale, (rows[ROW_ROW, k] - y) * scale
-        floor = rows[PAR_FLOOR, k]
-        uu, ww = floor * u * u, floor * w * w
-        right[0, k], right[1, k] = rows[ROW_RESIDUAL, k], uu
-        right[2, k], right[3, k] = floor * u * w, ww
-        right[4, k], right[5, k] = uu * u, uu * w
-        right[6, k], right[7, k] = ww * u, ww * w
+        right[6, k], right[7, k] = u, w
+    for k in range(rows.shape[1]):
+        right[0, k] = rows[ROW_RESIDUAL, k]
+    for k in range(rows.shape[1]):
+        right[1, k] = rows[PAR_FLOOR, k] * right[6, k] * right[6, k]
+        right[2, k] = rows[PAR_FLOOR, k] * right[6, k] * right[7, k]
+    for k in range(rows.shape[1]):
+        right[3, k] = rows[PAR_FLOOR, k] * right[7, k] * right[7, k]
+    for k in range(rows.shape[1]):
+        right[4, k], right[5, k] = right[1, k] * right[6, k], right[1, k] * right[7, k]
+    for k in range(rows.shape[1]):
+        right[6, k], right[7, k] = right[3, k] * right[6, k], right[3, k] * right[7, k]
 
 
 @compiled
 def sum_curvature(
-    fits: Fits, n: int, right: Array, follow: Array, solved: Array, evidence: Array
+    fits: Fits, n: int, right: Pixels, follow: Array, solved: Array, evidence: Array
 ) -> bool:
     """Sum up what a spot shows of the room, and how likely curvature makes it.
 
@@ -110,8 +123,12 @@ def sum_curvature(
     """
     rows, left = rows_of(fits, n), np.empty((N_RIGHT, N_RIGHT))
     root, products = np.empty((N_PARAMETERS, N_PARAMETERS)), np.empty((N_PARAMETERS, N_RIGHT))
-    multiply_rows(rows[:N_PARAMETERS], right, products)
-    multiply_rows(right, right, left)
+    if fits.saturated[n]:  # as in `normal_equations`
+        multiply_rows(rows[:N_PARAMETERS], right, products, np.float64)
+        multiply_rows(right, right, left, np.float64)
+    else:
+        multiply_rows(rows[:N_PARAMETERS], right, products, Real)
+        multiply_rows(right, right, left, Real)
     factor(fits.information[n], -MIN_INFORMATION, root)
     for a in range(N_PARAMETERS):
         for b in range(N_RIGHT):
@@ -142,55 +159,71 @@ def solve_amplitudes(left: Array, follow: Array, solved: Array, evidence: Array)
             solved[k, c, 0] = left[c, 0]
             solved[k, c, 1], solved[k, c, 2] = -follow[PAR_X, c], -follow[PAR_Y, c]
         solve_each(root, solved[k, 1:])
+        volume = 1.0
         for c in range(N_TERMS):
             evidence[k] += 0.5 * solved[k, 1 + c, 0] * left[1 + c, 0]
-            evidence[k] -= math.log(AMPLITUDES[k] * root[c, c])
+            volume *= AMPLITUDES[k] * root[c, c]
+        evidence[k] -= math.log(volume)
     return True
 
 
 @compiled_sums
-def add_rows(factors: Array, rows: Array, total: Array) -> None:
-    """Add rows (m, p), each times its two factors (m, 2), to both of `total` (2, p)."""
+def add_rows(factors: Array, rows: Pixels, total: Array) -> None:
+    """Add rows (m, p), each times its two factors (m, 2), to both of `total` (2, p); m is even.
+
+    In double precision: of a spot far over the limit they nearly cancel.
+    """
     for i in range(2):
-        for a in range(len(factors)):
+        for a in range(0, len(factors), 2):
+            one, other = factors[a, i], factors[a + 1, i]
             for k in range(rows.shape[1]):
-                total[i, k] += factors[a, i] * rows[a, k]
+                total[i, k] += one * rows[a, k] + other * rows[a + 1, k]
 
 
 @compiled_sums
-def weigh_rows(rows: Array, weight: Array, added: Array) -> tuple[float, float]:
+def weigh_rows(rows: Pixels, weight: Array, added: Array) -> tuple[float, float]:
     """Add to `weight` (2, p), both over the pixels' sigmas; give its sums of squares before."""
-    first, second = 0.0, 0.0
-    for k in range(weight.shape[1]):
-        scale = math.sqrt(rows[ROW_USED, k] / rows[ROW_VARIANCE, k])
-        one, other = weight[0, k] * scale, weight[1, k] * scale
+    first, second, scale = 0.0, 0.0, np.empty(rows.shape[1])
+    for k in range(len(scale)):
+        scale[k] = math.sqrt(rows[ROW_USED, k] / rows[ROW_VARIANCE, k])
+    for k in range(len(scale)):
+        one = weight[0, k] * scale[k]
         first += one * one
-        second += other * other
-        weight[0, k], weight[1, k] = one + added[0, k] * scale, other + added[1, k] * scale
+        weight[0, k] = one + added[0, k] * scale[k]
+    for k in range(len(scale)):
+        one = weight[1, k] * scale[k]
+        second += one * one
+        weight[1, k] = one + added[1, k] * scale[k]
     return first, second
 
 
 @compiled_sums
-def weigh_room(
-    picture: Picture, channels: Array, begin: int, place: Index, weight: Array
-) -> tuple[float, float]:
-    """Sums of p pixels, less their mean, with each of two weights (2, p).
-
-    `channels` (c,): their weights in a pixel; `begin` plus `place` (p,): where each one's are.
-    """
-    mean, first, second, first_all, second_all = 0.0, 0.0, 0.0, 0.0, 0.0
-    for k in range(len(place)):
-        at = begin + place[k]
-        value = channels[0] * picture.values[at]
-        for c in range(1, picture.channels):
-            value += channels[c] * picture.values[at + c]
-        mean += value
-        first += value * weight[0, k]
-        second += value * weight[1, k]
+def weigh_room(room: Pixels, weight: Array) -> tuple[float, float]:
+    """Sums of p pixels (p,), DN, less their mean, with each of two weights (2, p)."""
+    total, first, second, first_all, second_all = ZERO, 0.0, 0.0, 0.0, 0.0
+    for k in range(len(room)):
+        total += room[k]
+        first += room[k] * weight[0, k]
+        second += room[k] * weight[1, k]
         first_all += weight[0, k]
         second_all += weight[1, k]
-    mean /= len(place)
+    mean = float(total / Real(len(room)))
     return first - mean * first_all, second - mean * second_all
+
+
+@compiled
+def read_room(picture: Picture, channels: Array, begin: int, place: Index, room: Pixels) -> None:
+    """Read p pixels at `begin` plus `place` (p,); `channels` (3,): the weights of B, G and R."""
+    values = picture.values
+    if picture.channels == 1:
+        for k in range(len(place)):
+            room[k] = values[begin + place[k]]
+        return
+    for k in range(len(place)):
+        at = begin + place[k]
+        room[k] = (
+            channels[0] * values[at] + channels[1] * values[at + 1] + channels[2] * values[at + 2]
+        )
 
 
 @compiled
@@ -206,6 +239,7 @@ def look_around(
     if picture.channels > 1:
         channel_weights(fits.colour[n], channels)
     radius, place = -int(rows[ROW_ROW, 0]), np.empty(rows.shape[1], np.int64)
+    room = np.empty(len(place), Real)
     for k in range(len(place)):
         offset = picture.width * int(rows[ROW_ROW, k]) + int(rows[ROW_COLUMN, k])
         place[k] = picture.channels * offset
@@ -219,7 +253,8 @@ def look_around(
         moved[side, 0] = moved[side, 1] = math.nan
         if clear:
             begin = picture.channels * (picture.width * y + x)
-            moved[side, 0], moved[side, 1] = weigh_room(picture, channels, begin, place, weight)
+            read_room(picture, channels, begin, place, room)
+            moved[side, 0], moved[side, 1] = weigh_room(room, weight)
 
 
 @compiled
@@ -242,10 +277,8 @@ def correct_for_room(
         if assessed[m, COL_MERGED] == 0.0:
             noise[m] = surroundings_noise(rows_of(fits, n))
         if noise[m] > 0.0:
-            right = np.empty((N_RIGHT, fits.begin[n + 1] - fits.begin[n]))
-            fill_right(
-                fits.parameters[n, PAR_X], fits.parameters[n, PAR_Y], rows_of(fits, n), right
-            )
+            right = np.empty((N_RIGHT, fits.begin[n + 1] - fits.begin[n]), Real)
+            fill_right(fits.parameters[n], rows_of(fits, n), right)
             if not sum_curvature(fits, n, right, follow[m], solved[m], evidence):
                 noise[m] = 0.0
     share_out(evidence, share)
@@ -255,9 +288,9 @@ def correct_for_room(
             continue
         n, rows = kept[m], rows_of(fits, kept[m])
         average_correction(follow[m], solved[m], share, reach, factors, own[m])
-        right = np.empty((N_RIGHT, rows.shape[1]))
-        weight, added = np.zeros((2, rows.shape[1])), np.zeros((2, rows.shape[1]))
-        fill_right(fits.parameters[n, PAR_X], fits.parameters[n, PAR_Y], rows, right)
+        right, shape = np.empty((N_RIGHT, rows.shape[1]), Real), (2, rows.shape[1])
+        weight, added = np.zeros(shape), np.zeros(shape)
+        fill_right(fits.parameters[n], rows, right)
         add_rows(follow[m, :, N_RIGHT:].copy(), rows, weight)
         add_rows(factors, rows, added)
         add_rows(reach, right, added)

@@ -3,7 +3,7 @@
 The contrast is the top hat: the image less its opening by a square, which is the greatest of the
 least values about each pixel. Levels are searched from the brightest down, so that a bright blob
 does not hide a faint neighbour. OpenCV's top hat takes as many steps a pixel as its square is wide,
-this one three.
+this one the logarithm of it.
 
 A large picture is searched where a block of pixels may exceed the lowest level: its greatest value
 less the opening of the blocks' least values, which is at most that of the pixels.
@@ -38,59 +38,55 @@ Labels = NDArray[np.int32]
 def top_hat(image: Image, reach: int, contrast: Image) -> None:
     """Fill in `contrast`, an image (h, w) less its opening by a square of 2 reach + 1 px.
 
-    Borders hold nothing.
+    Borders hold nothing: in one long row, what is beyond them is 255, all about the image.
     """
-    height, width = image.shape
-    low = np.empty((height, width), np.uint8)
-    column_minima(image, reach, low)
-    turned = np.ascontiguousarray(low.T)
-    column_minima(turned, reach, turned)
-    for x in range(width):  # the greatest of the least: the least of the complement
+    (height, width), side = image.shape, 2 * reach + 1
+    stride = width + reach
+    first, end = reach * stride + reach, (reach + height) * stride + reach
+    size = (height + 2 * reach) * stride + reach
+    low, spare = np.empty(size, np.uint8), np.empty(size, np.uint8)
+    for turn in range(2):  # the greatest of the least: the least of the complement
+        for i in range(size):
+            spare[i] = 255
         for y in range(height):
-            turned[x, y] = 255 - turned[x, y]
-    column_minima(turned, reach, turned)
-    low = np.ascontiguousarray(turned.T)
-    column_minima(low, reach, low)
+            begin = y * stride
+            row, below = spare[first + begin : first + begin + width], low[begin : begin + width]
+            for x in range(width):
+                row[x] = image[y, x] if turn == 0 else 255 - below[x]
+        for i in range(size):
+            low[i] = spare[i]
+        low, spare = least_ahead(low, spare, (reach * stride, end), 1, side)
+        low, spare = least_ahead(low, spare, (0, size), stride, side)
     for y in range(height):
+        below = low[y * stride : y * stride + width]
         for x in range(width):
-            contrast[y, x] = image[y, x] - (255 - low[y, x])
+            contrast[y, x] = image[y, x] - (255 - below[x])
 
 
 @compiled
-def column_minima(image: Image, reach: int, least: Image) -> None:
-    """Fill in the least of each column's values within `reach` rows; may be the image itself.
+def least_ahead(
+    values: Image, spare: Image, where: tuple[int, int], step: int, count: int
+) -> tuple[Image, Image]:
+    """Least of so many values, a step apart, from each of (n,) on; the other array is left over.
 
-    Source: van Herk (1992), Gil and Werman (1993): of blocks as long as the window, the least from
-    their start on and that to their end.
+    `where`: the first one and the end. Beyond the end there is nothing.
     """
-    height, width = image.shape
-    block = 2 * reach + 1
-    so_far, to_come = np.empty((height, width), np.uint8), np.empty((height, width), np.uint8)
-    for y in range(height):
-        if y % block == 0:
-            for x in range(width):
-                so_far[y, x] = image[y, x]
-        else:
-            for x in range(width):
-                so_far[y, x] = min(image[y, x], so_far[y - 1, x])
-    for y in range(height - 1, -1, -1):
-        if y == height - 1 or (y + 1) % block == 0:
-            for x in range(width):
-                to_come[y, x] = image[y, x]
-        else:
-            for x in range(width):
-                to_come[y, x] = min(image[y, x], to_come[y + 1, x])
-    for y in range(height):
-        before, after = y - reach, min(y + reach, height - 1)
-        if before < 0:
-            for x in range(width):
-                least[y, x] = so_far[after, x]
-        elif before // block == after // block:
-            for x in range(width):
-                least[y, x] = to_come[before, x]
-        else:
-            for x in range(width):
-                least[y, x] = min(so_far[after, x], to_come[before, x])
+    have, (begin, end) = 1, where
+    while have < count:
+        more = min(have, count - have)
+        last = max(end - more * step, begin)
+        least_of(values[begin:last], values[begin + more * step : end], spare[begin:last])
+        least_of(values[last:end], values[last:end], spare[last:end])
+        values, spare = spare, values
+        have += more
+    return values, spare
+
+
+@compiled
+def least_of(values: Image, others: Image, least: Image) -> None:
+    """Fill in the lesser of two values each, (n,)."""
+    for i in range(len(least)):
+        least[i] = min(values[i], others[i])
 
 
 @compiled
@@ -213,7 +209,7 @@ def compact_blobs(
                 if listed:
                     continue
                 x0, y0 = max(left - BOX_MARGIN, 0), max(top - BOX_MARGIN, 0)
-                part = contrast[y0 : bottom + BOX_MARGIN + 1, x0 : right + BOX_MARGIN + 1]
+                part = contrast[y0 : bottom + BOX_MARGIN + 1, x0 : right + BOX_MARGIN + 1].copy()
                 if measure_half_height(part, shape[1], shape[2], found[count]):
                     found[count, 0] += x0
                     found[count, 1] += y0
@@ -230,19 +226,23 @@ def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -
     ellipse's; `blob` (4,), filled: centre's column and row, px; half width, px; height, DN.
     """
     height, width = part.shape
-    at_y, at_x, peak = 0, 0, np.int64(-1)
+    at_y, at_x, peak = 0, 0, -1
     for y in range(height):
         for x in range(width):
             if part[y, x] > peak:
-                at_y, at_x, peak = y, x, part[y, x]
-    filled = np.full((height + 2, width + 2), INSIDE, np.uint8)  # with a rim that is no part of it
-    label, stack = np.zeros(filled.shape, np.int32), np.empty((filled.size, 2), np.int32)
-    flood_outside(part, peak, filled, stack)
-    flood_fill(filled, OUTSIDE, at_y + 1, at_x + 1, label, 1, stack)
+                at_y, at_x, peak = y, x, int(part[y, x])
+    region, stack = np.zeros(part.shape, np.int32), np.empty((part.size, 2), np.int32)
+    flood_fill(part, peak // 2, at_y, at_x, region, 1, stack)
+    alone = True
+    for y in range(height):
+        for x in range(width):
+            alone = alone and (2 * part[y, x] <= peak or region[y, x] == 1)
+    if not alone:  # a hole of the region may hold the others
+        fill_holes(part, peak, at_y, at_x, region)
     area, x_sum, y_sum = 0, 0, 0
     for y in range(height):
         for x in range(width):
-            if label[y + 1, x + 1] == 1 and 2 * part[y, x] > peak:
+            if region[y, x] > 0 and 2 * part[y, x] > peak:
                 area, x_sum, y_sum = area + 1, x_sum + x, y_sum + y
     if area == 0 or area == height * width:
         return False
@@ -251,7 +251,7 @@ def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -
     xx, xy, yy = 0.0, 0.0, 0.0
     for y in range(height):
         for x in range(width):
-            if label[y + 1, x + 1] == 1 and 2 * part[y, x] > peak:
+            if region[y, x] > 0 and 2 * part[y, x] > peak:
                 xx += (x - blob[0]) * (x - blob[0])
                 xy += (x - blob[0]) * (y - blob[1])
                 yy += (y - blob[1]) * (y - blob[1])
@@ -263,7 +263,20 @@ def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -
 
 
 @compiled
-def flood_outside(part: Image, peak: np.int64, label: Image, stack: Labels) -> None:
+def fill_holes(part: Image, peak: int, y: int, x: int, region: Labels) -> None:
+    """Label as 1 what is connected with a pixel once the holes of what is above half are filled."""
+    height, width = part.shape
+    filled = np.full((height + 2, width + 2), INSIDE, np.uint8)  # with a rim that is no part of it
+    label, stack = np.zeros(filled.shape, np.int32), np.empty((filled.size, 2), np.int32)
+    flood_outside(part, peak, filled, stack)
+    flood_fill(filled, OUTSIDE, y + 1, x + 1, label, 1, stack)
+    for v in range(height):
+        for u in range(width):
+            region[v, u] = label[v + 1, u + 1]
+
+
+@compiled
+def flood_outside(part: Image, peak: int, label: Image, stack: Labels) -> None:
     """Mark what of the lower pixels is connected to the rim, side by side: the rest are holes."""
     height, width = label.shape
     count = 1
@@ -298,11 +311,25 @@ def flood_fill(
     waiting = 1
     while waiting > 0:
         waiting -= 1
-        y, x = stack[waiting, 0], stack[waiting, 1]
-        left, top, right, bottom = min(left, x), min(top, y), max(right, x), max(bottom, y)
-        for v in range(max(y - 1, 0), min(y + 2, height)):
-            for u in range(max(x - 1, 0), min(x + 2, width)):
+        y, west = stack[waiting, 0], stack[waiting, 1]
+        east = west
+        while west > 0 and contrast[y, west - 1] > level and label[y, west - 1] != number:
+            west -= 1
+            label[y, west] = number
+        while east < width - 1 and contrast[y, east + 1] > level and label[y, east + 1] != number:
+            east += 1
+            label[y, east] = number
+        left, top, right, bottom = min(left, west), min(top, y), max(right, east), max(bottom, y)
+        for v in (y - 1, y + 1):
+            if not 0 <= v < height:
+                continue
+            run = False  # of pixels not yet labelled: its first one stands for it
+            for u in range(max(west - 1, 0), min(east + 2, width)):
                 if contrast[v, u] > level and label[v, u] != number:
-                    stack[waiting, 0], stack[waiting, 1], label[v, u] = v, u, number
-                    waiting += 1
+                    if not run:
+                        stack[waiting, 0], stack[waiting, 1], label[v, u] = v, u, number
+                        waiting += 1
+                    run = True
+                else:
+                    run = False
     return left, top, right, bottom

@@ -32,6 +32,7 @@ from verify.measurement.detection.kernels.pixels import (
     ROW_USED,
     ROW_VALUE,
     ROW_VISIBLE,
+    Pixels,
 )
 from verify.measurement.detection.kernels.quality import (
     COL_COUNT,
@@ -59,6 +60,7 @@ CLASS_WIDTH = 12.0  # DN, width of a level class
 N_CLASSES = math.ceil((256.0 - MIN_ABOVE_BLACK) / CLASS_WIDTH)
 FIRST_LEVEL = LOWEST_LEVEL + int(LEVEL_PARTS * MIN_ABOVE_BLACK)
 CLASS_PARTS = int(LEVEL_PARTS * CLASS_WIDTH)
+PER_CLASS = np.float32(1.0 / CLASS_PARTS * (1.0 + 1e-6))  # a whole number of parts stays whole
 BLACK_SHARE = 0.01  # share of a picture that is no brighter than black
 MIN_STENCILS = 60  # stencils a level class must hold: 15 % on its variance
 INDEPENDENT_SHARE = 0.5  # share of independent information: neighbouring stencils overlap
@@ -87,7 +89,7 @@ def count_stencils(rows: Image, apart: int, levels: Counts, differences: Counts)
     """
     looked, places = 0, rows.shape[1] - 4
     level, difference = np.empty(BLOCK_PIXELS, np.int32), np.empty(BLOCK_PIXELS, np.int32)
-    clean = np.empty(BLOCK_PIXELS, np.bool_)
+    clean, part = np.empty(BLOCK_PIXELS, np.bool_), np.empty(BLOCK_PIXELS, np.int32)
     for r in range(rows.shape[0]):
         for begin in range(r % apart * BLOCK_PIXELS, places, apart * BLOCK_PIXELS):
             row, count = rows[r, begin:], min(BLOCK_PIXELS, places - begin)
@@ -101,11 +103,13 @@ def count_stencils(rows: Image, apart: int, levels: Counts, differences: Counts)
                 level[k] = LOWEST_LEVEL - 3 * ends + 12 * sides + 17 * middle
                 difference[k] = abs(ends - 4 * sides + 6 * middle)
             for k in range(count):
+                above = np.float32(level[k] - FIRST_LEVEL)
+                part[k] = np.int32(above * PER_CLASS) if above >= 0 else -1
+            for k in range(count):
                 if clean[k]:
                     levels[level[k]] += 1
-                    part = (level[k] - FIRST_LEVEL) // CLASS_PARTS
-                    if 0 <= part < N_CLASSES:
-                        differences[part, difference[k]] += 1
+                    if 0 <= part[k] < N_CLASSES:
+                        differences[part[k], difference[k]] += 1
     return looked
 
 
@@ -131,12 +135,12 @@ def counts_quantile(counts: Counts, number: int, share: float) -> tuple[int, int
 
 
 @compiled
-def dark_variance(rows: Image, apart: int) -> tuple[float, float, float, float]:
+def dark_variance(rows: Image, apart: int, lossy: bool) -> tuple[float, float, float, float]:
     """Find the class of brightness whose dark variance is least, its uncertainty included.
 
-    `rows` and `apart` as for `count_stencils`. Gives what share of the pixels is not clipped; the
-    black level, DN, 0 where that is less than half; the dark variance, DN², nan where no class has
-    members enough; its relative spread.
+    `rows` and `apart` as for `count_stencils`; of a `lossy` image only black is found. Gives what
+    share of the pixels is not clipped; the black level, DN, 0 where that is less than half; the
+    dark variance, DN², nan where no class has members enough; its relative spread.
     """
     levels = np.zeros(N_LEVELS, np.int32)
     differences = np.zeros((N_CLASSES, N_DIFFERENCES), np.int32)
@@ -145,7 +149,7 @@ def dark_variance(rows: Image, apart: int) -> tuple[float, float, float, float]:
     if 2 * clean > looked:
         low, high, between = counts_quantile(levels, clean, BLACK_SHARE)
         black = (low + (high - low) * between - LOWEST_LEVEL) / LEVEL_PARTS
-    for part in range(N_CLASSES):
+    for part in range(0 if lossy else N_CLASSES):
         members, total, first = 0, 0, FIRST_LEVEL + part * CLASS_PARTS
         for level in range(first, min(first + CLASS_PARTS, N_LEVELS)):
             members += levels[level]
@@ -180,7 +184,7 @@ def background_noise(picture: Picture, lossy: bool, noise: Array) -> None:
         begin = r * apart * picture.width * picture.channels + picture.channels // 2
         for x in range(picture.width):
             rows[r, x] = picture.values[begin + x * picture.channels]
-    unclipped, black, dark, spread = dark_variance(rows, max(rows.size // N_SAMPLE, 1))
+    unclipped, black, dark, spread = dark_variance(rows, max(rows.size // N_SAMPLE, 1), lossy)
     # nothing unclipped, or what is not black here may be all texture
     hidden = not math.isfinite(dark) or (unclipped <= 0.5 and dark > TYPICAL_READ**2)
     noise[0] = TYPICAL_READ**2 if lossy or hidden else max(dark, QUANTISATION)
@@ -227,7 +231,7 @@ def refine_noise(fits: Fits, assessed: Array, noise: Array, spread: float) -> No
 
 
 @compiled
-def gather_residuals(rows: Array, share: Array, own: float, square: Array, signal: Array) -> int:
+def gather_residuals(rows: Pixels, share: Array, own: float, square: Array, signal: Array) -> int:
     """Gather squared residuals, DN², and signals, DN above black, of a spot's unclipped pixels.
 
     `rows` (25, p) of the spot; `share` (2,), of the read variance and the gain; `own`, how many of

@@ -36,6 +36,7 @@ from verify.measurement.detection.kernels.patches import Fits, Index, rows_of
 from verify.measurement.detection.kernels.pixels import (
     N_PARAMETERS,
     N_WHITENED,
+    ONE,
     PAR_PEAK,
     PAR_X,
     PAR_Y,
@@ -47,6 +48,9 @@ from verify.measurement.detection.kernels.pixels import (
     ROW_VARIANCE,
     ROW_VISIBLE,
     ROW_W,
+    ZERO,
+    Pixels,
+    Real,
 )
 from verify.measurement.detection.kernels.quality import COL_MERGED, COL_MISFIT, COL_SATURATED
 
@@ -59,47 +63,54 @@ P_OCCLUDED = 0.8  # of an LED's being bitten then
 P_SINGLE = 0.02  # of an LED's being bitten, where no side is shared
 MIN_Z = -5.0  # sigma: below, a continued fraction gives the normal law's tail
 N_FRACTIONS = 24  # of it: good to rounding
-MIN_RADIUS = 1e-9  # half-widths: nearer the very centre no bite changes anything
+MIN_RADIUS2 = Real(1e-18)  # half-widths²: nearer the very centre no bite changes anything
 OCCLUSION_WIDTH = 0.3  # rad, standard deviation: a stalk of a third to a half of its LED's diameter
-RIM_RADIUS = 1.8  # half-widths: no rim beyond
+RIM_RADIUS2 = Real(1.8**2)  # half-widths²: no rim beyond
+SERIES = tuple(Real(1.0 / math.factorial(n)) for n in range(2, 10))
 MIN_INFORMATION = 0.05  # share of a bite's information that the fit's own parameters must leave
 
 
 @compiled
-def occlusion_change(peak: float, rows: Array, near: Index, sunk: Array) -> None:
+def occlusion_change(peak: float, rows: Pixels, near: Index, sunk: Pixels) -> None:
     """Change of pixels by a bite in each direction, per depth and over each pixel's sigma.
 
     `peak`, DN; `rows` (25, p); `near` (m,), the pixels meant; `sunk` (24, m), filled: bites are as
     wide as von Mises' bump, a Gaussian round a circle.
     """
-    u, w, depth = np.empty(len(near)), np.empty(len(near)), np.empty(len(near))
+    some, twice = np.empty((6, len(near)), Real), Real(2.0 * peak)
+    u, w, depth, weight = some[0], some[1], some[2], some[3]
     for at in range(len(near)):
         k = near[at]
-        length = max(math.sqrt(rows[ROW_U, k] ** 2 + rows[ROW_W, k] ** 2), MIN_RADIUS)
-        u[at], w[at] = rows[ROW_U, k] / length, rows[ROW_W, k] / length
-        weight = rows[ROW_VISIBLE, k] * math.sqrt(rows[ROW_USED, k] / rows[ROW_VARIANCE, k])
+        u[at], w[at], depth[at] = rows[ROW_U, k], rows[ROW_W, k], rows[ROW_SLOPE, k]
+        weight[at], some[4, at] = rows[ROW_USED, k] / rows[ROW_VARIANCE, k], rows[ROW_VISIBLE, k]
+        some[5, at] = rows[ROW_RADIUS2, k]
+    for at in range(len(near)):
         # a smaller radius is a larger t: d(t²) = 2 t² times the relative depth
-        depth[at] = 2.0 * peak * rows[ROW_SLOPE, k] * rows[ROW_RADIUS2, k] * weight
-    sharp = 1.0 / (OCCLUSION_WIDTH * OCCLUSION_WIDTH)
+        depth[at] *= twice * some[5, at] * some[4, at] * math.sqrt(weight[at])
+    for at in range(len(near)):
+        weight[at] = ONE / math.sqrt(max(u[at] * u[at] + w[at] * w[at], MIN_RADIUS2))
+    for at in range(len(near)):
+        u[at] *= weight[at]
+        w[at] *= weight[at]
     for side in range(N_DIRECTIONS):
-        depth_profile(u, w, depth, DIRECTIONS[side, 0], DIRECTIONS[side, 1], sharp, sunk[side])
+        depth_profile(u, w, depth, DIRECTIONS[side], sunk[side])
 
 
 @compiled_sums
-def depth_profile(
-    u: Array, w: Array, depth: Array, x: float, y: float, sharp: float, sunk: Array
-) -> None:
-    """Let the depth of pixels in direction (u, w) fall off on both sides of a direction (x, y).
+def depth_profile(u: Pixels, w: Pixels, depth: Pixels, side: Array, sunk: Pixels) -> None:
+    """Let the depth of pixels in direction (u, w) fall off on both sides of a direction (2,).
 
-    The exponential is a series' 32nd power, good to 2e-9 down to -22, its least argument at a
+    The exponential is a series' 32nd power, good to rounding down to -22, its least argument at a
     width of 0.3 rad: plain arithmetic, which the processor does on several pixels at once.
     """
+    sharp = 1.0 / (32.0 * OCCLUSION_WIDTH * OCCLUSION_WIDTH)
+    x, y, less = Real(side[0] * sharp), Real(side[1] * sharp), Real(sharp)
     for at in range(len(u)):
-        z = (x * u[at] + y * w[at] - 1.0) * sharp * (1.0 / 32.0)
-        z4, low = z * z * z * z, 1.0 + z * (1.0 + z * (1 / 2 + z * (1 / 6)))
-        middle = 1 / 24 + z * (1 / 120 + z * (1 / 720 + z * (1 / 5040)))
-        high = 1 / 40320 + z * (1 / 362880 + z * (1 / 3628800 + z * (1 / 39916800)))
-        power = low + z4 * (middle + z4 * high)
+        z = x * u[at] + y * w[at] - less
+        z4 = z * z * z * z
+        low = ONE + z * (ONE + z * (SERIES[0] + z * SERIES[1]))
+        middle = SERIES[2] + z * (SERIES[3] + z * (SERIES[4] + z * SERIES[5]))
+        power = low + z4 * (middle + z4 * (SERIES[6] + z * SERIES[7]))
         power *= power
         power *= power
         power *= power
@@ -108,15 +119,15 @@ def depth_profile(
 
 
 @compiled_sums
-def cross_products(rows: Array, near: Index, sunk: Array, cross: Array, whole: Array) -> None:
+def cross_products(rows: Pixels, near: Index, sunk: Pixels, cross: Array, whole: Array) -> None:
     """Products of the whitened rows (11 of 25, p) with every bite (d, m), and of it with itself."""
-    few = np.empty((N_WHITENED, len(near)))
+    few = np.empty((N_WHITENED, len(near)), Real)
     for a in range(N_WHITENED):
         for at in range(len(near)):
             few[a, at] = rows[a, near[at]]
-    multiply_rows(few, sunk, cross)
+    multiply_rows(few, sunk, cross, Real)
     for side in range(len(sunk)):
-        total = 0.0
+        total = ZERO
         for at in range(len(near)):
             total += sunk[side, at] * sunk[side, at]
         whole[side] = total
@@ -135,9 +146,9 @@ def score_bites(fits: Fits, n: int, worth: float, score: Array) -> None:
     root, follow = np.empty((N_PARAMETERS, N_PARAMETERS)), np.empty((N_PARAMETERS, N_DIRECTIONS))
     for k in range(rows.shape[1]):
         found[count] = k
-        count += rows[ROW_RADIUS2, k] < RIM_RADIUS * RIM_RADIUS
+        count += rows[ROW_RADIUS2, k] < RIM_RADIUS2
     near = found[:count]
-    sunk = np.empty((N_DIRECTIONS, count))
+    sunk = np.empty((N_DIRECTIONS, count), Real)
     occlusion_change(fits.parameters[n, PAR_PEAK], rows, near, sunk)
     cross_products(rows, near, sunk, cross, whole)
     factor(fits.information[n], 0.0, root)

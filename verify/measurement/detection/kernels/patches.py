@@ -21,6 +21,8 @@ from verify.measurement.detection.kernels.pixels import (
     ROW_VALID,
     ROW_VALUE,
     SENSOR_LIMIT,
+    Pixels,
+    Real,
 )
 
 RADII = (8, 11, 14, 18, 26, 40, 62)  # px, of cut-outs: an LED that moves keeps its pixels' number
@@ -52,7 +54,7 @@ class Fits(NamedTuple):
     colour: Array  # (n, 3), DN, mean B, G, R above the surroundings
     level: Array  # (n,), DN, that three tenths of the pixels stay below
     begin: Index  # (n + 1,), where each spot's pixels begin
-    pool: Array  # rows (25, p) of each spot's pixels, one spot behind the other
+    pool: Pixels  # rows (25, p) of each spot's pixels, one spot behind the other
     prior: Array  # (n, 2, 10), mean and inverse variance of the parameters
     saturated: NDArray[np.bool_]  # (n,), whether some pixels on the spot are at the sensor's limit
     parameters: Array  # (n, 10), x and y in px from the patch's centre pixel
@@ -70,14 +72,14 @@ def empty_fits(size: Index) -> Fits:
         begin[k + 1] = begin[k] + size[k]
     return Fits(
         np.empty((n, 2), np.int64), np.empty(n), np.empty((n, 2)), np.empty((n, 3)), np.empty(n),
-        begin, np.empty(N_ROWS * begin[n]), np.empty((n, 2, N_PARAMETERS)), np.empty(n, np.bool_),
-        np.empty((n, N_PARAMETERS)), np.empty((n, N_PARAMETERS, N_PARAMETERS)),
-        np.empty((n, N_PARAMETERS)), np.empty(n),
+        begin, np.empty(N_ROWS * begin[n], Real), np.empty((n, 2, N_PARAMETERS)),
+        np.empty(n, np.bool_), np.empty((n, N_PARAMETERS)),
+        np.empty((n, N_PARAMETERS, N_PARAMETERS)), np.empty((n, N_PARAMETERS)), np.empty(n),
     )  # fmt: skip
 
 
 @compiled
-def rows_of(fits: Fits, n: int) -> Array:
+def rows_of(fits: Fits, n: int) -> Pixels:
     """Rows (25, p) of a spot's pixels, as in pixels.py."""
     begin, end = fits.begin[n], fits.begin[n + 1]
     return fits.pool[N_ROWS * begin : N_ROWS * end].reshape((N_ROWS, end - begin))
@@ -125,19 +127,20 @@ def disc_size(reach: int) -> int:
 
 
 @compiled
-def disc_offsets(reach: int, spacing: float, rows: Array) -> None:
+def disc_offsets(reach: int, spacing: float, rows: Pixels) -> None:
     """Fill in columns and rows of a disc's pixels, so far apart, px, as whole numbers."""
-    k = 0
-    for row in range(-reach, reach + 1):
-        half = int(math.sqrt(reach * reach - row * row))
-        for column in range(-half, half + 1):
-            rows[ROW_COLUMN, k] = np.rint(spacing * column)
-            rows[ROW_ROW, k] = np.rint(spacing * row)
+    k, place = 0, np.empty(2 * reach + 1, Real)
+    for step in range(2 * reach + 1):
+        place[step] = np.rint(spacing * (step - reach))
+    for row in range(2 * reach + 1):
+        half = int(math.sqrt(reach * reach - (row - reach) ** 2))
+        for column in range(reach - half, reach + half + 1):
+            rows[ROW_COLUMN, k], rows[ROW_ROW, k] = place[column], place[row]
             k += 1
 
 
 @compiled
-def read_patch(picture: Picture, fits: Fits, n: int, rows: Array) -> None:
+def read_patch(picture: Picture, fits: Fits, n: int, rows: Pixels) -> None:
     """Read a spot's pixels, colours combined; those beyond the border are not valid."""
     place, size = np.empty(rows.shape[1], np.int64), (picture.width, picture.height)
     for k in range(len(place)):
@@ -192,7 +195,7 @@ def is_grey(picture: Picture, place: Index) -> bool:
 
 @compiled
 def channel_contrast(
-    picture: Picture, channel: int, place: Index, scale: float, rows: Array, counts: Index
+    picture: Picture, channel: int, place: Index, scale: float, rows: Pixels, counts: Index
 ) -> float:
     """Mean of a channel on the spot less the patch's lower third, DN; its values are counted."""
     for value in range(len(counts)):
@@ -232,7 +235,7 @@ def channel_weights(colour: Array, weight: Array) -> None:
 
 
 @compiled
-def leave_neighbours(origin: Index, own: int, spots: Array, rows: Array) -> None:
+def leave_neighbours(origin: Index, own: int, spots: Array, rows: Pixels) -> None:
     """Mark as invalid the pixels of a patch that another spot's light reaches first.
 
     What overlaps is not told apart here.

@@ -18,7 +18,7 @@ import math
 
 import numpy as np
 
-from verify.core.jit import compiled
+from verify.core.jit import compiled, compiled_sums
 from verify.core.kernels.linear_algebra import factor, median, solve
 from verify.core.records import Array
 from verify.measurement.detection.kernels.fit import MIN_INFORMATION
@@ -37,6 +37,9 @@ from verify.measurement.detection.kernels.pixels import (
     ROW_VARIANCE,
     ROW_VISIBLE,
     SENSOR_LIMIT,
+    ZERO,
+    Pixels,
+    Real,
 )
 
 # parameters that a spot's own pixels pay for; the slopes live on the surroundings. With few pixels
@@ -66,7 +69,9 @@ MAX_STRETCHED_MISFIT = 3.5  # of a shape that is not longer, over the usual one
 # off: the widths give that as 0.36 stretch x diameter of Gaussians, 0.13 of discs; half an axis.
 STRETCH_SHARE = 0.15
 MIN_BORDER = 1.2  # half-widths that must be inside the image
-MIN_NOISE_SHARE = 0.9  # share of a pixel's noise that clipping must leave for its residual to count
+MIN_NOISE_SHARE = Real(
+    0.9
+)  # share of a pixel's noise that clipping must leave for its residual to count
 MIN_SEPARATION = 0.5  # diameters of the smaller one: closer spots are one spot found twice
 
 # columns of an assessed spot: centre (px), covariance (px²), peak (DN), full width at half height
@@ -101,27 +106,27 @@ def centre_covariance(information: Array, row: Array) -> None:
     row[COL_COVARIANCE_YX], row[COL_COVARIANCE_YY] = column[0, PAR_Y], column[1, PAR_Y]
 
 
-@compiled
-def core_counts(rows: Array) -> tuple[float, float, float, int]:
+@compiled_sums
+def core_counts(rows: Pixels) -> tuple[float, float, float, float]:
     """Count what judges a spot by its own pixels.
 
     Pixels that clipping leaves alone; their squared residuals over the variance, summed; the
     same in DN²; and how many of all are at the sensor's limit.
     """
-    count, squares, square_dn, full = 0.0, 0.0, 0.0, 0
+    count, squares, square_dn, full = ZERO, ZERO, ZERO, ZERO
     for k in range(rows.shape[1]):
         core = rows[ROW_CORE, k]
-        alone = core if rows[ROW_VISIBLE, k] > MIN_NOISE_SHARE else 0.0
-        square = (rows[ROW_VALUE, k] - rows[ROW_MEAN, k]) ** 2 * alone
-        full += (core > 0.0) & (rows[ROW_VALUE, k] >= SENSOR_LIMIT)
+        alone = core if rows[ROW_VISIBLE, k] > MIN_NOISE_SHARE else ZERO
+        off = rows[ROW_VALUE, k] - rows[ROW_MEAN, k]
+        full += core if rows[ROW_VALUE, k] >= SENSOR_LIMIT else ZERO
         count += alone
-        squares += square / rows[ROW_VARIANCE, k]
-        square_dn += square
-    return count, squares, square_dn, full
+        squares += alone * off * off / rows[ROW_VARIANCE, k]
+        square_dn += alone * off * off
+    return float(count), float(squares), float(square_dn), float(full)
 
 
 @compiled
-def assess_shape(rows: Array, peak: float, pixels: float, row: Array) -> None:
+def assess_shape(rows: Pixels, peak: float, pixels: float, row: Array) -> None:
     """Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
 
     `rows` (25, p); `peak`, DN; `pixels`, that misfit beyond chance lifts together; `row` (16,),
@@ -132,13 +137,15 @@ def assess_shape(rows: Array, peak: float, pixels: float, row: Array) -> None:
     paid = max(freedom, 1.0)
     misfit = squares / paid if freedom >= N_FITTED else 1.0
     rough = math.sqrt(square_dn / paid)
-    merged = misfit > MAX_REDUCED_CHI2 and rough > MAX_RESIDUAL_RATIO * min(peak, SENSOR_LIMIT)
-    excess = max(misfit - 1.0 - MAX_CHI2_SIGMA * math.sqrt(2.0 / paid), 0.0) if full == 0 else 0.0
+    merged = misfit > MAX_REDUCED_CHI2 and rough > MAX_RESIDUAL_RATIO * min(
+        peak, float(SENSOR_LIMIT)
+    )
+    excess = max(misfit - 1.0 - MAX_CHI2_SIGMA * math.sqrt(2.0 / paid), 0.0) if full == 0.0 else 0.0
     larger = CORRELATED_PIXELS * misfit if merged else 1.0 + pixels * excess
     for k in range(COL_COVARIANCE_XX, COL_COVARIANCE_YY + 1):
         row[k] *= larger
     row[COL_MISFIT], row[COL_COUNT] = misfit, count
-    row[COL_SATURATED], row[COL_MERGED] = 1.0 if full > 0 else 0.0, 1.0 if merged else 0.0
+    row[COL_SATURATED], row[COL_MERGED] = 1.0 if full > 0.0 else 0.0, 1.0 if merged else 0.0
 
 
 @compiled
