@@ -12,7 +12,9 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numba
-from numba.core import event
+from numba.core import codegen, event, types
+from numba.core.compiler import Compiler
+from numba.core.registry import CPUDispatcher
 
 COMPILING = "Compiling inner loops, once after an installation: up to a minute."
 Function = TypeVar("Function", bound=Callable[..., object])
@@ -94,11 +96,102 @@ event.register("numba:compiler_lock", _MemoryCheck())  # type: ignore[no-untyped
 # level 3 takes a fifth longer to compile and is no quicker here; nothing calls from C
 vars(numba.config)["OPT"] = type(vars(numba.config)["OPT"])(2)
 OPTIONS: dict[str, Any] = {
-    "cache": CACHE,
+    "nopython": True,
     "nogil": True,
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
 }
+
+
+class _Library(codegen.JITCodeLibrary):
+    """Code that is optimised and made machine code once its address is asked for.
+
+    numba does so at once, and anew with all callers: what they alone call is done there and once.
+    """
+
+    _deferred = False
+
+    def _optimize_final_module(self) -> None:
+        """Leave it to callers, or until then."""
+        self._deferred = True  # what comes from disk is not optimised
+
+    def _finalize_final_module(self) -> None:
+        if self._deferred:
+            self._finalize_dynamic_globals()  # type: ignore[no-untyped-call]
+            self._finalized = True
+        else:
+            super()._finalize_final_module()  # type: ignore[no-untyped-call]
+
+    def get_pointer_to_function(self, name: str) -> int:
+        """Give a function's address; 0 where there is none of this name."""
+        self._ensure_finalized()  # type: ignore[no-untyped-call]
+        if self._deferred and any(f.name == name for f in self._final_module.functions):
+            self._deferred = False
+            super()._optimize_final_module()  # type: ignore[no-untyped-call]
+            super()._finalize_final_module()  # type: ignore[no-untyped-call]
+        address: int = super().get_pointer_to_function(name)  # type: ignore[no-untyped-call]
+        return address
+
+
+class _Codegen(codegen.JITCPUCodegen):
+    """Makes such libraries; what is not in memory has no environment."""
+
+    _library_class = _Library
+
+    def set_env(self, env_name: str, env: object) -> None:
+        """Tell a function its constants."""
+        if self._engine.is_symbol_defined(env_name):  # type: ignore[no-untyped-call]
+            super().set_env(env_name, env)  # type: ignore[no-untyped-call]
+
+
+class _Inner(Compiler):
+    """Compiles without the wrapper for Python, which is longer than most functions."""
+
+    def define_pipelines(self) -> list[Any]:
+        """Change what is made, not the key by which numba finds its own functions again."""
+        self.state.flags.no_cpython_wrapper = True
+        pipelines: list[Any] = super().define_pipelines()  # type: ignore[no-untyped-call]
+        return pipelines
+
+
+class _Kernel(CPUDispatcher):
+    """A compiled function; others that call it take its twin `inner` in."""
+
+    inner: Any
+
+    @property
+    def _numba_type_(self) -> types.Dispatcher:
+        return types.Dispatcher(self.inner)
+
+
+def _compiled(function: Function, **options: Any) -> Function:
+    options |= OPTIONS
+    kernel = _Kernel(function, targetoptions=options)
+    kernel.inner = CPUDispatcher(function, targetoptions=options, pipeline_class=_Inner)
+    if CACHE:
+        kernel.enable_caching()
+    return cast("Function", kernel)
+
+
+_operators: dict[Any, Any] = {}
+_type_call = types.Function.get_call_type
+
+
+def _type_operator(function: Any, context: Any, args: tuple[Any, ...], kws: Any) -> Any:
+    """Type an operator of numbers and arrays once: numba tries twenty ways at every use."""
+    known = (types.Number, types.Boolean, types.Array, types.BaseTuple)
+    if getattr(function.typing_key, "__module__", "") != "_operator" or not all(
+        isinstance(a, known) for a in args
+    ):
+        return _type_call(function, context, args, kws)
+    key = function, tuple(args)
+    if key not in _operators:
+        _operators[key] = _type_call(function, context, args, kws)
+    return _operators[key]
+
+
+vars(codegen)["JITCPUCodegen"] = _Codegen
+types.Function.get_call_type = _type_operator  # type: ignore[assignment,method-assign]
 
 
 def compiled(function: Function) -> Function:
@@ -106,9 +199,9 @@ def compiled(function: Function) -> Function:
 
     It runs without the interpreter's lock: it must touch nothing but its arguments.
     """
-    return cast("Function", numba.njit(function, **OPTIONS))
+    return _compiled(function)
 
 
 def compiled_sums(function: Function) -> Function:
     """Compile as `compiled` does, with sums taken several terms at once: far quicker."""
-    return cast("Function", numba.njit(function, fastmath=FASTMATH_FLAGS, **OPTIONS))
+    return _compiled(function, fastmath=FASTMATH_FLAGS)
