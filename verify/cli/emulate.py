@@ -43,12 +43,9 @@ FAULTS = {  # R3 has no checksum: a wrong digit would be a wrong angle, which no
     EmulatedDevice.ROSBRIDGE: COMMON_FAULTS - {"split"} | {"jump"},
     EmulatedDevice.OPCUA: frozenset({"silence", "unplug", "jump", "status"}),
 }
-DEFAULT_PORTS = {
+DEFAULT_PORTS = dict.fromkeys(EmulatedDevice, "pty") | {
     EmulatedDevice.MELFA: "tcp:10001",
     EmulatedDevice.MELFA_REALTIME: "udp:10000",
-    EmulatedDevice.LABENC: "pty",
-    EmulatedDevice.PAN: "pty",
-    EmulatedDevice.GRIPPER: "pty",
     EmulatedDevice.RTDE: "tcp:30004",
     EmulatedDevice.ROSBRIDGE: "tcp:9090",
     EmulatedDevice.OPCUA: "tcp:4840",

@@ -17,16 +17,8 @@ from verify.cli.watch import open_devices, stop_on_signal
 from verify.errors import InputError, WatchDefectError
 from verify.io.files import refused_as_input_error
 from verify.live.recording.recorder import RecorderState
+from verify.live.registration import show
 from verify.live.registration.loop import RecordedRobot, RecordingLoop, warm_up
-from verify.live.registration.show import (
-    RecordingDisplay,
-    RecordingPageSource,
-    RecordingSnapshot,
-    RecordingState,
-    bar,
-    goal_fields,
-    title,
-)
 from verify.live.station.station import (
     RecordingSettings,
     RecordingStation,
@@ -61,12 +53,13 @@ def record_session(
     if out is not None:
         station = replace(station, recording=_settings(out))
     terminal.warn(*station.warnings)
-    state = RecordingState()
+    state = show.RecordingState()
     with ExitStack() as stack:
         shown = None
         if page is not None:
-            source = RecordingPageSource(state, station.robot, station.name, duration)
-            shown = page.serve(source)
+            shown = page.serve(
+                show.RecordingPageSource(state, station.robot, station.name, duration)
+            )
             stack.callback(shown.close)
         warm_up(station.arm)  # before the first pair comes
         devices = open_devices(station)
@@ -75,8 +68,7 @@ def record_session(
         robot = RecordedRobot(station.arm, station.rig)
         loop = RecordingLoop(robot, devices, recorder, state, terminal.warn)
         look = stack.enter_context(_show_state(state, shown))
-        stop = stack.enter_context(stop_on_signal())
-        defects = loop.run(stop, duration, look)
+        defects = loop.run(stack.enter_context(stop_on_signal()), duration, look)
     _conclude(station, recorder.state(), state.snapshot(), defects)
 
 
@@ -96,12 +88,12 @@ def _settings(out: Path) -> RecordingSettings:
 
 
 @contextmanager
-def _show_state(state: RecordingState, page: "Page | None") -> Iterator[Callable[[], None]]:
+def _show_state(state: show.RecordingState, page: "Page | None") -> Iterator[Callable[[], None]]:
     """Draw the state where there is a terminal to draw it on; else print lines, or objects."""
     printed = _Printer(state)
     warned = False
     with ExitStack() as stack:
-        table = stack.enter_context(RecordingDisplay(Console())) if terminal.draws else None
+        table = stack.enter_context(show.RecordingDisplay(Console())) if terminal.draws else None
 
         def look() -> None:
             nonlocal warned
@@ -119,7 +111,7 @@ def _show_state(state: RecordingState, page: "Page | None") -> Iterator[Callable
 class _Printer:
     """Prints the state from time to time: an object, or a line for each goal that has changed."""
 
-    def __init__(self, state: RecordingState) -> None:
+    def __init__(self, state: show.RecordingState) -> None:
         self._state = state
         self._words: dict[str, str] = {}  # as they were printed last, by the goal's name
         self._due = time.monotonic() + (0.0 if terminal.as_json else LINES_PERIOD)
@@ -135,18 +127,18 @@ class _Printer:
             return
         news = [g for g in now.goals if now.finished or self._words.get(g.name) != g.words]
         self._words = {goal.name: goal.words for goal in now.goals}
-        terminal.say(f"{now.pairs} pairs, {now.readings} readings. {title(now.goals)}:")
+        terminal.say(f"{now.pairs} pairs, {now.readings} readings. {show.title(now.goals)}:")
         for goal in news:
-            terminal.say(f"  {goal.name:<26}{bar(goal)}  {goal.words}")
+            terminal.say(f"  {goal.name:<26}{show.bar(goal)}  {goal.words}")
 
 
-def _fields(now: RecordingSnapshot) -> dict[str, object]:
+def _fields(now: show.RecordingSnapshot) -> dict[str, object]:
     return {
         "type": "recording",
         "pairs": now.pairs,
         "readings": now.readings,
         "dropped": dict(now.dropped),
-        "goals": [goal_fields(goal) for goal in now.goals],
+        "goals": [show.goal_fields(goal) for goal in now.goals],
         "recording": now.recording,
     }
 
@@ -154,7 +146,7 @@ def _fields(now: RecordingSnapshot) -> dict[str, object]:
 def _conclude(
     station: RecordingStation,
     recorded: RecorderState,
-    now: RecordingSnapshot,
+    now: show.RecordingSnapshot,
     defects: tuple[str, ...],
 ) -> None:
     """Say what was recorded; raise what went wrong."""
@@ -194,6 +186,6 @@ def _conclude(
             "out": [str(path) for path in recorded.folders],
             "pairs": recorded.pairs,
             "readings": recorded.readings,
-            "goals": [goal_fields(goal) for goal in now.goals],
+            "goals": [show.goal_fields(goal) for goal in now.goals],
         }
     )

@@ -205,8 +205,7 @@ def demo(
     """
     from verify.cli.measure import measure_and_report
 
-    tolerances = option.ToleranceOptions(TOLERANCE_DEG, None, None)
-    measure_and_report(SAMPLE, out, tolerances, force=force)
+    measure_and_report(SAMPLE, out, option.ToleranceOptions(TOLERANCE_DEG, None, None), force=force)
     terminal.say(
         f"Look at page one of {out / 'report.html'}: the verdict, the errors of the six joints and"
         " the cause.\n"

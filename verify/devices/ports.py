@@ -343,10 +343,6 @@ class LineBuffer:
             self._rest = b""
         return [line for line in map(bytes.strip, whole) if line]
 
-    def clear(self) -> None:
-        """Forget a half line, whose other half will not come."""
-        self._rest = b""
-
 
 def _crc8(data: bytes) -> int:
     register = 0

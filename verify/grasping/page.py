@@ -25,9 +25,9 @@ from verify.grasping.tracking.camshift import Blob
 from verify.grasping.tracking.target import TargetObservation
 from verify.live.page.run import camera_poses
 from verify.live.page.scene import joint_origins, millimetres, small_jpeg
+from verify.live.snapshot import MAX_TEXT_LENGTH
 
 _MM = 1e3  # of a metre
-MAX_TEXT_LENGTH = 2000  # characters of a description
 MAX_STATE_CHANGES = 12  # shown, the newest
 N_PATH_POINTS = 24  # points of a planned motion
 SILENCE_TIMEOUT = 1.0  # s without a cycle of the loop, and the page says so

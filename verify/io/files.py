@@ -75,8 +75,7 @@ def refused_as_input_error(path: str | Path) -> Iterator[None]:
     except OSError as error:
         raise system_refusal(path, error) from error
     except RuntimeError as error:  # `Path.resolve` on a link that leads to itself
-        loop = OSError(errno.ELOOP, os.strerror(errno.ELOOP))
-        raise system_refusal(path, loop) from error
+        raise system_refusal(path, OSError(errno.ELOOP, os.strerror(errno.ELOOP))) from error
     except ValueError as error:  # a zero byte in the name
         raise system_refusal(path, OSError(str(error))) from error
 

@@ -153,8 +153,7 @@ def _require_unit_length(table: CsvTable, quaternion: Array) -> None:
     wrong = np.flatnonzero(np.abs(length - 1) > TOL_NORM)
     if len(wrong):
         found = f"the quaternion has the length {length[wrong[0]]:.6g}"
-        expected = "a turn's, qw, qx, qy, qz, has the length 1"
-        raise table.fault(int(wrong[0]), found, expected)
+        raise table.fault(int(wrong[0]), found, "a turn's, qw, qx, qy, qz, has the length 1")
 
 
 def _rounding(values: Array) -> float:

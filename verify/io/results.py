@@ -17,12 +17,7 @@ import pandas as pd
 import reports
 from reports.results import to_json_value
 from verify.errors import InputError
-from verify.io.files import (
-    output_refusal,
-    real_path,
-    refused_as_input_error,
-    write_folder_whole,
-)
+from verify.io import files
 from verify.io.series import ALARMS
 
 if TYPE_CHECKING:
@@ -42,7 +37,7 @@ MAX_FILM_BYTES = 10_000_000  # of a film that is read for a report
 
 def refuse_existing(out: Path, *, force: bool) -> None:
     """Raise InputError, before hours of work, if `out` is a file or, unless `force`, not empty."""
-    real_path(out)
+    files.real_path(out)
     if out.is_file() or (out.is_dir() and any(out.iterdir()) and not force):
         found = "is a file" if out.is_file() else "exists and is not empty"
         raise InputError(out, found, "results need a folder of their own",
@@ -55,9 +50,9 @@ def refuse_file(path: Path, *, force: bool) -> None:
     Its folder is missing, or it is a folder itself.
     """
     if not path.parent.is_dir():
-        raise output_refusal(path, OSError(errno.ENOENT, os.strerror(errno.ENOENT)))
-    with refused_as_input_error(path):
-        folder, there = path.is_dir(), path.exists() or real_path(path).exists()
+        raise files.output_refusal(path, OSError(errno.ENOENT, os.strerror(errno.ENOENT)))
+    with files.refused_as_input_error(path):
+        folder, there = path.is_dir(), path.exists() or files.real_path(path).exists()
     if folder:
         raise InputError(path, "is a folder", "a file is expected", "Choose another name.")
     if there and not force:
@@ -75,7 +70,7 @@ def write_report_folder(
     Raises:
         InputError: the folder cannot be written; nothing is left of it then.
     """
-    with write_folder_whole(out, force) as folder:
+    with files.write_folder_whole(out, force) as folder:
         try:
             reports.write(results, folder / RESULTS)
         except reports.ReportError as error:

@@ -194,8 +194,7 @@ def parse(path: Path) -> dict[str, Any]:
 
 
 def _depth_error(path: Path) -> InputError:
-    remedy = "Write it again from the format's example."
-    return InputError(path, "is nested too deeply", "", remedy)
+    return InputError(path, "is nested too deeply", "", "Write it again from the format's example.")
 
 
 def leaves(value: object, key: str = "") -> Iterator[tuple[str, object]]:

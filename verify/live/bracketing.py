@@ -72,7 +72,8 @@ class Bracketing:
         there, clock = self._placed(taken)
         if clock is None:
             return BracketedPair(taken, None, taken.arrived)
-        patience = 0.0 if queued >= MAX_QUEUED else self._patience()
+        longest = max(MIN_READING_TIMEOUT, TIMEOUT_PERIODS * (self._book.period() or 0.0))
+        patience = 0.0 if queued >= MAX_QUEUED else longest
         reading = self._book.wait_past(there, time.monotonic() + patience)
         since = taken.arrived if reading is None else max(taken.arrived, reading.t_host)
         return BracketedPair(taken, clock, since)
@@ -115,6 +116,3 @@ class Bracketing:
         measurement = taken.measurement
         clock = self._keeper.at(measurement.t, taken.doubt)
         return (0.0, None) if clock is None else (measurement.t - clock.offset, clock)
-
-    def _patience(self) -> float:
-        return max(MIN_READING_TIMEOUT, TIMEOUT_PERIODS * (self._book.period() or 0.0))

@@ -39,10 +39,6 @@ class ReadingSeries:
         while self._first < self._end and self._t[self._first] < t:
             self._first += 1
 
-    def clear(self) -> None:
-        """Drop all readings."""
-        self._first = self._end = 0
-
     def copied(self, begin: int) -> Readings | None:
         """Readings from one of them on, counted from the oldest; None where there is none."""
         chosen = slice(self._first + begin, self._end)
@@ -83,10 +79,6 @@ class LeastDelay:
         while self._delays[0][0] < reading.t_host - ARRIVAL_SPAN:
             self._delays.popleft()
 
-    def clear(self) -> None:
-        """Drop all delays."""
-        self._delays.clear()
-
     @property
     def value(self) -> float | None:
         """The least delay, s; None without readings."""
@@ -108,8 +100,7 @@ class ReadingBuffer:
         with self._arrived:
             if reading.segment != self.segment:
                 self._readings.clear()
-                self._series.clear()
-                self._delay.clear()
+                self._series, self._delay = ReadingSeries(), LeastDelay()
                 self.segment = reading.segment
             if self._readings and reading.t <= self._readings[-1].t:
                 return  # a driver promises rising times; a spline needs them
@@ -206,7 +197,7 @@ class PanBuffer:
         with self._arrived:
             if reading.segment != self._segment:
                 self._readings.clear()
-                self._delay.clear()
+                self._delay = LeastDelay()
                 self._segment = reading.segment
             self._readings.append(reading)
             self._delay.add(reading)

@@ -63,7 +63,7 @@ class ClockLine:
 
     def __init__(self) -> None:
         self._points: deque[_Point] = deque(maxlen=MAX_WINDOWS)
-        self._drift = 0.0
+        self.drift = 0.0  # slope of the line, s a second
         # what was told last, and when for: a pair's instant is asked for several times
         self._asked: tuple[float, tuple[float, float]] | None = None
 
@@ -88,7 +88,7 @@ class ClockLine:
             if apart > MIN_JUMP and apart > MIN_JUMP_RATIO * math.sqrt(known**2 + variance):
                 self._points.clear()
         self._points.append(_Point(t, estimate.offset, variance))
-        self._drift = float(self._fit(t)[0][1])
+        self.drift = float(self._fit(t)[0][1])
         self._asked = None
 
     def at(self, t: float) -> tuple[float, float]:
@@ -102,11 +102,6 @@ class ClockLine:
         if self._asked is None or self._asked[0] != t:
             self._asked = (t, self._solved(t))
         return self._asked[1]
-
-    @property
-    def drift(self) -> float:
-        """Slope of the line, s a second."""
-        return self._drift
 
     def _fit(self, t: float) -> tuple[Array, Array]:
         """Offset at t and slope, and their covariance."""

@@ -3,8 +3,7 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator, Mapping
-from types import MappingProxyType
+from collections.abc import Callable, Iterator
 from typing import TypeVar
 
 import numpy as np
@@ -92,8 +91,8 @@ class PairQueue:
             self._wake.notify_all()
 
 
-class PollingThread:
-    """A thread that calls a function until it is stopped.
+class PollingThread(threading.Thread):
+    """Calls a function until it is stopped.
 
     A step reads once, within a fraction of a second; False if nothing came. `failed` is called with
     its error; the thread goes on.
@@ -102,32 +101,24 @@ class PollingThread:
     def __init__(
         self, name: str, step: Callable[[], bool], failed: Callable[[str, Exception], None]
     ) -> None:
-        self._name, self._step, self._failed = name, step, failed
-        self._stop = threading.Event()
-        self._thread = threading.Thread(target=self._run, name=name, daemon=True)
-
-    def start(self) -> None:
-        """Begin."""
-        self._thread.start()
+        super().__init__(name=name, daemon=True)
+        self._step, self._failed, self._over = step, failed, threading.Event()
 
     def stop(self) -> None:
         """Ask it to stop."""
-        self._stop.set()
+        self._over.set()
 
-    def join(self, seconds: float) -> None:
-        """Wait until it has."""
-        self._thread.join(seconds)
-
-    def _run(self) -> None:
-        while not self._stop.is_set():
+    def run(self) -> None:
+        """Call the function; the thread's own work."""
+        while not self._over.is_set():
             begin = time.monotonic()
             try:
                 gave = self._step()
             except Exception as error:  # a driver promises to raise nothing; others go on
-                self._failed(self._name, error)
+                self._failed(self.name, error)
                 gave = False
             if not gave and time.monotonic() - begin < IDLE_DELAY:
-                self._stop.wait(IDLE_DELAY)
+                self._over.wait(IDLE_DELAY)
 
 
 def camera_step(
@@ -192,7 +183,7 @@ class DeviceIntake:
     ) -> None:
         self._devices, self._standing = devices, standing
         self._queue, self._pan = PairQueue(Pairing()), PanBuffer()
-        self._troubles: dict[str, str] = {}
+        self.troubles: dict[str, str] = {}  # defects of this program, by thread
         self._ran = False
         files, queue = devices.files, self._queue
         steps = [
@@ -215,14 +206,9 @@ class DeviceIntake:
         }
         return named if devices.pan is None else named | {"pan bases": devices.pan}
 
-    @property
-    def troubles(self) -> Mapping[str, str]:
-        """Defects of this program, by the thread that had them."""
-        return MappingProxyType(self._troubles)
-
     def fail(self, name: str, error: BaseException) -> None:
         """Take note of a defect; the threads go on."""
-        self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
+        self.troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
 
     def start(self) -> None:
         """Begin to read."""

@@ -156,7 +156,8 @@ class Comparer:
                 alignment = track.covariance_alignment[i]
                 rows[i] = self._compared(pairs[i], comparison, joints, n, effects[n], alignment)
         for i in (~known).nonzero()[0].tolist():
-            rows[i] = self._measured_alone(*pairs[i], track.base_T_flange[i])
+            (measurement, clock), alone = pairs[i], track.base_T_flange[i]
+            rows[i] = self._empty(measurement, NO_ENCODER, clock, base_T_measured=alone)
         return [rows[i] for i in range(len(pairs))]
 
     def without(self, measurement: Measurement) -> JointRow:
@@ -209,11 +210,6 @@ class Comparer:
             ),
             settled=measurement.settled,
         )
-
-    def _measured_alone(
-        self, measurement: Measurement, clock: LiveClock, base_T_flange: Array
-    ) -> JointRow:
-        return self._empty(measurement, NO_ENCODER, clock, base_T_measured=base_T_flange)
 
     def _empty(
         self,

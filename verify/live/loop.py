@@ -196,8 +196,7 @@ class LiveLoop:
                 self._wake.notify_all()
 
     def _here(self, pairs: Iterator[StereoPair], expected: ExpectedPoses) -> Iterator[Measurement]:
-        setup = Setup(self._subject.rig, self._subject.marker, expected)
-        return measure(pairs, setup, causal=True)
+        return measure(pairs, Setup(self._subject.rig, self._subject.marker, expected), causal=True)
 
     def _taken(self) -> Iterator[CapturedPair]:
         for taken, arrived, doubt in self._intake.pairs():

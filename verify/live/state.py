@@ -99,6 +99,7 @@ class LiveState:
     """Shared between the loop, which writes, and the displays, which read."""
 
     latency: Latency = field(default_factory=Latency)
+    pictures: tuple[StereoPair, Measurement] | None = None  # the newest pair, measured
     _lock: threading.Lock = field(default_factory=threading.Lock)
     _pair_done: threading.Condition = field(default_factory=threading.Condition)
     _rows: "deque[tuple[int, JointRow]]" = field(default_factory=lambda: deque(maxlen=MAX_ROWS))
@@ -106,7 +107,6 @@ class LiveState:
     _alarms: dict[int, Alarm] = field(default_factory=dict)
     _counts: Counter[str] = field(default_factory=Counter)
     _status: Counter[str] = field(default_factory=Counter)
-    _latest: tuple[StereoPair, Measurement] | None = None
     _statistic: Array | None = None
     _dropped: Mapping[str, int] = field(default_factory=dict)
     _devices: tuple[DeviceStatus, ...] = ()
@@ -135,10 +135,6 @@ class LiveState:
         with self._pair_done:
             return self._pair_done.wait(timeout)
 
-    def set_pictures(self, pair: StereoPair, measurement: Measurement) -> None:
-        """Replace the newest pair and its measurement."""
-        self._latest = (pair, measurement)
-
     def alarm(self, alarm: Alarm) -> None:
         """Take an alarm that is new, revised or over."""
         with self._lock:
@@ -154,9 +150,9 @@ class LiveState:
         with self._lock:
             self._devices, self._dropped, self._recording = devices, dict(dropped), recording
 
-    def latest_pictures(self) -> tuple[StereoPair, Measurement] | None:
-        """Give the newest pair and its measurement."""
-        return self._latest
+    def set_pictures(self, pair: StereoPair, measurement: Measurement) -> None:
+        """Replace the newest pair and its measurement."""
+        self.pictures = (pair, measurement)
 
     def rows_after(self, number: int) -> list[tuple[int, JointRow]]:
         """Give the rows that came after one, with their numbers, oldest first."""

@@ -19,14 +19,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
+from verify.analysis import joint_errors
 from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
 from verify.analysis.comparison import Comparison, compare
-from verify.analysis.joint_errors import (
-    MeanErrors,
-    ResolvedErrors,
-    mean_errors,
-    resolve_errors,
-)
 from verify.analysis.model import (
     JointErrorModel,
     Observability,
@@ -114,8 +109,8 @@ class PredictedSession:
 class PredictedAnalysis:
     """The analysis of a predicted session."""
 
-    means: MeanErrors
-    resolved: ResolvedErrors
+    means: joint_errors.MeanErrors
+    resolved: joint_errors.ResolvedErrors
     visibility: Observability
 
 
@@ -160,8 +155,8 @@ def simulate_session(
 def estimate_means(session: PredictedSession) -> PredictedAnalysis:
     """Estimate mean errors and their uncertainty as `verify run` does."""
     model = session.model
-    resolved = resolve_errors(model)
-    means = mean_errors(model, resolved, session.systematics)
+    resolved = joint_errors.resolve_errors(model)
+    means = joint_errors.mean_errors(model, resolved, session.systematics)
     return PredictedAnalysis(means, resolved, visibility(model))
 
 
@@ -213,8 +208,7 @@ class _SyntheticPairs:
         if camera.line_time:
             height = rig.image_size[1]
             for led in range(len(marker)):
-                own = np.nan_to_num(pixels[:, led])
-                late = spot_instants(0.0, own, camera, height)
+                late = spot_instants(0.0, np.nan_to_num(pixels[:, led]), camera, height)
                 pixels[:, led] = self._view(side, t + late).pixels[:, led]
         return [self._found(p[s]) for p, s in zip(pixels, visible, strict=True)]
 

@@ -23,6 +23,7 @@ nobody has made yet. Of correlations only that of a camera's two focal lengths i
     led_centre_mm          apparent LED centre, each axis          0.02
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -56,7 +57,7 @@ MAX_TILT = 0.35  # of the flange's z from level, its sine
 MIN_OUTWARD = 0.5  # cosine between the flange's z and the way out from the base
 MIN_REACH = 0.5  # of the farthest flange that was drawn: the arm is not folded
 LIMIT_SHARE = 0.8  # of each joint's range about its middle: room to turn both ways
-N_DIRECTIONS = 600  # of the cameras from the work
+N_DIRECTIONS = 600  # about 6° apart over the sphere: no LED's view changes much in between
 MIN_EYE_HEIGHT = 0.2  # m over the floor
 MAX_VIEW = np.deg2rad(45.0)  # of the cameras from the flange's z
 
@@ -122,7 +123,7 @@ def build_setup(arm: robots.Arm, proposed: ProposedRig, work: Array, floor: floa
     base_T_flange = robots.forward(arm, work[None])[0]
     marker = _marker(proposed)
     target = base_T_flange[:3, :3] @ marker.leds.mean(axis=0) + base_T_flange[:3, 3]
-    directions = np.concatenate([base_T_flange[None, :3, 2], _directions()])
+    directions = np.concatenate([base_T_flange[None, :3, 2], spread_directions()])
     toward = directions @ base_T_flange[:3, 2]
     eyes = target + proposed.distance * directions
     usable = (toward > np.cos(MAX_VIEW)) & (eyes[:, 2] > floor + MIN_EYE_HEIGHT)
@@ -138,7 +139,7 @@ def build_setup(arm: robots.Arm, proposed: ProposedRig, work: Array, floor: floa
         image_size=proposed.image_size,
         left=_camera(proposed, -1.0),
         right=_camera(proposed, 1.0),
-        rig_T_base=_look_at(eye, target),
+        rig_T_base=look_at(eye, target),
         covariance=_covariance(proposed.uncertainties),
     )
     return PlanningSetup(arm, rig, marker)
@@ -175,7 +176,7 @@ def _marker(proposed: ProposedRig) -> Marker:
 
 
 def _covariance(uncertainties: dict[str, float]) -> Covariance | None:
-    """What rig.toml would state; a parameter of 0 is taken as exact."""
+    """What rig.toml would state."""
     cameras = ("left", "right")
     parameters = {
         "focal_px": [f"{side}.{key}_px" for side in cameras for key in ("fx", "fy")],
@@ -184,8 +185,17 @@ def _covariance(uncertainties: dict[str, float]) -> Covariance | None:
         "base_position_mm": [f"robot_base.{axis}_mm" for axis in "xyz"],
         "base_rotation_deg": [f"robot_base.r{axis}_deg" for axis in "xyz"],
     }
-    stated = [(one, uncertainties[key]) for key, every in parameters.items() for one in every]
-    stated = [(name, u) for name, u in stated if u > 0]
+    return stated_covariance(
+        (one, uncertainties[key]) for key, every in parameters.items() for one in every
+    )
+
+
+def stated_covariance(uncertainties: Iterable[tuple[str, float]]) -> Covariance | None:
+    """Covariance of parameters by name, as rig.toml states it; a parameter of 0 is exact.
+
+    Only a camera's two focal lengths, which follow one another, are correlated.
+    """
+    stated = [(name, u) for name, u in uncertainties if u > 0]
     if not stated:
         return None
     names, correlation = tuple(name for name, _ in stated), np.eye(len(stated))
@@ -195,20 +205,23 @@ def _covariance(uncertainties: dict[str, float]) -> Covariance | None:
     return Covariance(names, np.array([u for _, u in stated]), correlation)
 
 
-def _look_at(eye: Array, target: Array) -> Array:
-    """Stand at `eye`, z towards `target`, x level: rig_T_base (4, 4), of places (3,), m, base."""
+def look_at(eye: Array, target: Array) -> Array:
+    """Stand at `eye`, z towards `target`, x level (or along -y, looking straight up or down).
+
+    Returns camera_T_world, (4, 4), of eye and target (3,), m, in a world whose z points up.
+    """
     z = (target - eye) / np.linalg.norm(target - eye)
     x = np.cross(z, [0.0, 0.0, 1.0])
-    if np.linalg.norm(x) < 1e-6:  # straight up or down
+    if np.linalg.norm(x) < 1e-6:
         x = np.array([0.0, -1.0, 0.0])
     x /= np.linalg.norm(x)
-    rig_T_base = np.eye(4)
-    rig_T_base[:3, :3] = np.stack([x, np.cross(z, x), z])
-    rig_T_base[:3, 3] = -rig_T_base[:3, :3] @ eye
-    return rig_T_base
+    camera_T_world = np.eye(4)
+    camera_T_world[:3, :3] = np.stack([x, np.cross(z, x), z])
+    camera_T_world[:3, 3] = -np.squeeze(camera_T_world[:3, :3] @ eye[:, None], -1)
+    return camera_T_world
 
 
-def _directions() -> Array:
+def spread_directions() -> Array:
     """Unit vectors (n, 3) spread evenly over the sphere: a Fibonacci spiral."""
     i = np.arange(N_DIRECTIONS) + 0.5
     z, angle = 1 - 2 * i / N_DIRECTIONS, np.pi * (1 + np.sqrt(5)) * i

@@ -12,18 +12,10 @@ from reports import Results
 from verify.analysis.results.entries import correlation_entry, finite_number
 from verify.core.records import Array, Measurement
 from verify.core.version import __version__
+from verify.planning import prediction
 from verify.planning.constraints import LinkChain
 from verify.planning.foresight import PredictedSession
 from verify.planning.plan import SessionPlan, SessionPrediction
-from verify.planning.prediction import (
-    PredictedIdentifiability,
-    UncertaintyShare,
-    conform_limits,
-    flange_uncertainty,
-    group_sources,
-    joint_levers,
-    uncertainty_sources,
-)
 from verify.planning.proposal import ProposedRig
 from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
 from verify.planning.selection import PERIOD, TimedMotion
@@ -114,7 +106,7 @@ def fault_table(predicted: SessionPrediction) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names)
 
 
-def source_table(sources: list[UncertaintyShare]) -> pd.DataFrame:
+def source_table(sources: list[prediction.UncertaintyShare]) -> pd.DataFrame:
     """Sources of each joint's uncertainty."""
     rows = [
         (j + 1, one.name, u)
@@ -145,7 +137,7 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
     """Turn a plan into summary and tables as docs/plan.md lists them."""
     predicted, timed = made.prediction, made.timed
     session = predicted.session
-    sources = uncertainty_sources(session, predicted.analysis)
+    sources = prediction.uncertainty_sources(session, predicted.analysis)
     summary: dict[str, Any] = {
         "format": 1,
         "kind": "plan",
@@ -206,7 +198,7 @@ def rig_entry(proposed: ProposedRig) -> dict[str, Any]:
 
 def flange_entry(session: PredictedSession) -> dict[str, Any]:
     """Standard uncertainty of the flange as one pair measures it."""
-    flange = flange_uncertainty(session)
+    flange = prediction.flange_uncertainty(session)
     return {
         "standard_uncertainty_mm": finite_number(flange.position * 1e3),
         "standard_uncertainty_deg": _deg(flange.orientation),
@@ -214,12 +206,14 @@ def flange_entry(session: PredictedSession) -> dict[str, Any]:
 
 
 def accuracy_entries(
-    predicted: SessionPrediction, sources: list[UncertaintyShare], tolerance: Array | None
+    predicted: SessionPrediction,
+    sources: list[prediction.UncertaintyShare],
+    tolerance: Array | None,
 ) -> list[dict[str, Any]]:
     """Each joint's lever, largest uncertainty, what its mean's comes from, and what conforms."""
-    levers, parts = joint_levers(predicted.session), group_sources(sources)
+    levers, parts = prediction.joint_levers(predicted.session), prediction.group_sources(sources)
     largest = predicted.analysis.resolved.uncertainty.max(axis=0)
-    limits = None if tolerance is None else conform_limits(predicted.analysis, tolerance)
+    limits = None if tolerance is None else prediction.conform_limits(predicted.analysis, tolerance)
     return [
         {
             "lever_mm": finite_number(levers[j] * 1e3),
@@ -314,7 +308,7 @@ def _clock(predicted: SessionPrediction) -> dict[str, Any]:
     }
 
 
-def _geometry(found: PredictedIdentifiability) -> dict[str, Any]:
+def _geometry(found: prediction.PredictedIdentifiability) -> dict[str, Any]:
     return {
         "supported": len(found.parameters),
         "candidates": found.support.candidates,

@@ -7,10 +7,10 @@ import msgspec
 
 from verify.errors import InputError
 from verify.io import toml
+from verify.io.session.folder import ROBOT_FILES
 from verify.simulation.scenario import BoardScenario, MultiJoint, Scenario
 
 FOLDER = Path(__file__).with_name("scenarios")
-ROBOT_FILES = {".toml", ".urdf"}  # what robots.load takes for a file; else it is a name
 BOARDS = "boards_"  # begins the names of the built-in scenarios that have boards, not a robot
 
 

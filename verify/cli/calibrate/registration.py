@@ -10,14 +10,10 @@ from verify.calibration.kinematics.mistakes import refuse_mistaken_readings
 from verify.calibration.kinematics.registration import register_poses
 from verify.calibration.kinematics.sessions import gather_sessions, session_to_poses
 from verify.calibration.origin import ResultsOrigin
+from verify.calibration.registration import results
 from verify.calibration.registration.fixture import register_fixture
 from verify.calibration.registration.records import MotionRegistration
 from verify.calibration.registration.register import register_motion
-from verify.calibration.registration.results import (
-    fixture_results,
-    motion_results,
-    poses_results,
-)
 from verify.cli.calibrate.boards import error_in_folder, require_same_size
 from verify.cli.terminal import report_files, terminal
 from verify.core.fiducials import Board, Marker
@@ -84,7 +80,7 @@ def register_by_fixture(
         found = register_fixture(rig, pairs, opened.board, place.base_T_board, place.covariance)
     warnings = (*rig_warnings, *opened.warnings, *fixture_warnings, *found.warnings)
     terminal.warn(*warnings)
-    made = fixture_results(
+    made = results.fixture_results(
         replace(found, warnings=warnings),
         robot="a robot by a board on its base",
         origin=ResultsOrigin(folder.resolve().name, inputs=opened.inputs),
@@ -113,7 +109,7 @@ def register_by_motion(
     warnings = (*recording.warnings, *(given[1] if given else ()), *found.warnings)
     terminal.warn(*warnings)
     swept = _fit_swept_axes(recording, found.rig, found.marker) if options.sweeps else None
-    made = motion_results(
+    made = results.motion_results(
         replace(found, warnings=warnings),
         robot=recording.robot,
         origin=ResultsOrigin(recording.name, recording.description, recording.inputs),
@@ -156,7 +152,7 @@ def register_by_poses(
     found = register_poses(gathered, keep_base=options.keep_base, keep_target=options.keep_leds)
     warnings = (*session.warnings, *found.warnings)
     terminal.warn(*warnings)
-    made = poses_results(
+    made = results.poses_results(
         replace(found, warnings=warnings),
         session,
         ResultsOrigin(session.name, session.description, session.inputs),

@@ -15,44 +15,11 @@ if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
 FILES = ("mat", "mcap", "rrd")
 
 
-class ExportFormat(StrEnum):
-    """A format of another program."""
-
-    tum = "tum"
-    csv = "csv"
-    parquet = "parquet"
-    mat = "mat"
-    mcap = "mcap"
-    rrd = "rrd"
-
-
-class StampKind(StrEnum):
-    """Which time of a message counts."""
-
-    header = "header"
-    received = "received"
-
-
-class AngleUnit(StrEnum):
-    """The unit of angles."""
-
-    deg = "deg"
-    rad = "rad"
-
-
-class LengthUnit(StrEnum):
-    """The unit of lengths."""
-
-    mm = "mm"
-    m = "m"
-    um = "um"
-
-
-class PoseFrame(StrEnum):
-    """What poses are in."""
-
-    instrument = "instrument"
-    robot_base = "robot_base"
+ExportFormat = StrEnum("ExportFormat", "tum csv parquet mat mcap rrd")  # of another program
+StampKind = StrEnum("StampKind", "header received")  # which time of a message counts
+AngleUnit = StrEnum("AngleUnit", "deg rad")
+LengthUnit = StrEnum("LengthUnit", "mm m um")
+PoseFrame = StrEnum("PoseFrame", "instrument robot_base")  # what poses are in
 
 
 def convert(

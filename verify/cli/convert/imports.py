@@ -30,12 +30,11 @@ from verify.io.logs.mapping import (
 )
 from verify.io.logs.table import LogTable, open_log
 from verify.io.rows import left_out, unended
-from verify.io.session.folder import SESSION_FILE, load_arm
+from verify.io.session.folder import ROBOT_FILES, SESSION_FILE, copy_robot, load_arm
 from verify.io.session.keys import RunTable
 from verify.io.session.keys import read as read_keys
 from verify.io.toml import FORMAT, encode
 
-ROBOT_FILES = (".toml", ".urdf")
 CHECK = "Check the mapping above, then give --yes, or --map with what is right."
 
 
@@ -87,7 +86,7 @@ def convert_bag(sources: Sequence[Path], out: Path, options: ImportOptions, *, f
             (folder / "rig.toml").write_bytes(rig_bytes)
             if options.marker is not None:
                 (folder / "marker.toml").write_bytes(read_bytes(options.marker))
-            name = _copy_robot(robot, folder)
+            name = copy_robot(robot, folder)
             (folder / SESSION_FILE).write_bytes(encode(_bag_keys(name, source, written, options)))
     for note in (f"topics: {', '.join(topics.names)}", *notes, *written.notes):
         terminal.say(note)
@@ -128,29 +127,13 @@ def _load_robot(robot: str | None, out: Path) -> tuple[robots.Arm, str]:
             remedy = "Give a name that `verify robots` lists, or a robot file or URDF."
             raise InputError("--robot", "is missing", expected, remedy)
         table = read_keys(path, RunTable)[0]
-        return load_arm(path, table), str(out / table.robot) if is_file(
-            table.robot
-        ) else table.robot
+        is_file = Path(table.robot).suffix in ROBOT_FILES
+        return load_arm(path, table), str(out / table.robot) if is_file else table.robot
     try:
         return robots.load(robot), robot
     except robots.RobotError as error:
         found = f"{error.place} {error.found}"
         raise InputError("--robot", found, error.expected, error.remedy) from error
-
-
-def is_file(robot: str) -> bool:
-    """Whether a robot is named by its file."""
-    return Path(robot).suffix in ROBOT_FILES
-
-
-def _copy_robot(robot: str, folder: Path) -> str:
-    """Copy a robot's own file into the session, which must not reach outside; return its name."""
-    if not is_file(robot):
-        return robot
-    name = Path(robot).name
-    name = f"robot_{name}" if name in (SESSION_FILE, "rig.toml", "marker.toml") else name
-    (folder / name).write_bytes(read_bytes(Path(robot)))
-    return name
 
 
 @dataclass(frozen=True, slots=True)
@@ -190,7 +173,7 @@ def convert_tables(
     with write_folder_whole(out, force) as folder, terminal.progress("kB") as progress:
         written = _write_tables(joints[:1], poses[:1], folder, progress)
         if joints and poses:
-            name = _copy_robot(robot, folder)
+            name = copy_robot(robot, folder)
             (folder / SESSION_FILE).write_bytes(
                 encode(_pose_keys(name, joints[0], poses[0], options))
             )

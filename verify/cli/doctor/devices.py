@@ -66,8 +66,7 @@ def _try_camera(name: str, camera: CameraDevice, station: Station) -> Finding:
     if missed:
         figures["missed"] = missed
         sentence += f"; {missed} were missed"
-    doubtful = bool(state.refused or missed)
-    return Finding(name, "doubt" if doubtful else "works", sentence, figures)
+    return Finding(name, "doubt" if state.refused or missed else "works", sentence, figures)
 
 
 def _try_encoders(encoders: EncoderDevice) -> Finding:

@@ -48,8 +48,7 @@ def check_versions() -> list[Finding]:
 
 def check_codecs() -> list[Finding]:
     """Write pictures as a recording does, and read them back."""
-    rng = np.random.default_rng(0)
-    grey = rng.integers(0, 40, TEST_IMAGE_SIZE, dtype=np.uint8)
+    grey = np.random.default_rng(0).integers(0, 40, TEST_IMAGE_SIZE, dtype=np.uint8)
     jpeg = cv2.imencode(".jpg", grey)[1].tobytes()
     return [
         _read_back("grey pictures", grey),

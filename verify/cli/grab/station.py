@@ -18,7 +18,6 @@ from verify.cli.grab.conduct import GraspOptions, GraspRun, conduct, target_name
 from verify.cli.terminal import STDIN, terminal
 from verify.core.records import StereoPair
 from verify.core.rig import Rig
-from verify.devices.encoders.intake import AngleMap
 from verify.devices.ports import host_and_port, open_port
 from verify.devices.protocols import CameraDevice, EncoderReading, PanDevice
 from verify.errors import InputError
@@ -46,6 +45,7 @@ from verify.live.buffers import PanBuffer
 from verify.live.intake import PollingThread, readings_step
 from verify.live.pairing import FramePair, Pairing
 from verify.live.station import file
+from verify.live.station.devices import angle_map
 from verify.live.station.keys import StationEncodersTable, StationTable
 from verify.live.station.station import Station, open_station
 from verify.simulation.devices.station import SimulatedStation
@@ -173,8 +173,7 @@ def grab_on_station(
     refuse_existing(out, force=force)
     target = options.target
     station = open_station(path, SimulatedStation)
-    cell_path = ports.cell or path.with_name(CELL_FILE)
-    cell, warnings = grasping_cell.read(cell_path, station.arm.dof)
+    cell, warnings = grasping_cell.read(ports.cell or path.with_name(CELL_FILE), station.arm.dof)
     terminal.warn(*station.warnings, *warnings)
     rig, turning = station.rig, station.facts.turning
     planner = planner_with_cameras(station.arm, cell, rig, turning=turning)
@@ -250,7 +249,7 @@ def _open_devices(
     limits = MoveLimits(
         np.column_stack([planner.limits.lower, planner.limits.upper]), override=override
     )
-    angles = _angle_map(table.encoders, station.arm.dof)
+    angles = angle_map(station.path, "encoders", table.encoders, station.arm.dof)
     mover = stack.enter_context(
         MelfaMover(settings, angles, limits, right, melfa if emulated else None)
     )
@@ -298,8 +297,3 @@ def _motion_settings(path: Path, table: StationEncodersTable) -> MotionSettings:
     host_and_port(port.removeprefix("tcp:"), port)
     settings = MotionSettings(port, table.robot_type)
     return settings if table.pause_ms is None else replace(settings, pause=table.pause_ms * 1e-3)
-
-
-def _angle_map(table: StationEncodersTable, joints: int) -> AngleMap:
-    sign, offset = table.sign or [1] * joints, table.offset_deg or [0.0] * joints
-    return AngleMap(np.array(sign, dtype=float), np.deg2rad(np.array(offset, dtype=float)))

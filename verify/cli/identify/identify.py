@@ -8,21 +8,8 @@ import typer
 
 from verify.cli.options import ReplaceFiles
 
-
-class ModelChoice(StrEnum):
-    """How much of the arm is freed."""
-
-    auto = "auto"
-    offsets = "offsets"
-    geometry = "geometry"
-
-
-class PlacementChoice(StrEnum):
-    """What becomes of a base or an LED body's place."""
-
-    auto = "auto"
-    free = "free"
-    held = "held"
+ModelChoice = StrEnum("ModelChoice", "auto offsets geometry")  # how much of the arm is freed
+PlacementChoice = StrEnum("PlacementChoice", "auto free held")  # of a base or an LED body
 
 
 def identify(

@@ -9,6 +9,7 @@ import numpy as np
 from reports import Results
 from reports.document.formatting import decimals_of, number, with_uncertainty
 from verify.analysis.instrument import BODY_SOURCE, CALIBRATION_SOURCE
+from verify.calibration.kinematics import results
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.doubts import unstated_effects
 from verify.calibration.kinematics.fit import pose_residuals
@@ -21,11 +22,6 @@ from verify.calibration.kinematics.identify import (
 )
 from verify.calibration.kinematics.mistakes import refuse_mistaken_readings, refuse_unfit
 from verify.calibration.kinematics.placements import session_files
-from verify.calibration.kinematics.results import (
-    IdentificationProvenance,
-    ValidationSessions,
-    identification_results,
-)
 from verify.calibration.kinematics.robot_file import CorrectionProvenance, encode_robot
 from verify.calibration.kinematics.sessions import (
     CombinedPoses,
@@ -99,7 +95,7 @@ def identify_sessions(
         offsets_only=found.chosen.name != "geometry",
     )  # fmt: skip
     judged = None if judging is None else _validate(judging, found, options)
-    made = identification_results(found, gathered.poses, origin, name, judged)
+    made = results.identification_results(found, gathered.poses, origin, name, judged)
     terminal.warn(*origin.warnings)
     table = made.tables["parameters"].to_csv(index=False, lineterminator="\n")
     with write_folder_whole(target, force) as folder:
@@ -127,21 +123,20 @@ def _combine_poses(sessions: Sequence[Session], *, registered: bool) -> Combined
             "Record a longer session.",
         )  # fmt: skip
     if not registered:
-        files = sessions[0].folder / "encoders.csv"
-        refuse_mistaken_readings(files, gathered)
+        refuse_mistaken_readings(sessions[0].folder / "encoders.csv", gathered)
     return gathered
 
 
 def _validate(
     judging: CombinedPoses, found: IdentificationResult, options: IdentificationOptions
-) -> ValidationSessions:
+) -> results.ValidationSessions:
     """Register other sessions anew, with the arm as its file has it and with the identified one."""
     rows, arm = judging.poses, chain_of(judging.sessions[0].session.arm)
     left = []
     for chain in (arm, found.chain):
         known = None if options.free_base and options.free_tool else judging.state(chain)
         left.append(pose_residuals(register(chain, rows, options, known).state, rows))
-    return ValidationSessions([one.session.name for one in judging.sessions], *left)
+    return results.ValidationSessions([one.session.name for one in judging.sessions], *left)
 
 
 def _identify_twice(
@@ -161,7 +156,7 @@ def _identification_provenance(
     options: IdentificationOptions,
     found: IdentificationResult,
     doubts: Sequence[str],
-) -> IdentificationProvenance:
+) -> results.IdentificationProvenance:
     sessions = [one.session for one in gathered.sessions]
     several = len(sessions) > 1
     inputs = {
@@ -169,7 +164,7 @@ def _identification_provenance(
         for session in sessions
         for path, digest in session.inputs.items()
     }
-    return IdentificationProvenance(
+    return results.IdentificationProvenance(
         arm=sessions[0].arm,
         names=[session.name for session in sessions],
         source=gathered.source,
@@ -220,7 +215,7 @@ def _warnings(
 
 
 def _correction_provenance(
-    found: IdentificationResult, origin: IdentificationProvenance
+    found: IdentificationResult, origin: results.IdentificationProvenance
 ) -> CorrectionProvenance:
     level = found.chosen
     used = int(level.fit.used.sum())

@@ -7,27 +7,15 @@ from typing import Annotated
 
 import typer
 
-from verify.cli.options import (
-    JointTolerance,
-    ReplaceFiles,
-    ToleranceOptions,
-    refuse_options,
-    require_positive,
-)
+from verify.cli import options
 from verify.errors import InputError
 
 DEFAULT_POSES = 12
 
 
-class ObservableChoice(StrEnum):
-    """What the motion is to make observable."""
-
-    offsets = "offsets"
-    gains = "gains"
-    backlash = "backlash"
-    eccentricity = "eccentricity"
-    kinematics = "kinematics"
-    clock = "clock"
+ObservableChoice = StrEnum(  # what the motion is to make observable
+    "ObservableChoice", "offsets gains backlash eccentricity kinematics clock"
+)
 
 
 def plan(
@@ -57,7 +45,7 @@ def plan(
         bool,
         typer.Option("--table", help="A row for each rig that the values describe."),
     ] = False,
-    tolerance: JointTolerance = None,
+    tolerance: options.JointTolerance = None,
     marker: Annotated[
         Path | None, typer.Option(help="marker.toml; default: the one beside the rig.")
     ] = None,
@@ -104,7 +92,7 @@ def plan(
         typer.Option(help="Of a clock offset that will be stated; else it is estimated."),
     ] = None,
     seed: Annotated[int, typer.Option(min=0, help="Seed of the random postures.")] = 0,
-    force: ReplaceFiles = False,
+    force: options.ReplaceFiles = False,
 ) -> None:
     """Plan a motion that shows what you ask, and predict how well each joint will be known.
 
@@ -131,17 +119,16 @@ def plan(
             "--duration-s", "is given with --poses", "one of them says how long the plan is",
             "Leave one out.",
         )  # fmt: skip
-    require_positive({
+    options.require_positive({
         "--speed-deg-s": speed_deg_s, "--within-deg": within_deg, "--rate-hz": rate_hz,
         "--view-angle-deg": view_angle_deg, "--duration-s": duration_s,
         "--spot-noise-px": spot_noise_px, "--reading-noise-deg": reading_noise_deg,
     })  # fmt: skip
-    require_positive(
+    options.require_positive(
         {"--hold-s": hold_s, "--clock-uncertainty-ms": clock_uncertainty_ms}, zero=True
     )
     if not abs(skew_ms) * 1e-3 < 1 / rate_hz:
-        expected = "less than the time between two pairs"
-        raise InputError("--skew-ms", f"{skew_ms:g} ms", expected)
+        raise InputError("--skew-ms", f"{skew_ms:g} ms", "less than the time between two pairs")
     arm = load_arm(robot)
     built = {"--camera": camera, "--baseline": baseline, "--distance": distance, "--led": led}
     _check_rig(rig, built | {"--assume": assume}, marker, table=table)
@@ -164,7 +151,7 @@ def plan(
         reading_noise=radians(reading_noise_deg),
         clock_uncertainty=None if clock_uncertainty_ms is None else clock_uncertainty_ms * 1e-3,
     )
-    allowed = ToleranceOptions(tolerance, None, None).tolerance(arm.dof).joints
+    allowed = options.ToleranceOptions(tolerance, None, None).tolerance(arm.dof).joints
     if rig is not None:
         setup, inputs, warnings = planning_setup(arm, rig, marker)
         provenance = PlanProvenance(setup, request, conditions, inputs, warnings, None, allowed)
@@ -172,7 +159,7 @@ def plan(
         return
     rigs = proposed_rigs(built, assume or [], table=table)
     if table or len(rigs) > 1:
-        refuse_options(
+        options.refuse_options(
             {"--tolerance": tolerance is not None}, f"is given with {len(rigs)} rigs",
             "a table of rigs has uncertainties alone", "Leave it out, or give one rig.",
         )  # fmt: skip
@@ -189,7 +176,7 @@ def _check_rig(
 ) -> None:
     """Refuse options that contradict each other; `built` describes a rig to be built."""
     if rig is not None:
-        refuse_options(
+        options.refuse_options(
             {name: bool(value) for name, value in built.items()} | {"--table": table},
             f"is given with {rig}", "it describes a rig that is still to be built",
             "Leave RIG out, or the option.",
@@ -200,7 +187,7 @@ def _check_rig(
             "RIG", "is not given", "a rig.toml is needed, or a description of a rig to be built",
             "Example: verify plan iust_6r --camera 1280x720,60deg --baseline 0.4 --distance 1.5",
         )  # fmt: skip
-    refuse_options(
+    options.refuse_options(
         {"--marker": marker is not None}, "is given without RIG",
         "a rig to be built has the LEDs of --led", "Give RIG as well.",
     )  # fmt: skip

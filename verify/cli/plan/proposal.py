@@ -18,15 +18,9 @@ from verify.core.records import Array
 from verify.errors import InputError
 from verify.io.files import write_folder_whole
 from verify.io.results import refuse_existing
+from verify.planning import proposal
 from verify.planning.plan import plan_motion
 from verify.planning.prediction import joint_levers
-from verify.planning.proposal import (
-    MAX_LEDS,
-    TYPICAL_UNCERTAINTIES,
-    ProposedRig,
-    build_setup,
-    work_posture,
-)
 from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
 from verify.planning.results import flange_entry
 
@@ -53,7 +47,7 @@ REMEDY = "Give a longer --distance, a shorter --baseline, a wider camera, or --n
 
 def proposed_rigs(
     given: Mapping[str, list[str] | None], assumed: list[str], *, table: bool
-) -> list[ProposedRig]:
+) -> list[proposal.ProposedRig]:
     """Combine the values of --camera, --led, --baseline, --distance; assumptions hold for all.
 
     Raises:
@@ -69,7 +63,7 @@ def proposed_rigs(
         for name in ("--baseline", "--distance")
     )
     return [
-        ProposedRig(size, field, baseline, distance, count, circle, u)
+        proposal.ProposedRig(size, field, baseline, distance, count, circle, u)
         for (size, field), (count, circle), baseline, distance in product(
             cameras, leds, baselines, distances
         )
@@ -77,11 +71,11 @@ def proposed_rigs(
 
 
 def propose_setup(
-    arm: Arm, rig: ProposedRig, request: PlanRequest
+    arm: Arm, rig: proposal.ProposedRig, request: PlanRequest
 ) -> tuple[PlanningSetup, PlanRequest]:
     """Place a rig before --near, or before a posture that is chosen; the motion stays about it."""
-    work = request.near if request.near is not None else work_posture(arm, request.floor)
-    return build_setup(arm, rig, work, request.floor), replace(request, near=work)
+    work = request.near if request.near is not None else proposal.work_posture(arm, request.floor)
+    return proposal.build_setup(arm, rig, work, request.floor), replace(request, near=work)
 
 
 @contextmanager
@@ -97,7 +91,7 @@ def describing_remedies() -> Iterator[None]:
 
 def compare_rigs(
     arm: Arm,
-    rigs: list[ProposedRig],
+    rigs: list[proposal.ProposedRig],
     request: PlanRequest,
     conditions: SessionConditions,
     out: Path | None,
@@ -137,7 +131,7 @@ def compare_rigs(
 
 
 def _row(
-    arm: Arm, rig: ProposedRig, request: PlanRequest, conditions: SessionConditions
+    arm: Arm, rig: proposal.ProposedRig, request: PlanRequest, conditions: SessionConditions
 ) -> dict[str, str | float | None]:
     """Expanded uncertainties, k = 2, of the best motion for a rig."""
     setup, request = propose_setup(arm, rig, request)
@@ -158,7 +152,7 @@ def _row(
     return row
 
 
-def _describe(rig: ProposedRig) -> dict[str, str]:
+def _describe(rig: proposal.ProposedRig) -> dict[str, str]:
     width, height = rig.image_size
     return {
         "camera": f"{width}x{height}, {math.degrees(rig.field_of_view):g}°",
@@ -213,11 +207,11 @@ def _leds(text: str) -> tuple[int, float]:
     parts = re.fullmatch(r"\s*(\d{1,2})\s*,\s*([0-9.]+)\s*mm\s*", text)
     count = int(parts[1]) if parts else 0
     circle = _number(parts[2]) * 1e-3 if parts else math.nan
-    if not (MIN_LEDS <= count <= MAX_LEDS and MIN_CIRCLE <= circle <= MAX_CIRCLE):
+    if not (MIN_LEDS <= count <= proposal.MAX_LEDS and MIN_CIRCLE <= circle <= MAX_CIRCLE):
         raise InputError(
             "--led", f'"{text}"',
-            f"{MIN_LEDS} to {MAX_LEDS} LEDs and the diameter of their circle are expected, "
-            f"{MIN_CIRCLE * 1e3:g} to {MAX_CIRCLE * 1e3:g} mm", "Example: --led 4,120mm",
+            f"{MIN_LEDS} to {proposal.MAX_LEDS} LEDs and the diameter of their circle are "
+            f"expected, {MIN_CIRCLE * 1e3:g} to {MAX_CIRCLE * 1e3:g} mm", "Example: --led 4,120mm",
         )  # fmt: skip
     return count, circle
 
@@ -236,7 +230,7 @@ def _length(option: str, text: str, least: float, most: float) -> float:
 
 def _uncertainties(words: list[str]) -> dict[str, float]:
     """Replace typical standard uncertainties by NAME=VALUE; 0: taken as exact."""
-    values = dict(TYPICAL_UNCERTAINTIES)
+    values = dict(proposal.TYPICAL_UNCERTAINTIES)
     for word in words:
         name, _, number = word.partition("=")
         value = _number(number)

@@ -38,10 +38,6 @@ class CsvEncoders(LineEncoders):
         self._settings, self._angles = settings, angles
         self._from_start = False
         self._header = b""
-        self._header_fault = ""
-
-    def _complaint(self) -> str:
-        return self._header_fault
 
     def _open(self) -> "FilePort":
         try:
@@ -55,9 +51,9 @@ class CsvEncoders(LineEncoders):
 
     def _begin(self) -> None:
         fields = self._settings.fields or _field_map(self._header, self._angles.joints)
-        self._intake, self._header_fault = None, ""
+        self._intake, self._fault = None, ""
         if isinstance(fields, str):
-            self._header_fault = fields
+            self._fault = fields
             return
         self._intake = TextIntake(
             fields, self._angles, self._settings.latency, self.counts, in_lumps=True

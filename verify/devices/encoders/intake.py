@@ -79,8 +79,7 @@ class ControllerClock:
         return self._accept(raw, raw, t_host)
 
     def _accept(self, raw: float, t: float, t_host: float) -> ControllerInstant:
-        risen = self._floor + MAX_CLOCK_DRIFT * (t_host - self._last_host)
-        self._floor = min(risen, t_host - t)
+        self._floor = min(self._floor + MAX_CLOCK_DRIFT * (t_host - self._last_host), t_host - t)
         self._last_raw, self._last, self._last_host = raw, t, t_host
         self._against = 0
         return ControllerInstant(t, self._segment)
@@ -208,20 +207,15 @@ class PortDriver:
 
     def __init__(self, link: PortLink) -> None:
         self.link, self.counts = link, IntakeCounts()
+        self._fault = self._remark = ""  # why no reading comes; what there is to say beside
 
     def state(self) -> DeviceState:
         """Describe the device."""
-        return self.counts.state(self.link, self._complaint(), self._note())
+        return self.counts.state(self.link, self._fault, self._remark)
 
     def close(self) -> None:
         """Close the port."""
         self.link.close()
-
-    def _complaint(self) -> str:
-        return ""
-
-    def _note(self) -> str:
-        return ""
 
     def _drop(self, reason: str) -> list[Any]:
         """Count what is not used; no reading comes of it."""

@@ -203,7 +203,8 @@ class OpcUaPort:
         except Exception as error:  # of many kinds, where what answers is no OPC UA
             self._broken = True
             self.close()
-            if isinstance(error, TimeoutError) and _pins_certificate(settings):
+            pinned = settings.security is not None and settings.security.server_certificate
+            if isinstance(error, TimeoutError) and pinned:
                 text = "no answer; or it has another certificate than server_certificate"
                 raise OSError(text) from error  # a server does not answer what it cannot decrypt
             raise _described(error) from error
@@ -272,10 +273,6 @@ class OpcUaPort:
         return asyncio.run_coroutine_threadsafe(work, self._loop)
 
 
-def _pins_certificate(settings: OpcUaSettings) -> bool:
-    return settings.security is not None and settings.security.server_certificate is not None
-
-
 def _described(error: Exception) -> OSError:
     """Turn what the library raises into what a port raises."""
     if isinstance(error, OSError):  # TimeoutError too
@@ -327,7 +324,6 @@ class OpcUaEncoders(intake.PortDriver):
         self._epoch: float | None = None  # s, that is taken off every stamp
         self._before: Array | None = None  # (joints,), rad, of the poll before
         self._newest = -math.inf  # s, source's clock: the last stamp of an axis that moved
-        self._fault = ""  # stands until a reading comes
 
     def read(self) -> list[EncoderReading]:
         """Give what has arrived since the last call: one reading or none.
@@ -355,9 +351,6 @@ class OpcUaEncoders(intake.PortDriver):
             self.link.steady()
             self._fault = ""
         return readings
-
-    def _complaint(self) -> str:
-        return self._fault
 
     def _timed(self, poll: OpcUaPoll, angle: Array, chunk: ports.Chunk) -> list[EncoderReading]:
         if self._settings.arrival:

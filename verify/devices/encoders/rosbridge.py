@@ -146,8 +146,6 @@ class RosbridgeEncoders(intake.PortDriver):
         self._intake = intake.ReadingIntake(angles, self.counts)
         self._clock = intake.ControllerClock(None)
         self._epoch: int | None = None  # s, that is taken off every stamp
-        self._fault = ""  # stands until a reading comes
-        self._remark = ""
 
     def read(self) -> list[EncoderReading]:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
@@ -177,12 +175,6 @@ class RosbridgeEncoders(intake.PortDriver):
         if self.link.connected:
             self._ask("unsubscribe")
         super().close()
-
-    def _complaint(self) -> str:
-        return self._fault
-
-    def _note(self) -> str:
-        return self._remark
 
     def _ask(self, operation: str, **fields: str) -> None:
         """Send an operation; ValueError: one that a reader may not send."""

@@ -15,14 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from verify.devices.encoders.intake import (
-    MAX_JOINT_ANGLE,
-    SILENCE_TIMEOUT,
-    AngleMap,
-    ControllerClock,
-    PortDriver,
-    ReadingIntake,
-)
+from verify.devices.encoders import intake
 from verify.devices.ports import link_to
 from verify.devices.protocols import DeviceState, EncoderReading
 
@@ -107,17 +100,15 @@ class RtdeConnection:
     running: bool | None = None  # a program of the robot
 
 
-class RtdeEncoders(PortDriver):
+class RtdeEncoders(intake.PortDriver):
     """Joint readings from a UR controller, by its own time stamps."""
 
-    def __init__(self, settings: RtdeSettings, angles: AngleMap) -> None:
+    def __init__(self, settings: RtdeSettings, angles: intake.AngleMap) -> None:
         super().__init__(link_to(settings.port))
         self._settings = settings
-        self._intake = ReadingIntake(angles, self.counts)
-        self._clock = ControllerClock(None)
+        self._intake = intake.ReadingIntake(angles, self.counts)
+        self._clock = intake.ControllerClock(None)
         self._talk = RtdeConnection()
-        self._fault = ""  # stands until a sample comes
-        self._remark = ""
 
     def read(self) -> list[EncoderReading]:
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
@@ -172,7 +163,7 @@ class RtdeEncoders(PortDriver):
             return
         waited = self.link.now() - self._talk.since
         if awaited is PackageType.DATA:
-            if waited > SILENCE_TIMEOUT:
+            if waited > intake.SILENCE_TIMEOUT:
                 self.link.drop(f"no sample for {waited:.1f} s")
         elif waited > ANSWER_TIMEOUT:
             self._drop("request without an answer")
@@ -206,8 +197,7 @@ class RtdeEncoders(PortDriver):
                 major = struct.unpack_from(">I", payload)[0]
                 talk.cycle = 1 / 125 if major <= 3 else 1 / MAX_RTDE_RATE  # CB3; later series
                 rate = min(self._settings.rate or np.inf, 1 / talk.cycle)
-                names = ",".join(OUTPUTS).encode()
-                self._ask(PackageType.OUTPUTS, struct.pack(">d", rate) + names)
+                self._ask(PackageType.OUTPUTS, struct.pack(">d", rate) + ",".join(OUTPUTS).encode())
             case PackageType.OUTPUTS:
                 talk.recipe = struct.unpack_from(">B", payload)[0]
                 types = payload[1:].decode("ascii").split(",")
@@ -231,7 +221,7 @@ class RtdeEncoders(PortDriver):
             return self._drop("sample that is not understood")
         _, stamp, *angles, runtime_state = SAMPLE.unpack(payload)
         q = np.array(angles)
-        if not np.isfinite(stamp) or not np.all(np.abs(q) <= MAX_JOINT_ANGLE):  # nor NaN
+        if not np.isfinite(stamp) or not np.all(np.abs(q) <= intake.MAX_JOINT_ANGLE):  # nor NaN
             return self._drop("sample with impossible numbers")
         self._talk.since = t_host
         self._talk.running = runtime_state == PLAYING

@@ -49,8 +49,7 @@ class FieldMap:
 
     def __post_init__(self) -> None:
         _compile("skip", self.skip)
-        pattern = _compile("pattern", self.pattern)
-        names = set(pattern.groupindex if self.pattern else self.columns)
+        names = set(_compile("pattern", self.pattern).groupindex if self.pattern else self.columns)
         wanted = {f"q{joint}" for joint in range(1, self.joints + 1)}
         if {"axis", "value", "t"} <= names:
             wanted = set()
@@ -284,7 +283,7 @@ class LineEncoders(intake.PortDriver):
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
         chunk = self.link.receive()
         if self.link.reopened():
-            self._lines.clear()
+            self._lines = ports.LineBuffer()  # the other half of a half line will not come
             self._begin()
         if chunk is None or self._intake is None:
             return []

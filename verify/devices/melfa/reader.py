@@ -129,8 +129,7 @@ class MelfaEncoders(PortDriver):
 
     def _between_requests(self) -> None:
         """Wait out the pause, then send the next request; a stray answer puts us out of step."""
-        rest = max(0.0, min(READ_TIMEOUT, self._talk.due - self.link.now()))
-        chunk = self.link.receive(rest)
+        chunk = self.link.receive(max(0.0, min(READ_TIMEOUT, self._talk.due - self.link.now())))
         if not self._same_connection():
             chunk = None
         stray = chunk is not None and chunk.data.strip(b"\r\n\0")

@@ -14,13 +14,7 @@ from typing import Final
 import numpy as np
 
 from verify.core.records import Array
-from verify.devices.encoders.intake import (
-    MAX_JOINT_ANGLE,
-    AngleMap,
-    ControllerClock,
-    PortDriver,
-    ReadingIntake,
-)
+from verify.devices.encoders import intake
 from verify.devices.ports import link_to
 from verify.devices.protocols import EncoderReading
 
@@ -62,7 +56,7 @@ def parse_packet(data: bytes, joints: int) -> RealtimePacket | str:
     if block is None:
         return "packet without encoder joints"
     angles = np.frombuffer(block, dtype="<f4", count=joints).astype(float)
-    if not np.all(np.abs(angles) <= MAX_JOINT_ANGLE):  # nor what is no number
+    if not np.all(np.abs(angles) <= intake.MAX_JOINT_ANGLE):  # nor what is no number
         return "packet with impossible angles"
     return RealtimePacket(fields[11], fields[10], angles)
 
@@ -81,17 +75,16 @@ class RealtimeSettings:
     cycle: float = CYCLE_TIME  # s
 
 
-class RealtimeEncoders(PortDriver):
+class RealtimeEncoders(intake.PortDriver):
     """Joint readings from the encoders, one a cycle of the controller."""
 
-    def __init__(self, settings: RealtimeSettings, angles: AngleMap) -> None:
+    def __init__(self, settings: RealtimeSettings, angles: intake.AngleMap) -> None:
         super().__init__(link_to(settings.port))
         self._cycle_time, self._joints = settings.cycle, angles.joints
-        self._intake = ReadingIntake(angles, self.counts)
+        self._intake = intake.ReadingIntake(angles, self.counts)
         self._wrap = COUNTER_MODULUS * settings.cycle
-        self._clock = ControllerClock(self._wrap)
+        self._clock = intake.ControllerClock(self._wrap)
         self._cycle: tuple[int, int] | None = None  # and its clock segment
-        self._missed = 0
         self._requested_at = float("-inf")
 
     def read(self) -> list[EncoderReading]:
@@ -115,9 +108,6 @@ class RealtimeEncoders(PortDriver):
         self.link.send(END_REQUEST)
         super().close()
 
-    def _note(self) -> str:
-        return f"the controller missed {self._missed} of our packets" if self._missed else ""
-
     def _request(self) -> None:
         self._requested_at = self.link.now()
         self.link.send(READ_REQUEST)
@@ -132,7 +122,8 @@ class RealtimeEncoders(PortDriver):
         before, self._cycle = self._cycle, (packet.cycle, instant.segment)
         if before is not None and before[1] == instant.segment:
             self.counts.lost += (packet.cycle - before[0]) % COUNTER_MODULUS - 1
-        self._missed = packet.missed
+        if packet.missed:
+            self._remark = f"the controller missed {packet.missed} of our packets"
         self.link.steady()
         # where in its cycle the controller latches is not documented: anywhere
         return self._intake.take(instant, t_host, self._cycle_time / 2, packet.joints)

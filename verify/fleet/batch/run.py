@@ -35,10 +35,6 @@ class BatchProgress:
     failures: list[SessionFailure] = field(default_factory=list)
     begun: float = field(default_factory=time.monotonic)  # s
 
-    def begin(self) -> None:
-        """Count time from now on: what was loaded before says nothing of what is to come."""
-        self.begun = time.monotonic()
-
     @property
     def done(self) -> int:
         """Sessions of which nothing more is to come."""
@@ -93,7 +89,7 @@ def measure_all(
     watch(work.progress)
     if work.waiting:
         pool.ready()
-    work.progress.begin()
+    work.progress.begun = time.monotonic()  # loading says nothing of what is to come
     for task, outcome in pool.run(work.waiting):
         work.take(task, outcome)
         watch(work.progress)

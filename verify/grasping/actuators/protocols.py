@@ -118,6 +118,12 @@ class GripperState(StrEnum):
     FAILED = "failed"
 
 
+CLOSED_STATES = frozenset(  # the fingers have come to rest
+    {GripperState.REACHED, GripperState.GRIPPED, GripperState.UNSURE, GripperState.LOST}
+)
+RESTING_STATES = CLOSED_STATES | {GripperState.READY}  # activated, and free to take an order
+
+
 @dataclass(frozen=True, slots=True)
 class GripperStatus:
     """Status of the gripper."""

@@ -104,8 +104,7 @@ class Aim:
         """Take the target's measurement of one pair."""
         self.target = None
         if np.isfinite(observation.centre).all():
-            direction = self._setup.cell.approach.direction
-            thing = object_from_target(observation, self._rig, direction)
+            thing = object_from_target(observation, self._rig, self._setup.cell.approach.direction)
             thing = replace(thing, offset=self._hand)
             velocity = self._rig.rig_T_base[:3, :3].T @ observation.velocity
             self.target = TargetState(thing, velocity, observation.status == "tracked")
@@ -176,8 +175,7 @@ class Aim:
         """Say that the target has left the place that the grasp was planned for; else ""."""
         if self.plan is None or self.planned is None or self.target is None:
             return ""
-        shift = self.target.thing.position - self.planned.thing.position
-        moved = float(np.linalg.norm(shift))
+        moved = float(np.linalg.norm(self.target.thing.position - self.planned.thing.position))
         if not self.target.tracked or moved < self.plan.margin.across / 2:
             return ""
         return f"the target has moved {1e3 * moved:.0f} mm away from where it was to be grasped"

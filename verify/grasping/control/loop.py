@@ -9,6 +9,7 @@ import numpy as np
 from verify.core.records import Array, StereoPair
 from verify.devices.protocols import EncoderReading
 from verify.grasping.actuators.protocols import (
+    CLOSED_STATES,
     Gripper,
     GripperState,
     GripperStatus,
@@ -30,9 +31,6 @@ SELECTABLE_STATES = {  # in which another target may be chosen
 }  # fmt: skip
 AIMING_STATES = frozenset(
     {GraspState.TRACKING, GraspState.FOLLOWING, GraspState.HOLDING_UNREACHABLE}
-)
-CLOSED_STATES = frozenset(  # the fingers have come to rest
-    {GripperState.REACHED, GripperState.GRIPPED, GripperState.UNSURE, GripperState.LOST}
 )
 
 

@@ -139,7 +139,8 @@ HOLDABLE_STATES = (*PICTURE_STATES, S.HOLDING_STALE)
 RUNNING_STATES = tuple(s for s in S if s not in (S.IDLE, S.FAULT, S.RELEASING, S.RELEASED))
 
 
-_GRASP_TRANSITIONS = (
+TRANSITIONS: tuple[Transition, ...] = (
+    # the grasp
     T(S.IDLE, E.START, S.SEARCHING, "cameras and target are there"),
     T(S.SEARCHING, E.FOUND, S.TRACKING, "both cameras see the target"),
     T(S.TRACKING, E.LOST, S.SEARCHING, "nothing moves yet: it is looked for again"),
@@ -160,9 +161,7 @@ _GRASP_TRANSITIONS = (
     T(S.OPENING, E.OPENED, S.RETREATING, "up the way it came"),
     T(S.RETREATING, E.AT_TOP, S.MISSED, "empty, and out of the way"),
     T(S.MISSED, E.RESUME, S.SEARCHING, "the operator wants another try", HAND_HIGH),
-)  # fmt: skip
-
-_RESUME_TRANSITIONS = (
+    # going on after a hold
     T(S.HOLDING_STALE, E.FRESH, S.SEARCHING, "pictures and joints are fresh again", HAND_HIGH),
     T(S.HOLDING_STALE, E.FRESH, S.HOLDING_OPERATOR, LOW_REASON, HAND_LOW),
     T(S.HOLDING_LOST, E.FOUND, S.TRACKING, "the target was found again", HAND_HIGH),
@@ -181,9 +180,7 @@ _RESUME_TRANSITIONS = (
         S.HOLDING_OPERATOR, E.RETREAT, S.OPENING, "the operator sends the empty hand up",
         frozenset({C.EXECUTE, C.LOW, C.EMPTY}),
     ),
-)  # fmt: skip
-
-_FAULT_TRANSITIONS = (
+    # what goes wrong
     *(T(s, E.STALE, S.HOLDING_STALE, "no motion on old pictures") for s in PICTURE_STATES),
     *(T(s, E.LOST, S.HOLDING_LOST, "the target is out of sight") for s in TARGET_STATES),
     *(
@@ -196,17 +193,11 @@ _FAULT_TRANSITIONS = (
         T(s, E.DEVICE_ERROR, S.FAULT, "a device reported it, or stopped answering")
         for s in (*RUNNING_STATES, S.RELEASING, S.IDLE)
     ),
-)
-
-_END_TRANSITIONS = (
+    # the end
     *(T(s, E.INTERRUPT, S.RELEASING, "hold, then give the controls back") for s in RUNNING_STATES),
     T(S.RELEASING, E.STOPPED, S.RELEASED, "the arm is at rest"),
     T(S.IDLE, E.INTERRUPT, S.RELEASED, "nothing was taken"),
     T(S.FAULT, E.INTERRUPT, S.RELEASED, "the operator ends it"),
-)
-
-TRANSITIONS: tuple[Transition, ...] = (
-    *_GRASP_TRANSITIONS, *_RESUME_TRANSITIONS, *_FAULT_TRANSITIONS, *_END_TRANSITIONS,
 )  # fmt: skip
 TRANSITIONS_BY_EVENT = {
     (source, event): [t for t in TRANSITIONS if (t.source, t.event) == (source, event)]

@@ -78,8 +78,7 @@ def base_covariance(rig: Rig, point: Array) -> Array:
     given = stated_systematics(rig, NO_LEDS, turning=False)
     places = [i for i, name in enumerate(given.names) if name.startswith("robot_base.")]
     axes = [BODY.index(given.names[i].partition(".")[2]) for i in places]
-    lever = cross_matrix(point - rig.rig_T_base[:3, 3])
-    moves = np.hstack([np.eye(3), -lever])[:, axes]
+    moves = np.hstack([np.eye(3), -cross_matrix(point - rig.rig_T_base[:3, 3])])[:, axes]
     return moves @ given.covariance[np.ix_(places, places)] @ moves.T
 
 

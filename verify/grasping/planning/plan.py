@@ -9,24 +9,14 @@ from itertools import pairwise
 import numpy as np
 
 import robots
-from robots import Arm, DhArm, RobotError
+from robots import Arm, DhArm, RobotError, trajectory
 from robots.inverse import near_within
-from robots.trajectory import (
-    JointLimits,
-    PathLimits,
-    Trajectory,
-    joint_limits,
-    joint_path,
-    limit_violation,
-    required_slowdown,
-    rest_motion,
-    time_path,
-)
 from robots.transforms import carry, invert
 from verify.core.records import Array
 from verify.core.rig import Camera, Rig
 from verify.errors import InputError
 from verify.grasping.cell import Cell
+from verify.grasping.planning import postures
 from verify.grasping.planning.approach import ApproachLine, hand_poses, line_path
 from verify.grasping.planning.object import (
     GraspObject,
@@ -34,13 +24,6 @@ from verify.grasping.planning.object import (
     GripMargin,
     grip_margin,
     grip_point,
-)
-from verify.grasping.planning.postures import (
-    MIN_SINGULAR_VALUE,
-    Posture,
-    branch_name,
-    find_postures,
-    smallest_singular_value,
 )
 from verify.grasping.planning.workspace import Workspace
 
@@ -54,7 +37,7 @@ class GraspPlanner:
     """An arm in its cell."""
 
     workspace: Workspace
-    limits: JointLimits
+    limits: trajectory.JointLimits
 
     @property
     def arm(self) -> DhArm:
@@ -71,11 +54,13 @@ class GraspPlanner:
 class GraspPlan:
     """A grasp: over to the object, down to it, and back up."""
 
-    posture: Posture
+    posture: postures.Posture
     margin: GripMargin
-    over: tuple[Trajectory, ...]  # to above the object; several where the way leads through home
-    down: Trajectory
-    up: Trajectory
+    over: tuple[
+        trajectory.Trajectory, ...
+    ]  # to above the object; several where the way leads through home
+    down: trajectory.Trajectory
+    up: trajectory.Trajectory
     slowed: float  # how many times slower than the cell asks, for the joints' limits
     rejected: dict[str, str]  # each branch that is not taken, and why
 
@@ -86,7 +71,7 @@ def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
         expected = "an arm with a closed form is needed to grasp"
         raise InputError(f'robot "{arm.name}"', "is a URDF", expected, "Write its DH table.")
     try:
-        limits = joint_limits(arm, cell.moving.share)
+        limits = trajectory.joint_limits(arm, cell.moving.share)
     except RobotError as error:
         raise InputError(error.place, error.found, error.expected, error.remedy) from error
     return GraspPlanner(Workspace(arm, cell, cameras), limits)
@@ -97,11 +82,11 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
     margin = grip_margin(thing, setup.cell)
     if isinstance(margin, GraspRefusal):
         return margin
-    if problem := limit_violation(setup.limits, rest_motion(q_now)) or setup.workspace.clear(
-        q_now[None]
-    ):
+    if problem := trajectory.limit_violation(
+        setup.limits, trajectory.rest_motion(q_now)
+    ) or setup.workspace.clear(q_now[None]):
         return GraspRefusal("way", f"the arm cannot begin where it stands: {problem}")
-    good, reasons = find_postures(setup.workspace, setup.limits, margin.grip, q_now)
+    good, reasons = postures.find_postures(setup.workspace, setup.limits, margin.grip, q_now)
     if thing.hand is not None and thing.hand.used:  # a correction holds where it was measured
         good = [p for p in good if np.abs(p.q_above - q_now).max() < TOL_SAME_POSTURE]
     ways: dict[int, str] = {}  # why not, of branches that could stand there
@@ -113,7 +98,7 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
             return GraspPlan(posture, margin, over, down, down.returning(), slowed, rejected)
         ways.setdefault(posture.branch, found)
     rejections = tuple(
-        (branch_name(branch), problem) for branch, problem in {**ways, **reasons}.items()
+        (postures.branch_name(branch), problem) for branch, problem in {**ways, **reasons}.items()
     )
     if not rejections:
         return GraspRefusal("reach", "the posture in which the hand was measured does not reach it")
@@ -124,8 +109,8 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
 
 
 def _grasp_motion(
-    setup: GraspPlanner, posture: Posture, q_now: Array
-) -> tuple[tuple[Trajectory, ...], Trajectory, float] | str:
+    setup: GraspPlanner, posture: postures.Posture, q_now: Array
+) -> tuple[tuple[trajectory.Trajectory, ...], trajectory.Trajectory, float] | str:
     """The transfer, the line down, and how much slower it is, in one posture; or why not."""
     found = _descent(setup, posture)
     if isinstance(found, str):
@@ -134,7 +119,9 @@ def _grasp_motion(
     return there if isinstance(there, str) else (there, *found)
 
 
-def _descent(setup: GraspPlanner, posture: Posture) -> tuple[Trajectory, float] | str:
+def _descent(
+    setup: GraspPlanner, posture: postures.Posture
+) -> tuple[trajectory.Trajectory, float] | str:
     """The line down, checked along its whole length, and how much slower it is; or why not."""
     wanted = setup.cell.approach
     flange = robots.forward(setup.arm, posture.q_above)
@@ -143,22 +130,22 @@ def _descent(setup: GraspPlanner, posture: Posture) -> tuple[Trajectory, float] 
     if isinstance(path, str):
         return path
     for q in path.range():
-        if problem := limit_violation(setup.limits, rest_motion(q)):
+        if problem := trajectory.limit_violation(setup.limits, trajectory.rest_motion(q)):
             return f"on the line down {problem}"
-    rates = PathLimits(wanted.speed, wanted.acceleration, wanted.jerk)
-    slowed = required_slowdown(path, setup.limits, rates)
+    rates = trajectory.PathLimits(wanted.speed, wanted.acceleration, wanted.jerk)
+    slowed = trajectory.required_slowdown(path, setup.limits, rates)
     if slowed > MAX_SLOWDOWN:
         joint = int(np.argmax(path.bounds()[0] / setup.limits.speed)) + 1
         fast = f"at {1e3 * wanted.speed:g} mm/s joint {joint} races"
         return f"on the line down {fast}, {slowed:.0f} times beyond its limits"
     if problem := setup.workspace.along(path):
         return f"on the line down {problem}"
-    return time_path(path, setup.limits, rates), max(slowed, 1.0)
+    return trajectory.time_path(path, setup.limits, rates), max(slowed, 1.0)
 
 
 def transfer_motion(
     setup: GraspPlanner, q_now: Array, q_above: Array
-) -> tuple[Trajectory, ...] | str:
+) -> tuple[trajectory.Trajectory, ...] | str:
     """Go straight in joint angles, (n,) rad, to above the object, or through home.
 
     Returns the ways one after the other, checked all along; or what stands in them.
@@ -168,16 +155,16 @@ def transfer_motion(
         ways.append([q_now, setup.cell.moving.home, q_above])
     problem = ""
     for way in ways:
-        paths = [joint_path(a, b) for a, b in pairwise(way)]
+        paths = [trajectory.joint_path(a, b) for a, b in pairwise(way)]
         trouble = next((t for path in paths if (t := setup.workspace.along(path))), "")
         if not trouble:
-            return tuple(time_path(path, setup.limits) for path in paths)
+            return tuple(trajectory.time_path(path, setup.limits) for path in paths)
         problem = problem or f"on the way over {trouble}"
     return problem
 
 
 def _rejection_reasons(
-    good: list[Posture], reasons: dict[int, str], taken: Posture
+    good: list[postures.Posture], reasons: dict[int, str], taken: postures.Posture
 ) -> dict[str, str]:
     """Why each other branch is not taken, in words."""
     rejections = dict(reasons)
@@ -186,7 +173,7 @@ def _rejection_reasons(
             worse = f"it is feasible, but scores {posture.score:.2g} against {taken.score:.2g}"
             rejections.setdefault(posture.branch, worse)
     rejections.pop(taken.branch, None)
-    return {branch_name(branch): rejections[branch] for branch in sorted(rejections)}
+    return {postures.branch_name(branch): rejections[branch] for branch in sorted(rejections)}
 
 
 def planner_with_cameras(arm: Arm, cell: Cell, rig: Rig, *, turning: bool) -> GraspPlanner:
@@ -229,7 +216,7 @@ class HoverPlanner:
 
     def __init__(self, setup: GraspPlanner) -> None:
         self._setup = setup
-        self._posture: Posture | None = None
+        self._posture: postures.Posture | None = None
 
     def goal(self, point: Array, velocity: Array, q_now: Array) -> JointGoal | GraspRefusal:
         """Say where the joints should be for the hand to stand above the target's middle.
@@ -241,7 +228,9 @@ class HoverPlanner:
         grip, _ = grip_point(point, self._setup.cell)  # above where the line down will begin
         q = None if self._posture is None else self._same(self._posture, grip, q_now)
         if q is None:
-            good, reasons = find_postures(self._setup.workspace, self._setup.limits, grip, q_now)
+            good, reasons = postures.find_postures(
+                self._setup.workspace, self._setup.limits, grip, q_now
+            )
             if not good:
                 self._posture = None
                 problem = next(iter(reasons.values()))
@@ -250,7 +239,7 @@ class HoverPlanner:
         twist = np.concatenate([velocity, np.zeros(3)])
         return JointGoal(q, np.linalg.solve(robots.jacobian(self._setup.arm, q), twist))
 
-    def _same(self, posture: Posture, grip: Array, q_now: Array) -> Array | None:
+    def _same(self, posture: postures.Posture, grip: Array, q_now: Array) -> Array | None:
         """The same branch and turn above another grip point; None where they do not serve."""
         setup, approach = self._setup, self._setup.cell.approach
         above = grip - approach.height * approach.direction
@@ -258,10 +247,12 @@ class HoverPlanner:
         flange = pose[0] @ invert(setup.cell.gripper.flange_T_grip)
         answers = robots.inverse(setup.arm, flange, hold=q_now).q
         q = near_within(setup.arm, answers[posture.branch], q_now)
-        if not np.isfinite(q).all() or limit_violation(setup.limits, rest_motion(q)):
-            return None
-        if smallest_singular_value(setup.arm, q) < MIN_SINGULAR_VALUE or setup.workspace.clear(
-            q[None]
+        if not np.isfinite(q).all() or trajectory.limit_violation(
+            setup.limits, trajectory.rest_motion(q)
         ):
+            return None
+        if postures.smallest_singular_value(
+            setup.arm, q
+        ) < postures.MIN_SINGULAR_VALUE or setup.workspace.clear(q[None]):
             return None
         return q

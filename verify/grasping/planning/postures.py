@@ -100,8 +100,7 @@ def find_postures(
     those that can be, best score first; and why each other branch cannot, in words, for the turn of
     the hand that came farthest; branches that came farthest first.
     """
-    direction = workspace.cell.approach.direction
-    now = nearest_turn(direction, workspace.grip(q_now)[:3, :3])
+    now = nearest_turn(workspace.cell.approach.direction, workspace.grip(q_now)[:3, :3])
     turns: Array = now + np.linspace(0.0, 2 * np.pi, N_TURNS, endpoint=False)
     table = _table(workspace, limits, point, q_now, turns)
     stage = table.stage
@@ -132,8 +131,7 @@ def _table(
     approach = cell.approach
     ends = (point - approach.height * approach.direction, point)
     poses = np.array([hand_poses(approach.direction, end, turns) for end in ends])
-    flanges = poses @ invert(cell.gripper.flange_T_grip)
-    q = robots.inverse(arm, flanges, hold=q_now).q
+    q = robots.inverse(arm, poses @ invert(cell.gripper.flange_T_grip), hold=q_now).q
     above = near_within(arm, q[0], q_now)
     above = np.where(np.isnan(above), near(q[0], q_now), above)  # to say by how much it is beyond
     q = np.array([above, near(q[1], above)])  # the line does not wind joints up

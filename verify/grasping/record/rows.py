@@ -78,8 +78,7 @@ def tool_offset_table(measurement: OffsetMeasurement | None, workspace: Workspac
         if sight.base_T_flange is not None:
             row |= _point("grip", _grip_position(sight.base_T_flange, workspace))
         rows.append(row)
-    columns = ["t_s", "status", "grip_x_mm", "grip_y_mm", "grip_z_mm"]
-    return pd.DataFrame(rows, columns=columns)
+    return pd.DataFrame(rows, columns=["t_s", "status", "grip_x_mm", "grip_y_mm", "grip_z_mm"])
 
 
 def tool_offset_fields(measurement: OffsetMeasurement, workspace: Workspace) -> dict[str, Any]:

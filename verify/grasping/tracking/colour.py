@@ -94,8 +94,7 @@ def named_colour(name: str) -> ColourModel:
     away = np.abs((degrees - low - half + 180.0) % 360.0 - 180.0)  # from the middle of the hues
     by_hue = np.clip((half - away) / HUE_FADE_DEG + 0.5, 0.0, 1.0)
     by_saturation = np.arange(N_SATURATIONS) >= palest
-    weight = (255.0 * np.outer(by_hue, by_saturation)).astype(np.float32)
-    return ColourModel(weight)
+    return ColourModel((255.0 * np.outer(by_hue, by_saturation)).astype(np.float32))
 
 
 def colour_histogram(hsv: Image, mask: Mask) -> NDArray[np.float32]:

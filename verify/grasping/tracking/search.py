@@ -7,15 +7,7 @@ import numpy as np
 
 from verify.core.records import Array, Image, StereoPair
 from verify.core.rig import Camera, Rig
-from verify.grasping.tracking import association
-from verify.grasping.tracking.camshift import (
-    MAX_EXTENT_RATIO,
-    Blob,
-    Box,
-    box_around,
-    camshift,
-    find_blobs,
-)
+from verify.grasping.tracking import association, camshift
 from verify.grasping.tracking.colour import ColourModel
 from verify.grasping.tracking.kalman import KalmanTrack
 from verify.grasping.tracking.pairing import (
@@ -34,7 +26,7 @@ MIN_SIMILARITY = 0.6  # least similarity of the mixture of colours
 SEARCH_PERIOD = 3  # pairs from one search for others to the next
 MIN_VISIBLE_SHARE = 0.3  # of the target that must be in view to locate it
 WINDOW_SIGMA, WINDOW_MARGIN_PX = 4.0, 6.0  # of the searched window beyond the target itself
-Windows = tuple[Box | None, Box | None]  # left, right; None: the whole picture
+Windows = tuple[camshift.Box | None, camshift.Box | None]  # left, right; None: the whole picture
 NO_WINDOWS: Windows = (None, None)
 
 
@@ -87,8 +79,8 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
     target = now.identity.target
     assert target is not None
     motion = ObjectMotion(ahead.velocity, ahead.velocity_covariance)
-    blobs: list[Blob] = []
-    windows: list[Box] = []
+    blobs: list[camshift.Blob] = []
+    windows: list[camshift.Box] = []
     doubts: list[float] = []
     sides = _camera_sides(place_cameras(now.rig, now.pair), now.pair)
     for model, (camera, t, image) in zip(now.models, sides, strict=True):
@@ -97,9 +89,10 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
         depth = float(camera.inside(there.position)[2])
         sigma = np.sqrt(np.diag(slope @ there.position_covariance @ slope.T))
         extent = _extent_in_pixels(target.extent, camera.camera, depth)
-        region = box_around(pixel, 0.75 * extent + WINDOW_SIGMA * sigma + WINDOW_MARGIN_PX)
-        start = box_around(pixel, 0.5 * extent + sigma)
-        blob = camshift(image, start, region, model, extent)
+        region = camshift.box_around(pixel, 0.75 * extent + WINDOW_SIGMA * sigma + WINDOW_MARGIN_PX)
+        blob = camshift.camshift(
+            image, camshift.box_around(pixel, 0.5 * extent + sigma), region, model, extent
+        )
         if blob is None or blob.similarity < MIN_SIMILARITY or blob.cut:
             return None, NO_WINDOWS
         share = blob.area * pixel_area(exact, depth) / target.area
@@ -126,7 +119,7 @@ def _search_pictures(now: TargetSearch, target: StereoObject | None) -> list[Ste
     own = (None, None) if target is None else (target.left.box, target.right.box)
     found = []
     for image, model, but in zip((pair.left, pair.right), now.models, own, strict=True):
-        blobs = find_blobs(image, model, but)
+        blobs = camshift.find_blobs(image, model, but)
         found.append([b for b in blobs if b.similarity >= MIN_SIMILARITY and not b.cut])
     things = pair_blobs(found[0], found[1], pair, now.rig, now.options)
     things = [_remeasure(now, thing) for thing in things]
@@ -161,11 +154,13 @@ def _remeasure(now: TargetSearch, thing: StereoObject) -> StereoObject:
     return join_blobs(blobs[0], blobs[1], pair, now.rig, motion, (doubts[0], doubts[1])) or thing
 
 
-def _trim_to_target(blob: Blob, image: Image, model: ColourModel, expected: Array) -> Blob:
+def _trim_to_target(
+    blob: camshift.Blob, image: Image, model: ColourModel, expected: Array
+) -> camshift.Blob:
     """Cut a patch that is larger than the target to the target's size."""
-    if not (blob.extent > MAX_EXTENT_RATIO * expected).any():
+    if not (blob.extent > camshift.MAX_EXTENT_RATIO * expected).any():
         return blob
-    return camshift(image, blob.box, blob.box, model, expected) or blob
+    return camshift.camshift(image, blob.box, blob.box, model, expected) or blob
 
 
 def _camera_sides(

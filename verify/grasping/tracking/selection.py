@@ -24,8 +24,7 @@ def parse_box(text: str, option: str = "--roi") -> Box:
     """
     expected = "x,y,w,h in whole pixels is expected, such as --roi 610,340,48,52"
     try:
-        numbers = [int(part) for part in text.split(",")]
-        x, y, width, height = numbers
+        x, y, width, height = [int(part) for part in text.split(",")]
     except ValueError:
         raise InputError(option, f'is "{text}"', expected) from None
     if min(x, y) < 0:
@@ -61,8 +60,7 @@ def model_from_box(image: Image, box: Box, alike: ColourModel | None = None) -> 
     """
     if clip_box(box, image) != box:
         found = "reaches out of the picture"
-        expected = f"it has {image.shape[1]} x {image.shape[0]} px"
-        raise InputError("--roi", found, expected)
+        raise InputError("--roi", found, f"it has {image.shape[1]} x {image.shape[0]} px")
     x, y, width, height = box
     dx, dy = round(SURROUNDINGS * width), round(SURROUNDINGS * height)
     rx, ry, rw, rh = clip_box((x - dx, y - dy, width + 2 * dx, height + 2 * dy), image)

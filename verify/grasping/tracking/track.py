@@ -11,18 +11,11 @@ import numpy as np
 
 from verify.core.records import Image, StereoPair
 from verify.core.rig import Rig
+from verify.grasping.tracking import search
 from verify.grasping.tracking.association import TargetDecision, TargetIdentity
 from verify.grasping.tracking.camshift import Blob
 from verify.grasping.tracking.colour import ColourModel, blend, named_colour
 from verify.grasping.tracking.pairing import StereoObject
-from verify.grasping.tracking.search import (
-    NO_WINDOWS,
-    SEARCH_PERIOD,
-    TargetSearch,
-    Windows,
-    left_picture,
-    search_pair,
-)
 from verify.grasping.tracking.selection import counterpart, model_from_box
 from verify.grasping.tracking.target import (
     BoxSelection,
@@ -83,16 +76,20 @@ class TargetTracker:
             if selected is not None:
                 self._identity.choose(pair.t_left, selected)
                 self._learn(pair, selected)
-                return self._observation(pair, TargetDecision("tracked", "", selected), NO_WINDOWS)
-        things, windows = search_pair(self._now(pair), self._count % SEARCH_PERIOD == 0)
+                return self._observation(
+                    pair, TargetDecision("tracked", "", selected), search.NO_WINDOWS
+                )
+        things, windows = search.search_pair(
+            self._now(pair), self._count % search.SEARCH_PERIOD == 0
+        )
         decision = self._identity.step(pair.t_left, things)
         if decision.chosen is not None and decision.status == "tracked":
             self._learn(pair, decision.chosen)
         return self._observation(pair, decision, windows)
 
-    def _now(self, pair: StereoPair) -> TargetSearch:
+    def _now(self, pair: StereoPair) -> search.TargetSearch:
         assert self._models is not None  # known by name, or learned from the first pair
-        return TargetSearch(pair, self._rig, self._options, self._models, self._identity)
+        return search.TargetSearch(pair, self._rig, self._options, self._models, self._identity)
 
     def _learn(self, pair: StereoPair, thing: StereoObject) -> None:
         """Follow the light; learn the colours at first sight, and again where that is wanted."""
@@ -108,7 +105,7 @@ class TargetTracker:
         )
 
     def _observation(
-        self, pair: StereoPair, decision: TargetDecision, windows: Windows
+        self, pair: StereoPair, decision: TargetDecision, windows: search.Windows
     ) -> TargetObservation:
         target, thing, reason = self._identity.target, decision.chosen, decision.reason
         nothing, square = np.full(3, np.nan), np.full((3, 3), np.nan)
@@ -117,7 +114,7 @@ class TargetTracker:
             now = target.track.at(pair.t_left)
             centre, covariance = now.position, now.position_covariance + self._systematic
             velocity, spread = now.velocity, now.velocity_covariance
-            if decision.status == "lost" and (side := left_picture(self._now(pair), now)):
+            if decision.status == "lost" and (side := search.left_picture(self._now(pair), now)):
                 reason = f"it has left the {side} picture"
         return TargetObservation(
             frame=pair.frame,

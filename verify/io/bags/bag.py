@@ -153,8 +153,7 @@ def _require_whole_database(path: Path) -> None:
         page = int.from_bytes(head[16:18], "big")
         whole = (65536 if page == 1 else page) * int.from_bytes(head[28:32], "big")
         if size < whole:
-            found = f"is cut off: {size} of {whole} bytes"
-            raise InputError(path, found, "", _repair(path))
+            raise InputError(path, f"is cut off: {size} of {whole} bytes", "", _repair(path))
 
 
 def unreadable(path: Path, error: Exception) -> Exception:

@@ -105,8 +105,7 @@ def _read_model(bag: Bag, pictures: str) -> CameraModel:
     if name is None:
         expected = "a topic camera_info in the namespace of the pictures is expected"
         raise InputError(f"{bag.path}, {pictures}", "has no camera model", expected, REMEDY)
-    message = next(bag.messages([name]))
-    place, info = f"{bag.path}, {name}", message.content
+    place, info = f"{bag.path}, {name}", next(bag.messages([name])).content
     rectified = RECTIFIED in pictures
     k, r, p = (np.array(_field(info, key), dtype=float).reshape(3, -1) for key in ("k", "r", "p"))
     matrix, distortion = k, _distortion(place, info)

@@ -111,7 +111,9 @@ def _read_outline(bag: Bag, request: BagRequest, progress: Progress) -> BagOutli
         names = joint_names.find(message)
         values = None if names is None else joint_values(message, names)
         if values is not None:
-            _require_numbers(_place(bag, message), values)
+            if not np.isfinite(values).all():
+                found = "has a position that is no number"
+                raise InputError(_place(bag, message), found, "", "Record it again.")
             spread.add(values)
             times[joints].append(time)
     names = joint_names.require(found=bool(times[joints]))
@@ -187,11 +189,6 @@ def joint_values(message: BagMessage, names: Sequence[str]) -> Array | None:
     return np.array([positions[place] for place in found], dtype=float)
 
 
-def _require_numbers(place: str, values: Array) -> None:
-    if not np.isfinite(values).all():
-        raise InputError(place, "has a position that is no number", "", "Record it again.")
-
-
 def _require_stamps(place: str, stamps: list[int], kind: str) -> None:
     missing = sum(stamp <= 0 for stamp in stamps)
     if missing:
@@ -263,8 +260,7 @@ def _write_streams(
     """Second pass: pictures and readings as they come; returns how many readings were written."""
     left, right, joints = request.topics.names
     wanted = [set(outline.pairs[:, side].tolist()) for side in (0, 1)]
-    periods = np.diff(outline.picture_times[0][outline.pairs[:, 0]])
-    rate = SECOND / float(np.median(periods))
+    rate = SECOND / float(np.median(np.diff(outline.picture_times[0][outline.pairs[:, 0]])))
     with ExitStack() as stack:
         videos = [
             PictureStream(stack.enter_context(VideoWriter(folder / f"{side}.mkv", rate)),

@@ -118,8 +118,7 @@ def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFo
     require_folder(folder, EXPECTED_LAYOUT, "Give the folder of the board pictures.")
     board, board_warnings = _choose_board(folder, board)
     left, right, alone = _sides(folder)
-    count = _count(left, right)
-    pan, pan_warnings = _pan(folder / "frames.csv", count)
+    pan, pan_warnings = _pan(folder / "frames.csv", _count(left, right))
     pan_left, pan_right = (np.pad(p, (0, len(alone)), mode="edge") for p in pan)
     return BoardFolder(
         folder=folder,

@@ -58,7 +58,7 @@ def match_pictures(
     Raises:
         InputError: the names match nowhere, and one side has more.
     """
-    for rule in (_stem, _name_without_side, _number):
+    for rule in (lambda file: file.stem, lambda file: _SIDE.sub("", file.stem), _number):
         lefts, rights = _index_by(left, rule), _index_by(right, rule)
         if lefts is None or rights is None or not lefts.keys() & rights.keys():
             continue
@@ -78,14 +78,6 @@ def _index_by(files: list[Path], rule: Callable[[Path], str]) -> dict[str, Path]
     """Files by the key that a rule makes of their names; None where keys are equal or empty."""
     keyed = {rule(file): file for file in files}
     return keyed if len(keyed) == len(files) and "" not in keyed else None
-
-
-def _stem(file: Path) -> str:
-    return file.stem
-
-
-def _name_without_side(file: Path) -> str:
-    return _SIDE.sub("", file.stem)
 
 
 def _number(file: Path) -> str:

@@ -88,8 +88,7 @@ def _of_results(folder: Path) -> ExportContent:
         for kind, word in ((MEASURED, "measured"), (ENCODERS, "encoder")):
             t, degrees = _known_rows(frames, tuple(f"{name}_{word}_deg" for name in names))
             joints[kind] = AngleSeries(t, np.deg2rad(degrees))
-    session = results.summary.get("session") or {}
-    started = session.get("started")
+    started = (results.summary.get("session") or {}).get("started")
     return ExportContent(
         name=folder.resolve().name,
         started=datetime.fromisoformat(started) if started else UNDATED,

@@ -179,8 +179,7 @@ def _picture_messages(session: Session, side: int, factory: MessageFactory) -> I
             header = factory.header(time, f"{name}_optical")
             content = np.frombuffer(data, np.uint8)
             message = factory.make("CompressedImage", header=header, format="jpeg", data=content)
-            topic = f"/{name}/image_raw/compressed"
-            yield time, topic, "sensor_msgs/msg/CompressedImage", message
+            yield time, f"/{name}/image_raw/compressed", "sensor_msgs/msg/CompressedImage", message
         return
     for t, image in zip(times, images.images(), strict=False):
         time = factory.time(t)

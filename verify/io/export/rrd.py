@@ -66,8 +66,7 @@ def write_rrd(content: ExportContent, path: Path, progress: Progress) -> None:
             index = _time_column(rr, joints.t, start)
             for joint, q in zip(content.joint_names, np.rad2deg(joints.q).T, strict=True):
                 scalars = rr.Scalars.columns(scalars=q)
-                entity = f"joints_deg/{name}/{joint}"
-                rr.send_columns(entity, [index], scalars, recording=recording)
+                rr.send_columns(f"joints_deg/{name}/{joint}", [index], scalars, recording=recording)
         if content.session is not None:
             _log_pictures(rr, recording, content.session, start, progress)
         recording.flush()

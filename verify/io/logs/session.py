@@ -208,8 +208,7 @@ def _lengths(values: dict[str, Array], columns: tuple[MappedColumn, ...]) -> Arr
     """Coordinates (m, n), mm; None where there are no such columns."""
     if not columns:
         return None
-    scaled = [values[c.column] * columns_of.LENGTH_UNITS[c.unit] for c in columns]
-    return np.stack(scaled, axis=1)
+    return np.stack([values[c.column] * columns_of.LENGTH_UNITS[c.unit] for c in columns], axis=1)
 
 
 def _read_poses(

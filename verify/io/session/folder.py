@@ -9,12 +9,13 @@ import msgspec
 import robots
 from verify.core.rig import Rig
 from verify.errors import InputError
-from verify.io.files import digest, refused_as_input_error, require_folder
+from verify.io.files import digest, read_bytes, refused_as_input_error, require_folder
 from verify.io.session import keys
 from verify.io.session.keys import RunTable
 from verify.io.toml import key_error, shorten
 
 SESSION_FILE = "session.toml"
+ROBOT_FILES = {".toml", ".urdf"}  # what robots.load takes for a file; else it is a name
 MAX_NAMED = 6  # sessions of a folder
 
 
@@ -58,8 +59,17 @@ def resolve_inside(path: Path, key: str, text: str) -> Path:
 
 def _robot_file(path: Path, robot: str) -> Path | None:
     """Find the robot's file in the folder; None where session.toml gives a name instead."""
-    is_file = Path(robot).suffix in {".toml", ".urdf"}  # what robots.load takes for one
-    return resolve_inside(path, "robot", robot) if is_file else None
+    return resolve_inside(path, "robot", robot) if Path(robot).suffix in ROBOT_FILES else None
+
+
+def copy_robot(robot: str, folder: Path) -> str:
+    """Copy a robot's own file into the session, which must not reach outside; return its name."""
+    if Path(robot).suffix not in ROBOT_FILES:
+        return robot
+    name = Path(robot).name
+    name = f"robot_{name}" if name in (SESSION_FILE, "rig.toml", "marker.toml") else name
+    (folder / name).write_bytes(read_bytes(Path(robot)))
+    return name
 
 
 def load_arm(path: Path, table: RunTable) -> robots.Arm:

@@ -141,11 +141,8 @@ class PosesSessionTable(RunTable, kw_only=True):
     marker: str | None = None
 
 
-class _HoldsTable(msgspec.Struct, kw_only=True):
+class _PartTable(msgspec.Struct, kw_only=True):
     poses: PosesTable | None = None
-
-
-class _IntervalsTable(msgspec.Struct, kw_only=True):
     pose: list[TimeInterval] = []
     path: list[TimeInterval] = []
 
@@ -196,12 +193,12 @@ def _check_interval(path: Path, key: str, interval: TimeInterval) -> None:
 
 def has_poses(path: Path) -> bool:
     """Whether session.toml has [poses] in place of pictures; raises InputError where it is none."""
-    return decode(path, _HoldsTable)[0].poses is not None
+    return decode(path, _PartTable)[0].poses is not None
 
 
 def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInterval, ...]]:
     """Read [[pose]] and [[path]] of a session.toml checked before; raises InputError."""
-    table = decode(path, _IntervalsTable)[0]
+    table = decode(path, _PartTable)[0]
     return tuple(table.pose), tuple(table.path)
 
 

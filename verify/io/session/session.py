@@ -135,8 +135,7 @@ def open_session(
     leds, marker_warnings = fiducials.read_marker(marker_path)
     check_absorption(rig_path, cameras, arm.dof)
     tolerance = session_keys.tolerance(path, table.tolerance, arm.dof)
-    mismatches = _warn_mismatch(folder, cameras, leds)
-    notes = (*warnings, *rig_warnings, *marker_warnings, *mismatches)
+    notes = (*warnings, *rig_warnings, *marker_warnings, *_warn_mismatch(folder, cameras, leds))
     parts = _read_streams(path, table, named, arm, cameras, notes)
     parts["inputs"] |= {str(other): digest(Path(other)) for other in given.values() if other}
     return Session(**parts, marker=leds, tolerance=tolerance)
@@ -144,8 +143,7 @@ def open_session(
 
 def _open_poses(path: Path, rig: str | Path | None, marker: str | Path | None) -> Session:
     if marker is not None:
-        expected = "a session of poses has no LEDs"
-        raise InputError("--marker", "is given", expected, "Leave it out.")
+        raise InputError("--marker", "is given", "a session of poses has no LEDs", "Leave it out.")
     placed = None if rig is None else Path(rig)
     if placed is not None and placed.is_dir():
         placed = find_session_file(placed)
@@ -210,8 +208,7 @@ def _read_streams(
 ) -> dict[str, Any]:
     """Read and check the streams: every field of a Recording."""
     torn = table.recording == "open"
-    pan = (rig.left.pan, rig.right.pan)
-    frames, frames_warnings = read_frames(named["frames"], pan, torn)
+    frames, frames_warnings = read_frames(named["frames"], (rig.left.pan, rig.right.pan), torn)
     encoders, encoders_warnings = read_encoders(
         named["encoders"], arm.dof, torn, (arm.lower, arm.upper), frames
     )

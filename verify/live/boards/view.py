@@ -40,8 +40,7 @@ def find_board_coarsely(image: Image, board: Board) -> BoardView | None:
 
 
 def _checkerboard_corners(small: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
-    counts = (board.columns, board.rows)
-    found, corners = cv2.findChessboardCornersSB(small, counts)
+    found, corners = cv2.findChessboardCornersSB(small, (board.columns, board.rows))
     if found:
         grid = np.asarray(corners, dtype=float).reshape(board.rows, board.columns, 2)
         placed = orient_grid(small, grid, board.columns, board.rows)

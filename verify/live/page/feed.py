@@ -76,7 +76,7 @@ class Page:
             serve, self._access, messages, name="page"
         )
         self._wait_until_ready()
-        self._viewers = 0
+        self.viewers = 0  # how many look on
         self.trouble = ""
         self._stop = threading.Event()
         self._receiver = threading.Thread(target=self._receive, name="page-receive", daemon=True)
@@ -91,11 +91,6 @@ class Page:
         host = f"[{access.address}]" if ":" in access.address else access.address
         token = "" if access.token is None else f"?token={access.token}"
         return f"http://{host}:{access.port}/{token}"
-
-    @property
-    def viewers(self) -> int:
-        """How many look on."""
-        return self._viewers
 
     def close(self) -> None:
         """Send what is left, and end the server."""
@@ -141,7 +136,7 @@ class Page:
             self._send("state", _text("state", self._source.state()))
             self._send("alarms", _text("alarms", {"alarms": list(self._source.alarms())}))
             self._send("metrics", self._source.metrics())
-        if self._viewers:
+        if self.viewers:
             for side, found, jpeg in self._source.pictures():
                 self._send("picture", side, _picture_message(side, found, jpeg))
 
@@ -160,7 +155,7 @@ class Page:
 
     def _act(self, kind: str, value: Any) -> None:
         if kind == "viewers":
-            self._viewers = value
+            self.viewers = value
         elif kind == "asked":
             self._asked[value]()
         else:

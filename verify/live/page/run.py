@@ -14,9 +14,8 @@ from verify.live.joint_row import JointRow
 from verify.live.outputs.metrics import exposition
 from verify.live.page.scene import joint_origins, millimetres, pose_fields, small_jpeg
 from verify.live.protocols import MonitoredRobot
+from verify.live.snapshot import MAX_TEXT_LENGTH
 from verify.live.state import LiveState
-
-MAX_TEXT_LENGTH = 2000  # characters of a description
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +87,7 @@ class RunPageSource:
 
     def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
         """The newest pair, if it was not given yet, scaled down and encoded once for all."""
-        latest = self._state.latest_pictures()
+        latest = self._state.pictures
         if latest is None or latest[0].frame == self._frame:
             return ()
         pair, measurement = latest
@@ -120,7 +119,7 @@ class RunPageSource:
 
     def _scene(self, row: JointRow) -> dict[str, Any]:
         """Measured and encoder-derived arm and LEDs, and the cameras; base frame, mm."""
-        latest = self._state.latest_pictures()
+        latest = self._state.pictures
         pair = None if latest is None else latest[0]
         scene: dict[str, Any] = {"cameras": camera_poses(self._subject.rig, pair)}
         leds = self._subject.marker.leds

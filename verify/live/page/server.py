@@ -10,6 +10,7 @@ from collections import deque
 from collections.abc import Awaitable, Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -286,6 +287,7 @@ async def _serve(
             send("given", (word, more))
 
     hub = ViewerHub(lambda viewers: send("viewers", viewers))
+    special: dict[str, Callable[..., None]] = {"rows": hub.rows, "picture": hub.picture}
     config = uvicorn.Config(
         application(hub, access, take),
         log_level="critical",
@@ -305,18 +307,10 @@ async def _serve(
         with suppress(ParentLostError):
             while True:
                 kind, *content = line.receive()
-                loop.call_soon_threadsafe(_deliver, hub, kind, content)
+                take = special.get(kind) or partial(hub.message, kind)
+                loop.call_soon_threadsafe(take, *content)
         server.should_exit = True
 
     line.send(READY, access.port)
     threading.Thread(target=receive, name="feed", daemon=True).start()
     await server.serve([listening])
-
-
-def _deliver(hub: ViewerHub, kind: str, content: list[Any]) -> None:
-    if kind == "rows":
-        hub.rows(content[0])
-    elif kind == "picture":
-        hub.picture(content[0], content[1])
-    else:
-        hub.message(kind, content[0])

@@ -197,8 +197,7 @@ class PictureEncoder:
         self._codec.pix_fmt, self._codec.time_base = pixels, MILLISECOND
         self._codec.thread_count = 1  # a second core has the other camera's pictures
         self._codec.open()
-        extra = self._codec.extradata or b""
-        private = _bitmap_header(kind, fourcc, bits, extra)
+        private = _bitmap_header(kind, fourcc, bits, self._codec.extradata or b"")
         self.track = MatroskaTrack("V_MS/VFW/FOURCC", kind.width, kind.height, private)
 
     def encode(self, image: Image, raw: bytes | None) -> bytes:

@@ -141,8 +141,7 @@ class MotionCoverage:
             return 0.0, 0.0, self._arm.dof
         rotations = self._flange[:, :3, :3]
         mean = nearest_rotation(rotations.mean(axis=0))
-        turns = Rotation.from_matrix(mean.T @ rotations).as_rotvec()
-        extents, axes = _principal_extents(turns)
+        extents, axes = _principal_extents(Rotation.from_matrix(mean.T @ rotations).as_rotvec())
         joints = robots.jacobian(self._arm, self._q.mean(axis=0))[3:].T @ mean  # flange axes
         across = np.linalg.norm(joints - np.outer(joints @ axes[0], axes[0]), axis=1)
         # of several alike the one nearest to the flange, which moves least

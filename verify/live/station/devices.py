@@ -112,7 +112,7 @@ def camera_settings(
 
 def open_encoders(path: Path, table: StationEncodersTable, joints: int) -> EncoderDevice:
     """Open the encoders that [encoders] names, not for `sim`; InputError: a key is wrong."""
-    angles = _angle_map(path, "encoders", table, joints)
+    angles = angle_map(path, "encoders", table, joints)
     try:
         return _make_encoders(path, table, angles, joints)
     except InputError as error:
@@ -140,7 +140,7 @@ def open_pan(path: Path, table: PanTable, sim: SimulatedDevices | None) -> PanDe
         return sim.pan()
     line = replace(DEFAULT_LINE, baud=table.baud or DEFAULT_LINE.baud)
     settings = _board_settings(path, "pan", table, line)
-    angles = _angle_map(path, "pan", table, 2)
+    angles = angle_map(path, "pan", table, 2)
     return PanServo(settings, angles) if table.follow else PanReader(settings, angles)
 
 
@@ -177,7 +177,7 @@ def _make_encoders(
     return TextEncoders(_text_settings(path, table, joints), angles)
 
 
-def _angle_map(
+def angle_map(
     path: Path, name: str, table: StationEncodersTable | PanTable, joints: int
 ) -> AngleMap:
     """Sign and zero of each joint; the device's own where nothing is said."""
@@ -272,8 +272,7 @@ def _field_map(table: StationEncodersTable, joints: int) -> FieldMap:
 def _csv_settings(path: Path, table: StationEncodersTable, joints: int) -> CsvSettings:
     if not table.path:
         raise key_error(path, "encoders.path", "is missing", "which file is followed is needed")
-    mapped = table.columns or table.pattern
-    fields = _field_map(table, joints) if mapped else None
+    fields = _field_map(table, joints) if (table.columns or table.pattern) else None
     latency = {} if table.latency_ms is None else {"latency": table.latency_ms * 1e-3}
     return CsvSettings(path.parent / table.path, fields, **latency)
 

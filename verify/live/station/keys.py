@@ -8,13 +8,7 @@ import msgspec
 from verify.core.fiducials import Marker
 from verify.core.rig import Rig
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
-from verify.io.session.keys import (
-    CertificateTable,
-    Clock,
-    EnvironmentTable,
-    RobotFramesTable,
-    ToleranceTable,
-)
+from verify.io.session import keys
 
 
 class StationCameraTable(msgspec.Struct, kw_only=True):
@@ -161,13 +155,13 @@ class StationTable(msgspec.Struct, kw_only=True):
     right: StationCameraTable
     encoders: StationEncodersTable
     pan: PanTable = msgspec.field(default_factory=PanTable)
-    tolerance: ToleranceTable | None = None
-    clock: Clock | None = None
+    tolerance: keys.ToleranceTable | None = None
+    clock: keys.Clock | None = None
     alarm: AlarmTable = msgspec.field(default_factory=AlarmTable)
     recording: StationRecordingTable = msgspec.field(default_factory=StationRecordingTable)
-    environment: EnvironmentTable = msgspec.field(default_factory=EnvironmentTable)
-    certificate: CertificateTable = msgspec.field(default_factory=CertificateTable)
-    robot_frames: RobotFramesTable = msgspec.field(default_factory=RobotFramesTable)
+    environment: keys.EnvironmentTable = msgspec.field(default_factory=keys.EnvironmentTable)
+    certificate: keys.CertificateTable = msgspec.field(default_factory=keys.CertificateTable)
+    robot_frames: keys.RobotFramesTable = msgspec.field(default_factory=keys.RobotFramesTable)
     sim: SimSettings = SimSettings()
 
 

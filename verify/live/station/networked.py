@@ -102,8 +102,7 @@ def _address(path: Path, table: StationEncodersTable) -> str:
     if port is None or not pattern.fullmatch(port):
         shown = (port or "").rpartition("@")[2]  # no password
         found = "is missing" if port is None else f'is "{shown}"'
-        expected = f"an address such as {example} is expected"
-        raise key_error(path, "encoders.port", found, expected)
+        raise key_error(path, "encoders.port", found, f"an address such as {example} is expected")
     return port
 
 

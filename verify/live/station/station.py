@@ -20,6 +20,7 @@ from verify.io import fiducials
 from verify.io import rig as io_rig
 from verify.io.files import read_bytes
 from verify.io.session import keys
+from verify.io.session.folder import ROBOT_FILES
 from verify.io.session.keys import Clock, Tolerance
 from verify.io.toml import key_error
 from verify.live.recording.recorder import MAX_LAG, WRITE_TIMEOUT, SessionRecorder
@@ -35,7 +36,6 @@ from verify.live.station.keys import (
 )
 
 T = TypeVar("T")
-ROBOT_FILES = {".toml", ".urdf"}  # what robots.load takes for a file; else it is a name
 
 
 @runtime_checkable

@@ -8,10 +8,10 @@ from pathlib import Path
 
 import robots
 from verify.errors import InputError
+from verify.io.session.folder import ROBOT_FILES
 from verify.io.toml import did_you_mean
 from verify.live.station import file
 from verify.live.station.devices import ENCODER_KEYS
-from verify.live.station.station import ROBOT_FILES
 
 SIM_ROBOT = "rv_3sd_melfa"  # of the file as it stands
 # keys that a driver needs, and what it would take for granted and is as a rule otherwise

@@ -5,16 +5,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from robots import forward, inverse
-from robots.trajectory import (
-    JointMotion,
-    PathLimits,
-    Trajectory,
-    joint_path,
-    limit_violation,
-    rest_motion,
-    time_path,
-)
+from robots import forward, inverse, trajectory
 from verify.core.records import Array
 from verify.grasping.actuators.protocols import (
     ACCEPTING_STATES,
@@ -72,7 +63,7 @@ class SimMover:
         self._arm, self._setup, self._now = arm, setup, now
         self._state, self._reason = MoverState.OFF, ""
         self._since = now()
-        self._way: Trajectory | None = None
+        self._way: trajectory.Trajectory | None = None
         self._began = 0.0
         self._ordered = arm.q(now())
 
@@ -90,7 +81,7 @@ class SimMover:
         """
         if self._state not in ACCEPTING_STATES | {MoverState.MOVING} or self._way is not None:
             raise MotionRefusedError(f"the arm takes no set point now, it is {self._state.value}")
-        if violation := limit_violation(self._setup.limits, rest_motion(q)):
+        if violation := trajectory.limit_violation(self._setup.limits, trajectory.rest_motion(q)):
             raise MotionRefusedError(violation)
         self._ordered = np.array(q)
         self._enter(MoverState.MOVING)
@@ -99,7 +90,9 @@ class SimMover:
     def move_joints(self, q: Array) -> None:
         """Go to joint angles by joint interpolation. See `Mover.move_joints`."""
         self._require_rest(q)
-        self._begin(time_path(joint_path(self._ordered, q), self._setup.limits))
+        self._begin(
+            trajectory.time_path(trajectory.joint_path(self._ordered, q), self._setup.limits)
+        )
 
     def move_line(self, q: Array) -> None:
         """Go to joint angles with the flange on a straight line. See `Mover.move_line`."""
@@ -111,8 +104,8 @@ class SimMover:
         path = line_path(arm, ApproachLine(start, end[:3, 3] - start[:3, 3]), branch, self._ordered)
         if isinstance(path, str):
             raise MotionRefusedError(path)
-        rates = PathLimits(approach.speed, approach.acceleration, approach.jerk)
-        self._begin(time_path(path, self._setup.limits, rates))
+        rates = trajectory.PathLimits(approach.speed, approach.acceleration, approach.jerk)
+        self._begin(trajectory.time_path(path, self._setup.limits, rates))
 
     def hold(self) -> None:
         """Stop where it is and keep the controls. See `Mover.hold`."""
@@ -162,10 +155,12 @@ class SimMover:
     def _require_rest(self, q: Array) -> None:
         if self._state not in ACCEPTING_STATES:
             raise MotionRefusedError(f"the arm takes no move now, it is {self._state.value}")
-        if violation := limit_violation(self._setup.limits, JointMotion(q, 0 * q, 0 * q)):
+        if violation := trajectory.limit_violation(
+            self._setup.limits, trajectory.JointMotion(q, 0 * q, 0 * q)
+        ):
             raise MotionRefusedError(violation)
 
-    def _begin(self, way: Trajectory) -> None:
+    def _begin(self, way: trajectory.Trajectory) -> None:
         self._way, self._began = way, self._now()
         self._enter(MoverState.MOVING)
 

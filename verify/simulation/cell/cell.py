@@ -129,8 +129,7 @@ class CellWorld:
 
     def grip(self) -> Array:
         """Where the grip point really is, base_T_grip (4, 4)."""
-        found = self._posed().base_T_flange @ self.setup.cell.gripper.flange_T_grip
-        return np.asarray(found)
+        return np.asarray(self._posed().base_T_flange @ self.setup.cell.gripper.flange_T_grip)
 
     def cap(self, number: int, t: float) -> Array | None:
         """Where a cap is, base_T_cap (4, 4); None where it was taken away."""

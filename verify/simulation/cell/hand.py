@@ -3,6 +3,7 @@
 from collections.abc import Callable
 
 from verify.grasping.actuators.protocols import (
+    RESTING_STATES,
     ExecutePermission,
     GripperState,
     GripperStatus,
@@ -11,15 +12,6 @@ from verify.grasping.actuators.protocols import (
 
 FINGER_SPEED = 0.11  # m/s, of the opening
 ACTIVATION_TIME = 0.5  # s
-RESTING_STATES = frozenset(
-    {
-        GripperState.READY,
-        GripperState.REACHED,
-        GripperState.GRIPPED,
-        GripperState.UNSURE,
-        GripperState.LOST,
-    }
-)
 
 
 class CellHand:

@@ -13,7 +13,7 @@ from verify.core.rig import Camera, Covariance, Rig
 from verify.grasping import cell as grasping_cell
 from verify.grasping.cell import Cell
 from verify.grasping.planning.plan import GraspPlanner, planner_with_cameras
-from verify.simulation.world.bench import look_at
+from verify.planning.proposal import look_at
 
 ROBOT = "rv_3sd_melfa"
 FULL_SIZE, SMALL_SIZE = (1280, 720), (640, 360)  # px

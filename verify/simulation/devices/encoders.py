@@ -34,8 +34,7 @@ class SimulatedEncoders:
         """Give what has come since the last call, oldest first; waits for at most 20 ms."""
         clock, period = self._scene.clock, 1.0 / self._rate
         clock.wait_until(clock.began + self._next * period + TRANSFER_TIME, READ_TIMEOUT)
-        now = clock.now()
-        newest = floor((now - clock.began - TRANSFER_TIME) * self._rate + TOL_PERIOD)
+        newest = floor((clock.now() - clock.began - TRANSFER_TIME) * self._rate + TOL_PERIOD)
         numbers = np.arange(self._next, newest + 1)
         self._next = max(self._next, newest + 1)
         if self._closed or not len(numbers):

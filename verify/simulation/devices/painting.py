@@ -9,7 +9,7 @@ A scenario's motion without end: to its last instant, back to its first, and so 
 import threading
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import Protocol
+from typing import ClassVar, Protocol
 
 import numpy as np
 
@@ -95,11 +95,7 @@ class LocalPainter:
 
     worlds: tuple[SimulatedWorld, SimulatedWorld]  # as it is, and with a lamp on
     renderers: tuple[Renderer, Renderer]
-
-    @property
-    def trouble(self) -> str:
-        """Nothing can be."""
-        return ""
+    trouble: ClassVar[str] = ""
 
     def paint(self, sight: RenderRequest) -> Image:
         """Give the picture; the same sight comes out the same every time."""

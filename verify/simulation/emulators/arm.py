@@ -313,8 +313,7 @@ class MelfaArm:
     def _execute(self, instruction: str, t: float) -> str | int:
         if self.moving:
             return BUSY
-        here = self.joints(t, 0.0)
-        error = self._moves.carry_out(instruction, here, t)
+        error = self._moves.carry_out(instruction, self.joints(t, 0.0), t)
         if self._moves.moving:
             self._off_program = True
         return error or ""

@@ -41,20 +41,23 @@ class LabencEngine:
         self._trajectory, self._axes, self._options = trajectory, axes, options
         self._jump = 0.0
         self._status = 0
-        self._greet_at: float | None = None
-        self._boot_noise = b""
-        self._streaming = True
-        self._next = 0.0
-        self._rate = options.rate
-        self._start(0.0)
+        self.reset(0.0)
 
     def greet(self, t: float) -> None:
         """Start anew: opening the port pulls DTR, which resets such boards."""
-        self._start(t)
+        self.reset(t)
 
     def reset(self, t: float) -> None:
         """Start anew."""
-        self._start(t)
+        options = self._options
+        self._lines = LineBuffer()
+        self._began = t
+        self._greet_at = None if options.greeting_after is None else t + options.greeting_after
+        self._boot_noise = options.boot_noise
+        self._streaming = True
+        self._unit, self._rate = options.unit, options.rate
+        self._sequence = 0
+        self._next = t + (options.greeting_after or 0.0)
 
     def afflict(self, fault: str, value: float) -> None:
         """Let the clock leap by so many s, or set status bits."""
@@ -91,17 +94,6 @@ class LabencEngine:
     def go(self, _axis: int, _value: float, _t: float) -> str:
         """Answer a G: this board has no drives."""
         return "E,G,4,unknown type"
-
-    def _start(self, t: float) -> None:
-        options = self._options
-        self._lines = LineBuffer()
-        self._began = t
-        self._greet_at = None if options.greeting_after is None else t + options.greeting_after
-        self._boot_noise = options.boot_noise
-        self._streaming = True
-        self._unit, self._rate = options.unit, options.rate
-        self._sequence = 0
-        self._next = t + (options.greeting_after or 0.0)
 
     def _hello(self) -> str:
         options = self._options
@@ -195,8 +187,7 @@ class PanEngine(LabencEngine):
 
     def status(self, t: float) -> int:
         """Status bits: moving, until both have arrived."""
-        moving = bool(np.any(self.angles(t) != self._to))
-        return super().status(t) | (MOVING if moving else 0)
+        return super().status(t) | (MOVING if bool(np.any(self.angles(t) != self._to)) else 0)
 
     def go(self, axis: int, value: float, t: float) -> str:
         """Turn one base."""

@@ -158,8 +158,7 @@ class GripperHand:
         for axis in range(4):
             moving = self.stage is GripperStage.READY and orders.go and codes[axis] == 0
             current = CURRENT_MOVING if moving else 0
-            echo = 0 if axis else orders.request
-            answer += bytes([echo, round(self.position[axis]), current])
+            answer += bytes([0 if axis else orders.request, round(self.position[axis]), current])
         return bytes(answer) + b"\0"
 
     def _update_stage(self, t: float) -> None:

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from verify.core.records import Array
 from verify.simulation.emulators.arm import MelfaArm
 from verify.simulation.emulators.server import TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
@@ -215,12 +214,9 @@ class RealtimeEngine:
     def _block(self, kind: int, t: float) -> bytes:
         lag = SERVO_LAG if kind in (MEASURED, MEASURED_PULSES) else 0.0
         joints = np.zeros(8)
-        joints[: self._joints] = self._at(t - lag)
+        joints[: self._joints] = self._trajectory(max(t - lag, 0.0))
         if kind in (COMMANDED, MEASURED):
             return joints.astype("<f4").tobytes().ljust(40, b"\0")
         if kind in (COMMANDED_PULSES, MEASURED_PULSES):
             return np.rint(joints * PULSES_PER_RADIAN).astype("<i4").tobytes().ljust(40, b"\0")
         return bytes(40)
-
-    def _at(self, t: float) -> Array:
-        return self._trajectory(max(t, 0.0))

@@ -101,8 +101,7 @@ class RtdeEngine:
     def _answer(self, kind: str, payload: bytes, t: float) -> bytes:
         match kind:
             case "V":
-                asked = int.from_bytes(payload[:2], "big")
-                self._accepted = 1 <= asked <= self._protocol
+                self._accepted = 1 <= int.from_bytes(payload[:2], "big") <= self._protocol
                 return _package("V", bytes([self._accepted]))
             case "v":
                 return _package("v", struct.pack(">4I", *self._options.version))

@@ -12,8 +12,7 @@ import numpy as np
 from verify.core.records import Array, Image
 from verify.io import fiducials, rig, toml
 from verify.io.encoding import write_video
-from verify.io.files import read_bytes
-from verify.simulation.library import ROBOT_FILES
+from verify.io.session.folder import copy_robot
 from verify.simulation.scenario import ScenarioFault, ScenarioUncertainty
 from verify.simulation.session.simulate import SimulatedSession
 from verify.simulation.world.led_render import SIDES
@@ -96,7 +95,6 @@ def _belief(stated: ScenarioUncertainty | None) -> str:
 
 
 START_TIME = datetime(2026, 1, 15, 9, 0, tzinfo=UTC)  # any: a fixed one keeps bytes the same
-RESERVED_NAMES = {"session.toml", "rig.toml", "marker.toml"}  # a robot's file cannot have them
 
 
 def write_session(
@@ -121,7 +119,7 @@ def write_tables(session: SimulatedSession, folder: Path) -> None:
     """Write all but the pictures."""
     joints = session.world.arm.dof
     columns = ",".join(f"q{k}_deg" for k in range(1, joints + 1))
-    robot = _copy_robot(session, folder)
+    robot = copy_robot(session.scenario.robot, folder)
     (folder / "session.toml").write_bytes(toml.encode(_session_table(session, robot)))
     rig.write(folder / "rig.toml", session.rig)
     fiducials.write_marker(folder / "marker.toml", session.marker)
@@ -131,16 +129,6 @@ def write_tables(session: SimulatedSession, folder: Path) -> None:
     table = np.column_stack([np.arange(len(session)), np.degrees(session.truth)])
     write_csv(folder / "truth.csv", f"frame,{columns}", table, ["%d"] + ["%.9f"] * joints)
     (folder / "README.md").write_text(readme(session), encoding="utf-8", newline="\n")
-
-
-def _copy_robot(session: SimulatedSession, folder: Path) -> str:
-    """Copy a robot's own file into the folder, which must not reach outside; return its name."""
-    robot = Path(session.scenario.robot)
-    if robot.suffix not in ROBOT_FILES:
-        return session.scenario.robot
-    name = f"robot_{robot.name}" if robot.name in RESERVED_NAMES else robot.name
-    (folder / name).write_bytes(read_bytes(robot))
-    return name
 
 
 def _session_table(session: SimulatedSession, robot: str) -> dict[str, Any]:
@@ -193,6 +181,5 @@ def write_pngs(folder: Path, images: Iterable[Image], done: Callable[[], object]
     """Make a folder of numbered PNG files; `done` is called after each."""
     folder.mkdir()
     for index, image in enumerate(images):
-        encoded = cv2.imencode(".png", image)[1]
-        (folder / f"{index:06d}.png").write_bytes(encoded.tobytes())
+        (folder / f"{index:06d}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
         done()

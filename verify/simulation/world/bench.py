@@ -12,6 +12,7 @@ import numpy as np
 
 from verify.core.records import Array
 from verify.errors import InputError
+from verify.planning.proposal import look_at, spread_directions
 from verify.simulation.scenario import (
     BoardRig,
     Scenario,
@@ -37,22 +38,6 @@ def rigid_from_table(rotation_deg: tuple[float, ...], position_mm: tuple[float, 
 def transform(a_T_b: Array, points_b: Array) -> Array:
     """Express points (..., 3), m, given in b in frame a."""
     return points_b @ a_T_b[:3, :3].T + a_T_b[:3, 3]
-
-
-def look_at(eye: Array, target: Array) -> Array:
-    """Stand at `eye`, z towards `target`, x level (or along -y, looking straight up or down).
-
-    Returns camera_T_world, (4, 4), of eye and target (3,), m, in a world whose z points up.
-    """
-    z = (target - eye) / np.linalg.norm(target - eye)
-    x = np.cross(z, [0.0, 0.0, 1.0])
-    if np.linalg.norm(x) < 1e-6:
-        x = np.array([0.0, -1.0, 0.0])
-    x /= np.linalg.norm(x)
-    camera_T_world = np.eye(4)
-    camera_T_world[:3, :3] = np.stack([x, np.cross(z, x), z])
-    camera_T_world[:3, 3] = -np.squeeze(camera_T_world[:3, :3] @ eye[:, None], -1)
-    return camera_T_world
 
 
 @dataclass(frozen=True, slots=True)
@@ -148,7 +133,6 @@ def build_bench(scenario: Scenario, rig_T_base: Array) -> Bench:
 
 MARGIN_PX = 25.0  # from the edge to an LED's centre: a spot of 5 mm and its blur stay inside
 MIN_COSINE = 0.5  # 60°: beyond it a flat LED is a sliver and a dome hides behind its holder
-N_DIRECTIONS = 600  # about 6° apart over the sphere: no LED's view changes much in between
 # of the wanted distance, where the view is too narrow
 DISTANCE_FACTORS = (1.0, 1.1, 1.2, 1.35, 1.5)
 
@@ -180,8 +164,7 @@ def place_rig(scenario: Scenario, points: Array, normals: Array) -> RobotPlaceme
         return RobotPlacement(rig_T_base, pan)
     target: Array = points.reshape(-1, 3).mean(axis=0)
     for back in DISTANCE_FACTORS:
-        distance = back * rig.distance_mm / 1000
-        eyes = target + distance * _directions()
+        eyes = target + (back * rig.distance_mm / 1000) * spread_directions()
         for eye in eyes[_rank_eyes(eyes, points, normals)]:
             rig_T_base = look_at(eye, target)
             bench = build_bench(scenario, rig_T_base)
@@ -194,15 +177,6 @@ def place_rig(scenario: Scenario, points: Array, normals: Array) -> RobotPlaceme
         "where it shines",
         remedy="Make the motion smaller, the distance longer, or let the bases follow.",
     )
-
-
-def _directions() -> Array:
-    """Spread unit vectors evenly over the sphere (a Fibonacci spiral), level ones first served."""
-    i = np.arange(N_DIRECTIONS) + 0.5
-    z = 1 - 2 * i / N_DIRECTIONS
-    angle = np.pi * (1 + np.sqrt(5)) * i
-    ring = np.sqrt(1 - z * z)
-    return np.stack([ring * np.cos(angle), ring * np.sin(angle), z], axis=1)
 
 
 def _rank_eyes(eyes: Array, points: Array, normals: Array) -> Array:

@@ -103,8 +103,7 @@ def _discs(camera: SimulatedCamera, pan: float, points: Array, radii: Array) -> 
     aside = aside / np.linalg.norm(aside, axis=1, keepdims=True)
     axes = np.stack([aside, np.cross(toward, aside)], axis=1) * radii[:, None, None]
     forth = camera.project(points[:, None] + axes, pan)
-    back = camera.project(points[:, None] - axes, pan)
-    return np.swapaxes(forth - back, 1, 2) / 2
+    return np.swapaxes(forth - camera.project(points[:, None] - axes, pan), 1, 2) / 2
 
 
 def _paths(world: SimulatedWorld, camera: SimulatedCamera, pan: float, instants: Array) -> Array:

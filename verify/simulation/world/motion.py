@@ -176,8 +176,7 @@ def _sum_of_sines(
     frequency = 2 * np.pi * rng.uniform(edges[:-1], edges[1:], shape)
     share = 1 / frequency  # equal speeds from each sine
     share /= share.sum(axis=1, keepdims=True)
-    phase = rng.uniform(0, 2 * np.pi, shape)
-    return SumOfSines(home, amplitude[:, None] * share, frequency, phase)
+    return SumOfSines(home, amplitude[:, None] * share, frequency, rng.uniform(0, 2 * np.pi, shape))
 
 
 def minimum_jerk(share: Array) -> Array:

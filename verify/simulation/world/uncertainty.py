@@ -6,11 +6,10 @@ import numpy as np
 
 from verify.core.records import Array
 from verify.core.rig import Camera, Covariance
+from verify.planning import proposal
+from verify.planning.proposal import FOCAL_CORRELATION
 from verify.simulation.scenario import ScenarioUncertainty
 from verify.simulation.world.bench import Bench, SimulatedCamera, rigid, transform
-
-# A board fixes the ratio of the two focal lengths far better than their common size.
-FOCAL_CORRELATION = 0.9
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,15 +60,7 @@ def stated_covariance(stated: ScenarioUncertainty) -> Covariance | None:
         ([f"robot_base.{axis}_mm" for axis in "xyz"], stated.base_position_mm),
         ([f"robot_base.r{axis}_deg" for axis in "xyz"], stated.base_rotation_deg),
     ]
-    parameters = [(name, u) for names, u in groups if u > 0 for name in names]
-    if not parameters:
-        return None
-    names = [name for name, _ in parameters]
-    correlation = np.eye(len(names))
-    for i, name in enumerate(names):
-        if name.endswith("fx_px"):
-            correlation[i, i + 1] = correlation[i + 1, i] = FOCAL_CORRELATION
-    return Covariance(tuple(names), np.array([u for _, u in parameters]), correlation)
+    return proposal.stated_covariance((name, u) for names, u in groups for name in names)
 
 
 def draw_departure(
@@ -102,8 +93,7 @@ def apply_departure(bench: Bench, by: TrueDeviation) -> Bench:
     rig_T_base = bench.rig_T_base.copy()
     rig_T_base[:3, :3] = rigid(by.base[3:], np.zeros(3))[:3, :3] @ rig_T_base[:3, :3]
     rig_T_base[:3, 3] += by.base[:3]
-    body = rigid(by.body[3:], by.body[:3])
-    leds = transform(body, bench.leds) + by.leds
+    leds = transform(rigid(by.body[3:], by.body[:3]), bench.leds) + by.leds
     return Bench(left, replace(right, turntable_T_camera=turned), rig_T_base, leds)
 
 

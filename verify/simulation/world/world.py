@@ -46,8 +46,7 @@ class SimulatedWorld:
         """Directions in which the LEDs shine, unit vectors in the rig: (...,) to (..., leds, 3)."""
         normals = np.array([led.normal for led in self.leds], dtype=float)
         normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-        rotation = self.rig_T_flange(t)[..., :3, :3]
-        return normals @ np.swapaxes(rotation, -1, -2)
+        return normals @ np.swapaxes(self.rig_T_flange(t)[..., :3, :3], -1, -2)
 
     @property
     def colours(self) -> list[Colour]:

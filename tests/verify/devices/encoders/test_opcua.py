@@ -190,7 +190,7 @@ def test_polls_that_cannot_be_timed_are_dropped_and_counted() -> None:
     unstamped = Polls()
     assert unstamped(100.0, [0.0] * 6, [None] * 6) is None
     unstamped.encoders.link._port = object()  # type: ignore[assignment]
-    assert 'write stamp = "arrival"' in unstamped.encoders._complaint()
+    assert 'write stamp = "arrival"' in unstamped.encoders._fault
     unstamped.encoders.link._port = None
     arrival = Polls(arrival=True, latency=0.05)
     assert arrival(100.0, [0.0] * 6, [None] * 6) == pytest.approx((99.976, 0.026))

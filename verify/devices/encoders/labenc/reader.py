@@ -11,7 +11,7 @@ from verify.devices.encoders import intake
 from verify.devices.encoders.labenc import protocol as lines
 from verify.devices.encoders.labenc.protocol import UNUSABLE
 from verify.devices.ports import DEFAULT_LINE, LineBuffer, SerialLine, link_to
-from verify.devices.protocols import EncoderReading
+from verify.devices.protocols import DeviceState, EncoderReading
 
 READ_COMMANDS = frozenset({"Q", "S", "R", "D"})  # messages of a reader: none moves anything
 GREETING_TIMEOUT = 2.0  # s: opening the port may reset the board
@@ -64,7 +64,6 @@ class LabencBoard(intake.PortDriver):
         self._scale_missing = False
         # requests for a greeting: how many, when the next is due, when the last was sent
         self._requests, self._request_due, self._requested_at = 0, 0.0, float("-inf")
-        self._remark = ""
 
     def samples(self) -> list[LabencReading]:
         """Take the samples that have come; waits for at most 20 ms on an open line."""
@@ -86,7 +85,7 @@ class LabencBoard(intake.PortDriver):
         return self.link.send(lines.frame_line(",".join((kind, *fields)), self._settings.checksum))
 
     def _connect(self) -> None:
-        self._lines.clear()
+        self._lines = LineBuffer()  # the other half of a half line will not come
         self._greeting, self._sequence, self._remark = None, None, ""
         self._scale.clear()
         self._requests, self._request_due = 0, self.link.now() + GREETING_TIMEOUT
@@ -102,7 +101,13 @@ class LabencBoard(intake.PortDriver):
         period = REQUEST_PERIOD if self._requests < N_REQUESTS else SLOW_REQUEST_PERIOD
         self._request_due = self.link.now() + period
 
-    def _complaint(self) -> str:
+    def state(self) -> DeviceState:
+        """Describe the board."""
+        self._fault = self._unfit()
+        return super().state()
+
+    def _unfit(self) -> str:
+        """Why no reading comes; empty: they do."""
         if self._greeting is None:
             if self._requests < N_REQUESTS:
                 return "waiting for the board's greeting"
@@ -113,9 +118,6 @@ class LabencBoard(intake.PortDriver):
         if self._greeting.axes != self._angles.joints:
             return f"the board has {self._greeting.axes} axes, {self._angles.joints} are expected"
         return ""
-
-    def _note(self) -> str:
-        return self._remark
 
     def _take(self, line: bytes, t_host: float) -> list[LabencReading]:
         message = lines.parse_line(line, self._settings.checksum)
@@ -158,7 +160,7 @@ class LabencBoard(intake.PortDriver):
             # it streams, so it was not reset: no greeting comes without a request
             self._request_due = min(self._request_due, self._requested_at + REQUEST_PERIOD)
             return self._drop("sample before the greeting")
-        if self._complaint():
+        if self._unfit():
             return self._drop("sample of an unfit board")
         counts = sample.kind == "C" or greeting.unit == "counts"
         exact = (greeting.major, greeting.minor) <= lines.SUPPORTED_VERSION

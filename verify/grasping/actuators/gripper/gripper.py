@@ -23,6 +23,7 @@ from pymodbus.pdu.register_message import (
 from verify.devices.ports import ClockFunction, Port, open_port
 from verify.grasping.actuators.gripper import modbus
 from verify.grasping.actuators.protocols import (
+    RESTING_STATES,
     ExecutePermission,
     GripperState,
     GripperStatus,
@@ -38,9 +39,6 @@ N_CONFIRMATIONS = 3  # readings in a row that must agree before a motion is call
 STOP_TIMEOUT, CLOSE_TIMEOUT = 2.0, 1.0  # s
 MAX_STATUS_AGE = 0.5  # s: what was read longer ago says nothing of now
 CLOSE_PERIOD = 0.005  # s, between the steps of `close`
-# activated, and free to take an order
-HOLDING_STATES = {GripperState.GRIPPED, GripperState.UNSURE, GripperState.LOST}
-RESTING_STATES = frozenset({GripperState.READY, GripperState.REACHED, *HOLDING_STATES})
 UNCHECKED_STATES = frozenset({GripperState.IDLE, GripperState.STOPPING, GripperState.FAILED})
 
 

@@ -92,13 +92,11 @@ class AnswerParser:
         match controls.state:
             case MoverState.CHECKING:
                 controls.right_requested = True
-                right = MotionCommand("CNTLON")
-                controls.enter(MoverState.TAKING_CONTROLS, CHECK_TIMEOUT, right)
+                controls.enter(MoverState.TAKING_CONTROLS, CHECK_TIMEOUT, MotionCommand("CNTLON"))
             case MoverState.TAKING_CONTROLS:
                 override = MotionCommand("OVRD", f"={self._limits.override}")
                 controls.override_set = True
-                power = MotionCommand("SRVON")
-                controls.enter(MoverState.POWERING, POWER_TIMEOUT, override, power)
+                controls.enter(MoverState.POWERING, POWER_TIMEOUT, override, MotionCommand("SRVON"))
             case MoverState.ORDERING:
                 controls.enter(MoverState.MOVING, self._settings.move_limit)
             case MoverState.STOPPING:

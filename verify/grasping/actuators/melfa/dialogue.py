@@ -47,8 +47,7 @@ class Dialogue:
     @property
     def free(self) -> bool:
         """Whether something can be sent now."""
-        rested = self.link.now() >= self._due
-        return self.link.connected and self._pending is None and rested
+        return self.link.connected and self._pending is None and self.link.now() >= self._due
 
     def send(self, request: Request) -> None:
         """Send a request; `step` returns its answer."""

@@ -51,8 +51,7 @@ class Arrival:
 
     def update(self, position: JointPosition, t: float) -> None:
         """Take a position of t s."""
-        gap = np.abs(np.array(position.joints_deg) - self.target_deg)
-        self.off_deg = float(np.max(gap))
+        self.off_deg = float(np.max(np.abs(np.array(position.joints_deg) - self.target_deg)))
         stands = position.speed == 0.0
         self.standing = self.standing + 1 if stands and self.off_deg <= TOL_ARRIVAL_DEG else 0
         if self.standing or self.running or not stands:
