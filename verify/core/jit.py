@@ -154,6 +154,15 @@ class _Inner(Compiler):
         return pipelines
 
 
+class _Twin(CPUDispatcher):
+    """A compiled function as others call it: once for all constants that it is called with."""
+
+    def get_call_template(self, args: Any, kws: Any) -> Any:
+        """Type a call by the kind of its constants, not by their values."""
+        kinds = {name: types.unliteral(kind) for name, kind in kws.items()}  # type: ignore[no-untyped-call]
+        return super().get_call_template([types.unliteral(kind) for kind in args], kinds)  # type: ignore[no-untyped-call]
+
+
 class _Kernel(CPUDispatcher):
     """A compiled function; others that call it take its twin `inner` in."""
 
@@ -167,7 +176,7 @@ class _Kernel(CPUDispatcher):
 def _compiled(function: Function, **options: Any) -> Function:
     options |= OPTIONS
     kernel = _Kernel(function, targetoptions=options)
-    kernel.inner = CPUDispatcher(function, targetoptions=options, pipeline_class=_Inner)
+    kernel.inner = _Twin(function, targetoptions=options, pipeline_class=_Inner)
     if CACHE:
         kernel.enable_caching()
     return cast("Function", kernel)
