@@ -32,7 +32,7 @@ $(SITE): $(RUN)
 
 # compiled once, not at the first measurement
 $(COMPILED): $(RUN)
-	@echo "machine code of the inner loops, once: about half a minute of processor time"
+	@echo "machine code of the inner loops, once: about a minute of processor time"
 	@$(BIN)/python -m verify.compile_ahead
 	@touch $@
 
