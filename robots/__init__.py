@@ -21,7 +21,7 @@ those of a known family, `inverse` has a closed form for it too.
 
 from robots.arm import Arm, DhArm, UrdfArm
 from robots.check import Reach, SelfCheck, reach, self_check
-from robots.coupling import Coupling, coupled, couplings, singularity
+from robots.coupling import Coupling, coupled, couplings
 from robots.errors import RobotError
 from robots.export import export_urdf
 from robots.inverse import Branches, inverse, turns, within_limits
@@ -53,7 +53,6 @@ __all__ = [
     "pinocchio_model",
     "reach",
     "self_check",
-    "singularity",
     "turns",
     "within_limits",
 ]

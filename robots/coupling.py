@@ -73,45 +73,34 @@ def coupled(arm: Arm, q: Array) -> Coupling | None:
 
 
 def couplings(
-    arm: Arm, q: Array, near: NDArray[np.bool_] | None = None
+    arm: Arm, q: Array, base_T_flange: Array | None = None
 ) -> tuple[Coupling | None, ...]:
     """Say the same of many postures (m, n), rad; those of a DH arm are looked at together.
 
-    `near` (m,): that of `singularity`, where it is known.
+    `base_T_flange` (m, 4, 4), m: `forward` of the postures, where it is known.
     """
     q = np.asarray(q, dtype=float)
     if not len(q) or not isinstance(arm, DhArm):
         return tuple(coupled(arm, one) for one in q)
-    if near is None:
-        near = singularity(arm, q, forward(arm, q))[0]
-    if not np.count_nonzero(near):
+    near = _may_be_near(arm, q, forward(arm, q) if base_T_flange is None else base_T_flange)
+    if not near.any():
         return (None,) * len(q)
     return tuple(coupled(arm, one) if close else None for one, close in zip(q, near, strict=True))
 
 
-def singularity(arm: Arm, q: Array, base_T_flange: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Say which postures q (m, n), rad, may be coupled, (m,), and how far others keep away, (m,).
-
-    Of poses (m, 4, 4), m, that q reaches. The second is within what distance of joint angles no
-    other answer of `inverse` than q can be nearest: half that to the next one, or less. Answers
-    differ in the sign of θ5 or in θ4 by half a turn, in that of the elbow's bend, or in the side of
-    axis 1 on which the wrist is. Of an arm by URDF nothing is known: True and 0.
-    """
-    if not isinstance(arm, DhArm):
-        return np.ones(len(q), dtype=np.bool_), np.zeros(len(q))
-    near, half = [], []
+def _may_be_near(arm: DhArm, q: Array, base_T_flange: Array) -> NDArray[np.bool_]:
+    """Which postures q (m, n), rad, may be near a singularity; poses (m, 4, 4), m, are theirs."""
+    near = []
     stretched, d6 = _stretched_elbow(arm), arm.d[5].item()
     # plain floats: of a few postures they take a tenth of what arrays would
     places = zip(arm.theta(q).tolist(), base_T_flange[:, :2, 2:].tolist(), strict=True)
     for theta, ((zx, px), (zy, py)) in places:
         c, s, x, y = math.cos(theta[0]), math.sin(theta[0]), px - d6 * zx, py - d6 * zy
-        shoulder, across = abs(c * x + s * y), abs(c * y - s * x)
+        shoulder = abs(c * x + s * y)
         wrist, elbow = abs(math.sin(theta[4])), abs(math.sin(theta[2] - stretched))
         values = (wrist, WRIST_GATE), (elbow, ELBOW_GATE), (shoulder, SHOULDER_GATE)
         near.append(any(value < GATE_MARGIN * gate for value, gate in values))
-        half.append(min(math.asin(wrist), math.asin(elbow), math.atan2(shoulder, across)))
-    most = 1.0 if arm.linkage is None else float(np.linalg.norm(arm.linkage, 2))
-    return np.array(near, dtype=np.bool_), np.array(half) / most
+    return np.array(near, dtype=np.bool_)
 
 
 def _self_motions(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array:

@@ -5,7 +5,6 @@ import pytest
 from numpy.testing import assert_allclose
 
 import robots
-from robots.inverse import near
 from robots.transforms import Array, difference
 from tests.support.postures import stretched, wrist_on_axis_1
 
@@ -139,16 +138,3 @@ def test_many_postures_at_once_are_coupled_as_each_alone(name: str) -> None:
     assert labels == [found and (found.label, found.factor, found.value) for found in alone]
     assert 0 < sum(found is not None for found in together) < len(q)
     assert robots.couplings(arm, q[:0]) == ()
-
-
-@EVERY_ARM
-def test_no_other_answer_is_nearer_than_twice_the_distance_said(arm: robots.DhArm) -> None:
-    q = np.random.default_rng(5).uniform(-3.0, 3.0, (500, 6))
-    q[::3] *= 0.3
-    poses = robots.forward(arm, q)
-    others = near(robots.inverse(arm, poses, hold=q).q, q[:, None]) - q[:, None]
-    away = np.sort(np.nan_to_num(np.linalg.norm(others, axis=2), nan=np.inf), axis=1)
-    assert np.all(away[:, 0] < 1e-6)
-    half = robots.singularity(arm, q, poses)[1]
-    assert np.all(away[:, 1] >= 2 * half - 1e-6)
-    assert np.median(half) > 0.2

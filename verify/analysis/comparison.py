@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import cross_matrix, invert
-from verify.analysis.kernels import Chain, follow_poses, place_flange
+from verify.analysis.kernels import Chain, place_flange
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
 from verify.core.records import Array
@@ -324,14 +324,19 @@ class JointComparison:
 
 def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:
     """Find the joint angles of every measured pose, and how well each is known."""
-    q, reached, jacobian, inverse, near = _nearest(comparison, arm)
+    q, reached = robots.nearest(arm, comparison.base_T_measured, comparison.q)
+    jacobian = comparison.jacobian.copy()
+    if reached.any():
+        jacobian[reached] = _flange(arm, q[reached])[1]
+    # an exact singularity is flagged, not fatal
+    inverse = np.asarray(np.linalg.pinv(jacobian, rcond=1e-9), dtype=np.float64)
     open_joints = np.zeros(q.shape, dtype=np.bool_)
     for i, determined in enumerate(comparison.determined):
         if determined.shape[1] < 6 or arm.dof > 6:
             open_joints[i] = _undetermined_joints(inverse[i], jacobian[i], determined)
     q = np.where(reached[:, None] & ~open_joints, q, np.nan)
     error = comparison.q - q
-    couplings = robots.couplings(arm, comparison.q, near)
+    couplings = robots.couplings(arm, comparison.q, comparison.base_T_encoder)
     turned = np.swapaxes(inverse, 1, 2)
     return JointComparison(
         q=q,
@@ -345,35 +350,6 @@ def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:
             for found, there in zip(couplings, reached.tolist(), strict=True)
         ),
     )
-
-
-def _nearest(
-    comparison: Comparison, arm: robots.Arm
-) -> tuple[Array, NDArray[np.bool_], Array, Array, NDArray[np.bool_]]:
-    """Find the joint angles nearest to the readings, and whether a pose is reached, (n,).
-
-    Then the Jacobians there, or else where it was taken, and their inverses; and whether the
-    readings may be near a singularity, (n,). Newton from the
-    readings, unless another branch of the inverse may be as near; then all of them.
-    """
-    poses, q = comparison.base_T_measured, comparison.q.copy()
-    jacobian, inverse = comparison.jacobian.copy(), np.empty((*q.shape, 6))
-    away = np.full(len(q), np.inf)
-    if arm.dof == 6:
-        follow_poses(_chain(arm), np.ascontiguousarray(poses), q, jacobian, inverse, away)
-    postures, places = (comparison.q, q), (comparison.base_T_encoder, poses)
-    near, alone = robots.singularity(arm, np.concatenate(postures), np.concatenate(places))
-    followed, near = away < alone[len(q) :], near[: len(q)]
-    if np.count_nonzero(followed) == len(q):
-        return q, followed, jacobian, inverse, near
-    rest, reached = np.flatnonzero(~followed), followed.copy()
-    q[rest], reached[rest] = robots.nearest(arm, poses[rest], comparison.q[rest])
-    jacobian[rest] = comparison.jacobian[rest]
-    there = rest[reached[rest]]
-    jacobian[there] = _flange(arm, q[there])[1]
-    # an exact singularity is flagged, not fatal
-    inverse[rest] = np.linalg.pinv(jacobian[rest], rcond=1e-9)
-    return q, reached, jacobian, inverse, near
 
 
 def _undetermined_joints(inverse: Array, jacobian: Array, determined: Array) -> NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""Follow an arm's joints to poses, compare motions at many clock offsets, fit Monte Carlo poses.
+"""Place an arm's flange, compare motions at many clock offsets, fit Monte Carlo poses.
 
 Joint i turns about z of its frame T_i, with S_i the step to the next joint's frame, at angles 0:
 
@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled, compiled_sums
-from verify.core.kernels.linear_algebra import cross, factor, rotation_vectors, solve
+from verify.core.kernels.linear_algebra import cross, factor, solve
 from verify.core.records import Array
 from verify.measurement.kernels.pose import move_pose, predict_spots
 
@@ -30,8 +30,6 @@ N_FREE = 6
 Drawn = tuple[Array, Array, Array, Array, Array]
 # steps (n + 1, 4, 4), m, from frame to frame; (n, n), by how much joints turn the axes
 Chain = tuple[Array, Array]
-MAX_STEPS = 12  # Newton from readings to a pose: four bring a joint that is 5° off to rounding
-TOL_STEP = 1e-12  # rad
 
 
 @compiled
@@ -71,79 +69,6 @@ def place_flange(chain: Chain, q: Array, poses: Array, jacobians: Array) -> None
                 jacobians[n, row, k] = 0.0
                 for i in range(joints):
                     jacobians[n, row, k] += axes[i, row] * turning[i, k]
-
-
-@compiled
-def invert_square(matrix: Array, inverse: Array) -> bool:
-    """Fill in the inverse (n, n), by Gauss-Jordan with pivots; False where it has none."""
-    rest = matrix.copy()
-    for i in range(len(rest)):
-        for j in range(len(rest)):
-            inverse[i, j] = 1.0 if i == j else 0.0
-    for i in range(len(rest)):
-        best = i
-        for k in range(i + 1, len(rest)):
-            best = k if abs(rest[k, i]) > abs(rest[best, i]) else best
-        pivot = rest[best, i]
-        if pivot == 0.0:
-            return False
-        for j in range(len(rest)):
-            rest[i, j], rest[best, j] = rest[best, j], rest[i, j]
-            inverse[i, j], inverse[best, j] = inverse[best, j], inverse[i, j]
-        for k in range(len(rest)):
-            if k == i:
-                continue
-            share = rest[k, i] / pivot
-            for j in range(len(rest)):
-                rest[k, j] -= share * rest[i, j]
-                inverse[k, j] -= share * inverse[i, j]
-        for j in range(len(rest)):
-            rest[i, j] /= pivot
-            inverse[i, j] /= pivot
-    return True
-
-
-@compiled
-def follow_poses(
-    chain: Chain, measured: Array, q: Array, jacobians: Array, inverses: Array, away: Array
-) -> None:
-    """Move joint angles q (n, 6), rad, to those of the poses (n, 4, 4) next to them, by Newton.
-
-    Filled: Jacobians (n, 6, 6) there and their inverses; `away` (n,), rad, how far q has moved as
-    a vector, infinite where no pose was reached.
-    """
-    pose, jacobian, inverse = np.empty((1, 4, 4)), np.empty((1, 6, 6)), np.empty((6, 6))
-    turn, xi, begin = np.empty((1, 3, 3)), np.empty((1, 6)), np.empty(6)
-    for n in range(len(q)):
-        away[n] = math.inf
-        for i in range(6):
-            begin[i] = q[n, i]
-        for _ in range(MAX_STEPS):
-            place_flange(chain, q[n : n + 1], pose, jacobian)
-            if not invert_square(jacobian[0], inverse):
-                break
-            for i in range(3):
-                xi[0, i] = measured[n, i, 3] - pose[0, i, 3]
-                for j in range(3):
-                    turn[0, i, j] = 0.0
-                    for k in range(3):
-                        turn[0, i, j] += measured[n, i, k] * pose[0, j, k]
-            rotation_vectors(turn, xi[:, 3:])
-            largest, moved = 0.0, 0.0
-            for i in range(6):
-                step = 0.0
-                for j in range(6):
-                    step += inverse[i, j] * xi[0, j]
-                    jacobians[n, i, j], inverses[n, i, j] = jacobian[0, i, j], inverse[i, j]
-                q[n, i] += step
-                largest = max(largest, abs(step))
-                moved += (q[n, i] - begin[i]) ** 2
-            if largest < TOL_STEP:
-                away[n] = math.sqrt(moved)
-                break
-        if away[n] == math.inf:
-            for i in range(6):
-                q[n, i] = begin[i]
 
 
 @compiled

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from verify.analysis.kernels import follow_poses, motion_misfits, motion_sizes, place_flange
+from verify.analysis.kernels import motion_misfits, motion_sizes, place_flange
 from verify.core.fiducials import Marker
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import Readings
@@ -69,7 +69,6 @@ def warm_up_comparison() -> None:
         np.eye(6)[None],
     )
     place_flange(chain, q, np.empty((1, 4, 4)), moves)
-    follow_poses(chain, np.eye(4)[None], q.copy(), moves, moves.copy(), np.empty(1))
     figures, poses = np.ones((1, 2)), np.repeat(np.eye(4)[None], N_READINGS, axis=0)
     motion_sizes(poses[:1], poses[:1], figures)
     known = np.ones((1, 1), dtype=np.bool_)
