@@ -1,80 +1,33 @@
 """Compile everything that numba compiles, so that no first run waits for it.
 
-python -m verify.compile_ahead     after an installation; two processes share it where they can
+python -m verify.compile_ahead     after an installation
 """
 
-import os
 import sys
 import time
 
 import numpy as np
 
 from verify.analysis.uncertainty.draws import ViewDraws, camera_draws, refit_pose
-from verify.analysis.warm_up import (
-    projected_spots,
-    warm_up,
-    warm_up_comparison,
-    warm_up_detection,
-)
+from verify.analysis.warm_up import warm_up, warm_up_comparison
 from verify.calibration.corners.find import refine_corners
 from verify.calibration.stereo.bundle import normal_equations
 from verify.calibration.stereo.calibrate import stack_corners
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel
 from verify.calibration.stereo.parameters import N_ERRORS, BundleState
 from verify.core.fiducials import Board, BoardPair, BoardView
-from verify.core.processes import READY, ChildProcess, ParentLine
 from verify.core.rig import Camera
 
 SQUARE_PX = 20.0  # px
 N_SPOTS = 4  # an image
-COMPILE_TIMEOUT = 600.0  # s: a slow machine
 
 
 def compile_ahead() -> None:
     """Compile what watching a robot takes, and what a first report and calibration would."""
     warm_up()
-    _compile_detection()
-    _compile_fits()
-
-
-def compile_in_parallel() -> None:
-    """Compile in two processes, then, from their files, whatever is left in this one."""
-    begin = time.monotonic()
-    processes = min(len(os.sched_getaffinity(0)), 2)
-    sys.stdout.write(
-        f"Compiling inner loops, {processes} process{'es' if processes > 1 else ''}: "
-        "detection and calibration; correspondence, pose and analysis.\n"
-    )
-    sys.stdout.flush()
-    parts: list[ChildProcess[None, None]] = [
-        ChildProcess(_compile_part, part, name=f"compile {part}")
-        for part in range(len(PARTS) if processes > 1 else 0)
-    ]
-    for part in parts:
-        part.wait_until_ready(COMPILE_TIMEOUT)
-        part.stop()
-    compile_ahead()
-    sys.stdout.write(f"Compiled in {time.monotonic() - begin:.0f} s.\n")
-
-
-def _compile_detection() -> None:
-    warm_up_detection()
-    _compile_calibration()
-
-
-def _compile_fits() -> None:
-    warm_up(projected_spots)
     warm_up_comparison()
     _refit()
-
-
-PARTS = (_compile_detection, _compile_fits)
-
-
-def _compile_part(line: ParentLine, part: int) -> None:
-    """Compile a part in a child process, which is ready once that is done."""
-    PARTS[part]()
-    line.send(READY)
+    _compile_calibration()
 
 
 def _refit() -> None:
@@ -103,4 +56,8 @@ def _compile_calibration() -> None:
 
 
 if __name__ == "__main__":
-    compile_in_parallel()
+    begin = time.monotonic()
+    sys.stdout.write("Compiling inner loops.\n")
+    sys.stdout.flush()
+    compile_ahead()
+    sys.stdout.write(f"Compiled in {time.monotonic() - begin:.0f} s.\n")

@@ -6,11 +6,10 @@ from verify.analysis.kernels import motion_misfits, motion_sizes, place_flange
 from verify.core.fiducials import Marker
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import Readings
-from verify.core.records import Array, Image, Noise, Sighting, Spots, StereoPair
+from verify.core.records import Array, Image, Sighting, StereoPair
 from verify.core.rig import Camera, Rig
 from verify.io.video import ffv1_intact
 from verify.measurement.chain import Detector, Setup, detect_in_turn, measure
-from verify.measurement.detection.detect import detect
 from verify.measurement.sensitivities import prepare_views, spot_derivatives
 
 SIZE = (320, 240)  # px
@@ -36,21 +35,6 @@ def warm_up(detector: Detector = detect_in_turn) -> None:
     for _ in measure(pairs, Setup(rig, marker, detect=detector)):
         pass
     ffv1_intact(b"")  # what a recording is opened with
-
-
-def warm_up_detection() -> None:
-    """Look for spots in a small picture, whole and in a window."""
-    picture = _render(_rig().left)
-    detect(picture)
-    detect(picture, np.array([[0.0, 0.0, *SIZE]]))
-
-
-def projected_spots(*_images: object) -> tuple[Spots, Spots]:
-    """Stand in for detection in `warm_up`: the LEDs' true places in both images."""
-    one, colour = np.ones(len(LEDS)), np.full((len(LEDS), 3), 200.0)
-    spread, clear = 1e-3 * np.array([np.eye(2)] * len(LEDS)), np.zeros(len(LEDS), dtype=np.bool_)
-    light = spread, 200.0 * one, 5.0 * one, one, one, clear, clear, colour, Noise(1.5, 0.1, 8.0)
-    return Spots(_pixels(_rig().left), *light), Spots(_pixels(_rig().right), *light)
 
 
 def warm_up_comparison() -> None:
