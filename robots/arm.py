@@ -35,11 +35,6 @@ class Arm:
         """Number of joints."""
         return len(self.lower)
 
-    @property
-    def turning(self) -> Array:
-        """By how much each axis turns a radian of each joint, (n, n)."""
-        return np.eye(self.dof) if self.linkage is None else self.linkage
-
     @cached_property
     def unlinked(self) -> Self:
         """The arm whose joint angles are `axis_angles`; its limits mean nothing."""
@@ -80,11 +75,6 @@ class DhArm(Arm):
     sign: Array  # (6,), +1 or -1
     offset: Array  # (6,), rad
     family: str  # which closed form solves it
-
-    @property
-    def turning(self) -> Array:
-        """By how much each θ turns a radian of each joint, (6, 6)."""
-        return self.sign[:, None] * super().turning
 
     def theta(self, q: Array) -> Array:
         """DH angles of joint angles, (..., 6)."""

@@ -9,11 +9,9 @@ u(orientation) / 0.2, and a good stereo pose is known to 0.25 mm and 0.10°, who
 """
 
 import itertools
-import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots import spherical_wrist
 from robots.arm import Arm, DhArm, UrdfArm
@@ -82,25 +80,10 @@ def couplings(
     q = np.asarray(q, dtype=float)
     if not len(q) or not isinstance(arm, DhArm):
         return tuple(coupled(arm, one) for one in q)
-    near = _may_be_near(arm, q, forward(arm, q) if base_T_flange is None else base_T_flange)
-    if not near.any():
-        return (None,) * len(q)
+    pose = forward(arm, q) if base_T_flange is None else base_T_flange
+    factors = _factors(arm, pose, arm.theta(q))
+    near = np.any([value < GATE_MARGIN * gate for _, value, gate in factors], 0)
     return tuple(coupled(arm, one) if close else None for one, close in zip(q, near, strict=True))
-
-
-def _may_be_near(arm: DhArm, q: Array, base_T_flange: Array) -> NDArray[np.bool_]:
-    """Which postures q (m, n), rad, may be near a singularity; poses (m, 4, 4), m, are theirs."""
-    near = []
-    stretched, d6 = _stretched_elbow(arm), arm.d[5].item()
-    # plain floats: of a few postures they take a tenth of what arrays would
-    places = zip(arm.theta(q).tolist(), base_T_flange[:, :2, 2:].tolist(), strict=True)
-    for theta, ((zx, px), (zy, py)) in places:
-        c, s, x, y = math.cos(theta[0]), math.sin(theta[0]), px - d6 * zx, py - d6 * zy
-        shoulder = abs(c * x + s * y)
-        wrist, elbow = abs(math.sin(theta[4])), abs(math.sin(theta[2] - stretched))
-        values = (wrist, WRIST_GATE), (elbow, ELBOW_GATE), (shoulder, SHOULDER_GATE)
-        near.append(any(value < GATE_MARGIN * gate for value, gate in values))
-    return np.array(near, dtype=np.bool_)
 
 
 def _self_motions(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array:

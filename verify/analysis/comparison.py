@@ -7,15 +7,13 @@ angles of measured poses come from the inverse, the branch nearest the readings.
 """
 
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
-from robots.transforms import cross_matrix, invert
-from verify.analysis.kernels import Chain, place_flange
+from robots.transforms import cross_matrix
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
 from verify.core.records import Array
@@ -99,7 +97,7 @@ def compare(
     index = known.nonzero()[0]
     there = there[index]
     q, rate = readings.at(there), readings.rate(there)
-    encoder, jacobian = _flange(arm, q)
+    encoder, jacobian = robots.forward(arm, q), robots.jacobian(arm, q)
     measured, determined, carry = _complete_poses(
         track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)
     )
@@ -159,23 +157,12 @@ def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Compar
 
     There the first order is exact to the third: a joint that is 3° off accuses no neighbour.
     """
-    pose, jacobian = _flange(arm, comparison.q - error / 2)
-    return replace(comparison, jacobian=jacobian, base_T_jacobian=pose)
-
-
-def _flange(arm: robots.Arm, q: Array) -> tuple[Array, Array]:
-    """Place the flange, (n, 4, 4), m, and say how it moves with each joint, (n, 6, j)."""
-    poses, jacobians = np.empty((len(q), 4, 4)), np.empty((len(q), 6, arm.dof))
-    place_flange(_chain(arm), q, poses, jacobians)
-    return poses, jacobians
-
-
-@lru_cache(maxsize=4)
-def _chain(arm: robots.Arm) -> Chain:
-    """An arm's frames from one to the next, as `verify.analysis.kernels` has them."""
-    rest = robots.link_frames(arm, np.zeros((1, arm.dof)))[0]
-    steps = np.concatenate([rest[:1], invert(rest[:-1]) @ rest[1:]])
-    return steps, np.array(arm.turning, dtype=float)
+    between = comparison.q - error / 2
+    return replace(
+        comparison,
+        jacobian=robots.jacobian(arm, between),
+        base_T_jacobian=robots.forward(arm, between),
+    )
 
 
 def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:
@@ -327,7 +314,7 @@ def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:
     q, reached = robots.nearest(arm, comparison.base_T_measured, comparison.q)
     jacobian = comparison.jacobian.copy()
     if reached.any():
-        jacobian[reached] = _flange(arm, q[reached])[1]
+        jacobian[reached] = robots.jacobian(arm, q[reached])
     # an exact singularity is flagged, not fatal
     inverse = np.asarray(np.linalg.pinv(jacobian, rcond=1e-9), dtype=np.float64)
     open_joints = np.zeros(q.shape, dtype=np.bool_)

@@ -1,8 +1,4 @@
-"""Place an arm's flange, compare motions at many clock offsets, fit Monte Carlo poses.
-
-Joint i turns about z of its frame T_i, with S_i the step to the next joint's frame, at angles 0:
-
-    T_0 = S_0,   T_(i+1) = T_i RotZ(angle_i) S_(i+1)
+"""Compare motions at many clock offsets, and fit the pose of every Monte Carlo draw.
 
 The misfit of an offset is the mean over motions of (read - measured)² / variance, angle and
 distance alike, each bounded. A draw's pose T minimises, by Gauss-Newton, with u the predicted and z
@@ -20,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.jit import compiled, compiled_sums
-from verify.core.kernels.linear_algebra import cross, factor, solve
+from verify.core.kernels.linear_algebra import factor, solve
 from verify.core.records import Array
 from verify.measurement.kernels.pose import move_pose, predict_spots
 
@@ -28,47 +24,6 @@ Flags = NDArray[np.bool_]
 N_FREE = 6
 # focal (d, 2, 2) and middle (d, 2), px; lens (d, 5); camera_R_rig (d, 3, 3); origin (d, 3), m
 Drawn = tuple[Array, Array, Array, Array, Array]
-# steps (n + 1, 4, 4), m, from frame to frame; (n, n), by how much joints turn the axes
-Chain = tuple[Array, Array]
-
-
-@compiled
-def place_flange(chain: Chain, q: Array, poses: Array, jacobians: Array) -> None:
-    """Fill in flange poses (n, 4, 4) and geometric Jacobians (n, 6, j) at angles q (n, j), rad."""
-    steps, turning = chain
-    joints = len(turning)
-    frame, moved = np.empty((3, 4)), np.empty((3, 4))
-    axes, lever = np.empty((joints, 6)), np.empty(3)
-    for n in range(len(q)):
-        for row in range(3):
-            for column in range(4):
-                frame[row, column] = steps[0, row, column]
-        for i in range(joints):
-            angle = 0.0
-            for k in range(joints):
-                angle += turning[i, k] * q[n, k]
-            c, s = math.cos(angle), math.sin(angle)
-            for row in range(3):
-                x, y, z = frame[row, 0], frame[row, 1], frame[row, 2]
-                axes[i, row], axes[i, 3 + row] = frame[row, 3], z
-                x, y = c * x + s * y, c * y - s * x
-                for column in range(4):
-                    a, b = steps[i + 1, 0, column], steps[i + 1, 1, column]
-                    moved[row, column] = x * a + y * b + z * steps[i + 1, 2, column]
-                moved[row, 3] += frame[row, 3]
-            frame, moved = moved, frame
-        for row in range(4):
-            for column in range(4):
-                poses[n, row, column] = frame[row, column] if row < 3 else column // 3
-        for i in range(joints):
-            for row in range(3):
-                lever[row] = frame[row, 3] - axes[i, row]
-            cross(axes[i, 3:], lever, axes[i, :3])
-        for row in range(6):
-            for k in range(joints):
-                jacobians[n, row, k] = 0.0
-                for i in range(joints):
-                    jacobians[n, row, k] += axes[i, row] * turning[i, k]
 
 
 @compiled

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from verify.analysis.kernels import motion_misfits, motion_sizes, place_flange
+from verify.analysis.kernels import motion_misfits, motion_sizes
 from verify.core.fiducials import Marker
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import Readings
@@ -47,12 +47,6 @@ def warm_up_comparison() -> None:
     readings.direction(t)  # by the readings' noise
     readings.interpolation_uncertainty(t)
     rotation_vectors(np.eye(3)[None], np.empty((1, 3)))
-    chain, q, moves = (
-        (np.repeat(np.eye(4)[None], 7, axis=0), np.eye(6)),
-        t[:6][None],
-        np.eye(6)[None],
-    )
-    place_flange(chain, q, np.empty((1, 4, 4)), moves)
     figures, poses = np.ones((1, 2)), np.repeat(np.eye(4)[None], N_READINGS, axis=0)
     motion_sizes(poses[:1], poses[:1], figures)
     known = np.ones((1, 1), dtype=np.bool_)

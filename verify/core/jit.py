@@ -93,10 +93,11 @@ CACHE = _cache_available()
 if CACHE and _cache_is_empty():
     event.register("numba:compile", _FirstCompilation())  # type: ignore[no-untyped-call]
 event.register("numba:compiler_lock", _MemoryCheck())  # type: ignore[no-untyped-call]
+# the release for whose inside the classes below are made; any other compiles its own way
+KNOWN_NUMBA = numba.__version__.startswith("0.68.")
 # level 3 takes a fifth longer to compile and is no quicker here; nothing calls from C
 vars(numba.config)["OPT"] = type(vars(numba.config)["OPT"])(2)
 OPTIONS: dict[str, Any] = {
-    "nopython": True,
     "nogil": True,
     "error_model": "numpy",
     "no_cfunc_wrapper": True,
@@ -175,6 +176,9 @@ class _Kernel(CPUDispatcher):
 
 def _compiled(function: Function, **options: Any) -> Function:
     options |= OPTIONS
+    if not KNOWN_NUMBA:
+        return cast("Function", numba.njit(function, cache=CACHE, **options))
+    options["nopython"] = True
     kernel = _Kernel(function, targetoptions=options)
     kernel.inner = _Twin(function, targetoptions=options, pipeline_class=_Inner)
     if CACHE:
@@ -199,8 +203,9 @@ def _type_operator(function: Any, context: Any, args: tuple[Any, ...], kws: Any)
     return _operators[key]
 
 
-vars(codegen)["JITCPUCodegen"] = _Codegen
-types.Function.get_call_type = _type_operator  # type: ignore[assignment,method-assign]
+if KNOWN_NUMBA:
+    vars(codegen)["JITCPUCodegen"] = _Codegen
+    types.Function.get_call_type = _type_operator  # type: ignore[assignment,method-assign]
 
 
 def compiled(function: Function) -> Function:
