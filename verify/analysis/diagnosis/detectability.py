@@ -100,7 +100,7 @@ def _sizes(products: FaultProducts, ways: list[_FaultVariant]) -> tuple[Array, A
         if closest.any():
             rival[k] = int(chance.fault[np.argmax(closest)])
         if size <= min(MAX_RIVAL_RATIO * listed[k], products.faults[ways[k].fault].largest):
-            named[k] = size
+            named[k] = max(size, listed[k])  # at the worst phase, listing asks for more
     return listed, named, rival
 
 
