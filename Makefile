@@ -8,6 +8,9 @@ SITE := $(VENV)/.docs-installed
 COMPILED := $(VENV)/.compiled
 PIP = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c .ci/constraints.txt
 
+# packages come without compiled modules; Python keeps what it compiles, also where a container forbids it
+unexport PYTHONDONTWRITEBYTECODE
+
 .PHONY: demo test test-all test-long lint check format samples accept pictures docs bench soak bench-coverage bench-diagnosis bench-grab fuzz clean
 
 # packages that running needs

@@ -52,6 +52,7 @@ from verify.core.rig import Camera
 
 MAX_ITERATIONS = 60
 TOL_COST = 1e-4  # chi² that a step still gains: a hundredth of an uncertainty
+ROUNDING = 1e-12  # of the cost: what sums in another order differ by
 LEAST_DAMPING = 1e-8  # more would slow what the pictures hardly show
 FIRST_DAMPING = 1e-4  # where a step without it led astray
 Index = NDArray[np.int64]
@@ -241,7 +242,7 @@ def adjust(
     for _ in range(iterations):
         trial, promised = _damped_step(state, corners, model, weight, damping)
         now = cost(trial, corners, model, weight)
-        if now <= before:
+        if now <= before * (1 + ROUNDING):
             state, damping = trial, damping / 10
             if before - now < TOL_COST and promised < TOL_COST:
                 break
