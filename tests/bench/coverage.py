@@ -25,6 +25,7 @@ import msgspec
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
+from scipy.stats import t as student_t
 
 import robots
 from tests.bench.cells import HIGH, LOW, SEEDS, WITHIN, conclude, replicates
@@ -223,12 +224,11 @@ def by_class(count: int, seed: int, only: dict[str, str]) -> int:
             print(f"  {kind:7s}{level:12s} no pair gives joints")
             continue
         ratio = float(np.sqrt(np.mean([rms_ratio(o) ** 2 for o in chosen if has_joints(o)])))
-        share, error = (
-            np.mean(shares, axis=0),
-            np.std(shares, axis=0) / np.sqrt(max(len(shares) - 1, 1)),
-        )
-        # a class of few sessions fails where its mean is clearly outside
-        good = np.all((share + 2 * error >= LOW) & (share - 2 * error <= HIGH))
+        share, freedom = np.mean(shares, axis=0), len(shares) - 1
+        error = np.std(shares, axis=0) / np.sqrt(max(freedom, 1))
+        # a class fails where its mean is clearly outside; one session has no scatter to tell by
+        reach = student_t.ppf(0.975, freedom) * error if freedom else 1.0
+        good = np.all((share + reach >= LOW) & (share - reach <= HIGH))
         good = bool(good and ratio <= MAX_RMS_RATIO)
         failed += not good
         q, e = (f"{a:.1%} ± {b:.1%}" for a, b in zip(share, error, strict=True))

@@ -7,7 +7,10 @@ size, where four of five are named; between 1.5 times the detectable and 1.5 tim
 one; and at half the separable one. Verdicts: a joint that is
 sound, or has one of three faults whose mean is next to nothing, at a tolerance of 0.2°. A step
 comes at any pair but the outermost; it is named with its instant (± 2 pairs) and its size (4 u),
-and the verdicts on the other joints at 0.2° stay what they were.
+and the verdicts on the other joints at 0.2° stay what they were. Limits: nine of ten named at 1.5
+times the separable size, and named or among the candidates between, in every cell. At the separable
+size and at half of it the shares of all cells together; a single one fails where its count has less
+than a chance of 5 % to come anywhere in the table.
 
     python -m tests.bench.diagnosis.shares [SESSIONS] [SEED] [KIND ...]
 
@@ -23,6 +26,7 @@ from functools import partial
 
 import numpy as np
 import pandas as pd
+from scipy.stats import binom
 
 from tests.bench.cells import seeds as seeds_of
 from tests.bench.diagnosis.sessions import Injected, Watched, judged, watched
@@ -41,7 +45,8 @@ HEALTHY = 3
 MOST_FALSE = 0.02
 LEVELS = ("1.5 sep", "sep", "between", "0.5 sep")
 LEAST_RIGHT, MOST_WRONG = 0.90, 0.02
-STATED = 0.80  # share named at the separable size; a cell fails where two standard errors below
+STATED = 0.80  # share named at the separable size
+BY_CHANCE = 0.05  # that a cell of the whole table fails without a reason
 LEAST_KEPT = 0.95  # verdicts on other joints after a step
 MAX_PAIRS_OFF, MAX_SIGMA_OFF = 2.01, 4.0  # of a step's instant and size
 UNMADE = ("beta",)  # a DH table has none to put a fault into
@@ -148,14 +153,15 @@ def detection(pool: ProcessPoolExecutor, sessions: int, seed: int, kinds: tuple[
             cells[trial.kind, trial.joint or 0, trial.level].append(trial)
     print(f"{'fault':28s} n    1.5 separable   separable  between: named    0.5 separable")
     print(f"{'':28s}       named  wrong    named     or inside  wrong   wrong  named")
-    failed = 0
-    for kind, joint in sorted({key[:2] for key in cells}):
+    failed, rows = 0, sorted({key[:2] for key in cells})
+    rare = BY_CHANCE / (2 * len(rows))
+    for kind, joint in rows:
         high, least, between, low = (cells[kind, joint, level] for level in LEVELS)
         named, inside = _share(high, "named"), np.mean([t.named or t.inside for t in between])
         wrong, stated = _share(low, "wrong"), _share(least, "named")
-        short = stated < STATED - 2 * np.sqrt(STATED * (1 - STATED) / len(least))
-        limits = named < LEAST_RIGHT, short, inside < LEAST_RIGHT, wrong > MOST_WRONG
-        bad = [bool(b) for b in limits]
+        short = binom.cdf(_count(least, "named"), len(least), STATED) < rare
+        many = binom.sf(_count(low, "wrong") - 1, len(low), MOST_WRONG) < rare
+        bad = [bool(b) for b in (named < LEAST_RIGHT, short, inside < LEAST_RIGHT, many)]
         failed += sum(bad)
         marks = ["!" if b else " " for b in bad]
         name = f"{kind}, joint {joint}" if joint else kind
@@ -163,6 +169,15 @@ def detection(pool: ProcessPoolExecutor, sessions: int, seed: int, kinds: tuple[
               f"    {stated:5.0%}{marks[1]}    {inside:5.0%}{marks[2]}"
               f"    {_share(between, 'wrong'):5.0%}   {wrong:5.1%}{marks[3]}"
               f" {_share(low, 'named'):5.0%}", flush=True)  # fmt: skip
+    for level, what, least_share, most_share in (
+        (LEVELS[1], "named", STATED, 1.0), (LEVELS[3], "wrong", 0.0, MOST_WRONG)
+    ):  # fmt: skip
+        together = [t for key, cell in cells.items() if key[2] == level for t in cell]
+        error = np.sqrt(STATED * (1 - STATED) / len(together)) if what == "named" else 0.0
+        share = _share(together, what)
+        good = least_share - 2 * error <= share <= most_share
+        failed += int(not good)
+        print(f"all of them at {level}: {what} in {share:.1%}{'' if good else '  FAILS'}")
     steps = [t for key, cell in cells.items() if key[::2] == ("step", LEVELS[0]) for t in cell]
     if not steps:
         return failed
@@ -175,6 +190,10 @@ def detection(pool: ProcessPoolExecutor, sessions: int, seed: int, kinds: tuple[
 
 def _share(cell: list[Trial], what: str) -> float:
     return float(np.mean([getattr(t, what) for t in cell]))
+
+
+def _count(cell: list[Trial], what: str) -> int:
+    return sum(getattr(t, what) for t in cell)
 
 
 def verdict_shares(pool: ProcessPoolExecutor, count: int, seed: int) -> int:
