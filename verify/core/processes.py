@@ -30,9 +30,11 @@ import numpy as np
 
 from verify.core.records import Image
 
-START_TIMEOUT = 60.0  # s until a child process is ready: a busy machine imports slowly
+START_TIMEOUT = 60.0  # s until a child process is ready, or computes on: it may have to compile
+START_INTERVAL, START_SHARE = 1.0, 0.01  # s between such messages; of a processor, used meanwhile
 JOIN_TIMEOUT = 1.0  # s for a child process to end by itself before it is terminated
-READY, FAILED, ANSWER = "ready", "failed", "answer"  # kinds of messages from a child process
+# kinds of messages from a child process
+STARTING, READY, FAILED, ANSWER = "starting", "ready", "failed", "answer"
 
 Message = tuple[str, Any]  # kind and value
 Request = TypeVar("Request")
@@ -60,13 +62,29 @@ class ParentLine:
 
     def __init__(self, incoming: Connection, outgoing: Connection) -> None:
         self._incoming, self._outgoing = incoming, outgoing
+        self._lock, self._started = threading.Lock(), False
 
     def send(self, kind: str, value: Any = None) -> None:
         """Send a message; raises ParentLostError."""
         try:
-            self._outgoing.send((kind, value))
+            with self._lock:
+                self._started |= kind == READY
+                self._outgoing.send((kind, value))
         except OSError as error:
             raise ParentLostError from error
+
+    def report_start(self) -> None:
+        """Until READY, say now and then that this process computes: not where it hangs."""
+        used = time.process_time()
+        with suppress(OSError):
+            while True:
+                time.sleep(START_INTERVAL)
+                before, used = used, time.process_time()
+                with self._lock:
+                    if self._started:
+                        return
+                    if used - before > START_SHARE * START_INTERVAL:
+                        self._outgoing.send((STARTING, None))
 
     def receive(self) -> Any:
         """Wait for what the parent process sends; raises ParentLostError."""
@@ -98,7 +116,7 @@ class ChildProcess(Generic[Request, Answer]):
         self._incoming, messages = context.Pipe(duplex=False)
         self._process = context.Process(
             target=_run,
-            args=(target, ParentLine(requests, messages), args, background),
+            args=(target, (requests, messages), args, background),
             name=name,
             daemon=not nested,
         )
@@ -112,12 +130,12 @@ class ChildProcess(Generic[Request, Answer]):
         self._unanswered = False
 
     def wait_until_ready(self, timeout: float = START_TIMEOUT) -> Any:
-        """Wait `timeout` s for READY and return its value; ChildLostError: it does not start."""
+        """Wait for READY, its value; ChildLostError: it ends, or hangs for `timeout` s."""
         while self._ready is None:
             message = self._receive(timeout)
             if message[0] == READY:
                 self._ready = message
-            else:
+            elif message[0] != STARTING:
                 self._early.append(message)
         return self._ready[1]
 
@@ -237,11 +255,16 @@ def answer_requests(
 
 
 def _run(
-    target: Callable[..., None], line: ParentLine, args: tuple[Any, ...], background: bool
+    target: Callable[..., None],
+    ends: tuple[Connection, Connection],
+    args: tuple[Any, ...],
+    background: bool,
 ) -> None:
+    line = ParentLine(*ends)
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
     faulthandler.enable()
     threading.Thread(target=_exit_with_parent, name="parent", daemon=True).start()
+    threading.Thread(target=line.report_start, name="start", daemon=True).start()
     if background:
         lower_priority()
     with suppress(ParentLostError):

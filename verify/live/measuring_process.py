@@ -36,7 +36,6 @@ from verify.live.protocols import ExpectedPoses
 from verify.measurement.chain import Setup, detect_in_turn, measure
 from verify.measurement.detection.detect import detect
 
-START_TIMEOUT = 120.0  # s: the first start after an installation compiles
 DETECTION_TIMEOUT = 1.0  # s a picture, ten times what a whole frame takes
 MEASUREMENT_TIMEOUT = 2.0  # s a pair, twenty times what a whole frame takes
 JOIN_TIMEOUT = 2.0  # s
@@ -126,7 +125,7 @@ class MeasuringProcess:
         self._lost = False
         self._prepared: tuple[StereoPair, PairMessage] | None = None
         try:
-            self._process.wait_until_ready(START_TIMEOUT)
+            self._process.wait_until_ready()
         except BaseException:  # Ctrl-C too: it is not waited for while it loads
             self._process.stop(0.0)
             raise

@@ -49,6 +49,13 @@ def talk_before_ready(line: ParentLine, text: str) -> None:
     line.send("note", line.receive())
 
 
+def start_slowly(line: ParentLine, computing: bool) -> None:
+    until = time.monotonic() + 4.0
+    while time.monotonic() < until:
+        time.sleep(0.0 if computing else 0.1)
+    line.send(READY, "late")
+
+
 def sleep_for_ever(line: ParentLine) -> None:
     line.send(READY)
     time.sleep(1000.0)
@@ -75,6 +82,19 @@ def test_requests_are_answered_and_a_failure_costs_only_its_own_request(
         roots.ask(-1.0, LIMIT)
     assert roots.ask(9.0, LIMIT) == 3.0
     assert roots.is_ready()
+
+
+def test_a_start_is_waited_for_while_it_computes_and_not_where_it_hangs() -> None:
+    busy: ChildProcess[None, None] = ChildProcess(start_slowly, True, name="busy")
+    hung: ChildProcess[None, None] = ChildProcess(start_slowly, False, name="hung")
+    try:
+        time.sleep(2.0)  # while it imports it computes too
+        with pytest.raises(ChildLateError, match="no answer"):
+            hung.wait_until_ready(1.5)
+        assert busy.wait_until_ready(2.5) == "late"
+    finally:
+        busy.stop(0.0)
+        hung.stop(0.0)
 
 
 def test_a_late_answer_is_not_taken_for_the_next_one(roots: ChildProcess[float, float]) -> None:
