@@ -131,12 +131,14 @@ def gauss_newton(
     return state, solution
 
 
-def residual_products(columns: Array, target: Array, prior: Array | None = None) -> Array:
-    """Products of what free columns (and held ones) leave of target columns, (t, t)."""
+def residual_products(columns: Array, held: Array, targets: list[Array]) -> Array:
+    """Products of what free columns and held ones leave of t target columns, (t, t).
+
+    The targets come in parts, (r, ...) each, side by side.
+    """
     free = columns.shape[1]
-    held = np.zeros((len(target), 0)) if prior is None else prior
     count = free + held.shape[1]
-    reduced = _append_prior(_triangular_factor(columns, held, target), free, held.shape[1])
+    reduced = _append_prior(_triangular_factor(columns, held, *targets), free, held.shape[1])
     design, wanted = reduced[:, :count], reduced[:, count:]
     norm = np.linalg.norm(design, axis=0)
     design = design[:, norm > 0] / norm[norm > 0]

@@ -252,7 +252,7 @@ def visibility(model: JointErrorModel) -> Observability:
     whole = np.linalg.norm(seen.joints, axis=0)
     before = _share(seen.fitted, seen.hidden, whole)
     since = _share(seen.clock, seen.joints, whole)
-    gram = residual_products(model.fitted, model.offsets, model.prior)
+    gram = residual_products(model.fitted, model.prior, [model.offsets])
     gram[before == 0] = gram[:, before == 0] = 0.0
     left = np.sqrt(np.diag(gram))
     detectable = np.divide(DETECTION_SIGMA, left, out=nothing.copy(), where=left > 0)
@@ -266,7 +266,7 @@ def visibility(model: JointErrorModel) -> Observability:
 
 
 def _share(fitted: Array, columns: Array, whole: Array) -> Array:
-    left = np.sqrt(np.diag(residual_products(fitted, columns)))
+    left = np.sqrt(np.diag(residual_products(fitted, fitted[:, :0], [columns])))
     share = np.divide(left, whole, out=np.full(len(whole), np.nan), where=whole > 0)
     return np.where(
         share < MIN_VISIBLE_SHARE, 0.0, np.minimum(share, 1.0)

@@ -102,7 +102,7 @@ def _detectable(model: JointErrorModel, one: FaultKind) -> Array:
     smallest = np.full(joints, np.nan)
     for j in range(joints):
         columns = np.stack([part[:, j] for part in one.columns], axis=1)
-        left = np.linalg.eigvalsh(residual_products(model.fitted, columns, model.prior))[0]
+        left = np.linalg.eigvalsh(residual_products(model.fitted, model.prior, [columns]))[0]
         if left > TOL_COLUMN * np.sum(columns**2) > 0:
             smallest[j] = DETECTION_SIGMA / np.sqrt(left)
     return smallest
@@ -115,7 +115,7 @@ def predict_clock(session: PredictedSession) -> ClockPrediction:
         return ClockPrediction(clock.standard_uncertainty, None, clock.source)
     column = model.white.rows(clock_effect(session.comparison))
     others = np.concatenate([model.offsets, model.fitted], axis=1)
-    left = float(residual_products(others, column, model.prior)[0, 0])
+    left = float(residual_products(others, model.prior, [column])[0, 0])
     visible = left > TOL_COLUMN * float(np.sum(column**2)) > 0
     smallest = DETECTION_SIGMA / float(np.sqrt(left)) if visible else None
     return ClockPrediction(clock.standard_uncertainty, smallest, clock.source)

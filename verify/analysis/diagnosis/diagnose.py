@@ -16,7 +16,7 @@ import robots
 from verify.analysis.comparison import Comparison
 from verify.analysis.diagnosis import steps
 from verify.analysis.diagnosis.causes import Cause, build_cause, merge_ambiguous
-from verify.analysis.diagnosis.faults import Fault
+from verify.analysis.diagnosis.faults import Fault, Name
 from verify.analysis.diagnosis.link_faults import fault_dictionary
 from verify.analysis.diagnosis.search import FaultProducts, FaultSet, search_faults
 from verify.analysis.joint_errors import ResolvedErrors, predict_errors, resolve_errors
@@ -110,7 +110,7 @@ def find_causes(
         chosen = np.linspace(0, len(chosen) - 1, MAX_PAIRS).round().astype(np.int64)
         residual = residual[np.isin(model.white.pair, chosen)]
         model = thin_model(model, chosen)
-    faults = fault_dictionary(model, arm, rig)
+    faults = list(fault_dictionary(model, arm, rig))
     moving = steps.beginning_faults(model, faults)
     faults += steps.stated_steps(model, moving)
     outlying = _within(_outliers(model, residual), len(chosen))
@@ -143,13 +143,17 @@ def explained_by(
     """
     listed = [[c.fault for c in cause.candidates] or [cause.fault] for cause in found.causes]
     wanted = {(f.name, f.per_turn, f.begin): f for faults in listed for f in faults}
-    if not wanted:
-        return []
-    lasting = fault_dictionary(model, arm, rig)
-    moving = {f.name: f for f in steps.beginning_faults(model, lasting)}
-    every = {(f.name, f.per_turn, None): f for f in lasting}
+    missing = {key[:2] for key, f in wanted.items() if f.kind != "step"}
+    lasting: dict[tuple[Name, int | None], Fault] = {}
+    for fault in fault_dictionary(model, arm, rig) if missing else ():
+        key = fault.name, fault.per_turn
+        if key in missing:
+            lasting[key] = fault
+        if len(lasting) == len(missing):  # all faults of a long session would fill its memory
+            break
+    moving = {f.name: f for f in steps.beginning_faults(model, lasting.values())}
     return [
-        every[*key[:2], None]
+        lasting[key[:2]]
         if fault.begin is None
         else steps.begun(
             model, moving[fault.name], int(np.searchsorted(model.comparison.t, fault.begin))

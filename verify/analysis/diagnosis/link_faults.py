@@ -10,6 +10,9 @@ one fault of many coefficients, for any arm. Small errors of many links together
 taken for offsets, waves and drifts of joints.
 """
 
+from collections.abc import Iterable, Iterator
+from itertools import chain
+
 import numpy as np
 from scipy.spatial.transform import Rotation
 
@@ -121,16 +124,21 @@ def _registration_rows(model: JointErrorModel) -> Array:
 
 def fault_dictionary(
     model: JointErrorModel, arm: robots.Arm | None = None, rig: Rig | None = None
-) -> list[Fault]:
+) -> Iterator[Fault]:
     """Every fault that this session's motion can show at all.
 
     Without an arm no links are tried, and single ones need a DH table; without a rig, which says
     where the cameras stand, their skew is not tried.
     """
-    faults = [f for j in range(model.joints.shape[1]) for f in joint_faults(model, j)]
-    faults += common_faults(model, rig)
-    if isinstance(arm, robots.DhArm):
-        faults += link_faults(model, arm)
-    if arm is not None and arm.dof > 1:
-        faults.append(geometry_fault(model, arm))
-    return [f for f in faults if f.freedom and np.all(np.linalg.norm(f.columns, axis=0) > 0)]
+
+    def groups() -> Iterator[Iterable[Fault]]:
+        yield from (joint_faults(model, j) for j in range(model.joints.shape[1]))
+        yield common_faults(model, rig)
+        if isinstance(arm, robots.DhArm):
+            yield link_faults(model, arm)
+        if arm is not None and arm.dof > 1:
+            yield [geometry_fault(model, arm)]
+
+    for fault in chain.from_iterable(groups()):
+        if fault.freedom and np.all(np.linalg.norm(fault.columns, axis=0) > 0):
+            yield fault

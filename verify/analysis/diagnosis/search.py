@@ -48,11 +48,14 @@ class FaultProducts:
         cls, model: JointErrorModel, faults: list[Fault], kept: NDArray[np.bool_]
     ) -> "FaultProducts":
         """Project out what was fitted and stated; `kept` (r,) are the rows to take."""
-        target = np.concatenate([*(f.columns for f in faults), model.xi[:, None]], axis=1)[kept]
-        whole = np.linalg.norm(target[:, :-1], axis=0)
+        parts = [*(f.columns for f in faults), model.xi[:, None]]
+        if not kept.all():
+            parts = [part[kept] for part in parts]
+        products = residual_products(model.fitted[kept], model.prior[kept], parts)
+        whole = np.concatenate([np.zeros(0), *(np.linalg.norm(p, axis=0) for p in parts[:-1])])
         scale = np.where(whole > 0, whole, 1.0)
-        target[:, :-1] /= scale
-        products = residual_products(model.fitted[kept], target, model.prior[kept])
+        size = np.append(scale, 1.0)
+        products /= np.outer(size, size)
         ends = np.cumsum([f.freedom for f in faults])
         places = [np.arange(end - f.freedom, end) for f, end in zip(faults, ends, strict=True)]
         gram = products[:-1, :-1].copy()

@@ -133,9 +133,8 @@ class StepScan:
         """What columns (r, p) from each pair on would take off chi-squared beside a basis, (n,)."""
         moving, target = columns[self.kept], self.model.xi[self.kept]
         left = target - basis @ (basis.T @ target)
-        whole = self._after(moving[:, :, None] * moving[:, None, :])
-        shared = self._after(basis[:, :, None] * moving[:, None, :])
-        moment = self._after(moving * left[:, None])
+        whole, shared = self._after(moving, moving), self._after(basis, moving)
+        moment = self._after(left[:, None], moving)[:, 0]
         block = whole - np.swapaxes(shared, 1, 2) @ shared
         size = np.sqrt(np.maximum(np.einsum("npp->np", whole), 1e-300))
         block = block / (size[:, :, None] * size[:, None, :])
@@ -146,14 +145,13 @@ class StepScan:
         )
         return gains
 
-    def _after(self, rows: Array) -> Array:
-        """Sums of rows (r, ...) over all pairs from each one on, (n, ...)."""
-        total = np.concatenate([np.zeros((1, *rows.shape[1:])), np.cumsum(rows, axis=0)])
-        start = np.searchsorted(
-            self.model.white.pair[self.kept], np.arange(len(self.model.white.factors))
-        )
-        after: Array = total[-1] - total[start]
-        return after
+    def _after(self, one: Array, other: Array) -> Array:
+        """Products of rows (r, a) with others (r, b), over all pairs from each on, (n, a, b)."""
+        pairs, first = np.unique(self.model.white.pair[self.kept], return_index=True)
+        sums = np.zeros((len(self.model.white.factors), one.shape[1], other.shape[1]))
+        for k in range(other.shape[1]):  # a column at once: all would be most of a session's memory
+            sums[pairs, :, k] = np.add.reduceat(one * other[:, k : k + 1], first, axis=0)
+        return np.cumsum(sums[::-1], axis=0)[::-1]
 
 
 def _is_kin(one: Fault, other: Fault) -> bool:
