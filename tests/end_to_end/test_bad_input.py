@@ -11,7 +11,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from tests.support.command import SAMPLES, verify
+from tests.support.command import SAMPLES, read_summary, verify
 
 SAMPLE = "multi_joint_fault_6r"
 
@@ -138,3 +138,19 @@ def test_wrong_usage_is_one_line_and_status_2(
     monkeypatch.chdir(tmp_path)
     assert named in verify(*words).refusal
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("pairs", [1, 2, 3, 4])
+def test_a_few_pairs_alone_give_a_refusal_or_no_false_verdict(
+    session: Path, tmp_path: Path, pairs: int
+) -> None:
+    edit("session.toml", "format = 1", 'format = 1\nrecording = "open"')(session)
+    frames = (session / "frames.csv").read_text().splitlines(keepends=True)
+    (session / "frames.csv").write_text("".join(frames[: pairs + 1]))
+    outcome = verify("run", session, "-o", tmp_path / "out", "--tolerance", "0.2")
+    if pairs == 1:  # the arm moves, and nothing says how
+        assert "the robot moved between the two pictures" in outcome.refusal
+        return
+    joints = read_summary(tmp_path / "out")["joints"]
+    assert {j["verdict"] for k, j in enumerate(joints) if k != 1} <= {"conform", "undecided"}
+    assert joints[1]["verdict"] in ("nonconform", "undecided")  # 0.35° by scenario

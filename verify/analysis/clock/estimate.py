@@ -160,6 +160,7 @@ def _penalty(t: Array, readings: Readings, offset: float, arrival: ArrivalClock 
 def _difference_ends(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Pairs whose residuals are compared, and those some tenths of a second later."""
     lag = max(round(MOTION_LAG / float(np.median(np.diff(track.t)))), 1)
+    lag = min(lag, len(track) - 1)
     early = _spread(len(track) - lag, MAX_PAIRS_COMPARED)
     return early, early + lag
 

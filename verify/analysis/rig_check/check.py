@@ -141,6 +141,11 @@ def moved_warning(found: RigConsistency, uncounted: Sequence[str]) -> str | None
     said = " and ".join(figures_text(found)[i] for i in range(len(FIGURES)) if z[i] > FALSE_ALARM_Z)
     mine = [source for source in uncounted if source in ("rig", "LED positions", "pan angle")]
     doubt = f" (or of {', '.join(mine)}, whose uncertainty is not stated)" if mine else ""
+    if len(found.frame) == 1:  # nothing says how the body moved meanwhile
+        return (
+            f"The only pair does not fit the rig: {said}{doubt}. Either the rig has moved since it "
+            "was calibrated, or the robot moved between the two pictures: record more pairs."
+        )
     return (
         f"The rig seems to have moved since it was calibrated: {said}. What is measured with it "
         f"carries that error{doubt}. Check it with `verify calibrate check`, and calibrate again."
