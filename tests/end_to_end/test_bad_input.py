@@ -150,6 +150,7 @@ def test_a_few_pairs_alone_give_a_refusal_or_no_false_verdict(
     outcome = verify("run", session, "-o", tmp_path / "out", "--tolerance", "0.2")
     if pairs == 1:  # the arm moves, and nothing says how
         assert "the robot moved between the two pictures" in outcome.refusal
+        assert "+4.2 ms after the left one" in verify("calibrate", "check", session).refusal
         return
     joints = read_summary(tmp_path / "out")["joints"]
     assert {j["verdict"] for k, j in enumerate(joints) if k != 1} <= {"conform", "undecided"}

@@ -89,9 +89,18 @@ def check_session(
     and not stated. `progress` is called with pairs done and pairs in all.
 
     Raises:
-        InputError: a bar of other than two LEDs, or no pair that shows a known length.
+        InputError: a bar of other than two LEDs, no pair that shows a known length, or a single one
+            whose pictures were not taken together.
     """
     marker = session.marker
+    late = float(session.frames.t_right[0] - session.frames.t_left[0])
+    if len(session) == 1 and late:
+        raise InputError(
+            session.folder,
+            f"has one pair, its right picture {1e3 * late:+.1f} ms after the left one",
+            "how the LEDs moved meanwhile shows in the pairs beside it",
+            "Record more pairs.",
+        )
     pairs: Iterator[StereoPair] = session.pairs()
     setup = Setup(session.rig, marker)
     if length is not None:
