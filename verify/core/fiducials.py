@@ -30,6 +30,12 @@ class Marker:
         return len(self.names)
 
 
+def unnamed_marker(points: Array, diameter: float, sigma: float | None = None) -> Marker:
+    """Points (n, 3), m, of a body as a marker that names them by their number; sigma of each, m."""
+    names, colours = tuple(str(i) for i in range(len(points))), (None,) * len(points)
+    return Marker(names, points, colours, diameter, led_standard_uncertainty=sigma)
+
+
 @dataclass(frozen=True, slots=True)
 class Board:
     """A flat chessboard pattern.

@@ -6,13 +6,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.kernels.readings import (
-    bracketed,
-    interpolate,
-    interpolation_error,
-    rates,
-    travel_directions,
-)
+from verify.core.kernels import readings as kernel
 from verify.core.records import Array
 
 # Between readings further apart than this the motion is not known: single visits, logged in bursts.
@@ -42,7 +36,9 @@ class Readings:
         In a gap there are within HOLD_TIME of a burst whose readings show the arm at rest (or of a
         single reading: a visit). Where the arm moves and the readings stop, there is none.
         """
-        available: NDArray[np.bool_] = bracketed(self._contiguous[0], MAX_GAP, _as_contiguous(t))
+        available: NDArray[np.bool_] = kernel.bracketed(
+            self._contiguous[0], MAX_GAP, _as_contiguous(t)
+        )
         if np.count_nonzero(available) == len(available):
             return available
         gaps = np.flatnonzero(~available & (t >= self.t[0]) & (t <= self.t[-1]))
@@ -75,13 +71,13 @@ class Readings:
         """Readings at the instants t (n,), rad, (n, joints); held outside a burst of readings."""
         if len(self.t) < 2:
             return np.repeat(self.q, len(t), axis=0)
-        return interpolate(*self._contiguous, MAX_GAP, _as_contiguous(t))
+        return kernel.interpolate(*self._contiguous, MAX_GAP, _as_contiguous(t))
 
     def rate(self, t: Array) -> Array:
         """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN."""
         if len(self.t) < 2:
             return np.zeros((len(t), self.q.shape[1]))
-        return rates(*self._contiguous, MAX_GAP, RATE_SPAN, _as_contiguous(t))
+        return kernel.rates(*self._contiguous, MAX_GAP, RATE_SPAN, _as_contiguous(t))
 
     @cached_property
     def _contiguous(self) -> tuple[Array, Array]:
@@ -110,7 +106,7 @@ class Readings:
         """
         if len(self.t) < 2:
             return np.zeros((len(t), self.q.shape[1]))
-        return interpolation_error(*self._contiguous, MAX_GAP, _as_contiguous(t))
+        return kernel.interpolation_error(*self._contiguous, MAX_GAP, _as_contiguous(t))
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel at the instants t (n,): +1, -1, or 0 before any; (n, joints).
@@ -125,7 +121,7 @@ class Readings:
     def _directions(self) -> Array:
         """Last direction of travel after each reading, (m, joints)."""
         thresholds = np.maximum(5 * self.noise, MIN_TRAVEL)
-        return travel_directions(self._contiguous[1], thresholds).astype(np.float64)
+        return kernel.travel_directions(self._contiguous[1], thresholds).astype(np.float64)
 
 
 def _as_contiguous(values: Array) -> Array:

@@ -5,6 +5,7 @@ whole numbers. `a_T_b` carries coordinates in b to coordinates in a.
 """
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from functools import cache
 from typing import Any, TypeVar
@@ -15,15 +16,28 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Record = TypeVar("Record")
+Progress = Callable[[int, int], None]  # called with what is done and what is to be done
+
+
+def no_progress(_done: int, _total: int) -> None:
+    """Report no progress."""
+
+
+def rigid_transform(rotation: NDArray[Any], translation: NDArray[Any]) -> Array:
+    """Put together a_T_b (..., 4, 4) of a_R_b (..., 3, 3) and b's origin in a, (..., 3), m.
+
+    One of the two may be the same for all.
+    """
+    a_T_b = np.zeros((*(rotation.shape[:-2] or translation.shape[:-1]), 4, 4))
+    a_T_b[..., :3, :3], a_T_b[..., :3, 3], a_T_b[..., 3, 3] = rotation, translation, 1.0
+    return a_T_b
 
 
 def take_rows(record: Record, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Record:
     """Take some rows of each array of a dataclass, by index or mask; other fields stay."""
     kind: Any = type(record)
-    values = (getattr(record, name) for name in _field_names(kind))
-    taken: Record = kind(
-        *(value[rows] if isinstance(value, np.ndarray) else value for value in values)
-    )
+    values = ((name, getattr(record, name)) for name in _field_names(kind))
+    taken: Record = kind(**{k: v[rows] if isinstance(v, np.ndarray) else v for k, v in values})
     return taken
 
 

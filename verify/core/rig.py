@@ -1,12 +1,12 @@
 """The calibrated cameras on their turning bases: the rotating-base camera model."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import cv2
 import numpy as np
 
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 
 Coefficients = Array | Sequence[float]  # k1, k2, p1, p2, k3
 
@@ -42,10 +42,8 @@ class Camera:
         cached = self._placed.get(pan)
         if cached is not None:
             return cached
-        turn = np.eye(4)
-        turn[:3, :3] = cv2.Rodrigues(self.pan_axis * (pan + self.pan_zero))[0]
-        turn[:3, 3] = self.pan_center
-        placed = turn @ self.mount
+        turn = cv2.Rodrigues(self.pan_axis * (pan + self.pan_zero))[0]
+        placed = rigid_transform(turn, self.pan_center) @ self.mount
         both = placed, np.asarray(np.linalg.inv(placed), dtype=np.float64)
         for matrix in both:
             matrix.flags.writeable = False
@@ -147,6 +145,15 @@ class Covariance:
     def by_name(self) -> dict[str, float]:
         """Standard uncertainties by the parameters' names."""
         return dict(zip(self.parameters, self.standard_uncertainty.tolist(), strict=True))
+
+    def take(self, kept: list[int]) -> "Covariance":
+        """Keep some of the parameters, by their places."""
+        return replace(
+            self,
+            parameters=tuple(self.parameters[i] for i in kept),
+            standard_uncertainty=self.standard_uncertainty[kept],
+            correlation=self.correlation[np.ix_(kept, kept)],
+        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -189,10 +189,8 @@ def _partial_path(folder: Path) -> Path:
 def _is_running(pid: int) -> bool:
     try:
         os.kill(pid, 0)
-    except ProcessLookupError:
-        return False
-    except OSError:  # another user's
-        return True
+    except OSError as error:  # else another user's
+        return not isinstance(error, ProcessLookupError)
     return True
 
 
@@ -205,23 +203,14 @@ def write_whole(path: Path, data: bytes) -> None:
     Raises:
         InputError: no space, no permission, no such folder; what was there is untouched.
     """
-    partial = _partial_path(path.parent)
-    try:
+    with write_file_whole(path) as partial:
         handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
         try:
             rest = memoryview(data)
             while rest:
                 rest = rest[os.write(handle, rest) :]
-            os.fsync(handle)
         finally:
             os.close(handle)
-        partial.replace(path)
-        _fsync(path.parent)
-    except OSError as error:
-        raise output_refusal(path, error) from error
-    finally:
-        with suppress(OSError):  # gone since the rename, or the folder itself refuses
-            partial.unlink()
 
 
 @contextmanager
@@ -240,7 +229,7 @@ def write_file_whole(path: Path) -> Iterator[Path]:
     except OSError as error:
         raise output_refusal(path, error) from error
     finally:
-        with suppress(OSError):
+        with suppress(OSError):  # gone since the rename, or the folder itself refuses
             partial.unlink()
 
 
@@ -333,12 +322,8 @@ def written_together(*paths: Path) -> Iterator[None]:
     except BaseException:  # an interrupt leaves as little behind as a full disk
         for path, content in before.items():
             with suppress(OSError, InputError):
-                _restore(path, content)
+                if content is None:
+                    path.unlink(missing_ok=True)
+                elif path.read_bytes() != content:
+                    write_whole(path, content)
         raise
-
-
-def _restore(path: Path, content: bytes | None) -> None:
-    if content is None:
-        path.unlink(missing_ok=True)
-    elif path.read_bytes() != content:
-        write_whole(path, content)

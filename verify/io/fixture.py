@@ -7,7 +7,7 @@ import msgspec
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.errors import one_line
 from verify.io.rig import Matrix, Triple, nearest_pose
 from verify.io.toml import MM, decode, key_error, not_negative
@@ -68,7 +68,5 @@ def _base_T_board(path: Path, table: FixtureTable) -> Array:
         raise key_error(path, "rotation", found, expected, remedy)
     if table.rotation is not None:
         return nearest_pose(path, "rotation", table.rotation, table.position_mm)
-    base_T_board = np.eye(4)
-    base_T_board[:3, :3] = Rotation.from_rotvec(np.deg2rad(np.array(vector_deg))).as_matrix()
-    base_T_board[:3, 3] = np.array(table.position_mm) * MM
-    return base_T_board
+    turn = Rotation.from_rotvec(np.deg2rad(np.array(vector_deg))).as_matrix()
+    return rigid_transform(turn, np.array(table.position_mm) * MM)

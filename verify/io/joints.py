@@ -108,10 +108,7 @@ class JointRange:
 
     def _beyond(self, arm: robots.Arm, unit: str) -> Array:
         scale = ANGLE_UNITS[unit]
-        beyond: Array = np.maximum(
-            arm.lower - self.least * scale, self.greatest * scale - arm.upper
-        )
-        return beyond
+        return np.maximum(arm.lower - self.least * scale, self.greatest * scale - arm.upper)
 
     def require_within(
         self, place: str | Path, arm: robots.Arm, names: Sequence[str], unit: str,

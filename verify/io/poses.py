@@ -1,12 +1,12 @@
 """Read poses.csv: metres and rotation matrices from millimetres and unit quaternions."""
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform, take_rows
 from verify.errors import InputError
 from verify.io.series import CsvTable, open_table, visit_times
 from verify.io.toml import MM
@@ -40,23 +40,16 @@ class Poses:
     @property
     def transforms(self) -> Array:
         """The body in the instrument's frame, (n, 4, 4), m; unturned where positions are alone."""
-        found = np.tile(np.eye(4), (len(self), 1, 1))
-        found[:, :3, 3] = self.position
-        found[:, :3, :3] = np.eye(3) if self.rotation is None else self.rotation
-        return found
+        turn = np.eye(3) if self.rotation is None else self.rotation
+        return rigid_transform(turn, self.position)
 
     def by_target(self) -> dict[int, "Poses"]:
         """The poses of each target by itself, by its number."""
         if self.target is None:
             return {1: self}
-        columns = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "target"}
-        rows = {name: v for name, v in columns.items() if isinstance(v, np.ndarray)}
         return {
             int(number): replace(
-                self,
-                target=None,
-                of_several=True,
-                **{name: values[self.target == number] for name, values in rows.items()},
+                take_rows(self, self.target == number), target=None, of_several=True
             )
             for number in np.unique(self.target)
         }

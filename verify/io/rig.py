@@ -11,7 +11,7 @@ import msgspec
 import numpy as np
 from scipy.linalg import polar
 
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera, Covariance, Rig
 from verify.errors import InputError, one_line
 from verify.io.files import write_whole
@@ -68,14 +68,12 @@ def check_covariance(path: Path, table: CovarianceTable) -> Covariance:
     """
     names = table.parameters
     for index, name in enumerate(names):
+        key = f"covariance.parameters[{index}]"
         if not _PARAMETER.fullmatch(name):
             expected = "a name is like left.fx_px, robot_base.rz_deg or led.A.x_mm"
-            raise key_error(path, f"covariance.parameters[{index}]", f'is "{name}"', expected)
+            raise key_error(path, key, f'is "{name}"', expected)
         if name in names[:index]:
-            found = f'repeats "{name}"'
-            raise key_error(
-                path, f"covariance.parameters[{index}]", found, "each name may appear only once"
-            )
+            raise key_error(path, key, f'repeats "{name}"', "each name may appear only once")
     for index, u in enumerate(table.standard_uncertainty):
         key = f"covariance.standard_uncertainty[{index}]"
         not_negative(path, key, u)
@@ -187,12 +185,8 @@ def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, 
         **read_base(path, table.robot_base),
     )
     sides = (("left", rig.left), ("right", rig.right))
-    off = [
-        note
-        for side, camera in sides
-        for note in _principal_point(path, side, camera, rig.image_size)
-    ]
-    return rig, (*warnings, *off)
+    off = [_principal_point(path, *side, rig.image_size) for side in sides]
+    return rig, (*warnings, *off[0], *off[1])
 
 
 def encode(rig: Rig) -> bytes:
@@ -310,10 +304,7 @@ def nearest_pose(path: Path, key: str, rotation: Matrix, position_mm: Triple) ->
     if np.linalg.det(matrix) < 0:
         expected = "a right-handed rotation is expected"
         raise key_error(path, key, "is a reflection", expected, "Turn the sign of one axis.")
-    placed = np.eye(4)
-    placed[:3, :3] = polar(matrix)[0]
-    placed[:3, 3] = np.array(position_mm) * MM
-    return placed
+    return rigid_transform(polar(matrix)[0], np.array(position_mm) * MM)
 
 
 def _principal_point(path: Path, side: str, camera: Camera, size: tuple[int, int]) -> list[str]:

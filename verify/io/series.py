@@ -14,7 +14,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from verify.core.readings import MAX_GAP
-from verify.core.records import Array
+from verify.core.records import Array, take_rows
 from verify.errors import InputError
 from verify.io.files import read_bytes
 from verify.io.rows import whole_rows
@@ -55,8 +55,7 @@ class FrameSeries:
 
     def first(self, count: int) -> "FrameSeries":
         """Keep the first pairs alone."""
-        series = (self.t_left, self.t_right, self.pan_left, self.pan_right)
-        return FrameSeries(*(values[:count] for values in series), timed=self.timed)
+        return take_rows(self, slice(count))
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,9 +141,8 @@ def read_encoders(
     spike = _stray(t, q, limits)
     if pairs is None or not np.array_equal(t, pairs.t_left):
         spike |= _spikes(t, q)
-    kept = ~spike.any(axis=1)
-    t_host = columns.get("t_host_s")
-    series = EncoderSeries(t[kept], q[kept], None if t_host is None else t_host[kept])
+    kept = np.flatnonzero(~spike.any(axis=1))
+    series = take_rows(EncoderSeries(t, q, columns.get("t_host_s")), kept)
     return series, (*warnings, *_spike_warning(Path(path), spike))
 
 

@@ -19,8 +19,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
-from verify.core.records import Array, Sighting
+from verify.core.records import Array, Sighting, Spots
 from verify.core.rig import Camera
 from verify.measurement.kernels.alignment import SpotView, carry_to_instant
 
@@ -43,6 +44,24 @@ def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array
     """Instants of the spots, (m,), s, by their rows; `t` is the middle row's instant."""
     rows: Array = centre[:, 1] - (height - 1) / 2
     return t + rows * camera.line_time
+
+
+def raw_sighting(
+    spots: Spots,
+    led: NDArray[np.int64],
+    index: NDArray[np.int64],
+    camera: Camera,
+    instant: tuple[float, float, int],
+    depth: Array,
+) -> RawSighting:
+    """Gather one camera's assigned spots, by their index, each at its own instant.
+
+    `instant`: the middle row's, s, the pan reading, rad, and the picture's height, px.
+    """
+    (t, pan, height), centre = instant, spots.centre[index]
+    still = np.zeros((len(index), 2)), np.zeros((len(index), 3))  # velocity and lever
+    sighting = Sighting(led, centre, spots.covariance[index], t, pan, spots.peak[index], *still)
+    return RawSighting(sighting, spot_instants(t, centre, camera, height), depth)
 
 
 def align(
@@ -79,17 +98,12 @@ def _view(raw: RawSighting | None, pan: float, camera: Camera) -> SpotView:
     """A sighting as the kernel takes it, as the pan angle `pan` would show it."""
     if raw is None:
         return NOTHING
-    centre = np.ascontiguousarray(_pan_compensated(raw, pan, camera))
-    return raw.sighting.led, centre, np.ascontiguousarray(raw.sighting.covariance), raw.taken
-
-
-def _pan_compensated(raw: RawSighting, pan: float, camera: Camera) -> Array:
-    """Spots as the pan angle `pan` would show them, (m, 2), px."""
-    sighting = raw.sighting
-    if sighting.pan == pan:
-        return sighting.centre
-    one = np.ones((len(sighting), 1))
-    rays = np.concatenate([camera.normalise(sighting.centre), one], axis=1)
-    points = np.concatenate([rays * raw.depth[:, None], one], axis=1)
-    now_T_then = camera.camera_T_rig(pan) @ camera.rig_T_camera(sighting.pan)
-    return camera.project((points @ now_T_then.T)[:, :3])
+    sighting, centre = raw.sighting, raw.sighting.centre
+    if sighting.pan != pan:
+        one = np.ones((len(sighting), 1))
+        rays = np.concatenate([camera.normalise(centre), one], axis=1)
+        points = np.concatenate([rays * raw.depth[:, None], one], axis=1)
+        now_T_then = camera.camera_T_rig(pan) @ camera.rig_T_camera(sighting.pan)
+        centre = camera.project((points @ now_T_then.T)[:, :3])
+    contiguous = np.ascontiguousarray(centre), np.ascontiguousarray(sighting.covariance)
+    return sighting.led, *contiguous, raw.taken

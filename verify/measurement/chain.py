@@ -17,13 +17,12 @@ from verify.core.records import (
     Image,
     Measurement,
     Pose,
-    Sighting,
     Spots,
     StereoPair,
     take_rows,
 )
 from verify.core.rig import Camera, Rig
-from verify.measurement.alignment import MAX_GAP, RawSighting, align, spot_instants
+from verify.measurement.alignment import MAX_GAP, RawSighting, align, raw_sighting
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
 from verify.measurement.detection.detect import detect
 from verify.measurement.kernels.alignment import led_boxes
@@ -219,9 +218,7 @@ def _assign(
         expected=partial(setup.expected, pair.t_left),
         motion_tolerance_px=_motion_px(pair, setup, memory),
     )
-    left, right = (
-        _raw_sighting(pair, spots, setup, correspondence, side) for side in ("left", "right")
-    )
+    left, right = (_raw_sighting(pair, spots, setup, correspondence, side) for side in (0, 1))
     return _AssignedPair(pair.t_left, pair.frame, correspondence, (left, right), whole_frame)
 
 
@@ -243,31 +240,17 @@ def _raw_sighting(
     spots: tuple[Spots, Spots],
     setup: Setup,
     correspondence: Correspondence,
-    side: str,
+    side: int,
 ) -> RawSighting:
     """One camera's assigned spots, each at its own instant."""
-    if side == "left":
-        camera, own, t, pan, image = setup.rig.left, spots[0], pair.t_left, pair.pan_left, pair.left
-        index, led = correspondence.left_spot, correspondence.left_led
-    else:
-        camera, own, t, pan = setup.rig.right, spots[1], pair.t_right, pair.pan_right
-        image, index, led = pair.right, correspondence.right_spot, correspondence.right_led
+    camera, (led, index) = (setup.rig.left, setup.rig.right)[side], correspondence.sides[side]
+    t, pan = ((pair.t_left, pair.pan_left), (pair.t_right, pair.pan_right))[side]
     depth = np.empty(0)
-    sighting = Sighting(
-        led=led,
-        centre=own.centre[index],
-        covariance=own.covariance[index],
-        t=t,
-        pan=pan,
-        peak=own.peak[index],
-        velocity=np.zeros((len(index), 2)),
-        lever=np.zeros((len(index), 3)),
-    )
     if correspondence.rig_T_flange is not None and len(index):
         ahead = camera.camera_T_rig(pan)[2] @ correspondence.rig_T_flange  # the optical axis
-        depth = setup.marker.leds[sighting.led] @ ahead[:3] + ahead[3]
-    taken = spot_instants(t, sighting.centre, camera, image.shape[0])
-    return RawSighting(sighting, taken, depth)
+        depth = setup.marker.leds[led] @ ahead[:3] + ahead[3]
+    instant = t, pan, (pair.left, pair.right)[side].shape[0]
+    return raw_sighting(spots[side], led, index, camera, instant, depth)
 
 
 def _measure_causally(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> _CausalPair:
@@ -316,10 +299,7 @@ def _fit(
         return replace(measurement, status="outlier")
     good = pose.consistent and not pose.reprojection_rms_px > MAX_REPROJECTION_PX
     status = "measured" if good else "outlier"
-    return Measurement(
-        assigned.frame, assigned.pair_t, status, leds, pose, left, right, found.choice,
-        assigned.whole_frame, settled,
-    )  # fmt: skip
+    return replace(measurement, status=status, pose=pose, left=left, right=right)
 
 
 def _without_rejected(assigned: _AssignedPair, pose: Pose) -> _AssignedPair:
@@ -345,12 +325,12 @@ def _predict(memory: Measurement | None, t: float) -> PosePrediction | None:
         ACCELERATION_PER_SPEED * _norm(part) + rough
         for part, rough in zip((pose.twist[:3], pose.twist[3:]), MIN_ACCELERATION, strict=True)
     )
-    # the twist is that of half a pair ago, so the error is an acceleration over interval², not half
+    # the twist is that of half a pair ago, so the error is acceleration over interval², not half;
+    # 1 mm and 0.01 rad for pairs taken while starting to move
     return PosePrediction(
         rig_T_flange=perturb(pose.rig_T_flange, pose.twist * interval),
-        position_uncertainty=linear * interval**2 + 1e-3,  # m; pairs taken while starting to move
-        rotation_uncertainty=angular * interval**2
-        + 0.01,  # rad; pairs taken while starting to move
+        position_uncertainty=linear * interval**2 + 1e-3,
+        rotation_uncertainty=angular * interval**2 + 0.01,
     )
 
 

@@ -63,18 +63,13 @@ class SightingStack:
 def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) -> SightingStack:
     """Stack both cameras' sightings of points (n, 3), m, in the flange frame."""
     placed = _camera_rows(rig.left, rig.right, (left.pan, right.pan), (len(left), len(right)))
-    camera_R_rig, origin, lens, focal, middle = placed
     return SightingStack(
-        points=np.ascontiguousarray(points[np.concatenate([left.led, right.led])]),
-        centre=np.concatenate([left.centre, right.centre]),
-        covariance=np.concatenate([left.covariance, right.covariance]),
-        velocity=np.concatenate([left.velocity, right.velocity]),
-        lever=np.concatenate([left.lever, right.lever]),
-        camera_R_rig=camera_R_rig,
-        origin=origin,
-        lens=lens,
-        focal=focal,
-        middle=middle,
+        np.ascontiguousarray(points[np.concatenate([left.led, right.led])]),
+        np.concatenate([left.centre, right.centre]),
+        np.concatenate([left.covariance, right.covariance]),
+        np.concatenate([left.velocity, right.velocity]),
+        np.concatenate([left.lever, right.lever]),
+        *placed,
     )
 
 

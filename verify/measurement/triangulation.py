@@ -15,7 +15,7 @@ error in the images.
 
 import numpy as np
 
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera
 
 MIN_SIN2 = 1e-18  # squared sine of the angle between rays; 1e-9 rad puts a point 1e8 m away
@@ -94,7 +94,5 @@ def fit_rigid(points_a: Array, points_b: Array) -> Array:
             raise ValueError("the points lie on one line: the turn about it is not determined")
     u, _, vt = np.linalg.svd(centred_a.T @ centred_b)
     sign = np.array([1.0, 1.0, np.sign(np.linalg.det(u @ vt))])
-    a_T_b = np.eye(4)
-    a_T_b[:3, :3] = (u * sign) @ vt
-    a_T_b[:3, 3] = mean_a - a_T_b[:3, :3] @ mean_b
-    return a_T_b
+    a_R_b = (u * sign) @ vt
+    return rigid_transform(a_R_b, mean_a - a_R_b @ mean_b)

@@ -1,6 +1,6 @@
 """Open a ROS 1 bag, a ROS 2 bag or an MCAP file, choose its topics, and stream its messages."""
 
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,6 +9,7 @@ from typing import Any
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
 
+from verify.core.records import Progress, no_progress
 from verify.errors import InputError
 from verify.io.bags.mcap import McapReader, has_own_encoding
 from verify.io.files import lacks_memory, refused_as_input_error, require_file
@@ -28,8 +29,6 @@ REPAIRS = {  # programs of others that mend a recording that was cut off
     ".bag": "Repair it by `rosbag reindex`, or record it again.",
     ".mcap": "Repair it by `mcap recover`, or record it again.",
 }
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,7 +77,7 @@ class Bag:
         return tuple(topic for topic in self.topics if topic.kind in kinds)
 
     def messages(
-        self, topics: Iterable[str], progress: Progress = lambda _done, _total: None
+        self, topics: Iterable[str], progress: Progress = no_progress
     ) -> Generator[BagMessage]:
         """Stream the messages of some topics, one in memory, in the order of their arrival.
 
@@ -229,10 +228,8 @@ def _named(bag: Bag, option: str, name: str, kinds: Sequence[str]) -> BagTopic:
     topic = next((t for t in bag.topics if t.name == name), None)
     if topic is None:
         names = tuple(t.name for t in bag.of_kind(*kinds))
-        found = f"{bag.path} has no topic {name}"
-        raise InputError(
-            option, found, f"it has {_listed(names)}", did_you_mean(name, names).strip()
-        )
+        found, hint = f"{bag.path} has no topic {name}", did_you_mean(name, names).strip()
+        raise InputError(option, found, f"it has {_listed(names)}", hint)
     if topic.kind not in kinds:
         expected = f"{' or '.join(kinds)} is expected"
         raise InputError(option, f"{name} is of the type {topic.kind}", expected)
@@ -241,12 +238,13 @@ def _named(bag: Bag, option: str, name: str, kinds: Sequence[str]) -> BagTopic:
 
 def _of_side(bag: Bag, side: str) -> BagTopic:
     """The picture topic with the side in its name; uncompressed ones come first."""
-    found = [t for t in bag.of_kind(*PICTURES) if side in t.name.lower()]
+    pictures = bag.of_kind(*PICTURES)
+    found = [t for t in pictures if side in t.name.lower()]
     raw = [t for t in found if t.kind == IMAGE and t.count]
     if len(raw) == 1:
         return raw[0]
     if not found:
-        names = [t.name for t in bag.of_kind(*PICTURES)]
+        names = [t.name for t in pictures]
         remedy = f"Say which one is the {side} camera's: --{side} TOPIC."
         what = f'has no picture topic with "{side}" in its name'
         raise InputError(bag.path, what, f"it has {_listed(names)}", remedy)

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera, Rig
 from verify.errors import InputError
 from verify.io.bags.bag import TRANSFORMS, Bag, camera_info_topic
@@ -87,14 +87,15 @@ def build_rig(left: CameraModel, right: CameraModel, left_T_right: Array) -> Rig
         raise InputError("--left, --right", found, "", "Exchange the two topics.")
     z /= np.linalg.norm(z)
     rig_R_left = np.stack([x, np.cross(z, x), z])
-    mounts = [np.eye(4), np.eye(4)]
-    mounts[0][:3, :3] = rig_R_left
-    mounts[1][:3, :3] = rig_R_left @ left_T_right[:3, :3]
+    turns = rig_R_left, rig_R_left @ left_T_right[:3, :3]
     axis = np.array([0.0, 1.0, 0.0])
     cameras = [
-        Camera(model.matrix, model.distortion, np.array([side * half, 0, 0]), axis, 0.0, mount)
-        for model, side, mount in zip((left, right), (-1.0, 1.0), mounts, strict=True)
-    ]
+        Camera(
+            model.matrix, model.distortion, np.array([side * half, 0, 0]), axis, 0.0,
+            rigid_transform(turn, np.zeros(3)),
+        )
+        for model, side, turn in zip((left, right), (-1.0, 1.0), turns, strict=True)
+    ]  # fmt: skip
     return Rig(
         left.size, cameras[0], cameras[1], rig_T_base=np.full((4, 4), np.nan), base_source=""
     )
@@ -152,10 +153,8 @@ def _from_projection(models: list[CameraModel]) -> Array | None:
     left, right = models
     if left.centre is None or right.centre is None or left.centre == right.centre:
         return None
-    found = np.eye(4)
-    found[:3, :3] = left.rectified_R_camera.T @ right.rectified_R_camera
-    found[:3, 3] = left.rectified_R_camera.T @ np.array([right.centre - left.centre, 0.0, 0.0])
-    return found
+    baseline = left.rectified_R_camera.T @ np.array([right.centre - left.centre, 0.0, 0.0])
+    return rigid_transform(left.rectified_R_camera.T @ right.rectified_R_camera, baseline)
 
 
 def _from_transforms(bag: Bag, models: list[CameraModel]) -> Array | None:
@@ -195,7 +194,5 @@ def _to_root(frame: str, parents: dict[str, tuple[str, Array]]) -> dict[str, Arr
 def _pose(transform: Any) -> Array:
     """Turn a geometry_msgs/Transform into (4, 4), m."""
     turn, way = transform.rotation, transform.translation
-    pose = np.eye(4)
-    pose[:3, :3] = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
-    pose[:3, 3] = way.x, way.y, way.z
-    return pose
+    rotation = Rotation.from_quat([turn.x, turn.y, turn.z, turn.w]).as_matrix()
+    return rigid_transform(rotation, np.array([way.x, way.y, way.z]))

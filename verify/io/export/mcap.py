@@ -11,7 +11,7 @@
 Source: MCAP specification, and its registry's profile ros2.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from heapq import merge
 from operator import itemgetter
 from pathlib import Path
@@ -22,7 +22,7 @@ from mcap.writer import CompressionType, Writer
 from rosbags.typesys import Stores, get_typestore
 from scipy.spatial.transform import Rotation
 
-from verify.core.records import Array, Image
+from verify.core.records import Array, Image, Progress
 from verify.core.rig import Camera
 from verify.core.version import __version__
 from verify.io.export.content import ExportContent
@@ -34,7 +34,6 @@ RIG, BASE = "rig", "robot_base"
 TOL_STILL = 1e-9  # rad: a camera that turns less stands still
 
 Message = tuple[int, str, str, Any]  # ns since 1970, topic, type, content
-Progress = Callable[[int, int], None]
 
 
 class MessageFactory:

@@ -7,7 +7,7 @@ Source: Rerun SDK reference (RecordingStream, send_columns).
 """
 
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from verify.core.records import Array
+from verify.core.records import Array, Progress
 from verify.errors import InputError
 from verify.io.export.content import UNDATED, ExportContent
 from verify.io.session.session import Session
@@ -24,8 +24,6 @@ from verify.io.video import Images, Video
 
 TIMELINE = "time"
 INSTALL = "pip install 'verify-robot[rerun]'"
-
-Progress = Callable[[int, int], None]
 
 
 def load_rerun() -> ModuleType:

@@ -71,9 +71,8 @@ class Triangle:
         if height < MIN_HEIGHT:
             found = f"p3 lies {height:.2f} mm off the line through p1 and p2"
             expected = f"{MIN_HEIGHT:g} mm or more show how the body turns"
-            raise InputError(
-                "three points", found, expected, "Choose other points or check --lengths."
-            )
+            remedy = "Choose other points or check --lengths."
+            raise InputError("three points", found, expected, remedy)
         x, z = sides[0] / np.linalg.norm(sides[0]), normal / np.linalg.norm(normal)
         self._first_R_body = np.column_stack([x, np.cross(z, x), z])
         self._first = points
@@ -92,9 +91,8 @@ class Triangle:
             row = first + int(worst[0]) + 1
             found = f"a side of the triangle in row {row} differs by {flex[worst]:.3f} mm"
             expected = f"at most {MAX_FLEX:g} mm on a rigid body"
-            raise InputError(
-                "three points", found, expected, "Leave that row out, or check the points."
-            )
+            remedy = "Leave that row out, or check the points."
+            raise InputError("three points", found, expected, remedy)
         centres = points.mean(axis=1, keepdims=True)
         given = self._first - self._first.mean(axis=0)
         # each row's turn of the first triangle: U diag(1, 1, det) V' of the points' covariance

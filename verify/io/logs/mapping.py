@@ -346,12 +346,9 @@ def _require_unit(
     remedy: str,
 ) -> None:
     if unit not in known:
-        found = (
-            f'does not state the unit of "{c.column}"' if not unit else f'{unit} of "{c.column}"'
-        )
-        raise InputError(
-            table.path, found, f"{' or '.join(known)} is expected", f"State it: {remedy}."
-        )
+        found = f'{unit} of "{c.column}"' if unit else f'does not state the unit of "{c.column}"'
+        expected = f"{' or '.join(known)} is expected"
+        raise InputError(table.path, found, expected, f"State it: {remedy}.")
 
 
 def _time_unit(table: LogTable, c: MappedColumn, step: float) -> tuple[str, str]:

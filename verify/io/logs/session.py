@@ -72,10 +72,8 @@ def proposal_lines(table: LogTable, mapping: ColumnMapping, outline: LogOutline)
         extent = ""
         if outline.joints is not None and c in mapping.joints:
             joint, scale = mapping.joints.index(c), np.rad2deg(ANGLE_UNITS[c.unit])
-            least, most = (
-                outline.joints.least[joint] * scale,
-                outline.joints.greatest[joint] * scale,
-            )
+            ends = outline.joints.least[joint], outline.joints.greatest[joint]
+            least, most = (end * scale for end in ends)
             extent = f"  {least:.3f}° to {most:.3f}°"
         reason = f"  ({c.reason})" if c.reason else ""
         yield f"  {c.column:{width}}  {c.unit:4} → {target}{extent}{reason}"

@@ -8,7 +8,7 @@ import codecs
 import io
 import re
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from verify.core.records import Array
+from verify.core.records import Array, Progress, no_progress
 from verify.errors import InputError
 from verify.io.files import refused_as_input_error, require_file
 from verify.io.rows import is_whole, split, unended
@@ -38,8 +38,6 @@ _UNIT = re.compile(  # a cell of a line of units
     r"(?P<known>deg|degrees?|rad|radians?|°|s|sec|seconds?|ms|[uµ]s|ns|mm|m|[uµ]m)|-?",
     re.IGNORECASE,
 )
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,16 +62,12 @@ class LogTable:
 
     def is_date(self, name: str) -> bool:
         """Whether a column holds dates with a time of day."""
-        written = [cell for cell in self.cells(name) if cell]
+        place = self.names.index(name)
+        written = [cell for row in self.sample if (cell := row[place].strip())]
         return bool(written) and all(_DATE.fullmatch(cell) for cell in written)
 
-    def cells(self, name: str) -> list[str]:
-        """The first cells of a column."""
-        place = self.names.index(name)
-        return [row[place].strip() for row in self.sample]
-
     def chunks(
-        self, names: tuple[str, ...], progress: Progress = lambda _done, _total: None
+        self, names: tuple[str, ...], progress: Progress = no_progress
     ) -> Iterator[tuple[int, dict[str, Array]]]:
         """Stream some columns, a few thousand rows at once, with the number of the first row.
 
@@ -207,7 +201,10 @@ def open_log(path: Path) -> LogTable:
             if _is_header(names, rows):
                 if not above:
                     raise unended(path)
-                names = [_with_unit(*pair) for pair in zip_longest(names, units, fillvalue="")]
+                names = [
+                    f"{name} [{unit}]" if unit and not name.endswith(("]", ")")) else name
+                    for name, unit in zip_longest(names, units, fillvalue="")
+                ]
                 _require_unique(path, number + 1, names)
                 width = len(names)
                 sample = tuple(tuple((row + [""] * width)[:width]) for row in rows)
@@ -233,10 +230,6 @@ def _units(line: str, separator: str, columns: int) -> list[str]:
         return []
     units = [(cell["bracketed"] or cell["known"] or "").strip() for cell in cells if cell]
     return units if any(units) else []
-
-
-def _with_unit(name: str, unit: str) -> str:
-    return f"{name} [{unit}]" if unit and not name.endswith(("]", ")")) else name
 
 
 def _ends_whole(

@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Image
+from verify.core.records import Array, Image, rigid_transform
 from verify.core.rig import Camera, Rig
 from verify.errors import InputError, one_line
 from verify.io import poses as io_poses
@@ -170,9 +170,8 @@ def _body(path: Path, table: PosesTable) -> Marker:
 
 def _instrument(path: Path, table: PosesTable, poses: Poses) -> Instrument:
     """Combine [poses] of session.toml with poses.csv."""
-    flange_T_body = np.eye(4)
     point_mm = (0.0, 0.0, 0.0) if table.point_mm is None else table.point_mm
-    flange_T_body[:3, 3] = np.array(point_mm) * MM
+    flange_T_body = rigid_transform(np.eye(3), np.array(point_mm) * MM)
     if poses.target is not None and table.point_mm is not None:
         found, expected = "is given", f"{table.file} has the column target: each has its own place"
         raise key_error(path, "poses.point_mm", found, expected, "Leave it out: it is identified.")
@@ -181,8 +180,7 @@ def _instrument(path: Path, table: PosesTable, poses: Poses) -> Instrument:
             expected = f"{table.file} holds positions alone"
             raise key_error(path, f"poses.{key}", "is given", expected, "Leave it out.")
     if table.rotation is not None:
-        turned = io_rig.nearest_pose(path, "poses.rotation", table.rotation, point_mm)
-        flange_T_body[:3, :3] = turned[:3, :3]
+        flange_T_body = io_rig.nearest_pose(path, "poses.rotation", table.rotation, point_mm)
     return Instrument(
         name=table.instrument,
         poses=poses,

@@ -115,6 +115,11 @@ class Correspondence:
     alternatives: int  # other assignments that geometry and colour explain as well
     status: str  # measured, too_few_leds, ambiguous_leds
 
+    @property
+    def sides(self) -> tuple[tuple[Index, Index], tuple[Index, Index]]:
+        """LEDs and spots of the left image, and of the right."""
+        return (self.left_led, self.left_spot), (self.right_led, self.right_spot)
+
 
 def assign_leds(
     spots: tuple[Spots, Spots],

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array, take_rows
+from verify.core.records import Array, rigid_transform, take_rows
 from verify.measurement.correspondence.kernels import fit, points, seeds
 from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
 from verify.measurement.correspondence.views import SpotViews
@@ -66,7 +66,6 @@ def find_triangles(graph: SeedGraph, leds: Array) -> Index:
 
 
 FREE_SIGMAS = 10.0, 3.0  # m, rad: so large that the images alone decide the pose
-IDENTITY = np.eye(4)
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,10 +86,9 @@ class Hypotheses:
 
     def rig_T_flange(self, which: int) -> Array:
         """Give the pose (4, 4) that one of them means."""
-        pose, state = IDENTITY.copy(), self.state[which]
-        pose[:3, :3] = state[: fit.POSITION].reshape(3, 3)
-        pose[:3, 3] = state[fit.POSITION : fit.SHIFT]
-        return pose
+        state = self.state[which]
+        turn = state[: fit.POSITION].reshape(3, 3)
+        return rigid_transform(turn, state[fit.POSITION : fit.SHIFT])
 
     def take(self, chosen: NDArray[np.bool_] | Index | slice) -> "Hypotheses":
         """Keep some, by index, mask or slice."""

@@ -54,8 +54,7 @@ def find_candidates(
         halved = np.repeat(np.array(factor, np.intp), [len(part) for part in parts])
     width = 2.0 * found[:, 2]
     chosen = found[(width + halved >= smallest) & (width - halved <= largest)]  # to a pixel
-    best: Array = chosen[np.argsort(-chosen[:, 3], kind="stable")[:MAX_CANDIDATES]]
-    return best
+    return chosen[np.argsort(-chosen[:, 3], kind="stable")[:MAX_CANDIDATES]]
 
 
 def find_in_large_window(image: Image, window: list[int], factor: int, largest: float) -> Array:

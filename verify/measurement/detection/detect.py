@@ -15,20 +15,8 @@ from numpy.typing import NDArray
 from verify.core.records import Array, Image, Noise, Spots
 from verify.errors import InputError
 from verify.measurement.detection.candidates import DEFAULT_DIAMETER, find_candidates
+from verify.measurement.detection.kernels import quality as columns
 from verify.measurement.detection.kernels.patches import Picture
-from verify.measurement.detection.kernels.quality import (
-    COL_CENTRE_X,
-    COL_CENTRE_Y,
-    COL_COVARIANCE_XX,
-    COL_COVARIANCE_YY,
-    COL_DIAMETER,
-    COL_ELONGATION,
-    COL_MERGED,
-    COL_MISFIT,
-    COL_PEAK,
-    COL_SATURATED,
-    N_COLUMNS,
-)
 from verify.measurement.detection.kernels.spots import measure_spots
 from verify.measurement.detection.profile import profile_table
 
@@ -64,7 +52,7 @@ def detect(
     values, height, width = np.zeros(4), *image.shape[:2]
     if noise is not None:
         values[:3] = noise.read**2, noise.gain, noise.black
-    rows, colour = np.empty((limit, N_COLUMNS)), np.empty((limit, 3))
+    rows, colour = np.empty((limit, columns.N_COLUMNS)), np.empty((limit, 3))
     wanted = float(diameter_px[0]), float(diameter_px[1]), limit, windows is None, lossy
     picture = Picture(image.reshape(-1), width, height, 1 if image.ndim == 2 else 3)
     count = measure_spots(
@@ -73,14 +61,16 @@ def detect(
     read, gain, black, _ = values.tolist()
     rows = rows[:count]
     return Spots(
-        centre=rows[:, COL_CENTRE_X : COL_CENTRE_Y + 1].copy(),
-        covariance=rows[:, COL_COVARIANCE_XX : COL_COVARIANCE_YY + 1].reshape(-1, 2, 2),
-        peak=rows[:, COL_PEAK].copy(),
-        diameter=rows[:, COL_DIAMETER].copy(),
-        elongation=rows[:, COL_ELONGATION].copy(),
-        misfit=rows[:, COL_MISFIT].copy(),
-        saturated=rows[:, COL_SATURATED] > 0,
-        merged=rows[:, COL_MERGED] > 0,
+        centre=rows[:, columns.COL_CENTRE_X : columns.COL_CENTRE_Y + 1].copy(),
+        covariance=rows[:, columns.COL_COVARIANCE_XX : columns.COL_COVARIANCE_YY + 1].reshape(
+            -1, 2, 2
+        ),
+        peak=rows[:, columns.COL_PEAK].copy(),
+        diameter=rows[:, columns.COL_DIAMETER].copy(),
+        elongation=rows[:, columns.COL_ELONGATION].copy(),
+        misfit=rows[:, columns.COL_MISFIT].copy(),
+        saturated=rows[:, columns.COL_SATURATED] > 0,
+        merged=rows[:, columns.COL_MERGED] > 0,
         colour=colour[:count],
         noise=noise or Noise(math.sqrt(read), gain, black),
     )
