@@ -31,8 +31,9 @@ from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.identify import IdentificationOptions, identify_arm, register
 from verify.calibration.kinematics.mistakes import refuse_unfit
-from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
+from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.validation import statistics
+from verify.core.records import take_rows
 from verify.errors import InputError
 
 WHAT = {"correction": "offsets", "alpha": "twists", "beta": "twists"}
@@ -52,7 +53,7 @@ def lines() -> Iterator[Line]:
         yield f"identification of {POSES} poses: not timed, the published data are not here"
         return
     with tempfile.TemporaryDirectory() as place:
-        rows = select_rows(series("A", every=4), np.arange(POSES))
+        rows = take_rows(series("A", every=4), np.arange(POSES))
         session = write_session(Path(place) / "ur10", rows)
         free = ("--base", "free", "--leds", "free", "--force", "-o", str(Path(place) / "out"))
         spent = [command("identify", str(session), *free)[0] for _ in range(ROUNDS)]
@@ -94,7 +95,7 @@ def refused() -> None:
         truth, kind, stated = faulty_arm(ARMS[i % 2], i), KINDS[i % 3], bool((i // 6) % 2)
         poses, noise = round(np.exp(draw.uniform(*np.log([20, 500])))), draw.uniform(*LOG_NOISE)
         rows = recorded(truth, kind, poses, float(np.exp(noise)), i, stated=stated)
-        rows = select_rows(rows, np.argsort(rows.tool, kind="stable"))
+        rows = take_rows(rows, np.argsort(rows.tool, kind="stable"))
         for mistake in MISTAKES:
             q, joint, sign = rows.q.copy(), int(draw.integers(6)), draw.choice([-1, 1])
             if mistake == "scale":

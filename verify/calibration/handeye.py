@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.transforms import cross_matrix, difference
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 
 MIN_POSES = 3  # poses: two relative motions about different axes
 # The second singular value over the first: 1 where the motions leave a turn open. A turn of all
@@ -52,14 +52,13 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
     kronecker = np.einsum("nij,nkl->ikjl", turns_b, turns_a).reshape(9, 9)
     u, size, vt = np.linalg.svd(kronecker)
     x_like, y_like = (v.reshape(3, 3).T for v in (vt[0], u[:, 0]))  # vec stacks columns
-    x, y = np.eye(4), np.eye(4)
-    x[:3, :3], y[:3, :3] = (
+    x_turn, y_turn = (
         nearest_rotation(like * np.sign(np.linalg.det(like))) for like in (x_like, y_like)
     )
-    places, misfit = _translations(a, b, y[:3, :3])
+    places, misfit = _translations(a, b, y_turn)
     # the turns fit X and Y as well as -X and -Y, a mirror image; the translations decide
-    mirrored = _translations(a, b, -y[:3, :3])[1] < misfit
-    x[:3, 3], y[:3, 3] = places[:3], places[3:]
+    mirrored = _translations(a, b, -y_turn)[1] < misfit
+    x, y = rigid_transform(x_turn, places[:3]), rigid_transform(y_turn, places[3:])
     return HandEye(
         x=x,
         y=y,

@@ -12,7 +12,7 @@ from verify.analysis.rig_check.check import drop_registration
 from verify.analysis.sweeps.segments import SweepSegment
 from verify.calibration.axes.axis import SweepAxis, fit_axis
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement
+from verify.core.records import Array, Measurement, rigid_transform
 from verify.io.session.session import Session
 from verify.measurement.systematics import sensitivities, stated_systematics
 
@@ -82,10 +82,8 @@ def frame_of_lines(one: AxisLine, other: AxisLine) -> Array:
     apart = other.point - one.point
     # one + s z1 and other + t z2 are joined by x: solve for s
     solved = np.linalg.solve(np.stack([one.direction, -other.direction, x], axis=1), apart)
-    frame = np.eye(4)
-    frame[:3, :3] = np.stack([x, np.cross(one.direction, x), one.direction], axis=1)
-    frame[:3, 3] = one.point + solved[0] * one.direction
-    return frame
+    turn = np.stack([x, np.cross(one.direction, x), one.direction], axis=1)
+    return rigid_transform(turn, one.point + solved[0] * one.direction)
 
 
 def step_line(line: AxisLine, across: Array, step: Array) -> AxisLine:
@@ -95,7 +93,7 @@ def step_line(line: AxisLine, across: Array, step: Array) -> AxisLine:
 
 
 def line_derivative(
-    function: Callable[[AxisLine, AxisLine], Array],
+    function: Callable[[AxisLine, AxisLine], Array | float],
     lines: tuple[AxisLine, AxisLine],
     across: tuple[Array, Array],
 ) -> Array:

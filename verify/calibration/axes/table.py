@@ -67,11 +67,8 @@ def compare_with_table(
     arm: robots.Arm, joints: tuple[JointSweepResult, ...]
 ) -> tuple[AxisPair, ...]:
     """Every sweep of a joint with the first one of the next joint."""
-    found = []
-    for one in joints:
-        other = next((j for j in joints if j.joint == one.joint + 1), None)
-        if other is not None:
-            found.append((one, other))
+    first = {j.joint: j for j in reversed(joints)}
+    found = [(one, first[one.joint + 1]) for one in joints if one.joint + 1 in first]
     limit = P_FALSE_ALARM / max(2 * len(found), 1)
     return tuple(_pair(arm, one, other, limit) for one, other in found)
 
@@ -95,10 +92,7 @@ def _pair(
     covariance = _joint_covariance(one, other)
     side_by_side = are_parallel(*table)
 
-    def distance(a: AxisLine, b: AxisLine) -> Array:
-        return np.array(distance_between(a, b))
-
-    by_distance = line_derivative(distance, lines, across)
+    by_distance = line_derivative(distance_between, lines, across)
     distance_u = float(np.sqrt(by_distance @ covariance @ by_distance))
     known, seen = distance_between(*table), distance_between(*lines)
     sense = -1.0 if known < 0 else 1.0
@@ -108,7 +102,7 @@ def _pair(
         angle_u = float(np.sqrt(np.linalg.eigvalsh(by_tilt @ covariance @ by_tilt.T)[-1]))
         bound = np.sqrt(chi2_isf(limit, 2))  # a tilt has two components
     else:
-        by_angle = line_derivative(lambda a, b: np.array(angle_between(a, b)), lines, across)
+        by_angle = line_derivative(angle_between, lines, across)
         angle_u = float(np.sqrt(by_angle @ covariance @ by_angle))
         bound = norm_isf(limit / 2)
     straight = abs(angle - angle_table) < bound * angle_u

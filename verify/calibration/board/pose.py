@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.analysis.least_squares import gauss_newton
-from verify.core.fiducials import Board, BoardPair, BoardView, Marker
-from verify.core.records import Array, Measurement, Pose, Sighting
+from verify.core.fiducials import Board, BoardPair, BoardView, Marker, unnamed_marker
+from verify.core.records import Array, Measurement, Pose, Sighting, rigid_transform
 from verify.core.rig import Camera, Rig
 from verify.measurement.pose import SightingStack, perturb, predict, stack_sightings
 from verify.measurement.triangulation import fit_rigid, triangulate
@@ -28,12 +28,7 @@ TOL_STEP = 1e-10  # m and rad: far below what pixels allow
 
 def board_marker(board: Board) -> Marker:
     """The board's corners as points of a body, named by their number."""
-    return Marker(
-        names=tuple(str(i) for i in range(len(board))),
-        leds=board.points,
-        colours=(None,) * len(board),
-        led_diameter=board.square,
-    )
+    return unnamed_marker(board.points, board.square)
 
 
 def board_poses(
@@ -48,12 +43,8 @@ def board_poses(
     return [
         _measure_pair(rig, pair, points, reject)
         for pair in pairs
-        if max(_count(pair.left), _count(pair.right)) >= MIN_CORNERS
+        if max(len(pair.left or ()), len(pair.right or ())) >= MIN_CORNERS
     ]
-
-
-def _count(view: BoardView | None) -> int:
-    return 0 if view is None else len(view)
 
 
 def _measure_pair(rig: Rig, pair: BoardPair, points: Array, reject: bool) -> Measurement:
@@ -64,18 +55,11 @@ def _measure_pair(rig: Rig, pair: BoardPair, points: Array, reject: bool) -> Mea
 
 
 def _sighting(view: BoardView | None, pan: float) -> Sighting:
-    n = _count(view)
-    none = np.zeros((0, 2))
-    return Sighting(
-        led=np.zeros(0, dtype=np.int64) if view is None else view.corner,
-        centre=none if view is None else view.centre,
-        covariance=np.zeros((0, 2, 2)) if view is None else view.covariance,
-        t=0.0,
-        pan=pan,
-        peak=np.zeros(n),
-        velocity=np.zeros((n, 2)),
-        lever=np.zeros((n, 3)),
-    )
+    if view is None:
+        view = BoardView(np.zeros(0, dtype=np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)))
+    n = len(view)
+    still = np.zeros(n), np.zeros((n, 2)), np.zeros((n, 3))  # peak, velocity, lever
+    return Sighting(view.corner, view.centre, view.covariance, 0.0, pan, *still)
 
 
 def _start(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Array:
@@ -97,8 +81,7 @@ def _by_one_camera(camera: Camera, view: Sighting, points: Array) -> Array:
     _, turn, shift = cv2.solvePnP(
         points[view.led], xy, np.eye(3), np.zeros(5), flags=cv2.SOLVEPNP_IPPE
     )
-    camera_T_board = np.eye(4)
-    camera_T_board[:3, :3], camera_T_board[:3, 3] = cv2.Rodrigues(turn)[0], shift[:, 0]
+    camera_T_board = rigid_transform(cv2.Rodrigues(turn)[0], shift[:, 0])
     return camera.rig_T_camera(view.pan) @ camera_T_board
 
 

@@ -5,7 +5,7 @@
 
 from collections import defaultdict
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
@@ -14,14 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from verify.analysis.least_squares import autocorrelation
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Measurement, Pose, StereoPair
+from verify.core.records import Array, Measurement, StereoPair, rigid_transform
 from verify.core.rig import Rig
 from verify.measurement.chain import detect_in_turn
 from verify.measurement.pose import MODEL_ERROR_PX
-from verify.measurement.systematics import Systematics, sensitivities
+from verify.measurement.systematics import PAN_READINGS, Systematics, pixel_sensitivities
 from verify.measurement.triangulation import triangulate
-
-CHUNK_ROWS = 6  # linear functionals of the pixels that `sensitivities` carries at a time
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,44 +104,21 @@ def _pair_lengths(
         apart = points[b] - points[a]
         length = float(np.linalg.norm(apart))
         if np.isfinite(length):
+            # how either point moves with its two images, (3, 4)
+            slopes = (np.linalg.pinv(pose.sensitivity[spots[end]].reshape(4, 3)) for end in (a, b))
             ends = [
-                sign * (apart / length) @ _point_by_pixels(pose, spots[end])
-                for end, sign in ((a, -1.0), (b, 1.0))
+                s * (apart / length) @ slope for s, slope in zip((-1.0, 1.0), slopes, strict=True)
             ]
             found.append(((both[a], both[b]), length, spots[[a, b]], np.concatenate(ends)))
     functionals = np.zeros((len(found), 2 * len(good)))
     for i, (_, _, where, by_pixels) in enumerate(found):
         functionals[i, (2 * where.reshape(-1, 1) + [0, 1]).reshape(-1)] = by_pixels
-    columns = _parameter_derivatives(measurement, pose, functionals, rig, marker, parameters)
+    names = (*parameters.names, *PAN_READINGS)
+    columns = -functionals @ pixel_sensitivities(names, measurement, rig, marker)
     return [
         _PairLength(ends, length, by_pixels, column, (left.pan, right.pan))
         for (ends, length, _, by_pixels), column in zip(found, columns, strict=True)
     ]
-
-
-def _point_by_pixels(pose: Pose, spots: Array) -> Array:
-    """How a triangulated point moves with its two images, (3, 4)."""
-    return np.linalg.pinv(pose.sensitivity[spots].reshape(4, 3))
-
-
-def _parameter_derivatives(
-    measurement: Measurement,
-    pose: Pose,
-    functionals: Array,
-    rig: Rig,
-    marker: Marker,
-    parameters: Systematics,
-) -> list[Array]:
-    """Derivatives of linear functionals of the pixels by every parameter, (p + 2,) each."""
-    at_origin = replace(rig, rig_T_base=np.eye(4))
-    columns: list[Array] = []
-    for start in range(0, len(functionals), CHUNK_ROWS):
-        some = functionals[start : start + CHUNK_ROWS]
-        gain = np.zeros((CHUNK_ROWS, functionals.shape[1]))
-        gain[: len(some)] = some
-        probe = replace(measurement, pose=replace(pose, gain=gain))
-        columns += list(sensitivities(parameters, probe, at_origin, marker)[: len(some)])
-    return columns
 
 
 @dataclass
@@ -192,7 +167,5 @@ class BarTracker:
     def _pose(self, ends: Array) -> Array:
         known = self.marker.leds[1] - self.marker.leds[0]
         turn, _ = Rotation.align_vectors((ends[1] - ends[0])[None], known[None])
-        pose = np.eye(4)
-        pose[:3, :3] = turn.as_matrix()
-        pose[:3, 3] = ends.mean(axis=0) - pose[:3, :3] @ self.marker.leds.mean(axis=0)
-        return pose
+        place = ends.mean(axis=0) - turn.as_matrix() @ self.marker.leds.mean(axis=0)
+        return rigid_transform(turn.as_matrix(), place)

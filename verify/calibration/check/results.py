@@ -3,6 +3,7 @@
 The keys of the summary and the tables are those that `reports.calibration.check` documents.
 """
 
+from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -34,9 +35,7 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
             "figures": _figures(figures),
             "mm_per_m": dict(zip(FIGURES, (figures.per_metre / UNITS).tolist(), strict=True)),
             "square": _square(found.square),
-            "visible": [
-                {"change": v.change, "smallest": v.smallest, "unit": v.unit} for v in found.visible
-            ],
+            "visible": [asdict(change) for change in found.visible],
             "uncounted": list(found.uncounted),
             "decisions": list(found.decisions),
         },

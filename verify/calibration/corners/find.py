@@ -16,16 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.calibration.corners.grid import axes, fit_map, orient_grid
-from verify.calibration.corners.kernels.fit import (
-    COL_EXPECTED,
-    COL_FOUND,
-    COL_VARIANCE,
-    COL_XX,
-    COL_XY,
-    COL_YY,
-    N_COLUMNS,
-    fit_crossings,
-)
+from verify.calibration.corners.kernels import fit
 from verify.calibration.corners.kernels.model import N_PARAMETERS, PAR_X, PAR_Y, STEP_TABLE
 from verify.calibration.corners.search import (
     find_by_growing,
@@ -106,7 +97,7 @@ def refine_corners(
     """Refine corners (n,) from where they were found (n, 2)."""
     squares = board.points[corner, :2] / board.square
     pixels, markers = np.array(grey, order="C"), marker_margins(board, corner)
-    fitted, results = np.zeros(len(corner), dtype=bool), np.empty((len(corner), N_COLUMNS))
+    fitted, results = np.zeros(len(corner), dtype=bool), np.empty((len(corner), fit.N_COLUMNS))
     parameters = np.empty((len(corner), N_PARAMETERS))
     centre, good = start, np.ones(len(corner), dtype=bool)
     for _ in range(N_PASSES):
@@ -116,7 +107,7 @@ def refine_corners(
         mapped = board_map(squares)
         centre = np.where(good[:, None], centre, mapped)
         at = (centre, board_map.jacobian(squares), board_map.bend(squares))
-        fit_crossings(pixels, at, markers, STEP_TABLE, fitted, parameters, results)
+        fit.fit_crossings(pixels, at, markers, STEP_TABLE, fitted, parameters, results)
         good = fitted.copy()
         if good.sum() < MIN_CORNERS or is_degenerate(squares[good]):
             return None
@@ -131,9 +122,9 @@ def corner_covariances(results: Array) -> Array:
 
     Noise and its correlation are those of all corners together, enlarged for one that fits worse.
     """
-    found, expected = results[:, [COL_FOUND, COL_EXPECTED]].sum(axis=0)
-    variance = results[:, COL_VARIANCE]
-    each = results[:, [COL_XX, COL_XY, COL_XY, COL_YY]].reshape(-1, 2, 2)
+    found, expected = results[:, [fit.COL_FOUND, fit.COL_EXPECTED]].sum(axis=0)
+    variance = results[:, fit.COL_VARIANCE]
+    each = results[:, [fit.COL_XX, fit.COL_XY, fit.COL_XY, fit.COL_YY]].reshape(-1, 2, 2)
     noise = found / expected * np.maximum(variance, np.median(variance))
     scaled: Array = each * noise[:, None, None]
     return scaled

@@ -5,7 +5,7 @@ Where the stated board is not found, the refusal names the pattern that the imag
 
 import os
 from collections import Counter, deque
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from itertools import islice
 
@@ -14,7 +14,7 @@ import numpy as np
 
 from verify.calibration.corners.find import find_board, find_other_board, is_ambiguous, to_grey
 from verify.core.fiducials import Board, BoardPair, BoardView, dictionary
-from verify.core.records import Image
+from verify.core.records import Image, Progress
 from verify.errors import InputError
 from verify.io.board.folder import BoardFolder, BoardImages
 
@@ -31,8 +31,6 @@ MARKER_DICTIONARIES = (
     "DICT_APRILTAG_36H11",
 )
 QUEUE_PER_CORE = 2  # pairs a core that wait decoded: enough to keep it busy, few enough for memory
-
-Progress = Callable[[int, int], None]
 
 
 def find_boards(folder: BoardFolder, progress: Progress) -> list[BoardPair]:

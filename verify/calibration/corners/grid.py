@@ -201,7 +201,8 @@ def orient_grid(grey: Image, grid: Array, columns: int, rows: int) -> Array | No
     orders = []
     for mirrored, turns in itertools.product((False, True), range(4)):
         order, shown = (np.rot90(a[:, ::-1] if mirrored else a, turns) for a in (grid, contrast))
-        if order.shape[:2] == (rows, columns) and is_right_handed(order):
+        # right-handed with the line of sight, or the view is mirrored
+        if order.shape[:2] == (rows, columns) and np.linalg.det(axes(order)) > 0:
             sign = -1 if (mirrored + turns) % 2 else 1  # each exchanges the diagonals
             orders.append((order, sign * _checkered(shown).sum() < 0))
     if not orders:
@@ -214,11 +215,6 @@ def orient_grid(grey: Image, grid: Array, columns: int, rows: int) -> Array | No
 def axes(grid: Array) -> Array:
     """Mean steps along the grid's x and y, (2, 2), px, in rows."""
     return np.stack([np.diff(grid, axis=k).mean(axis=(0, 1)) for k in (1, 0)])
-
-
-def is_right_handed(grid: Array) -> bool:
-    """Whether x, y and the line of sight are a right-handed frame: the view is not mirrored."""
-    return bool(np.linalg.det(axes(grid)) > 0)
 
 
 def uprightness(grid: Array) -> float:

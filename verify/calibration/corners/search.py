@@ -14,14 +14,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from verify.calibration.corners.grid import (
-    CornerMap,
-    block_points,
-    fit_grid_map,
-    has_crossings,
-    is_whole,
-    neighbour_lines,
-)
+from verify.calibration.corners import grid as grids
 from verify.core.records import Array, Image
 
 MIN_CORNERS = 3  # inner corners a side, OpenCV's least
@@ -50,11 +43,9 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
     if min(columns, rows) < MIN_CORNERS:
         return None
     counts = (columns, rows)
-    grid = _find_whole(grey, grey, 1.0, counts, QUICK_FINDER, MAX_START_ERROR)
-    if grid is not None:
-        return grid
-    for finder in SECTOR_FINDERS:
-        grid = _find_whole(grey, grey, 1.0, counts, finder)
+    quick = (QUICK_FINDER, MAX_START_ERROR), *((finder, math.inf) for finder in SECTOR_FINDERS)
+    for finder, max_error in quick:
+        grid = _find_whole(grey, grey, 1.0, counts, finder, max_error)
         if grid is not None:
             return grid
     other = find_by_growing(grey)
@@ -90,16 +81,16 @@ def _find_whole(
         return None
     places = undo_scale(np.asarray(corners, dtype=float).reshape(-1, 2), scale)
     grid = places.reshape(counts[1], counts[0], 2)
-    grid_map = fit_grid_map(grey, grid)
-    if grid_map is None or not is_whole(grey, grid_map, *counts):
+    grid_map = grids.fit_grid_map(grey, grid)
+    if grid_map is None or not grids.is_whole(grey, grid_map, *counts):
         return None
     return grid if _map_error(grid, grid_map) < max_error else None
 
 
-def _map_error(grid: Array, grid_map: CornerMap) -> float:
+def _map_error(grid: Array, grid_map: grids.CornerMap) -> float:
     """How far a corner lies from where the map through all puts it, at most, squares."""
     rows, columns = grid.shape[:2]
-    mapped = grid_map(block_points((0, 0, columns, rows))).reshape(grid.shape)
+    mapped = grid_map(grids.block_points((0, 0, columns, rows))).reshape(grid.shape)
     square = min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1))
     return float(np.linalg.norm(grid - mapped, axis=2).max() / square)
 
@@ -134,51 +125,49 @@ def find_by_growing(grey: Image) -> Array | None:
             found, corners, meta = cv2.findChessboardCornersSBWithMeta(
                 grey, (seed, seed), cv2.CALIB_CB_LARGER | flags
             )
-            if not found:
-                continue
-            rows, columns = meta.shape
-            if corners.size != 2 * rows * columns:
+            rows, columns = meta.shape if found else (0, 0)
+            if not found or corners.size != 2 * rows * columns:
                 continue
             grid = grow_grid(grey, np.asarray(corners, dtype=float).reshape(rows, columns, 2))
-            grid_map = None if grid is None else fit_grid_map(grey, grid)
+            grid_map = None if grid is None else grids.fit_grid_map(grey, grid)
             if grid is not None and grid_map is not None:
                 rows, columns = grid.shape[:2]
-                if is_whole(grey, grid_map, columns, rows):
+                if grids.is_whole(grey, grid_map, columns, rows):
                     return grid
     return None
 
 
 def grow_grid(grey: Image, grid: Array) -> Array | None:
     """Drop outer lines without crossings, then add lines as long as the pattern continues."""
-    grid_map = fit_grid_map(grey, grid)
+    grid_map = grids.fit_grid_map(grey, grid)
     while grid_map is not None and min(grid.shape[:2]) >= MIN_CORNERS:
         rows, columns = grid.shape[:2]
         outer = [(0, 0, 1, rows), (columns - 1, 0, 1, rows)]
         outer += [(0, 0, columns, 1), (0, rows - 1, columns, 1)]
-        bad = [not has_crossings(grey, grid_map, line) for line in outer]
+        bad = [not grids.has_crossings(grey, grid_map, line) for line in outer]
         if not any(bad):
             break
         left, right, top, bottom = bad
         grid = grid[top : rows - bottom, left : columns - right]
         if min(grid.shape[:2]) >= MIN_CORNERS:
-            grid_map = fit_grid_map(grey, grid)
+            grid_map = grids.fit_grid_map(grey, grid)
     if grid_map is None or min(grid.shape[:2]) < MIN_CORNERS:
         return None
     while grid_map is not None and max(grid.shape[:2]) < MAX_CORNERS:
         longer = add_line(grey, grid, grid_map)
         if longer is None:
             return grid
-        grid, grid_map = longer, fit_grid_map(grey, longer)
+        grid, grid_map = longer, grids.fit_grid_map(grey, longer)
     return None
 
 
-def add_line(grey: Image, grid: Array, grid_map: CornerMap) -> Array | None:
+def add_line(grey: Image, grid: Array, grid_map: grids.CornerMap) -> Array | None:
     """Add one line of corners on the first side where the pattern continues; None: nowhere."""
     rows, columns = grid.shape[:2]
-    for side, line in enumerate(neighbour_lines(columns, rows)):
-        if not has_crossings(grey, grid_map, line):
+    for side, line in enumerate(grids.neighbour_lines(columns, rows)):
+        if not grids.has_crossings(grey, grid_map, line):
             continue
-        squares = block_points(line)
+        squares = grids.block_points(line)
         places = grid_map(squares)
         height, width = grey.shape
         if (places < 1).any() or (places > [width - 2, height - 2]).any():

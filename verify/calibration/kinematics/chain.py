@@ -18,7 +18,7 @@ import numpy as np
 
 import robots
 from robots.transforms import invert, rotation_exp
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 
 MIN_AXIS_ANGLE = np.radians(10.0)  # below, DH's common normal is badly placed, and β takes over
 TOL_COAXIAL = 1e-9  # m
@@ -110,13 +110,11 @@ def turn_z(angle: float) -> Array:
 
 def _first_frame(turn: Array, point: Array) -> Array:
     """Lay z along axis 1, the origin nearest the base's, x near the base's x."""
-    frame = np.eye(4)
     x = np.eye(3)[0] if abs(turn[0]) < 0.9 else np.eye(3)[1]
     x = x - (x @ turn) * turn
     x /= np.linalg.norm(x)
-    frame[:3, :3] = np.column_stack([x, np.cross(turn, x), turn])
-    frame[:3, 3] = point - (point @ turn) * turn
-    return frame
+    rotation = np.column_stack([x, np.cross(turn, x), turn])
+    return rigid_transform(rotation, point - (point @ turn) * turn)
 
 
 def _link(frame: Array, turn: Array, point: Array) -> tuple[tuple[float, ...], Array]:
@@ -244,8 +242,5 @@ def change_state(state: ArmState, parameters: tuple[Parameter, ...], change: Arr
 
 def _small_motion(steps: Array) -> Array:
     """Shift by x, y, z and turn by RotX RotY RotZ: (g, 6) to (g, 4, 4)."""
-    step = np.tile(np.eye(4), (len(steps), 1, 1))
-    step[:, :3, 3] = steps[:, :3]
-    for axis in range(3):
-        step[:, :3, :3] = step[:, :3, :3] @ rotation_exp(np.eye(3)[axis] * steps[:, 3 + axis, None])
-    return step
+    x, y, z = (rotation_exp(np.eye(3)[k] * steps[:, 3 + k, None]) for k in range(3))
+    return rigid_transform(x @ y @ z, steps[:, :3])

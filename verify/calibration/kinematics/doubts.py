@@ -14,8 +14,8 @@ from verify.analysis.uncertainty.sources import UnstatedEffect
 from verify.calibration.kinematics.chain import AXES, Parameter
 from verify.calibration.kinematics.fit import KinematicFit, scaled_columns, tolerances
 from verify.calibration.kinematics.model import predict_with_jacobian
-from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
-from verify.core.records import Array
+from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.core.records import Array, take_rows
 
 SCALE, LENGTH, ANGLE = 1e-3, 1e-3, float(np.radians(0.1))  # share, m, rad: what is asked after
 
@@ -31,7 +31,7 @@ def unstated_effects(
     offsets = [k for k, p in enumerate(fit.parameters) if p.kind == "correction"]
     if not offsets:
         return []
-    rows = select_rows(poses, fit.used)
+    rows = take_rows(poses, fit.used)
     white = fit.scale.of(rows)
     _, columns = scaled_columns(fit.state, rows, fit.parameters)
     design = (white @ np.concatenate([columns, rows.nuisance], axis=2)).reshape(6 * len(rows), -1)

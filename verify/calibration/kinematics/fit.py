@@ -35,8 +35,8 @@ from verify.calibration.kinematics.noise import (
     median_scale,
     residual_scale,
 )
-from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
-from verify.core.records import Array
+from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.core.records import Array, take_rows
 from verify.core.statistics import chi2_isf, t_isf
 
 P_FALSE_ALARM = 1e-3  # over all rows: a row beyond it is outlying
@@ -131,7 +131,7 @@ def fit_parameters(
         used, scale = _outlying_rows(state, poses, parameters)
     else:
         used, scale = richest.used, richest.scale
-    rows = select_rows(poses, used)
+    rows = take_rows(poses, used)
     at = FitState(state, np.zeros(len(parameters)))
     for _ in range(MAX_ROUNDS):
         at, covariance = minimise(at, rows, parameters, scale)
@@ -193,7 +193,7 @@ def _outlying_rows(
     limit = chi2_isf(P_FALSE_ALARM / len(poses), np.maximum(poses.dimensions, 1))
     at = FitState(state, np.zeros(len(parameters)))
     for _ in range(MAX_ROUNDS):
-        at, _ = minimise(at, select_rows(poses, used), parameters, scale)
+        at, _ = minimise(at, take_rows(poses, used), parameters, scale)
         left = without_nuisances(pose_residuals(at.state, poses), poses, scale, used)
         before, scale = scale, median_scale(left, poses, used)
         excess = np.sum(scale.whiten(poses, left) ** 2, axis=1) - limit

@@ -172,14 +172,10 @@ def register(
 def _registration(
     state: ArmState, poses: IdentificationPoses, options: IdentificationOptions
 ) -> tuple[Parameter, ...]:
-    found: list[Parameter] = []
-    for kind, count, free in (
-        ("base", len(state.base), options.free_base),
-        ("tool", len(state.tool), options.free_tool),
-    ):
-        if free:
-            found += registration_parameters(kind, count, position_only=poses.position_only)
-    return tuple(found)
+    kinds = ("base", state.base, options.free_base), ("tool", state.tool, options.free_tool)
+    free = [(kind, len(placed)) for kind, placed, is_free in kinds if is_free]
+    alone = poses.position_only
+    return tuple(p for one in free for p in registration_parameters(*one, position_only=alone))
 
 
 def _supports(

@@ -26,11 +26,11 @@ from verify.calibration.kinematics.chain import (
 from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.identify import IdentificationResult
 from verify.calibration.kinematics.model import start_state
-from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
+from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.sessions import CombinedPoses
 from verify.calibration.kinematics.terms import P_FALSE, TermFit, explain, fit_terms
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, take_rows
 from verify.core.statistics import chi2_isf
 from verify.errors import InputError
 
@@ -93,7 +93,7 @@ def refuse_unfit(
             any arm's own errors leave.
     """
     (some, t), chain = _some(gathered), chain_of(gathered.sessions[0].session.arm)
-    rows, parameters = select_rows(gathered.poses, some), found.richest.parameters
+    rows, parameters = take_rows(gathered.poses, some), found.richest.parameters
     start = gathered.state(chain) if held else start_state(chain, rows)
     written = fit_terms(start, rows, t, parameters)
     size = _mm(_length(written.left, rows))
@@ -140,7 +140,7 @@ def _few(gathered: CombinedPoses) -> tuple[IdentificationPoses, Array]:
     for i, one in enumerate(gathered.sessions):
         if (instrument := one.session.instrument) is not None:
             targets[gathered.source == i] = instrument.poses.transforms[one.frame]
-    return select_rows(replace(rows, world_T_target=targets), some), t
+    return take_rows(replace(rows, world_T_target=targets), some), t
 
 
 def _mistakes(
@@ -217,7 +217,7 @@ def _placed(rows: IdentificationPoses) -> list[Parameter]:
     """The parameters of every base and target."""
     counts = (("base", int(rows.base.max()) + 1), ("tool", int(rows.tool.max()) + 1))
     alone = rows.position_only
-    return [p for kind, n in counts for p in registration_parameters(kind, n, position_only=alone)]
+    return [p for one in counts for p in registration_parameters(*one, position_only=alone)]
 
 
 def _length(left: Array, rows: IdentificationPoses) -> float:

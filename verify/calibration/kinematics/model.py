@@ -16,7 +16,7 @@ from robots.transforms import invert
 from verify.calibration.handeye import nearest_rotation, solve_hand_eye
 from verify.calibration.kinematics.chain import AXES, ArmState, KinematicChain, Parameter
 from verify.calibration.kinematics.poses import IdentificationPoses
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 
 X, Y, Z = 0, 1, 2
 MAX_ITERATIONS = 100  # of base and tool in turn; the fit does the rest
@@ -59,10 +59,7 @@ class _JacobianBuilder:
         return np.concatenate([np.cross(direction, self.origin - point), direction], axis=1)
 
     def pose(self) -> Array:
-        found = np.zeros((len(self.origin), 4, 4))
-        found[:, :3, :3] = np.stack(self.axes, axis=2)
-        found[:, :3, 3], found[:, 3, 3] = self.origin, 1.0
-        return found
+        return rigid_transform(np.stack(self.axes, axis=2), self.origin)
 
 
 def predict_poses(
@@ -118,11 +115,9 @@ def _walk(
         walk.turn(Y, float(chain.beta[j]), Parameter("beta", j))
     walk.fixed(chain.last_T_flange)
     mounted = state.tool[tool]
-    place, turn = np.tile(np.eye(4), (2, len(q), 1, 1))
-    place[:, :3, 3], turn[:, :3, :3] = mounted[:, :3, 3], mounted[:, :3, :3]
-    walk.fixed(place)
+    walk.fixed(rigid_transform(np.eye(3), mounted[:, :3, 3]))
     _placement_columns(walk, "tool")
-    walk.fixed(turn)
+    walk.fixed(rigid_transform(mounted[:, :3, :3], np.zeros(3)))
     return walk
 
 

@@ -13,10 +13,10 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
-from verify.calibration.kinematics.chain import AXES, Parameter
+from verify.calibration.kinematics.chain import AXES
 from verify.calibration.kinematics.fit import KinematicFit
 from verify.calibration.kinematics.sessions import CombinedPoses
-from verify.calibration.origin import DEG, MM
+from verify.calibration.origin import DEG, MM, POSE_UNITS
 from verify.core.fiducials import Marker
 from verify.core.records import Array
 from verify.core.rig import Covariance, Rig
@@ -25,9 +25,7 @@ from verify.io import rig as io_rig
 from verify.io.fiducials import encode_marker
 from verify.io.session.session import Session
 from verify.io.toml import encode, encode_numbers
-
-KEYS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
-UNITS = np.array([MM] * 3 + [DEG] * 3)
+from verify.measurement.systematics import BODY
 
 
 def placement_entries(fit: KinematicFit) -> list[dict[str, Any]]:
@@ -38,7 +36,7 @@ def placement_entries(fit: KinematicFit) -> list[dict[str, Any]]:
             "number": place + 1,
             "position_mm": (pose[:3, 3] * MM).tolist(),
             "rotation_vector_deg": Rotation.from_matrix(pose[:3, :3]).as_rotvec(True).tolist(),
-            "standard_uncertainty": dict(zip(KEYS, sigma.tolist(), strict=True)),
+            "standard_uncertainty": dict(zip(BODY, sigma.tolist(), strict=True)),
         }
         for kind, poses in (("base", fit.state.base), ("tool", fit.state.tool))
         for place, pose in enumerate(poses)
@@ -78,8 +76,7 @@ def session_files(
 
 def placement_uncertainty(fit: KinematicFit, kind: str, place: int) -> Array:
     """Standard uncertainties of a base or a tool, (6,), mm and degrees; 0 where it was held."""
-    sigma: Array = np.sqrt(np.diag(_covariance(fit, kind, place)))
-    return sigma
+    return np.sqrt(np.diag(_covariance(fit, kind, place)))
 
 
 def target_in_flange(session: Session, fit: KinematicFit, place: int = 0) -> Array:
@@ -93,14 +90,10 @@ def target_in_flange(session: Session, fit: KinematicFit, place: int = 0) -> Arr
 def _covariance(fit: KinematicFit, kind: str, place: int) -> Array:
     """Of a base's or tool's six numbers, (6, 6), mm and degrees; 0 where they were held."""
     found = np.zeros((6, 6))
-    own = [
-        fit.parameters.index(p)
-        for axis in AXES
-        if (p := Parameter(kind, place, axis)) in fit.parameters
-    ]
+    own = [k for k, p in enumerate(fit.parameters) if (p.kind, p.place) == (kind, place)]
     axes = [AXES.index(fit.parameters[k].axis) for k in own]
     found[np.ix_(axes, axes)] = fit.covariance[np.ix_(own, own)]
-    return found * np.outer(UNITS, UNITS)
+    return found * np.outer(POSE_UNITS, POSE_UNITS)
 
 
 def moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
@@ -109,7 +102,7 @@ def moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
     turn = block_diag(moved[:3, :3], moved[:3, :3])
     found = turn @ _covariance(fit, "base", place) @ turn.T
     sigma, shared = np.sqrt(np.diag(found)), correlation(found)
-    names, known = tuple(f"robot_base.{key}" for key in KEYS), rig.covariance
+    names, known = tuple(f"robot_base.{key}" for key in BODY), rig.covariance
     if known is not None:
         kept = [i for i, n in enumerate(known.parameters) if not n.startswith("robot_base.")]
         names = (*(known.parameters[i] for i in kept), *names)
@@ -129,15 +122,14 @@ def _without_cameras(rig: Rig) -> Rig:
     own = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
     if known is None or not own:
         return replace(rig, covariance=None)
-    sigma, correlation = known.standard_uncertainty[own], known.correlation[np.ix_(own, own)]
-    found = Covariance(tuple(names[i] for i in own), sigma, correlation)
+    found = replace(known.take(own), degrees_of_freedom=None, temperature_c=None)
     return replace(rig, covariance=found)
 
 
 def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Marker:
     """The LEDs where the flange has them: a session's LEDs are its target."""
     tool, marker = fit.state.tool[place], session.marker
-    u = np.sqrt(np.diag(_covariance(fit, "tool", place))) / UNITS
+    u = np.sqrt(np.diag(_covariance(fit, "tool", place))) / POSE_UNITS
     leds = marker.leds @ tool[:3, :3].T + tool[:3, 3]
     return replace(
         marker, leds=leds, source="motion", registration=None, body_standard_uncertainty=u
@@ -163,11 +155,8 @@ def registered_session(
         tree["robot"] = robot_file
     body, instrument = target_in_flange(session, fit, place), session.instrument
     assert instrument is not None
-    poses = {
-        **tree["poses"],
-        "point_mm": encode_numbers(body[:3, 3], 1 / MM),
-        "frame": "instrument",
-    }
+    point_mm = encode_numbers(body[:3, 3], 1 / MM)
+    poses = {**tree["poses"], "point_mm": point_mm, "frame": "instrument"}
     if not instrument.positions_alone:
         poses["rotation"] = encode_numbers(body[:3, :3])
     if not stated:
@@ -176,7 +165,7 @@ def registered_session(
             poses["orientation_standard_uncertainty_deg"] = fit.scale.orientation * DEG
     sigma = placement_uncertainty(fit, "tool", place).tolist()
     if any(sigma):
-        uncertainty = dict(zip(KEYS, sigma, strict=True))
+        uncertainty = dict(zip(BODY, sigma, strict=True))
         poses |= {"source": "motion", "body_standard_uncertainty": uncertainty}
     whole = tomllib.loads(io_rig.encode(_without_cameras(rig)).decode())
     tree |= {"poses": poses, "robot_base": whole["robot_base"]}

@@ -1,12 +1,11 @@
 """Measured poses with readings as arrays."""
 
-from dataclasses import dataclass, fields, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 
 Rows = NDArray[np.int64]
 
@@ -65,15 +64,11 @@ def build_poses(
     size = 3 if position_only else 6
     if len(measured) != n or (covariance is not None and covariance.shape != (n, size, size)):
         raise ValueError(f"{n} readings, measured {measured.shape}, covariance of another shape")
-    targets = np.tile(np.eye(4), (n, 1, 1))
-    if position_only:
-        targets[:, :3, 3] = measured
-    else:
-        targets = np.asarray(measured, dtype=float)
+    targets = rigid_transform(np.eye(3), measured) if position_only else measured
     none = np.zeros(n, dtype=np.int64)
     return IdentificationPoses(
         q=np.asarray(q, dtype=float),
-        world_T_target=targets,
+        world_T_target=np.asarray(targets, dtype=float),
         whitener=_whitener(n, size, covariance, determined),
         stated=covariance is not None,
         base=none if base is None else base,
@@ -83,13 +78,6 @@ def build_poses(
         nuisance=np.zeros((n, 6, 0)) if nuisance is None else nuisance,
         position_only=position_only,
     )
-
-
-def select_rows(data: IdentificationPoses, rows: NDArray[np.bool_]) -> IdentificationPoses:
-    """Select some of the rows (n,)."""
-    values: dict[str, Any] = {f.name: getattr(data, f.name) for f in fields(data)}
-    selected: dict[str, Any] = {k: v[rows] for k, v in values.items() if isinstance(v, np.ndarray)}
-    return replace(data, **selected)
 
 
 def _whitener(

@@ -15,10 +15,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from verify.calibration.kinematics.chain import Parameter
 from verify.calibration.kinematics.fit import FitState, KinematicFit, minimise, tolerances
-from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
-from verify.core.records import Array
+from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.core.records import Array, take_rows
 
 MAX_PRIOR_SHARE = 0.5  # of a prior's standard deviation: a recording that leaves more says nothing
 SHARED = 2.0  # parameters of one arm hang together: that many count as one degree of freedom
@@ -32,7 +31,9 @@ def with_scatter(fit: KinematicFit, poses: IdentificationPoses) -> KinematicFit:
         return fit
     alone = [_alone(fit, poses, int(s)) for s in recordings]
     value, u = (np.array([one[i][arm] for one in alone]) for i in (0, 1))
-    weight = np.where(u < _limits(fit.parameters)[arm], u, np.inf) ** -2.0
+    # beyond which a recording does not tell a parameter
+    limits = [MAX_PRIOR_SHARE * fit.parameters[k].prior / fit.parameters[k].tolerance for k in arm]
+    weight = np.where(u < np.array(limits), u, np.inf) ** -2.0
     told = np.count_nonzero(weight, axis=0)
     mean = np.sum(weight * value, axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
     squares = np.sum(weight * (value - mean) ** 2, axis=0)
@@ -58,12 +59,7 @@ def with_scatter(fit: KinematicFit, poses: IdentificationPoses) -> KinematicFit:
 
 def _alone(fit: KinematicFit, poses: IdentificationPoses, recording: int) -> tuple[Array, Array]:
     """Parameters (L,) as one recording alone gives them, and their uncertainties, in tolerances."""
-    rows = select_rows(poses, fit.used & (poses.recording == recording))
+    rows = take_rows(poses, fit.used & (poses.recording == recording))
     start = FitState(fit.state, fit.change / tolerances(fit.parameters))
     at, covariance = minimise(start, rows, fit.parameters, fit.scale)
     return at.change, np.sqrt(np.diag(covariance))[: len(at.change)]
-
-
-def _limits(parameters: tuple[Parameter, ...]) -> Array:
-    """Uncertainty beyond which a recording does not tell a parameter, (L,), in tolerances."""
-    return np.array([MAX_PRIOR_SHARE * p.prior / p.tolerance for p in parameters])

@@ -28,12 +28,11 @@ from verify.calibration.kinematics.fit import (
 )
 from verify.calibration.kinematics.identify import IdentificationOptions, register
 from verify.calibration.kinematics.placements import moved_rig, registered_session
-from verify.calibration.kinematics.poses import select_rows
 from verify.calibration.kinematics.sessions import CombinedPoses, deflate_repetition, tool_open
 from verify.calibration.origin import DEG, MM
 from verify.calibration.registration.refusals import MAX_UNCERTAINTY, refuse_undetermined
 from verify.calibration.registration.uncertainty import MIN_VISIBLE_SHARE
-from verify.core.records import Array
+from verify.core.records import Array, take_rows
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io.session.session import Session
@@ -168,7 +167,7 @@ def _absorption(fit: KinematicFit, gathered: CombinedPoses) -> tuple[Array, Arra
     Returns motion of base and body a radian, (12, j), as rig.toml has it, and shares (j,).
     """
     placed, offsets = fit.parameters, tuple(offset_parameters(fit.state.chain))
-    rows, count = select_rows(gathered.poses, fit.used), len(placed)
+    rows, count = take_rows(gathered.poses, fit.used), len(placed)
     root = information(fit.state, rows, (*placed, *offsets), fit.scale)
     own, joints = root[:, :count], root[:, count:]
     taken = np.linalg.lstsq(own, joints, rcond=None)[0]

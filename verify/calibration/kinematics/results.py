@@ -14,7 +14,7 @@ from verify.calibration.kinematics.chain import Parameter
 from verify.calibration.kinematics.identify import IdentificationResult, LevelResult
 from verify.calibration.kinematics.placements import placement_entries
 from verify.calibration.kinematics.poses import IdentificationPoses
-from verify.calibration.kinematics.validation import CrossValidation, statistics
+from verify.calibration.kinematics.validation import statistics
 from verify.calibration.origin import DEG, MM, ResultsOrigin
 from verify.core.records import Array
 from verify.core.statistics import correlation
@@ -54,7 +54,8 @@ def identification_results(
     """Lay an identification out for the report; `judged` are other sessions that judge the arm."""
     chosen = found.chosen
     fitted = chosen.fit
-    outlying = np.flatnonzero(~fitted.used)
+    columns = origin.source, origin.frame, fitted.distance
+    outlying = [column[~fitted.used].tolist() for column in columns]
     parameters = _parameters(chosen, found)
     summary = {
         **ResultsOrigin(
@@ -65,7 +66,10 @@ def identification_results(
         "robot_file": robot_file,
         "poses": {
             "used": int(fitted.used.sum()),
-            "outlying": [_outlier_entry(origin, fitted.distance, row) for row in outlying.tolist()],
+            "outlying": [
+                {"source": origin.names[i], "frame": frame, "squared_distance": distance}
+                for i, frame, distance in zip(*outlying, strict=True)
+            ],
             "position_only": poses.position_only,
         },
         "base_free": origin.free_base,
@@ -177,26 +181,23 @@ def _held_row(
 
 
 def _level(level: LevelResult) -> dict[str, Any]:
+    found = level.held_out
     return {
         "name": level.name,
         "identified": len(level.support.supported) - len(level.weak),
         "rank": level.support.rank,
         "candidates": level.support.candidates,
-        "criterion": None if level.held_out is None else float(np.nanmean(level.held_out.chi2)),
+        "criterion": None if found is None else float(np.nanmean(found.chi2)),
         "noise_position": level.fit.scale.position,
         "noise_orientation": level.fit.scale.orientation,
         "outlying": int((~level.fit.used).sum()),
-        "held_out": _hold_out_table(level.held_out),
-    }
-
-
-def _hold_out_table(found: CrossValidation | None) -> dict[str, Any] | None:
-    if found is None:
-        return None
-    return {
-        "splits": found.splits,
-        "rows": found.rows,
-        **_lengths(found.position, found.orientation),
+        "held_out": None
+        if found is None
+        else {
+            "splits": found.splits,
+            "rows": found.rows,
+            **_lengths(found.position, found.orientation),
+        },
     }
 
 
@@ -213,14 +214,6 @@ def _lengths(position: Array, orientation: Array) -> dict[str, float]:
     values = (*(position * MM).tolist(), *(orientation * DEG).tolist())
     names = [f"{name}_{unit}" for unit in ("mm", "deg") for name in ("mean", "rms", "max")]
     return dict(zip(names, values, strict=True))
-
-
-def _outlier_entry(origin: IdentificationProvenance, distance: Array, row: int) -> dict[str, Any]:
-    return {
-        "source": origin.names[int(origin.source[row])],
-        "frame": int(origin.frame[row]),
-        "squared_distance": float(distance[row]),
-    }
 
 
 def _residuals(

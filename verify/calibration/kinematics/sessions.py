@@ -97,18 +97,15 @@ def split_targets(session: Session) -> list[Session]:
     instrument = session.instrument
     if instrument is None or instrument.poses.target is None:
         return [session]
-    found = []
-    for number, poses in instrument.poses.by_target().items():
-        still = np.zeros(len(poses))
-        found.append(
-            replace(
-                session,
-                name=f"{session.name} (target {number})",
-                frames=FrameSeries(poses.t, poses.t, still, still),
-                instrument=replace(instrument, poses=poses),
-            )
+    return [
+        replace(
+            session,
+            name=f"{session.name} (target {number})",
+            frames=FrameSeries(poses.t, poses.t, 0 * poses.t, 0 * poses.t),
+            instrument=replace(instrument, poses=poses),
         )
-    return found
+        for number, poses in instrument.poses.by_target().items()
+    ]
 
 
 def session_to_poses(

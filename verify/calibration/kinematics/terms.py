@@ -95,12 +95,8 @@ def fit_terms(
     def linearise(at: tuple[ArmState, Array]) -> tuple[Array, Array, Array]:
         taken = replace(rows, q=rows.q - factors @ at[1][length:] * ANGLE_UNIT)
         left, columns = scaled_columns(at[0], taken, every)
-        turns = columns[:, :, length:]
-        return (
-            left,
-            np.concatenate([columns[:, :, :length], -turns @ factors, rows.nuisance], 2),
-            turns,
-        )
+        own, turns = columns[:, :, :length], columns[:, :, length:]
+        return left, np.concatenate([own, -turns @ factors, rows.nuisance], axis=2), turns
 
     def solve_step(at: tuple[ArmState, Array]) -> tuple[Array, Array]:
         left, columns, _ = linearise(at)

@@ -20,8 +20,8 @@ from verify.calibration.kinematics.fit import (
     tolerances,
 )
 from verify.calibration.kinematics.noise import NoiseScale
-from verify.calibration.kinematics.poses import IdentificationPoses, select_rows
-from verify.core.records import Array
+from verify.calibration.kinematics.poses import IdentificationPoses
+from verify.core.records import Array, take_rows
 
 MAX_CHI2 = 25.0  # that a row may bring: noise brings a full pose's beyond it in 3 of 10,000
 MIN_GAIN_SIGMA = 1.0  # standard deviations by which a larger model must predict better
@@ -80,10 +80,10 @@ def hold_out(
     total, times = np.zeros(len(poses)), np.zeros(len(poses))
     for _ in range(options.splits):
         held = split(poses, options.share, generator)
-        training = select_rows(poses, ~held & fit.used)
+        training = take_rows(poses, ~held & fit.used)
         if int(training.dimensions.sum()) < len(fit.parameters) or not held.any():
             return None
-        judged = select_rows(poses, held)
+        judged = take_rows(poses, held)
         left = pose_residuals(minimise(start, training, fit.parameters, fit.scale)[0].state, judged)
         positions.append(statistics(left[:, :3]))
         turns.append(statistics(left[:, 3:]))

@@ -14,6 +14,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from robots.transforms import carry
 from verify.calibration.origin import MM
 from verify.calibration.quality.coverage import view_frame
 from verify.calibration.stereo.parameters import PARAMETER_KEYS, step_camera
@@ -35,12 +36,11 @@ def parameter_derivatives(
 
     Returns (p, ...), a SI unit (or pixel, or one) of the parameter.
     """
-    rows = [
-        (function(move_parameter(rig, name, STEP)) - function(move_parameter(rig, name, -STEP)))
-        / 2
-        / STEP
-        for name in names
-    ]
+
+    def at(name: str, step: float) -> Array:
+        return function(move_parameter(rig, name, step))
+
+    rows = [(at(name, STEP) - at(name, -STEP)) / 2 / STEP for name in names]
     return np.array(rows).reshape(len(names), *np.shape(function(rig)))
 
 
@@ -88,15 +88,10 @@ def uncertainty_parts(field: AccuracyField, covariance: Array) -> tuple[Array, A
 
 def uncertainty_maps(field: AccuracyField) -> dict[str, Array]:
     """All standard uncertainties, (r, c), mm, by their names in results: random_lateral_mm, …."""
-    return {
-        f"{kind}_{part}_mm": values * MM
-        for kind in ("random", "systematic", "total")
-        for part, values in zip(
-            ("lateral", "depth", "total"),
-            uncertainty_parts(field, getattr(field, kind)),
-            strict=True,
-        )
-    }
+    kinds = ("random", "systematic", "total")
+    found = {kind: uncertainty_parts(field, getattr(field, kind)) for kind in kinds}
+    parts = ("lateral", "depth", "total")
+    return {f"{k}_{part}_mm": found[k][i] * MM for k in kinds for i, part in enumerate(parts)}
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,24 +110,20 @@ def point_sensitivities(
     The pan readings (2,) are in rad.
     """
     rig_T_view = view_frame(rig, pan)
-    places = points @ rig_T_view[:3, :3].T + rig_T_view[:3, 3]
+    places = carry(rig_T_view, points)
     steps = STEP * rig_T_view[:3, :3].T  # one of the view's axes a row
-    columns = [
-        (_pixels(rig, pan, places + step) - _pixels(rig, pan, places - step)) / (2 * STEP)
-        for step in steps
-    ]
-    by_point = np.stack(columns, axis=-1)  # (n, 4, 3)
+    moved = [_pixels(rig, pan, places + s) - _pixels(rig, pan, places - s) for s in steps]
+    by_point = np.stack(moved, axis=-1) / (2 * STEP)  # (n, 4, 3)
     by_pixels = np.asarray(np.linalg.pinv(by_point), dtype=np.float64)
-    moved = parameter_derivatives(lambda r: _pixels(r, pan, places), rig, names)
-    return PointDerivatives(by_pixels, -np.einsum("nij,pnj->pni", by_pixels, moved))
+    by_rig = parameter_derivatives(lambda r: _pixels(r, pan, places), rig, names)
+    return PointDerivatives(by_pixels, -np.einsum("nij,pnj->pni", by_pixels, by_rig))
 
 
 def _pixels(rig: Rig, pan: Array, places: Array) -> Array:
     """Project points (n, 3) of the rig into both images, (n, 4), px."""
     images = []
     for camera, angle in zip((rig.left, rig.right), pan.tolist(), strict=True):
-        camera_T_rig = camera.camera_T_rig(angle)
-        images.append(camera.project(places @ camera_T_rig[:3, :3].T + camera_T_rig[:3, 3]))
+        images.append(camera.project(carry(camera.camera_T_rig(angle), places)))
     return np.concatenate(images, axis=1)
 
 
@@ -163,7 +154,8 @@ def uncertainty_field(rig: Rig, pan: Array, distance: float, turning: bool) -> A
     x, y = _grid(rig, pan, distance)
     places = np.stack([*np.meshgrid(x, y), np.full((len(y), len(x)), distance)], axis=-1)
     points = places.reshape(-1, 3)
-    visible = _in_both_images(rig, pan, points)
+    pixels, size = _pixels(rig, pan, carry(view_frame(rig, pan), points)), [*rig.image_size] * 2
+    visible = np.all((pixels >= -0.5) & (pixels <= np.array(size) - 0.5), axis=1)
     found = point_sensitivities(rig, pan, points[visible], names)
     random, systematic = np.full((2, len(points), 3, 3), np.nan)
     random[visible] = SPOT_SIGMA**2 * found.by_pixels @ found.by_pixels.transpose(0, 2, 1)
@@ -188,14 +180,6 @@ def _grid(rig: Rig, pan: Array, distance: float) -> tuple[Array, Array]:
     low, high = np.max(lows, axis=0), np.min(highs, axis=0)
     shares = [(np.arange(n) + 0.5) / n for n in (MAP_COLUMNS, MAP_ROWS)]
     return low[0] + shares[0] * (high[0] - low[0]), low[1] + shares[1] * (high[1] - low[1])
-
-
-def _in_both_images(rig: Rig, pan: Array, points: Array) -> Array:
-    rig_T_view = view_frame(rig, pan)
-    pixels = _pixels(rig, pan, points @ rig_T_view[:3, :3].T + rig_T_view[:3, 3])
-    size = np.array([*rig.image_size, *rig.image_size])
-    inside: Array = np.all((pixels >= -0.5) & (pixels <= size - 0.5), axis=1)
-    return inside
 
 
 def length_uncertainty(

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.calibration.stereo.records import Calibration
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.core.rig import Rig
 
 CELLS_ACROSS = 12  # of the coverage grid; as many down as keep them square
@@ -57,10 +57,8 @@ def view_frame(rig: Rig, pan: Array) -> Array:
     z = left[:3, 2] + right[:3, 2]
     z = z - (z @ x) * x
     z = z / np.linalg.norm(z)
-    rig_T_view = np.eye(4)
-    rig_T_view[:3, :3] = np.stack([x, np.cross(z, x), z], axis=1)
-    rig_T_view[:3, 3] = (left[:3, 3] + right[:3, 3]) / 2
-    return rig_T_view
+    turn = np.stack([x, np.cross(z, x), z], axis=1)
+    return rigid_transform(turn, (left[:3, 3] + right[:3, 3]) / 2)
 
 
 def image_coverage(calibration: Calibration) -> tuple[ImageCoverage, ...]:

@@ -17,17 +17,7 @@ from verify.calibration.quality.coverage import (
     board_stances,
     image_coverage,
 )
-from verify.calibration.stereo.parameters import (
-    PAR_AXIS,
-    PAR_CENTER,
-    PAR_FOCAL,
-    PAR_LENS,
-    PAR_OFFSET,
-    PAR_PRINCIPAL,
-    PAR_TURN,
-    PARAMETER_KEYS,
-    SIDES,
-)
+from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.records import (
     Calibration,
     Residuals,
@@ -48,13 +38,13 @@ DISTANCE_STEP = 0.05  # m, to which the distances of the maps are rounded
 NOISE_GROUP, READINGS_GROUP, PAN_GROUP = "spot noise", "pan readings", "pan axes and zeros"
 GROUPS = {  # of a camera's parameters, by key
     "pan_zero_deg": PAN_GROUP,
-    **dict.fromkeys(PARAMETER_KEYS[PAR_FOCAL], "focal lengths"),
-    **dict.fromkeys(PARAMETER_KEYS[PAR_PRINCIPAL], "principal points"),
-    **dict.fromkeys(PARAMETER_KEYS[PAR_LENS], "lens distortion"),
-    **dict.fromkeys(PARAMETER_KEYS[PAR_TURN], "cameras' turns"),
-    **dict.fromkeys(PARAMETER_KEYS[PAR_OFFSET], "cameras' places"),
-    **dict.fromkeys(PARAMETER_KEYS[PAR_CENTER], "cameras' places"),
-    **dict.fromkeys(PARAMETER_KEYS[PAR_AXIS], PAN_GROUP),
+    **dict.fromkeys(par.PARAMETER_KEYS[par.PAR_FOCAL], "focal lengths"),
+    **dict.fromkeys(par.PARAMETER_KEYS[par.PAR_PRINCIPAL], "principal points"),
+    **dict.fromkeys(par.PARAMETER_KEYS[par.PAR_LENS], "lens distortion"),
+    **dict.fromkeys(par.PARAMETER_KEYS[par.PAR_TURN], "cameras' turns"),
+    **dict.fromkeys(par.PARAMETER_KEYS[par.PAR_OFFSET], "cameras' places"),
+    **dict.fromkeys(par.PARAMETER_KEYS[par.PAR_CENTER], "cameras' places"),
+    **dict.fromkeys(par.PARAMETER_KEYS[par.PAR_AXIS], PAN_GROUP),
 }
 PICTURE_WIDTH = 720  # px of either image in the report
 N_LINES = 12  # across both images
@@ -162,9 +152,8 @@ def _principal_point(calibration: Calibration, side: int) -> PrincipalPoint:
     size = np.array(calibration.rig.image_size)
     offset = camera.matrix[:2, 2] - (size - 1) / 2  # pixel centres at whole numbers
     distance = float(np.linalg.norm(offset))
-    u = _directional_uncertainty(
-        calibration, [f"{SIDES[side]}.{key}_px" for key in ("cx", "cy")], offset
-    )
+    names = [f"{par.SIDES[side]}.{key}_px" for key in ("cx", "cy")]
+    u = _directional_uncertainty(calibration, names, offset)
     odd = bool(np.any(np.abs(offset) > MAX_CENTRE_OFFSET * size))
     sure = u is not None and distance > MIN_CENTRE_SIGMA * u
     return PrincipalPoint(side, offset, distance, u, odd, sure)
@@ -257,18 +246,13 @@ def draw_rectified(rig: Rig, left: Image, right: Image, pan: Array | None = None
     Source: the rectification is OpenCV's stereoRectify (Bouguet's).
     """
     angles = [rig.left.pan, rig.right.pan] if pan is None else pan.tolist()
-    right_T_left = np.linalg.inv(rig.right.rig_T_camera(angles[1])) @ rig.left.rig_T_camera(
-        angles[0]
-    )
+    right_T_left = rig.right.camera_T_rig(angles[1]) @ rig.left.rig_T_camera(angles[0])
     turns = cv2.stereoRectify(
         rig.left.matrix, rig.left.distortion, rig.right.matrix, rig.right.distortion,
         rig.image_size, right_T_left[:3, :3], right_T_left[:3, 3:], alpha=0,
     )  # fmt: skip
     new = [np.asarray(turn, dtype=float) for turn in turns[:4]]
-    pictures = [
-        _rectify(left, rig.left, new[0], new[2]),
-        _rectify(right, rig.right, new[1], new[3]),
-    ]
+    pictures = [_rectify(left, rig.left, *new[::2]), _rectify(right, rig.right, *new[1::2])]
     gap = np.full((len(pictures[0]), GAP, 3), 255, dtype=np.uint8)
     both = np.concatenate([pictures[0], gap, pictures[1]], axis=1)
     for y in np.linspace(0, len(both), N_LINES + 1)[1:-1]:

@@ -210,11 +210,8 @@ def _correlation(calibration: Calibration) -> dict[str, Any]:
     given = calibration.rig.covariance
     if given is None:
         return {"parameters": [], "correlation": []}
-    free = np.flatnonzero(given.standard_uncertainty > 0)
-    return {
-        "parameters": [given.parameters[i] for i in free.tolist()],
-        "correlation": given.correlation[np.ix_(free, free)].tolist(),
-    }
+    free = given.take(np.flatnonzero(given.standard_uncertainty > 0).tolist())
+    return {"parameters": list(free.parameters), "correlation": free.correlation.tolist()}
 
 
 def _board(calibration: Calibration) -> dict[str, Any]:

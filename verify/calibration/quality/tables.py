@@ -6,6 +6,7 @@ import numpy as np
 import pandas as pd
 from scipy.spatial.transform import Rotation
 
+from robots.transforms import carry
 from verify.calibration.origin import DEG, MM, POSE_UNITS
 from verify.calibration.quality.accuracy import uncertainty_maps
 from verify.calibration.quality.coverage import view_frame
@@ -122,9 +123,8 @@ def _boards(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFra
     table |= {name: values[:, i] for i, name in enumerate(BODY)}
     table |= {f"u_{name}": u[:, i] for i, name in enumerate(BODY)}
     table["distance_mm"] = [s.distance * MM for s in quality.stances]
-    table["tilt_deg"] = [s.tilt * DEG for s in quality.stances]
-    table["about_horizontal_deg"] = [s.about_horizontal * DEG for s in quality.stances]
-    table["about_vertical_deg"] = [s.about_vertical * DEG for s in quality.stances]
+    for name in ("tilt", "about_horizontal", "about_vertical"):
+        table[f"{name}_deg"] = [getattr(s, name) * DEG for s in quality.stances]
     return pd.DataFrame(table)
 
 
@@ -162,8 +162,7 @@ def _scene(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFram
         [[low, low, 0], [high[0], low, 0], [high[0], high[1], 0], [low, high[1], 0], [low, low, 0]]
     )
     items = [
-        ("board", str(stance.frame), _transform(stance.view_T_board, edge))
-        for stance in quality.stances
+        ("board", str(stance.frame), carry(stance.view_T_board, edge)) for stance in quality.stances
     ]
     view_T_rig = np.linalg.inv(view_frame(calibration.rig, quality.pan))
     for side, camera, pan in zip(
@@ -171,7 +170,7 @@ def _scene(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFram
     ):
         reach = FRUSTUM * quality.working_distance
         pyramid = _pyramid(camera, calibration.rig.image_size) * reach
-        items.append(("camera", side, _transform(view_T_rig @ camera.rig_T_camera(pan), pyramid)))
+        items.append(("camera", side, carry(view_T_rig @ camera.rig_T_camera(pan), pyramid)))
     rows = [
         {"kind": kind, "name": name, "x_mm": x * MM, "y_mm": y * MM, "z_mm": z * MM}
         for kind, name, line in items
@@ -187,7 +186,3 @@ def _pyramid(camera: Camera, size: tuple[int, int]) -> Array:
     a, b, c, d = np.column_stack([camera.normalise(corners), np.ones(4)])
     tip = np.zeros(3)
     return np.array([tip, a, b, tip, c, d, tip, a, d, c, b])
-
-
-def _transform(view_T_own: Array, points: Array) -> Array:
-    return points @ view_T_own[:3, :3].T + view_T_own[:3, 3]

@@ -27,9 +27,8 @@ TOL_STEP = 1e-9  # of a step in units of m, rad and s: a hundredth of any uncert
 # chi² of one spot given the others, 2 degrees of freedom: 5e-5 false rejections
 MAX_SPOT_CHI2 = 20.0
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
-JOINT_PRIOR_SIGMA = np.deg2rad(
-    1.0
-)  # a joint fault must not pass for wrong spots: poses are left open
+# a joint fault must not pass for wrong spots: poses are left open
+JOINT_PRIOR_SIGMA = np.deg2rad(1.0)
 MAX_ROUNDS = 8  # of rejection
 TOL_RANK = 1e-12  # of an information matrix with unit diagonal: rounding
 
@@ -85,9 +84,8 @@ def adjust(
     at = start
     for _ in range(MAX_ROUNDS):
         at = _fit_parameters(spotted, setup, at, free)
-        refused = _worst_spots(
-            spotted, predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
-        )
+        seen = predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
+        refused = _worst_spots(spotted, seen)
         if not refused.any():
             break
         spotted = replace(spotted, used=spotted.used & ~refused)
@@ -106,13 +104,8 @@ def _fit_parameters(
         step[free] = np.linalg.lstsq(design, residual, rcond=None)[0]
         return step, None
 
-    return gauss_newton(
-        at,
-        solve_step,
-        RegistrationParameters.moved,
-        max_iterations=MAX_ITERATIONS,
-        tol_step=TOL_STEP,
-    )[0]
+    move = RegistrationParameters.moved
+    return gauss_newton(at, solve_step, move, max_iterations=MAX_ITERATIONS, tol_step=TOL_STEP)[0]
 
 
 def _append_stated_clock(
@@ -132,40 +125,29 @@ def _append_stated_clock(
 
 def whiten_pairs(spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup) -> WhitenedRows:
     """Whiten each pair's used spots, and turn the rows so that six of them hold its pose."""
-    parts: list[tuple[Array, Array, Array]] = []
-    pair, place = [], []
+    parts, pair, place = [], [], []
     for i in range(len(spotted)):
         mine = np.flatnonzero((spotted.pair == i) & spotted.used)
         if not len(mine):
             continue
-        by_joint = seen.by_joint[mine].reshape(2 * len(mine), -1)
+        count = 2 * len(mine)
         lower = np.linalg.cholesky(_covariance(spotted, seen, setup, mine))
-        columns = np.concatenate(
-            [
-                seen.by_flange[mine].reshape(2 * len(mine), 6),
-                seen.residual[mine].reshape(-1, 1),
-                seen.design[mine].reshape(2 * len(mine), -1),
-                by_joint,
-            ],
-            axis=1,
-        )
+        kinds = seen.by_flange, seen.residual, seen.design, seen.by_joint
+        columns = np.concatenate([kind[mine].reshape(count, -1) for kind in kinds], axis=1)
         white = np.linalg.solve(lower, columns)
         turn, triangle = np.linalg.qr(white[:, :6], mode="complete")
         turn[:, : len(triangle.T)] *= np.sign(np.diag(triangle))[None, : len(turn)]
-        white = turn.T @ white[:, 6:]
-        parts.append((white[:, 0], white[:, 1 : 1 + seen.design.shape[2]],
-                      white[:, 1 + seen.design.shape[2] :]))  # fmt: skip
-        count = 2 * len(mine)
+        parts.append(turn.T @ white[:, 6:])
         pair += [i] * count
         place += [k if k < 6 else -1 for k in range(count)]
-    where = np.array(place, dtype=np.int64)
+    where, rows = np.array(place, dtype=np.int64), np.concatenate(parts)
     return WhitenedRows(
         pair=np.array(pair, dtype=np.int64),
         pose=where >= 0,
         place=where,
-        residual=np.concatenate([p[0] for p in parts]),
-        design=np.concatenate([p[1] for p in parts]),
-        joints=np.concatenate([p[2] for p in parts]),
+        residual=rows[:, 0],
+        design=rows[:, 1 : 1 + seen.design.shape[2]],
+        joints=rows[:, 1 + seen.design.shape[2] :],
     )
 
 

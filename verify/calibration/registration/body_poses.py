@@ -8,10 +8,10 @@ import numpy as np
 from robots.transforms import difference
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.led_tracks import PairSpots, max_motion_px
-from verify.core.fiducials import Marker
-from verify.core.records import Array, Pose, Sighting, Spots
+from verify.core.fiducials import Marker, unnamed_marker
+from verify.core.records import Array, Pose, Sighting
 from verify.core.rig import Camera, Rig
-from verify.measurement.alignment import MAX_GAP, RawSighting, align, spot_instants
+from verify.measurement.alignment import MAX_GAP, RawSighting, align, raw_sighting
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
 from verify.measurement.pose import fit_pose, perturb
 
@@ -36,18 +36,6 @@ class BodyPose:
     diameter: float  # m, of an LED, by the width of its image
 
 
-def body_marker(leds: Array, diameter: float, play: float) -> Marker:
-    """LEDs in a frame of their own, as a marker that identification and pose understand."""
-    n = len(leds)
-    return Marker(
-        names=tuple(str(i) for i in range(n)),
-        leds=leds,
-        colours=(None,) * n,
-        led_diameter=diameter,
-        led_standard_uncertainty=play,
-    )
-
-
 def body_poses(
     pairs: Sequence[PairSpots], rig: Rig, leds: Array, diameter: float
 ) -> tuple[Array, list[BodyPose]]:
@@ -57,14 +45,14 @@ def body_poses(
     and the pairs in which three or more are assigned and give a pose.
     """
     rough = leds
-    assigned = _assign_leds(pairs, rig, body_marker(leds, diameter, START_LED_SIGMA))
+    assigned = _assign_leds(pairs, rig, unnamed_marker(leds, diameter, START_LED_SIGMA))
     for _ in range(MAX_ROUNDS):
-        poses = _fit_poses(assigned, rig, body_marker(leds, diameter, REFINED_LED_SIGMA))
+        poses = _fit_poses(assigned, rig, unnamed_marker(leds, diameter, REFINED_LED_SIGMA))
         better = _refine_leds(leds, poses)
         moved, leds = float(np.abs(better - leds).max()), better
         if moved < TOL_BODY:
             break
-    marker = body_marker(leds, diameter, REFINED_LED_SIGMA)
+    marker = unnamed_marker(leds, diameter, REFINED_LED_SIGMA)
     if np.abs(leds - rough).max() > START_LED_SIGMA:  # LEDs may have been overlooked
         assigned = _assign_leds(pairs, rig, marker)
     return leds, _fit_poses(assigned, rig, marker)
@@ -97,8 +85,7 @@ def _assign_leds(pairs: Sequence[PairSpots], rig: Rig, marker: Marker) -> list[A
 
 def _fit_poses(assigned: list[AssignedPair], rig: Rig, marker: Marker) -> list[BodyPose]:
     """Align every pair and fit its pose; pairs that leave one open stay out."""
-    fits = (_pose(i, assigned, rig, marker) for i in range(len(assigned)))
-    return [fit for fit in fits if fit is not None]
+    return [fit for i in range(len(assigned)) if (fit := _pose(i, assigned, rig, marker))]
 
 
 def _predict(memory: tuple[float, Array, Array], t: float) -> PosePrediction | None:
@@ -113,25 +100,13 @@ def _predict(memory: tuple[float, Array, Array], t: float) -> PosePrediction | N
 
 
 def _raw(now: PairSpots, side: int, found: Correspondence, camera: Camera) -> RawSighting:
-    spots: Spots = now.spots[side]
-    led = (found.left_led, found.right_led)[side]
-    index = (found.left_spot, found.right_spot)[side]
-    centre = spots.centre[index]
-    sighting = Sighting(
-        led=np.asarray(led, dtype=np.int64),
-        centre=centre,
-        covariance=spots.covariance[index],
-        t=now.t[side],
-        pan=now.pan[side],
-        peak=spots.peak[index],
-        velocity=np.zeros((len(index), 2)),
-        lever=np.zeros((len(index), 3)),
-    )
     assert found.rig_T_flange is not None
     camera_T_rig = camera.camera_T_rig(now.pan[side])
     ahead = camera_T_rig[2, :3] @ found.rig_T_flange[:3, 3] + camera_T_rig[2, 3]
+    led, index = found.sides[side]
     depth = np.full(len(index), ahead)  # rough: for bases that turn between two pairs
-    return RawSighting(sighting, spot_instants(now.t[side], centre, camera, now.height), depth)
+    instant = now.t[side], now.pan[side], now.height
+    return raw_sighting(now.spots[side], led, index, camera, instant, depth)
 
 
 def _pose(i: int, found: list[AssignedPair], rig: Rig, marker: Marker) -> BodyPose | None:
@@ -141,14 +116,9 @@ def _pose(i: int, found: list[AssignedPair], rig: Rig, marker: Marker) -> BodyPo
         found[k][2] if 0 <= k < len(found) and abs(found[k][0].t[0] - now.t[0]) <= MAX_GAP else None
         for k in (i - 1, i + 1, i - 2)
     ]
+    alone = not any(around)
     left, right = (
-        align(
-            raw[side],
-            [near[side] if near else None for near in around],
-            now.t[0],
-            camera,
-            alone=not any(around),
-        )
+        align(raw[side], [n[side] if n else None for n in around], now.t[0], camera, alone=alone)
         for side, camera in enumerate((rig.left, rig.right))
     )
     if left is None or right is None or identified.rig_T_flange is None:

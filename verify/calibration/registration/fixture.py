@@ -14,15 +14,15 @@ from scipy.linalg import block_diag
 
 from robots.transforms import cross_matrix, difference, invert
 from verify.calibration.board.pose import board_marker, board_poses
-from verify.calibration.stereo.records import extend_covariance
+from verify.calibration.registration.uncertainty import BASE_NAMES
+from verify.calibration.stereo.records import extend_covariance, rms
 from verify.core.fiducials import Board, BoardPair, Marker
 from verify.core.records import Array, Measurement, Pose
-from verify.core.rig import Covariance, Rig
+from verify.core.rig import Rig
 from verify.core.statistics import chi2_isf
 from verify.errors import InputError
 from verify.io import rig as io_rig
 from verify.measurement.pose import perturb
-from verify.measurement.sensitivities import AXES
 from verify.measurement.systematics import (
     Systematics,
     sensitivities,
@@ -30,10 +30,6 @@ from verify.measurement.systematics import (
     stated_systematics,
 )
 
-BASE_NAMES = (
-    *(f"robot_base.{axis}_mm" for axis in AXES),
-    *(f"robot_base.r{axis}_deg" for axis in AXES),
-)
 P_FALSE_ALARM = 1e-3  # of pairs being said to disagree where noise alone is at work
 # of the corners' residuals, from which their scatter is known to 7 % and counts as it is: never
 # letting it fall below 1 overstates the base's covariance by 4 % where corners keep their word
@@ -89,15 +85,20 @@ def register_fixture(
     Raises:
         InputError: no usable view of the board, or pairs that put it at different places.
     """
-    rig = replace(rig, rig_T_base=np.eye(4), covariance=_drop_registration(rig.covariance))
+    given = rig.covariance
+    if given is not None:  # what an earlier registration added is found anew
+        names = enumerate(given.parameters)
+        given = given.take([i for i, n in names if n.startswith(("left.", "right."))])
+    rig = replace(rig, rig_T_base=np.eye(4), covariance=given)
     seen = board_poses(rig, pairs, board)
     if not seen:
         expected = "at least one picture that shows six of its corners is needed"
         raise InputError("board on the base", "is in no picture", expected, "Turn the cameras.")
     turning = len({(p.pan_left, p.pan_right) for p in pairs}) > 1
-    parameters = stated_systematics(rig, board_marker(board), turning)
-    noise = _noise(seen, parameters, rig, board_marker(board))
-    effects = [sensitivities(parameters, m, rig, board_marker(board)) for m in seen]
+    marker = board_marker(board)
+    parameters = stated_systematics(rig, marker, turning)
+    noise = _noise(seen, parameters, rig, marker)
+    effects = [sensitivities(parameters, m, rig, marker) for m in seen]
     used, common, warnings = _consistent_pairs(seen, effects, parameters, noise)
     base, by_board, by_fixture = _base(common.pose, base_T_board)
     fixture = by_fixture @ base_T_board_covariance @ by_fixture.T
@@ -111,6 +112,7 @@ def register_fixture(
         covariance=covariance,
     )  # fmt: skip
     registration = f"sha256:{sha256(io_rig.encode(placed)).hexdigest()}"
+    left = [m.pose.residual[~m.pose.rejected] for i in used if (m := seen[i]).pose]
     return FixtureRegistration(
         rig=replace(placed, registration=registration),
         registration=registration,
@@ -120,7 +122,7 @@ def register_fixture(
         frames=np.array([seen[i].frame for i in used], dtype=np.int64),
         pair_difference=common.difference,
         pair_chi2=common.pair_chi2,
-        residual_rms_px=_rms_residual([seen[i] for i in used]),
+        residual_rms_px=rms(np.concatenate(left)),
         noise=noise,
         decisions=_decisions(seen, used, noise, common, fixture),
         warnings=(*warnings, *_unstated_warnings(rig, parameters, base_T_board_covariance)),
@@ -144,19 +146,6 @@ def _square_effect(rig: Rig, pairs: Sequence[BoardPair], board: Board, pose: Arr
     ]
     moved: Array = ends[0] - ends[1]
     return moved
-
-
-def _drop_registration(given: Covariance | None) -> Covariance | None:
-    """Drop what an earlier registration added: it is found anew."""
-    if given is None:
-        return None
-    keep = [i for i, n in enumerate(given.parameters) if n.startswith(("left.", "right."))]
-    return replace(
-        given,
-        parameters=tuple(given.parameters[i] for i in keep),
-        standard_uncertainty=given.standard_uncertainty[keep],
-        correlation=given.correlation[np.ix_(keep, keep)],
-    )
 
 
 def _noise(seen: list[Measurement], parameters: Systematics, rig: Rig, marker: Marker) -> float:
@@ -206,7 +195,11 @@ def _consistent_pairs(
         if not degrees or common.chi2 < chi2_isf(P_FALSE_ALARM, degrees):
             return used, common, warnings
         worst = int(np.argmax(common.pair_chi2))
-        said = _deviation_text(seen[used[worst]], common.difference[worst])
+        shift, turn = np.linalg.norm(common.difference[worst].reshape(2, 3), axis=1)
+        said = (
+            f"pair {seen[used[worst]].frame} puts the board {shift * 1e3:.2f} mm and "
+            f"{np.rad2deg(turn):.3f}° from where all pairs together put it"
+        )
         if len(seen) - len(used) + 1 > MAX_REJECTED_SHARE * len(seen):
             remedy = (
                 "See that the board is fixed to the base, and state pan_standard_uncertainty_deg "
@@ -215,14 +208,6 @@ def _consistent_pairs(
             raise InputError("board on the base", said, "a fixed board stays in place", remedy)
         warnings.append(f"Left out: {said}, beyond what noise explains.")
         used.pop(worst)
-
-
-def _deviation_text(seen: Measurement, apart: Array) -> str:
-    shift, turn = np.linalg.norm(apart[:3]) * 1e3, np.rad2deg(np.linalg.norm(apart[3:]))
-    return (
-        f"pair {seen.frame} puts the board {shift:.2f} mm and {turn:.3f}° from where all pairs "
-        "together put it"
-    )
 
 
 def _combine(
@@ -293,14 +278,8 @@ def _parameter_columns(rig: Rig, parameters: Systematics, by_known: Array) -> Ar
     """Columns for all that rig.toml states; 0 for names that nobody here understands."""
     names = rig.covariance.parameters if rig.covariance else ()
     spread = np.zeros((6, len(names)))
-    for i, name in enumerate(parameters.names):
-        spread[:, names.index(name)] = by_known[:, i]
+    spread[:, [names.index(name) for name in parameters.names]] = by_known
     return spread
-
-
-def _rms_residual(seen: list[Measurement]) -> float:
-    left = [m.pose.residual[~m.pose.rejected] for m in seen if m.pose]
-    return float(np.sqrt(np.mean(np.sum(np.concatenate(left) ** 2, axis=1))))
 
 
 def _decisions(
@@ -330,13 +309,10 @@ def _decisions(
 
 
 def _unstated_warnings(rig: Rig, parameters: Systematics, fixture: Array) -> list[str]:
-    exact = []
-    if rig.covariance is None:
-        exact.append("rig")
-    if "pan angle" in parameters.uncounted:
-        exact.append("pan angle")
-    if not np.any(fixture):
-        exact.append("fixture")
-    if not exact:
-        return []
-    return [f"No uncertainty is stated for {', '.join(exact)}: taken as exact."]
+    unstated = {
+        "rig": rig.covariance is None,
+        "pan angle": "pan angle" in parameters.uncounted,
+        "fixture": not np.any(fixture),
+    }
+    exact = ", ".join(source for source, is_exact in unstated.items() if is_exact)
+    return [f"No uncertainty is stated for {exact}: taken as exact."] if exact else []

@@ -8,14 +8,14 @@ Triangles of points that recur in most pairs are extended by the points that kee
 them. No two pairs need to be near in time, so single visits serve as well as a motion.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array, Spots
+from verify.core.records import Array, Progress, Spots, take_rows
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io.session.session import Recording
@@ -42,8 +42,6 @@ MIN_VIEW_SHARE = 0.5  # of the pairs in which a part of the body is found
 MIN_TURN = np.deg2rad(1.0)  # of the body over the session: less, and it stands still
 MIN_MOVE = 5e-3  # m, of the body over the session
 MAX_ROUNDS = 4
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +88,7 @@ def drop_still_spots(pairs: Sequence[PairSpots]) -> list[PairSpots]:
         found = [pair.spots[side].centre for pair in pairs]
         pan = np.array([pair.pan[side] for pair in pairs])
         moving = [~_still_spots(i, found, pan) for i in range(len(pairs))]
-        sides.append([_select_spots(p.spots[side], m) for p, m in zip(pairs, moving, strict=True)])
+        sides.append([take_rows(p.spots[side], m) for p, m in zip(pairs, moving, strict=True)])
     each = zip(pairs, *sides, strict=True)
     return [replace(pair, spots=(left, right)) for pair, left, right in each]
 
@@ -106,11 +104,6 @@ def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
             apart = np.linalg.norm(found[i][:, None] - found[j][None], axis=2)
             again += apart.min(axis=1) < MAX_STILL_PX
     return again > MIN_STILL_SHARE * len(alike)
-
-
-def _select_spots(spots: Spots, keep: NDArray[np.bool_]) -> Spots:
-    each = [f.name for f in fields(spots) if f.name != "noise"]
-    return replace(spots, **{name: getattr(spots, name)[keep] for name in each})
 
 
 def find_leds(pairs: Sequence[PairSpots], rig: Rig, leds: int | None, place: str) -> Array:
@@ -175,16 +168,12 @@ def find_rigid_body(clouds: Sequence[PointCloud], most: int) -> Array | None:
     grown = [g for g in (_grow(t, clouds, most) for t in triangles) if g is not None]
     if not grown:
         return None
-    best = max(grown, key=lambda g: (round(g.visible, 1), -g.misfit))
-    centred: Array = best.leds - best.leds.mean(axis=0)
+    leds, _, _ = max(grown, key=lambda g: (round(g[1], 1), -g[2]))
+    centred: Array = leds - leds.mean(axis=0)
     return centred
 
 
-@dataclass(frozen=True, slots=True)
-class _GrownBody:
-    leds: Array  # (n, 3)
-    visible: float  # LEDs a pair, on average
-    misfit: float  # m, rms
+GrownBody = tuple[Array, float, float]  # LEDs (n, 3); LEDs a pair, on average; misfit, m, rms
 
 
 def _spread(clouds: Sequence[PointCloud], count: int) -> list[PointCloud]:
@@ -244,7 +233,7 @@ def _match(cloud: PointCloud, corners: Array) -> NDArray[np.int64] | None:
     return trio if distinct else None
 
 
-def _grow(corners: Array, clouds: Sequence[PointCloud], most: int) -> _GrownBody | None:
+def _grow(corners: Array, clouds: Sequence[PointCloud], most: int) -> GrownBody | None:
     """Add to a triangle the points that keep their place beside it."""
     placed = [
         (cloud.play, *_in_body(cloud, trio, corners))
@@ -286,7 +275,7 @@ def _is_moving(poses: Array) -> bool:
     return bool(moved > MIN_MOVE or turned > MIN_TURN)
 
 
-def _refine_body(leds: Array, clouds: Sequence[PointCloud]) -> _GrownBody | None:
+def _refine_body(leds: Array, clouds: Sequence[PointCloud]) -> GrownBody | None:
     """Move the LEDs to their mean places over the pairs; with it, how well they fit."""
     for _ in range(MAX_ROUNDS):
         found = [f for f in (_match_leds(leds, cloud) for cloud in clouds) if f is not None]
@@ -297,7 +286,7 @@ def _refine_body(leds: Array, clouds: Sequence[PointCloud]) -> _GrownBody | None
         off = float(np.sqrt(np.nanmean((stack - mean) ** 2)))
         leds = mean
     visible = float(np.mean(np.isfinite(stack[:, :, 0]).sum(axis=1)) * len(found) / len(clouds))
-    return _GrownBody(leds, visible, off)
+    return leds, visible, off
 
 
 def _match_leds(leds: Array, cloud: PointCloud) -> Array | None:

@@ -134,31 +134,22 @@ class SpotStack:
 
 def stack_spots(poses: Sequence[BodyPose], rig: Rig) -> SpotStack:
     """Stack the spots of all pairs."""
-    parts: dict[str, list[Array]] = {k: [] for k in ("centre", "cov", "t", "pan", "T", "led")}
-    pair, side, used = [], [], []
-    for i, one in enumerate(poses):
-        used.append(~one.pose.rejected)
-        for which, (raw, camera) in enumerate(zip(one.raw, (rig.left, rig.right), strict=True)):
-            m = len(raw.sighting)
-            pair += [i] * m
-            side += [which] * m
-            parts["centre"].append(raw.sighting.centre)
-            parts["cov"].append(raw.sighting.covariance)
-            parts["t"].append(raw.taken)
-            parts["pan"].append(np.full(m, raw.sighting.pan))
-            parts["T"].append(np.tile(camera.camera_T_rig(raw.sighting.pan), (m, 1, 1)))
-            parts["led"].append(raw.sighting.led.astype(float))
+    raws = [raw for one in poses for raw in one.raw]  # of each pair left, then right
+    seen, sizes = [raw.sighting for raw in raws], [len(raw.sighting) for raw in raws]
+    cameras = (rig.left, rig.right) * len(poses)
+    placed = [camera.camera_T_rig(s.pan) for camera, s in zip(cameras, seen, strict=True)]
+    view = np.repeat(np.arange(len(raws)), sizes)
     return SpotStack(
-        pair=np.array(pair, dtype=np.int64),
+        pair=view // 2,
         frame=np.array([one.spots.frame for one in poses], dtype=np.int64),
-        side=np.array(side, dtype=np.int64),
-        led=np.concatenate(parts["led"]).astype(np.int64),
-        centre=np.concatenate(parts["centre"]),
-        covariance=np.concatenate(parts["cov"]),
-        t=np.concatenate(parts["t"]),
-        pan=np.concatenate(parts["pan"]),
-        camera_T_rig=np.concatenate(parts["T"]),
-        used=np.concatenate(used),
+        side=view % 2,
+        led=np.concatenate([s.led for s in seen]),
+        centre=np.concatenate([s.centre for s in seen]),
+        covariance=np.concatenate([s.covariance for s in seen]),
+        t=np.concatenate([raw.taken for raw in raws]),
+        pan=np.array([s.pan for s in seen])[view],
+        camera_T_rig=np.array(placed)[view],
+        used=np.concatenate([~one.pose.rejected for one in poses]),
         sightings=tuple((one.raw[0].sighting, one.raw[1].sighting) for one in poses),
     )
 
@@ -178,17 +169,11 @@ class PredictedSpots:
     readings: tuple[NDArray[np.int64], Array]  # (s, 4) each: what an instant's joints come from
 
 
-def spot_instants(spotted: SpotStack, at: RegistrationParameters) -> Array:
-    """Instants of the spots on the readings' clock, (s,) s."""
-    taken: Array = spotted.t + at.skew * (spotted.side == RIGHT) - at.clock
-    return taken
-
-
 def predict_spots(
     spotted: SpotStack, rig: Rig, arm: robots.Arm, readings: Readings, at: RegistrationParameters
 ) -> PredictedSpots:
     """Predict every spot and differentiate it by all parameters."""
-    t = spot_instants(spotted, at)
+    t = spotted.t + at.skew * (spotted.side == RIGHT) - at.clock  # on the readings' clock
     q, rate = readings.at(t), readings.rate(t)
     base_T_flange = robots.forward(arm, q)
     rig_R_base = at.rig_T_base[:3, :3]

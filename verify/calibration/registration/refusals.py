@@ -134,7 +134,8 @@ def refuse_other_robot(
         InputError: the turns of readings and pictures differ by more than joint errors explain, or
             agree only with those of a mirror image.
     """
-    off = _turn_difference(start)
+    # median angle by which flange and LEDs turn otherwise
+    off = float(np.median(np.linalg.norm(start.solved.residual[start.good, 3:], axis=1)))
     check = (
         f'that "{robot}" is the robot that moved, and the order, signs and unit (degrees) of the '
         "columns in encoders.csv"
@@ -154,11 +155,6 @@ def refuse_other_robot(
             "the LEDs themselves must be seen, and the readings be this robot's",
             f"Check {check}; or cover the shiny surface that shows the LEDs.",
         )
-
-
-def _turn_difference(start: RegistrationStart) -> float:
-    """Median angle by which flange and LEDs turn otherwise, rad."""
-    return float(np.median(np.linalg.norm(start.solved.residual[start.good, 3:], axis=1)))
 
 
 def _difference(start: RegistrationStart) -> float:

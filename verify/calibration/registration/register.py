@@ -16,7 +16,6 @@ from verify.calibration.registration.adjustment import AdjustedRegistration, Adj
 from verify.calibration.registration.body_poses import BodyPose, body_poses
 from verify.calibration.registration.led_tracks import (
     PairSpots,
-    Progress,
     drop_still_spots,
     find_leds,
     find_spots,
@@ -46,7 +45,7 @@ from verify.calibration.registration.refusals import (
 from verify.calibration.registration.start import RegistrationStart, start_registration
 from verify.core.fiducials import Marker
 from verify.core.readings import RATE_SPAN, Readings
-from verify.core.records import Array
+from verify.core.records import Array, Progress, no_progress
 from verify.errors import InputError
 from verify.io.session.session import Recording
 from verify.measurement.triangulation import fit_rigid
@@ -60,10 +59,6 @@ MAX_MISFIT_RATIO = 30.0
 POSE_ROWS = 6
 
 
-def _no_progress(_done: int, _total: int) -> None:
-    """Report no progress."""
-
-
 def register_motion(
     recording: Recording,
     *,
@@ -71,7 +66,7 @@ def register_motion(
     marker: Marker | None = None,
     keep_base: bool = False,
     keep_leds: bool = False,
-    progress: Progress = _no_progress,
+    progress: Progress = no_progress,
 ) -> MotionRegistration:
     """Register a robot from its own motion; the rig's robot base and the marker are not needed.
 

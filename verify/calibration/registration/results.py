@@ -116,6 +116,7 @@ def poses_results(
     residual = found.residual * POSE_UNITS
     sizes = [np.linalg.norm(part, axis=1) for part in np.split(residual, 2, axis=1)]
     turned = session.instrument is not None and not session.instrument.positions_alone
+    left_out = {"do not belong to the others": len(found.left_out)} if found.left_out else {}
     target_u = placement_uncertainty(found.fit, "tool", 0)
     if not turned:
         target_u[3:] = np.nan
@@ -124,12 +125,7 @@ def poses_results(
         "method": "poses",
         "robot": session.robot,
         "registration": found.rig.registration,
-        "pairs": {
-            "used": int(found.fit.used.sum()),
-            "left_out": {"do not belong to the others": len(found.left_out)}
-            if found.left_out
-            else {},
-        },
+        "pairs": {"used": int(found.fit.used.sum()), "left_out": left_out},
         "base": _base(found.rig.rig_T_base, base_u, held=base_held),
         "target": _base(target, target_u, held=target_held),
         "leds": [],

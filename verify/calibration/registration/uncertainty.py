@@ -11,8 +11,6 @@ With H (rows, size) the derivatives of the predicted spots by base, LEDs, clock 
 What is not stated of the rig is taken as exact.
 """
 
-from dataclasses import replace
-
 import numpy as np
 
 from verify.calibration.handeye import rigid_columns
@@ -70,14 +68,7 @@ def _retained_covariance(
         for i, n in enumerate(given.parameters)
         if n not in fitted and (not n.startswith("led.") or n in known)
     ]
-    if not keep:
-        return None
-    return replace(
-        given,
-        parameters=tuple(given.parameters[i] for i in keep),
-        standard_uncertainty=given.standard_uncertainty[keep],
-        correlation=given.correlation[np.ix_(keep, keep)],
-    )
+    return given.take(keep) if keep else None
 
 
 def _add_marker(given: Covariance | None, marker: Marker) -> Covariance | None:
@@ -165,12 +156,8 @@ def inherited_absorption(rig: Rig, *, base: bool, leds: Marker | None) -> Array 
         )
     if kept is None:
         return rig.absorption[:6]
-    return np.concatenate(
-        [
-            np.zeros_like(rig.absorption[:6]),
-            rigid_columns(kept.leds).reshape(-1, 6) @ rig.absorption[6:],
-        ]
-    )
+    moved = rigid_columns(kept.leds).reshape(-1, 6) @ rig.absorption[6:]
+    return np.concatenate([np.zeros_like(rig.absorption[:6]), moved])
 
 
 def absorbed_offsets(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:
@@ -198,12 +185,8 @@ def absorption(adjusted: AdjustedRegistration, held: Array | None = None) -> Arr
 
 def visible_fractions(adjusted: AdjustedRegistration, held: Array | None = None) -> Array:
     """Share of a constant offset of each joint that stays visible in the pixels, (j,)."""
-    taken, predicted, spotted = (
-        absorbed_offsets(adjusted, held),
-        adjusted.predicted,
-        adjusted.spotted,
-    )
-    design = predicted.design
+    taken, spotted = absorbed_offsets(adjusted, held), adjusted.spotted
+    predicted, design = adjusted.predicted, adjusted.predicted.design
     left, whole = np.zeros(taken.shape[1]), np.zeros(taken.shape[1])
     for i in np.unique(spotted.pair[spotted.used]):  # of a rejected pair no spot is used
         mine = (spotted.pair == i) & spotted.used

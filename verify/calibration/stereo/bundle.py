@@ -26,28 +26,9 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from verify.calibration.stereo import gauge, kernels
+from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.gauge import AdjustmentModel
-from verify.calibration.stereo.parameters import (
-    BEND,
-    BOW,
-    MOTION,
-    N_ERRORS,
-    N_SHARED,
-    PAN_ERRORS,
-    PAR_AXIS,
-    PAR_CENTER,
-    PAR_OFFSET,
-    PAR_TURN,
-    PAR_ZERO,
-    BundleState,
-    CornerStack,
-    base_rotations,
-    camera_columns,
-    lens_values,
-    step_camera,
-    step_poses,
-)
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera
 
 MAX_ITERATIONS = 60
@@ -56,7 +37,7 @@ ROUNDING = 1e-12  # of the cost: what sums in another order differ by
 LEAST_DAMPING = 1e-8  # more would slow what the pictures hardly show
 FIRST_DAMPING = 1e-4  # where a step without it led astray
 Index = NDArray[np.int64]
-N_LOCAL = 6 + N_ERRORS  # a board's own unknowns: its pose, its errors
+N_LOCAL = 6 + par.N_ERRORS  # a board's own unknowns: its pose, its errors
 ERRORS = slice(6, N_LOCAL)
 N_SEEN = kernels.COL_POSE  # shared parameters that move one camera's pixels
 LOCAL_COLUMNS = slice(N_SEEN, N_SEEN + N_LOCAL)  # behind them
@@ -74,11 +55,13 @@ class _CameraCorners:
     pixels: Array  # (n, 2), NaN behind the camera
 
 
-def _see(side: int, state: BundleState, corners: CornerStack) -> _CameraCorners:
+def _see(side: int, state: par.BundleState, corners: par.CornerStack) -> _CameraCorners:
     camera, rows = state.cameras[side], np.flatnonzero(corners.camera == side)
     placed = camera_poses(camera, corners.pan[:, side] + state.pan_error[:, side])
     (fx, _, cx), (_, fy, cy), _ = camera.matrix
-    moved = np.concatenate([state.errors[:, MOTION], state.errors[:, BEND] + state.bow], axis=1)
+    moved = np.concatenate(
+        [state.errors[:, par.MOTION], state.errors[:, par.BEND] + state.bow], axis=1
+    )
     arms, points, seen = np.empty((3, len(rows), 3))
     at = _CameraCorners(
         rows, corners.board[rows], corners.modes[rows],
@@ -90,7 +73,7 @@ def _see(side: int, state: BundleState, corners: CornerStack) -> _CameraCorners:
     return at
 
 
-def predict(state: BundleState, corners: CornerStack) -> Array:
+def predict(state: par.BundleState, corners: par.CornerStack) -> Array:
     """Predict the corners' pixels, (n, 2); NaN behind a camera."""
     pixels = np.empty((len(corners), 2))
     for side in range(2):
@@ -101,7 +84,7 @@ def predict(state: BundleState, corners: CornerStack) -> Array:
 
 def _seen(side: int) -> Index:
     """Shared parameters that move one camera's pixels."""
-    return np.arange(N_SHARED)[np.r_[camera_columns(side), BOW]]
+    return np.arange(par.N_SHARED)[np.r_[par.camera_columns(side), par.BOW]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,8 +108,8 @@ class NormalEquations:
 
 
 def normal_equations(
-    state: BundleState,
-    corners: CornerStack,
+    state: par.BundleState,
+    corners: par.CornerStack,
     model: AdjustmentModel,
     weight: Array,
     damping: float = 0.0,
@@ -136,7 +119,7 @@ def normal_equations(
     The weight (n,) is of each corner beside its stated covariance, 0 leaves it out; `damping` is
     Marquardt's factor on the diagonal of the boards' own information.
     """
-    count, width = len(state.boards), N_SHARED
+    count, width = len(state.boards), par.N_SHARED
     full, gradient = np.zeros((count, width, width)), np.zeros((count, width))
     prior, across = np.zeros(N_LOCAL), np.zeros((count, N_LOCAL, width))
     prior[ERRORS] = _finite(model.precision)
@@ -163,11 +146,11 @@ def normal_equations(
         shared=shared,
         diagonal=np.einsum("bii->i", full) + np.sum(lens**2, axis=0),
         lens=lens.T @ lens,
-        lens_gradient=-lens.T @ (lens @ lens_values(state)),
+        lens_gradient=-lens.T @ (lens @ par.lens_values(state)),
     )
 
 
-def _products(side: int, state: BundleState, corners: CornerStack, weight: Array) -> Array:
+def _products(side: int, state: par.BundleState, corners: par.CornerStack, weight: Array) -> Array:
     """Products of one camera's whitened columns over each board's corners, (b, 40, 40).
 
     Columns: the camera's parameters (22), the bow (3), the board's own (14), the residual.
@@ -198,7 +181,9 @@ def _invert_local(block: Array, model: AdjustmentModel, damping: float) -> Array
     return inverse
 
 
-def cost(state: BundleState, corners: CornerStack, model: AdjustmentModel, weight: Array) -> float:
+def cost(
+    state: par.BundleState, corners: par.CornerStack, model: AdjustmentModel, weight: Array
+) -> float:
     """Sum the weighted squares that the adjustment minimises; infinite behind a camera."""
     squares = _squares(state, corners)
     if np.isnan(squares[weight > 0]).any():
@@ -206,7 +191,7 @@ def cost(state: BundleState, corners: CornerStack, model: AdjustmentModel, weigh
     total = float(weight @ np.nan_to_num(squares))
     total += float(np.sum(_finite(model.precision) * state.errors**2))
     if model.lens is not None:
-        total += float(np.sum((model.lens @ lens_values(state)) ** 2))
+        total += float(np.sum((model.lens @ par.lens_values(state)) ** 2))
     return total
 
 
@@ -214,24 +199,24 @@ def _finite(precision: Array) -> Array:
     return np.where(np.isfinite(precision), precision, 0.0)
 
 
-def squared_distances(state: BundleState, corners: CornerStack) -> Array:
+def squared_distances(state: par.BundleState, corners: par.CornerStack) -> Array:
     """Squared residual of each corner in its stated covariance, (n,); 1e12 behind a camera."""
     return np.nan_to_num(_squares(state, corners), nan=1e12)
 
 
-def _squares(state: BundleState, corners: CornerStack) -> Array:
+def _squares(state: par.BundleState, corners: par.CornerStack) -> Array:
     residual = corners.observed - predict(state, corners)
     squares: Array = np.sum(np.einsum("nij,nj->ni", corners.root, residual) ** 2, axis=1)
     return squares
 
 
 def adjust(
-    state: BundleState,
-    corners: CornerStack,
+    state: par.BundleState,
+    corners: par.CornerStack,
     model: AdjustmentModel,
     weight: Array,
     iterations: int = MAX_ITERATIONS,
-) -> BundleState:
+) -> par.BundleState:
     """Find the state of least squares by damped Gauss-Newton steps, always in the gauge.
 
     The weight (n,) is of each corner beside its stated covariance; 0 leaves it out.
@@ -257,8 +242,12 @@ def adjust(
 
 
 def _damped_step(
-    state: BundleState, corners: CornerStack, model: AdjustmentModel, weight: Array, damping: float
-) -> tuple[BundleState, float]:
+    state: par.BundleState,
+    corners: par.CornerStack,
+    model: AdjustmentModel,
+    weight: Array,
+    damping: float,
+) -> tuple[par.BundleState, float]:
     """Take one damped step; with it, by how much it should lower the cost to first order."""
     pan = corners.pan[0]
     system = normal_equations(state, corners, model, weight, damping)
@@ -276,7 +265,9 @@ def _damped_step(
     return gauge.apply_gauge(step_state(state, corners, step, own_step), model, pan), promised
 
 
-def step_state(state: BundleState, corners: CornerStack, change: Array, own: Array) -> BundleState:
+def step_state(
+    state: par.BundleState, corners: par.CornerStack, change: Array, own: Array
+) -> par.BundleState:
     """Step the shared parameters by (47,) and each board's own by (b, 14), all at once.
 
     Images of boards determine least of all a rotation of the rig against its own baseline; in the
@@ -287,7 +278,7 @@ def step_state(state: BundleState, corners: CornerStack, change: Array, own: Arr
 
     with the board's own step d and the step D of the camera's parameters.
     """
-    changes = (change[camera_columns(0)], change[camera_columns(1)])
+    changes = (change[par.camera_columns(0)], change[par.camera_columns(1)])
     errors = state.errors + own[:, 6:]
     cameras = _cameras(state, changes, corners.pan.mean(axis=0))
     boards, beyond = state.boards.copy(), own[:, :6].copy()
@@ -296,45 +287,46 @@ def step_state(state: BundleState, corners: CornerStack, change: Array, own: Arr
     for side, (old, new, d) in enumerate(zip(state.cameras, cameras, changes, strict=True)):
         mine = host == side
         before = corners.pan[mine, side] + state.pan_error[mine, side]
-        after = corners.pan[mine, side] + errors[mine, PAN_ERRORS][:, side]
+        after = corners.pan[mine, side] + errors[mine, par.PAN_ERRORS][:, side]
         carried = camera_poses(new, after) @ np.linalg.inv(camera_poses(old, before))
         beyond[mine] -= _motion(old, before, after - before, d, boards[mine, :3, 3])
         boards[mine] = carried @ boards[mine]
-    return BundleState(*cameras, step_poses(boards, beyond), errors, state.bow + change[BOW])
+    return par.BundleState(
+        *cameras, par.step_poses(boards, beyond), errors, state.bow + change[par.BOW]
+    )
 
 
-def _cameras(state: BundleState, changes: tuple[Array, Array], pan: Array) -> tuple[Camera, Camera]:
+def _cameras(
+    state: par.BundleState, changes: tuple[Array, Array], pan: Array
+) -> tuple[Camera, Camera]:
     """Step both cameras; the right one moves with the left one, at the mean readings (2,)."""
-    left, right = (step_camera(c, d) for c, d in zip(state.cameras, changes, strict=True))
+    left, right = (par.step_camera(c, d) for c, d in zip(state.cameras, changes, strict=True))
     at_left, at_right = pan[:1], pan[1:]
     before = camera_poses(state.right, at_right)
     carried = camera_poses(left, at_left) @ np.linalg.inv(camera_poses(state.left, at_left))
     still = np.zeros(1)
     straight = _motion(state.right, at_right, still, changes[1], before[:, :3, 3])
     with_left = _motion(state.left, at_left, still, changes[0], before[:, :3, 3])
-    wanted = step_poses(carried @ before, straight - with_left)
+    wanted = par.step_poses(carried @ before, straight - with_left)
     turntable = camera_poses(right, at_right) @ np.linalg.inv(right.mount)
     return left, replace(right, mount=(np.linalg.inv(turntable) @ wanted)[0])
 
 
 def camera_poses(camera: Camera, pan: Array) -> Array:
     """Place a camera for readings (b,), rad: rig_T_camera (b, 4, 4)."""
-    turned = np.tile(np.eye(4), (len(pan), 1, 1))
-    turned[:, :3, :3] = base_rotations(camera, pan)
-    turned[:, :3, 3] = camera.pan_center
-    return turned @ camera.mount
+    return rigid_transform(par.base_rotations(camera, pan), camera.pan_center) @ camera.mount
 
 
 def _motion(camera: Camera, pan: Array, turned_on: Array, change: Array, points: Array) -> Array:
     """How a step of a camera carries points (b, 3) that go with it, to first order, (b, 6)."""
     placed_there = camera_poses(camera, pan)
     turned = placed_there[:, :3, :3] @ camera.mount[:3, :3].T
-    about_center = change[PAR_AXIS] - turned @ change[PAR_AXIS]
-    about_center = about_center + (change[PAR_ZERO] + turned_on)[:, None] * camera.pan_axis
-    about_camera = turned @ change[PAR_TURN]
+    about_center = change[par.PAR_AXIS] - turned @ change[par.PAR_AXIS]
+    about_center = about_center + (change[par.PAR_ZERO] + turned_on)[:, None] * camera.pan_axis
+    about_camera = turned @ change[par.PAR_TURN]
     shift = (
-        change[PAR_CENTER]
-        + turned @ change[PAR_OFFSET]
+        change[par.PAR_CENTER]
+        + turned @ change[par.PAR_OFFSET]
         + _cross(about_center, points - camera.pan_center)
         + _cross(about_camera, points - placed_there[:, :3, 3])
     )

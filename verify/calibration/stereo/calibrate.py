@@ -4,28 +4,19 @@ The stages: choose the usable pairs and start values, a robust adjustment, the b
 bases' axes and the readings' scatter, the final adjustment; what it leaves open is refused.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from verify.calibration.stereo import bundle, estimate, pan_bases, refusals, start
+from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel, fixed_names
-from verify.calibration.stereo.parameters import (
-    BEND,
-    BOW,
-    MOTION,
-    PARAMETER_NAMES,
-    SIDES,
-    BundleState,
-    CornerStack,
-    length_parameters,
-)
 from verify.calibration.stereo.prior import lens_rows, open_coefficients
 from verify.calibration.stereo.records import Calibration, state_covariance
 from verify.calibration.stereo.scatter import ErrorScatter
 from verify.core.fiducials import Board, BoardPair, BoardView
-from verify.core.records import Array
+from verify.core.records import Array, Progress, no_progress
 from verify.core.rig import Camera, Covariance, Rig
 from verify.core.statistics import chi2_isf
 
@@ -35,11 +26,6 @@ N_STAGES = 5
 MAX_HAND_VARIANCE = 2.0  # of what is left without it: beyond it motion and bend are adjusted
 P_FALSE_BOW = 1e-3  # that a flat board seems bowed
 TOL_HELD = 1e-8  # of a unit step: a parameter that the free directions move by less is held
-Progress = Callable[[int, int], None]
-
-
-def no_progress(_done: int, _of: int) -> None:
-    """Report no progress."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +33,7 @@ class BundleStart:
     """What the adjustment begins with."""
 
     pairs: tuple[BoardPair, ...]  # the usable pairs with their usable views
-    state: BundleState
+    state: par.BundleState
     bases: tuple[str, str]
     notes: tuple[str, ...]  # what was left out and why
 
@@ -58,7 +44,7 @@ class _AdjustedBundle:
 
     found: estimate.Estimate
     held: estimate.Estimate | None  # with boards that moved or bent in the hand; None: none did
-    corners: CornerStack
+    corners: par.CornerStack
     scatter: ErrorScatter | None  # of pan readings; None: no base turned
     notes: tuple[str, ...]  # on bases that turned too little
 
@@ -112,7 +98,7 @@ def calibrate(
         decisions=(*begin.notes, *_decisions(adjusted, board)),
         square_found=estimate.square_edges(found, corners, board),
         turning=begin.bases != (BASE_FIXED, BASE_FIXED),
-        motion=_seen_errors(adjusted, MOTION),
+        motion=_seen_errors(adjusted, par.MOTION),
     )
 
 
@@ -170,7 +156,7 @@ def _views(pairs: Sequence[BoardPair], side: int) -> dict[int, BoardView]:
 def _drop_foreign(pairs: list[BoardPair], board: Board) -> tuple[list[BoardPair], list[str]]:
     """Drop the views in which something else was taken for the board; notes name them."""
     notes = []
-    for side, name in enumerate(SIDES):
+    for side, name in enumerate(par.SIDES):
         out = start.foreign_views(_views(pairs, side), board)
         for i in out:
             pairs[i] = replace(pairs[i], left=None) if side == 0 else replace(pairs[i], right=None)
@@ -192,7 +178,7 @@ def usable_view(view: BoardView | None, board: Board) -> BoardView | None:
     return view if extent[1] > MIN_EXTENT * board.square else None
 
 
-def stack_corners(pairs: Sequence[BoardPair], board: Board) -> CornerStack:
+def stack_corners(pairs: Sequence[BoardPair], board: Board) -> par.CornerStack:
     """Stack the corners of all views, sorted by pair, left before right."""
     views = [
         (i, side, view)
@@ -202,24 +188,19 @@ def stack_corners(pairs: Sequence[BoardPair], board: Board) -> CornerStack:
     ]
     corner = np.concatenate([v.corner for _, _, v in views])
     spread = np.concatenate([v.covariance for _, _, v in views])
-    return CornerStack(
+    xy = board.points[:, :2] - board.points[:, :2].mean(axis=0)
+    x, y = (xy / (np.ptp(xy, axis=0).max() / 2)).T
+    return par.CornerStack(
         camera=np.concatenate([np.full(len(v), side) for _, side, v in views]),
         board=np.concatenate([np.full(len(v), i) for i, _, v in views]),
         corner=corner,
         point=board.points[corner],
-        modes=_bow_modes(board)[corner],
+        modes=np.stack([x * x, x * y, y * y], axis=1)[corner],
         observed=np.concatenate([v.centre for _, _, v in views]),
         root=np.linalg.inv(np.linalg.cholesky(spread)),
         uncertainty=np.sqrt(np.trace(spread, axis1=1, axis2=2) / 2),
         pan=np.array([[p.pan_left, p.pan_right] for p in pairs]),
     )
-
-
-def _bow_modes(board: Board) -> Array:
-    """Heights (corners of the board, 3) of a bow of 1: x², x y, y²."""
-    xy = board.points[:, :2] - board.points[:, :2].mean(axis=0)
-    x, y = (xy / (np.ptp(xy, axis=0).max() / 2)).T
-    return np.stack([x * x, x * y, y * y], axis=1)
 
 
 def _adjust(
@@ -228,7 +209,7 @@ def _adjust(
     """Adjust in stages, and refuse what the last one leaves open."""
     corners = stack_corners(begin.pairs, board)
 
-    def model_at(state: BundleState) -> AdjustmentModel:
+    def model_at(state: par.BundleState) -> AdjustmentModel:
         noise = float(np.sqrt(estimate.robust_scale(bundle.squared_distances(state, corners))))
         precision = pan_bases.start_precision(begin.bases, noise)
         return AdjustmentModel(begin.bases, precision, lens_rows(state, image_size, noise**2))
@@ -261,7 +242,7 @@ def _adjust(
 
 def _bow_shows(found: estimate.Estimate) -> bool:
     """Test the bow against what a flat board shows by chance."""
-    own, height = found.covariance[BOW, BOW] / found.design_effect, found.state.bow
+    own, height = found.covariance[par.BOW, par.BOW] / found.design_effect, found.state.bow
     shown = height @ np.linalg.solve(own, height) > chi2_isf(P_FALSE_BOW, len(height))
     return bool(shown)
 
@@ -279,7 +260,7 @@ def _covariances(found: estimate.Estimate, board: Board) -> tuple[Array, Array]:
     boards = estimate.board_covariance(found, full)
     if board.square_standard_uncertainty:  # all lengths scale with the squares, together
         share = board.square_standard_uncertainty / board.square
-        scaled = share * length_parameters(found.state)
+        scaled = share * par.length_parameters(found.state)
         full = full + np.outer(scaled, scaled)
         shift = share * found.state.boards[:, :3, 3]
         boards = boards.copy()
@@ -289,10 +270,12 @@ def _covariances(found: estimate.Estimate, board: Board) -> tuple[Array, Array]:
 
 def _named_covariance(found: estimate.Estimate, full: Array) -> Covariance:
     """State the covariance of the parameters that are not held exactly, as rig.toml does."""
-    chosen = np.flatnonzero(np.linalg.norm(found.basis[: len(PARAMETER_NAMES)], axis=1) > TOL_HELD)
+    chosen = np.flatnonzero(
+        np.linalg.norm(found.basis[: len(par.PARAMETER_NAMES)], axis=1) > TOL_HELD
+    )
     degrees = min(float(found.degrees_of_freedom), found.design_effect_degrees)
     return state_covariance(
-        [PARAMETER_NAMES[i] for i in chosen], full[np.ix_(chosen, chosen)], degrees
+        [par.PARAMETER_NAMES[i] for i in chosen], full[np.ix_(chosen, chosen)], degrees
     )
 
 
@@ -312,14 +295,14 @@ def _decisions(adjusted: _AdjustedBundle, board: Board) -> Iterator[str]:
     yield from adjusted.notes
     yield from open_coefficients(found)
     yield from pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan)
-    if (moved := _seen_errors(adjusted, MOTION)) is not None:
+    if (moved := _seen_errors(adjusted, par.MOTION)) is not None:
         motion = 1e3 * np.linalg.norm(moved, axis=1)
         yield (
             f"Left and right pictures were not taken together: between them the board moved by "
             f"{np.median(motion):.2g} mm in half of the pairs, up to {motion.max():.2g} mm. The "
             "uncertainties allow for it; better, let the board stand still or expose both at once."
         )
-    if (bent := _seen_errors(adjusted, BEND)) is not None:
+    if (bent := _seen_errors(adjusted, par.BEND)) is not None:
         bend = 1e3 * np.abs(bent - bent.mean(axis=0)).max(axis=1)
         yield (
             f"the board bends from pair to pair: by {np.median(bend):.2g} mm between its middle "

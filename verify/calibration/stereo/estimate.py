@@ -233,9 +233,8 @@ def adjust_cauchy(state: BundleState, corners: CornerStack, model: AdjustmentMod
         factor = max(robust_scale(squares), 1e-12)
         weight = 1 / (1 + squares / (CAUCHY_SCALE**2 * factor))
         state = bundle.adjust(state, corners, model, weight, iterations=2)
-        now = float(
-            np.sum(np.log1p(bundle.squared_distances(state, corners) / (CAUCHY_SCALE**2 * factor)))
-        )
+        squares = bundle.squared_distances(state, corners)
+        now = float(np.sum(np.log1p(squares / (CAUCHY_SCALE**2 * factor))))
         if abs(before - now) < TOL_COST * now:
             break
         before = now

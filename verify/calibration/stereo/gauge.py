@@ -21,30 +21,20 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import null_space
 
-from verify.calibration.stereo.parameters import (
-    BOW,
-    N_ERRORS,
-    N_SHARED,
-    PAR_AXIS,
-    PAR_CENTER,
-    PAR_OFFSET,
-    PAR_TURN,
-    PAR_ZERO,
-    PARAMETER_KEYS,
-    SIDES,
-    BundleState,
-    camera_columns,
-    rotation_from_vector,
-    rotation_vector,
-)
-from verify.core.records import Array
+from robots.transforms import cross_matrix
+from verify.calibration.stereo import parameters as par
+from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera
 
 BASE_FIXED, BASE_TURNING, BASE_CENTRED = "fixed", "turning", "centred"
 # centred: turned too little to show where the axis passes; it is put through the optical centre
 HELD_PARAMETERS: dict[str, tuple[str, ...]] = {  # held of each kind of base
-    BASE_FIXED: (*PARAMETER_KEYS[PAR_AXIS], PARAMETER_KEYS[PAR_ZERO], *PARAMETER_KEYS[PAR_OFFSET]),
-    BASE_CENTRED: (*PARAMETER_KEYS[PAR_OFFSET],),
+    BASE_FIXED: (
+        *par.PARAMETER_KEYS[par.PAR_AXIS],
+        par.PARAMETER_KEYS[par.PAR_ZERO],
+        *par.PARAMETER_KEYS[par.PAR_OFFSET],
+    ),
+    BASE_CENTRED: (*par.PARAMETER_KEYS[par.PAR_OFFSET],),
     BASE_TURNING: (),
 }
 Y_AXIS = np.array([0.0, 1.0, 0.0])
@@ -55,13 +45,13 @@ class AdjustmentModel:
     """Which parameters an adjustment holds, and how far it trusts what is known beforehand."""
 
     bases: tuple[str, str]  # left and right: BASE_FIXED, BASE_TURNING or BASE_CENTRED
-    precision: Array = field(default_factory=lambda: np.full(N_ERRORS, np.inf))  # (8,), 1/rad²,
+    precision: Array = field(default_factory=lambda: np.full(par.N_ERRORS, np.inf))  # (8,), 1/rad²,
     # 1/m², of a pair's errors against corners' stated weights; infinite: held at 0
     lens: Array | None = None  # (k, 47), rows whose products with the values cost their squares
     bowed: bool = False  # the board's bow is free
 
 
-def apply_gauge(state: BundleState, model: AdjustmentModel, pan: Array) -> BundleState:
+def apply_gauge(state: par.BundleState, model: AdjustmentModel, pan: Array) -> par.BundleState:
     """Bring a state into the gauge exactly; no picture of a board changes.
 
     Bases that never turned stand at the readings pan (2,), rad.
@@ -105,16 +95,13 @@ def _rig_frame(cameras: list[Camera], bases: tuple[str, str], pan: Array) -> Arr
     up = sum(upward(c, b, p) for c, b, p in zip(cameras, bases, pan, strict=True))
     y = up - x * (x @ up)
     y = y / np.linalg.norm(y)
-    new_T_old = np.eye(4)
-    new_T_old[:3, :3] = [x, y, np.cross(x, y)]
-    new_T_old[:3, 3] = -new_T_old[:3, :3] @ (left + right) / 2
-    return new_T_old
+    turn = np.array([x, y, np.cross(x, y)])
+    return rigid_transform(turn, -turn @ (left + right) / 2)
 
 
 def _change_frame(camera: Camera, new_T_old: Array) -> Camera:
     """Express a camera in another rig frame; at angle 0 the turntable's axes are the rig's."""
-    turn = np.eye(4)
-    turn[:3, :3] = new_T_old[:3, :3]
+    turn = rigid_transform(new_T_old[:3, :3], np.zeros(3))
     return replace(
         camera,
         pan_center=turn[:3, :3] @ camera.pan_center + new_T_old[:3, 3],
@@ -125,8 +112,8 @@ def _change_frame(camera: Camera, new_T_old: Array) -> Camera:
 
 def _align_axis(camera: Camera, pan: float) -> Camera:
     """Give a base that never turned the axis +y; the orientation goes to the mount."""
-    mount = np.eye(4)
-    mount[:3, :3] = rotation_from_vector(-Y_AXIS * pan) @ camera.rig_T_camera(pan)[:3, :3]
+    turn = par.rotation_from_vector(-Y_AXIS * pan) @ camera.rig_T_camera(pan)[:3, :3]
+    mount = rigid_transform(turn, np.zeros(3))
     return replace(camera, pan_axis=Y_AXIS, pan_zero=0.0, mount=mount)
 
 
@@ -134,23 +121,23 @@ def _move_turn_to_zero(camera: Camera) -> Camera:
     """Move the mount's turn about the pan axis to the pan zero."""
     axis, mount, zero = camera.pan_axis, camera.mount.copy(), camera.pan_zero
     for _ in range(20):  # converges as the mount's tilt squared
-        spin = float(axis @ rotation_vector(mount[:3, :3]))
-        mount[:3] = rotation_from_vector(-axis * spin) @ mount[:3]
+        spin = float(axis @ par.rotation_vector(mount[:3, :3]))
+        mount[:3] = par.rotation_from_vector(-axis * spin) @ mount[:3]
         zero += spin
         if abs(spin) < 1e-15:
             break
     return replace(camera, mount=mount, pan_zero=zero)
 
 
-def constraints(state: BundleState, model: AdjustmentModel, pan: Array) -> Array:
+def constraints(state: par.BundleState, model: AdjustmentModel, pan: Array) -> Array:
     """List the constraints on a parameter step, (c, 47): gauge, kinds of base, a flat board."""
-    unit = np.eye(N_SHARED)
-    rows: list[Array] = [] if model.bowed else [*unit[BOW]]
-    ends = [unit[camera_columns(side)] for side in (0, 1)]
+    unit = np.eye(par.N_SHARED)
+    rows: list[Array] = [] if model.bowed else [*unit[par.BOW]]
+    ends = [unit[par.camera_columns(side)] for side in (0, 1)]
     for axis in (1, 2):
-        rows += [own[PAR_CENTER][axis] for own in ends]
-    rows.append(ends[0][PAR_CENTER][0] + ends[1][PAR_CENTER][0])
-    level = np.zeros(N_SHARED)
+        rows += [own[par.PAR_CENTER][axis] for own in ends]
+    rows.append(ends[0][par.PAR_CENTER][0] + ends[1][par.PAR_CENTER][0])
+    level = np.zeros(par.N_SHARED)
     for own, camera, base, p in zip(ends, state.cameras, model.bases, pan, strict=True):
         level += _tilt_row(own, camera, base, p)
         rows += _base_rows(own, camera, base)
@@ -166,25 +153,28 @@ def _tilt_row(own: Array, camera: Camera, base: str, pan: float) -> Array:
     """Change of the upward direction's z component; (u × w)_z = u_x w_y - u_y w_x for a turn u."""
     up = upward(camera, base, pan)
     if base == BASE_FIXED:
-        turned = rotation_from_vector(camera.pan_axis * (pan + camera.pan_zero))
+        turned = par.rotation_from_vector(camera.pan_axis * (pan + camera.pan_zero))
         by_turn = np.array([up[1], -up[0], 0.0]) @ turned
-        return np.asarray(by_turn @ own[PAR_TURN])
-    return np.asarray(np.array([up[1], -up[0], 0.0]) @ own[PAR_AXIS])
+        return np.asarray(by_turn @ own[par.PAR_TURN])
+    return np.asarray(np.array([up[1], -up[0], 0.0]) @ own[par.PAR_AXIS])
 
 
 def _base_rows(own: Array, camera: Camera, base: str) -> list[Array]:
     if base == BASE_FIXED:
-        return [*own[PAR_AXIS], own[PAR_ZERO], *own[PAR_OFFSET]]
+        return [*own[par.PAR_AXIS], own[par.PAR_ZERO], *own[par.PAR_OFFSET]]
     axis = camera.pan_axis
-    turn = rotation_vector(camera.mount[:3, :3])
+    turn = par.rotation_vector(camera.mount[:3, :3])
     # (d × axis) · w = d · (axis × w): how a step d of the axis changes its product with w
     rows = [
-        axis @ own[PAR_AXIS],
-        np.cross(axis, turn) @ own[PAR_AXIS] + axis @ _log_derivative(turn) @ own[PAR_TURN],
+        axis @ own[par.PAR_AXIS],
+        np.cross(axis, turn) @ own[par.PAR_AXIS] + axis @ _log_derivative(turn) @ own[par.PAR_TURN],
     ]
     if base == BASE_CENTRED:
-        return [*rows, *own[PAR_OFFSET]]
-    return [*rows, np.cross(axis, camera.mount[:3, 3]) @ own[PAR_AXIS] + axis @ own[PAR_OFFSET]]
+        return [*rows, *own[par.PAR_OFFSET]]
+    return [
+        *rows,
+        np.cross(axis, camera.mount[:3, 3]) @ own[par.PAR_AXIS] + axis @ own[par.PAR_OFFSET],
+    ]
 
 
 def _log_derivative(w: Array) -> Array:
@@ -193,10 +183,8 @@ def _log_derivative(w: Array) -> Array:
     Source: Solà et al., A micro Lie theory for state estimation in robotics, 2018, eq. 146.
     """
     angle = float(np.linalg.norm(w))
-    cross = np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-    if angle < 1e-4:
-        factor = 1 / 12
-    else:
+    cross, factor = cross_matrix(w), 1 / 12
+    if angle >= 1e-4:
         factor = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
     jacobian: Array = np.eye(3) - cross / 2 + factor * cross @ cross
     return jacobian
@@ -204,5 +192,5 @@ def _log_derivative(w: Array) -> Array:
 
 def fixed_names(model: AdjustmentModel) -> tuple[str, ...]:
     """Name the parameters that the pictures do not determine."""
-    bases = zip(SIDES, model.bases, strict=True)
+    bases = zip(par.SIDES, model.bases, strict=True)
     return tuple(f"{side}.{key}" for side, base in bases for key in HELD_PARAMETERS[base])

@@ -10,19 +10,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.estimate import Estimate, readjust
 from verify.calibration.stereo.gauge import BASE_CENTRED, BASE_FIXED, BASE_TURNING
-from verify.calibration.stereo.parameters import (
-    BEND,
-    MOTION,
-    N_ERRORS,
-    PAR_AXIS,
-    PAR_OFFSET,
-    SIDES,
-    CornerStack,
-    camera_columns,
-    parameter_difference,
-)
 from verify.calibration.stereo.prior import lens_rows
 from verify.calibration.stereo.scatter import ErrorScatter, adjust_with_scatter
 from verify.core.records import Array
@@ -44,11 +34,11 @@ def base_kinds(readings: Array) -> tuple[str, str]:
 def start_precision(bases: tuple[str, str], noise: float) -> Array:
     """Weight of a pair's errors at first, (8,); `noise`: factor on the corners' uncertainty."""
     pan = [np.inf if base == BASE_FIXED else (noise / START_SIGMA) ** 2 for base in bases]
-    return np.array([*pan, *np.full(N_ERRORS - len(pan), np.inf)])
+    return np.array([*pan, *np.full(par.N_ERRORS - len(pan), np.inf)])
 
 
 def settle_bases(
-    found: Estimate, corners: CornerStack
+    found: Estimate, corners: par.CornerStack
 ) -> tuple[Estimate, ErrorScatter | None, list[str]]:
     """Find how the readings scatter, then hold what the bases' turns do not determine.
 
@@ -74,7 +64,7 @@ def _turned(bases: tuple[str, str]) -> list[int]:
 
 
 def boards_in_hand(
-    found: Estimate, corners: CornerStack, image_size: tuple[int, int]
+    found: Estimate, corners: par.CornerStack, image_size: tuple[int, int]
 ) -> Estimate | None:
     """Adjust with boards that moved between left and right, or bent from pair to pair.
 
@@ -83,7 +73,7 @@ def boards_in_hand(
     """
     if found.model.bases != (BASE_FIXED, BASE_FIXED):
         return None
-    motion, bend = (list(range(own.start, own.stop)) for own in (MOTION, BEND))
+    motion, bend = (list(range(own.start, own.stop)) for own in (par.MOTION, par.BEND))
     precision = found.model.precision.copy()
     precision[motion + bend] = (found.noise / START_HAND) ** 2
     free = readjust(found, corners, replace(found.model, precision=precision))
@@ -104,7 +94,7 @@ def with_doubt(found: Estimate, held: Estimate) -> Estimate:
 
     Source: Hausman, Econometrica 46, 1978, lemma 2.1.
     """
-    apart = parameter_difference(held.state, found.state)
+    apart = par.parameter_difference(held.state, found.state)
     return replace(
         found,
         covariance=held.covariance + np.outer(apart, apart),
@@ -117,11 +107,11 @@ def _determined_bases(found: Estimate) -> tuple[tuple[str, str], list[str]]:
     """Choose the kind of each base by what its turn determines, and explain each choice."""
     kinds, sentences = list(found.model.bases), []
     u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    for index, side in enumerate(SIDES):
-        own = u[camera_columns(index)]
+    for index, side in enumerate(par.SIDES):
+        own = u[par.camera_columns(index)]
         if kinds[index] == BASE_FIXED:
             continue
-        axis, offset = float(own[PAR_AXIS].max()), float(own[PAR_OFFSET].max())
+        axis, offset = float(own[par.PAR_AXIS].max()), float(own[par.PAR_OFFSET].max())
         if axis > MAX_AXIS_UNCERTAINTY:
             kinds[index] = BASE_FIXED
             sentences.append(
@@ -139,7 +129,7 @@ def _determined_bases(found: Estimate) -> tuple[tuple[str, str], list[str]]:
 
 def base_sentences(found: Estimate, scatter: ErrorScatter | None, readings: Array) -> Iterator[str]:
     """Describe what was found and chosen of each base, and the readings' scatter."""
-    for side, base, values in zip(SIDES, found.model.bases, readings.T, strict=True):
+    for side, base, values in zip(par.SIDES, found.model.bases, readings.T, strict=True):
         if base == BASE_FIXED and np.ptp(values) <= MIN_TURN:
             yield (
                 f"{side} base: not turned, so its axis is not determined: pan centre at the "

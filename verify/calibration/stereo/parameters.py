@@ -25,8 +25,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from robots.transforms import cross_matrix
 from verify.core.kernels.linear_algebra import rotation_vectors
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera
 
 SIDES = ("left", "right")
@@ -108,8 +109,7 @@ def rotation_vector(matrix: Array) -> Array:
 def base_rotations(camera: Camera, pan: Array) -> Array:
     """Rotations (b, 3, 3), rig axes from turntable axes, at pan angles (b,), rad (Rodrigues)."""
     angle = (pan + camera.pan_zero)[:, None, None]
-    x, y, z = camera.pan_axis
-    across = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    across = cross_matrix(camera.pan_axis)
     turned: Array = np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * (across @ across)
     return turned
 
@@ -137,10 +137,8 @@ def step_camera(camera: Camera, step: Array) -> Camera:
 
 def step_poses(boards: Array, step: Array) -> Array:
     """Step poses (b, 4, 4) by (b, 6): a translation and a rotation vector, in rig axes."""
-    stepped = boards.copy()
-    stepped[:, :3, :3] = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ boards[:, :3, :3]
-    stepped[:, :3, 3] += step[:, :3]
-    return stepped
+    turned = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ boards[:, :3, :3]
+    return rigid_transform(turned, boards[:, :3, 3] + step[:, :3])
 
 
 def length_parameters(state: BundleState) -> Array:

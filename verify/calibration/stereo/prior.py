@@ -14,41 +14,33 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.estimate import Estimate
-from verify.calibration.stereo.parameters import (
-    N_SHARED,
-    PAR_FOCAL,
-    PAR_LENS,
-    PARAMETER_KEYS,
-    SIDES,
-    BundleState,
-    camera_columns,
-)
 from verify.core.records import Array
 
 USUAL_CORNER_SHIFT = 0.2  # of the radius, by one coefficient
 USUAL_TANGENTIAL = 0.003
 USUAL_FOCAL_DIFFERENCE = 0.005  # of the focal length
 OPEN_SHARE = 0.7  # of what is known beforehand: a coefficient known no better is called open
-K2, P1, P2, K3 = (PAR_LENS.start + i for i in (1, 2, 3, 4))
+K2, P1, P2, K3 = (par.PAR_LENS.start + i for i in (1, 2, 3, 4))
 
 
-def lens_rows(state: BundleState, image_size: tuple[int, int], variance: float) -> Array:
+def lens_rows(state: par.BundleState, image_size: tuple[int, int], variance: float) -> Array:
     """Rows (10, 47) whose products with `lens_values` cost their squares.
 
     The image size is width and height, px, the variance a factor on the inverse information of the
     corners as stated.
     """
-    rows = np.zeros((len(SIDES), 5, N_SHARED))
+    rows = np.zeros((len(par.SIDES), 5, par.N_SHARED))
     for side, camera in enumerate(state.cameras):
         focal = camera.matrix[0, 0]
         radius = float(np.hypot(*image_size)) / 2 / focal
         usual = (USUAL_CORNER_SHIFT / radius**4, USUAL_TANGENTIAL, USUAL_TANGENTIAL,
                  USUAL_CORNER_SHIFT / radius**6)  # fmt: skip
-        own = rows[side, :, camera_columns(side)]
+        own = rows[side, :, par.camera_columns(side)]
         own[range(4), [K2, P1, P2, K3]] = 1 / np.array(usual)
-        own[4, PAR_FOCAL] = np.array([-1, 1]) / (USUAL_FOCAL_DIFFERENCE * focal)
-    whole: Array = np.sqrt(variance) * rows.reshape(-1, N_SHARED)
+        own[4, par.PAR_FOCAL] = np.array([-1, 1]) / (USUAL_FOCAL_DIFFERENCE * focal)
+    whole: Array = np.sqrt(variance) * rows.reshape(-1, par.N_SHARED)
     return whole
 
 
@@ -58,8 +50,8 @@ def open_coefficients(found: Estimate) -> Iterator[str]:
         return
     rows = found.model.lens / np.sqrt(found.variance)
     known = np.sqrt(np.einsum("ki,ij,kj->k", rows, found.covariance, rows))
-    names = [*(PARAMETER_KEYS[i] for i in (K2, P1, P2, K3)), "fy - fx"]
-    for side, shares in zip(SIDES, known.reshape(len(SIDES), -1), strict=True):
+    names = [*(par.PARAMETER_KEYS[i] for i in (K2, P1, P2, K3)), "fy - fx"]
+    for side, shares in zip(par.SIDES, known.reshape(len(par.SIDES), -1), strict=True):
         listed = ", ".join(n for n, share in zip(names, shares, strict=True) if share > OPEN_SHARE)
         if listed:
             yield (

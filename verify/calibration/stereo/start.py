@@ -24,7 +24,7 @@ from robots.transforms import rotation_exp
 from verify.calibration.stereo.gauge import BASE_FIXED
 from verify.calibration.stereo.parameters import N_ERRORS, BundleState
 from verify.core.fiducials import Board, BoardView
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera
 
 MAX_RELATION_ANGLE = np.deg2rad(10.0)  # of two that agree, bases fixed: poses of a view err by 1°
@@ -129,10 +129,7 @@ def board_pose(view: BoardView, board: Board, matrix: Array, distortion: Array) 
     _, turn, shift = cv2.solvePnP(
         board.points[view.corner], view.centre.reshape(-1, 1, 2), matrix, distortion
     )
-    pose = np.eye(4)
-    pose[:3, :3] = cv2.Rodrigues(turn)[0]
-    pose[:3, 3] = shift.ravel()
-    return pose
+    return rigid_transform(cv2.Rodrigues(turn)[0], shift.ravel())
 
 
 @dataclass(frozen=True, slots=True)
@@ -204,9 +201,7 @@ def _find_quarter_turns(
 
 def _turns(axis: Array, angle: Array) -> Array:
     """Motions (b, 4, 4) that turn about an axis through the origin by angles (b,)."""
-    turns = np.tile(np.eye(4), (len(angle), 1, 1))
-    turns[:, :3, :3] = rotation_exp(angle[:, None] * axis)
-    return turns
+    return rigid_transform(rotation_exp(angle[:, None] * axis), np.zeros(3))
 
 
 def _consensus(
@@ -226,9 +221,8 @@ def _consensus(
     if not agree.any():
         agree = gap <= gap.min()
     chosen = np.where(turned[:, None, None], halved, straight)[agree]
-    left_T_right = np.eye(4)
-    left_T_right[:3, :3] = Rotation.from_matrix(chosen[:, :3, :3]).mean().as_matrix()
-    left_T_right[:3, 3] = np.median(chosen[:, :3, 3], axis=0)
+    turn = Rotation.from_matrix(chosen[:, :3, :3]).mean().as_matrix()
+    left_T_right = rigid_transform(turn, np.median(chosen[:, :3, 3], axis=0))
     half = tuple(i for i, t, a in zip(both, turned, agree, strict=True) if t and a)
     outliers = tuple(i for i, a in zip(both, agree, strict=True) if not a)
     return CameraRelation(left_T_right, axes, half, outliers, ()), float(price[k])
@@ -251,10 +245,10 @@ def start_state(
     """Compose the start values: ideal bases, boards by the left camera where it observed them."""
     cameras = []
     for side, (lens, axis) in enumerate(zip(lenses, relation.axes, strict=True)):
-        mount = np.eye(4)
         place = relation.left_T_right if side else np.eye(4)
         angle = pan[0, side] if bases[side] == BASE_FIXED else 0.0  # a fixed base is at its reading
-        mount[:3, :3] = Rotation.from_rotvec(-axis * angle).as_matrix() @ place[:3, :3]
+        turn = Rotation.from_rotvec(-axis * angle).as_matrix() @ place[:3, :3]
+        mount = rigid_transform(turn, np.zeros(3))
         cameras.append(Camera(lens.matrix, lens.distortion, place[:3, 3].copy(), axis, 0.0, mount))
     boards = []
     for i in pairs:
