@@ -11,9 +11,9 @@ import numpy as np
 import robots
 from verify.core.records import Array
 from verify.errors import InputError
+from verify.io.toml import listed
 
 MAX_BEYOND = np.deg2rad(5.0)  # beyond a limit: an encoder may be off, and its arm at its end
-MAX_NAMED = 12  # names in a refusal
 DEGREES, RADIANS = "deg", "rad"
 ANGLE_UNITS = {DEGREES: np.pi / 180, RADIANS: 1.0}  # rad
 
@@ -41,7 +41,7 @@ def match_joint_names(
     if isinstance(arm, robots.UrdfArm):
         wanted += f": {', '.join(arm.joint_names)}"
     remedy = "Give their names in the robot's order: --joint-names NAME1,NAME2,…"
-    raise InputError(place, f"has the joints {_listed(names)}", wanted, remedy)
+    raise InputError(place, f"has the joints {listed(names)}", wanted, remedy)
 
 
 def _given_names(
@@ -52,7 +52,7 @@ def _given_names(
         raise InputError("--joint-names", f"names {len(set(given))}", expected)
     if missing := [name for name in given if name not in names]:
         found = f'"{missing[0]}" does not stand in {place}'
-        raise InputError("--joint-names", found, f"it has {_listed(names)}")
+        raise InputError("--joint-names", found, f"it has {listed(names)}")
     return tuple(given)
 
 
@@ -77,11 +77,6 @@ def _counted(names: Sequence[str], joints: int) -> tuple[str, ...] | None:
         if sorted(family) in (list(range(joints)), list(range(1, joints + 1)))
     ]
     return found[0] if len(found) == 1 else None
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
-    return ", ".join(names[:MAX_NAMED]) + more
 
 
 @dataclass(slots=True)

@@ -4,7 +4,7 @@ import difflib
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any, TypeVar, get_args
 
@@ -130,6 +130,12 @@ def one_of(path: Path, key: str, value: str, options: tuple[str, ...]) -> str:
     expected = "expected is " + " or ".join(f'"{option}"' for option in options)
     remedy = f"Write one of them.{did_you_mean(value, options)}"
     raise key_error(path, key, f'is "{value}"', expected, remedy)
+
+
+def listed(names: Sequence[object], most: int = 12) -> str:
+    """Name the first few of many, with commas between."""
+    more = f" and {len(names) - most} more" if len(names) > most else ""
+    return ", ".join(map(str, names[:most])) + more
 
 
 def did_you_mean(word: str, options: tuple[str, ...]) -> str:

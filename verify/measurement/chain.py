@@ -12,15 +12,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from verify.core.fiducials import Marker
-from verify.core.records import (
-    Array,
-    Image,
-    Measurement,
-    Pose,
-    Spots,
-    StereoPair,
-    take_rows,
-)
+from verify.core.records import Array, Image, Measurement, Pose, Spots, StereoPair, take_rows
 from verify.core.rig import Camera, Rig
 from verify.measurement.alignment import MAX_GAP, RawSighting, align, raw_sighting
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds

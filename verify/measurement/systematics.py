@@ -30,7 +30,7 @@ from scipy.linalg import block_diag
 
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
-from verify.core.rig import Rig
+from verify.core.rig import Covariance, Rig
 from verify.measurement.sensitivities import AXES, prepare_views, spot_derivatives
 
 BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
@@ -93,11 +93,16 @@ def _from_rig(rig: Rig, marker: Marker) -> tuple[list[str], list[Array], list[st
     if stated is None:
         return [], [], [], float("inf")
     kept = [i for i, n in enumerate(stated.parameters) if _is_known(n, marker)]
-    names = [stated.parameters[i] for i in kept]
-    unknown = [n for n in stated.parameters if n not in names]
-    sigma = np.array([stated.standard_uncertainty[i] * unit(stated.parameters[i]) for i in kept])
-    covariance = stated.correlation[np.ix_(kept, kept)] * np.outer(sigma, sigma)
-    return names, [covariance], unknown, stated.degrees_of_freedom or float("inf")
+    known = stated.take(kept)
+    unknown = [n for n in stated.parameters if n not in known.parameters]
+    degrees = stated.degrees_of_freedom or float("inf")
+    return list(known.parameters), [covariance_in_si(known)], unknown, degrees
+
+
+def covariance_in_si(covariance: Covariance) -> Array:
+    """Full covariance matrix of the named parameters, (p, p), in SI units and pixels."""
+    sigma = covariance.standard_uncertainty * np.array([unit(n) for n in covariance.parameters])
+    return covariance.correlation * np.outer(sigma, sigma)
 
 
 def unit(name: str) -> float:

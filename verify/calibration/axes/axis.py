@@ -10,15 +10,7 @@ import numpy as np
 
 from robots.transforms import difference
 from verify.analysis.least_squares import autocorrelation
-from verify.analysis.sweeps.axis import (
-    N_FREE,
-    N_LINE,
-    SweepData,
-    fit_circles,
-    perpendiculars,
-    predict_sweep,
-    sweep_angle,
-)
+from verify.analysis.sweeps import axis as sweep
 from verify.core.records import Array
 
 MIN_POSES = 6  # an axis has four unknowns, and each pair one of its own
@@ -59,15 +51,17 @@ def fit_axis(poses: Array, covariance: Array, q: Array) -> SweepAxis:
     n = len(poses)
     if n < MIN_POSES:
         raise ValueError(f"needs six poses or more, got {n}")
-    swept = SweepData(poses, covariance, np.zeros((n, 6, 0)), q, np.zeros(n))
+    swept = sweep.SweepData(poses, covariance, np.zeros((n, 6, 0)), q, np.zeros(n))
     # a free angle a pair, less the mean of all, which the start pose holds
     terms = np.linalg.svd(np.ones((1, n)))[2][1:].T
-    state = fit_circles(swept, terms).state
+    state = sweep.fit_circles(swept, terms).state
     # a point by the path's middle: far from it the direction's doubt would move the point
     shift = state.direction @ (poses[:, :3, 3].mean(axis=0) - state.point)
-    found = fit_circles(swept, terms, replace(state, point=state.point + shift * state.direction))
+    found = sweep.fit_circles(
+        swept, terms, replace(state, point=state.point + shift * state.direction)
+    )
     state = found.state
-    degrees = 6 * n - (N_FREE + n - 1)
+    degrees = 6 * n - (sweep.N_FREE + n - 1)
     chi2 = float(np.sum(found.residual**2))
     scatter = max(1.0, chi2 / degrees) * float(np.mean(autocorrelation(found.residual)))
     covariance = found.solved.covariance
@@ -76,13 +70,13 @@ def fit_axis(poses: Array, covariance: Array, q: Array) -> SweepAxis:
     return SweepAxis(
         direction=state.direction,
         point=state.point,
-        across=perpendiculars(state.direction),
-        covariance=covariance[:N_LINE, :N_LINE] * scatter,
-        by_pose=by_pose[:N_LINE],
-        angle=sweep_angle(swept, terms, state),
-        angle_covariance=terms @ covariance[N_FREE:, N_FREE:] @ terms.T * scatter,
-        angle_by_pose=-terms @ by_pose[N_FREE:],
-        residual=difference(poses, predict_sweep(swept, terms, state)),
+        across=sweep.perpendiculars(state.direction),
+        covariance=covariance[: sweep.N_LINE, : sweep.N_LINE] * scatter,
+        by_pose=by_pose[: sweep.N_LINE],
+        angle=sweep.sweep_angle(swept, terms, state),
+        angle_covariance=terms @ covariance[sweep.N_FREE :, sweep.N_FREE :] @ terms.T * scatter,
+        angle_by_pose=-terms @ by_pose[sweep.N_FREE :],
+        residual=difference(poses, sweep.predict_sweep(swept, terms, state)),
         noise=float(np.sqrt(scatter)),
         chi2=chi2,
         degrees_of_freedom=degrees,

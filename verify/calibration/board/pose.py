@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from verify.analysis.least_squares import gauss_newton
 from verify.core.fiducials import Board, BoardPair, BoardView, Marker, unnamed_marker
 from verify.core.records import Array, Measurement, Pose, Sighting, rigid_transform
-from verify.core.rig import Camera, Rig
+from verify.core.rig import Rig
 from verify.measurement.pose import SightingStack, perturb, predict, stack_sightings
 from verify.measurement.triangulation import fit_rigid, triangulate
 
@@ -72,10 +72,6 @@ def _start(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Array:
         if good.sum() >= MIN_CORNERS:
             return fit_rigid(placed[good], points[both[good]])
     camera, view = (rig.left, left) if len(left) >= len(right) else (rig.right, right)
-    return _by_one_camera(camera, view, points)
-
-
-def _by_one_camera(camera: Camera, view: Sighting, points: Array) -> Array:
     xy = camera.normalise(view.centre)
     # of the two poses that a plane's perspective nearly shares, OpenCV gives the better one
     _, turn, shift = cv2.solvePnP(

@@ -17,14 +17,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.analysis.rig_check.check import (
-    CHANGES,
-    FIGURES,
-    RigConsistency,
-    consistency,
-    drop_registration,
-    figures_text,
-)
+from verify.analysis.rig_check import check as rig_check
 from verify.calibration.board.pose import board_marker, board_poses
 from verify.calibration.check.lengths import BarTracker, Lengths, measured_lengths
 from verify.calibration.stereo.records import rms
@@ -61,7 +54,7 @@ class CheckResult:
     """Whether the calibration holds, and what that rests on."""
 
     holds: bool
-    found: RigConsistency  # scale, vertical disagreement and roll with their uncertainty
+    found: rig_check.RigConsistency  # scale, vertical disagreement and roll with their uncertainty
     lengths: Lengths  # each known length by itself; empty for a board
     square: tuple[float, float, float] | None  # m: known, measured, its standard uncertainty
     reprojection_rms_px: float  # of the spots used against the body's pose
@@ -142,7 +135,7 @@ def check_rig(measurements: Sequence[Measurement], rig: Rig, marker: Marker) -> 
     """
     posed = [m for m in measurements if m.pose is not None]
     parameters = stated_systematics(rig, marker, _turning(posed))
-    found = consistency(posed, rig, marker, parameters)
+    found = rig_check.consistency(posed, rig, marker, parameters)
     if found is None or np.isnan(found.value[0]) or len(posed) < MIN_SHARE * len(measurements):
         raise InputError(
             "pictures",
@@ -152,7 +145,7 @@ def check_rig(measurements: Sequence[Measurement], rig: Rig, marker: Marker) -> 
             "Bring it into view of both cameras; if it was, the rig has moved too far to be "
             "checked: calibrate again.",
         )
-    each = measured_lengths(posed, rig, marker, drop_registration(parameters))
+    each = measured_lengths(posed, rig, marker, rig_check.drop_registration(parameters))
     result = _result(found, each, None, posed, parameters.uncounted)
     lost = len(measurements) - len(posed)
     note = f"{lost} of {len(measurements)} pairs could not be measured."
@@ -169,7 +162,7 @@ def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResu
     poses = board_poses(rig, both, board, reject=False)
     marker = board_marker(board)
     parameters = stated_systematics(rig, marker, _turning(poses))
-    found = consistency(poses, rig, marker, parameters)
+    found = rig_check.consistency(poses, rig, marker, parameters)
     if found is None or np.isnan(found.value[0]):
         expected = "both cameras must see it"
         raise InputError("pictures", "no pair shows the board in both images", expected)
@@ -190,7 +183,7 @@ def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResu
     return _result(found, nothing, square, poses, exact)
 
 
-def figure_limit(found: RigConsistency) -> float:
+def figure_limit(found: rig_check.RigConsistency) -> float:
     """Limit of each figure, in standard uncertainties, when all of them are tested."""
     return float(norm_isf((1 - P_CONFIDENCE) / 2 / int((~np.isnan(found.value)).sum())))
 
@@ -200,7 +193,7 @@ def _turning(measurements: Sequence[Measurement]) -> bool:
 
 
 def _result(
-    found: RigConsistency,
+    found: rig_check.RigConsistency,
     each: Lengths,
     square: tuple[float, float, float] | None,
     poses: Sequence[Measurement],
@@ -224,11 +217,11 @@ def _result(
     )
 
 
-def _visible(found: RigConsistency, limit: float) -> tuple[DetectableChange, ...]:
+def _visible(found: rig_check.RigConsistency, limit: float) -> tuple[DetectableChange, ...]:
     """Find the smallest size of each change at which a figure would exceed its limit."""
     needed = (limit + norm_ppf(P_DETECTION)) * found.uncertainty
     rows = []
-    for change, (_, unit) in CHANGES.items():
+    for change, (_, unit) in rig_check.CHANGES.items():
         effect = np.abs(np.nan_to_num(found.by_change[change]))
         size = needed[effect > 0] / effect[effect > 0]
         smallest = float(np.nanmin(size)) / UNITS[unit] if len(size) else None
@@ -236,8 +229,12 @@ def _visible(found: RigConsistency, limit: float) -> tuple[DetectableChange, ...
     return tuple(rows)
 
 
-def _decisions(found: RigConsistency, beyond: NDArray[np.bool_], limit: float) -> Iterator[str]:
-    for text, exceeded, value in zip(figures_text(found), beyond, found.value, strict=True):
+def _decisions(
+    found: rig_check.RigConsistency, beyond: NDArray[np.bool_], limit: float
+) -> Iterator[str]:
+    for text, exceeded, value in zip(
+        rig_check.figures_text(found), beyond, found.value, strict=True
+    ):
         if not np.isnan(value):
             verdict = "beyond" if exceeded else "within"
             yield f"{text[0].upper()}{text[1:]}: {verdict} {limit / 2:.2f} U (k = 2)."
@@ -245,7 +242,7 @@ def _decisions(found: RigConsistency, beyond: NDArray[np.bool_], limit: float) -
         f"Each figure is tested two-sided, {P_CONFIDENCE:.0%} for all together, over "
         f"{len(found.frame)} pairs."
     )
-    missing = [name for name, v in zip(FIGURES, found.value, strict=True) if np.isnan(v)]
+    missing = [name for name, v in zip(rig_check.FIGURES, found.value, strict=True) if np.isnan(v)]
     if missing:
         yield f"Not tested, as nothing in the pictures shows it: {', '.join(missing)}."
     if found.left_out:

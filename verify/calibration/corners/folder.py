@@ -75,8 +75,7 @@ def _in_order(folder: BoardFolder) -> Iterator[BoardPair]:
     """Search on all cores (OpenCV leaves Python alone meanwhile), hand over in order."""
     workers = os.cpu_count() or 1
     with ThreadPoolExecutor(workers) as pool:
-        waiting: deque[tuple[BoardImages, Future[BoardView | None], Future[BoardView | None]]]
-        waiting = deque()
+        waiting: deque[tuple[BoardImages, list[Future[BoardView | None]]]] = deque()
         pictures = folder.pairs()
 
         def load(count: int) -> None:
@@ -84,12 +83,12 @@ def _in_order(folder: BoardFolder) -> Iterator[BoardPair]:
                 views = [
                     pool.submit(find_board, image, folder.board) for image in (p.left, p.right)
                 ]
-                waiting.append((p, views[0], views[1]))
+                waiting.append((p, views))
 
         load(workers * QUEUE_PER_CORE)
         while waiting:
-            p, left, right = waiting.popleft()
-            yield BoardPair(p.frame, p.pan_left, p.pan_right, left.result(), right.result())
+            p, views = waiting.popleft()
+            yield BoardPair(p.frame, p.pan_left, p.pan_right, *(view.result() for view in views))
             load(1)
 
 

@@ -127,10 +127,8 @@ def fit_parameters(
     Outlying rows of the largest model's fit `richest` are left out here as well, and the noise is
     no less than what it leaves: what a smaller model cannot follow is no noise.
     """
-    if richest is None:
-        used, scale = _outlying_rows(state, poses, parameters)
-    else:
-        used, scale = richest.used, richest.scale
+    known = None if richest is None else (richest.used, richest.scale)
+    used, scale = known or _outlying_rows(state, poses, parameters)
     rows = take_rows(poses, used)
     at = FitState(state, np.zeros(len(parameters)))
     for _ in range(MAX_ROUNDS):
@@ -144,10 +142,10 @@ def fit_parameters(
         parameters, wider = _with_spread(parameters, at, covariance), parameters
         if scale.near(before) and np.allclose(_priors(parameters), _priors(wider), rtol=TOL_SPREAD):
             break
-    known = information(at.state, rows, parameters, scale)
+    root = information(at.state, rows, parameters, scale)
     left = without_nuisances(pose_residuals(at.state, poses), poses, scale, used)
     return KinematicFit(
-        parameters, at.change * tolerances(parameters), _covariance(known, parameters), known,
+        parameters, at.change * tolerances(parameters), _covariance(root, parameters), root,
         at.state, scale, np.sum(scale.whiten(poses, left) ** 2, axis=1), used,
     )  # fmt: skip
 

@@ -128,12 +128,9 @@ def identify_arm(
     richest = fit_parameters(begun, poses, largest[-1])
 
     def level(name: str, free: tuple[Parameter, ...], support: Identifiability) -> LevelResult:
-        fit = richest
-        if free != largest[-1]:
-            fit = fit_parameters(begun, poses, free, richest)
-        held_out = None
-        if free in largest:
-            held_out = hold_out(fit, poses, richest.scale, options)
+        fit = richest if free == largest[-1] else fit_parameters(begun, poses, free, richest)
+        tried = free in largest
+        held_out = hold_out(fit, poses, richest.scale, options) if tried else None
         return LevelResult(name, support, with_scatter(fit, poses), held_out)
 
     levels = tuple(map(level, LEVELS, fitted, supports))
@@ -164,9 +161,8 @@ def register(
         ValueError: too few rows.
     """
     begun = replace(known, chain=chain) if known is not None else start_state(chain, poses)
-    return fit_parameters(
-        begun, poses, _registration(begun, poses, options or IdentificationOptions())
-    )
+    placed = _registration(begun, poses, options or IdentificationOptions())
+    return fit_parameters(begun, poses, placed)
 
 
 def _registration(

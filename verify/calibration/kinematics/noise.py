@@ -102,9 +102,8 @@ def _by_parts(poses: IdentificationPoses, estimate: Estimate, at: NoiseScale) ->
     if (poses.dimensions < 6).any():
         both, freedom = estimate(slice(0, 6), at.position)
         return NoiseScale(both, both, freedom)
-    (place, one), (turn, other) = (
-        estimate(slice(0, 3), at.position), estimate(slice(3, 6), at.orientation),
-    )  # fmt: skip
+    place, one = estimate(slice(0, 3), at.position)
+    turn, other = estimate(slice(3, 6), at.orientation)
     return NoiseScale(place, turn, min(one, other))
 
 

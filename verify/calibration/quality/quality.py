@@ -18,15 +18,10 @@ from verify.calibration.quality.coverage import (
     image_coverage,
 )
 from verify.calibration.stereo import parameters as par
-from verify.calibration.stereo.records import (
-    Calibration,
-    Residuals,
-    camera_covariance,
-    covariance_in_si,
-    rms,
-)
+from verify.calibration.stereo.records import Calibration, Residuals, camera_covariance, rms
 from verify.core.records import Array, Image
 from verify.core.rig import Camera, Rig
+from verify.measurement.systematics import covariance_in_si
 
 MAD_TO_SIGMA = 1.4826  # standard deviation of a normal law over its median absolute deviation
 MAX_ROBUST_SIGMA = 3.5  # robust standard deviations above the median: Iglewicz and Hoaglin's limit

@@ -105,8 +105,10 @@ def register_fixture(
     size = by_board @ _square_effect(rig, pairs, board, common.pose)
     fixture = fixture + np.outer(size, size)
     own = by_board @ common.own @ by_board.T + fixture
-    columns = by_board @ _parameter_columns(rig, parameters, common.by_rig)
-    covariance = extend_covariance(rig.covariance, BASE_NAMES, columns, own)
+    stated = rig.covariance.parameters if rig.covariance else ()
+    by_rig = np.zeros((6, len(stated)))  # 0 for names that nobody here understands
+    by_rig[:, [stated.index(name) for name in parameters.names]] = common.by_rig
+    covariance = extend_covariance(rig.covariance, BASE_NAMES, by_board @ by_rig, own)
     placed = replace(
         rig, rig_T_base=base, base_source="fixture", registration=None, absorption=None,
         covariance=covariance,
@@ -272,14 +274,6 @@ def _base(rig_T_board: Array, base_T_board: Array) -> tuple[Array, Array, Array]
     by_fixture[:3, :3] = by_fixture[3:, 3:] = -base[:3, :3]
     by_fixture[:3, 3:] = cross_matrix(arm) @ base[:3, :3]
     return base, by_board, by_fixture
-
-
-def _parameter_columns(rig: Rig, parameters: Systematics, by_known: Array) -> Array:
-    """Columns for all that rig.toml states; 0 for names that nobody here understands."""
-    names = rig.covariance.parameters if rig.covariance else ()
-    spread = np.zeros((6, len(names)))
-    spread[:, [names.index(name) for name in parameters.names]] = by_known
-    return spread
 
 
 def _decisions(

@@ -68,15 +68,9 @@ def find_spots(recording: Recording, progress: Progress) -> list[PairSpots]:
     """Find the spots of every pair; InputError: an image cannot be decoded."""
     pairs = []
     for pair in recording.pairs():
-        pairs.append(
-            PairSpots(
-                frame=pair.frame,
-                t=(pair.t_left, pair.t_right),
-                pan=(pair.pan_left, pair.pan_right),
-                spots=detect_in_turn(pair, None, None),
-                height=pair.left.shape[0],
-            )
-        )
+        t, pan = (pair.t_left, pair.t_right), (pair.pan_left, pair.pan_right)
+        spots, height = detect_in_turn(pair, None, None), pair.left.shape[0]
+        pairs.append(PairSpots(pair.frame, t, pan, spots, height))
         progress(len(pairs), len(recording))
     return pairs
 

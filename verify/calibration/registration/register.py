@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 import robots
 from verify.analysis.clock.estimate import MAX_UNCERTAINTY, MIN_SIGNAL_TO_NOISE
 from verify.analysis.measured import refuse_time_unit
+from verify.calibration.registration import refusals
 from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
 from verify.calibration.registration.body_poses import BodyPose, body_poses
 from verify.calibration.registration.led_tracks import (
@@ -35,12 +36,6 @@ from verify.calibration.registration.records import (
     MotionRegistration,
     SpotResiduals,
     order_like_marker,
-)
-from verify.calibration.registration.refusals import (
-    Restart,
-    refuse_misfit,
-    refuse_other_robot,
-    refuse_undetermined,
 )
 from verify.calibration.registration.start import RegistrationStart, start_registration
 from verify.core.fiducials import Marker
@@ -100,7 +95,7 @@ def register_motion(
     free[-2] = setup.clock is not None or recording.clock is None
     adjusted = _adjust_observable(stack_spots(poses, recording.rig), setup, at, free)
     adjusted, wild = _reject_pairs(adjusted, setup)
-    refuse_misfit(adjusted, recording.folder, start, setup.readings, restart)
+    refusals.refuse_misfit(adjusted, recording.folder, start, setup.readings, restart)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
     diameter = round(float(np.median([pose.diameter for pose in poses])), 4)
     found = AdjustmentOutcome(adjusted, setup, start, diameter, dict(sorted(left_out.items())))
@@ -167,11 +162,11 @@ def _start_values(
             "Check that clock and recording belong together.",
         ) from error
     if not held.base and held.leds is None:
-        refuse_other_robot(
+        refusals.refuse_other_robot(
             start, recording.folder, recording.robot, readings, _starter(recording, poses)
         )
         q = readings.at(t[start.good] - start.clock)
-        refuse_undetermined(recording.arm, q, _noise(poses, q, setup), place)
+        refusals.refuse_undetermined(recording.arm, q, _noise(poses, q, setup), place)
     flange_T_body = np.linalg.inv(start.solved.x)
     leds = body @ flange_T_body[:3, :3].T + flange_T_body[:3, 3]
     if held.leds is not None:
@@ -179,7 +174,9 @@ def _start_values(
     return start, RegistrationParameters(start.solved.y, leds, start.clock, 0.0)
 
 
-def _starter(recording: Recording, poses: list[BodyPose], **known: Array | None) -> Restart:
+def _starter(
+    recording: Recording, poses: list[BodyPose], **known: Array | None
+) -> refusals.Restart:
     """Give the start values with any readings; `known` as start_registration has them."""
     t = np.array([one.spots.t[0] for one in poses])
     measured = np.array([one.pose.rig_T_flange for one in poses])

@@ -61,14 +61,12 @@ def start_registration(
     Raises:
         ValueError: fewer than three poses have a reading.
     """
-    tried = [] if given is None else [given]
-    if given is None:
-        tried = clock_candidates(
-            t,
-            rig_T_body[:, :3, :3],
-            readings,
-            lambda instants: robots.forward(arm, readings.at(instants))[:, :3, :3],
-        )
+
+    def turns(instants: Array) -> Array:
+        return robots.forward(arm, readings.at(instants))[:, :3, :3]
+
+    measured = rig_T_body[:, :3, :3]
+    tried = clock_candidates(t, measured, readings, turns) if given is None else [given]
     starts = []
     for offset in tried or [0.0]:
         known = readings.available(t - offset)

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from verify.core.fiducials import Board
 from verify.core.records import Array
 from verify.core.rig import Covariance, Rig
-from verify.measurement.systematics import unit
+from verify.measurement.systematics import covariance_in_si, unit
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +48,6 @@ class Calibration:
 def rms(residual: Array) -> float:
     """Root mean square length of residuals (n, 2), px; NaN where there are none."""
     return float(np.sqrt(np.mean(np.sum(residual**2, axis=1)))) if len(residual) else float("nan")
-
-
-def covariance_in_si(covariance: Covariance) -> Array:
-    """Full covariance matrix of the named parameters, (p, p), in SI units and pixels."""
-    sigma = covariance.standard_uncertainty * np.array([unit(n) for n in covariance.parameters])
-    return covariance.correlation * np.outer(sigma, sigma)
 
 
 def camera_covariance(rig: Rig) -> tuple[tuple[str, ...], Array]:

@@ -10,6 +10,7 @@ from verify.calibration.stereo.start import CameraRelation
 from verify.core.fiducials import BoardPair
 from verify.core.records import Array
 from verify.errors import InputError
+from verify.io.toml import listed
 
 MIN_PAIRS = 3
 MIN_NORMAL_SPREAD = np.deg2rad(6.0)  # boards whose normals spread by less are parallel
@@ -160,6 +161,4 @@ def _posture_and_remedy(found: Estimate, spread: float) -> tuple[str, str]:
 
 def list_pairs(frames: Sequence[int]) -> str:
     """Name pairs, the first few of many."""
-    names = ", ".join(str(f) for f in frames[:MAX_NAMED_PAIRS])
-    more = f" and {len(frames) - MAX_NAMED_PAIRS} more" if len(frames) > MAX_NAMED_PAIRS else ""
-    return f"pair{'' if len(frames) == 1 else 's'} {names}{more}"
+    return f"pair{'' if len(frames) == 1 else 's'} {listed(frames, MAX_NAMED_PAIRS)}"

@@ -13,7 +13,7 @@ from verify.core.records import Progress, no_progress
 from verify.errors import InputError
 from verify.io.bags.mcap import McapReader, has_own_encoding
 from verify.io.files import lacks_memory, refused_as_input_error, require_file
-from verify.io.toml import did_you_mean
+from verify.io.toml import did_you_mean, listed
 
 FILES = (".bag", ".mcap", ".db3")
 METADATA = "metadata.yaml"  # of a ROS 2 bag, which is a folder
@@ -23,7 +23,6 @@ CAMERA_INFO, JOINT_STATE = "sensor_msgs/msg/CameraInfo", "sensor_msgs/msg/JointS
 TRANSFORMS = "tf2_msgs/msg/TFMessage"
 PICTURES = (IMAGE, COMPRESSED)
 MODEL_NAMES = ("camera_info", "calibration")  # of ROS; of Foxglove's examples
-MAX_NAMED = 12  # topics in a refusal
 MAX_REASON = 200  # characters of what a library says
 REPAIRS = {  # programs of others that mend a recording that was cut off
     ".bag": "Repair it by `rosbag reindex`, or record it again.",
@@ -229,7 +228,7 @@ def _named(bag: Bag, option: str, name: str, kinds: Sequence[str]) -> BagTopic:
     if topic is None:
         names = tuple(t.name for t in bag.of_kind(*kinds))
         found, hint = f"{bag.path} has no topic {name}", did_you_mean(name, names).strip()
-        raise InputError(option, found, f"it has {_listed(names)}", hint)
+        raise InputError(option, found, f"it has {listed(names) or 'none'}", hint)
     if topic.kind not in kinds:
         expected = f"{' or '.join(kinds)} is expected"
         raise InputError(option, f"{name} is of the type {topic.kind}", expected)
@@ -247,7 +246,7 @@ def _of_side(bag: Bag, side: str) -> BagTopic:
         names = [t.name for t in pictures]
         remedy = f"Say which one is the {side} camera's: --{side} TOPIC."
         what = f'has no picture topic with "{side}" in its name'
-        raise InputError(bag.path, what, f"it has {_listed(names)}", remedy)
+        raise InputError(bag.path, what, f"it has {listed(names) or 'none'}", remedy)
     return _only(bag, f"--{side}", tuple(found), f"pictures of the {side} camera")
 
 
@@ -256,13 +255,8 @@ def _only(bag: Bag, option: str, found: tuple[BagTopic, ...], what: str) -> BagT
         return found[0]
     if not found:
         names = [f"{t.name} ({t.kind})" for t in bag.topics]
-        raise InputError(bag.path, f"has no topic of {what}", f"it has {_listed(names)}",
-                         "Record that topic too.")  # fmt: skip
+        expected = f"it has {listed(names) or 'none'}"
+        raise InputError(bag.path, f"has no topic of {what}", expected, "Record that topic too.")
     names = [topic.name for topic in found]
     remedy = f"Choose one: {option} TOPIC."
-    raise InputError(bag.path, f"has {len(found)} topics of {what}: {_listed(names)}", "", remedy)
-
-
-def _listed(names: Sequence[str]) -> str:
-    more = f" and {len(names) - MAX_NAMED} more" if len(names) > MAX_NAMED else ""
-    return (", ".join(names[:MAX_NAMED]) or "none") + more
+    raise InputError(bag.path, f"has {len(found)} topics of {what}: {listed(names)}", "", remedy)

@@ -87,13 +87,8 @@ class BoardFolder:
             for frame, (left, right) in enumerate(images):
                 _require_size(self.left, frame, left, self.image_size)
                 _require_size(self.right, frame, right, self.image_size)
-                yield BoardImages(
-                    frame=frame,
-                    pan_left=float(self.pan_left[frame]),
-                    pan_right=float(self.pan_right[frame]),
-                    left=left,
-                    right=right,
-                )
+                pan = float(self.pan_left[frame]), float(self.pan_right[frame])
+                yield BoardImages(frame, *pan, left, right)
 
     def single_pictures(self) -> Generator[tuple[int, str, Image]]:
         """Stream those without a partner: number, side and image; raises InputError as `pairs`."""

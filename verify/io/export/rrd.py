@@ -16,7 +16,7 @@ from typing import Any
 import cv2
 import numpy as np
 
-from verify.core.records import Array, Progress
+from verify.core.records import Progress
 from verify.errors import InputError
 from verify.io.export.content import UNDATED, ExportContent
 from verify.io.session.session import Session
@@ -58,10 +58,10 @@ def write_rrd(content: ExportContent, path: Path, progress: Progress) -> None:
                 translation=poses.position.astype(np.float32),
                 quaternion=poses.quaternion.astype(np.float32),
             )
-            index = _time_column(rr, poses.t, start)
+            index = rr.TimeColumn(TIMELINE, **_moments(poses.t, start))
             rr.send_columns(f"flange/{name}", [index], columns, recording=recording)
         for name, joints in content.joints.items():
-            index = _time_column(rr, joints.t, start)
+            index = rr.TimeColumn(TIMELINE, **_moments(joints.t, start))
             for joint, q in zip(content.joint_names, np.rad2deg(joints.q).T, strict=True):
                 scalars = rr.Scalars.columns(scalars=q)
                 rr.send_columns(f"joints_deg/{name}/{joint}", [index], scalars, recording=recording)
@@ -76,10 +76,9 @@ def write_rrd(content: ExportContent, path: Path, progress: Progress) -> None:
             recording.disconnect()
 
 
-def _time_column(rr: ModuleType, t: Array, start: float | None) -> Any:
-    if start is None:
-        return rr.TimeColumn(TIMELINE, duration=t)
-    return rr.TimeColumn(TIMELINE, timestamp=start + t)
+def _moments(t: Any, start: float | None) -> dict[str, Any]:
+    """Instants t, s, from a start as Rerun names them."""
+    return {"duration": t} if start is None else {"timestamp": start + t}
 
 
 def _log_pictures(
@@ -89,8 +88,7 @@ def _log_pictures(
     sides = (("left", session.left, frames.t_left), ("right", session.right, frames.t_right))
     for name, images, times in sides:
         for t, (data, kind) in zip(times.tolist(), _encoded(images), strict=False):
-            moment = {"duration": t} if start is None else {"timestamp": start + t}
-            recording.set_time(TIMELINE, **moment)
+            recording.set_time(TIMELINE, **_moments(t, start))
             recording.log(f"cameras/{name}", rr.EncodedImage(contents=data, media_type=kind))
             done += 1
             progress(done, 2 * len(session))

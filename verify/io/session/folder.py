@@ -12,7 +12,7 @@ from verify.errors import InputError
 from verify.io.files import digest, read_bytes, refused_as_input_error, require_folder
 from verify.io.session import keys
 from verify.io.session.keys import RunTable
-from verify.io.toml import key_error, shorten
+from verify.io.toml import key_error, listed, shorten
 
 SESSION_FILE = "session.toml"
 ROBOT_FILES = {".toml", ".urdf"}  # what robots.load takes for a file; else it is a name
@@ -29,8 +29,7 @@ def find_session_file(folder: Path) -> Path:
             return path
         inside = sorted(p.name for p in folder.iterdir() if (p / SESSION_FILE).is_file())
     if inside:
-        more = f" and {len(inside) - MAX_NAMED} more" if len(inside) > MAX_NAMED else ""
-        names = ", ".join(inside[:MAX_NAMED]) + more
+        names = listed(inside, MAX_NAMED)
         remedy = f"Give one of its sessions: {names}; or `verify batch {folder}` for all."
     raise InputError(folder, f"has no {SESSION_FILE}", expected, remedy)
 

@@ -172,7 +172,12 @@ def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
         not_negative(path, f"encoder_readings.{key}", getattr(table.encoder_readings, key))
     for key, intervals in (("pose", table.pose), ("path", table.path)):
         for index, interval in enumerate(intervals):
-            _check_interval(path, f"{key}[{index}]", interval)
+            place = f"{key}[{index}]"
+            if not interval.name.strip():
+                raise key_error(path, f"{place}.name", "is empty", "a name is expected")
+            if interval.end <= interval.start:
+                expected = f"a time after t_start_s, {interval.start}, is expected"
+                raise key_error(path, f"{place}.t_end_s", f"is {interval.end}", expected)
     return table, warnings
 
 
@@ -181,14 +186,6 @@ def check_clock(path: Path, clock: Clock | None) -> None:
     if clock is not None:
         key = CLOCK_KEYS["standard_uncertainty"]
         not_negative(path, f"clock.{key}", clock.standard_uncertainty)
-
-
-def _check_interval(path: Path, key: str, interval: TimeInterval) -> None:
-    if not interval.name.strip():
-        raise key_error(path, f"{key}.name", "is empty", "a name is expected")
-    if interval.end <= interval.start:
-        expected = f"a time after t_start_s, {interval.start}, is expected"
-        raise key_error(path, f"{key}.t_end_s", f"is {interval.end}", expected)
 
 
 def has_poses(path: Path) -> bool:

@@ -6,6 +6,8 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 import robots
 from verify.core.fiducials import Marker
 from verify.core.records import Image, StereoPair
@@ -64,20 +66,14 @@ class Recording:
     def pairs(self) -> Generator[StereoPair]:
         """Stream the pairs in step, a few in memory; InputError: one damaged or of another size."""
         frames, lossy = self.frames, (self.left.lossy, self.right.lossy)
+        series = (frames.t_left, frames.t_right, frames.pan_left, frames.pan_right)
+        rows: Any = np.stack(series, axis=1).tolist()
         with closing(decode_in_step(self.left, self.right, len(self))) as images:
             for frame, (left, right) in enumerate(images):
                 self._require_size(self.left, frame, left)
                 self._require_size(self.right, frame, right)
-                yield StereoPair(
-                    frame=frame,
-                    t_left=float(frames.t_left[frame]),
-                    t_right=float(frames.t_right[frame]),
-                    pan_left=float(frames.pan_left[frame]),
-                    pan_right=float(frames.pan_right[frame]),
-                    left=left,
-                    right=right,
-                    lossy=lossy,
-                )
+                times_and_pans: tuple[float, float, float, float] = rows[frame]
+                yield StereoPair(frame, *times_and_pans, left, right, lossy)
 
     def _require_size(self, side: Images, frame: int, image: Image) -> None:
         height, width = image.shape[:2]
