@@ -165,14 +165,10 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: Measurement | None) -> _A
     """Find the spots and assign them to LEDs; in the whole frame where prediction fails."""
     prediction = _predict(memory, pair.t_left)
     if prediction is not None:
-        windows = [
-            led_windows(setup.marker, camera, pan, prediction, image)
-            for camera, pan, image in (
-                (setup.rig.left, pair.pan_left, pair.left),
-                (setup.rig.right, pair.pan_right, pair.right),
-            )
-        ]
-        spots = setup.detect(pair, *windows)
+        rig, marker = setup.rig, setup.marker
+        left = led_windows(marker, rig.left, pair.pan_left, prediction, pair.left)
+        right = led_windows(marker, rig.right, pair.pan_right, prediction, pair.right)
+        spots = setup.detect(pair, left, right)
         assigned = _assign(pair, spots, setup, memory, prediction, whole_frame=False)
         if _shows_all_leds(assigned, setup):
             return assigned

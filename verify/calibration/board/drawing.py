@@ -178,9 +178,8 @@ def _size_refusal(board: Board, paper: str) -> InputError:
         left, right, bottom = _strips(text_upwards)
         for width, height in (PAPERS_MM[paper], PAPERS_MM[paper][::-1]):
             across = (width - (left + right + 2 * QUIET_ZONE_MM)) / (columns + 1)
-            largest = max(
-                largest, min(across, (height - (bottom + 2 * QUIET_ZONE_MM)) / (rows + 1))
-            )
+            down = (height - (bottom + 2 * QUIET_ZONE_MM)) / (rows + 1)
+            largest = max(largest, min(across, down))
     expected = f"the largest squares that would are {np.floor(largest * 10) / 10:g} mm"
     larger = [name for name in PAPERS_MM if _fitting_layouts(board, name)]
     remedy = f" or --paper {larger[0]}" if larger else ""

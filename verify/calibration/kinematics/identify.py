@@ -72,10 +72,8 @@ class LevelResult:
         """The arm's own parameters that rest on their priors more than on the poses."""
         fitted, known = self.fit.parameters, self.known
         own = tuple(fitted[fitted.index(p)] for p in self.support.supported)
-        found = [
-            unsupported(own, known, k, [i for i in range(len(own)) if i != k])
-            for k in range(len(own))
-        ]
+        others = [[i for i in range(len(own)) if i != k] for k in range(len(own))]
+        found = (unsupported(own, known, k, rest) for k, rest in enumerate(others))
         return tuple(
             one
             for one in found

@@ -67,26 +67,15 @@ def prepare_views(
     the bases; `skew`, px: how far LEDs may have moved in the image between the two exposures.
     """
     matrix, lens, focal, mean_focal, camera_R_rig, center = _optics(rig.left, rig.right, pans)
-    pixels, covariance, merged, allowed = kernel.prepare_images(
+    images = kernel.prepare_images(
         (_arrays(spots[0]), _arrays(spots[1])),
         (matrix, lens),
         (MODEL_PX**2, MERGED_PX**2, (SKEW_SHARE * skew) ** 2),
         _light(marker.colours),
         min(max(map(len, spots)), MAX_SPOTS),
     )
-    return SpotViews(
-        pixels=pixels,
-        covariance=covariance,
-        merged=merged,
-        allowed=allowed,
-        camera_R_rig=camera_R_rig,
-        center=center,
-        focal=focal,
-        mean_focal=mean_focal,
-        leds=np.array(marker.leds, order="C"),
-        led_play=led_sigma(marker),
-        skew=skew,
-    )
+    leds, led_play = np.array(marker.leds, order="C"), led_sigma(marker)
+    return SpotViews(*images, camera_R_rig, center, focal, mean_focal, leds, led_play, skew)
 
 
 def _arrays(spots: Spots) -> kernel.ImageSpots:
