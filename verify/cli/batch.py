@@ -122,21 +122,18 @@ def _show_progress() -> "Iterator[ProgressCallback]":
         def show(progress: "BatchProgress") -> None:
             nonlocal failures, again
             terminal.warn(*(f"failed: {failure.why}" for failure in progress.failures[failures:]))
-            for line in progress.again[again:]:
-                terminal.say(f"Again: {line}")
+            terminal.say(*(f"Again: {line}" for line in progress.again[again:]))
             failures, again = len(progress.failures), len(progress.again)
             rate, left = progress.pairs_a_second, progress.time_left
             counter(progress.done, progress.sessions, _note(progress, rate, left))
             terminal.record(
-                {
-                    "type": "progress",
-                    "sessions": progress.sessions,
-                    "done": progress.done,
-                    "kept": progress.kept,
-                    "failures": failures,
-                    "pairs_per_s": rate,
-                    "time_left_s": left,
-                }
+                "progress",
+                sessions=progress.sessions,
+                done=progress.done,
+                kept=progress.kept,
+                failures=failures,
+                pairs_per_s=rate,
+                time_left_s=left,
             )
 
         yield show
@@ -201,7 +198,6 @@ def _print_summary(done: "BatchResult", out: Path, results: "Results") -> None:
         f"{progress.measured} sessions measured, {progress.kept} kept from before, "
         f"{len(done.failures)} failed"
     )
-    for line in nonconforming_sessions(results):
-        terminal.say(f"  does not conform: {line}")
+    terminal.say(*(f"  does not conform: {line}" for line in nonconforming_sessions(results)))
     terminal.say(f"Report: {report_files(out, 'fleet')}")
-    terminal.record({"type": "result", "out": str(out), "summary": results.summary})
+    terminal.record("result", out=str(out), summary=results.summary)

@@ -76,4 +76,4 @@ def board(
         fiducials.write_board(folder / "board.toml", drawn)
     text = f"{drawn.columns} x {drawn.rows} inner corners of {square_mm:g} mm on {layout.paper}"
     terminal.say(f"{text}, in {out}. Print board.pdf at 100 %, then check the rulers.")
-    terminal.record({"type": "result", "out": str(out), "paper": layout.paper})
+    terminal.record("result", out=str(out), paper=layout.paper)

@@ -133,7 +133,7 @@ def emulate(
         line = SerialLine(baud or 115200)
         server = EmulatorServer(open_front(where, line), engine, faults, baud, seed)
     terminal.say(f"{device.value} listens at {server.address}; Ctrl-C ends it")
-    terminal.record({"type": "listening", "device": device.value, "address": server.address})
+    terminal.record("listening", device=device.value, address=server.address)
     try:
         server.serve(lambda: False)
     except OSError as error:  # only a serial device goes away under an emulator

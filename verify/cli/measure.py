@@ -87,14 +87,12 @@ def _print_summary(results: Results, target: Path) -> None:
     summary: dict[str, Any] = results.summary
     verdict = headline(results)
     terminal.say(f"{verdict.label}: {verdict.sentence}")
-    for joint in summary["joints"]:
-        terminal.say(_joint_line(joint))
+    terminal.say(*map(_joint_line, summary["joints"]))
     for largest in summary["budget"]["unstated"][:1]:
         terminal.say(f"  not counted: {largest['source']}: {largest['text']}")
-    for line in _verbose_lines(summary):
-        terminal.detail(line)
+    terminal.detail(*_verbose_lines(summary))
     terminal.say(f"Report: {report_files(target)}")
-    terminal.record({"type": "result", "out": str(target), "summary": summary})
+    terminal.record("result", out=str(target), summary=summary)
 
 
 def _verbose_lines(summary: dict[str, Any]) -> list[str]:

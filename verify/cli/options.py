@@ -97,7 +97,7 @@ class PageOptions:
 
         page = Page(source, self.port, self.address, self.token, **more)
         terminal.say(f"page: {page.url}")
-        terminal.record({"type": "page", "url": page.url})
+        terminal.record("page", url=page.url)
         return page
 
 

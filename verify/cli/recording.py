@@ -31,10 +31,8 @@ if TYPE_CHECKING:  # imported when it is served
 
 # s that a disk may be behind: nothing else waits for it, and pairs are left out meanwhile
 MAX_LAG = 10.0
-RECORD_PERIOD, LINES_PERIOD = (
-    1.0,
-    10.0,
-)  # s, from one JSON object, and one set of lines, to the next
+# s, from one JSON object, and one set of lines, to the next
+RECORD_PERIOD, LINES_PERIOD = 1.0, 10.0
 
 
 def record_session(
@@ -123,24 +121,17 @@ class _Printer:
             return
         self._due = time.monotonic() + (RECORD_PERIOD if terminal.as_json else LINES_PERIOD)
         if terminal.as_json:
-            terminal.record(_fields(now))
+            goals = [show.goal_fields(goal) for goal in now.goals]
+            terminal.record(
+                "recording", pairs=now.pairs, readings=now.readings, dropped=dict(now.dropped),
+                goals=goals, recording=now.recording,
+            )  # fmt: skip
             return
         news = [g for g in now.goals if now.finished or self._words.get(g.name) != g.words]
         self._words = {goal.name: goal.words for goal in now.goals}
         terminal.say(f"{now.pairs} pairs, {now.readings} readings. {show.title(now.goals)}:")
         for goal in news:
             terminal.say(f"  {goal.name:<26}{show.bar(goal)}  {goal.words}")
-
-
-def _fields(now: show.RecordingSnapshot) -> dict[str, object]:
-    return {
-        "type": "recording",
-        "pairs": now.pairs,
-        "readings": now.readings,
-        "dropped": dict(now.dropped),
-        "goals": [show.goal_fields(goal) for goal in now.goals],
-        "recording": now.recording,
-    }
 
 
 def _conclude(
@@ -181,11 +172,9 @@ def _conclude(
     terminal.say(f"{recorded.pairs} pairs and {recorded.readings} readings in {folder}")
     terminal.say(f"Next: verify calibrate register {folder}{rig} -o registered.toml")
     terminal.record(
-        {
-            "type": "result",
-            "out": [str(path) for path in recorded.folders],
-            "pairs": recorded.pairs,
-            "readings": recorded.readings,
-            "goals": [show.goal_fields(goal) for goal in now.goals],
-        }
+        "result",
+        out=[str(path) for path in recorded.folders],
+        pairs=recorded.pairs,
+        readings=recorded.readings,
+        goals=[show.goal_fields(goal) for goal in now.goals],
     )

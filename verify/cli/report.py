@@ -52,5 +52,5 @@ def report(
     write_whole(out / f"{name}.html", page)
     write_whole(out / f"{name}.pdf", pages)
     terminal.say(f"Report: {report_files(out, name)}")
-    terminal.record({"type": "result", "out": str(out)})
+    terminal.record("result", out=str(out))
     return 0

@@ -39,7 +39,7 @@ def robots(
         for arm_name in arms.names():
             arm = arms.load(arm_name)
             terminal.say(f"{arm_name:20} {arm.description}")
-            terminal.record({"type": "robot", "name": arm_name, "description": arm.description})
+            terminal.record("robot", name=arm_name, description=arm.description)
         return 0
     try:
         arm = arms.load(name)
@@ -69,7 +69,7 @@ def _export(arm: "arms.Arm", path: Path) -> int:
         raise InputError(path, "exists", "nothing is overwritten unasked", "Choose another name.")
     write_whole(path, text.encode())
     terminal.say(f"{path}: {arm.name} from base_link to tool0")
-    terminal.record({"type": "result", "out": str(path)})
+    terminal.record("result", out=str(path))
     return 0
 
 
@@ -132,5 +132,5 @@ def _report(arm: "arms.Arm", check: "arms.SelfCheck") -> int:
     judged = {what: figure for what, figure in figures.items() if not math.isnan(figure)}
     good = max(judged.values(), default=0.0) <= TOL_KINEMATICS and check.lost == 0
     terminal.say("self-check: " + ("sound" if good else f"FAILED, above {TOL_KINEMATICS:g}"))
-    terminal.record({"type": "robot", "name": arm.name, "self_check": judged, "sound": good})
+    terminal.record("robot", name=arm.name, self_check=judged, sound=good)
     return 0 if good else 1

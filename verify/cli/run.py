@@ -186,7 +186,7 @@ def _new_station(path: Path | None, robot: str | None, driver: str | None) -> in
     made = station_template(robot, driver, library.scenario_of(robot), target.parent)
     write_whole(target, made.text.encode())
     terminal.say(made.note.replace("{path}", str(target)))
-    terminal.record({"type": "result", "out": str(target)})
+    terminal.record("result", out=str(target))
     return 0
 
 

@@ -60,4 +60,4 @@ def simulate(
             number = count(1)
             write(lambda: progress(next(number), 2 * pairs))
     terminal.say(f"{pairs} pairs in {out}")
-    terminal.record({"type": "result", "out": str(out), "pairs": pairs})
+    terminal.record("result", out=str(out), pairs=pairs)

@@ -34,28 +34,29 @@ class Terminal:
         """Whether there is a terminal to draw a table on."""
         return sys.stdout.isatty() and not self.as_json and not self.quiet
 
-    def say(self, text: str) -> None:
-        """Print a line for the reader; nothing with --quiet or --json."""
-        if not (self.quiet or self.as_json):
-            _write(text)
+    def say(self, *texts: str) -> None:
+        """Print lines for the reader; nothing with --quiet or --json."""
+        for text in texts:
+            if not (self.quiet or self.as_json):
+                _write(text)
 
-    def detail(self, text: str) -> None:
-        """Print a line that only --verbose asks for."""
+    def detail(self, *texts: str) -> None:
+        """Print lines that only --verbose asks for."""
         if self.verbose:
-            self.say(text)
+            self.say(*texts)
 
     def warn(self, *texts: str) -> None:
         """Print warnings on standard error, or as objects with --json."""
         for text in texts:
             if self.as_json:
-                self.record({"type": "warning", "text": text})
+                self.record("warning", text=text)
             elif not self.quiet:
                 sys.stderr.write(f"warning: {one_line(text)}\n")
 
-    def record(self, fields: dict[str, Any]) -> None:
-        """Print one JSON object on a line of its own, with --json."""
+    def record(self, kind: str, /, **fields: Any) -> None:
+        """Print one JSON object, its `type` and its fields, on a line of its own, with --json."""
         if self.as_json:
-            _write(json.dumps(fields, ensure_ascii=False, allow_nan=False))
+            _write(json.dumps({"type": kind, **fields}, ensure_ascii=False, allow_nan=False))
 
     @contextmanager
     def progress(self, what: str) -> Iterator["ProgressCounter"]:

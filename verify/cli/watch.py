@@ -193,7 +193,7 @@ def _listeners(station: Station, options: RunOptions, stack: ExitStack) -> list[
     if station.alarm.mqtt is not None:
         add(connect_mqtt(station.alarm.mqtt))
     if terminal.as_json:
-        add(JsonLines(terminal.record))
+        add(JsonLines(lambda fields: terminal.record(fields.pop("type"), **fields)))
     elif not terminal.draws:
         add(PlainTextOutput(terminal.say))
     return listeners
@@ -257,16 +257,14 @@ def _print_summary(state: LiveState) -> None:
     whole = state.latency.of_all()
     p50, p99 = whole.p50, whole.p99
     terminal.record(
-        {
-            "type": "watched",
-            "pairs": now.pairs,
-            "statuses": state.statuses(),
-            "dropped": dict(now.dropped),
-            "alarms": dict(now.alarm_counts),
-            "latency_p50_ms": None if p50 is None else p50 * 1e3,
-            "latency_p99_ms": None if p99 is None else p99 * 1e3,
-            "recording": now.recording,
-        }
+        "watched",
+        pairs=now.pairs,
+        statuses=state.statuses(),
+        dropped=dict(now.dropped),
+        alarms=dict(now.alarm_counts),
+        latency_p50_ms=None if p50 is None else p50 * 1e3,
+        latency_p99_ms=None if p99 is None else p99 * 1e3,
+        recording=now.recording,
     )
     lost = ", ".join(f"{n} {why}" for why, n in now.dropped.items()) or "none"
     alarms = ", ".join(f"{n} {kind}" for kind, n in now.alarm_counts.items()) or "none"

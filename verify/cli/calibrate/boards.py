@@ -112,16 +112,13 @@ def _print_calibration(found: Calibration, out: Path, target: Path) -> None:
     used = found.residuals.used
     rms = float(np.sqrt(np.mean(np.sum(found.residuals.residual[used] ** 2, axis=1))))
     terminal.say(f"{len(found.frames)} pairs, {int(used.sum())} corners, {rms:.3f} px rms.")
-    for sentence in found.decisions:
-        terminal.say(f"  {sentence}")
+    terminal.say(*(f"  {sentence}" for sentence in found.decisions))
     terminal.say(f"Rig: {out}; report: {report_files(target)}")
     terminal.record(
-        {
-            "type": "result",
-            "out": str(out),
-            "report": str(target),
-            "pairs": len(found.frames),
-            "rms_px": rms,
-            "decisions": list(found.decisions),
-        }
+        "result",
+        out=str(out),
+        report=str(target),
+        pairs=len(found.frames),
+        rms_px=rms,
+        decisions=list(found.decisions),
     )

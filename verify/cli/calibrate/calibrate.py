@@ -225,12 +225,11 @@ def check(
     found, origin = run_check(source, rig, length_mm, length_uncertainty_mm, board)
     terminal.warn(*found.warnings)
     terminal.say("The calibration holds." if found.holds else "The calibration does not hold.")
-    for sentence in found.decisions:
-        terminal.say(f"  {sentence}")
-    record = {"type": "result", "verdict": found.verdict, "decisions": list(found.decisions)}
+    terminal.say(*(f"  {sentence}" for sentence in found.decisions))
+    report = {}
     if out is not None:
         write_report_folder(check_results(found, origin), out, force=force)
         terminal.say(f"Report: {report_files(out)}")
-        record["report"] = str(out)
-    terminal.record(record)
+        report["report"] = str(out)
+    terminal.record("result", verdict=found.verdict, decisions=list(found.decisions), **report)
     return 0 if found.holds else EXIT_CHECK_FAILED

@@ -97,7 +97,7 @@ def take_pictures(station: Path, folder: Path, options: BoardRunOptions) -> None
         remedy = "Try `verify doctor` on the station file, and another place for the board."
         raise InputError(folder, "no pair was taken", "the board in both pictures, still", remedy)
     terminal.say(f"{len(pictures)} pairs in {folder}")
-    terminal.record({"type": "pictures", "folder": str(folder), "pairs": len(pictures)})
+    terminal.record("pictures", folder=str(folder), pairs=len(pictures))
 
 
 def _open_devices(station: StationCameras, stack: ExitStack) -> BoardDevices:
@@ -127,7 +127,7 @@ def _show_state(state: BoardState) -> Iterator[Callable[[], None]]:
             text = now.last
             missing = [f"{goal.name}: {goal.words}" for goal in now.goals if not goal.reached]
             terminal.say(f"{text}; " + (f"next, {missing[0]}" if missing else "all is covered"))
-            terminal.record({"type": "board_pair", "pairs": now.pairs, "text": text})
+            terminal.record("board_pair", pairs=now.pairs, text=text)
 
     yield look
 

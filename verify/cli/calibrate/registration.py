@@ -202,14 +202,8 @@ def _fit_swept_axes(recording: Recording, rig: Rig, marker: Marker) -> SweepResu
 
 
 def _print_summary(decisions: tuple[str, ...], written: list[Path], target: Path) -> None:
-    for sentence in decisions:
-        terminal.say(f"  {sentence}")
+    terminal.say(*(f"  {sentence}" for sentence in decisions))
     terminal.say(f"Written: {', '.join(map(str, written))}; report: {report_files(target)}")
     terminal.record(
-        {
-            "type": "result",
-            "out": [str(path) for path in written],
-            "report": str(target),
-            "decisions": list(decisions),
-        }
+        "result", out=[str(path) for path in written], report=str(target), decisions=list(decisions)
     )

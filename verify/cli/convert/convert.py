@@ -184,7 +184,7 @@ def _convert_out(source: Path, out: Path, to: str | None, *, force: bool) -> Non
             _write_file(content, kind, path)
         written = [out.name]
     terminal.say(f"{out}: {', '.join(written)}")
-    terminal.record({"type": "result", "out": str(out), "format": kind, "files": written})
+    terminal.record("result", out=str(out), format=kind, files=written)
 
 
 def _write_file(content: "ExportContent", kind: str, path: Path) -> None:

@@ -88,8 +88,7 @@ def convert_bag(sources: Sequence[Path], out: Path, options: ImportOptions, *, f
                 (folder / "marker.toml").write_bytes(read_bytes(options.marker))
             name = copy_robot(robot, folder)
             (folder / SESSION_FILE).write_bytes(encode(_bag_keys(name, source, written, options)))
-    for note in (f"topics: {', '.join(topics.names)}", *notes, *written.notes):
-        terminal.say(note)
+    terminal.say(f"topics: {', '.join(topics.names)}", *notes, *written.notes)
     if options.stamps != "header":
         terminal.warn(
             "Times are those of recording, not of exposure: delays of the computer count."
@@ -97,8 +96,7 @@ def convert_bag(sources: Sequence[Path], out: Path, options: ImportOptions, *, f
     terminal.say(f"{out}: {written.pairs} pairs, {written.readings} readings")
     if options.marker is None or not rig.registered:
         terminal.say(f"Next: verify calibrate register {out}, which finds the robot and the LEDs.")
-    terminal.record({"type": "result", "out": str(out), "pairs": written.pairs,
-                     "readings": written.readings})  # fmt: skip
+    terminal.record("result", out=str(out), pairs=written.pairs, readings=written.readings)
 
 
 def _bag_keys(
@@ -183,7 +181,7 @@ def convert_tables(
         terminal.say("A session needs pictures or an instrument's poses beside the readings.")
     elif joints and options.frame == "instrument":
         terminal.say(f"Next: [robot_base] in {out / SESSION_FILE}, where the robot stands.")
-    terminal.record({"type": "result", "out": str(out), "files": written})
+    terminal.record("result", out=str(out), files=written)
 
 
 def _settle(
@@ -228,12 +226,9 @@ def _settle(
 
 def _confirm(mapped: Sequence[MappedTable], options: ImportOptions) -> None:
     """Show what each column is taken for, and have the user agree; InputError: nobody did."""
-    lines = [line for m in mapped for line in logs.proposal_lines(m.table, m.mapping, m.outline)]
-    for line in lines:
-        terminal.say(line)
-    terminal.record(
-        {"type": "mapping", "columns": [str(c) for m in mapped for c in m.mapping.columns]}
-    )
+    for m in mapped:
+        terminal.say(*logs.proposal_lines(m.table, m.mapping, m.outline))
+    terminal.record("mapping", columns=[str(c) for m in mapped for c in m.mapping.columns])
     if options.yes or options.mapping:
         return
     if sys.stdin.isatty() and terminal.draws:

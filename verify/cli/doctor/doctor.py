@@ -43,6 +43,6 @@ def doctor(
         findings += check_devices(opened)
     for finding in findings:
         terminal.say(f"{MARKS[finding.outcome]}{finding.what}: {finding.sentence}")
-        fields = {"what": finding.what, "outcome": finding.outcome, "text": finding.sentence}
-        terminal.record({"type": "check", **fields, **finding.figures})
+        outcome, text = finding.outcome, finding.sentence
+        terminal.record("check", what=finding.what, outcome=outcome, text=text, **finding.figures)
     return int(any(finding.outcome == "fails" for finding in findings))

@@ -79,7 +79,7 @@ class GraspPage:
             self._select(requests.drawn, self._pair)
         for event in requests.orders:
             terminal.say(f"page: {event.value}")
-            terminal.record({"type": "page_order", "order": event.value})
+            terminal.record("page_order", order=event.value)
         return requests.orders
 
     def refuse(self, reason: str) -> None:
@@ -111,7 +111,7 @@ class GraspPage:
         self._selected = f"{SELECTED_NAME}, {where}"
         self._source.answer(self._selected)
         terminal.say(self._selected)
-        terminal.record({"type": "selected", "side": drawn.side, "box_px": list(drawn.box)})
+        terminal.record("selected", side=drawn.side, box_px=list(drawn.box))
 
 
 HOLDING_TIMEOUT = 5.0  # s in a holding state
@@ -224,8 +224,8 @@ def _run(
         if cycle.state is not state:
             state = cycle.state
             terminal.say(f"{cycle.t:7.2f} s  {cycle.state.value}: {cycle.reason or 'ready'}")
-            fields = {"t_s": round(cycle.t, 3), "state": state.value, "reason": cycle.reason}
-            terminal.record({"type": "state", **fields})
+            t = round(cycle.t, 3)
+            terminal.record("state", t_s=t, state=state.value, reason=cycle.reason)
 
     def orders() -> Sequence[GraspEvent]:
         pressed = () if keys is None else keys.pressed()
@@ -273,4 +273,4 @@ def _print_outcome(results: Results, out: Path) -> None:
     verdict = outcome(results.summary)
     terminal.say(f"{verdict.label}: {verdict.sentence}")
     terminal.say(f"Report: {report_files(out)}; film: {out / VIDEO_FILE}")
-    terminal.record({"type": "result", "out": str(out), "summary": to_json_value(results.summary)})
+    terminal.record("result", out=str(out), summary=to_json_value(results.summary))

@@ -237,8 +237,7 @@ def _print_summary(made: Results, target: Path) -> None:
         f"{summary['identified']} parameters identified ({summary['level']}) from {used} poses; "
         f"{summary['rank']} of {summary['candidates']} can be told apart"
     )
-    for joint in summary["offsets"]:
-        terminal.say(_joint_line(joint))
+    terminal.say(*map(_joint_line, summary["offsets"]))
     for level in summary["levels"]:
         if (held := level["held_out"]) is not None:
             terminal.say(f"  held out, {level['name']}: {held['mean_mm']:.3f} mm mean")
@@ -252,7 +251,7 @@ def _print_summary(made: Results, target: Path) -> None:
         verb = "pose does" if outlying == 1 else "poses do"
         terminal.warn(f"{outlying} {verb} not belong to the others: left out of the fit, listed")
     terminal.say(f"Written: {target / summary['robot_file']}; report: {report_files(target)}")
-    terminal.record({"type": "result", "out": str(target), "summary": summary})
+    terminal.record("result", out=str(target), summary=summary)
 
 
 def _joint_line(joint: dict[str, float | None]) -> str:

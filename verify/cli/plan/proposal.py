@@ -120,10 +120,9 @@ def compare_rigs(
         progress(len(rigs), len(rigs))
     if len(problems) == len(rigs):
         raise problems[0]
-    for line in _lines(rows, arm.dof):
-        terminal.say(line)
+    terminal.say(*_lines(rows, arm.dof))
     for row in rows:
-        terminal.record({"type": "rig", **row})
+        terminal.record("rig", **row)
     if out is not None:
         with write_folder_whole(out, force) as folder:
             pd.DataFrame(rows).to_csv(folder / RIGS_FILE, index=False, float_format="%.6g")

@@ -162,8 +162,7 @@ def _print_summary(results: Results, target: Path) -> None:
     if (rig := summary["rig"]) is not None:
         terminal.say(_rig_line(rig))
     terminal.say("Uncertainty of each joint's mean error (k = 2), and what it comes from:")
-    for line in _joint_table(summary["joints"]):
-        terminal.say(line)
+    terminal.say(*_joint_table(summary["joints"]))
     for joint in summary["joints"]:
         if joint["tolerance_deg"] is not None:
             terminal.say(_tolerance_line(joint))
@@ -177,7 +176,7 @@ def _print_summary(results: Results, target: Path) -> None:
     terminal.say("The plan does not know obstacles: try the motion slowly first.")
     tables = f"{target / 'plan.csv'} and {target / 'poses.csv'}"
     terminal.say(f"Written: {tables}; report: {report_files(target)}")
-    terminal.record({"type": "result", "out": str(target), "summary": summary})
+    terminal.record("result", out=str(target), summary=summary)
 
 
 def _rig_line(rig: dict[str, Any]) -> str:
