@@ -5,7 +5,7 @@ from contextlib import closing, contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from verify.cli import options as option
 from verify.cli.terminal import report_files, terminal
@@ -22,11 +22,11 @@ EXIT_SOME_FAILED = 4
 
 def batch(
     folders: Annotated[
-        list[str], typer.Argument(help="Folders with sessions in them, or URLs such as s3://….")
+        list[str], Argument(help="Folders with sessions in them, or URLs such as s3://….")
     ],
     out: Annotated[
         Path,
-        typer.Option(
+        Option(
             "-o", "--out", help="Folder of the results; sessions measured there before are skipped."
         ),
     ] = Path("fleet-report"),
@@ -35,23 +35,21 @@ def batch(
     orientation_tolerance: option.OrientationTolerance = None,
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Processes on this machine; default: one per processor."),
+        Option(min=1, help="Processes on this machine; default: one per processor."),
     ] = None,
     scheduler: Annotated[
         str | None,
-        typer.Option(help="Address of a Dask scheduler whose cluster measures the sessions."),
+        Option(help="Address of a Dask scheduler whose cluster measures the sessions."),
     ] = None,
     reports: Annotated[
-        bool, typer.Option("--reports", help="Write each session's own report as well.")
+        bool, Option("--reports", help="Write each session's own report as well.")
     ] = False,
     by: Annotated[
-        str, typer.Option(help="How arms are distinguished: by robot, or by robot and folder.")
+        str, Option(help="How arms are distinguished: by robot, or by robot and folder.")
     ] = "robot",
-    since: Annotated[
-        str | None, typer.Option(help="Compare before and after a day: 2026-06-15.")
-    ] = None,
+    since: Annotated[str | None, Option(help="Compare before and after a day: 2026-06-15.")] = None,
     compare: Annotated[
-        tuple[str, str] | None, typer.Option(help="Compare the sessions below two folders.")
+        tuple[str, str] | None, Option(help="Compare the sessions below two folders.")
     ] = None,
 ) -> int:
     """Check every session under some folders; one report on all.

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Option
 
 from verify.cli.options import CornerCounts, ReplaceInFolder, parse_corners
 from verify.cli.terminal import terminal
@@ -15,25 +15,25 @@ OPTIONS_PLACE = "the board asked for"  # names the options in a refusal
 
 
 def board(
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the files.")] = Path("board"),
+    out: Annotated[Path, Option("-o", "--out", help="Folder of the files.")] = Path("board"),
     corners: Annotated[
         CornerCounts,
-        typer.Option(
+        Option(
             parser=parse_corners,
             metavar="<str>",
             help="Inner corners along and across, one fewer than squares.",
         ),
     ] = DEFAULT_CORNERS,
-    square_mm: Annotated[float, typer.Option(help="Edge of a square, mm.")] = DEFAULT_SQUARE_MM,
+    square_mm: Annotated[float, Option(help="Edge of a square, mm.")] = DEFAULT_SQUARE_MM,
     paper: Annotated[
-        str | None, typer.Option(help="A4, A3, A2, A1 or A0; the smallest that holds it.")
+        str | None, Option(help="A4, A3, A2, A1 or A0; the smallest that holds it.")
     ] = None,
     charuco: Annotated[
         str | None,
-        typer.Option(help="Markers in the white squares, of this dictionary: DICT_5X5_100."),
+        Option(help="Markers in the white squares, of this dictionary: DICT_5X5_100."),
     ] = None,
     marker_mm: Annotated[
-        float | None, typer.Option(help="Edge of a marker, mm; three quarters of a square's.")
+        float | None, Option(help="Edge of a marker, mm; three quarters of a square's.")
     ] = None,
     force: ReplaceInFolder = False,
 ) -> None:

@@ -3,7 +3,7 @@
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from verify.cli.terminal import terminal
 
@@ -53,47 +53,45 @@ DEFAULT_PORTS = dict.fromkeys(EmulatedDevice, "pty") | {
 
 
 def emulate(
-    device: Annotated[EmulatedDevice, typer.Argument(help="What to be.")],
+    device: Annotated[EmulatedDevice, Argument(help="What to be.")],
     port: Annotated[
         str | None,
-        typer.Option(
-            help="tcp:PORT, tcp:HOST:PORT, udp:PORT, pty, pty:LINK, or a serial device's path."
-        ),
+        Option(help="tcp:PORT, tcp:HOST:PORT, udp:PORT, pty, pty:LINK, or a serial device's path."),
     ] = None,
     motion: Annotated[
-        str, typer.Option(help="hold, sweep, sines, or a CSV like a session's encoders.csv.")
+        str, Option(help="hold, sweep, sines, or a CSV like a session's encoders.csv.")
     ] = "sines",
-    joints: Annotated[int, typer.Option(min=1, max=8, help="How many joints the arm has.")] = 6,
+    joints: Annotated[int, Option(min=1, max=8, help="How many joints the arm has.")] = 6,
     idle: Annotated[
         bool,
-        typer.Option(
+        Option(
             "--idle", help="melfa: no program runs, the servo is off; it waits to be moved by EXEC."
         ),
     ] = False,
     robot: Annotated[
         str | None,
-        typer.Option(help="rosbridge: whose joints the messages name; else joint_1, joint_2, …"),
+        Option(help="rosbridge: whose joints the messages name; else joint_1, joint_2, …"),
     ] = None,
     rate: Annotated[
-        int, typer.Option(min=1, help="Samples per second of labenc, pan, rosbridge and opcua.")
+        int, Option(min=1, help="Samples per second of labenc, pan, rosbridge and opcua.")
     ] = 100,
     object_mm: Annotated[
         float | None,
-        typer.Option(min=0, max=150, help="Width of the object between the gripper's fingers."),
+        Option(min=0, max=150, help="Width of the object between the gripper's fingers."),
     ] = None,
     baud: Annotated[
-        int | None, typer.Option(min=300, help="Send as slowly as a serial line of so many baud.")
+        int | None, Option(min=300, help="Send as slowly as a serial line of so many baud.")
     ] = None,
     fault: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             help="Faults to simulate; repeatable. A share of the messages: noise, half, digit, "
             "double, lost, split=0.05. At an instant: silence, unplug=AT:SECONDS, reset=AT, "
             "jump=AT:SECONDS, alarm=AT:NUMBER (gripper: gFLT), status=AT:BITS, version=AT:NUMBER "
             "(rtde: no later one is accepted)."
         ),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random faults.")] = 0,
+    seed: Annotated[int, Option(min=0, help="Seed of the random faults.")] = 0,
 ) -> None:
     """Be a controller, an encoder board or a gripper, until Ctrl-C.
 

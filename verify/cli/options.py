@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
-import typer
+from typer import Option
 
 from verify.cli.terminal import terminal
 from verify.errors import InputError
@@ -103,55 +103,49 @@ class PageOptions:
 
 def duration_option(help_: str, *, show_default: bool = True) -> Any:
     """The option --for; `show_default=False`: the help names it, as seconds would be a number."""
-    return typer.Option(
+    return Option(
         "--for", parser=parse_duration, metavar="<str>", show_default=show_default, help=help_
     )
 
 
 JointTolerance = Annotated[
     str | None,
-    typer.Option(
+    Option(
         "--tolerance", help="Joint errors allowed, degrees: one number, or one per joint: 0.2,0.2,…"
     ),
 ]
 PositionTolerance = Annotated[
-    float | None, typer.Option("--position-tolerance", help="Position error allowed, mm.")
+    float | None, Option("--position-tolerance", help="Position error allowed, mm.")
 ]
 OrientationTolerance = Annotated[
     float | None,
-    typer.Option("--orientation-tolerance", help="Orientation error allowed, degrees."),
+    Option("--orientation-tolerance", help="Orientation error allowed, degrees."),
 ]
-PagePort = Annotated[
-    int, typer.Option(min=0, max=65535, help="The page's port; 0: any that is free.")
-]
-PageAddress = Annotated[
-    str, typer.Option(help="The page's address; any other address needs a token.")
-]
+PagePort = Annotated[int, Option(min=0, max=65535, help="The page's port; 0: any that is free.")]
+PageAddress = Annotated[str, Option(help="The page's address; any other address needs a token.")]
 PageToken = Annotated[
     str | None,
-    typer.Option(
+    Option(
         envvar="VERIFY_PAGE_TOKEN",  # a command line stands in the list of processes
         help="What viewers must show; 16 characters or more.",
     ),
 ]
 Corners = Annotated[
     CornerCounts | None,
-    typer.Option(
+    Option(
         parser=parse_corners,
         metavar="<str>",
         help="Inner corners of the board, instead of board.toml: 9x7.",
     ),
 ]
-SquareMm = Annotated[
-    float | None, typer.Option(help="Edge of a square, mm, instead of board.toml.")
-]
-RigOut = Annotated[Path, typer.Option("-o", "--out", help="The rig file to write.")]
-ReportOut = Annotated[Path | None, typer.Option("--report", help="Folder of the report.")]
-ReplaceFiles = Annotated[bool, typer.Option("--force", help="Replace files that are there.")]
+SquareMm = Annotated[float | None, Option(help="Edge of a square, mm, instead of board.toml.")]
+RigOut = Annotated[Path, Option("-o", "--out", help="The rig file to write.")]
+ReportOut = Annotated[Path | None, Option("--report", help="Folder of the report.")]
+ReplaceFiles = Annotated[bool, Option("--force", help="Replace files that are there.")]
 ReplaceInFolder = Annotated[
-    bool, typer.Option("--force", help="Replace files in a folder that is not empty.")
+    bool, Option("--force", help="Replace files in a folder that is not empty.")
 ]
-WriteIntoFolder = Annotated[bool, typer.Option("--force", help="Write into a folder that exists.")]
+WriteIntoFolder = Annotated[bool, Option("--force", help="Write into a folder that exists.")]
 
 
 def refuse_options(given: Mapping[str, bool], found: str, expected: str, remedy: str) -> None:

@@ -3,24 +3,20 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from verify.cli.terminal import report_files, terminal
 
 
 def report(
-    out: Annotated[
-        Path, typer.Argument(help="What `verify run`, `calibrate`, `batch` or `grab` wrote.")
-    ],
-    logo: Annotated[
-        Path | None, typer.Option(help="A PNG or SVG for the top of the report.")
-    ] = None,
+    out: Annotated[Path, Argument(help="What `verify run`, `calibrate`, `batch` or `grab` wrote.")],
+    logo: Annotated[Path | None, Option(help="A PNG or SVG for the top of the report.")] = None,
     owner: Annotated[
-        str | None, typer.Option(help="A line for the top of the report: whose it is.")
+        str | None, Option(help="A line for the top of the report: whose it is.")
     ] = None,
     template: Annotated[
         Path | None,
-        typer.Option(help="A folder with report.html.j2, report.css or report.typ of your own."),
+        Option(help="A folder with report.html.j2, report.css or report.typ of your own."),
     ] = None,
 ) -> int:
     """Write a report again from its results, in a look of your own.

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
+from typer import Argument, Option
 
 from verify.cli.terminal import terminal
 
@@ -15,13 +16,13 @@ TOL_KINEMATICS = 1e-9  # m and rad: beyond it closed form, forward kinematics an
 
 def robots(
     name: Annotated[
-        str | None, typer.Argument(help="An arm's name, or the path of a robot file or URDF.")
+        str | None, Argument(help="An arm's name, or the path of a robot file or URDF.")
     ] = None,
-    poses: Annotated[int, typer.Option(min=1, help="Random poses of the self-check.")] = 1000,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random poses.")] = 0,
+    poses: Annotated[int, Option(min=1, help="Random poses of the self-check.")] = 1000,
+    seed: Annotated[int, Option(min=0, help="Seed of the random poses.")] = 0,
     urdf: Annotated[
         Path | None,
-        typer.Option("--export-urdf", help="Write a robot file's arm as a URDF, and nothing else."),
+        Option("--export-urdf", help="Write a robot file's arm as a URDF, and nothing else."),
     ] = None,
 ) -> int:
     """List the arms, or show one and check its kinematics.

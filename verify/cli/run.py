@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from verify.cli import options as option
 from verify.cli.terminal import terminal
@@ -21,13 +22,11 @@ SEVERITY = [None, "conform", "undecided", "nonconform"]  # of a run with several
 def run(
     source: Annotated[
         Path | None,
-        typer.Argument(help="A recorded session's folder, or a station file: live cameras."),
+        Argument(help="A recorded session's folder, or a station file: live cameras."),
     ] = None,
     out: Annotated[
         Path | None,
-        typer.Option(
-            "-o", "--out", help="Folder of the results; default: NAME-report in this folder."
-        ),
+        Option("-o", "--out", help="Folder of the results; default: NAME-report in this folder."),
     ] = None,
     tolerance: option.JointTolerance = None,
     position_tolerance: option.PositionTolerance = None,
@@ -35,37 +34,33 @@ def run(
     force: option.WriteIntoFolder = False,
     rig: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             help="Session: another rig file than its own; of poses, a registered session's folder."
         ),
     ] = None,
     marker: Annotated[
-        Path | None, typer.Option(help="Session: another marker file than its own.")
+        Path | None, Option(help="Session: another marker file than its own.")
     ] = None,
     new_station: Annotated[
         bool,
-        typer.Option("--new-station", help="Write a commented station file, and do nothing else."),
+        Option("--new-station", help="Write a commented station file, and do nothing else."),
     ] = False,
     robot: Annotated[
         str | None,
-        typer.Option(help="--new-station: the arm, by name or by its robot file or URDF."),
+        Option(help="--new-station: the arm, by name or by its robot file or URDF."),
     ] = None,
     driver: Annotated[
         str | None,
-        typer.Option(
-            help="--new-station: how its encoders are read, such as rtde (docs/devices.md)."
-        ),
+        Option(help="--new-station: how its encoders are read, such as rtde (docs/devices.md)."),
     ] = None,
     duration: Annotated[
         float | None, option.duration_option("Station: how long to watch: 60s, 10m, 1.5h.")
     ] = None,
     on_alarm: Annotated[
         str | None,
-        typer.Option(help="Station: a command for each alarm; JSON on its standard input."),
+        Option(help="Station: a command for each alarm; JSON on its standard input."),
     ] = None,
-    page: Annotated[
-        bool, typer.Option("--page", help="Station: serve a page for the browser.")
-    ] = False,
+    page: Annotated[bool, Option("--page", help="Station: serve a page for the browser.")] = False,
     page_port: option.PagePort = DEFAULT_PORT,
     page_address: option.PageAddress = LOOPBACK,
     page_token: option.PageToken = None,
@@ -110,15 +105,15 @@ def run(
 
 
 def record(
-    station: Annotated[Path, typer.Argument(help="A station file; rig and marker may be missing.")],
+    station: Annotated[Path, Argument(help="A station file; rig and marker may be missing.")],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="The session to make; default: as the station names it."),
+        Option("-o", "--out", help="The session to make; default: as the station names it."),
     ] = None,
     duration: Annotated[
         float | None, option.duration_option("How long to record: 60s, 10m, 1.5h.")
     ] = None,
-    page: Annotated[bool, typer.Option("--page", help="Serve a page for the browser.")] = False,
+    page: Annotated[bool, Option("--page", help="Serve a page for the browser.")] = False,
     page_port: option.PagePort = DEFAULT_PORT,
     page_address: option.PageAddress = LOOPBACK,
     page_token: option.PageToken = None,
@@ -191,9 +186,7 @@ def _new_station(path: Path | None, robot: str | None, driver: str | None) -> in
 
 
 def demo(
-    out: Annotated[Path, typer.Option("-o", "--out", help="The report's folder.")] = Path(
-        "verify-demo"
-    ),
+    out: Annotated[Path, Option("-o", "--out", help="The report's folder.")] = Path("verify-demo"),
     force: option.WriteIntoFolder = False,
 ) -> int:
     """Measure a sample session that comes with verify, and report on it.

@@ -5,7 +5,7 @@ from itertools import count
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from verify.cli.options import ReplaceInFolder
 from verify.cli.terminal import terminal
@@ -13,12 +13,10 @@ from verify.cli.terminal import terminal
 
 def simulate(
     scenario: Annotated[
-        str, typer.Argument(help="A scenario file (TOML), or the name of a built-in scenario.")
+        str, Argument(help="A scenario file (TOML), or the name of a built-in scenario.")
     ],
-    out: Annotated[Path, typer.Option("-o", "--out", help="Folder of the result.")],
-    seed: Annotated[
-        int | None, typer.Option(min=0, help="Seed; default: the scenario's own.")
-    ] = None,
+    out: Annotated[Path, Option("-o", "--out", help="Folder of the result.")],
+    seed: Annotated[int | None, Option(min=0, help="Seed; default: the scenario's own.")] = None,
     force: ReplaceInFolder = False,
 ) -> None:
     """Make a session with known truth and faults, or board pictures.

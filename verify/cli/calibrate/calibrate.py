@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from verify.cli import options as option
 from verify.cli.terminal import report_files, terminal
@@ -22,7 +23,7 @@ EXIT_CHECK_FAILED = 1
 def boards(
     folder: Annotated[
         Path,
-        typer.Argument(
+        Argument(
             help="Pictures of a board: left/ and right/, or two videos; with --live a station file."
         ),
     ],
@@ -31,22 +32,22 @@ def boards(
     corners: option.Corners = None,
     square_mm: option.SquareMm = None,
     square_uncertainty_mm: Annotated[
-        float | None, typer.Option(help="Standard uncertainty of that edge, mm.")
+        float | None, Option(help="Standard uncertainty of that edge, mm.")
     ] = None,
     board: Annotated[
-        Path | None, typer.Option(help="Another board.toml than the one with the pictures.")
+        Path | None, Option(help="Another board.toml than the one with the pictures.")
     ] = None,
     force: option.ReplaceFiles = False,
     live: Annotated[
-        bool, typer.Option("--live", help="Take the pictures now, by a station's cameras.")
+        bool, Option("--live", help="Take the pictures now, by a station's cameras.")
     ] = False,
     pictures: Annotated[
-        Path | None, typer.Option(help="Live: their folder; default: boards-DATE-TIME, here.")
+        Path | None, Option(help="Live: their folder; default: boards-DATE-TIME, here.")
     ] = None,
     enough: Annotated[
-        int | None, typer.Option("--pairs", min=3, help="Live: finish after so many pairs.")
+        int | None, Option("--pairs", min=3, help="Live: finish after so many pairs.")
     ] = None,
-    page: Annotated[bool, typer.Option("--page", help="Live: serve a page.")] = False,
+    page: Annotated[bool, Option("--page", help="Live: serve a page.")] = False,
     page_port: option.PagePort = DEFAULT_PORT,
     page_address: option.PageAddress = LOOPBACK,
     page_token: option.PageToken = None,
@@ -93,43 +94,41 @@ def boards(
 def register(
     session: Annotated[
         Path,
-        typer.Argument(
-            help="A recorded motion, or poses; with --board-in-base, pictures of that board."
-        ),
+        Argument(help="A recorded motion, or poses; with --board-in-base, pictures of that board."),
     ],
     out: Annotated[
         Path | None,
-        typer.Option(
+        Option(
             "-o",
             "--out",
             help="The rig file to write: rig.toml; of poses a session folder: NAME-registered.",
         ),
     ] = None,
     marker: Annotated[
-        Path | None, typer.Option(help="The marker file to write; default: marker.toml.")
+        Path | None, Option(help="The marker file to write; default: marker.toml.")
     ] = None,
     rig: Annotated[
-        Path | None, typer.Option(help="The calibrated rig, instead of the session's own.")
+        Path | None, Option(help="The calibrated rig, instead of the session's own.")
     ] = None,
     board_in_base: Annotated[
-        Path | None, typer.Option(help="A file that says where the board sits on the robot's base.")
+        Path | None, Option(help="A file that says where the board sits on the robot's base.")
     ] = None,
     leds: Annotated[
         int | None,
-        typer.Option(min=3, help="Number of LEDs; default: determined from the pictures."),
+        Option(min=3, help="Number of LEDs; default: determined from the pictures."),
     ] = None,
     known_marker: Annotated[
-        Path | None, typer.Option(help="A marker.toml whose LED names or positions are kept.")
+        Path | None, Option(help="A marker.toml whose LED names or positions are kept.")
     ] = None,
     keep_base: Annotated[
-        bool, typer.Option("--keep-base", help="Keep the rig's robot base, fit the LEDs alone.")
+        bool, Option("--keep-base", help="Keep the rig's robot base, fit the LEDs alone.")
     ] = False,
     keep_leds: Annotated[
-        bool, typer.Option("--keep-leds", help="Keep the known marker, fit the base alone.")
+        bool, Option("--keep-leds", help="Keep the known marker, fit the base alone.")
     ] = False,
     sweeps: Annotated[
         bool,
-        typer.Option("--sweeps", help="Also compare each swept joint's axis with the DH table."),
+        Option("--sweeps", help="Also compare each swept joint's axis with the DH table."),
     ] = False,
     corners: option.Corners = None,
     square_mm: option.SquareMm = None,
@@ -190,21 +189,21 @@ def register(
 @calibrate.command()
 def check(
     source: Annotated[
-        Path, typer.Argument(help="A recorded session, or pictures of a board (one pair will do).")
+        Path, Argument(help="A recorded session, or pictures of a board (one pair will do).")
     ],
     rig: Annotated[
-        Path | None, typer.Option(help="The rig to check, instead of the session's own.")
+        Path | None, Option(help="The rig to check, instead of the session's own.")
     ] = None,
     length_mm: Annotated[
-        float | None, typer.Option(help="Known distance of two LEDs on a bar, mm.")
+        float | None, Option(help="Known distance of two LEDs on a bar, mm.")
     ] = None,
     length_uncertainty_mm: Annotated[
-        float | None, typer.Option(help="Standard uncertainty of that distance, mm.")
+        float | None, Option(help="Standard uncertainty of that distance, mm.")
     ] = None,
     corners: option.Corners = None,
     square_mm: option.SquareMm = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Folder of the report; none unless given.")
+        Path | None, Option("-o", "--out", help="Folder of the report; none unless given.")
     ] = None,
     force: option.ReplaceFiles = False,
 ) -> int:

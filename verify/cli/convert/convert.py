@@ -4,7 +4,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
+from typer import Argument, Option
 
 from verify.cli.options import ReplaceInFolder, refuse_options
 from verify.cli.terminal import terminal
@@ -25,62 +25,56 @@ PoseFrame = StrEnum("PoseFrame", "instrument robot_base")  # what poses are in
 def convert(
     sources: Annotated[
         list[Path],
-        typer.Argument(
+        Argument(
             help="A bag, an MCAP file, or tables (CSV): into a session. A session's or a "
             "report's folder: out of it."
         ),
     ],
     out: Annotated[
         Path | None,
-        typer.Option("-o", "--out", help="Folder or file of the result; else the last argument."),
+        Option("-o", "--out", help="Folder or file of the result; else the last argument."),
     ] = None,
     to: Annotated[
-        ExportFormat | None, typer.Option(help="Format of an export; else by the ending of -o.")
+        ExportFormat | None, Option(help="Format of an export; else by the ending of -o.")
     ] = None,
-    robot: Annotated[
-        str | None, typer.Option(help="The robot: a name, or a robot file or URDF.")
-    ] = None,
-    left: Annotated[str | None, typer.Option(help="Bag: topic of the left camera.")] = None,
-    right: Annotated[str | None, typer.Option(help="Bag: topic of the right camera.")] = None,
-    joints: Annotated[str | None, typer.Option(help="Bag: topic of the joint readings.")] = None,
+    robot: Annotated[str | None, Option(help="The robot: a name, or a robot file or URDF.")] = None,
+    left: Annotated[str | None, Option(help="Bag: topic of the left camera.")] = None,
+    right: Annotated[str | None, Option(help="Bag: topic of the right camera.")] = None,
+    joints: Annotated[str | None, Option(help="Bag: topic of the joint readings.")] = None,
     joint_names: Annotated[
         str | None,
-        typer.Option(help="The recording's names of the joints, in the robot's order: A,B,…"),
+        Option(help="The recording's names of the joints, in the robot's order: A,B,…"),
     ] = None,
     stamps: Annotated[
-        StampKind, typer.Option(help="Bag: times of the headers, or of the recording.")
+        StampKind, Option(help="Bag: times of the headers, or of the recording.")
     ] = StampKind.header,
     rig: Annotated[
-        Path | None, typer.Option(help="Bag: rig.toml of the cameras; else from CameraInfo.")
+        Path | None, Option(help="Bag: rig.toml of the cameras; else from CameraInfo.")
     ] = None,
     marker: Annotated[
-        Path | None, typer.Option(help="Bag: marker.toml, where the LEDs are known.")
+        Path | None, Option(help="Bag: marker.toml, where the LEDs are known.")
     ] = None,
-    angles: Annotated[AngleUnit | None, typer.Option(help="Unit of the angles.")] = None,
-    lengths: Annotated[LengthUnit | None, typer.Option(help="Table: unit of the lengths.")] = None,
+    angles: Annotated[AngleUnit | None, Option(help="Unit of the angles.")] = None,
+    lengths: Annotated[LengthUnit | None, Option(help="Table: unit of the lengths.")] = None,
     rotation: Annotated[
         str | None,
-        typer.Option(
-            help="Table: rotvec, quaternion, or axes of Euler angles: xyz fixed, ZYX moving."
-        ),
+        Option(help="Table: rotvec, quaternion, or axes of Euler angles: xyz fixed, ZYX moving."),
     ] = None,
     instrument: Annotated[
         str | None,
-        typer.Option(help="Table: the instrument that measured its poses; never the robot."),
+        Option(help="Table: the instrument that measured its poses; never the robot."),
     ] = None,
     frame: Annotated[
-        PoseFrame, typer.Option(help="Table: the frame of its poses.")
+        PoseFrame, Option(help="Table: the frame of its poses.")
     ] = PoseFrame.instrument,
     mapping: Annotated[
         list[str] | None,
-        typer.Option(
+        Option(
             "--map",
             help="Table: TARGET=COLUMN:UNIT in place of the proposal; commas between, or repeated.",
         ),
     ] = None,
-    yes: Annotated[
-        bool, typer.Option("--yes", help="Table: the proposed mapping is correct.")
-    ] = False,
+    yes: Annotated[bool, Option("--yes", help="Table: the proposed mapping is correct.")] = False,
     force: ReplaceInFolder = False,
 ) -> None:
     """Bags, MCAP and tables into a session; results to others.

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument
 
 from verify.cli.terminal import terminal
 
@@ -12,7 +12,7 @@ MARKS = {"works": "works ", "doubt": "doubt ", "fails": "FAILS "}
 
 def doctor(
     station: Annotated[
-        Path | None, typer.Argument(help="A station file: its devices are tried too.")
+        Path | None, Argument(help="A station file: its devices are tried too.")
     ] = None,
 ) -> int:
     """Say what works on this machine, and of a station's devices.

@@ -4,6 +4,7 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
+from typer import Argument, Option
 
 from verify.cli import options as option
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
@@ -15,34 +16,34 @@ DEFAULT_COLOUR = "blue"
 def grab(
     station: Annotated[
         Path | None,
-        typer.Argument(help="A station file: its cameras, and the MELFA controller it names."),
+        Argument(help="A station file: its cameras, and the MELFA controller it names."),
     ] = None,
     sim: Annotated[
-        bool, typer.Option("--sim", help="The simulated cell: caps on a table, arm, cameras.")
+        bool, Option("--sim", help="The simulated cell: caps on a table, arm, cameras.")
     ] = False,
     target: Annotated[
         str | None,
-        typer.Option(help="The object's colour: red, orange, yellow, green, cyan, blue, …"),
+        Option(help="The object's colour: red, orange, yellow, green, cyan, blue, …"),
     ] = None,
     roi: Annotated[
         str | None,
-        typer.Option(help="The object's box in the first left picture: x,y,w,h in pixels."),
+        Option(help="The object's box in the first left picture: x,y,w,h in pixels."),
     ] = None,
     execute: Annotated[
-        bool, typer.Option("--execute", help="Move. Without it the plan is shown and drawn.")
+        bool, Option("--execute", help="Move. Without it the plan is shown and drawn.")
     ] = False,
     auto: Annotated[
-        bool, typer.Option("--auto", help="Grab once the object stands still; else on key g.")
+        bool, Option("--auto", help="Grab once the object stands still; else on key g.")
     ] = False,
     stop_and_go: Annotated[
-        bool, typer.Option("--stop-and-go", help="--sim: one move at a time, as MELFA takes them.")
+        bool, Option("--stop-and-go", help="--sim: one move at a time, as MELFA takes them.")
     ] = False,
     turning: Annotated[
-        bool, typer.Option("--turning", help="--sim: the camera bases turn meanwhile.")
+        bool, Option("--turning", help="--sim: the camera bases turn meanwhile.")
     ] = False,
     page: Annotated[
         bool,
-        typer.Option("--page", help="Serve a page: pictures, state, plan; select, grab, stop."),
+        Option("--page", help="Serve a page: pictures, state, plan; select, grab, stop."),
     ] = False,
     page_port: option.PagePort = DEFAULT_PORT,
     page_address: option.PageAddress = LOOPBACK,
@@ -53,20 +54,20 @@ def grab(
     ] = 60.0,
     cell: Annotated[
         Path | None,
-        typer.Option(help="Station: the cell's grab.toml; default: beside the station file."),
+        Option(help="Station: the cell's grab.toml; default: beside the station file."),
     ] = None,
     gripper: Annotated[
-        str | None, typer.Option(help="Station: the gripper's port; needed with --execute.")
+        str | None, Option(help="Station: the gripper's port; needed with --execute.")
     ] = None,
     seed: Annotated[
-        int, typer.Option(min=0, help="--sim: which cell is drawn: where caps stand, the light.")
+        int, Option(min=0, help="--sim: which cell is drawn: where caps stand, the light.")
     ] = 0,
     small: Annotated[
-        bool, typer.Option("--small", help="--sim: pictures of 640 x 360 instead of 1280 x 720.")
+        bool, Option("--small", help="--sim: pictures of 640 x 360 instead of 1280 x 720.")
     ] = False,
-    out: Annotated[
-        Path, typer.Option("-o", "--out", help="Where film, session and report go.")
-    ] = Path("grab-report"),
+    out: Annotated[Path, Option("-o", "--out", help="Where film, session and report go.")] = Path(
+        "grab-report"
+    ),
     force: option.WriteIntoFolder = False,
 ) -> int:
     """Track a coloured object, follow it with the arm, pick it up.

@@ -4,7 +4,7 @@ from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from verify.cli.options import ReplaceFiles
 
@@ -13,30 +13,28 @@ PlacementChoice = StrEnum("PlacementChoice", "auto free held")  # of a base or a
 
 
 def identify(
-    sessions: Annotated[list[Path], typer.Argument(help="Session folders, all of one arm.")],
+    sessions: Annotated[list[Path], Argument(help="Session folders, all of one arm.")],
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Where the results go; NAME-identification.")
+        Path | None, Option("-o", "--out", help="Where the results go; NAME-identification.")
     ] = None,
     model: Annotated[
         ModelChoice,
-        typer.Option(help="What is fitted; auto: offsets or geometry, as the data require."),
+        Option(help="What is fitted; auto: offsets or geometry, as the data require."),
     ] = ModelChoice.auto,
     base: Annotated[
         PlacementChoice,
-        typer.Option(help="The robot's pose; auto: fitted if it was found through the encoders."),
+        Option(help="The robot's pose; auto: fitted if it was found through the encoders."),
     ] = PlacementChoice.auto,
     leds: Annotated[
-        PlacementChoice, typer.Option(help="The LEDs' pose on the flange; likewise.")
+        PlacementChoice, Option(help="The LEDs' pose on the flange; likewise.")
     ] = PlacementChoice.auto,
-    splits: Annotated[
-        int, typer.Option(min=1, max=100, help="Random splits of the hold-out.")
-    ] = 10,
+    splits: Annotated[int, Option(min=1, max=100, help="Random splits of the hold-out.")] = 10,
     share: Annotated[
-        float, typer.Option(min=0.05, max=0.9, help="Share of the poses held out in each.")
+        float, Option(min=0.05, max=0.9, help="Share of the poses held out in each.")
     ] = 0.3,
     judge: Annotated[
         list[Path] | None,
-        typer.Option(help="A session to check the result with, not used in the fit; repeatable."),
+        Option(help="A session to check the result with, not used in the fit; repeatable."),
     ] = None,
     force: ReplaceFiles = False,
 ) -> None:

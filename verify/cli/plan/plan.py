@@ -5,7 +5,7 @@ from math import radians
 from pathlib import Path
 from typing import Annotated
 
-import typer
+from typer import Argument, Option
 
 from verify.cli import options
 from verify.errors import InputError
@@ -19,79 +19,79 @@ ObservableChoice = StrEnum(  # what the motion is to make observable
 
 
 def plan(
-    robot: Annotated[str, typer.Argument(help="An arm's name, a robot file or a URDF.")],
+    robot: Annotated[str, Argument(help="An arm's name, a robot file or a URDF.")],
     rig: Annotated[
         Path | None,
-        typer.Argument(help="rig.toml, or a folder that holds one; without it a rig to be built."),
+        Argument(help="rig.toml, or a folder that holds one; without it a rig to be built."),
     ] = None,
     camera: Annotated[
         list[str] | None,
-        typer.Option(help="Of a rig to be built: pixels, horizontal view: 1280x720,60deg."),
+        Option(help="Of a rig to be built: pixels, horizontal view: 1280x720,60deg."),
     ] = None,
     baseline: Annotated[
-        list[str] | None, typer.Option(help="Between its cameras: 0.4 (metres) or 400mm.")
+        list[str] | None, Option(help="Between its cameras: 0.4 (metres) or 400mm.")
     ] = None,
     distance: Annotated[
-        list[str] | None, typer.Option(help="From the cameras to the arm's work: 1.0 or 1000mm.")
+        list[str] | None, Option(help="From the cameras to the arm's work: 1.0 or 1000mm.")
     ] = None,
     led: Annotated[
-        list[str] | None, typer.Option(help="LEDs and the circle that they stand on: 4,120mm.")
+        list[str] | None, Option(help="LEDs and the circle that they stand on: 4,120mm.")
     ] = None,
     assume: Annotated[
         list[str] | None,
-        typer.Option(help="Standard uncertainty of a rig to be built: base_position_mm=0.2."),
+        Option(help="Standard uncertainty of a rig to be built: base_position_mm=0.2."),
     ] = None,
     table: Annotated[
         bool,
-        typer.Option("--table", help="A row for each rig that the values describe."),
+        Option("--table", help="A row for each rig that the values describe."),
     ] = False,
     tolerance: options.JointTolerance = None,
     marker: Annotated[
-        Path | None, typer.Option(help="marker.toml; default: the one beside the rig.")
+        Path | None, Option(help="marker.toml; default: the one beside the rig.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option("-o", "--out", help="Folder of the plan; default: ROBOT-plan.")
+        Path | None, Option("-o", "--out", help="Folder of the plan; default: ROBOT-plan.")
     ] = None,
     observe: Annotated[
         list[ObservableChoice] | None,
-        typer.Option(help="To be shown; repeatable. Default: offsets, gains, backlash, clock."),
+        Option(help="To be shown; repeatable. Default: offsets, gains, backlash, clock."),
     ] = None,
     poses: Annotated[
-        int | None, typer.Option(min=4, max=60, help="Number of poses; 12 without --duration-s.")
+        int | None, Option(min=4, max=60, help="Number of poses; 12 without --duration-s.")
     ] = None,
     duration_s: Annotated[
-        float | None, typer.Option(help="Duration, filled with as many poses as fit.")
+        float | None, Option(help="Duration, filled with as many poses as fit.")
     ] = None,
-    hold_s: Annotated[float, typer.Option(min=0.0, help="Seconds of rest at each pose.")] = 0.5,
+    hold_s: Annotated[float, Option(min=0.0, help="Seconds of rest at each pose.")] = 0.5,
     speed_deg_s: Annotated[
-        float, typer.Option(help="Greatest speed of any joint; the arm's own limits also apply.")
+        float, Option(help="Greatest speed of any joint; the arm's own limits also apply.")
     ] = 30.0,
     near: Annotated[
-        str | None, typer.Option(help="Posture to stay near, degrees: 0,-60,45,0,-85,15.")
+        str | None, Option(help="Posture to stay near, degrees: 0,-60,45,0,-85,15.")
     ] = None,
     within_deg: Annotated[
-        float, typer.Option(help="Greatest distance of each joint from --near.")
+        float, Option(help="Greatest distance of each joint from --near.")
     ] = 45.0,
     floor_mm: Annotated[
-        float, typer.Option(help="Lowest height of any part of the arm; robot's base frame.")
+        float, Option(help="Lowest height of any part of the arm; robot's base frame.")
     ] = 0.0,
     view_angle_deg: Annotated[
         float,
-        typer.Option(help="LEDs are visible up to this angle from the flange's z; 180: all."),
+        Option(help="LEDs are visible up to this angle from the flange's z; 180: all."),
     ] = 60.0,
-    rate_hz: Annotated[float, typer.Option(help="Stereo pairs per second.")] = 10.0,
+    rate_hz: Annotated[float, Option(help="Stereo pairs per second.")] = 10.0,
     spot_noise_px: Annotated[
-        float, typer.Option(help="Standard uncertainty of an LED's image, each coordinate.")
+        float, Option(help="Standard uncertainty of an LED's image, each coordinate.")
     ] = 0.05,
     reading_noise_deg: Annotated[
-        float, typer.Option(help="Standard deviation of an encoder reading.")
+        float, Option(help="Standard deviation of an encoder reading.")
     ] = 0.01,
-    skew_ms: Annotated[float, typer.Option(help="Right picture after the left picture.")] = 0.0,
+    skew_ms: Annotated[float, Option(help="Right picture after the left picture.")] = 0.0,
     clock_uncertainty_ms: Annotated[
         float | None,
-        typer.Option(help="Of a clock offset that will be stated; else it is estimated."),
+        Option(help="Of a clock offset that will be stated; else it is estimated."),
     ] = None,
-    seed: Annotated[int, typer.Option(min=0, help="Seed of the random postures.")] = 0,
+    seed: Annotated[int, Option(min=0, help="Seed of the random postures.")] = 0,
     force: options.ReplaceFiles = False,
 ) -> None:
     """Plan a motion that shows what you ask, and predict how well each joint will be known.
