@@ -16,6 +16,7 @@ from verify.cli.terminal import terminal
 from verify.cli.watch import open_devices, stop_on_signal
 from verify.errors import InputError, WatchDefectError
 from verify.io.files import refused_as_input_error
+from verify.live.outputs.terminal import TerminalDisplay
 from verify.live.recording.recorder import RecorderState
 from verify.live.registration import show
 from verify.live.registration.loop import RecordedRobot, RecordingLoop, warm_up
@@ -91,12 +92,13 @@ def _show_state(state: show.RecordingState, page: "Page | None") -> Iterator[Cal
     printed = _Printer(state)
     warned = False
     with ExitStack() as stack:
-        table = stack.enter_context(show.RecordingDisplay(Console())) if terminal.draws else None
+        table = stack.enter_context(TerminalDisplay(Console())) if terminal.draws else None
 
         def look() -> None:
             nonlocal warned
             if table is not None:
-                table.look(state)
+                now = state.snapshot()
+                table.draw(lambda: show.render_recording(now), at_once=now.finished)
             else:
                 printed.look()
             if page is not None and page.trouble and not warned:

@@ -37,7 +37,7 @@ from verify.live.outputs.listeners import (
     connect_mqtt,
 )
 from verify.live.outputs.metrics import MetricsServer
-from verify.live.outputs.terminal import LiveTable
+from verify.live.outputs.terminal import TerminalDisplay, render_snapshot
 from verify.live.page.run import RunFacts, RunPageSource
 from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
 from verify.live.state import LiveState
@@ -220,12 +220,12 @@ def _show_state(
     """
     warned = False
     limits = None if tolerance is None else np.rad2deg(tolerance).tolist()
-    with LiveTable(limits, Console()) if terminal.draws else nullcontext() as table:
+    with TerminalDisplay(Console()) if terminal.draws else nullcontext() as table:
 
         def look(state: LiveState) -> None:
             nonlocal warned
             if table is not None:
-                table.look(state)
+                table.draw(lambda: render_snapshot(state.snapshot(), limits))
             if page is not None and page.trouble and not warned:
                 warned = True
                 terminal.warn(page.trouble)

@@ -174,10 +174,7 @@ ERROR_TEXTS: tuple[tuple[type[OSError], int | None, str], ...] = (
         *(PermissionError, errno.EACCES),
         "this user may not open it (on Linux: join the group dialout)",
     ),
-    (
-        *(ConnectionRefusedError, None),
-        "nothing listens there, or another program uses the line",
-    ),
+    (ConnectionRefusedError, None, "nothing listens there, or another program uses the line"),
     (ConnectionError, None, CONNECTION_CLOSED),
     (TimeoutError, None, "no answer; check address, cable and power"),
     (socket.gaierror, None, "no computer has that name"),

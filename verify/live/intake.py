@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import TypeVar
 
 import numpy as np
@@ -121,6 +121,14 @@ class PollingThread(threading.Thread):
                 self._over.wait(IDLE_DELAY)
 
 
+def stop_threads(threads: Sequence[PollingThread], timeout: float) -> None:
+    """Stop threads; each is given so many s to end."""
+    for thread in threads:
+        thread.stop()
+    for thread in threads:
+        thread.join(timeout)
+
+
 def camera_step(
     camera: CameraDevice, side: int, queue: PairQueue, *, patient: bool, differ: bool = False
 ) -> Callable[[], bool]:
@@ -235,20 +243,12 @@ class DeviceIntake:
             if pan is None:
                 self._queue.drop(BASE_TURNING)
                 continue
-            taken = CapturedPair(
-                frame=frame,
-                t_left=pair.left.t,
-                t_right=pair.right.t,
-                pan_left=pan[0],
-                pan_right=pan[1],
-                left=pair.left.image,
-                right=pair.right.image,
-                lossy=(pair.left.raw is not None, pair.right.raw is not None),
-                left_raw=pair.left.raw,
-                right_raw=pair.right.raw,
-            )
+            left, right = pair.left, pair.right
+            raws, images = (left.raw, right.raw), (left.image, right.image)
+            lossy = (left.raw is not None, right.raw is not None)
+            taken = CapturedPair(frame, left.t, right.t, *pan, *images, lossy, *raws)
             frame += 1
-            yield taken, pair.arrived, max(pair.left.t_uncertainty, pair.right.t_uncertainty)
+            yield taken, pair.arrived, max(left.t_uncertainty, right.t_uncertainty)
 
     def dropped(self) -> dict[str, int]:
         """Counts of the pictures and pairs that were lost, by reason."""
@@ -256,12 +256,12 @@ class DeviceIntake:
 
     def end_pictures(self) -> None:
         """Stop the cameras' threads; pairs that are there are still given out."""
-        self._end(self._threads[:2])
+        stop_threads(self._threads[:2], JOIN_TIMEOUT)
         self._queue.close()
 
     def end_readings(self) -> None:
         """Stop the threads of encoders and bases."""
-        self._end(self._threads[2:])
+        stop_threads(self._threads[2:], JOIN_TIMEOUT)
 
     def close(self) -> None:
         """Close all devices."""
@@ -273,9 +273,3 @@ class DeviceIntake:
             return self._standing
         left, right = self._pan.at(pair.left.t), self._pan.at(pair.right.t)
         return None if left is None or right is None else (left[0], right[1])
-
-    def _end(self, threads: list[PollingThread]) -> None:
-        for thread in threads:
-            thread.stop()
-        for thread in threads:
-            thread.join(JOIN_TIMEOUT)

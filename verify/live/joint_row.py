@@ -1,7 +1,7 @@
 """Compare measured pairs with the encoders, each by itself, by the steps of `verify.analysis`."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -185,19 +185,12 @@ class Comparer:
         variance = np.diag(joints.covariance[n]) + np.sum((inverse @ prior) ** 2, axis=1)
         variance = variance + (inverse @ effect * doubt) ** 2
         uncertainty = np.where(np.isnan(joints.q[n]), np.nan, np.sqrt(variance))
-        return JointRow(
-            frame=measurement.frame,
-            t=measurement.t,
-            status=measurement.status,
-            leds_seen=measurement.leds_seen,
+        return replace(
+            self._empty(measurement, measurement.status, clock, (comparison, n)),
             measured=joints.q[n],
-            encoder=comparison.q[n],
             error=joints.error[n],
             uncertainty=uncertainty,
             single=joints.single[n],
-            clock=clock,
-            base_T_measured=comparison.base_T_measured[n],
-            base_T_encoder=comparison.base_T_encoder[n],
             evidence=Evidence(
                 xi=comparison.xi[n],
                 jacobian=comparison.jacobian[n],
@@ -208,7 +201,6 @@ class Comparer:
                 clock_uncertainty=doubt,
                 determined=comparison.determined[n],
             ),
-            settled=measurement.settled,
         )
 
     def _empty(

@@ -17,19 +17,8 @@ from typing import Any
 import numpy as np
 
 from verify.analysis.warm_up import warm_up
+from verify.core import processes
 from verify.core.fiducials import Marker
-from verify.core.processes import (
-    READY,
-    ChildLateError,
-    ChildLostError,
-    ChildProcess,
-    ParentLine,
-    Place,
-    SharedPicture,
-    answer_requests,
-    location_of,
-    picture_at,
-)
 from verify.core.records import Array, Image, Measurement, Spots, StereoPair
 from verify.core.rig import Rig
 from verify.live.protocols import ExpectedPoses
@@ -43,7 +32,9 @@ NO_PICTURE: Image = np.zeros((0, 0), dtype=np.uint8)
 
 # shared memory, shape, windows, lossy
 DetectionRequest = tuple[str, tuple[int, ...], Array | None, bool]
-PairMessage = tuple[StereoPair, Place, Place]  # without its pictures, and where those are
+PairMessage = tuple[
+    StereoPair, processes.Place, processes.Place
+]  # without its pictures, and where those are
 
 
 class ParallelDetector:
@@ -60,11 +51,13 @@ class ParallelDetector:
 
     def __init__(self, warn: Callable[[str], None]) -> None:
         self._warn, self._warned = warn, False
-        self._process: ChildProcess[DetectionRequest, Spots] | None = ChildProcess(
-            answer_requests, _detect_shared_picture, name="right picture"
+        self._process: processes.ChildProcess[DetectionRequest, Spots] | None = (
+            processes.ChildProcess(
+                processes.answer_requests, _detect_shared_picture, name="right picture"
+            )
         )
         self._process.wait_until_ready()
-        self._picture = SharedPicture()
+        self._picture = processes.SharedPicture()
         self._lock = threading.Lock()
 
     def __call__(
@@ -74,16 +67,16 @@ class ParallelDetector:
         process = self._process
         if process is None:
             return detect_in_turn(pair, left_windows, right_windows)
-        right = location_of(pair.right) or self._picture.put(pair.right)
+        right = processes.location_of(pair.right) or self._picture.put(pair.right)
         try:
             process.begin((*right, right_windows, pair.lossy[1]))
             spots = detect(pair.left, left_windows, lossy=pair.lossy[0])
             return spots, process.finish(DETECTION_TIMEOUT)
-        except ChildLateError as error:
+        except processes.ChildLateError as error:
             if not self._warned:
                 self._warn(f"pictures are searched one at a time, now and then: {error}")
             self._warned = True
-        except ChildLostError as error:
+        except processes.ChildLostError as error:
             self._warn(f"pictures are searched one at a time from now on: {error}")
             self.close()
         return detect_in_turn(pair, left_windows, right_windows)
@@ -99,7 +92,7 @@ class ParallelDetector:
 
 def _detect_shared_picture(request: DetectionRequest) -> Spots:
     name, shape, windows, lossy = request
-    return detect(picture_at(name, shape), windows, lossy=lossy)
+    return detect(processes.picture_at(name, shape), windows, lossy=lossy)
 
 
 class MeasuringProcess:
@@ -118,10 +111,10 @@ class MeasuringProcess:
 
     def __init__(self, rig: Rig, marker: Marker, warn: Callable[[str], None]) -> None:
         self._rig, self._marker, self._warn = rig, marker, warn
-        self._process: ChildProcess[Any, Any] = ChildProcess(
+        self._process: processes.ChildProcess[Any, Any] = processes.ChildProcess(
             _measure_pairs, rig, marker, name="measurement", nested=True
         )
-        self._pictures = (SharedPicture(), SharedPicture())
+        self._pictures = (processes.SharedPicture(), processes.SharedPicture())
         self._lost = False
         self._prepared: tuple[StereoPair, PairMessage] | None = None
         try:
@@ -152,7 +145,7 @@ class MeasuringProcess:
                 yield from self._measured(expected, unanswered)
             self._process.send(None)
             yield from self._measured(expected, unanswered)
-        except ChildLostError as error:
+        except processes.ChildLostError as error:
             self._lost = True
             self._process.stop(0.0)
             self._warn(f"pairs are measured by the main process from now on: {error}")
@@ -192,7 +185,7 @@ class MeasuringProcess:
                 yield value
 
 
-def _measure_pairs(line: ParentLine, rig: Rig, marker: Marker) -> None:
+def _measure_pairs(line: processes.ParentLine, rig: Rig, marker: Marker) -> None:
     """Measure until the parent process sends no more pairs; runs in the measuring process."""
     with ExitStack() as stack:
         detector = ParallelDetector(lambda text: line.send("warning", text))
@@ -200,7 +193,7 @@ def _measure_pairs(line: ParentLine, rig: Rig, marker: Marker) -> None:
         warm_up(detector)
         gc.collect()
         gc.freeze()  # the collector need not search what is there: that takes a picture's time
-        line.send(READY)
+        line.send(processes.READY)
 
         def expected(t: float) -> Sequence[Array]:
             line.send("expected", t)
@@ -213,11 +206,11 @@ def _measure_pairs(line: ParentLine, rig: Rig, marker: Marker) -> None:
         line.send("next")
 
 
-def _receive_pairs(line: ParentLine) -> Iterator[StereoPair]:
+def _receive_pairs(line: processes.ParentLine) -> Iterator[StereoPair]:
     """Receive pairs; when the next one is requested, the one before has been measured."""
     message: PairMessage | None = line.receive()
     while message is not None:
         bare, left, right = message
-        yield replace(bare, left=picture_at(*left), right=picture_at(*right))
+        yield replace(bare, left=processes.picture_at(*left), right=processes.picture_at(*right))
         line.send("next")
         message = line.receive()

@@ -44,7 +44,6 @@ class Pairing:
             deque(maxlen=N_INTERVALS),
         )
         self.dropped: Counter[str] = Counter()
-        self.paired = 0
 
     def waiting(self, side: int) -> int:
         """Count the pictures of a side that wait for their partner."""
@@ -86,7 +85,6 @@ class Pairing:
         if own := self._waiting[side]:
             self.dropped[NO_PARTNER] += len(own)
             own.clear()
-        self.paired += 1
         left, right = (frame, partner) if side == 0 else (partner, frame)
         return FramePair(left, right, arrived)
 

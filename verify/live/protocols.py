@@ -61,7 +61,10 @@ class Alarm:
 
 
 class Listener(Protocol):
-    """Receives rows and alarms, in a thread of its own: it may take its time."""
+    """Receives rows and alarms, in a thread of its own: it may take its time.
+
+    Whoever derives from it has nothing to end unless it says so.
+    """
 
     def row(self, row: JointRow, statistic: Array) -> None:
         """Take a pair's outcome, at first causal and then `settled`.
@@ -74,6 +77,7 @@ class Listener(Protocol):
 
     def close(self) -> None:
         """End: nothing more will come."""
+        return
 
 
 @dataclass(frozen=True, slots=True)

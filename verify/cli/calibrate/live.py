@@ -15,8 +15,9 @@ from verify.core.fiducials import Board
 from verify.errors import InputError
 from verify.io import fiducials
 from verify.live.boards.pictures import BoardPictures
-from verify.live.boards.show import BoardDisplay, BoardPageSource, BoardState
+from verify.live.boards.show import BoardPageSource, BoardState, render_snapshot
 from verify.live.boards.take import BoardCapture, BoardDevices
+from verify.live.outputs.terminal import TerminalDisplay
 from verify.live.station.cameras import StationCameras, open_station_cameras
 from verify.simulation.boards.cameras import BoardCameras
 
@@ -115,8 +116,13 @@ def _open_devices(station: StationCameras, stack: ExitStack) -> BoardDevices:
 def _show_state(state: BoardState) -> Iterator[Callable[[], None]]:
     """Draw the state where there is a terminal to draw it on; else a line for what changes."""
     if terminal.draws:
-        with BoardDisplay(Console(), KEYS_HELP) as screen:
-            yield lambda: screen.look(state)
+        with TerminalDisplay(Console()) as screen:
+
+            def draw() -> None:
+                now = state.snapshot()
+                screen.draw(lambda: render_snapshot(now, KEYS_HELP), at_once=now.finished)
+
+            yield draw
         return
     text = ""
 

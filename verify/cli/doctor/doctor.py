@@ -21,25 +21,19 @@ def doctor(
 
     Example: verify doctor station.toml
     """
+    from verify.cli.doctor import machine
     from verify.cli.doctor.devices import check_devices
-    from verify.cli.doctor.machine import (
-        check_codecs,
-        check_disk,
-        check_serial_ports,
-        check_versions,
-        check_video_devices,
-    )
     from verify.live.station.station import open_station
     from verify.simulation.devices.station import SimulatedStation
 
     opened = None if station is None else open_station(station, SimulatedStation)
-    findings = [*check_versions(), *check_codecs()]
+    findings = [*machine.check_versions(), *machine.check_codecs()]
     if opened is None:
-        findings += [check_disk(Path())]
-        findings += [*check_serial_ports(), *check_video_devices()]
+        findings += [machine.check_disk(Path())]
+        findings += [*machine.check_serial_ports(), *machine.check_video_devices()]
     else:
         terminal.warn(*opened.warnings)
-        findings += [check_disk(opened.recording.folder)]
+        findings += [machine.check_disk(opened.recording.folder)]
         findings += check_devices(opened)
     for finding in findings:
         terminal.say(f"{MARKS[finding.outcome]}{finding.what}: {finding.sentence}")

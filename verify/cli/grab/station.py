@@ -42,7 +42,7 @@ from verify.grasping.tracking.track import TargetTracker
 from verify.io.results import refuse_existing
 from verify.io.toml import key_error
 from verify.live.buffers import PanBuffer
-from verify.live.intake import PollingThread, readings_step
+from verify.live.intake import PollingThread, readings_step, stop_threads
 from verify.live.pairing import FramePair, Pairing
 from verify.live.station import file
 from verify.live.station.devices import angle_map
@@ -103,10 +103,7 @@ class LivePairs:
 
     def close(self) -> None:
         """Close the cameras and the bases."""
-        for thread in self._threads:
-            thread.stop()
-        for thread in self._threads:
-            thread.join(1.0)
+        stop_threads(self._threads, 1.0)
         for camera in self._cameras:
             camera.close()
         if self._pan is not None:

@@ -104,12 +104,7 @@ def plan(
 
     Example: verify plan iust_6r --camera 1280x720,60deg --baseline 0.4 --distance 1.5 -o rig_plan
     """
-    from verify.cli.plan.proposal import (
-        compare_rigs,
-        describing_remedies,
-        propose_setup,
-        proposed_rigs,
-    )
+    from verify.cli.plan import proposal
     from verify.cli.plan.session import load_arm, parse_posture, plan_session, planning_setup
     from verify.planning.request import DEFAULT_KINDS, PlanRequest, SessionConditions
     from verify.planning.results import PlanProvenance
@@ -157,17 +152,17 @@ def plan(
         provenance = PlanProvenance(setup, request, conditions, inputs, warnings, None, allowed)
         plan_session(provenance, out, force=force)
         return
-    rigs = proposed_rigs(built, assume or [], table=table)
+    rigs = proposal.proposed_rigs(built, assume or [], table=table)
     if table or len(rigs) > 1:
         options.refuse_options(
             {"--tolerance": tolerance is not None}, f"is given with {len(rigs)} rigs",
             "a table of rigs has uncertainties alone", "Leave it out, or give one rig.",
         )  # fmt: skip
-        compare_rigs(arm, rigs, request, conditions, out, force=force)
+        proposal.compare_rigs(arm, rigs, request, conditions, out, force=force)
         return
-    setup, request = propose_setup(arm, rigs[0], request)
+    setup, request = proposal.propose_setup(arm, rigs[0], request)
     provenance = PlanProvenance(setup, request, conditions, {}, (), rigs[0], allowed)
-    with describing_remedies():
+    with proposal.describing_remedies():
         plan_session(provenance, out, force=force)
 
 

@@ -106,19 +106,14 @@ def _result_or_failure(found: SessionLocation, work: Callable[[], T]) -> T | Ses
     try:
         return work()
     except InputError as problem:
-        return SessionFailure(found.session, REFUSED, _with_session_name(str(problem), found))
+        kind, refused = REFUSED, problem
     except OSError as problem:
-        refused = system_refusal(problem.filename or found.folder, problem)
-        return SessionFailure(found.session, UNREADABLE, _with_session_name(str(refused), found))
+        kind, refused = UNREADABLE, system_refusal(problem.filename or found.folder, problem)
     except Exception as problem:  # a defect of ours is reported, and the batch goes on
-        if lacks_memory(problem):
-            refused = memory_refusal(found.folder)
-            return SessionFailure(
-                found.session, UNREADABLE, _with_session_name(str(refused), found)
-            )
-        why = f"{found.session}: {type(problem).__name__}: {problem}. Please report this defect."
-        return SessionFailure(found.session, DEFECT, printable_path(one_line(why)))
-
-
-def _with_session_name(text: str, found: SessionLocation) -> str:
-    return printable_path(text.replace(one_line(found.folder), one_line(found.session)))
+        if not lacks_memory(problem):
+            why = one_line(f"{found.session}: {type(problem).__name__}: {problem}. ")
+            defect = printable_path(f"{why}Please report this defect.")
+            return SessionFailure(found.session, DEFECT, defect)
+        kind, refused = UNREADABLE, memory_refusal(found.folder)
+    why = str(refused).replace(one_line(found.folder), one_line(found.session))
+    return SessionFailure(found.session, kind, printable_path(why))

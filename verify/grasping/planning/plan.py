@@ -56,9 +56,8 @@ class GraspPlan:
 
     posture: postures.Posture
     margin: GripMargin
-    over: tuple[
-        trajectory.Trajectory, ...
-    ]  # to above the object; several where the way leads through home
+    # to above the object; several where the way leads through home
+    over: tuple[trajectory.Trajectory, ...]
     down: trajectory.Trajectory
     up: trajectory.Trajectory
     slowed: float  # how many times slower than the cell asks, for the joints' limits

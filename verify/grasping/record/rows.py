@@ -130,12 +130,9 @@ def _grip_position(base_T_flange: Array, workspace: Workspace) -> Array:
 
 
 def _outline(side: str, outline: Blob | None) -> dict[str, float | None]:
-    if outline is None:
-        return {f"{side}_{what}_px": None for what in ("x", "y", "width", "height")}
-    _, _, width, height = outline.box
-    x, y = (float(v) for v in outline.centre)
-    values = zip(("x", "y", "width", "height"), (x, y, width, height), strict=True)
-    return {f"{side}_{what}_px": value for what, value in values}
+    values = (None,) * 4 if outline is None else (*outline.centre.tolist(), *outline.box[2:])
+    whats = ("x", "y", "width", "height")
+    return {f"{side}_{what}_px": value for what, value in zip(whats, values, strict=True)}
 
 
 def _point(name: str, point: Array) -> dict[str, float]:

@@ -63,8 +63,7 @@ def left_picture(now: TargetSearch, ahead: KalmanTrack) -> str:
     """Name the picture that the target has left, by its prediction; "" for none."""
     target = now.identity.target
     assert target is not None
-    sides = _camera_sides(place_cameras(now.rig, now.pair), now.pair)
-    for name, (camera, _, image) in zip(("left", "right"), sides, strict=True):
+    for name, (camera, _, image) in zip(("left", "right"), _camera_sides(now), strict=True):
         pixel = project(camera, ahead.position)[0]
         depth = float(camera.inside(ahead.position)[2])
         half = _extent_in_pixels(target.extent, camera.camera, depth) / 2
@@ -82,8 +81,7 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
     blobs: list[camshift.Blob] = []
     windows: list[camshift.Box] = []
     doubts: list[float] = []
-    sides = _camera_sides(place_cameras(now.rig, now.pair), now.pair)
-    for model, (camera, t, image) in zip(now.models, sides, strict=True):
+    for model, (camera, t, image) in zip(now.models, _camera_sides(now), strict=True):
         there = ahead.at(t)
         pixel, slope, exact = project(camera, there.position)
         depth = float(camera.inside(there.position)[2])
@@ -163,10 +161,9 @@ def _trim_to_target(
     return camshift.camshift(image, blob.box, blob.box, model, expected) or blob
 
 
-def _camera_sides(
-    cameras: tuple[PannedCamera, PannedCamera], pair: StereoPair
-) -> tuple[tuple[PannedCamera, float, Image], tuple[PannedCamera, float, Image]]:
-    return (cameras[0], pair.t_left, pair.left), (cameras[1], pair.t_right, pair.right)
+def _camera_sides(now: TargetSearch) -> tuple[tuple[PannedCamera, float, Image], ...]:
+    pair, (left, right) = now.pair, place_cameras(now.rig, now.pair)
+    return (left, pair.t_left, pair.left), (right, pair.t_right, pair.right)
 
 
 def _extent_in_pixels(extent: Array, camera: Camera, depth: float) -> Array:

@@ -5,7 +5,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
@@ -13,7 +13,7 @@ from verify.core.fiducials import Board, BoardView
 from verify.core.records import Image
 from verify.live.boards.goals import BoardGoal, BoardPlacement, CameraCoverage
 from verify.live.boards.view import MAX_MOTION_PX
-from verify.live.outputs.terminal import TerminalDisplay, render_devices
+from verify.live.outputs.terminal import render_devices
 from verify.live.snapshot import MAX_TEXT_LENGTH, SharedSnapshot, SnapshotPageSource
 from verify.live.state import DeviceStatus
 
@@ -59,19 +59,6 @@ class BoardState(SharedSnapshot[BoardSnapshot]):
 SHADES = " ░▒▓█"  # of a cell with no corner, with some, with many
 MANY_CORNERS = 12  # corners in a cell
 STYLES = {READY: "bold green", MOVING: "yellow"}
-
-
-class BoardDisplay(TerminalDisplay):
-    """Shows the state of taking board pictures."""
-
-    def __init__(self, console: Console, help_: str) -> None:
-        super().__init__(console)
-        self._help = help_
-
-    def look(self, state: BoardState) -> None:
-        """Draw the state again, if it is time."""
-        now = state.snapshot()
-        self.draw(lambda: render_snapshot(now, self._help), at_once=now.finished)
 
 
 def render_snapshot(now: BoardSnapshot, help_: str) -> RenderableType:

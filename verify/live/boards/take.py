@@ -10,12 +10,12 @@ from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Image, StereoPair
 from verify.devices.protocols import CameraDevice, PanDevice
 from verify.errors import InputError
+from verify.live import intake
 from verify.live.boards.goals import CapturedPairs, coverage, goals
 from verify.live.boards.pictures import BoardPictures
 from verify.live.boards.show import MOVING, READY, REPEATED, SEARCHING, BoardDetection, BoardState
 from verify.live.boards.view import MAX_MOTION_PX, StillnessDetector, find_board_coarsely
 from verify.live.buffers import PanBuffer
-from verify.live.intake import PairQueue, PollingThread, camera_step, readings_step
 from verify.live.pairing import FramePair, Pairing
 from verify.live.state import DeviceStatus, device_status
 
@@ -52,7 +52,8 @@ class BoardCapture:
         self._devices, self._board, self._pictures = devices, board, pictures
         self._enough, self._state = enough, state
         self._requested, self._finished = threading.Event(), threading.Event()
-        self._latest = PairQueue(Pairing(), size=1)  # pairs that come meanwhile are passed over
+        # pairs that come meanwhile are passed over
+        self._latest = intake.PairQueue(Pairing(), size=1)
         self._pans, self._still = PanBuffer(), StillnessDetector()
         self._taken: CapturedPairs | None = None  # None before the first pair of pictures
         self._looks = 0
@@ -86,21 +87,18 @@ class BoardCapture:
                         self._see(pair)
         finally:
             self._state.change(finished=True, status=SEARCHING, words=FINISHED, motion=None)
-            for pump in pumps:
-                pump.stop()
-            for pump in pumps:
-                pump.join(JOIN_TIMEOUT)
+            intake.stop_threads(pumps, JOIN_TIMEOUT)
             look()
 
-    def _pumps(self) -> list[PollingThread]:
+    def _pumps(self) -> list[intake.PollingThread]:
         devices, latest = self._devices, self._latest
         steps = [
-            ("left camera", camera_step(devices.left, 0, latest, patient=False)),
-            ("right camera", camera_step(devices.right, 1, latest, patient=False)),
+            ("left camera", intake.camera_step(devices.left, 0, latest, patient=False)),
+            ("right camera", intake.camera_step(devices.right, 1, latest, patient=False)),
         ]
         if devices.pan is not None:
-            steps.append(("bases", readings_step(devices.pan, self._pans.add)))
-        return [PollingThread(name, step, self._failed) for name, step in steps]
+            steps.append(("bases", intake.readings_step(devices.pan, self._pans.add)))
+        return [intake.PollingThread(name, step, self._failed) for name, step in steps]
 
     def _failed(self, name: str, error: Exception) -> None:
         self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"

@@ -72,11 +72,9 @@ class ListenerThread:
 
     def _next(self) -> Alarm | tuple[JointRow, Array] | None:
         with self._wake:
-            while not (self._alarms or self._rows or self._closing):
-                self._wake.wait()
-            if self._alarms:
-                return self._alarms.popleft()
-            return self._rows.popleft() if self._rows else None
+            self._wake.wait_for(lambda: self._alarms or self._rows or self._closing)
+            queue = self._alarms or self._rows
+            return queue.popleft() if queue else None
 
 
 def row_fields(row: JointRow) -> dict[str, Any]:
@@ -105,7 +103,7 @@ def row_fields(row: JointRow) -> dict[str, Any]:
     }
 
 
-class JsonLines:
+class JsonLines(Listener):
     """A line of JSON for each pair and each alarm."""
 
     def __init__(self, write: Callable[[dict[str, Any]], None]) -> None:
@@ -120,11 +118,8 @@ class JsonLines:
         """Write an alarm."""
         self._write({"type": "alarm", **alarm.fields()})
 
-    def close(self) -> None:
-        """Nothing to end."""
 
-
-class AlarmCommand:
+class AlarmCommand(Listener):
     """Calls a command for each alarm that is new, without a shell.
 
     The facts are in its environment (VERIFY_ALARM_KIND, _JOINT, _TEXT, …) and, as a JSON object, on
@@ -167,9 +162,6 @@ class AlarmCommand:
             timeout=COMMAND_TIMEOUT,
             check=False,
         )
-
-    def close(self) -> None:
-        """Nothing to end."""
 
 
 class MqttClient(Protocol):
@@ -243,7 +235,7 @@ def _word(value: Any) -> str:
 REPORT_PERIOD = 10.0  # s
 
 
-class PlainTextOutput:
+class PlainTextOutput(Listener):
     """Says alarms as they come, and the joint errors every ten seconds."""
 
     def __init__(self, say: Callable[[str], None]) -> None:
@@ -269,6 +261,3 @@ class PlainTextOutput:
         """Say an alarm, also when it is over."""
         over = "" if alarm.ended is None else " Over."
         self._say(f"ALARM {alarm.number}: {alarm.text}{over}")
-
-    def close(self) -> None:
-        """Nothing to end."""

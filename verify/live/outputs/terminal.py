@@ -13,7 +13,7 @@ from rich.text import Text
 
 from verify.errors import one_line
 from verify.live.protocols import Alarm
-from verify.live.state import DeviceStatus, LiveSnapshot, LiveState
+from verify.live.state import DeviceStatus, LiveSnapshot
 
 REFRESH_PERIOD = 0.25  # s: quicker cannot be read
 BAR_HALF_WIDTH = 13  # characters on either side of zero
@@ -41,18 +41,6 @@ class TerminalDisplay:
         if now >= self._due or at_once:
             self._due = now + REFRESH_PERIOD
             self._display.update(render(), refresh=True)
-
-
-class LiveTable(TerminalDisplay):
-    """Shows the state of a run."""
-
-    def __init__(self, tolerance_deg: list[float] | None, console: Console) -> None:
-        super().__init__(console)
-        self._tolerance = tolerance_deg
-
-    def look(self, state: LiveState) -> None:
-        """Draw the state again, if it is time."""
-        self.draw(lambda: render_snapshot(state.snapshot(), self._tolerance))
 
 
 def render_snapshot(now: LiveSnapshot, tolerance_deg: list[float] | None) -> RenderableType:

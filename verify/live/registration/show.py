@@ -11,7 +11,7 @@ from rich.table import Table
 from rich.text import Text
 
 from verify.core.records import Array, Image
-from verify.live.outputs.terminal import TerminalDisplay, render_devices
+from verify.live.outputs.terminal import render_devices
 from verify.live.registration.goals import RegistrationGoal
 from verify.live.snapshot import MAX_TEXT_LENGTH, SharedSnapshot, SnapshotPageSource
 from verify.live.state import DeviceStatus
@@ -75,15 +75,6 @@ def goal_fields(goal: RegistrationGoal) -> dict[str, Any]:
         "reached": goal.reached,
         "words": goal.words,
     }
-
-
-class RecordingDisplay(TerminalDisplay):
-    """Shows a recording's state."""
-
-    def look(self, state: RecordingState) -> None:
-        """Draw the state again, if it is time."""
-        now = state.snapshot()
-        self.draw(lambda: render_recording(now), at_once=now.finished)
 
 
 def render_recording(now: RecordingSnapshot) -> RenderableType:

@@ -32,6 +32,7 @@ from verify.live.station.keys import (
 
 COMMON_KEYS = ("driver", "resolution_deg", "time_standard_uncertainty_s")
 ANGLE_KEYS = ("sign", "offset_deg")
+READ_KEYS = (*COMMON_KEYS, *ANGLE_KEYS)  # of all that are not simulated
 SERIAL_KEYS = ("port", "baud", "data_bits", "parity", "stop_bits", "rts_cts")
 FIELD_KEYS = (
     *("columns", "separator", "pattern", "skip", "time_unit", "tick_rate_hz", "wraps_after"),
@@ -40,31 +41,15 @@ FIELD_KEYS = (
 BOARD_KEYS = ("checksum", "rate_hz", "unit", "latch_span_us")
 STAMP_KEYS = ("stamp", "cycle_ms", "latency_ms")
 ENCODER_KEYS: dict[str, tuple[str, ...]] = {
-    "melfa": (
-        *COMMON_KEYS,
-        *ANGLE_KEYS,
-        *SERIAL_KEYS,
-        "terminator",
-        "pause_ms",
-        "timeout_s",
-        "robot_type",
-    ),
-    "melfa-realtime": (*COMMON_KEYS, *ANGLE_KEYS, "port", "cycle_ms"),
-    "labenc": (*COMMON_KEYS, *ANGLE_KEYS, *SERIAL_KEYS, *BOARD_KEYS),
-    "text": (
-        *COMMON_KEYS,
-        *ANGLE_KEYS,
-        *SERIAL_KEYS,
-        *FIELD_KEYS,
-        "latency_ms",
-        "at_start",
-        "at_end",
-    ),
-    "csv": (*COMMON_KEYS, *ANGLE_KEYS, "path", *FIELD_KEYS, "latency_ms"),
-    "rtde": (*COMMON_KEYS, *ANGLE_KEYS, "port", "rate_hz"),
-    "rosbridge": (*COMMON_KEYS, *ANGLE_KEYS, "port", "topic", "joint_names", *STAMP_KEYS),
+    "melfa": (*READ_KEYS, *SERIAL_KEYS, "terminator", "pause_ms", "timeout_s", "robot_type"),
+    "melfa-realtime": (*READ_KEYS, "port", "cycle_ms"),
+    "labenc": (*READ_KEYS, *SERIAL_KEYS, *BOARD_KEYS),
+    "text": (*READ_KEYS, *SERIAL_KEYS, *FIELD_KEYS, "latency_ms", "at_start", "at_end"),
+    "csv": (*READ_KEYS, "path", *FIELD_KEYS, "latency_ms"),
+    "rtde": (*READ_KEYS, "port", "rate_hz"),
+    "rosbridge": (*READ_KEYS, "port", "topic", "joint_names", *STAMP_KEYS),
     "opcua": (
-        *(*COMMON_KEYS, *ANGLE_KEYS, "port", "nodes", "angle_unit", "rate_hz"),
+        *(*READ_KEYS, "port", "nodes", "angle_unit", "rate_hz"),
         *(*STAMP_KEYS, *networked.SECURITY_KEYS, "user"),
     ),
     "sim": (*COMMON_KEYS, "rate_hz"),

@@ -120,14 +120,8 @@ def board_pairs(scenario: BoardScenario) -> tuple[list[BoardPair], Rig]:
     boards = simulate_boards(scenario)
     left, right = boards.corners(0), boards.corners(1)
     pairs = [
-        BoardPair(
-            frame=index,
-            pan_left=float(boards.pan[index, 0]),
-            pan_right=float(boards.pan[index, 1]),
-            left=_view(scenario, left[index], 0, index),
-            right=_view(scenario, right[index], 1, index),
-        )
-        for index in range(len(boards))
+        BoardPair(i, p, q, _view(scenario, left[i], 0, i), _view(scenario, right[i], 1, i))
+        for i, (p, q) in enumerate(boards.pan.tolist())
     ]
     return pairs, boards.rig
 
@@ -192,13 +186,8 @@ def _draw_pose(
     """Hold the board somewhere before the cameras, tilted and a little rolled; rig_T_board."""
     azimuth = pan.mean() + rng.uniform(-MAX_AZIMUTH, MAX_AZIMUTH)
     elevation = rng.uniform(-MAX_ELEVATION, MAX_ELEVATION)
-    forward = np.array(
-        [
-            np.sin(azimuth) * np.cos(elevation),
-            np.sin(elevation),
-            np.cos(azimuth) * np.cos(elevation),
-        ]
-    )
+    level = np.cos(elevation)
+    forward = np.array([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level])
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)
     facing = np.eye(4)

@@ -34,13 +34,8 @@ class Cap:
     def place(self, t: float) -> Array:
         """Where its middle is, (3,), m; the table's top is at z = 0."""
         way = self._way(t) - self._way(t - self.slides - self.away)
-        return np.array(
-            [
-                self.start[0] + self.velocity[0] * way,
-                self.start[1] + self.velocity[1] * way,
-                self.height / 2,
-            ]
-        )
+        x, y = np.array(self.start) + np.array(self.velocity) * way
+        return np.array([x, y, self.height / 2])
 
     def _way(self, t: float) -> float:
         """How far it has gone one way, s at its first speed."""

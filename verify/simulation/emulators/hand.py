@@ -141,11 +141,8 @@ class GripperHand:
     def inputs(self) -> bytes:
         """Give the 16 input bytes as they are now."""
         orders = self._orders
-        codes = (
-            self._status
-            if orders.go and self.stage is GripperStage.READY
-            else np.zeros(4, dtype=int)
-        )
+        working = orders.go and self.stage is GripperStage.READY
+        codes = self._status if working else np.zeros(4, dtype=int)
         status = (
             int(orders.activate)
             | orders.mode << 1
@@ -156,8 +153,7 @@ class GripperHand:
         each = sum(int(code) << 2 * axis for axis, code in enumerate(codes))
         answer = bytearray([status, each, self.on_demand or self.fault])
         for axis in range(4):
-            moving = self.stage is GripperStage.READY and orders.go and codes[axis] == 0
-            current = CURRENT_MOVING if moving else 0
+            current = CURRENT_MOVING if working and codes[axis] == 0 else 0
             answer += bytes([0 if axis else orders.request, round(self.position[axis]), current])
         return bytes(answer) + b"\0"
 
@@ -186,10 +182,8 @@ class GripperHand:
             self.fault = GripperFault.RELEASED if opened else GripperFault.RELEASING
         elif orders.go and self.stage is GripperStage.CHANGING_MODE:
             self.fault = GripperFault.WAITS_FOR_MODE
-        elif self.fault not in (
-            GripperFault.RELEASING,
-            GripperFault.RELEASED,
-        ):  # these last until a reset
+        # these two last until a reset
+        elif self.fault not in (GripperFault.RELEASING, GripperFault.RELEASED):
             self.fault = GripperFault.NONE
 
     def _exercise(self, t: float) -> None:

@@ -92,15 +92,9 @@ class SimulatedSession:
 
     def pair(self, index: int) -> StereoPair:
         """Render one stereo pair."""
-        return StereoPair(
-            frame=index,
-            t_left=float(self.t[index, 0]),
-            t_right=float(self.t[index, 1]),
-            pan_left=float(self.pan[index, 0]),
-            pan_right=float(self.pan[index, 1]),
-            left=self.image(0, index),
-            right=self.image(1, index),
-        )
+        (t_left, t_right), (left, right) = self.t[index].tolist(), self.pan[index].tolist()
+        images = self.image(0, index), self.image(1, index)
+        return StereoPair(index, t_left, t_right, left, right, *images)
 
     def pairs(self) -> Iterator[StereoPair]:
         """Render all pairs, one at a time."""
@@ -259,20 +253,15 @@ def _stated_marker(scenario: Scenario, stated: ScenarioUncertainty, leds: Array)
 
 def _check(scenario: Scenario, arm: robots.Arm) -> None:
     """Refuse what the file's form alone cannot: numbers that must fit one another."""
+    joints = f"{arm} has {arm.dof} joints"
     for key in ("home_deg", "amplitude_deg", "speed_deg_s"):
         values = getattr(scenario.motion, key, None)
         if values is not None and len(values) != arm.dof:
-            raise InputError(
-                f"motion.{key}",
-                f"{len(values)} values",
-                f"{arm} has {arm.dof} joints",
-                "Give one number a joint.",
-            )
+            found = f"{len(values)} values"
+            raise InputError(f"motion.{key}", found, joints, "Give one number a joint.")
     for index, fault in enumerate(scenario.fault):
         if fault.joint > arm.dof:
-            raise InputError(
-                f"fault[{index}].joint", f"is {fault.joint}", f"{arm} has {arm.dof} joints"
-            )
+            raise InputError(f"fault[{index}].joint", f"is {fault.joint}", joints)
     names = [led.name for led in scenario.marker.led]
     if len(set(names)) < len(names):
         raise InputError("marker.led", "two LEDs have one name", "each needs its own")
