@@ -2,18 +2,14 @@
 
 import os
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-from rich.console import Console
 
 from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
-from verify.cli.watch import open_devices, stop_on_signal
+from verify.cli.watch import open_devices, show_state, stop_on_signal
 from verify.errors import InputError, WatchDefectError
 from verify.io.files import refused_as_input_error
 from verify.live.outputs.terminal import TerminalDisplay
@@ -26,9 +22,6 @@ from verify.live.station.station import (
     open_recording_station,
 )
 from verify.simulation.devices.station import SimulatedStation
-
-if TYPE_CHECKING:  # imported when it is served
-    from verify.live.page.feed import Page
 
 # s that a disk may be behind: nothing else waits for it, and pairs are left out meanwhile
 MAX_LAG = 10.0
@@ -66,7 +59,7 @@ def record_session(
         stack.callback(recorder.close)
         robot = RecordedRobot(station.arm, station.rig)
         loop = RecordingLoop(robot, devices, recorder, state, terminal.warn)
-        look = stack.enter_context(_show_state(state, shown))
+        look = stack.enter_context(show_state(partial(_draw, state), shown, _Printer(state).look))
         defects = loop.run(stack.enter_context(stop_on_signal()), duration, look)
     _conclude(station, recorder.state(), state.snapshot(), defects)
 
@@ -86,26 +79,9 @@ def _settings(out: Path) -> RecordingSettings:
     return RecordingSettings(out.parent, out.name.replace("%", "%%"))  # no marks of strftime
 
 
-@contextmanager
-def _show_state(state: show.RecordingState, page: "Page | None") -> Iterator[Callable[[], None]]:
-    """Draw the state where there is a terminal to draw it on; else print lines, or objects."""
-    printed = _Printer(state)
-    warned = False
-    with ExitStack() as stack:
-        table = stack.enter_context(TerminalDisplay(Console())) if terminal.draws else None
-
-        def look() -> None:
-            nonlocal warned
-            if table is not None:
-                now = state.snapshot()
-                table.draw(lambda: show.render_recording(now), at_once=now.finished)
-            else:
-                printed.look()
-            if page is not None and page.trouble and not warned:
-                warned = True
-                terminal.warn(page.trouble)
-
-        yield look
+def _draw(state: show.RecordingState, table: TerminalDisplay) -> None:
+    now = state.snapshot()
+    table.draw(lambda: show.render_recording(now), at_once=now.finished)
 
 
 class _Printer:

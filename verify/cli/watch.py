@@ -21,7 +21,6 @@ from verify.analysis.warm_up import warm_up_comparison
 from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
 from verify.core.processes import ChildLostError, ChildProcess, answer_requests
-from verify.core.records import Array
 from verify.errors import InputError, WatchDefectError
 from verify.io.series import ALARM_COLUMNS
 from verify.io.session.keys import Tolerance
@@ -121,8 +120,11 @@ def watch(station: Station, options: RunOptions) -> RunResult:
             devices = replace(devices, turn=devices.pan.turn_to)
         live = LiveLoop(subject, devices, recorder, settings, computation, listeners, state)
         stack.enter_context(_frozen_garbage_collector())
-        look = stack.enter_context(_show_state(joints, page))
-        live.run(stack.enter_context(stop_on_signal()), look)
+        degrees = None if joints is None else np.rad2deg(joints).tolist()
+        look = stack.enter_context(
+            show_state(lambda t: t.draw(lambda: render_snapshot(state.snapshot(), degrees)), page)
+        )
+        live.run(stack.enter_context(stop_on_signal()), lambda _: look())
     _print_summary(state)
     recorded = recorder.state()
     terminal.say(recorded.sentence)
@@ -211,21 +213,24 @@ def _frozen_garbage_collector() -> Iterator[None]:
 
 
 @contextmanager
-def _show_state(
-    tolerance: Array | None, page: "Page | None"
-) -> Iterator[Callable[[LiveState], None]]:
-    """Draw the table where there is a terminal to draw it on; warn once of a page that is gone.
+def show_state(
+    draw: Callable[[TerminalDisplay], None],
+    page: "Page | None" = None,
+    otherwise: Callable[[], None] = lambda: None,
+) -> Iterator[Callable[[], None]]:
+    """Draw where there is a terminal to draw on, do `otherwise` elsewhere; with each call once.
 
-    `tolerance` is a joint's (j,), rad.
+    Warns once of a page that is gone.
     """
     warned = False
-    limits = None if tolerance is None else np.rad2deg(tolerance).tolist()
     with TerminalDisplay(Console()) if terminal.draws else nullcontext() as table:
 
-        def look(state: LiveState) -> None:
+        def look() -> None:
             nonlocal warned
             if table is not None:
-                table.draw(lambda: render_snapshot(state.snapshot(), limits))
+                draw(table)
+            else:
+                otherwise()
             if page is not None and page.trouble and not warned:
                 warned = True
                 terminal.warn(page.trouble)

@@ -225,14 +225,21 @@ class GraspPageSource:
         shown = self._shown
         if shown is None:
             return []
+        cycle = shown.cycle
         row = {
-            **self._of_state(shown),
+            "elapsed_s": round(cycle.t - (self._began or 0.0), 1),
+            "state": cycle.state.value,
+            "reason": cycle.reason,
+            "moving": cycle.state in states.MOVING_STATES,
+            "passages": len(shown.passages),
+            "grab_lacks": shown.lacks,
+            "may_choose": shown.may_choose,
             **target_fields(
                 None if self._pictured is None else self._pictured.observation, fresh=shown.fresh
             ),
-            **object_fields(shown.cycle),
-            "q_deg": None if shown.cycle.q is None else _rounded(np.degrees(shown.cycle.q), 2),
-            "scene": self._scene(shown.cycle),
+            **object_fields(cycle),
+            "q_deg": None if cycle.q is None else _rounded(np.degrees(cycle.q), 2),
+            "scene": self._scene(cycle),
             "stops": self._stops,
             "answers": self._answers,
             "answer": self._answer,
@@ -285,18 +292,6 @@ class GraspPageSource:
             "# TYPE verify_grab_target_quality_ratio gauge\n"
             f"verify_grab_target_quality_ratio {quality:.4f}\n"
         )
-
-    def _of_state(self, shown: LoopSnapshot) -> dict[str, Any]:
-        cycle = shown.cycle
-        return {
-            "elapsed_s": round(cycle.t - (self._began or 0.0), 1),
-            "state": cycle.state.value,
-            "reason": cycle.reason,
-            "moving": cycle.state in states.MOVING_STATES,
-            "passages": len(shown.passages),
-            "grab_lacks": shown.lacks,
-            "may_choose": shown.may_choose,
-        }
 
     def _passage(self, passage: states.StateChange) -> dict[str, Any]:
         return {

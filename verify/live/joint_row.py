@@ -82,7 +82,10 @@ class Comparer:
     ) -> None:
         self.arm, self._rig, self._marker, self._resolution = arm, rig, marker, resolution
         self.systematics: Systematics = stated_systematics(rig, marker, turning)
-        self._root = _unit_variance_columns(self.systematics)
+        # the parameters' sensitivities, pan readings last, are carried to columns of unit variance
+        pan = np.diag(np.nan_to_num(self.systematics.pan))
+        root = block_diag(covariance_root(self.systematics.covariance), pan)
+        self._root = np.asarray(root, dtype=np.float64)
 
     def row(
         self,
@@ -232,9 +235,3 @@ class Comparer:
             settled=measurement.settled,
             **known,
         )
-
-
-def _unit_variance_columns(systematics: Systematics) -> Array:
-    """Carry the parameters' sensitivities, pan readings last, to columns of unit variance."""
-    pan = np.diag(np.nan_to_num(systematics.pan))
-    return np.asarray(block_diag(covariance_root(systematics.covariance), pan), dtype=np.float64)

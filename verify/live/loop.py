@@ -185,7 +185,7 @@ class LiveLoop:
 
     def _measure(self) -> None:
         try:
-            pairs = self._noted(self._recorder.keep(self._taken(), self._prepare))
+            pairs = self._recorder.keep(self._taken(), self._prepare)
             for measurement in self._measuring(pairs, self._expected):
                 self._hand_over(measurement)
         except Exception as error:
@@ -199,16 +199,12 @@ class LiveLoop:
         return measure(pairs, Setup(self._subject.rig, self._subject.marker, expected), causal=True)
 
     def _taken(self) -> Iterator[CapturedPair]:
+        """Pairs as they come; pictures of those that are through are let go."""
         for taken, arrived, doubt in self._intake.pairs():
+            while len(self._arrivals) >= MAX_PAIRS_IN_PROGRESS:
+                del self._arrivals[min(self._arrivals)]
             self._arrivals[taken.t_left] = (arrived, doubt, taken)
             yield taken
-
-    def _noted(self, pairs: Iterator[StereoPair]) -> Iterator[StereoPair]:
-        """Pairs as they are recorded; pictures of those that are through are let go."""
-        for pair in pairs:
-            while len(self._arrivals) > MAX_PAIRS_IN_PROGRESS:
-                del self._arrivals[min(self._arrivals)]
-            yield pair
 
     def _hand_over(self, measurement: Measurement) -> None:
         if measurement.settled:

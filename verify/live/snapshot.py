@@ -2,8 +2,8 @@
 
 import threading
 from collections.abc import Callable, Sequence
-from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Generic, Protocol, TypeVar
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from verify.core.records import Image
 from verify.live.page.scene import small_jpeg
@@ -34,16 +34,12 @@ class SharedSnapshot(Generic[SnapshotT]):
             return self._now
 
 
-class PairLook(Protocol):
-    """A pair that can be shown: its number and both images."""
+@dataclass(frozen=True, slots=True)
+class PairLook:
+    """A pair that can be shown."""
 
-    @property
-    def number(self) -> int:
-        """Number of the pair, from 0."""
-
-    @property
-    def images(self) -> tuple[Image, Image]:
-        """Left and right image."""
+    number: int  # of the pair
+    images: tuple[Image, Image]  # left, right
 
 
 class SnapshotPageSource(Generic[SnapshotT]):

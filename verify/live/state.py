@@ -5,6 +5,7 @@ import time
 from collections import Counter, deque
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from itertools import takewhile
 
 import numpy as np
 
@@ -157,11 +158,7 @@ class LiveState:
     def rows_after(self, number: int) -> list[tuple[int, JointRow]]:
         """Give the rows that came after one, with their numbers, oldest first."""
         with self._lock:
-            new = []
-            for item in reversed(self._rows):
-                if item[0] <= number:
-                    break
-                new.append(item)
+            new = list(takewhile(lambda item: item[0] > number, reversed(self._rows)))
         return new[::-1]
 
     def statuses(self) -> dict[str, int]:

@@ -1,16 +1,15 @@
 """`verify calibrate boards STATION --live`: a station's cameras take the pictures."""
 
 import time
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from collections.abc import Callable
+from contextlib import ExitStack
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
-
-from rich.console import Console
 
 from verify.cli.options import PageOptions
 from verify.cli.terminal import STDIN, read_lines, terminal
-from verify.cli.watch import stop_on_signal
+from verify.cli.watch import show_state, stop_on_signal
 from verify.core.fiducials import Board
 from verify.errors import InputError
 from verify.io import fiducials
@@ -84,7 +83,7 @@ def take_pictures(station: Path, folder: Path, options: BoardRunOptions) -> None
             source = BoardPageSource(state, board, opened.name)
             requests = {"take": taking.ask, "finish": taking.finish}
             stack.callback(options.page.serve(source, asked=requests).close)
-        look = stack.enter_context(_show_state(state))
+        look = stack.enter_context(show_state(partial(_draw, state), None, _printer(state)))
         stop = stack.enter_context(stop_on_signal())
         _read_commands(taking)
 
@@ -112,18 +111,13 @@ def _open_devices(station: StationCameras, stack: ExitStack) -> BoardDevices:
     return BoardDevices(left, right, pan)
 
 
-@contextmanager
-def _show_state(state: BoardState) -> Iterator[Callable[[], None]]:
-    """Draw the state where there is a terminal to draw it on; else a line for what changes."""
-    if terminal.draws:
-        with TerminalDisplay(Console()) as screen:
+def _draw(state: BoardState, table: TerminalDisplay) -> None:
+    now = state.snapshot()
+    table.draw(lambda: render_snapshot(now, KEYS_HELP), at_once=now.finished)
 
-            def draw() -> None:
-                now = state.snapshot()
-                screen.draw(lambda: render_snapshot(now, KEYS_HELP), at_once=now.finished)
 
-            yield draw
-        return
+def _printer(state: BoardState) -> Callable[[], None]:
+    """Make what prints a line for each pair, and for what is still missing."""
     text = ""
 
     def look() -> None:
@@ -135,7 +129,7 @@ def _show_state(state: BoardState) -> Iterator[Callable[[], None]]:
             terminal.say(f"{text}; " + (f"next, {missing[0]}" if missing else "all is covered"))
             terminal.record("board_pair", pairs=now.pairs, text=text)
 
-    yield look
+    return look
 
 
 def _read_commands(taking: BoardCapture) -> None:

@@ -53,12 +53,6 @@ TOL_SETTING = 0.1  # share by which a camera may round what it is asked for
 DEFAULT_RATE = 30.0  # Hz, where the camera tells none
 MAX_TIMESTAMP_AGE = 1.0  # s: a time stamp older than that is of another clock
 
-OpenCapture = Callable[[int | str], Any]  # gives what has cv2.VideoCapture's methods
-
-
-def _open_capture(source: int | str) -> cv2.VideoCapture:
-    return cv2.VideoCapture(source)
-
 
 class OpenCvSource:
     """An open camera.
@@ -67,7 +61,9 @@ class OpenCvSource:
         OSError: there is none, or another program has it.
     """
 
-    def __init__(self, settings: CameraSettings, open_capture: OpenCapture = _open_capture) -> None:
+    def __init__(
+        self, settings: CameraSettings, open_capture: Callable[..., Any] = cv2.VideoCapture
+    ) -> None:
         self._settings = settings
         self._capture = open_capture(settings.source)
         if not self._capture.isOpened():

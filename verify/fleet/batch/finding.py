@@ -10,7 +10,7 @@ from typing import Any
 
 from verify.errors import InputError, one_line
 from verify.fleet.batch.records import UNREADABLE, SessionFailure, SessionLocation, printable_path
-from verify.io.files import system_refusal
+from verify.io.files import refused_as_input_error, system_refusal
 
 EXCLUDED_FILES = ("truth.csv",)  # by a measurement: it is not fetched either
 
@@ -156,13 +156,10 @@ def find_sessions(
 
 def _root(text: str) -> str:
     path = Path(text)
-    try:
+    with refused_as_input_error(path):
         if not path.is_dir():
             found = "is a file" if path.exists() else "does not exist"
             raise InputError(path, found, "a folder is expected", "Name the folder above.")
-    except (OSError, ValueError) as error:  # ValueError: a zero byte in the name
-        refused = error if isinstance(error, OSError) else OSError(str(error))
-        raise system_refusal(path, refused) from error
     return str(path)
 
 

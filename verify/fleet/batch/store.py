@@ -10,7 +10,7 @@ from typing import Any
 
 from verify.errors import InputError
 from verify.fleet.batch.records import BatchOptions, SessionResults
-from verify.io.files import output_refusal, read_bytes, system_refusal, write_folder_whole
+from verify.io.files import output_refusal, read_bytes, refused_as_input_error, write_folder_whole
 from verify.io.results import RESULTS
 
 SESSIONS_FOLDER = "sessions"
@@ -77,12 +77,10 @@ class ResultStore:
 
     def _remove(self, folder: Path) -> None:
         """Take older results away, first what makes them count."""
-        try:
+        with refused_as_input_error(folder):
             (folder / ENTRY_FILE).unlink(missing_ok=True)
             if folder.exists():
                 shutil.rmtree(folder)
-        except OSError as error:
-            raise system_refusal(folder, error) from error
 
 
 def require_writable(out: Path) -> None:

@@ -47,8 +47,14 @@ def assess(
     The names `reported` are of sessions that have reports of their own.
     """
     sessions = sessions.assign(arm=_arms(sessions, request.by))
-    every = _all_series(sessions)
-    judged = _assess_joints(every)
+    every = [
+        series_of(rows, str(arm), joint)
+        for arm, rows in sessions.groupby("arm", sort=True)
+        for joint in range(1, int(rows["joints"].max()) + 1)
+    ]
+    # the chance of a false alarm is shared out between all that can be judged
+    long = [one for one in every if len(one) >= MIN_SESSIONS_TO_ASSESS]
+    judged = {_key(one): assess_joint(one, P_FALSE_ALARM / len(long)) for one in long}
     contrasts = _contrasts(sessions, every, request)
     tables = {
         "arms": pd.DataFrame([_arm_row(str(arm), own) for arm, own in sessions.groupby("arm")]),
@@ -79,23 +85,8 @@ def _arms(sessions: pd.DataFrame, by: str) -> pd.Series:
     return sessions["robot"] + " in " + above
 
 
-def _all_series(sessions: pd.DataFrame) -> list[JointSeries]:
-    """The series of every joint of every arm, by name."""
-    return [
-        series_of(rows, str(arm), joint)
-        for arm, rows in sessions.groupby("arm", sort=True)
-        for joint in range(1, int(rows["joints"].max()) + 1)
-    ]
-
-
 def _key(series: JointSeries) -> tuple[str, int]:
     return series.arm, series.joint
-
-
-def _assess_joints(every: list[JointSeries]) -> dict[tuple[str, int], JointAssessment]:
-    """Judge all that can be: the chance of a false alarm is shared out between them."""
-    long = [one for one in every if len(one) >= MIN_SESSIONS_TO_ASSESS]
-    return {_key(one): assess_joint(one, P_FALSE_ALARM / len(long)) for one in long}
 
 
 def _points(judged: list[JointAssessment]) -> pd.DataFrame:

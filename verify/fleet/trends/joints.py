@@ -87,17 +87,10 @@ def assess_joint(series: JointSeries, false_alarm: float) -> JointAssessment:
     """
     odd = find_outliers(series, false_alarm)
     course = changes.find_changes(series.chosen(~odd), false_alarm)
-    return JointAssessment(
-        series, odd, course, np.flatnonzero(~odd), _control_half_width(series, course, false_alarm)
-    )
-
-
-def _control_half_width(
-    series: JointSeries, course: changes.JointTrend, false_alarm: float
-) -> Array:
-    """Half the distance between the control limits, as wide as each session's uncertainty."""
     z = t_isf(false_alarm / len(series) / 2, series.degrees_of_freedom)
-    return z * np.sqrt(series.scatter**2 + course.reference_uncertainty**2)
+    # half the distance between the control limits, as wide as each session's uncertainty
+    half = z * np.sqrt(series.scatter**2 + course.reference_uncertainty**2)
+    return JointAssessment(series, odd, course, np.flatnonzero(~odd), half)
 
 
 POINT_COLUMNS = [

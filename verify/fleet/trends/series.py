@@ -65,6 +65,7 @@ def series_of(sessions: pd.DataFrame, arm: str, joint: int) -> JointSeries:
     valid = sessions["started"].notna() & sessions[f"{name}_mean_error_deg"].notna()
     valid &= sessions[f"{name}_standard_uncertainty_deg"].fillna(0) > 0
     rows = sessions[valid].sort_values(["started", "session"], kind="stable")
+    since = rows["started"] - pd.Timestamp(0, tz="UTC")
     full = _numbers(rows, f"{name}_standard_uncertainty_deg")
     own = np.fmin(_numbers(rows, f"{name}_session_uncertainty_deg"), full)
     own = np.where(own > 0, own, full)  # not separated: all of it may differ between sessions
@@ -72,7 +73,7 @@ def series_of(sessions: pd.DataFrame, arm: str, joint: int) -> JointSeries:
         arm=arm,
         joint=joint,
         session=tuple(rows["session"]),
-        t=_days(rows),
+        t=np.asarray(since.dt.total_seconds(), dtype=np.float64) / SECONDS_PER_DAY,
         error=_numbers(rows, f"{name}_mean_error_deg"),
         own=own,
         shared=np.sqrt(np.maximum(full**2 - own**2, 0.0)),
@@ -94,11 +95,6 @@ def _with_excess(series: JointSeries) -> JointSeries:
 
 def _numbers(rows: pd.DataFrame, name: str) -> Array:
     return rows[name].to_numpy(dtype=float, na_value=np.nan)
-
-
-def _days(rows: pd.DataFrame) -> Array:
-    since = rows["started"] - pd.Timestamp(0, tz="UTC")
-    return np.asarray(since.dt.total_seconds(), dtype=np.float64) / SECONDS_PER_DAY
 
 
 MIN_COLUMN_SHARE = 1e-9  # of a column that is left beside the others: less is rounding

@@ -18,7 +18,6 @@ ordered pose restricts which LED a spot can be; its value enters no result.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -175,7 +174,12 @@ def measure_resting_flange(
         return Measurement(pair.frame, pair.t_left, found.status, n_leds)
     left = _sighting(spots[0], found.left_led, found.left_spot, pair.t_left, pair.pan_left)
     right = _sighting(spots[1], found.right_led, found.right_spot, pair.t_left, pair.pan_right)
-    doubt = partial(_systematic_columns, rig, marker, left, right)
+
+    def doubt(rig_T_flange: Array, by_point: Array) -> Array:
+        """Stated systematics of rig and marker, as changes of the spots."""
+        stated = stated_systematics(rig, marker, turning=True)
+        return spot_columns(stated, rig, marker, left, right, rig_T_flange, by_point)
+
     pose = fit_pose(left, right, rig, marker, found.rig_T_flange, doubt)
     status = "measured" if pose.consistent else "outlier"
     return Measurement(pair.frame, pair.t_left, status, n_leds, pose, left, right, found.choice)
@@ -195,14 +199,6 @@ def _sighting(
         velocity=np.zeros((len(led), 2)),
         lever=np.zeros((len(led), 3)),
     )
-
-
-def _systematic_columns(
-    rig: Rig, marker: Marker, left: Sighting, right: Sighting, rig_T_flange: Array, by_point: Array
-) -> Array:
-    """Stated systematics of rig and marker, as changes of the spots."""
-    parameters = stated_systematics(rig, marker, turning=True)
-    return spot_columns(parameters, rig, marker, left, right, rig_T_flange, by_point)
 
 
 def _search_window(

@@ -42,7 +42,9 @@ class CapturedPairs:
     def __init__(self, board: Board, image_size: tuple[int, int]) -> None:
         self.board, self.image_size = board, image_size
         self.pairs: list[BoardPair] = []
-        guess = InitialLens(_default_camera_matrix(image_size), np.zeros(5), {})
+        focal, (width, height) = DEFAULT_FOCAL_RATIO * max(image_size), image_size
+        matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]
+        guess = InitialLens(np.array(matrix), np.zeros(5), {})
         self._lenses = (guess, guess)
         self._standings: list[tuple[BoardPlacement, BoardPlacement]] = []
 
@@ -96,11 +98,6 @@ class CapturedPairs:
     def _lens(self, side: int) -> InitialLens:
         views = {i: _views(pair)[side] for i, pair in enumerate(self.pairs)}
         return start_lens(views, self.board, self.image_size)
-
-
-def _default_camera_matrix(image_size: tuple[int, int]) -> Array:
-    focal, (width, height) = DEFAULT_FOCAL_RATIO * max(image_size), image_size
-    return np.array([[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]])
 
 
 def _views(pair: BoardPair) -> tuple[BoardView, BoardView]:

@@ -11,7 +11,7 @@ from verify.core.fiducials import Board
 from verify.core.records import Image, StereoPair
 from verify.errors import InputError
 from verify.io import fiducials
-from verify.io.files import system_refusal, write_whole
+from verify.io.files import refused_as_input_error, write_whole
 
 SIDES = ("left", "right")
 FRAMES_FILE = "frames.csv"
@@ -33,13 +33,11 @@ class BoardPictures:
     def __init__(self, folder: Path, board: Board, *, turning: bool) -> None:
         self.folder, self._board, self._turning = folder, board, turning
         self._rows = [HEADER]
-        try:
+        with refused_as_input_error(folder):
             if folder.exists() and any(folder.iterdir()):
                 expected = "nothing is added to pictures that are there"
                 remedy = "Name another folder with --pictures, or calibrate from this one."
                 raise InputError(folder, "is not empty", expected, remedy)
-        except OSError as error:
-            raise system_refusal(folder, error) from error
 
     def __len__(self) -> int:
         """Count the pairs."""
@@ -54,19 +52,17 @@ class BoardPictures:
         number = len(self)
         name = f"{number:06d}.png"
         under_way, whole = self.folder / PARTIAL_SUFFIX, self.folder / f"{PAIR_PREFIX}{number:06d}"
-        rows = [*self._rows, _row(number, pair)]
-        try:
+        rows, pictures = [*self._rows, _row(number, pair)], (_png(pair.left), _png(pair.right))
+        with refused_as_input_error(self.folder):
             shutil.rmtree(under_way, ignore_errors=True)
-            for side, image in zip(SIDES, (pair.left, pair.right), strict=True):
+            for side, picture in zip(SIDES, pictures, strict=True):
                 (under_way / side).mkdir(parents=True)
-                write_whole(under_way / side / name, _png(image))
+                write_whole(under_way / side / name, picture)
             if number == 0:
                 fiducials.write_board(under_way / "board.toml", self._board)
             if self._turning:
                 write_whole(under_way / FRAMES_FILE, ("\n".join(rows) + "\n").encode())
             under_way.rename(whole)
-        except OSError as error:
-            raise system_refusal(self.folder, error) from error
         complete_pairs(self.folder)
         self._rows = rows
 
@@ -77,15 +73,13 @@ def complete_pairs(folder: Path) -> None:
     Raises:
         InputError: the system refuses it.
     """
-    try:
+    with refused_as_input_error(folder):
         for whole in sorted(folder.glob(f"{PAIR_PREFIX}*")):
             for file in sorted(f for f in whole.rglob("*") if f.is_file()):
                 place = folder / file.relative_to(whole)
                 place.parent.mkdir(exist_ok=True)
                 file.replace(place)
             shutil.rmtree(whole)
-    except OSError as error:
-        raise system_refusal(folder, error) from error
 
 
 def _row(number: int, pair: StereoPair) -> str:

@@ -14,7 +14,7 @@ from verify.core.records import Image
 from verify.live.boards.goals import BoardGoal, BoardPlacement, CameraCoverage
 from verify.live.boards.view import MAX_MOTION_PX
 from verify.live.outputs.terminal import render_devices
-from verify.live.snapshot import MAX_TEXT_LENGTH, SharedSnapshot, SnapshotPageSource
+from verify.live.snapshot import MAX_TEXT_LENGTH, PairLook, SharedSnapshot, SnapshotPageSource
 from verify.live.state import DeviceStatus
 
 SEARCHING = "searching"  # nothing to take
@@ -24,11 +24,9 @@ READY = "ready"  # taken by itself
 
 
 @dataclass(frozen=True, slots=True)
-class BoardDetection:
+class BoardDetection(PairLook):
     """The newest pair and what was found in it."""
 
-    number: int
-    images: tuple[Image, Image]
     views: tuple[BoardView | None, BoardView | None]
 
 

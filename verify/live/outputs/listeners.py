@@ -11,7 +11,7 @@ import sys
 import threading
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Protocol
+from typing import Any
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -164,20 +164,13 @@ class AlarmCommand(Listener):
         )
 
 
-class MqttClient(Protocol):
-    """What is needed of an MQTT client: that of paho-mqtt 2."""
-
-    def publish(self, topic: str, payload: str, qos: int, retain: bool) -> Any:
-        """Send a message."""
-
-    def disconnect(self) -> Any:
-        """End."""
-
-
 class MqttPublisher:
-    """Publishes alarms, and joint errors once a second, at TOPIC/alarm and TOPIC/joints."""
+    """Publishes alarms, and joint errors once a second, at TOPIC/alarm and TOPIC/joints.
 
-    def __init__(self, client: MqttClient, topic: str) -> None:
+    The client is one of paho-mqtt 2.
+    """
+
+    def __init__(self, client: Any, topic: str) -> None:
         self._client, self._topic = client, topic
         self._published_at = float("-inf")
 

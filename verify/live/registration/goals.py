@@ -107,7 +107,8 @@ class MotionCoverage:
     def goals(self) -> tuple[RegistrationGoal, ...]:
         """Say what the motion must have and how far it is."""
         first, second, across = self._turn_extents()
-        spread = self._position_extents()
+        # the second of the three extents of the flange's positions, m
+        spread = _principal_extents(self._flange[:, :3, 3])[0][1] if len(self._q) > 1 else 0.0
         both = self._travel.min(axis=0)
         stuck = [f"{j + 1}" for j in np.flatnonzero(both < MIN_TRAVEL)]
         swing = f"{np.rad2deg(SWING_ANGLE):.0f}° either way"
@@ -126,7 +127,7 @@ class MotionCoverage:
                 f"move joint {across} by {swing}",
             ),
             RegistrationGoal(
-                "positions, two directions", spread * 1e3, MIN_SPREAD * 1e3, " mm",
+                "positions, two directions", float(spread) * 1e3, MIN_SPREAD * 1e3, " mm",
                 "move the flange up, sideways, nearer and farther",
             ),
             RegistrationGoal(
@@ -147,12 +148,6 @@ class MotionCoverage:
         # of several alike the one nearest to the flange, which moves least
         best = int(np.flatnonzero(across > across.max() - 0.1)[-1])
         return float(extents[0]), float(extents[1]), best + 1
-
-    def _position_extents(self) -> float:
-        """The second of the three extents of the flange's positions, m."""
-        if len(self._q) < 2:
-            return 0.0
-        return float(_principal_extents(self._flange[:, :3, 3])[0][1])
 
 
 def _turns(rotations: Array, other: Array) -> Array:

@@ -13,16 +13,14 @@ from rich.text import Text
 from verify.core.records import Array, Image
 from verify.live.outputs.terminal import render_devices
 from verify.live.registration.goals import RegistrationGoal
-from verify.live.snapshot import MAX_TEXT_LENGTH, SharedSnapshot, SnapshotPageSource
+from verify.live.snapshot import MAX_TEXT_LENGTH, PairLook, SharedSnapshot, SnapshotPageSource
 from verify.live.state import DeviceStatus
 
 
 @dataclass(frozen=True, slots=True)
-class SpotDetection:
+class SpotDetection(PairLook):
     """A pair and the spots found in it."""
 
-    number: int
-    images: tuple[Image, Image]
     centres: tuple[Array, Array]  # (m, 2) each, px
     leds: int  # that both cameras may have seen
 

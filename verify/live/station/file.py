@@ -36,7 +36,9 @@ def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
         expected = "bases that turn are needed to follow"
         raise key_error(path, "pan.follow", "is true with fixed bases", expected)
     check_clock(path, table.clock)
-    tolerance(path, table.tolerance, _n_tolerances(table))
+    listed = None if table.tolerance is None else table.tolerance.joints_deg
+    # how many joints the robot has is checked later
+    tolerance(path, table.tolerance, len(listed) if isinstance(listed, list) else 1)
     for key in ("resolution_deg", "time_standard_uncertainty_s"):
         not_negative(path, f"encoders.{key}", getattr(table.encoders, key))
     _check_alarm(path, table)
@@ -47,12 +49,6 @@ def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
 def template() -> str:
     """Give a station file that explains every key, and runs as it is: its devices are simulated."""
     return (resources.files("verify.live.station") / "station.toml").read_text(encoding="utf-8")
-
-
-def _n_tolerances(table: StationTable) -> int:
-    """Count the joints that the tolerance lists; how many the robot has is checked later."""
-    given = table.tolerance.joints_deg if table.tolerance is not None else None
-    return len(given) if isinstance(given, list) else 1
 
 
 def check_cameras(path: Path, table: StationTable) -> None:

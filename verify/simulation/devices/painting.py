@@ -9,7 +9,7 @@ A scenario's motion without end: to its last instant, back to its first, and so 
 import threading
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
-from typing import ClassVar, Protocol
+from typing import ClassVar
 
 import numpy as np
 
@@ -75,30 +75,16 @@ class RenderRequest:
 PaintRequest = tuple[RenderRequest, str, tuple[int, ...]]  # where to: shared memory and shape
 
 
-class Painter(Protocol):
-    """Paints what a camera sees."""
-
-    @property
-    def trouble(self) -> str:
-        """What is wrong with how it does; empty: nothing."""
-
-    def paint(self, sight: RenderRequest) -> Image:
-        """Give the picture, (h, w) grey or (h, w, 3) BGR."""
-
-    def close(self) -> None:
-        """Let go of what it needs."""
-
-
 @dataclass(frozen=True, slots=True)
 class LocalPainter:
     """Paints in the caller's thread."""
 
     worlds: tuple[SimulatedWorld, SimulatedWorld]  # as it is, and with a lamp on
     renderers: tuple[Renderer, Renderer]
-    trouble: ClassVar[str] = ""
+    trouble: ClassVar[str] = ""  # what is wrong with how it paints
 
     def paint(self, sight: RenderRequest) -> Image:
-        """Give the picture; the same sight comes out the same every time."""
+        """Give the picture, (h, w) grey or (h, w, 3) BGR; the same sight is always the same."""
         world, side = self.worlds[sight.lit], sight.side
         lights = visible_lights(world, side, sight.seconds, sight.pan, sight.hidden)
         turned_px = sight.pan * world.bench.cameras[side].matrix[0, 0]
@@ -168,6 +154,9 @@ class RemotePainter:
         process, self._process = self._process, None
         if process is not None:
             process.stop()
+
+
+Painter = LocalPainter | RemotePainter
 
 
 @lru_cache(maxsize=1)

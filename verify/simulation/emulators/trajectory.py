@@ -34,10 +34,6 @@ def load(motion: str, joints: int) -> EmulatedTrajectory:
     return partial(_recorded, Readings(encoders.t, encoders.q))
 
 
-def _hold(home: Array, _t: float) -> Array:
-    return home
-
-
 def _sweep(home: Array, t: float) -> Array:
     """All joints go to and fro about home at constant speed, up first."""
     phase = (t * SWEEP_SPEED / SWEEP_AMPLITUDE + 1.0) % 4.0
@@ -52,7 +48,7 @@ def _sines(home: Array, t: float) -> Array:
     return swing
 
 
-NAMES = {"hold": _hold, "sweep": _sweep, "sines": _sines}
+NAMES = {"hold": lambda home, _t: home, "sweep": _sweep, "sines": _sines}
 
 
 def _recorded(readings: Readings, t: float) -> Array:
