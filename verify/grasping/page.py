@@ -317,12 +317,8 @@ class GraspPageSource:
             return None
         if self._drawn is None or self._drawn[0] is not planned:
             setup = self._facts.setup
-            turns = np.concatenate(
-                [
-                    way.sampled(way.duration / N_PATH_POINTS)[1].q
-                    for way in (*planned.over, planned.down)
-                ]
-            )
+            ways = (*planned.over, planned.down)
+            turns = np.concatenate([w.sampled(w.duration / N_PATH_POINTS)[1].q for w in ways])
             drawn = {
                 "arm_mm": millimetres(joint_origins(setup.arm, planned.posture.q_grip)),
                 "grip_mm": millimetres(setup.workspace.grip(turns)[:, :3, 3]),

@@ -48,13 +48,6 @@ class LiveClock:
         return f"{self.source} {self.offset:.6f} s{known}"
 
 
-@dataclass(frozen=True, slots=True)
-class _Point:
-    t: float  # s, cameras' clock, middle of the window
-    offset: float
-    variance: float
-
-
 class ClockLine:
     """A straight line through the offsets of the last windows, with a bounded slope.
 
@@ -62,7 +55,8 @@ class ClockLine:
     """
 
     def __init__(self) -> None:
-        self._points: deque[_Point] = deque(maxlen=MAX_WINDOWS)
+        # a window each: its middle, s, cameras' clock; its offset, s, and that one's variance
+        self._points: deque[tuple[float, float, float]] = deque(maxlen=MAX_WINDOWS)
         self.drift = 0.0  # slope of the line, s a second
         # what was told last, and when for: a pair's instant is asked for several times
         self._asked: tuple[float, tuple[float, float]] | None = None
@@ -87,7 +81,7 @@ class ClockLine:
             apart = abs(estimate.offset - expected)
             if apart > MIN_JUMP and apart > MIN_JUMP_RATIO * math.sqrt(known**2 + variance):
                 self._points.clear()
-        self._points.append(_Point(t, estimate.offset, variance))
+        self._points.append((t, estimate.offset, variance))
         self.drift = float(self._fit(t)[0][1])
         self._asked = None
 
@@ -105,10 +99,9 @@ class ClockLine:
 
     def _fit(self, t: float) -> tuple[Array, Array]:
         """Offset at t and slope, and their covariance."""
-        age = np.array([point.t - t for point in self._points])
-        offset = np.array([point.offset for point in self._points])
-        wander = RANDOM_WALK**2 * np.abs(age)
-        weight = 1 / (np.array([point.variance for point in self._points]) + wander)
+        middle, offset, variance = np.array(self._points).T
+        age = middle - t
+        weight = 1 / (variance + RANDOM_WALK**2 * np.abs(age))
         design = np.stack([np.ones_like(age), age], axis=1)
         information = design.T @ (weight[:, None] * design)
         information[1, 1] += U_DRIFT**-2

@@ -123,16 +123,9 @@ def design_information(
     laid = np.zeros((len(model.comparison), 6, rows.shape[1]))
     place = np.concatenate([np.arange(len(f)) for f in model.white.factors])
     laid[model.white.pair, place] = rows
-    prior = np.concatenate(
-        [
-            np.full(requested.shape[1], PRIOR_SIGMA**-2),
-            np.full(fitted.shape[1], PRIOR_SHARE),
-            np.ones(model.prior.shape[1]),
-        ]
-    )
-    return DesignInformation(
-        laid[:, :, : requested.shape[1]], laid[:, :, requested.shape[1] :], prior
-    )
+    counts = [part.shape[1] for part in (requested, fitted, model.prior)]
+    prior = np.repeat([PRIOR_SIGMA**-2, PRIOR_SHARE, 1.0], counts)
+    return DesignInformation(laid[:, :, : counts[0]], laid[:, :, counts[0] :], prior)
 
 
 def log_information(information: DesignInformation, chosen: list[int], times: float = 1.0) -> float:

@@ -4,7 +4,6 @@ A joint's angle of uncertainty U moves the flange by U times its lever, the dist
 joint's axis and the flange.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -154,14 +153,14 @@ def uncertainty_sources(
     """Split the mean errors' uncertainties by source: the squares add up where all are stated."""
     found = [UncertaintyShare(RANDOM_SOURCE, analysis.means.random)]
     by_row = mean_sensitivities(session.model, analysis.resolved)
-    for name, columns in _columns(session):
+    for name, columns in _columns(session).items():
         share: Array = np.linalg.norm(by_row @ session.model.white.rows(columns), axis=1)
         if np.any(share > 0):
             found.append(UncertaintyShare(name, share))
     return found
 
 
-def _columns(session: PredictedSession) -> Iterator[tuple[str, Array]]:
+def _columns(session: PredictedSession) -> dict[str, Array]:
     """Each source's columns of unit variance (n, 6, p)."""
     comparison, clock = session.comparison, session.clock
     parts: dict[str, Array] = {}
@@ -176,19 +175,15 @@ def _columns(session: PredictedSession) -> Iterator[tuple[str, Array]]:
     parts[PAN_SOURCE] = prior_columns(still, session.track, exact, none)
     if clock.source == "given" and clock.standard_uncertainty:  # else the means' fit frees it
         parts[CLOCK_SOURCE] = clock_effect(comparison) * clock.standard_uncertainty
-    yield from parts.items()
+    return parts
 
 
-@dataclass(frozen=True, slots=True)
-class FlangeUncertainty:
-    """Standard uncertainty of one pair's flange pose: worst direction, median of the pairs."""
+def flange_uncertainty(session: PredictedSession) -> tuple[float, float]:
+    """Predict what one pair tells of the flange: pixels, and all that is stated.
 
-    position: float  # m
-    orientation: float  # rad
-
-
-def flange_uncertainty(session: PredictedSession) -> FlangeUncertainty:
-    """Predict what one pair tells of the flange: pixels, and all that is stated."""
+    Returns standard uncertainties of position, m, and orientation, rad: worst direction, median of
+    the pairs.
+    """
     exact = replace(session.clock, standard_uncertainty=None)
     columns = prior_columns(session.comparison, session.track, exact, session.systematics)
     covariance = session.track.covariance_pixels[session.comparison.index]
@@ -197,7 +192,7 @@ def flange_uncertainty(session: PredictedSession) -> FlangeUncertainty:
         float(np.median(np.sqrt(np.linalg.eigvalsh(covariance[:, part, part])[:, -1])))
         for part in (slice(0, 3), slice(3, 6))
     )
-    return FlangeUncertainty(position, orientation)
+    return position, orientation
 
 
 def joint_levers(session: PredictedSession) -> Array:

@@ -198,10 +198,10 @@ def rig_entry(proposed: ProposedRig) -> dict[str, Any]:
 
 def flange_entry(session: PredictedSession) -> dict[str, Any]:
     """Standard uncertainty of the flange as one pair measures it."""
-    flange = prediction.flange_uncertainty(session)
+    position, orientation = prediction.flange_uncertainty(session)
     return {
-        "standard_uncertainty_mm": finite_number(flange.position * 1e3),
-        "standard_uncertainty_deg": _deg(flange.orientation),
+        "standard_uncertainty_mm": finite_number(position * 1e3),
+        "standard_uncertainty_deg": _deg(orientation),
     }
 
 

@@ -27,11 +27,8 @@ def list_sessions(url: str) -> Iterator[SessionLocation]:
         files = system.find(root)
     except Exception as error:  # each storage has errors of its own
         raise _storage_error(url, error) from error
-    folders = sorted(
-        str(PurePosixPath(file).parent)
-        for file in files
-        if PurePosixPath(file).name == "session.toml"
-    )
+    paths = map(PurePosixPath, files)
+    folders = sorted(str(path.parent) for path in paths if path.name == SESSION_FILE)
     last = None
     for folder in folders:
         if last is not None and PurePosixPath(folder).is_relative_to(last):

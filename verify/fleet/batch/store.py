@@ -47,12 +47,9 @@ class ResultStore:
             entry: Any = json.loads(read_bytes(folder / ENTRY_FILE))
             if entry["format"] != FORMAT_VERSION or entry["session"] != session:
                 return None
-            whole = all(
-                hashlib.sha256(read_bytes(folder / name)).hexdigest() == was
-                for name, was in entry["files"].items()
-            )
-            if not whole:
-                return None
+            for name, was in entry["files"].items():
+                if hashlib.sha256(read_bytes(folder / name)).hexdigest() != was:
+                    return None
             return StoredResults(folder, dict(entry["inputs"]), str(entry["options"]))
         except (InputError, ValueError, RecursionError, AttributeError, KeyError, TypeError):
             return None

@@ -158,13 +158,12 @@ def _bic(series: JointSeries, terms: list[TrendTerm]) -> float:
 
 def _refine(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> list[TrendTerm]:
     """Move each term to its best place and kind beside the others, until none moves."""
+    penalty = np.array([_bic_penalty(series, t) for t in every])
     for _ in range(2 * MAX_TERMS):  # each move takes χ² down: it ends by itself, soon
         before = list(terms)
         for i in range(len(terms)):
             others = [t for j, t in enumerate(terms) if j != i]
-            worth = _candidate_gains(series, others, every) - np.array(
-                [_bic_penalty(series, t) for t in every]
-            )
+            worth = _candidate_gains(series, others, every) - penalty
             terms[i] = every[int(np.argmax(worth))]
         if terms == before:
             break

@@ -33,8 +33,8 @@ class StreamMover(Mover, Protocol):
         """
 
 
-class DrivenArm(ABC):
-    """An arm that the loop orders, one cycle at a time."""
+class OrderedArm(ABC):
+    """What is common to arms that the loop orders, one cycle at a time."""
 
     order_states: ClassVar[frozenset[MoverState]]  # of the mover, in which it takes orders
 
@@ -58,32 +58,8 @@ class DrivenArm(ABC):
     def resting(self) -> bool:
         """Nothing is under way."""
 
-    @abstractmethod
-    def step(self) -> MoverStatus:
-        """Let the controller go on."""
 
-    @abstractmethod
-    def follow(self, goal: JointGoal) -> str:
-        """Go towards a goal; returns what stands in the way, in words, or ""."""
-
-    @abstractmethod
-    def begin(self, transfer: tuple[Trajectory, ...], line: Trajectory) -> None:
-        """Begin planned trajectories one after the other, the line to the object last."""
-
-    @abstractmethod
-    def begin_back(self) -> None:
-        """Go back up the line that was gone down, from wherever on it the arm rests."""
-
-    @abstractmethod
-    def go(self) -> None:
-        """Continue what was begun."""
-
-    @abstractmethod
-    def hold(self) -> None:
-        """Come to rest; called again until it does."""
-
-
-class StreamedArm(DrivenArm):
+class StreamedArm(OrderedArm):
     """Sends one set point a period; a hold comes to rest on the path."""
 
     order_states = ACCEPTING_STATES | {MoverState.MOVING}
@@ -196,7 +172,7 @@ class StreamedArm(DrivenArm):
         self._stream(self.q)
 
 
-class SteppedArm(DrivenArm):
+class SteppedArm(OrderedArm):
     """Gives the controller one move after the other, each to rest.
 
     The controller makes the way between by itself: straight in joint angles, or the flange on a
@@ -273,3 +249,6 @@ class SteppedArm(DrivenArm):
         if self._state in MOVING_STATES:
             self.mover.hold()
             self._state = MoverState.STOPPING
+
+
+DrivenArm = StreamedArm | SteppedArm

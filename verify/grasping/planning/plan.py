@@ -101,9 +101,8 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
     )
     if not rejections:
         return GraspRefusal("reach", "the posture in which the hand was measured does not reach it")
-    problem = "no posture of the arm can grasp it; what comes nearest ({}): {}".format(
-        *rejections[0]
-    )
+    name, why = rejections[0]
+    problem = f"no posture of the arm can grasp it; what comes nearest ({name}): {why}"
     return GraspRefusal("way" if ways else "reach", problem, rejections)
 
 

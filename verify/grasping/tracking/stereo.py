@@ -171,12 +171,8 @@ def object_size(left: LineOfSight, right: LineOfSight, place: StereoPoint) -> tu
     Returns width and height (2,), m, along the pictures' rows and columns, the mean of both cameras
     weighted by what each pixel is worth, and their standard uncertainties (2,), m.
     """
-    worth = np.array(
-        [
-            depth / np.diag(sight.lens) / sight.slant
-            for sight, depth in zip((left, right), place.depth, strict=True)
-        ]
-    )
+    lens = np.array([np.diag(left.lens), np.diag(right.lens)])
+    worth = place.depth[:, None] / lens / np.array([left.slant, right.slant])
     metres = (np.array([left.extent, right.extent]) - 2 * RIM_WIDTH) * worth
     weight = 1.0 / (worth * U_EXTENT) ** 2
     mean = (metres * weight).sum(axis=0) / weight.sum(axis=0)

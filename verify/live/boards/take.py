@@ -109,13 +109,10 @@ class BoardCapture:
         return enough or self._devices.left.state().ended or self._devices.right.state().ended
 
     def _lines(self) -> tuple[DeviceStatus, ...]:
-        devices = self._devices
-        lines = [
-            device_status("left camera", devices.left.state()),
-            device_status("right camera", devices.right.state()),
-        ]
-        if devices.pan is not None:
-            lines.append(device_status("bases", devices.pan.state()))
+        left, right, pan = self._devices.left, self._devices.right, self._devices.pan
+        states = {"left camera": left.state(), "right camera": right.state()}
+        lines = [device_status(name, state) for name, state in states.items()]
+        lines += [] if pan is None else [device_status("bases", pan.state())]
         return tuple(
             replace(line, sentence=self._troubles.get(line.name, line.sentence)) for line in lines
         )

@@ -83,9 +83,8 @@ def _bar(error: float, u: float, tolerance: float | None) -> Text:
     cells = [" "] * (2 * BAR_HALF_WIDTH + 1)
 
     def place(value: float) -> int:
-        return max(
-            0, min(2 * BAR_HALF_WIDTH, round(BAR_HALF_WIDTH + BAR_HALF_WIDTH * value / scale))
-        )
+        cell = round(BAR_HALF_WIDTH + BAR_HALF_WIDTH * value / scale)
+        return max(0, min(2 * BAR_HALF_WIDTH, cell))
 
     for cell in range(place(error - 2 * u), place(error + 2 * u) + 1):
         cells[cell] = "─"

@@ -45,7 +45,43 @@ class MatroskaTrack:
     private: bytes = b""  # what a decoder needs beforehand
 
 
-class MatroskaFile:
+class GrowingFile:
+    """A file that grows by whole pieces: each is in it or not at all.
+
+    Raises:
+        OSError: the system refuses it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
+        self._length = 0  # bytes that are whole
+
+    def append(self, data: bytes) -> None:
+        """Append all of it, or nothing and OSError."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[os.write(self._file, rest) :]
+        except OSError:
+            self.truncate(self._length)
+            raise
+        self._length += len(data)
+
+    def truncate(self, length: int) -> None:
+        """Cut it off and go on writing there."""
+        self._length = length
+        os.ftruncate(self._file, length)
+        os.lseek(self._file, length, os.SEEK_SET)
+
+    def close(self) -> None:
+        """Have the disk hold it, and close it; also closed where OSError says that it cannot."""
+        try:
+            os.fsync(self._file)
+        finally:
+            os.close(self._file)
+
+
+class MatroskaFile(GrowingFile):
     """Writes pictures that are encoded already.
 
     Raises:
@@ -53,12 +89,11 @@ class MatroskaFile:
     """
 
     def __init__(self, path: Path, track: MatroskaTrack) -> None:
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
-        self._length = 0  # bytes that are whole
+        super().__init__(path)
         self._before = 0  # bytes, without the last picture
         self._last = 0  # ms
         try:
-            self._append(_head(track))
+            self.append(_head(track))
         except OSError:
             os.close(self._file)
             raise
@@ -74,50 +109,17 @@ class MatroskaFile:
         block = bytes([0x80 | TRACK_NUMBER, 0, 0, KEYFRAME_FLAG]) + picture
         inside = _element(TIMESTAMP, ms) + _element(SIMPLE_BLOCK, block)
         checksum = _element(CRC_32, struct.pack("<I", zlib.crc32(inside)))
-        self._append(_element(CLUSTER, checksum + inside))
+        before = self._length
+        self.append(_element(CLUSTER, checksum + inside))
+        self._before = before
 
     def drop_last(self) -> None:
         """Take the last picture out again: its other half could not be written."""
-        self._length = self._before
-        truncate_file(self._file, self._length)
+        self.truncate(self._before)
 
     def linked(self) -> bool:
         """Whether the file still has a name, or was deleted under our hands."""
         return os.fstat(self._file).st_nlink > 0
-
-    def close(self) -> None:
-        """Have the disk hold it, and close it; also closed where OSError says that it cannot."""
-        sync_and_close(self._file)
-
-    def _append(self, data: bytes) -> None:
-        write_all(self._file, data, self._length)
-        self._before = self._length
-        self._length += len(data)
-
-
-def write_all(file: int, data: bytes, at: int) -> None:
-    """Append to a file of length `at`: all of it, or nothing and OSError."""
-    rest = memoryview(data)
-    try:
-        while rest:
-            rest = rest[os.write(file, rest) :]
-    except OSError:
-        truncate_file(file, at)
-        raise
-
-
-def sync_and_close(file: int) -> None:
-    """Have the disk hold a file, and close it; also closed where OSError says that it cannot."""
-    try:
-        os.fsync(file)
-    finally:
-        os.close(file)
-
-
-def truncate_file(file: int, length: int) -> None:
-    """Cut a file off and go on writing there."""
-    os.ftruncate(file, length)
-    os.lseek(file, length, os.SEEK_SET)
 
 
 Values = Mapping[int, int | str | bytes]  # by identifier

@@ -27,7 +27,7 @@ from verify.io.unfinished import UnfinishedPairs, ring_bytes
 from verify.live.recording import matroska
 
 
-class CsvWriter:
+class CsvWriter(matroska.GrowingFile):
     """A CSV file that grows by whole lines.
 
     Raises:
@@ -35,8 +35,7 @@ class CsvWriter:
     """
 
     def __init__(self, path: Path, header: str) -> None:
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
-        self._length = 0
+        super().__init__(path)
         self.count = -1  # rows below the header
         self.add(header)
 
@@ -46,18 +45,8 @@ class CsvWriter:
         Raises:
             OSError: the system refuses it.
         """
-        data = f"{row}\n".encode()
-        matroska.write_all(self._file, data, self._length)
-        self._length += len(data)
+        self.append(f"{row}\n".encode())
         self.count += 1
-
-    def close(self) -> None:
-        """Have the disk hold it, and close it.
-
-        Raises:
-            OSError: the system refuses it; it is closed all the same.
-        """
-        matroska.sync_and_close(self._file)
 
 
 def pair_as_written(pair: CapturedPair, turning: bool) -> CapturedPair:
@@ -238,7 +227,7 @@ class SessionWriter:
         """
         self._other.shutdown(wait=True)
         failure: OSError | None = None
-        files: list[matroska.MatroskaFile | CsvWriter] = [side.file for side in self._sides]
+        files: list[matroska.GrowingFile] = [side.file for side in self._sides]
         for file in (*files, self._frames, self._encoders):
             try:
                 file.close()

@@ -42,7 +42,6 @@ SimulateCameras = Callable[[keys.SimSettings, bool], SimulatedCameras]  # True: 
 class StationCameras:
     """Two cameras and their bases; devices are opened when they are asked for."""
 
-    path: Path
     name: str
     board: Board | None  # the simulated one
     warnings: tuple[str, ...]
@@ -69,7 +68,6 @@ def open_station_cameras(path: str | Path, simulate: SimulateCameras) -> Station
     left = devices.camera_settings(path, table.left, None)
     right = devices.camera_settings(path, table.right, None)
     return StationCameras(
-        path,
         table.description or path.stem,
         None if sim is None else sim.board,
         warnings,

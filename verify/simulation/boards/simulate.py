@@ -58,13 +58,9 @@ class SimulatedBoards:
 
     def corners(self, side: int) -> Array:
         """Where the inner corners truly are in one camera's pictures, (pairs, corners, 2), px."""
-        camera = self.cameras[side]
-        return np.array(
-            [
-                camera.project(transform(rig_T_board, self.board.points), pan)
-                for rig_T_board, pan in zip(self.rig_T_board, self.true_pan[:, side], strict=True)
-            ]
-        )
+        camera, points = self.cameras[side], self.board.points
+        stood = zip(self.rig_T_board, self.true_pan[:, side], strict=True)
+        return np.array([camera.project(transform(pose, points), pan) for pose, pan in stood])
 
     def image(self, side: int, index: int) -> Image:
         """Take one picture, (h, w)."""

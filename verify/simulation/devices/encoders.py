@@ -17,44 +17,58 @@ TOL_PERIOD = 1e-6  # of a period: an instant that was waited for is there
 RESET_TIME = 1.0  # s: what the controller's clock shows after a reset
 
 
-class SimulatedEncoders:
-    """Joint readings of the simulated arm."""
+class SimulatedReadings:
+    """What simulated encoders and bases have in common: readings at a rate, Hz."""
 
-    def __init__(self, scene: DeviceScene, rate: float | None) -> None:
-        self._scene, self._table = scene, scene.scenario.encoders
-        self._rate = rate or self._table.rate_hz
-        self._chance = generator(scene.scenario.seed, RandomStream.ENCODERS, 1)
+    def __init__(self, scene: DeviceScene, rate: float) -> None:
+        self._scene, self._rate = scene, rate
         # number of the next reading: those before nobody has asked for
-        self._next = ceil((scene.clock.now() - scene.clock.began) * self._rate)
+        self._next = ceil((scene.clock.now() - scene.clock.began) * rate)
         self._count = 0
-        self._last: float | None = None
+        self._last: float | None = None  # s, when the last one was in hand
         self._closed = False
-
-    def read(self) -> list[EncoderReading]:
-        """Give what has come since the last call, oldest first; waits for at most 20 ms."""
-        clock, period = self._scene.clock, 1.0 / self._rate
-        clock.wait_until(clock.began + self._next * period + TRANSFER_TIME, READ_TIMEOUT)
-        newest = floor((clock.now() - clock.began - TRANSFER_TIME) * self._rate + TOL_PERIOD)
-        numbers = np.arange(self._next, newest + 1)
-        self._next = max(self._next, newest + 1)
-        if self._closed or not len(numbers):
-            return []
-        t = clock.began + numbers * period
-        audible = np.array([not self._silent(instant) for instant in t.tolist()])
-        return [self._reading(*row) for row in self._rows(t[audible])]
-
-    def state(self) -> DeviceState:
-        """Say how the encoders are."""
-        now = self._scene.clock.now()
-        age = None if self._last is None else now - self._last
-        condition = "silent" if self._silent(now) else "reading"
-        return DeviceState(
-            not self._closed, age, self._count, 0, {}, f"simulated encoders: {condition}", True
-        )
 
     def close(self) -> None:
         """Leave them alone."""
         self._closed = True
+
+    def _due(self, silence: str) -> list[float]:
+        """Instants since the last call, s, without those of an event; waits for at most 20 ms."""
+        clock, period = self._scene.clock, 1.0 / self._rate
+        clock.wait_until(clock.began + self._next * period + TRANSFER_TIME, READ_TIMEOUT)
+        newest = floor((clock.now() - clock.began - TRANSFER_TIME) * self._rate + TOL_PERIOD)
+        numbers, self._next = range(self._next, newest + 1), max(self._next, newest + 1)
+        due = [] if self._closed else [clock.began + number * period for number in numbers]
+        return [t for t in due if not self._scene.happens(silence, t)]
+
+    def _came(self, t: float) -> float:
+        """Count a reading of an instant, s; when it is in hand, s."""
+        self._count, self._last = self._count + 1, t + TRANSFER_TIME
+        return self._last
+
+    def _state(self, sentence: str, *, there: bool = True, runs: bool | None = None) -> DeviceState:
+        age = None if self._last is None else self._scene.clock.now() - self._last
+        connected = there and not self._closed
+        return DeviceState(connected, age, self._count, 0, {}, sentence, runs)
+
+
+class SimulatedEncoders(SimulatedReadings):
+    """Joint readings of the simulated arm."""
+
+    def __init__(self, scene: DeviceScene, rate: float | None) -> None:
+        self._table = scene.scenario.encoders
+        super().__init__(scene, rate or self._table.rate_hz)
+        self._chance = generator(scene.scenario.seed, RandomStream.ENCODERS, 1)
+
+    def read(self) -> list[EncoderReading]:
+        """Give what has come since the last call, oldest first; waits for at most 20 ms."""
+        t = self._due("encoder_silent")
+        return [self._reading(*row) for row in self._rows(np.array(t))] if t else []
+
+    def state(self) -> DeviceState:
+        """Say how the encoders are."""
+        silent = self._scene.happens("encoder_silent", self._scene.clock.now())
+        return self._state(f"simulated encoders: {'silent' if silent else 'reading'}", runs=True)
 
     def _rows(self, t: Array) -> list[tuple[float, Array]]:
         """Instants (cameras' clock) and what the encoders show, faults and noise included."""
@@ -69,8 +83,7 @@ class SimulatedEncoders:
 
     def _reading(self, t: float, q: Array) -> EncoderReading:
         stamp, segment = self._stamp(t)
-        self._count, self._last = self._count + 1, t + TRANSFER_TIME
-        return EncoderReading(stamp, t + TRANSFER_TIME, LATCH_HALF_WIDTH, segment, q)
+        return EncoderReading(stamp, self._came(t), LATCH_HALF_WIDTH, segment, q)
 
     def _stamp(self, t: float) -> tuple[float, int]:
         """What the controller's clock shows, s, and how often it was reset."""
@@ -81,45 +94,30 @@ class SimulatedEncoders:
             return RESET_TIME + (t - max(resets)) * drift, len(resets)
         return began + (t - began) * drift - self._table.clock_offset_s, 0
 
-    def _silent(self, t: float) -> bool:
-        return any(event.what == "encoder_silent" for event in self._scene.present(t))
-
 
 PAN_RATE = 50.0  # Hz
 
 
-class SimulatedPan:
+class SimulatedPan(SimulatedReadings):
     """Both bases."""
 
     def __init__(self, scene: DeviceScene) -> None:
-        self._scene = scene
-        self._next = ceil((scene.clock.now() - scene.clock.began) * PAN_RATE)
-        self._count = 0
-        self._last: float | None = None
+        super().__init__(scene, PAN_RATE)
         self._refusal = ""
-        self._closed = False
 
     def read(self) -> list[PanReading]:
         """Give what has come since the last call, oldest first; waits for at most 20 ms."""
-        clock = self._scene.clock
-        clock.wait_until(clock.began + self._next / PAN_RATE + TRANSFER_TIME, READ_TIMEOUT)
-        newest = floor((clock.now() - clock.began - TRANSFER_TIME) * PAN_RATE + TOL_PERIOD)
-        numbers, self._next = range(self._next, newest + 1), max(self._next, newest + 1)
         readings = []
-        for t in (clock.began + number / PAN_RATE for number in numbers):
-            if not (self._closed or self._gone(t)):
-                angles, moving = self._scene.pan_reading(t)
-                readings.append(
-                    PanReading(t, t + TRANSFER_TIME, LATCH_HALF_WIDTH, 0, angles, moving)
-                )
-                self._count, self._last = self._count + 1, t + TRANSFER_TIME
+        for t in self._due("pan_gone"):
+            angles, moving = self._scene.pan_reading(t)
+            readings.append(PanReading(t, self._came(t), LATCH_HALF_WIDTH, 0, angles, moving))
         return readings
 
     def turn_to(self, left: float, right: float) -> bool:
         """Send both bases to angles, rad, as read; False if the line is down."""
         wanted = np.array([left, right])
         self._refusal = ""
-        if self._closed or self._gone(self._scene.clock.now()):
+        if self._closed or self._scene.happens("pan_gone", self._scene.clock.now()):
             return False
         if not np.all(np.abs(wanted) <= MAX_PAN):
             self._refusal = "; refused: beyond the limit"
@@ -129,16 +127,6 @@ class SimulatedPan:
 
     def state(self) -> DeviceState:
         """Say how the bases are."""
-        now = self._scene.clock.now()
-        age = None if self._last is None else now - self._last
-        gone = self._gone(now)
+        gone = self._scene.happens("pan_gone", self._scene.clock.now())
         condition = "not connected: they were unplugged" if gone else "reading"
-        sentence = f"simulated bases: {condition}{self._refusal}"
-        return DeviceState(not (gone or self._closed), age, self._count, 0, {}, sentence)
-
-    def close(self) -> None:
-        """Leave them alone."""
-        self._closed = True
-
-    def _gone(self, t: float) -> bool:
-        return any(event.what == "pan_gone" for event in self._scene.present(t))
+        return self._state(f"simulated bases: {condition}{self._refusal}", there=not gone)

@@ -94,7 +94,11 @@ class DeviceScene:
 
     def lit(self, t: float) -> bool:
         """Whether a lamp is on at an instant."""
-        return any(event.what == "lamp_on" for event in self.present(t))
+        return self.happens("lamp_on", t)
+
+    def happens(self, what: str, t: float) -> bool:
+        """Whether an event of a kind is going on at an instant."""
+        return any(event.what == what for event in self.present(t))
 
     def hidden(self, t: float, side: int) -> dict[int, float]:
         """Covered LEDs by index, and by what share."""

@@ -73,12 +73,8 @@ class SimulatedSession:
 
     def spots(self, side: int) -> Array:
         """True LED images of the left (0) or right (1) camera, (pairs, leds, 2), px; NaN unseen."""
-        return np.array(
-            [
-                led_images(self.world, side, self.t[i, side], self.true_pan[i, side])
-                for i in range(len(self))
-            ]
-        )
+        taken = zip(self.t[:, side], self.true_pan[:, side], strict=True)
+        return np.array([led_images(self.world, side, t, pan) for t, pan in taken])
 
     def image(self, side: int, index: int) -> Image:
         """Render one picture of the left (0) or right (1) camera."""
@@ -124,24 +120,24 @@ def simulate_session(scenario: Scenario) -> SimulatedSession:
         tuple(scenario.mirror),
         tuple(scenario.distractor),
     )
-    stand = place_rig(
+    rig_T_base, pan = place_rig(
         scenario, in_base.led_points(scheduled[:, 0]), in_base.led_normals(scheduled[:, 0])
     )
-    believed = build_bench(scenario, stand.rig_T_base)
+    believed = build_bench(scenario, rig_T_base)
 
     stated = scenario.uncertainty or ScenarioUncertainty()
     drawn = stated if stated.draw else ScenarioUncertainty()
     rng = generator(scenario.seed, RandomStream.SYSTEMATIC)
     departure = uncertainty.draw_departure(drawn, len(believed.leds), rng)
     world: SimulatedWorld = replace(in_base, bench=uncertainty.apply_departure(believed, departure))
-    true_pan = stand.pan + departure.pan
+    true_pan = pan + departure.pan
     if scenario.rig.bases == "follow":  # each reading errs by itself, the same one always alike
         rng = generator(scenario.seed, RandomStream.PAN)
-        error = np.radians(drawn.pan_deg) * rng.standard_normal(stand.pan.shape)
+        error = np.radians(drawn.pan_deg) * rng.standard_normal(pan.shape)
         for side in range(2):
-            _, first, again = np.unique(stand.pan[:, side], return_index=True, return_inverse=True)
+            _, first, again = np.unique(pan[:, side], return_index=True, return_inverse=True)
             error[:, side] = error[first, side][again]
-        true_pan = stand.pan + error
+        true_pan = pan + error
 
     encoder_t, encoder_q = _encoders(scenario, world, scheduled)
     size, seed = scenario.rig.image_size, scenario.seed
@@ -150,13 +146,13 @@ def simulate_session(scenario: Scenario) -> SimulatedSession:
         world=world,
         rig=Rig(
             size,
-            *uncertainty.stated_cameras(believed.cameras, stand.pan[0], stated.pan_deg),
+            *uncertainty.stated_cameras(believed.cameras, pan[0], stated.pan_deg),
             believed.rig_T_base,
             covariance=uncertainty.stated_covariance(stated),
         ),
         marker=_stated_marker(scenario, stated, believed.leds),
         t=scheduled[kept],
-        pan=stand.pan[kept],
+        pan=pan[kept],
         true_pan=true_pan[kept],
         taken=kept,
         encoder_t=encoder_t,

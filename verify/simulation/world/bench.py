@@ -137,19 +137,12 @@ MIN_COSINE = 0.5  # 60°: beyond it a flat LED is a sliver and a dome hides behi
 DISTANCE_FACTORS = (1.0, 1.1, 1.2, 1.35, 1.5)
 
 
-@dataclass(frozen=True, slots=True)
-class RobotPlacement:
-    """Where the base is in the rig, and how the camera bases are turned in every pair."""
-
-    rig_T_base: Array  # (4, 4)
-    pan: Array  # (pairs, 2), rad, as set: left, right
-
-
-def place_rig(scenario: Scenario, points: Array, normals: Array) -> RobotPlacement:
+def place_rig(scenario: Scenario, points: Array, normals: Array) -> tuple[Array, Array]:
     """Take the placement that the scenario's rig table asks for, or look for one.
 
     `points` (pairs, leds, 3), m, are the LEDs in the robot's base frame, which shine along
-    `normals`.
+    `normals`. Returns rig_T_base (4, 4), and how the camera bases are turned in every pair,
+    (pairs, 2), rad, as set: left, right.
 
     Raises:
         InputError: no direction shows every LED in every pair.
@@ -161,7 +154,7 @@ def place_rig(scenario: Scenario, points: Array, normals: Array) -> RobotPlaceme
         pan = np.tile(np.radians(placement.pan_deg), (len(points), 1))
         if rig.bases == "follow":
             pan = _pans(scenario, build_bench(scenario, rig_T_base), points)
-        return RobotPlacement(rig_T_base, pan)
+        return rig_T_base, pan
     target: Array = points.reshape(-1, 3).mean(axis=0)
     for back in DISTANCE_FACTORS:
         eyes = target + (back * rig.distance_mm / 1000) * spread_directions()
@@ -170,7 +163,7 @@ def place_rig(scenario: Scenario, points: Array, normals: Array) -> RobotPlaceme
             bench = build_bench(scenario, rig_T_base)
             pan = _pans(scenario, bench, points)
             if _all_inside(bench, pan, points):
-                return RobotPlacement(rig_T_base, pan)
+                return rig_T_base, pan
     raise InputError(
         "rig.placement",
         f"no place near {rig.distance_mm:g} mm shows every LED in every pair, at most 60° from "

@@ -170,13 +170,11 @@ class Renderer:
         rng = generator(self.seed, RandomStream.PIXELS, self.side, frame)
         room = self._view(turned_px)
         if self.table.colour:
-            channels = []
-            for c in range(3):
-                dimmed = [
-                    replace(light, peak=light.peak * BGR[light.colour][c]) for light in lights
-                ]
-                channels.append(self._expose(room, dimmed, rng))
-            return np.stack(channels, axis=-1)
+            dimmed = (
+                [replace(light, peak=light.peak * BGR[light.colour][c]) for light in lights]
+                for c in range(3)
+            )
+            return np.stack([self._expose(room, part, rng) for part in dimmed], axis=-1)
         return self._expose(room, lights, rng)
 
     def clean(self, lights: Sequence[Light], turned_px: float = 0.0) -> Picture:
