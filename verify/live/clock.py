@@ -58,8 +58,6 @@ class ClockLine:
         # a window each: its middle, s, cameras' clock; its offset, s, and that one's variance
         self._points: deque[tuple[float, float, float]] = deque(maxlen=MAX_WINDOWS)
         self.drift = 0.0  # slope of the line, s a second
-        # what was told last, and when for: a pair's instant is asked for several times
-        self._asked: tuple[float, tuple[float, float]] | None = None
 
     def __len__(self) -> int:
         """Count the windows that it rests on."""
@@ -83,7 +81,6 @@ class ClockLine:
                 self._points.clear()
         self._points.append((t, estimate.offset, variance))
         self.drift = float(self._fit(t)[0][1])
-        self._asked = None
 
     def at(self, t: float) -> tuple[float, float]:
         """Offset at an instant and its standard uncertainty, s.
@@ -93,9 +90,8 @@ class ClockLine:
         """
         if not self._points:
             raise ValueError("no offset is known yet")
-        if self._asked is None or self._asked[0] != t:
-            self._asked = (t, self._solved(t))
-        return self._asked[1]
+        value, covariance = self._fit(t)
+        return float(value[0]), float(np.sqrt(covariance[0, 0]))
 
     def _fit(self, t: float) -> tuple[Array, Array]:
         """Offset at t and slope, and their covariance."""
@@ -110,10 +106,6 @@ class ClockLine:
         solved = covariance @ (design.T @ (weight * (offset - base)))
         solved[0] += base
         return solved, covariance
-
-    def _solved(self, t: float) -> tuple[float, float]:
-        value, covariance = self._fit(t)
-        return float(value[0]), float(np.sqrt(covariance[0, 0]))
 
 
 def clock_from_arrivals(least_delay: float, half_width: float, segment: int | None) -> LiveClock:
@@ -196,10 +188,8 @@ class ClockKeeper:
         """
         segment = self._book.segment
         if self._given is not None:
-            given = self._given
-            return LiveClock(
-                given.encoder_offset, given.standard_uncertainty, "given", segment=segment
-            )
+            offset, u = self._given.encoder_offset, self._given.standard_uncertainty
+            return LiveClock(offset, u, "given", segment=segment)
         with self._lock:
             self._follow_segment()
             if len(self._line):

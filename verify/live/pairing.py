@@ -39,10 +39,7 @@ class Pairing:
     def __init__(self, period: float | None = None) -> None:
         self._given = period
         self._waiting: tuple[deque[CameraFrame], deque[CameraFrame]] = (deque(), deque())
-        self._times: tuple[deque[float], deque[float]] = (
-            deque(maxlen=N_INTERVALS),
-            deque(maxlen=N_INTERVALS),
-        )
+        self._times: tuple[deque[float], ...] = tuple(deque(maxlen=N_INTERVALS) for _ in range(2))
         self.dropped: Counter[str] = Counter()
 
     def waiting(self, side: int) -> int:

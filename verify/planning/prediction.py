@@ -123,7 +123,9 @@ def predict_clock(session: PredictedSession) -> ClockPrediction:
 def predict_geometry(setup: PlanningSetup, model: JointErrorModel) -> PredictedIdentifiability:
     """Predict which of the arm's parameters `verify identify` could find, and how well."""
     parameters, columns = geometry_columns(setup, model)
-    loose = _unit(model.fitted) / TOL_COLUMN  # found with them, as good as free
+    size = np.linalg.norm(model.fitted, axis=0)
+    # found with them, as good as free
+    loose = model.fitted / np.where(size > 0, size, 1.0) / TOL_COLUMN
     information = information_root(columns, np.concatenate([model.prior, loose], axis=1))
     supported = identifiability(parameters, information)
     own = [parameters.index(p) for p in supported.supported]
@@ -132,11 +134,6 @@ def predict_geometry(setup: PlanningSetup, model: JointErrorModel) -> PredictedI
     spread = np.linalg.norm(vt.T / size, axis=1) * tolerance
     indexes = observability_indices(information[:, own], len(model.comparison))
     return PredictedIdentifiability(supported.supported, spread, supported, indexes)
-
-
-def _unit(columns: Array) -> Array:
-    size = np.linalg.norm(columns, axis=0)
-    return columns / np.where(size > 0, size, 1.0)
 
 
 @dataclass(frozen=True, slots=True)

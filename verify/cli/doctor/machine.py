@@ -78,11 +78,8 @@ def check_disk(folder: Path) -> Finding:
 
 def check_serial_ports() -> list[Finding]:
     """List the serial ports that the system knows."""
-    ports = sorted(list_ports.comports())
-    if not ports:
-        return [Finding("serial ports", "works", "none is here")]
-    text = [f"{port.device} ({port.description})" for port in ports]
-    return [Finding("serial ports", "works", ", ".join(text))]
+    ports = [f"{port.device} ({port.description})" for port in sorted(list_ports.comports())]
+    return [Finding("serial ports", "works", ", ".join(ports) or "none is here")]
 
 
 def check_video_devices() -> list[Finding]:

@@ -1,8 +1,8 @@
 """Run a grasp: loop, page, operator's keys, recording and report."""
 
 from collections import deque
-from collections.abc import Iterator, Sequence
-from contextlib import closing, contextmanager
+from collections.abc import Sequence
+from contextlib import AbstractContextManager, closing, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -196,18 +196,15 @@ def target_name(target: Target | None) -> str:
     return "object in the box {},{},{},{}".format(*target.box)
 
 
-@contextmanager
-def _serve_page(stage: GraspRun, duration: float) -> Iterator[GraspPage | None]:
+def _serve_page(stage: GraspRun, duration: float) -> AbstractContextManager[GraspPage | None]:
     """Serve the page with --page; `duration` in s."""
     context = stage.context
     if stage.page is None:
-        yield None
-        return
+        return nullcontext()
     text = f"{context.target}, {context.cell}"
     facts = GraspFacts(context.robot, text, stage.planner, stage.rig, context.execute, duration)
     selects = context.target == SELECTED_NAME
-    with closing(GraspPage(stage.loop, stage.page, facts, selects=selects)) as page:
-        yield page
+    return closing(GraspPage(stage.loop, stage.page, facts, selects=selects))
 
 
 def _run(

@@ -160,7 +160,13 @@ def _print_summary(results: Results, target: Path) -> None:
         f"{pairs['recorded']} pairs would be measured"
     )
     if (rig := summary["rig"]) is not None:
-        terminal.say(_rig_line(rig))
+        width, height = rig["image_size"]
+        terminal.say(
+            f"rig to be built: {width}x{height} pixels, {rig['field_of_view_deg']:g}°; baseline "
+            f"{rig['baseline_m']:g} m, distance {rig['distance_m']:g} m, each camera turned "
+            f"inwards by {rig['vergence_deg']:.1f}°; {rig['leds']} LEDs on a circle of "
+            f"{rig['led_circle_mm']:g} mm"
+        )
     terminal.say("Uncertainty of each joint's mean error (k = 2), and what it comes from:")
     terminal.say(*_joint_table(summary["joints"]))
     for joint in summary["joints"]:
@@ -177,15 +183,6 @@ def _print_summary(results: Results, target: Path) -> None:
     tables = f"{target / 'plan.csv'} and {target / 'poses.csv'}"
     terminal.say(f"Written: {tables}; report: {report_files(target)}")
     terminal.record("result", out=str(target), summary=summary)
-
-
-def _rig_line(rig: dict[str, Any]) -> str:
-    width, height = rig["image_size"]
-    return (
-        f"rig to be built: {width}x{height} pixels, {rig['field_of_view_deg']:g}°; baseline "
-        f"{rig['baseline_m']:g} m, distance {rig['distance_m']:g} m, each camera turned inwards by "
-        f"{rig['vergence_deg']:.1f}°; {rig['leds']} LEDs on a circle of {rig['led_circle_mm']:g} mm"
-    )
 
 
 def _joint_table(joints: list[dict[str, Any]]) -> list[str]:

@@ -5,7 +5,6 @@ import time
 from collections import deque
 from collections.abc import Callable
 from functools import partial
-from typing import Protocol
 
 from verify.devices import protocols
 from verify.devices.cameras.opencv import OpenCvSource
@@ -40,16 +39,7 @@ def is_file(source: int | str) -> bool:
     return isinstance(source, str) and "://" not in source and not source.startswith("/dev/")
 
 
-class CameraSource(Protocol):
-    """An open camera."""
-
-    refused: tuple[protocols.RefusedSetting, ...]
-
-    def grab(self) -> protocols.CapturedImage | None:
-        """Wait for a picture; None: it cannot be decoded; OSError: the camera is gone."""
-
-    def close(self) -> None:
-        """Close it; never raises."""
+CameraSource = OpenCvSource | StreamSource
 
 
 class CameraCapture:

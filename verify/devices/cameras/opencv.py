@@ -76,7 +76,7 @@ class OpenCvSource:
         self._period = 1.0 / (rate if rate > 0 else settings.rate or DEFAULT_RATE)
 
     def grab(self) -> CapturedImage | None:
-        """Wait for a picture; OSError: the camera is gone."""
+        """Wait for a picture; None: it cannot be decoded; OSError: the camera is gone."""
         if not self._capture.grab():
             raise OSError("no picture came; was it unplugged?")
         t, uncertainty = self._taken(time.monotonic())

@@ -19,7 +19,7 @@ import threading
 import time
 from collections.abc import Callable, Coroutine
 from concurrent.futures import Future
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from datetime import UTC
 from importlib import util
 from pathlib import Path
@@ -234,9 +234,7 @@ class OpcUaPort:
         except Exception as error:  # of many kinds, as the library does
             self._broken = True
             raise _described(error) from error
-        poll = _poll(self._sent, self._names, found)
-        names = OpcUaPoll.__dataclass_fields__
-        return json.dumps({name: getattr(poll, name) for name in names}).encode()
+        return json.dumps(asdict(_poll(self._sent, self._names, found))).encode()
 
     def send(self, data: bytes) -> None:  # noqa: ARG002  a port has this verb
         """Refuse: a reader has nothing to send."""

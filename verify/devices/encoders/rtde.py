@@ -201,11 +201,8 @@ class RtdeEncoders(intake.PortDriver):
             case PackageType.OUTPUTS:
                 talk.recipe = struct.unpack_from(">B", payload)[0]
                 types = payload[1:].decode("ascii").split(",")
-                wrong = [
-                    name
-                    for name, found in zip(OUTPUTS, [*types, *[""] * len(OUTPUTS)], strict=False)
-                    if found != OUTPUTS[name]
-                ]
+                found = dict(zip(OUTPUTS, types, strict=False))
+                wrong = [name for name, kind in OUTPUTS.items() if found.get(name) != kind]
                 if wrong or len(types) != len(OUTPUTS):
                     self._refuse(f"the controller has no output {', '.join(wrong or types)}")
                 else:

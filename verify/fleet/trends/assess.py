@@ -54,11 +54,14 @@ def assess(
     ]
     # the chance of a false alarm is shared out between all that can be judged
     long = [one for one in every if len(one) >= MIN_SESSIONS_TO_ASSESS]
-    judged = {_key(one): assess_joint(one, P_FALSE_ALARM / len(long)) for one in long}
+    chance = P_FALSE_ALARM / max(len(long), 1)
+    judged = {(one.arm, one.joint): assess_joint(one, chance) for one in long}
     contrasts = _contrasts(sessions, every, request)
     tables = {
         "arms": pd.DataFrame([_arm_row(str(arm), own) for arm, own in sessions.groupby("arm")]),
-        "joints": pd.DataFrame([_joint_row(sessions, one, judged.get(_key(one))) for one in every]),
+        "joints": pd.DataFrame(
+            [_joint_row(sessions, one, judged.get((one.arm, one.joint))) for one in every]
+        ),
         "changes": pd.DataFrame(
             [row for one in judged.values() for row in change_rows(one)], columns=CHANGE_COLUMNS
         ),
@@ -83,10 +86,6 @@ def _arms(sessions: pd.DataFrame, by: str) -> pd.Series:
         return sessions["robot"]
     above = sessions["session"].map(lambda name: PurePosixPath(name).parent.name or ".")
     return sessions["robot"] + " in " + above
-
-
-def _key(series: JointSeries) -> tuple[str, int]:
-    return series.arm, series.joint
 
 
 def _points(judged: list[JointAssessment]) -> pd.DataFrame:

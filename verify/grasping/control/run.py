@@ -79,7 +79,8 @@ def run(
             if refusal := loop.tell(event):
                 say(refusal)
         stopped = stop()
-        if not _is_finished(loop, ends):
+        planned = ends.planned and not loop.may_move and loop.aim.planned is not None
+        if machine.state not in END_STATES and not planned:
             over_since = None
         elif over_since is None:
             over_since = cycle.t
@@ -92,12 +93,6 @@ def run(
     count += _release(loop, source, on_cycle)
     released = machine.state is GraspState.RELEASED
     return GraspOutcome(state, reason, released, tuple(machine.log), count, stopped)
-
-
-def _is_finished(loop: GraspLoop, ends: StopConditions) -> bool:
-    """It has ended, or nothing may move and the plan, or why there is none, is known."""
-    planned = ends.planned and not loop.may_move and loop.aim.planned is not None
-    return loop.machine.state in END_STATES or planned
 
 
 def _release(loop: GraspLoop, source: PairSource, on_cycle: CycleCallback) -> int:

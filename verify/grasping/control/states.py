@@ -167,10 +167,7 @@ TRANSITIONS: tuple[Transition, ...] = (
     T(S.HOLDING_LOST, E.FOUND, S.TRACKING, "the target was found again", HAND_HIGH),
     T(S.HOLDING_LOST, E.FOUND, S.HOLDING_OPERATOR, LOW_REASON, HAND_LOW),
     T(S.HOLDING_UNREACHABLE, E.REACHABLE, S.TRACKING, "the target can be reached again", HAND_HIGH),
-    T(
-        S.HOLDING_UNREACHABLE, E.REACHABLE, S.HOLDING_OPERATOR,
-        LOW_REASON, HAND_LOW,
-    ),
+    T(S.HOLDING_UNREACHABLE, E.REACHABLE, S.HOLDING_OPERATOR, LOW_REASON, HAND_LOW),
     T(S.HOLDING_OPERATOR, E.RESUME, S.SEARCHING, "the operator lets it go on", HAND_HIGH),
     T(
         S.HOLDING_OPERATOR, E.RESUME, S.LIFTING, "the operator lets it lift what it holds",

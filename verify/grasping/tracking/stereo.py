@@ -191,13 +191,15 @@ def _systematic_covariance(
     total = np.zeros((4, 4))
     given = rig.covariance
     if given is not None:
-        names = [n for n in given.parameters if _is_camera_parameter(n)]
+        parts = {name: name.partition(".") for name in given.parameters}
+        sides = {n: key for n, (head, _, key) in parts.items() if head in ("left", "right")}
+        names = [name for name, key in sides.items() if CAMERA_KEYS.match(key)]
         chosen = [given.parameters.index(n) for n in names]
         units = np.array([unit(name) for name in names])
         sigma = given.standard_uncertainty[chosen] * units
         moved = np.zeros((4, len(names)))
         for column, name in enumerate(names):
-            head, _, key = name.partition(".")
+            head, _, key = parts[name]
             moved[:, column] = _parameter_derivative(sights, point, slope, head, key)
         correlation = given.correlation[np.ix_(chosen, chosen)]
         total += moved @ (correlation * np.outer(sigma, sigma)) @ moved.T
@@ -206,11 +208,6 @@ def _systematic_covariance(
             turned = _parameter_derivative(sights, point, slope, head, "pan_zero_deg")
             total += np.outer(turned, turned) * camera.pan_standard_uncertainty**2
     return total
-
-
-def _is_camera_parameter(name: str) -> bool:
-    head, _, key = name.partition(".")
-    return head in ("left", "right") and CAMERA_KEYS.match(key) is not None
 
 
 def _parameter_derivative(

@@ -37,6 +37,7 @@ MAX_SIGMA = 3.0  # standard deviations: a fault must not hide itself by widening
 
 
 POSE_DIRECTIONS = np.eye(6)
+INITIAL_INFLATION: Array = np.full(6, (1 + MAX_CORRELATION) / (1 - MAX_CORRELATION))
 MODEL_COVARIANCE = np.diag(np.repeat(np.square(U_MODEL), 3))
 
 
@@ -79,7 +80,7 @@ class InnovationFilter:
         self._recent: deque[Array] = deque(maxlen=N_SPREAD)
         self._past: deque[_FilterStep] = deque(maxlen=MAX_REPEATED)
         self._count = 0
-        self._factors = _initial_inflation()
+        self._factors = INITIAL_INFLATION
 
     def take(self, t: float, evidence: Evidence, clock: object) -> Innovation | None:
         """Take a pair's evidence at t, s, cameras' clock.
@@ -175,7 +176,7 @@ class InnovationFilter:
         self._t = None
         self._recent.clear()
         self._past.clear()
-        self._factors = _initial_inflation()
+        self._factors = INITIAL_INFLATION
 
     @property
     def learned(self) -> Array:
@@ -241,7 +242,3 @@ class InnovationFilter:
         rows = np.clip(rows, -most, most)
         measured = autocorrelation(rows) * np.maximum(np.mean(rows**2, axis=0), 1.0)
         self._factors = np.maximum(measured, 1.0)
-
-
-def _initial_inflation() -> Array:
-    return np.full(6, (1 + MAX_CORRELATION) / (1 - MAX_CORRELATION))

@@ -120,9 +120,8 @@ class RecordingLoop:
     def _over(self, stop: threading.Event, begin: float, duration: float | None) -> bool:
         if stop.is_set() or self._ended or not self._recorder.state().recording:
             return True
-        return (duration is not None and time.monotonic() - begin >= duration) or (
-            self._intake.over()
-        )
+        late = duration is not None and time.monotonic() - begin >= duration
+        return late or self._intake.over()
 
     def _record(self) -> None:
         try:

@@ -24,6 +24,7 @@ from verify.errors import InputError
 from verify.io.toml import key_error, one_of
 from verify.live.station import networked
 from verify.live.station.keys import (
+    AngleDeviceTable,
     PanTable,
     SimulatedDevices,
     StationCameraTable,
@@ -162,9 +163,7 @@ def _make_encoders(
     return TextEncoders(_text_settings(path, table, joints), angles)
 
 
-def angle_map(
-    path: Path, name: str, table: StationEncodersTable | PanTable, joints: int
-) -> AngleMap:
+def angle_map(path: Path, name: str, table: AngleDeviceTable, joints: int) -> AngleMap:
     """Sign and zero of each joint; the device's own where nothing is said."""
     given: list[list[float]] = []
     for key, usual in (("sign", 1.0), ("offset_deg", 0.0)):
@@ -224,7 +223,7 @@ def _melfa_settings(path: Path, table: StationEncodersTable) -> MelfaSettings:
 
 
 def _board_settings(
-    path: Path, name: str, table: StationEncodersTable | PanTable, line: SerialLine
+    path: Path, name: str, table: AngleDeviceTable, line: SerialLine
 ) -> LabencSettings:
     if table.checksum is not None:
         one_of(path, f"{name}.checksum", table.checksum, ("xor", "crc16"))

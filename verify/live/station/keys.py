@@ -25,16 +25,25 @@ class StationCameraTable(msgspec.Struct, kw_only=True):
     delay_ms: float = 0.0
 
 
-class StationEncodersTable(msgspec.Struct, kw_only=True, omit_defaults=True):
+class AngleDeviceTable(msgspec.Struct, kw_only=True, omit_defaults=True):
+    """The keys of a device that tells angles: of [encoders] and of [pan]."""
+
+    sign: list[int] | None = None
+    offset_deg: list[float] | None = None
+    port: str | None = None
+    baud: int | None = None
+    checksum: str | None = None
+    rate_hz: float | None = None
+    unit: str | None = None
+    latch_span_us: float | None = None
+
+
+class StationEncodersTable(AngleDeviceTable, kw_only=True, omit_defaults=True):
     """The keys of [encoders]; which of them have a meaning depends on the driver."""
 
     driver: str
     resolution_deg: float | None = None
     time_standard_uncertainty_s: float | None = None
-    sign: list[int] | None = None
-    offset_deg: list[float] | None = None
-    port: str | None = None
-    baud: int | None = None
     data_bits: int | None = None
     parity: str | None = None
     stop_bits: int | None = None
@@ -44,10 +53,6 @@ class StationEncodersTable(msgspec.Struct, kw_only=True, omit_defaults=True):
     timeout_s: float | None = None
     robot_type: str | None = None
     cycle_ms: float | None = None
-    checksum: str | None = None
-    rate_hz: float | None = None
-    unit: str | None = None
-    latch_span_us: float | None = None
     path: str | None = None
     columns: list[str] | None = None
     separator: str | None = None
@@ -72,19 +77,11 @@ class StationEncodersTable(msgspec.Struct, kw_only=True, omit_defaults=True):
     user: str | None = None
 
 
-class PanTable(msgspec.Struct, kw_only=True, omit_defaults=True):
+class PanTable(AngleDeviceTable, kw_only=True, omit_defaults=True):
     """The keys of [pan]."""
 
     driver: str = "fixed"
     follow: bool = False
-    sign: list[int] | None = None
-    offset_deg: list[float] | None = None
-    port: str | None = None
-    baud: int | None = None
-    checksum: str | None = None
-    rate_hz: float | None = None
-    unit: str | None = None
-    latch_span_us: float | None = None
 
 
 class AlarmTable(msgspec.Struct, kw_only=True):

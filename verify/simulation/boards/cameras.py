@@ -140,7 +140,7 @@ class BoardCameras:
         InputError: no such scenario, or one that contradicts itself.
     """
 
-    def __init__(self, settings: SimSettings, turning: bool, clock: SimClock | None = None) -> None:
+    def __init__(self, settings: SimSettings, turning: bool) -> None:
         scenario = library.load(settings.scenario)
         session = None
         if isinstance(scenario, Scenario):
@@ -160,7 +160,7 @@ class BoardCameras:
                 cameras=session.world.bench.cameras,
                 true_pan=boards.true_pan + departure,
             )
-        self.scene = BoardScene(boards, clock or SimClock(settings.speed))
+        self.scene = BoardScene(boards, SimClock(settings.speed))
 
     @property
     def board(self) -> Board:

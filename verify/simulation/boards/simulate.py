@@ -94,15 +94,9 @@ def simulate_boards(scenario: BoardScenario) -> SimulatedBoards:
 
 def _board(scenario: BoardScenario) -> Board:
     """Check the pattern as board.toml's is checked."""
-    table = scenario.boards
-    pattern = BoardTable(
-        format=1,
-        inner_corners=table.inner_corners,
-        square_mm=table.square_mm,
-        markers=table.markers,
-        marker_mm=table.marker_mm,
-    )
-    return build_board("boards", pattern)
+    keys = ("inner_corners", "square_mm", "markers", "marker_mm")
+    pattern = {key: getattr(scenario.boards, key) for key in keys}
+    return build_board("boards", BoardTable(format=1, **pattern))
 
 
 def board_pairs(scenario: BoardScenario) -> tuple[list[BoardPair], Rig]:

@@ -82,12 +82,10 @@ class RosbridgeOptions:
 class RosbridgeEngine:
     """The bridge, and a robot that publishes its joints in another order each time."""
 
-    def __init__(
-        self, trajectory: EmulatedTrajectory, options: RosbridgeOptions, seed: int = 0
-    ) -> None:
+    def __init__(self, trajectory: EmulatedTrajectory, options: RosbridgeOptions) -> None:
         self.log: list[str] = []  # every operation received
         self._trajectory, self._options = trajectory, options
-        self._random = random.Random(seed)
+        self._random = random.Random(0)
         self._subscribed = False
         self._jump = self._next = 0.0
 

@@ -20,7 +20,7 @@ from pymodbus.pdu.register_message import (
     WriteMultipleRegistersResponse,
 )
 
-from verify.devices.ports import ClockFunction, Port, open_port
+from verify.devices.ports import Port, open_port
 from verify.grasping.actuators.gripper import modbus
 from verify.grasping.actuators.protocols import (
     RESTING_STATES,
@@ -61,13 +61,12 @@ class GripperDriver:
         settings: modbus.GripperSettings,
         right: ExecutePermission,
         port: Callable[[], Port] | None = None,
-        now: ClockFunction = time.monotonic,
     ) -> None:
         if not isinstance(right, ExecutePermission):
             raise TypeError("a gripper moves only with the operator's permission")
-        self._settings, self._now = settings, now
+        self._settings, self._now = settings, time.monotonic
         opening = port or partial(open_port, settings.port, settings.line)
-        self._line = modbus.ModbusLine(settings, opening, FUNCTIONS, now)
+        self._line = modbus.ModbusLine(settings, opening, FUNCTIONS, self._now)
         self._inputs: modbus.GripperInputs | None = None  # the last
         self._t: float | None = None  # s, of these
         self._trouble = "nothing was read yet"

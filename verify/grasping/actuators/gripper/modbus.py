@@ -6,10 +6,9 @@ two bytes a register, the first in the high half.
 """
 
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import IntEnum, StrEnum
-from types import MappingProxyType
 from typing import Final
 
 from pymodbus.exceptions import ModbusException
@@ -176,19 +175,17 @@ class GripMode(StrEnum):
 MODES: Final = tuple(GripMode)  # in the order of rMOD
 RESET_OUTPUTS: Final = (0, 0, 0)  # clears faults and the activation
 # gFLT -> meaning
-FAULT_MEANINGS: Final = MappingProxyType(
-    {
-        0x05: "it waits for its activation to end",
-        0x06: "it waits for its mode to change",
-        0x07: "it is not activated",
-        0x09: "its communication chip is not ready",
-        0x0A: "the fingers stand in the scissor axis's way",
-        0x0B: "automatic release is under way",
-        0x0D: "the activation has failed: is something between the fingers?",
-        0x0E: "the fingers have been in the scissor axis's way for too long",
-        0x0F: "automatic release has ended: it must be reset and activated",
-    }
-)
+FAULT_MEANINGS: Final[Mapping[int, str]] = {
+    0x05: "it waits for its activation to end",
+    0x06: "it waits for its mode to change",
+    0x07: "it is not activated",
+    0x09: "its communication chip is not ready",
+    0x0A: "the fingers stand in the scissor axis's way",
+    0x0B: "automatic release is under way",
+    0x0D: "the activation has failed: is something between the fingers?",
+    0x0E: "the fingers have been in the scissor axis's way for too long",
+    0x0F: "automatic release has ended: it must be reset and activated",
+}
 MIN_LASTING_FAULT = 0x09  # lesser ones are gone when what they wait for has happened
 
 

@@ -88,8 +88,11 @@ class Dialogue:
             return self._dropped("its answer is not understood")
         request = self._pending
         assert request is not None
-        if request.name == "OPEN" and answer.error is None and not _is_open_answer(answer.data):
-            return None
+        if request.name == "OPEN" and answer.error is None:
+            # what answers OPEN is neither empty, nor a position, nor a state
+            identity = ";" in answer.data and not answer.data.startswith("J1;")
+            if not identity or r3.parse_state(answer.data) is not None:
+                return None
         if isinstance(request, MotionCommand) and answer.data:
             return self._dropped("its answer belongs to something else")
         self._pending, self._due = None, self.link.now() + self._settings.pause
@@ -107,8 +110,3 @@ class Dialogue:
         self._pending = None
         self._answers.clear()
         return Exchange(request, None, self.link.now(), 0.0, why)
-
-
-def _is_open_answer(data: str) -> bool:
-    """Whether this answers OPEN: it is neither empty, nor a state, nor a position."""
-    return ";" in data and not data.startswith("J1;") and r3.parse_state(data) is None

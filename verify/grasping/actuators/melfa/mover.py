@@ -14,7 +14,7 @@ import numpy as np
 
 from verify.core.records import Array
 from verify.devices.encoders.intake import AngleMap
-from verify.devices.ports import ClockFunction, Port, open_port
+from verify.devices.ports import Port, open_port
 from verify.grasping.actuators.melfa import orders
 from verify.grasping.actuators.melfa.answers import AnswerParser
 from verify.grasping.actuators.melfa.dialogue import Dialogue
@@ -42,11 +42,10 @@ class MelfaMover:
         limits: orders.MoveLimits,
         right: ExecutePermission,
         port: Callable[[], Port] | None = None,
-        now: ClockFunction = time.monotonic,
     ) -> None:
         if not isinstance(right, ExecutePermission):
             raise TypeError("an arm moves only with the operator's permission")
-        self._settings, self._angles, self._limits, self._now = settings, angles, limits, now
+        self._settings, self._angles, self._limits = settings, angles, limits
         self._open_port = port or partial(open_port, settings.port, settings.line)
         self._reset()
 
@@ -105,7 +104,7 @@ class MelfaMover:
         self._controls.line.close()
 
     def _reset(self) -> None:
-        settings, now = self._settings, self._now
+        settings, now = self._settings, time.monotonic
         self._controls = Controls(Dialogue(settings, self._open_port, now), settings.client, now)
         self._answers = AnswerParser(settings, self._angles, self._limits, self._controls)
 
