@@ -106,7 +106,9 @@ class LiveLoop:
         self.defects: tuple[str, ...] = ()  # why measuring or comparing failed, oldest first
         self._unrecorded = False
 
-    def run(self, stop: threading.Event, look: Callable[[LiveState], None] | None = None) -> None:
+    def run(
+        self, stop: threading.Event, look: Callable[[LiveState], None] = lambda _: None
+    ) -> None:
         """Watch until told to stop, the time is up, the program ends, or the pictures do.
 
         Args:
@@ -129,15 +131,13 @@ class LiveLoop:
         try:
             while not self._over(begin, stop):
                 self._look()
-                if look is not None:
-                    look(self.state)
+                look(self.state)
                 stop.wait(DEVICE_CHECK_PERIOD)
         finally:
             self._end(works, halt)
             threading.excepthook = plain
         self._look(final=True)
-        if look is not None:
-            look(self.state)
+        look(self.state)
 
     def _add_reading(self, reading: EncoderReading) -> None:
         self._book.add(self._recorder.reading(reading))

@@ -110,7 +110,11 @@ class CellWorld:
         if self.happened("camera_gone"):
             return None
         rig, scene = self.setup.rig, self.scene
-        self._turn_cameras()
+        turned = self._gone(self.t)
+        if turned != self._turned:
+            self._turned = turned
+            for camera, stands in zip(self._cameras, (rig.left.pan, rig.right.pan), strict=True):
+                camera.turn(stands + turned)
         posed = self._posed()
         pictures = []
         for camera, t in zip(self._cameras, (self.t, self.t + RIGHT_DELAY), strict=True):
@@ -151,14 +155,6 @@ class CellWorld:
     def _gone(self, t: float) -> float:
         """By how much both bases have turned since the start, rad."""
         return sum(turn.gone(t) for turn in self.scene.turns)
-
-    def _turn_cameras(self) -> None:
-        turned = self._gone(self.t)
-        if turned != self._turned:
-            self._turned = turned
-            rig = self.setup.rig
-            for camera, stands in zip(self._cameras, (rig.left.pan, rig.right.pan), strict=True):
-                camera.turn(stands + turned)
 
     def _of(self, what: EventKind) -> SceneEvent:
         return next(h for h in self.scene.happenings if h.what == what)
