@@ -158,11 +158,15 @@ def _opcua(
 
 def _rosbridge(motion: str, joints: int, robot: str | None, rate: int) -> "RosbridgeEngine":
     import robots
+    from verify.errors import InputError
     from verify.live.station.template import joint_names
     from verify.simulation.emulators.rosbridge import RosbridgeEngine, RosbridgeOptions
     from verify.simulation.emulators.trajectory import load
 
-    names = joint_names(robots.load(robot) if robot is not None else joints)
+    try:
+        names = joint_names(joints if robot is None else robots.load(robot))
+    except robots.RobotError as error:
+        raise InputError("--robot", error.found, error.expected, error.remedy) from error
     return RosbridgeEngine(load(motion, len(names)), RosbridgeOptions(names, rate=rate))
 
 

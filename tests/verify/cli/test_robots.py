@@ -39,3 +39,8 @@ def test_an_export_that_cannot_be_is_refused_in_a_line(
 def test_a_urdfs_closed_form_is_named() -> None:
     assert "closed form: parallel_axes" in verify("robots", "ur5", "--poses", "20").out
     assert "from flange to base, joint 7 given" in verify("robots", "panda", "--poses", "20").out
+
+
+def test_an_emulator_of_an_unknown_robot_is_refused_in_one_line() -> None:
+    refusal = verify("emulate", "rosbridge", "--port", "tcp:0", "--robot", "ur11").refusal
+    assert "--robot: is not known" in refusal

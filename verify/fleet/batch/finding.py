@@ -103,7 +103,7 @@ def _filesystem(url: str) -> tuple[Any, str]:
         ) from error
     try:
         system, path = fsspec.core.url_to_fs(url)
-    except (ImportError, ValueError) as error:
+    except Exception as error:  # each storage has errors of its own
         raise _storage_error(url, error) from error
     return system, path.rstrip("/")
 
