@@ -20,7 +20,10 @@ def pytest_addoption(parser: pytest.Parser) -> None:
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
     # before `-m` deselects: an unmarked test in a file of real-time tests runs in real time too
     marks = ("realtime", "browser")
-    files = {str(i.path) for i in items if any(i.get_closest_marker(m) for m in marks)}
+    real_time = [i for i in items if any(i.get_closest_marker(m) for m in marks)]
+    for item in real_time:  # a machine may be busy for a moment; a fault fails twice, and is listed
+        item.add_marker(pytest.mark.flaky(reruns=1))
+    files = {str(i.path) for i in real_time}
     config.stash[REALTIME_FILES] = files
     # at the head of the queue they share one worker; at the end, all workers would be left with
     # them, and with the longest, which cannot be shared

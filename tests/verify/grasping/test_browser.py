@@ -151,9 +151,11 @@ def test_the_view_in_space_draws_the_cameras_as_they_stood_for_the_pictures(
 
 
 def test_the_grab_button_works_in_the_state_in_which_the_key_does(browser: Browser) -> None:
-    with grabbing() as cell, looking(browser, cell) as tab:
+    with grabbing(selects=True) as cell, looking(browser, cell) as tab:
+        cell.until(lambda: cell.state is GraspState.SEARCHING)  # until an object is selected
         assert tab.evaluate("document.querySelector('#grab').disabled")
         tab.press("g")  # as little
+        drag(tab, "left", cell.box())
         tab.until("!document.querySelector('#grab').disabled")
         assert cell.state is GraspState.FOLLOWING
         tab.page.click("#grab")
