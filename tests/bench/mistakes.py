@@ -28,7 +28,7 @@ from verify.analysis.other_motion import refuse_other_motion
 from verify.analysis.plausibility import refuse_misread
 from verify.calibration.handeye import solve_robustly
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, no_progress
 from verify.errors import InputError
 from verify.io.session.session import Session, open_session
 from verify.measurement.chain import measure
@@ -42,10 +42,6 @@ SESSION_MISTAKES = ("base inverted", "base in metres", "another arm")
 POSE_MISTAKES = ("poses inverted", "quaternion order")
 FAULTS = ("offset", "gain", "slip", "none")
 Recording = tuple[Session, Track]
-
-
-def no_progress(_done: int, _total: int) -> None:
-    """Report no progress."""
 
 
 def tracker_recording(folder: Path) -> Recording:

@@ -21,7 +21,7 @@ from verify.analysis.instrument import (
 from verify.analysis.results.warnings import rig_moved
 from verify.core.fiducials import Marker
 from verify.core.readings import MAX_GAP, Readings
-from verify.core.records import Array, Image, Measurement, Sighting, StereoPair
+from verify.core.records import Array, Image, Measurement, Progress, Sighting, StereoPair
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
@@ -45,7 +45,6 @@ TEXT_COLOUR = (60, 220, 255)
 SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
 SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
 MAX_CANDIDATES = 200
-Progress = Callable[[int, int], None]
 Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 

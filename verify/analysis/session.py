@@ -31,7 +31,6 @@ from verify.analysis.joint_errors import (
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.measured import (
     Chain,
-    Progress,
     measure_instrument,
     measure_pictures,
     measurement_refusal,
@@ -65,7 +64,7 @@ from verify.analysis.sweeps.sweeps import judge_sweeps
 from verify.analysis.uncertainty.budget import budget
 from verify.analysis.uncertainty.monte_carlo import monte_carlo
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Progress, no_progress
 from verify.errors import InputError
 from verify.io.files import digest
 from verify.io.results import Results
@@ -85,15 +84,11 @@ MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an an
 NO_TOLERANCE = Tolerance(None, None, None)
 
 
-def _no_progress(_done: int, _total: int) -> None:
-    """Report no progress."""
-
-
 def analyse(
     session: Session,
     *,
     tolerance: Tolerance | None = None,
-    progress: Progress = _no_progress,
+    progress: Progress = no_progress,
     chain: Chain | None = None,
 ) -> Results:
     """Measure a recorded session and judge the robot by it: what `verify run` reports.

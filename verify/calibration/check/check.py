@@ -11,7 +11,7 @@ exceeds it in one check in twenty. A change of which the figures move by g_k a u
 found with 80 % probability from the size (z + 0.84) u_k / |g_k| on, the least over k.
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from verify.calibration.board.pose import board_marker, board_poses
 from verify.calibration.check.lengths import BarTracker, Lengths, measured_lengths
 from verify.calibration.stereo.records import rms
 from verify.core.fiducials import Board, BoardPair, Marker
-from verify.core.records import Measurement, StereoPair
+from verify.core.records import Measurement, Progress, StereoPair, no_progress
 from verify.core.rig import Rig
 from verify.core.statistics import norm_isf, norm_ppf
 from verify.errors import InputError
@@ -74,7 +74,7 @@ def check_session(
     *,
     length: float | None = None,
     length_standard_uncertainty: float | None = None,
-    progress: Callable[[int, int], None] | None = None,
+    progress: Progress = no_progress,
 ) -> CheckResult:
     """Check a rig by a session's pictures; its encoders are not used.
 
@@ -86,11 +86,11 @@ def check_session(
             whose pictures were not taken together.
     """
     marker = session.marker
-    late = float(session.frames.t_right[0] - session.frames.t_left[0])
-    if len(session) == 1 and late:
+    late = session.frames.t_right - session.frames.t_left
+    if len(session) == 1 and late.any():
         raise InputError(
             session.folder,
-            f"has one pair, its right picture {1e3 * late:+.1f} ms after the left one",
+            f"has one pair, its right picture {1e3 * late[0]:+.1f} ms after the left one",
             "how the LEDs moved meanwhile shows in the pairs beside it",
             "Record more pairs.",
         )
@@ -104,8 +104,7 @@ def check_session(
     measurements = []
     for measurement in measure(pairs, setup):
         measurements.append(measurement)
-        if progress is not None:
-            progress(len(measurements), len(session))
+        progress(len(measurements), len(session))
     return check_rig(measurements, session.rig, marker)
 
 

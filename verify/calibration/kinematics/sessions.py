@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare
 from verify.analysis.instrument import stated_noise
 from verify.analysis.least_squares import autocorrelation
-from verify.analysis.measured import Progress
 from verify.analysis.model import add_pan_noise, clock_effect, prior_columns
 from verify.analysis.session import measure_session
 from verify.calibration.handeye import rigid_columns
@@ -17,7 +16,7 @@ from verify.calibration.kinematics.chain import ArmState, KinematicChain
 from verify.calibration.kinematics.fit import KinematicFit, pose_residuals
 from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Progress
 from verify.errors import InputError
 from verify.io.series import FrameSeries
 from verify.io.session.session import Session

@@ -11,6 +11,7 @@ import numpy as np
 
 import robots
 from verify.cli.terminal import terminal
+from verify.core.records import Progress
 from verify.errors import InputError
 from verify.io import fiducials
 from verify.io import rig as io_rig
@@ -185,7 +186,7 @@ def convert_tables(
 
 
 def _settle(
-    table: LogTable, arm: robots.Arm | None, options: ImportOptions, progress: logs.Progress
+    table: LogTable, arm: robots.Arm | None, options: ImportOptions, progress: Progress
 ) -> MappedTable:
     """Map a table's columns, settle their units by its values, and check these."""
     if options.mapping:
@@ -245,7 +246,7 @@ def _confirm(mapped: Sequence[MappedTable], options: ImportOptions) -> None:
 
 def _write_tables(
     joints: Sequence[MappedTable], poses: Sequence[MappedTable], folder: Path,
-    progress: logs.Progress,
+    progress: Progress,
 ) -> list[str]:  # fmt: skip
     """Write the files; returns their names."""
     written = []

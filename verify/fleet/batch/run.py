@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from verify.core.records import Progress
 from verify.errors import one_line
 from verify.fleet.batch.records import (
     KILLED,
@@ -97,7 +98,7 @@ def measure_all(
     return BatchResult(kept, sorted(work.progress.failures), work.progress)
 
 
-def report_all(batch: BatchResult, pool: WorkerPool, watch: Callable[[int, int], None]) -> None:
+def report_all(batch: BatchResult, pool: WorkerPool, watch: Progress) -> None:
     """Write the own report of each session that has none yet, by a pool on this machine.
 
     `watch` is called with the number written and the number of all.

@@ -1,13 +1,13 @@
 """Turn tables of other programs into encoders.csv, poses.csv and, with both, a session.toml."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
 
 import robots
-from verify.core.records import Array
+from verify.core.records import Array, Progress
 from verify.errors import InputError
 from verify.io.joints import ANGLE_UNITS, JointRange
 from verify.io.logs import mapping as columns_of
@@ -21,8 +21,6 @@ MAX_SPAN = 1e7  # s, of a recording: more is a damaged number
 MAX_DISTANCE = 5e4  # mm, of a pose from the first
 MAX_COARSE = 0.01  # share of rows with another reading at the time of the row before
 STEP_ROWS = 200  # that show the median step of the time
-
-Progress = Callable[[int, int], None]
 
 
 @dataclass(slots=True)
