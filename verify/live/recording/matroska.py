@@ -23,6 +23,7 @@ import numpy as np
 from verify.core.records import Image
 from verify.core.version import __version__
 from verify.devices.protocols import CapturedPair
+from verify.live.recording.growing_file import GrowingFile
 
 UNKNOWN_SIZE = b"\x01" + b"\xff" * 7  # of the segment: a reader takes it as "to the end"
 TIMESTAMP_SCALE = 1_000_000  # ns: players get ms; the session's times are in frames.csv
@@ -43,42 +44,6 @@ class MatroskaTrack:
     width: int  # px
     height: int  # px
     private: bytes = b""  # what a decoder needs beforehand
-
-
-class GrowingFile:
-    """A file that grows by whole pieces: each is in it or not at all.
-
-    Raises:
-        OSError: the system refuses it.
-    """
-
-    def __init__(self, path: Path) -> None:
-        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
-        self._length = 0  # bytes that are whole
-
-    def append(self, data: bytes) -> None:
-        """Append all of it, or nothing and OSError."""
-        rest = memoryview(data)
-        try:
-            while rest:
-                rest = rest[os.write(self._file, rest) :]
-        except OSError:
-            self.truncate(self._length)
-            raise
-        self._length += len(data)
-
-    def truncate(self, length: int) -> None:
-        """Cut it off and go on writing there."""
-        self._length = length
-        os.ftruncate(self._file, length)
-        os.lseek(self._file, length, os.SEEK_SET)
-
-    def close(self) -> None:
-        """Have the disk hold it, and close it; also closed where OSError says that it cannot."""
-        try:
-            os.fsync(self._file)
-        finally:
-            os.close(self._file)
 
 
 class MatroskaFile(GrowingFile):

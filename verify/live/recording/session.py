@@ -25,9 +25,10 @@ from verify.io.toml import FORMAT, encode
 from verify.io.unfinished import NAME as PENDING
 from verify.io.unfinished import UnfinishedPairs, ring_bytes
 from verify.live.recording import matroska
+from verify.live.recording.growing_file import GrowingFile
 
 
-class CsvWriter(matroska.GrowingFile):
+class CsvWriter(GrowingFile):
     """A CSV file that grows by whole lines.
 
     Raises:
@@ -227,7 +228,7 @@ class SessionWriter:
         """
         self._other.shutdown(wait=True)
         failure: OSError | None = None
-        files: list[matroska.GrowingFile] = [side.file for side in self._sides]
+        files: list[GrowingFile] = [side.file for side in self._sides]
         for file in (*files, self._frames, self._encoders):
             try:
                 file.close()
