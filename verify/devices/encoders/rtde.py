@@ -1,8 +1,8 @@
 """A Universal Robots controller read by RTDE (TCP port 30004), never commanded.
 
 Every package is a big-endian header (size of the whole package, type) and a payload. The driver
-asks for protocol version 2 and for the controller's version, sets up which outputs it wants,
-starts the stream, and pauses it when it leaves. The two types that carry data to the controller
+asks for protocol version 2 and for the controller's version, sets up which outputs it wants, and
+starts the stream, which ends with the connection. The two types that carry data to the controller
 (set up inputs, data package) are not among those that it can send.
 
 Source: Universal Robots, Real-Time Data Exchange (RTDE) guide.
@@ -40,7 +40,6 @@ class PackageType(IntEnum):
     DATA = ord("U")
     OUTPUTS = ord("O")
     START = ord("S")
-    PAUSE = ord("P")
 
 
 PACKAGE_TYPES: Final = frozenset(PackageType)
@@ -134,12 +133,6 @@ class RtdeEncoders(intake.PortDriver):
     def state(self) -> DeviceState:
         """Describe the controller."""
         return self.counts.state(self.link, self._fault, self._remark, self._talk.running)
-
-    def close(self) -> None:
-        """Pause the stream, if there is one, and close the connection."""
-        if self.link.connected:
-            self._ask(PackageType.PAUSE)
-        super().close()
 
     def _ask(self, kind: PackageType, payload: bytes = b"") -> None:
         """Send a request; ValueError: one that a reader may not send."""
