@@ -73,6 +73,7 @@ MIN_NOISE_SHARE = Real(
     0.9
 )  # share of a pixel's noise that clipping must leave for its residual to count
 MIN_SEPARATION = 0.5  # diameters of the smaller one: closer spots are one spot found twice
+MAX_PART = 0.75  # of a disc's diameter: a smaller spot on it is a part of it
 
 # columns of an assessed spot: centre (px), covariance (px²), peak (DN), full width at half height
 # (px), axis ratio, reduced chi²; flags (0 or 1): pixels at the sensor's limit, no single LED's
@@ -271,10 +272,14 @@ def first_by(values: Array, index: Index, most: int) -> int:
 
 @compiled
 def is_found_again(assessed: Array, spots: Index, n: int) -> bool:
-    """Whether a spot is another one of m spots, fitting better or equal and first, again."""
+    """Whether a spot is another one of m spots: a part of its disc, or fitting better or first."""
     row = assessed[n]
     for k in spots:
         other = assessed[k]
+        if k == n or is_part(other, row):
+            continue
+        if is_part(row, other):
+            return True
         off = math.hypot(
             row[COL_CENTRE_X] - other[COL_CENTRE_X], row[COL_CENTRE_Y] - other[COL_CENTRE_Y]
         )
@@ -283,6 +288,19 @@ def is_found_again(assessed: Array, spots: Index, n: int) -> bool:
         if better and off < MIN_SEPARATION * min(row[COL_DIAMETER], other[COL_DIAMETER]):
             return True
     return False
+
+
+@compiled
+def is_part(row: Array, other: Array) -> bool:
+    """Whether a spot lies on the disc of another, larger one, whose shape is that of one LED.
+
+    A few pixels of a disc's rim fit a small spot, with so little freedom that nothing misfits.
+    """
+    off = math.hypot(
+        row[COL_CENTRE_X] - other[COL_CENTRE_X], row[COL_CENTRE_Y] - other[COL_CENTRE_Y]
+    )
+    smaller = row[COL_DIAMETER] < MAX_PART * other[COL_DIAMETER]
+    return bool(smaller and other[COL_MERGED] == 0.0 and off < other[COL_DIAMETER] / 2.0)
 
 
 @compiled
