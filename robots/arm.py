@@ -2,14 +2,19 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import pinocchio
 
-from robots.transforms import Array
+from robots.transforms import Array, invert
 
 QUARTER_TURN = np.pi / 2
+# Plain floats for one pose (a camera frame must not wait for numpy's overhead), arrays (m,) for
+# many: the same arithmetic serves both, one coordinate at a time.
+Number = Any
+Vector = tuple[Number, Number, Number]
+Frame = tuple[Vector, Vector, Vector, Vector]  # x, y, z axes and origin, in the base frame
 
 
 @dataclass(frozen=True, eq=False)
@@ -121,13 +126,9 @@ class TableForm:
 
 @dataclass(frozen=True, eq=False)
 class UrdfArm(Arm):
-    """A chain of revolute joints out of a URDF; every other joint of the file is locked at 0.
-
-    `data` is pinocchio's workspace: one arm object serves one thread.
-    """
+    """A chain of revolute joints out of a URDF; every other joint of the file is locked at 0."""
 
     model: pinocchio.Model  # holds the chain's joints only
-    data: pinocchio.Data
     base: str
     tip: str
     base_frame: int
@@ -136,19 +137,13 @@ class UrdfArm(Arm):
     closed_form: TableForm | None = None  # of its first six axes
 
     @cached_property
-    def joints(self) -> list[tuple[int, int, bool]]:
-        """Each joint's place in pinocchio's configuration and velocity; True for (cos, sin)."""
-        found = [self.model.joints[self.model.getJointId(name)] for name in self.joint_names]
-        return [(joint.idx_q, joint.idx_v, joint.nq == 2) for joint in found]
-
-    @cached_property
     def rest_frames(self) -> Array:
         """Joint frames at q = 0 with z along the joint's axis, then the flange: (n + 1, 4, 4), m.
 
-        In the base. Computed in a workspace of its own, so that any thread may ask.
+        In the base.
         """
         data = self.model.createData()
-        pinocchio.framesForwardKinematics(self.model, data, self.configuration(np.zeros(self.dof)))
+        pinocchio.framesForwardKinematics(self.model, data, pinocchio.neutral(self.model))
         base = data.oMf[self.base_frame]
         frames = np.tile(np.eye(4), (self.dof + 1, 1, 1))
         for frame, name in zip(frames, self.joint_names, strict=False):
@@ -160,12 +155,13 @@ class UrdfArm(Arm):
         frames[-1] = base.actInv(data.oMf[self.tip_frame]).homogeneous
         return frames
 
-    def configuration(self, q: Array) -> Array:
-        """Pinocchio's configuration vector for joint angles q (n,)."""
-        configuration = np.zeros(self.model.nq)
-        for angle, (place, _, unbounded) in zip(self.axis_angles(q), self.joints, strict=True):
-            if unbounded:
-                configuration[place : place + 2] = np.cos(angle), np.sin(angle)
-            else:
-                configuration[place] = angle
-        return configuration
+    @cached_property
+    def steps(self) -> list[Frame]:
+        """Joint 1's frame at rest, then the fixed motion from each to the next, as plain numbers.
+
+        The last one leads to the flange.
+        """
+        rest = self.rest_frames
+        fixed = [rest[0], *(invert(rest[:-1]) @ rest[1:])]
+        steps: list[Any] = [tuple(map(tuple, motion[:3].T.tolist())) for motion in fixed]
+        return steps

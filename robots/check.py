@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio
 
 from robots.arm import Arm, DhArm, UrdfArm
-from robots.inverse import FAMILIES, form_pose, inverse, near
+from robots.inverse import FAMILIES, inverse, near
 from robots.kinematics import forward, jacobian
 from robots.nearest import nearest
 from robots.pinocchio_model import pinocchio_model
@@ -24,7 +24,7 @@ MAX_ITERATED_POSES = 50  # poses for a check that iterates
 
 @dataclass(frozen=True)
 class SelfCheck:
-    """The worst disagreement over random poses within the limits; NaN where it does not apply."""
+    """The worst disagreement over random poses within the limits."""
 
     poses: int
     inverse_position: float  # m, a solution's forward kinematics against the pose to be reached
@@ -70,15 +70,10 @@ def self_check(arm: Arm, poses: int = 1000, seed: int = 0) -> SelfCheck:
     random = np.random.default_rng(seed)
     q = random.uniform(arm.lower, arm.upper, (poses, arm.dof))
     base_T_flange, moves = forward(arm, q), jacobian(arm, q)
-    against = np.nan, np.nan, np.nan  # a URDF's kinematics are pinocchio's
-    if isinstance(arm, DhArm):
+    theirs, their_moves = _pinocchio(arm, q)
+    against = *_worst(base_T_flange, theirs), float(np.abs(moves - their_moves).max())
+    if isinstance(arm, DhArm) or (isinstance(arm, UrdfArm) and arm.closed_form):
         solved = _closed_form(arm, q, base_T_flange, moves)
-        theirs, their_moves = _pinocchio(arm, q)
-        against = *_worst(base_T_flange, theirs), float(np.abs(moves - their_moves).max())
-    elif isinstance(arm, UrdfArm) and arm.closed_form:
-        solved = _closed_form(arm, q, base_T_flange, moves)
-        if arm.closed_form.exact:
-            against = *_worst(form_pose(arm, arm.axis_angles(q)), base_T_flange), np.nan
     else:
         solved = _check_iteration(
             arm, q[:MAX_ITERATED_POSES], base_T_flange[:MAX_ITERATED_POSES], random
@@ -124,15 +119,24 @@ def _check_iteration(
     return *_worst(forward(arm, found[reached]), pose[reached]), int((~reached).sum())
 
 
-def _pinocchio(arm: DhArm, q: Array) -> tuple[Array, Array]:
-    model = pinocchio_model(arm)
-    data = model.createData()
-    flange = model.getFrameId("flange")
-    world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+def _pinocchio(arm: Arm, q: Array) -> tuple[Array, Array]:
+    model, world = pinocchio_model(arm), pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
+    if isinstance(arm, UrdfArm):
+        names, base, tip = arm.joint_names, arm.base_frame, arm.tip_frame
+    else:
+        names, base, tip = tuple(model.names)[1:], 0, model.getFrameId("flange")
+    columns = [model.joints[model.getJointId(name)].idx_v for name in names]
+    data, turn = model.createData(), np.zeros(model.nv)
     poses, moves = np.empty((len(q), 4, 4)), np.empty((len(q), 6, arm.dof))
     for i, angles in enumerate(arm.axis_angles(q)):
-        moves[i] = pinocchio.computeFrameJacobian(model, data, angles, flange, world)
-        poses[i] = pinocchio.updateFramePlacement(model, data, flange).homogeneous
+        turn[columns] = angles
+        configuration = pinocchio.integrate(model, pinocchio.neutral(model), turn)
+        moved = pinocchio.computeFrameJacobian(model, data, configuration, tip, world)
+        pinocchio.updateFramePlacements(model, data)
+        world_T_base = data.oMf[base]
+        poses[i] = world_T_base.actInv(data.oMf[tip]).homogeneous
+        by_part = moved.reshape(2, 3, -1)[..., columns]  # of one joint pinocchio gives a vector
+        moves[i] = (world_T_base.rotation.T @ by_part).reshape(6, arm.dof)
     return poses, moves if arm.linkage is None else moves @ arm.linkage
 
 

@@ -3,24 +3,16 @@
 from typing import Any
 
 import numpy as np
-import pinocchio
 
-from robots.arm import Arm, DhArm, UrdfArm
-from robots.transforms import Array, invert
+from robots.arm import Arm, DhArm, Frame, Number, UrdfArm, Vector
+from robots.transforms import Array
 
-# Plain floats for one pose (a camera frame must not wait for numpy's overhead), arrays (m,) for
-# many: the same arithmetic serves both, one coordinate at a time.
-Number = Any
-Vector = tuple[Number, Number, Number]
-Frame = tuple[Vector, Vector, Vector, Vector]  # x, y, z axes and origin, in the base frame
+BASE: Frame = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
 
 
 def forward(arm: Arm, q: Array) -> Array:
     """Place the flange: base_T_flange (..., 4, 4), m, of joint angles q (..., n), rad."""
     q = _checked(arm, q)
-    if isinstance(arm, UrdfArm):
-        return _one_by_one(arm, q, _urdf_forward, (4, 4))
-    assert isinstance(arm, DhArm)
     if q.ndim > 1 and q.size == arm.dof:  # one pose, the quicker way
         return forward(arm, q.reshape(-1)).reshape(*q.shape[:-1], 4, 4)
     return _assembled(_chain(arm, q)[-1], q.shape[:-1])
@@ -35,23 +27,21 @@ def jacobian(arm: Arm, q: Array) -> Array:
     q = _checked(arm, q)
     if arm.linkage is not None:
         return np.asarray(jacobian(arm.unlinked, arm.axis_angles(q)) @ arm.linkage)
-    if isinstance(arm, UrdfArm):
-        return _one_by_one(arm, q, _urdf_jacobian, (6, arm.dof))
-    assert isinstance(arm, DhArm)
     if q.ndim > 1 and q.size == arm.dof:
-        return jacobian(arm, q.reshape(-1)).reshape(*q.shape[:-1], 6, 6)
+        return jacobian(arm, q.reshape(-1)).reshape(*q.shape[:-1], 6, arm.dof)
     *before, (_, _, _, tip) = _chain(arm, q)
     columns = []
-    for sign, (_, _, axis, origin) in zip(arm.sign.tolist(), before, strict=True):
+    signs = arm.sign.tolist() if isinstance(arm, DhArm) else [1.0] * arm.dof
+    for sign, (_, _, axis, origin) in zip(signs, before, strict=True):
         signed = (sign * axis[0], sign * axis[1], sign * axis[2])
         columns.append((*_cross(signed, _sum(1.0, tip, -1.0, origin)), *signed))
     if q.ndim == 1:
         return np.array(columns, dtype=float).T
-    matrix = np.empty((q.size // 6, 6, 6))
+    matrix = np.empty((q.size // arm.dof, 6, arm.dof))
     for joint, column in enumerate(columns):
         for row, value in enumerate(column):
             matrix[:, row, joint] = value
-    return matrix.reshape(*q.shape[:-1], 6, 6)
+    return matrix.reshape(*q.shape[:-1], 6, arm.dof)
 
 
 def link_frames(arm: Arm, q: Array) -> Array:
@@ -62,20 +52,7 @@ def link_frames(arm: Arm, q: Array) -> Array:
     grows its angle, and x is any direction across.
     """
     q = _checked(arm, q)
-    if isinstance(arm, DhArm):
-        return np.stack([_assembled(frame, q.shape[:-1]) for frame in _chain(arm, q)], axis=1)
-    assert isinstance(arm, UrdfArm)
-    rest, q = arm.rest_frames, arm.axis_angles(q)
-    frames = np.empty((len(q), arm.dof + 1, 4, 4))
-    base_T_moved = np.tile(np.eye(4), (len(q), 1, 1))  # carries a link from q = 0 to q
-    turn = np.tile(np.eye(4), (len(q), 1, 1))
-    for j in range(arm.dof):
-        frames[:, j] = base_T_moved @ rest[j]
-        c, s = np.cos(q[:, j]), np.sin(q[:, j])
-        turn[:, 0, 0], turn[:, 0, 1], turn[:, 1, 0], turn[:, 1, 1] = c, -s, s, c
-        base_T_moved = frames[:, j] @ turn @ invert(rest[j])
-    frames[:, -1] = base_T_moved @ rest[-1]
-    return frames
+    return np.stack([_assembled(frame, q.shape[:-1]) for frame in _chain(arm, q)], axis=1)
 
 
 def _checked(arm: Arm, q: Array) -> Array:
@@ -85,20 +62,25 @@ def _checked(arm: Arm, q: Array) -> Array:
     return q
 
 
-def _chain(arm: DhArm, q: Array) -> list[Frame]:
-    """DH frames 0 to 6."""
-    theta = arm.theta(q)
+def _chain(arm: Arm, q: Array) -> list[Frame]:
+    """Frames 0 to n: those of a DH table, or those of `link_frames`."""
     cosines: Any
     sines: Any
-    if q.ndim == 1:
-        cosines, sines = np.cos(theta).tolist(), np.sin(theta).tolist()
+    following: Any
+    steps: list[Any]
+    if isinstance(arm, DhArm):
+        frame, steps, following, angles = BASE, arm.links, _next, arm.theta(q)
     else:
-        by_joint = np.ascontiguousarray(theta.reshape(-1, 6).T)
+        assert isinstance(arm, UrdfArm)
+        (frame, *steps), following, angles = arm.steps, _moved, arm.axis_angles(q)
+    if q.ndim == 1:
+        cosines, sines = np.cos(angles).tolist(), np.sin(angles).tolist()
+    else:
+        by_joint = np.ascontiguousarray(angles.reshape(-1, arm.dof).T)
         cosines, sines = np.cos(by_joint), np.sin(by_joint)
-    frame: Frame = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))
     frames = [frame]
-    for c, s, link in zip(cosines, sines, arm.links, strict=True):
-        frame = _next(frame, c, s, link)
+    for c, s, step in zip(cosines, sines, steps, strict=True):
+        frame = following(frame, c, s, step)
         frames.append(frame)
     return frames
 
@@ -119,6 +101,14 @@ def _next(frame: Frame, c: Number, s: Number, link: tuple[float, float, float, f
     return x, y, z, origin
 
 
+def _moved(frame: Frame, c: Number, s: Number, fixed: Frame) -> Frame:
+    """Frame · RotZ(q) · the fixed motion to the next joint."""
+    x, y, z, origin = frame
+    x, y = _sum(c, x, s, y), _sum(c, y, -s, x)
+    columns = [_sum(1.0, _sum(a, x, b, y), d, z) for a, b, d in fixed]
+    return columns[0], columns[1], columns[2], _sum(1.0, origin, 1.0, columns[3])
+
+
 def _sum(a: Number, u: Vector, b: Number, v: Vector) -> Vector:
     return (a * u[0] + b * v[0], a * u[1] + b * v[1], a * u[2] + b * v[2])
 
@@ -136,27 +126,3 @@ def _assembled(frame: Frame, shape: tuple[int, ...]) -> Array:
             pose[:, row, column] = value
     pose[:, 3, 3] = 1
     return pose.reshape(*shape, 4, 4)
-
-
-def _one_by_one(arm: UrdfArm, q: Array, compute: Any, shape: tuple[int, int]) -> Array:
-    rows = [compute(arm, row) for row in q.reshape(-1, arm.dof)]
-    return np.array(rows, dtype=float).reshape(*q.shape[:-1], *shape)
-
-
-def _urdf_forward(arm: UrdfArm, q: Array) -> Array:
-    pinocchio.framesForwardKinematics(arm.model, arm.data, arm.configuration(q))
-    placed = arm.data.oMf
-    base_T_flange: Array = placed[arm.base_frame].actInv(placed[arm.tip_frame]).homogeneous
-    return base_T_flange
-
-
-def _urdf_jacobian(arm: UrdfArm, q: Array) -> Array:
-    world = pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    moved = pinocchio.computeFrameJacobian(
-        arm.model, arm.data, arm.configuration(q), arm.tip_frame, world
-    )
-    # of one joint pinocchio gives a vector
-    columns = moved.reshape(6, -1)[:, [place for _, place, _ in arm.joints]]
-    pinocchio.updateFramePlacement(arm.model, arm.data, arm.base_frame)
-    base_R_world = arm.data.oMf[arm.base_frame].rotation.T
-    return np.concatenate([base_R_world @ columns[:3], base_R_world @ columns[3:]])

@@ -76,7 +76,6 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
         upper=limits[:, 1],
         linkage=linkage_matrix(path, names, [joint.linkage for joint in chain]),
         model=model,
-        data=model.createData(),
         base=base,
         tip=tip,
         base_frame=model.getFrameId(base, pinocchio.FrameType.BODY),

@@ -34,7 +34,7 @@ from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
 from verify.core.records import Array, Image, Sighting, StereoPair
 from verify.core.rig import Camera
-from verify.measurement.alignment import RawSighting, align
+from verify.measurement.alignment import RawSighting
 from verify.measurement.chain import Setup, measure
 from verify.simulation.scenario import Occlusion, Scenario
 from verify.simulation.world.led_render import led_images
@@ -48,6 +48,7 @@ KINDS = 40  # sessions with --classes
 MAX_DRAWS = 2000  # of a session of the classes asked for
 MAX_RMS_RATIO = 1.1
 JPEG_QUALITY = 90  # of a webcam's MJPEG
+INSTANT = 1e-4  # s, over which a known motion is straight
 ROOM_DN = 50.0  # of a bright room
 ROOMS = [f"{grain} px, {depth} DN" for grain in (24, 12, 6) for depth in (4, 15)]
 
@@ -185,17 +186,16 @@ def _known_motion(session: _Kept) -> Array:
     played = session.simulated
 
     def carry(
-        now: RawSighting, around: Around, t: float, camera: Camera, *, alone: bool = False
+        now: RawSighting, _around: Around, t: float, camera: Camera, **_: object
     ) -> Sighting:
-        moving = align(now, around, t, camera, alone=alone)  # its velocity predicts the next pair
-        velocity = np.zeros_like(now.sighting.centre) if moving is None else moving.velocity
         side, row = int(camera is played.rig.right), int(np.argmin(np.abs(played.t[:, 0] - t)))
-        there, then = (
+        there, then, soon = (
             led_images(played.world, side, float(moment), played.true_pan[row, side])
-            for moment in (t, played.t[row, side])
+            for moment in (t, played.t[row, side], t + INSTANT)
         )
-        centre = now.sighting.centre + (there - then)[now.sighting.led]
-        return replace(now.sighting, centre=centre, velocity=velocity, t=t)
+        led, velocity = now.sighting.led, (soon - there) / INSTANT  # predicts the next pair
+        centre = now.sighting.centre + (there - then)[led]
+        return replace(now.sighting, centre=centre, velocity=velocity[led], t=t)
 
     off = np.full_like(session.truth, np.nan)
     with pytest.MonkeyPatch.context() as patch:

@@ -148,9 +148,8 @@ def test_every_arm_loads_and_passes_its_check(name: str) -> None:
     assert check.difference_jacobian < 2e-9
     if name in (*robots.names(), "ur5"):
         assert check.lost == 0
-    if isinstance(arm, robots.DhArm):
-        assert max(check.pinocchio_position, check.pinocchio_rotation) < 1e-14
-        assert check.pinocchio_jacobian < 1e-14
+    assert max(check.pinocchio_position, check.pinocchio_rotation) < 1e-14
+    assert check.pinocchio_jacobian < 1e-14
 
 
 def test_a_urdfs_flange_is_pinocchios_between_any_two_links() -> None:

@@ -187,23 +187,24 @@ def test_moments_are_those_of_the_clipped_law(z: float, sigma: float, top: bool)
 
 
 @pytest.mark.parametrize(
-    ("merged", "off", "diameter", "kept"),
+    ("merged", "peak", "off", "diameter", "kept"),
     [
-        (0.0, 1.9, 3.9, [0]),  # on the disc: a part of it, however well its few pixels fit
-        (0.0, 3.9, 3.9, [0, 1]),  # beside it: another light
-        (1.0, 1.9, 3.9, [1]),  # on what is no disc: found twice, the better one counts
-        (0.0, 1.9, 7.0, [1]),  # as large as it
+        (0.0, 160.0, 1.9, 3.9, [0]),  # on the disc: a part of it, however well its few pixels fit
+        (0.0, 160.0, 3.9, 3.9, [0, 1]),  # beside it: another light
+        (1.0, 160.0, 1.9, 3.9, [1]),  # on what is no disc: found twice, the better one counts
+        (0.0, 160.0, 1.9, 7.0, [1]),  # as large as it
+        (0.0, 30.0, 3.0, 3.9, [1, 0]),  # an LED before a wide glow
     ],
 )
 def test_a_small_spot_on_a_disc_is_a_part_of_it(
-    merged: float, off: float, diameter: float, kept: list[int]
+    merged: float, peak: float, off: float, diameter: float, kept: list[int]
 ) -> None:
     assessed = np.zeros((2, N_COLUMNS))
     assessed[:, [COL_ELONGATION, COL_SOUND]] = 1.0
-    assessed[:, COL_PEAK] = 160.0, 140.0
+    assessed[:, COL_PEAK] = peak, 140.0
     assessed[:, COL_MISFIT] = 3.0, 1.0
     assessed[:, COL_CENTRE_X] = 100.0, 100.0 + off
     assessed[:, COL_DIAMETER] = 7.2, diameter
     assessed[0, COL_MERGED] = merged
     assert choose_spots(assessed, 2.0, 40.0, 9).tolist() == kept
-    assert sorted(1 - choose_spots(assessed[::-1].copy(), 2.0, 40.0, 9)) == kept
+    assert (1 - choose_spots(assessed[::-1].copy(), 2.0, 40.0, 9)).tolist() == kept

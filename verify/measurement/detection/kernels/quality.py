@@ -74,6 +74,7 @@ MIN_NOISE_SHARE = Real(
 )  # share of a pixel's noise that clipping must leave for its residual to count
 MIN_SEPARATION = 0.5  # diameters of the smaller one: closer spots are one spot found twice
 MAX_PART = 0.75  # of a disc's diameter: a smaller spot on it is a part of it
+MAX_PART_PEAK = 1.5  # of a disc's peak, that a part of it may seem to have
 
 # columns of an assessed spot: centre (px), covariance (px²), peak (DN), full width at half height
 # (px), axis ratio, reduced chi²; flags (0 or 1): pixels at the sensor's limit, no single LED's
@@ -300,6 +301,7 @@ def is_part(row: Array, other: Array) -> bool:
         row[COL_CENTRE_X] - other[COL_CENTRE_X], row[COL_CENTRE_Y] - other[COL_CENTRE_Y]
     )
     smaller = row[COL_DIAMETER] < MAX_PART * other[COL_DIAMETER]
+    smaller = smaller and row[COL_PEAK] < MAX_PART_PEAK * other[COL_PEAK]  # no LED before a glow
     return bool(smaller and other[COL_MERGED] == 0.0 and off < other[COL_DIAMETER] / 2.0)
 
 
