@@ -185,9 +185,7 @@ def _known_motion(session: _Kept) -> Array:
     """Joints of the same pictures less the true ones, (n, j), where the motion is known."""
     played = session.simulated
 
-    def carry(
-        now: RawSighting, _around: Around, t: float, camera: Camera, **_: object
-    ) -> Sighting:
+    def carry(now: RawSighting, _around: Around, t: float, camera: Camera, **_: object) -> Sighting:
         side, row = int(camera is played.rig.right), int(np.argmin(np.abs(played.t[:, 0] - t)))
         there, then, soon = (
             led_images(played.world, side, float(moment), played.true_pan[row, side])

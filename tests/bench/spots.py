@@ -12,19 +12,17 @@ beside them the shares flagged merged and found.
 import sys
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
 from scipy.stats import chi2
 
 from tests.bench.cells import LOW, SEEDS, WITHIN
-from tests.support.leds.images import REACH, Sensor, Spot
+from tests.support.leds.images import REACH, Sensor, Spot, part_of_a_disc
 from verify.core.records import Array
 from verify.measurement.detection.detect import detect
 
 PICTURES = 60
 SHAPE = (360, 640)
-FINE = 8  # sub-pixels a side
 LEDS = {
     "sharp": Spot(200, 0.6, radius=4.2),
     "small": Spot(200, 0.6, radius=2.2),
@@ -65,18 +63,6 @@ def width(spot: Spot) -> float:
     side = 2 * REACH + 1
     light = spot.light((side, side), REACH, REACH)
     return 2 * float(np.sqrt(np.sum(light > light.max() / 2) / np.pi))
-
-
-def behind_an_edge(spot: Spot, x: float, y: float, share: float, side: float) -> Array:
-    """Light of an LED of which a straight edge in its own plane hides a share of the diameter."""
-    size = 2 * REACH + 1
-    axis = (np.arange(size * FINE) + 0.5) / FINE - 0.5
-    dx, dy = np.meshgrid(axis - x, axis - y)
-    disc = np.clip((spot.radius - np.hypot(dx, dy)) * FINE + 0.5, 0, 1)
-    along = dx * np.cos(side) + dy * np.sin(side)
-    disc *= np.clip(((1 - 2 * share) * spot.radius - along) * FINE + 0.5, 0, 1)
-    soft = cv2.GaussianBlur(disc, (0, 0), spot.blur * FINE)
-    return np.asarray(spot.peak * soft.reshape(size, FINE, size, FINE).mean(axis=(1, 3)))
 
 
 def add(light: Array, patch: Array, x: int, y: int) -> None:
@@ -144,8 +130,8 @@ def hidden(spot: Spot, share: tuple[float, float], number: int, rng: np.random.G
                 continue
             x, y = np.rint(place).astype(int)
             at = place - [x, y] + REACH
-            part = behind_an_edge(spot, *at, rng.uniform(*share), rng.uniform(0, 2 * np.pi))
-            add(light, part, x, y)
+            share_hidden, side = rng.uniform(*share), rng.uniform(0, 2 * np.pi)
+            add(light, part_of_a_disc(spot, *at, side, hidden=share_hidden), x, y)
             truth.append(place)
         count(light, np.array(truth), spot.radius + 1, into, rng)
     return into

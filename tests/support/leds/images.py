@@ -73,6 +73,30 @@ class Spot:
         return np.asarray(self.peak * pixels, dtype=float)
 
 
+FINE = 8  # sub-pixels a side
+
+
+def part_of_a_disc(
+    spot: Spot, x: float, y: float, side: float, *, hidden: float = 0.0, ratio: float = 1.0
+) -> Array:
+    """Light of an LED in a patch of 2 REACH + 1 px, centred at x, y.
+
+    A straight edge hides a share of its diameter in direction `side`, rad; or, seen at an angle, it
+    is narrower there by a ratio.
+    """
+    size = 2 * REACH + 1
+    axis = (np.arange(size * FINE) + 0.5) / FINE - 0.5
+    dx, dy = np.meshgrid(axis - x, axis - y)
+    along, across = (
+        dx * np.cos(side) + dy * np.sin(side),
+        dy * np.cos(side) - dx * np.sin(side),
+    )
+    disc = np.clip((spot.radius - np.hypot(along / ratio, across)) * FINE + 0.5, 0, 1)
+    disc *= np.clip(((1 - 2 * hidden) * spot.radius - along) * FINE + 0.5, 0, 1)
+    soft = cv2.GaussianBlur(disc, (0, 0), spot.blur * FINE)
+    return np.asarray(spot.peak * soft.reshape(size, FINE, size, FINE).mean(axis=(1, 3)))
+
+
 def centre_bound(spot: Spot, floor: float, sensor: Sensor) -> float:
     """Cramér-Rao bound of a coordinate, px; peak, floor and blur unknown too."""
     shape, half = (2 * REACH + 1, 2 * REACH + 1), REACH

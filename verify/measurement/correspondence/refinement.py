@@ -13,6 +13,7 @@ from verify.core.statistics import chi2_bound
 from verify.measurement.correspondence.hypotheses import Hypotheses
 from verify.measurement.correspondence.kernels import spots as kernel
 from verify.measurement.correspondence.kernels.spots import (
+    ALIKE_CHI2,
     MERGED_COST,
     SPOT_REWARD,
     UNPAIRED_COST,
@@ -51,12 +52,13 @@ def _chi2_bounds(leds: int) -> Array:
     return np.array([0.0, *(chi2_bound(P_REJECT, dof) for dof in range(1, 4 * leds + 1))])
 
 
-def merge(some: Hypotheses, others: Hypotheses) -> Hypotheses:
-    """Keep the best fit of each assignment of both."""
-    if len(some) == len(others) == 1 and some.spot.tobytes() == others.spot.tobytes():
-        return others if others.chi2.item() < some.chi2.item() else some
-    both = some.join(others)
-    return both.take(slice(kernel.keep_unique(both.state, both.spot, len(both))))
+def merge(some: Hypotheses, followed: Hypotheses) -> Hypotheses:
+    """Keep the best fit of each assignment of both; of poses that fit alike, the followed one."""
+    same = (some.spot[:, None] == followed.spot).all(axis=(2, 3))
+    better = some.chi2[:, None] < followed.chi2 - ALIKE_CHI2
+    kept = followed.take(~(same & better).any(axis=0))
+    beaten = (same & ~better).any(axis=1)
+    return kept if beaten.all() else kept.join(some.take(~beaten))
 
 
 def score(views: SpotViews, hypotheses: Hypotheses) -> Array:

@@ -36,6 +36,7 @@ MIN_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and st
 TIME_STEP = 0.01  # s, of the image's acceleration: long against rounding, short against the motion
 TOL_STEP = 1e-10  # m and rad: a thousandth of the smallest uncertainty that pixels allow
 RIDGE = 1e-6  # of the mean information: keeps the motion of one or two LEDs solvable
+CLEAN_PX = 0.1  # px, standard uncertainty up to which the velocities of spots count alike
 MIN_VARIANCE = 1e-6  # px²: against 0/0 where nothing else checks a spot
 
 
@@ -158,13 +159,13 @@ def covariance_of(information: Array, inverse: Array, vectors: Array, known: Fla
 
 @compiled
 def twist_from_velocities(
-    design: Array, velocity: Array, rows: NDArray[np.int64], twist: Array
+    design: Array, velocity: Array, covariance: Array, rows: NDArray[np.int64], twist: Array
 ) -> tuple[float, float]:
     """Fill in how the flange moves, `twist` (6,), m/s and rad/s, from the spots' velocities.
 
-    `design` (2 s, 6), derivative of the spots by the pose; `velocity` (2 s,), px/s; `rows` (2 k,),
-    those of the kept spots. Gives the acceleration that this suggests, a component, m/s² and
-    rad/s².
+    `design` (2 s, 6), derivative of the spots by the pose; `velocity` (2 s,), px/s; `covariance`
+    (s, 2, 2), px², of the spots: clean ones count alike, doubtful ones hardly; `rows` (2 k,), those
+    of the kept spots. Gives the acceleration that this suggests, a component, m/s² and rad/s².
     """
     linear, angular = MIN_ACCELERATION
     twist[:] = 0.0
@@ -175,12 +176,13 @@ def twist_from_velocities(
         return linear, angular
     square, root, trace = np.zeros((N_FREE, N_FREE)), np.empty((N_FREE, N_FREE)), 0.0
     for row in rows:
+        share = CLEAN_PX**2 / (CLEAN_PX**2 + covariance[row // 2, row % 2, row % 2])
         for i in range(N_FREE):
-            scaled = design[row, i] * SCALE[i]
+            scaled = share * design[row, i] * SCALE[i]
             twist[i] += scaled * velocity[row]
             for j in range(N_FREE):
                 square[i, j] += scaled * design[row, j] * SCALE[j]
-            trace += scaled * scaled
+            trace += scaled * design[row, i] * SCALE[i]
     factor(square, -RIDGE * trace / N_FREE, root)
     solve(root, twist)
     for i in range(N_FREE):
@@ -297,7 +299,7 @@ def fit_spots(
         predict_spots(pose, *places, residual, by_point, by_pose)
         # velocities and their lever change nothing measurable in later rounds
         if iteration == 0 or (iteration == 1 and straight):
-            prior = twist_from_velocities(design, spots[1].reshape(-1), rows, twist)
+            prior = twist_from_velocities(design, spots[1].reshape(-1), spots[0], rows, twist)
             spot_covariance(design, spots, rows, prior, spread)
             if straight:
                 curvature = image_acceleration(places, pose, twist)

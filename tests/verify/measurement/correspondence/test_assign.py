@@ -296,6 +296,29 @@ def test_a_clean_spot_is_taken_before_a_merged_one() -> None:
     assert found.left_spot[found.left_led == 0] == 4
 
 
+def test_a_doubtful_spot_leaves_two_poses_and_the_motion_says_which() -> None:
+    """With one of three LEDs doubtful in a picture, its ray meets its circle twice."""
+    off = {True: [], False: []}
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        scene = make_scene(rng, random_leds(rng, 3, SEES))
+        left, right = scene.spots
+        spot = int(scene.spot_of_led[0][0])
+        centre, covariance = left.centre.copy(), left.covariance.copy()
+        centre[spot, 0] += 1.6
+        covariance[spot] = 1.4**2 * np.eye(2)
+        doubtful = replace(left, centre=centre, covariance=covariance)
+        past = PosePrediction(near(scene.rig_T_flange, rng, 1e-3, 5e-3), 2e-3, 0.01)
+        for predicted in off:
+            found = replace(scene, spots=(doubtful, right)).identify(
+                prediction=past if predicted else None
+            )
+            assert found.rig_T_flange is not None
+            turn = found.rig_T_flange[:3, :3].T @ scene.rig_T_flange[:3, :3]
+            off[predicted].append(float(np.arccos(min((np.trace(turn) - 1) / 2, 1.0))))
+    assert max(off[True]) < np.deg2rad(3.0) < max(off[False])
+
+
 def test_no_spots_in_an_image_or_behind_the_cameras_are_too_few() -> None:
     rng = np.random.default_rng(7)
     scene = make_scene(rng, random_leds(rng, 3, SEES))

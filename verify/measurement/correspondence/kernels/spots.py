@@ -37,6 +37,7 @@ MAX_GATE = 10.0  # px, an LED predicted worse than this could be any spot
 # 2 ln of how much denser spots are at an LED (half a px) than clutter (20 an image)
 SPOT_REWARD = 20.0
 MERGED_COST = 9.0  # of the same kind: a clean spot is taken unless it lies 3 sigma farther off
+ALIKE_CHI2 = 9.0  # by which a pose has to fit better than the one that continues the motion
 UNPAIRED_COST = 7.0  # 2 ln 30: an LED in one camera's view is hidden from the other once in 30
 DOF_BY_LEDS = (0, 3, 5, 6)  # degrees of freedom, by LEDs seen: three determine all
 
@@ -152,6 +153,30 @@ def keep_unique(state: Array, spot: Index, count: int) -> int:
 
 
 @compiled
+def keep_followed(state: Array, spot: Index, followed: int, others: int) -> int:
+    """Bring to the front what follows a prediction, and other assignments; gives how many.
+
+    `followed`, 0 or 1, of row 0, and `others`, of the rows behind it, count. An assignment has the
+    followed pose unless another one of it fits far better: a doubtful spot leaves a marker two.
+    """
+    order, kept, first = np.empty(1 + others, np.int64), 0, followed == 1
+    for h in range(1, 1 + others):
+        same = followed == 1 and same_spots(spot[0], spot[h])
+        better = state[h, CHI2] < state[0, CHI2] - ALIKE_CHI2
+        first = first and not (same and better)
+        if better or not same:
+            order[kept] = h
+            kept += 1
+    if first:
+        for k in range(kept, 0, -1):
+            order[k] = order[k - 1]
+        order[0] = 0
+        kept += 1
+    keep_rows(state, spot, order[:kept])
+    return kept
+
+
+@compiled
 def keep_likely(state: Array, spot: Index, count: int, bounds: Array) -> int:
     """Bring those to the front that see an LED in both images and fit within their noise.
 
@@ -224,13 +249,15 @@ def follow(
     complete = complete and state[1, CHI2] < SPOT_REWARD + UNPAIRED_COST
     if complete and same_spots(spot[0], spot[1]):
         fit_all(scene, limits, state, spot, 2)
-        count = keep_unique(state, spot, 2)
+        count = keep_followed(state, spot, 1, 1)
         fit_all(scene, limits, state[:count], spot[:count], 1)
         return state[:count], spot[:count]
     fit_all(scene, limits, state[1:], spot[1:], 0)
     gather_all(scene, limits, state[1:], spot[1:], math.inf)
     fit_all(scene, limits, state, spot, 2)
-    count = settle(scene, limits, state, spot, bounds)
+    followed = settle(scene, limits, state[:1], spot[:1], bounds)
+    others = settle(scene, limits, state[1:], spot[1:], bounds)
+    count = keep_followed(state, spot, followed, others)
     return state[:count], spot[:count]
 
 

@@ -26,6 +26,7 @@ Where the room is below black there is nothing of it.
 import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from verify.core.jit import compiled, compiled_sums
 from verify.core.kernels.linear_algebra import factor, median, solve_each
@@ -44,6 +45,7 @@ from verify.measurement.detection.kernels.pixels import (
     NEIGHBOUR_RADIUS,
     ONE,
     PAR_FLOOR,
+    PAR_PEAK,
     PAR_X,
     PAR_Y,
     ROW_COLUMN,
@@ -53,12 +55,14 @@ from verify.measurement.detection.kernels.pixels import (
     ROW_USED,
     ROW_VARIANCE,
     ROW_VISIBLE,
+    SENSOR_LIMIT,
     ZERO,
     Pixels,
     Real,
 )
 from verify.measurement.detection.kernels.quality import COL_MERGED
 
+Flags = NDArray[np.bool_]
 N_TERMS = 7
 N_RIGHT = N_TERMS + 1  # residuals and terms; a multiple of four
 MIN_VISIBLE = Real(0.5)  # share of the noise about a spot that clipping must leave: above black
@@ -68,6 +72,8 @@ N_AROUND = 8  # patches of the room about each spot, two radii away
 _ANGLES = 2 * np.pi / N_AROUND * np.arange(N_AROUND)
 DIRECTIONS = np.column_stack([np.cos(_ANGLES), np.sin(_ANGLES)])
 MIN_AROUND = 12  # responses, two a patch, of all spots of a picture: fewer show nothing
+MIN_TEXTURE = 4.0  # of that median over what is explained, where dim lights are in the patches
+MAX_DIM = 0.5  # of a spot's peak: a light that is less may be texture of the room
 MAX_OWN = 3.0  # of the picture's: a spot's own surroundings move it more than chance
 MEDIAN_CHI2 = 0.4549  # of chi² with one degree of freedom
 
@@ -228,13 +234,15 @@ def read_room(picture: Picture, channels: Array, begin: int, place: Index, room:
 
 @compiled
 def look_around(
-    picture: Picture, lights: Array, fits: Fits, n: int, weight: Array, moved: Array
+    picture: Picture, lights: Array, fits: Fits, n: int, weight: Array, moved: Array, dim: Flags
 ) -> None:
     """Say what patches of the room beside a spot would move its centre by, `moved` (8, 2), px.
 
-    `lights` (l, 4): place and half width of all lights, px; `weight` (2, p), of the pixels. nan
-    where a patch is beyond the picture or reached by a light.
+    `lights` (l, 4): place and half width, px, and contrast, DN, of all lights; `weight` (2, p), of
+    the pixels. nan where a patch is beyond the picture or reached by a light that is not dim beside
+    the spot; `dim` (8,), filled: where a dim one reaches it.
     """
+    bright = MAX_DIM * min(fits.parameters[n, PAR_PEAK], float(SENSOR_LIMIT))
     rows, channels = rows_of(fits, n), np.ones(3)
     if picture.channels > 1:
         channel_weights(fits.colour[n], channels)
@@ -247,9 +255,11 @@ def look_around(
         x = fits.origin[n, 0] + math.floor(2.0 * radius * DIRECTIONS[side, 0] + 0.5)
         y = fits.origin[n, 1] + math.floor(2.0 * radius * DIRECTIONS[side, 1] + 0.5)
         clear = radius <= x < picture.width - radius and radius <= y < picture.height - radius
+        dim[side] = False
         for light in lights:
             reach = radius + PATCH_REACH * light[2]
-            clear = clear and math.hypot(x - light[0], y - light[1]) > reach
+            if clear and math.hypot(x - light[0], y - light[1]) <= reach:
+                dim[side], clear = True, light[3] < bright
         moved[side, 0] = moved[side, 1] = math.nan
         if clear:
             begin = picture.channels * (picture.width * y + x)
@@ -263,8 +273,8 @@ def correct_for_room(
 ) -> None:
     """Correct m spots of a picture for the room behind them.
 
-    `lights` (l, 4): place and half width of all lights, px, which are no part of the room; `kept`
-    (m,), of the fits; `assessed` (m, 16), theirs. `moments` (m, 2, 3): shift, px, and covariance,
+    `lights` (l, 4): place and half width, px, and contrast, DN, of all lights; `kept` (m,), of the
+    fits; `assessed` (m, 16), theirs. `moments` (m, 2, 3): shift, px, and covariance,
     px², are added.
     """
     count, evidence, share = len(kept), np.zeros(N_AMPLITUDES), np.empty(N_AMPLITUDES)
@@ -272,6 +282,7 @@ def correct_for_room(
     follow = np.empty((count, N_PARAMETERS, N_RIGHT + 2))
     solved = np.empty((count, N_AMPLITUDES, N_RIGHT, 3))
     moved, explained = np.empty((count, N_AROUND, 2)), np.zeros((count, 2))
+    dim = np.empty((count, N_AROUND), np.bool_)
     for m in range(count):
         n = kept[m]
         if assessed[m, COL_MERGED] == 0.0:
@@ -297,8 +308,8 @@ def correct_for_room(
         first, second = weigh_rows(rows, weight, added)
         explained[m, 0] = first * noise[m] + own[m, 0, 1]
         explained[m, 1] = second * noise[m] + own[m, 1, 2]
-        look_around(picture, lights, fits, n, weight, moved[m])
-    add_excess(moved, explained, own)
+        look_around(picture, lights, fits, n, weight, moved[m], dim[m])
+    add_excess(moved, dim, explained, own)
     for m in range(count):
         for i in range(2):
             for j in range(3):
@@ -319,26 +330,36 @@ def share_out(evidence: Array, share: Array) -> None:
 
 
 @compiled
-def add_excess(moved: Array, explained: Array, moments: Array) -> None:
+def add_excess(moved: Array, dim: Flags, explained: Array, moments: Array) -> None:
     """Widen the covariances of m spots by what the room beside them moves beyond what is explained.
 
-    `moved` (m, 8, 2), px; `explained` (m, 2), px², of their squares, 0 of spots left alone.
+    `moved` (m, 8, 2), px; `dim` (m, 8), which of the patches a dim light reaches: texture where it
+    leaves too few others; `explained` (m, 2), px², of their squares, 0 of spots left alone.
     """
-    ratio, own, pooled = np.empty(moved.size), np.zeros(len(moved)), 0
-    for m in range(len(moved)):
-        before = pooled
-        for side in range(N_AROUND):
-            for i in range(2):
-                one = moved[m, side, i] ** 2 / explained[m, i]
-                if explained[m, i] > 0.0 and one >= 0.0:
-                    ratio[pooled], own[m] = one, own[m] + one
-                    pooled += 1
-        own[m] /= max(pooled - before, 1)
+    ratio, own, pooled = np.empty(moved.size), np.empty(len(moved)), 0
+    least, most = 1.0, MAX_OWN
+    for textured in range(2):
+        if pooled >= MIN_AROUND:
+            break
+        if textured == 1:  # what is left beside dim lights says it less well
+            least, most = MIN_TEXTURE, math.inf
+        pooled = 0
+        for m in range(len(moved)):
+            before, own[m] = pooled, 0.0
+            for side in range(N_AROUND):
+                for i in range(2):
+                    one = moved[m, side, i] ** 2 / explained[m, i]
+                    usable = explained[m, i] > 0.0 and one >= 0.0
+                    if usable and (textured == 1 or not dim[m, side]):
+                        ratio[pooled], own[m] = one, own[m] + one
+                        pooled += 1
+            own[m] /= max(pooled - before, 1)
     if pooled < MIN_AROUND:
         return
-    usual = max(median(ratio[:pooled]) / MEDIAN_CHI2, 1.0)
+    usual = median(ratio[:pooled]) / MEDIAN_CHI2
+    usual = usual if usual > least else 1.0
     for m in range(len(moved)):
-        excess = (own[m] if own[m] > MAX_OWN * usual else usual) - 1.0
+        excess = (own[m] if own[m] > most * usual else usual) - 1.0
         for i in range(2):
             moments[m, i, 1 + i] += excess * explained[m, i]
 

@@ -238,24 +238,43 @@ def occlusion_probability(evidence: Array) -> Array:
 
 
 @compiled
-def correct_for_bites(fits: Fits, kept: Index, assessed: Array, moments: Array) -> None:
+def score_spots(fits: Fits, kept: Index, assessed: Array, score: Array) -> Array:
+    """Score the bites of m spots of an image that have one LED's shape; others have none.
+
+    `kept` (m,), of the fits; `assessed` (m, 16), theirs; `score` (m, 4, 24), filled as by
+    `score_bites`. Gives the chi² of each spot's likeliest bite, (m,), for noise as stated.
+    """
+    chi2 = np.zeros(len(kept))
+    score[:] = 0.0
+    for m in range(len(kept)):
+        if assessed[m, COL_SATURATED] + assessed[m, COL_MERGED] > 0.0:
+            continue
+        # where the reduced chi² is above 1, unmodelled errors make the pixels worth less
+        worth = max(assessed[m, COL_MISFIT], 1.0)
+        score_bites(fits, kept[m], worth, score[m])
+        for side in range(N_DIRECTIONS):
+            if score[m, 0, side] > 0.0:
+                chi2[m] = max(chi2[m], worth * score[m, 0, side] ** 2 / score[m, 1, side])
+    return chi2
+
+
+@compiled
+def correct_for_bites(score: Array, assessed: Array, moments: Array) -> None:
     """Average over all bites that m spots of an image may have; none without one LED's shape.
 
-    `kept` (m,), of the fits; `assessed` (m, 16), theirs; `moments` (m, 2, 3): what makes the
+    `score` (m, 4, 24), as by `score_spots`; `assessed` (m, 16); `moments` (m, 2, 3): what makes the
     centres those of the whole discs, px, and its covariance, px², are added.
     """
-    shape = len(kept), N_DIRECTIONS
-    score, evidence = np.zeros((len(kept), 4, N_DIRECTIONS)), np.empty(shape)
-    depth, square = np.empty(shape), np.empty(shape)
-    for m in range(len(kept)):
-        if assessed[m, COL_SATURATED] + assessed[m, COL_MERGED] == 0.0:
-            # where the reduced chi² is above 1, unmodelled errors make the pixels worth less
-            score_bites(fits, kept[m], max(assessed[m, COL_MISFIT], 1.0), score[m])
+    shape = len(score), N_DIRECTIONS
+    evidence, depth, square = np.empty(shape), np.empty(shape), np.empty(shape)
+    for m in range(len(score)):
+        if assessed[m, COL_MERGED] > 0.0:
+            score[m] = 0.0
         for side in range(N_DIRECTIONS):
             found = depth_posterior(score[m, 0, side], score[m, 1, side])
             evidence[m, side], depth[m, side], square[m, side] = found
     probability = occlusion_probability(evidence)
-    for m in range(len(kept)):
+    for m in range(len(score)):
         shift, spread = np.zeros(2), np.zeros((2, 2))
         for side in range(N_DIRECTIONS):
             for i in range(2):

@@ -59,12 +59,13 @@ MIN_LOSSY_MISFIT = 0.5  # noise is not estimated twice too large
 MAX_LOSSY_MISFIT = 3.0  # times the usual: more is a shape, not quantisation
 CORRELATED_PIXELS = 20.0  # pixels that a wrong shape lifts together, so that they do not average
 # Light beside an LED, or an edge before it, stretches it alone, and motion all. Flat LEDs seen from
-# aside differ too, each by its angle, but are no longer than others, and nearly fit.
+# aside differ too, each by its angle, but are no longer than others, and the same on both sides:
+# chi² of a bite seldom exceeds 10 at any angle, and seldom stays below 15 behind an edge.
 MIN_ALIKE = 3  # spots: fewer do not show what is usual
 MAX_STRETCH = 0.05  # diameters
 MAX_LENGTH, MAX_SURE_LENGTH = 1.2, 1.04  # of the longest width, over the usual one: alone; misfit
 MAX_LONGER_SIGMA = 2.0  # standard deviations of that misfit
-MAX_STRETCHED_MISFIT = 3.5  # of a shape that is not longer, over the usual one
+MAX_ASYMMETRY = 12.0  # chi² of a bite out of a stretched spot, over the usual misfit
 # Two equal lights d apart add d²/4 to the second moment along their line, and their middle is d/2
 # off: the widths give that as 0.36 stretch x diameter of Gaussians, 0.13 of discs; half an axis.
 STRETCH_SHARE = 0.15
@@ -217,8 +218,11 @@ def widen_lossy(assessed: Array) -> None:
 
 
 @compiled
-def doubt_shapes(assessed: Array) -> None:
-    """Flag those of a picture's spots (n, 16) that are stretched alone; widen what is merged."""
+def doubt_shapes(assessed: Array, asymmetry: Array) -> None:
+    """Flag those of a picture's spots (n, 16) that are stretched alone; widen what is merged.
+
+    `asymmetry` (n,), chi² of a bite out of each, for noise as stated.
+    """
     count, alike, doubtful = len(assessed), 0, False
     off, clear, length = np.empty(count), np.empty(count), np.empty((count, 1))
     for n in range(count):
@@ -229,27 +233,27 @@ def doubt_shapes(assessed: Array) -> None:
         doubtful = doubtful or clear[n] == 0.0 or off[n] > MAX_STRETCH * row[COL_DIAMETER]
     if not doubtful:
         return
+    x, y, usual = 0.0, 0.0, math.inf  # none is longer than usual where nothing shows what that is
     if alike >= MIN_ALIKE:
         x, y = (
             median_where(assessed, COL_STRETCH_X, clear),
             median_where(assessed, COL_STRETCH_Y, clear),
         )
-        misfit = max(median_where(assessed, COL_MISFIT, clear), 1.0)
         usual = median_where(length, 0, clear)
-        for n in range(count):
-            row = assessed[n]
-            off[n] = min(off[n], math.hypot(row[COL_STRETCH_X] - x, row[COL_STRETCH_Y] - y))
-            chance = 1.0 + MAX_LONGER_SIGMA * math.sqrt(2.0 / max(row[COL_COUNT], 1.0))
-            over, longer = row[COL_MISFIT] / misfit, length[n, 0] / usual
-            odd = over > MAX_STRETCHED_MISFIT or longer > MAX_LENGTH
-            odd = odd or (over > chance and longer > MAX_SURE_LENGTH)
-            if odd and off[n] > MAX_STRETCH * row[COL_DIAMETER]:
-                row[COL_MERGED] = 1.0
+    misfit = max(1.0, median_where(assessed, COL_MISFIT, clear))  # 1 of none
     for n in range(count):
-        if assessed[n, COL_MERGED] > 0.0:
-            doubt = STRETCH_SHARE * off[n] * assessed[n, COL_DIAMETER]
-            assessed[n, COL_COVARIANCE_XX] += doubt
-            assessed[n, COL_COVARIANCE_YY] += doubt
+        row = assessed[n]
+        off[n] = min(off[n], math.hypot(row[COL_STRETCH_X] - x, row[COL_STRETCH_Y] - y))
+        chance = 1.0 + MAX_LONGER_SIGMA * math.sqrt(2.0 / max(row[COL_COUNT], 1.0))
+        over, longer = row[COL_MISFIT] / misfit, length[n, 0] / usual
+        odd = asymmetry[n] > MAX_ASYMMETRY * misfit or longer > MAX_LENGTH
+        odd = odd or (over > chance and longer > MAX_SURE_LENGTH)
+        if odd and off[n] > MAX_STRETCH * row[COL_DIAMETER]:
+            row[COL_MERGED] = 1.0
+        if row[COL_MERGED] > 0.0:
+            doubt = STRETCH_SHARE * off[n] * row[COL_DIAMETER]
+            row[COL_COVARIANCE_XX] += doubt
+            row[COL_COVARIANCE_YY] += doubt
 
 
 @compiled

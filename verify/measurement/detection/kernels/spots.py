@@ -22,7 +22,11 @@ from verify.measurement.detection.kernels.fit import (
     fit_spot,
 )
 from verify.measurement.detection.kernels.noise import background_noise, refine_noise
-from verify.measurement.detection.kernels.occlusion import correct_for_bites
+from verify.measurement.detection.kernels.occlusion import (
+    N_DIRECTIONS,
+    correct_for_bites,
+    score_spots,
+)
 from verify.measurement.detection.kernels.patches import (
     MAX_APART,
     MIN_APART,
@@ -104,8 +108,9 @@ def measure_spots(
         copy_to(found[1][m], fits.colour[kept[m]])
     if lossy:
         widen_lossy(rows)
-    doubt_shapes(rows)
-    correct_for_bites(fits, kept, rows, moments)
+    score = np.empty((len(kept), 4, N_DIRECTIONS))
+    doubt_shapes(rows, score_spots(fits, kept, rows, score))
+    correct_for_bites(score, rows, moments)
     correct_for_room(picture, candidates, fits, kept, rows, moments)
     for m in range(len(kept)):
         for i in range(2):
