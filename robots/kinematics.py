@@ -105,8 +105,15 @@ def _moved(frame: Frame, c: Number, s: Number, fixed: Frame) -> Frame:
     """Frame · RotZ(q) · the fixed motion to the next joint."""
     x, y, z, origin = frame
     x, y = _sum(c, x, s, y), _sum(c, y, -s, x)
-    columns = [_sum(1.0, _sum(a, x, b, y), d, z) for a, b, d in fixed]
-    return columns[0], columns[1], columns[2], _sum(1.0, origin, 1.0, columns[3])
+    along, across, axis, way = (
+        (
+            a * x[0] + b * y[0] + d * z[0],
+            a * x[1] + b * y[1] + d * z[1],
+            a * x[2] + b * y[2] + d * z[2],
+        )
+        for a, b, d in fixed
+    )
+    return along, across, axis, (origin[0] + way[0], origin[1] + way[1], origin[2] + way[2])
 
 
 def _sum(a: Number, u: Vector, b: Number, v: Vector) -> Vector:

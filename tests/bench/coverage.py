@@ -20,7 +20,6 @@ from collections.abc import Generator, Sequence
 from dataclasses import dataclass, fields, replace
 from functools import partial
 
-import cv2
 import msgspec
 import numpy as np
 import pytest
@@ -29,6 +28,7 @@ from scipy.stats import t as student_t
 
 import robots
 from tests.bench.cells import HIGH, LOW, SEEDS, WITHIN, conclude, replicates
+from tests.support.leds.images import through_jpeg
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
@@ -124,12 +124,6 @@ def drawn_kind(rng: np.random.Generator, arm: str) -> tuple[Scenario, dict[str, 
     }  # fmt: skip
 
 
-def through_jpeg(image: Image) -> Image:
-    """A picture as MJPEG leaves it."""
-    packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])[1]
-    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), dtype=np.uint8)
-
-
 def before_a_room(pairs: list[StereoPair], room: str, rng: np.random.Generator) -> list[StereoPair]:
     """Pairs before a bright room: texture of a grain (px) and standard deviation (DN)."""
     grain, depth = (float(word.split()[0]) for word in room.split(","))
@@ -158,7 +152,12 @@ def session_of_a_kind(only: dict[str, str], seed: int) -> Outcome:
         pairs = before_a_room(pairs, classes["room"], rng)
     if classes["codec"] == "MJPEG":
         pairs = [
-            replace(p, left=through_jpeg(p.left), right=through_jpeg(p.right), lossy=(True, True))
+            replace(
+                p,
+                left=through_jpeg(p.left, JPEG_QUALITY),
+                right=through_jpeg(p.right, JPEG_QUALITY),
+                lossy=(True, True),
+            )
             for p in pairs
         ]
     session = _Kept(**{f.name: getattr(plain, f.name) for f in fields(plain)}, kept=pairs)

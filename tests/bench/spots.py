@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter
 from scipy.stats import chi2
 
 from tests.bench.cells import LOW, SEEDS, WITHIN
-from tests.support.leds.images import REACH, Sensor, Spot, part_of_a_disc
+from tests.support.leds.images import PATCH, REACH, Sensor, Spot
 from verify.core.records import Array
 from verify.measurement.detection.detect import detect
 
@@ -130,8 +130,8 @@ def hidden(spot: Spot, share: tuple[float, float], number: int, rng: np.random.G
                 continue
             x, y = np.rint(place).astype(int)
             at = place - [x, y] + REACH
-            share_hidden, side = rng.uniform(*share), rng.uniform(0, 2 * np.pi)
-            add(light, part_of_a_disc(spot, *at, side, hidden=share_hidden), x, y)
+            less, side = rng.uniform(*share), rng.uniform(0, 2 * np.pi)
+            add(light, spot.part(PATCH, *at, side, hidden=less), x, y)
             truth.append(place)
         count(light, np.array(truth), spot.radius + 1, into, rng)
     return into

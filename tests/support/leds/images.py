@@ -14,6 +14,8 @@ from scipy.stats import norm
 from verify.core.records import Array, Image
 
 REACH = 22  # px rendered around a spot
+PATCH = (2 * REACH + 1, 2 * REACH + 1)
+FINE = 8  # sub-pixels a side; blurred over several of them afterwards
 
 
 @dataclass(frozen=True)
@@ -62,44 +64,43 @@ class Spot:
                 return share * self.blur * np.sqrt(2 * np.pi)
 
             return self.peak * np.outer(line(row, y), line(column, x))
-        fine = 8  # sub-pixels a side; blurred over several of them afterwards
-        centre = (np.arange(max(shape) * fine) + 0.5) / fine - 0.5
-        distance = np.hypot(
-            centre[None, : shape[1] * fine] - x, centre[: shape[0] * fine, None] - y
-        )
-        disc = np.clip((self.radius - distance) * fine + 0.5, 0, 1)
-        soft = cv2.GaussianBlur(disc, (0, 0), self.blur * fine)
-        pixels = soft.reshape(shape[0], fine, shape[1], fine).mean(axis=(1, 3))
+        return self.part((shape[0], shape[1]), x, y, 0.0)
+
+    def part(
+        self,
+        shape: tuple[int, int],
+        x: float,
+        y: float,
+        side: float,
+        *,
+        hidden: float = 0.0,
+        ratio: float = 1.0,
+    ) -> Array:
+        """Light of a disc whose share in direction `side`, rad, an edge hides, or an angle narrows.
+
+        `hidden`, of its diameter; `ratio`, of its width there to that across.
+        """
+        centre = (np.arange(max(shape) * FINE) + 0.5) / FINE - 0.5
+        dx, dy = centre[None, : shape[1] * FINE] - x, centre[: shape[0] * FINE, None] - y
+        along = dx * np.cos(side) + dy * np.sin(side)
+        across = dy * np.cos(side) - dx * np.sin(side)
+        disc = np.clip((self.radius - np.hypot(along / ratio, across)) * FINE + 0.5, 0, 1)
+        if hidden > 0:
+            disc *= np.clip(((1 - 2 * hidden) * self.radius - along) * FINE + 0.5, 0, 1)
+        soft = cv2.GaussianBlur(disc, (0, 0), self.blur * FINE)
+        pixels = soft.reshape(shape[0], FINE, shape[1], FINE).mean(axis=(1, 3))
         return np.asarray(self.peak * pixels, dtype=float)
 
 
-FINE = 8  # sub-pixels a side
-
-
-def part_of_a_disc(
-    spot: Spot, x: float, y: float, side: float, *, hidden: float = 0.0, ratio: float = 1.0
-) -> Array:
-    """Light of an LED in a patch of 2 REACH + 1 px, centred at x, y.
-
-    A straight edge hides a share of its diameter in direction `side`, rad; or, seen at an angle, it
-    is narrower there by a ratio.
-    """
-    size = 2 * REACH + 1
-    axis = (np.arange(size * FINE) + 0.5) / FINE - 0.5
-    dx, dy = np.meshgrid(axis - x, axis - y)
-    along, across = (
-        dx * np.cos(side) + dy * np.sin(side),
-        dy * np.cos(side) - dx * np.sin(side),
-    )
-    disc = np.clip((spot.radius - np.hypot(along / ratio, across)) * FINE + 0.5, 0, 1)
-    disc *= np.clip(((1 - 2 * hidden) * spot.radius - along) * FINE + 0.5, 0, 1)
-    soft = cv2.GaussianBlur(disc, (0, 0), spot.blur * FINE)
-    return np.asarray(spot.peak * soft.reshape(size, FINE, size, FINE).mean(axis=(1, 3)))
+def through_jpeg(image: Image, quality: int) -> Image:
+    """A picture as a JPEG, or MJPEG, leaves it."""
+    packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
+    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), dtype=np.uint8)
 
 
 def centre_bound(spot: Spot, floor: float, sensor: Sensor) -> float:
     """Cramér-Rao bound of a coordinate, px; peak, floor and blur unknown too."""
-    shape, half = (2 * REACH + 1, 2 * REACH + 1), REACH
+    shape, half = PATCH, REACH
     bounds = []
 
     def light(

@@ -54,6 +54,8 @@ def _chi2_bounds(leds: int) -> Array:
 
 def merge(some: Hypotheses, followed: Hypotheses) -> Hypotheses:
     """Keep the best fit of each assignment of both; of poses that fit alike, the followed one."""
+    if len(some) == len(followed) == 1 and some.spot.tobytes() == followed.spot.tobytes():
+        return some if some.chi2.item() < followed.chi2.item() - ALIKE_CHI2 else followed
     same = (some.spot[:, None] == followed.spot).all(axis=(2, 3))
     better = some.chi2[:, None] < followed.chi2 - ALIKE_CHI2
     kept = followed.take(~(same & better).any(axis=0))

@@ -1,21 +1,21 @@
 """Spot centres against the Cramér-Rao bound, and what must never be reported."""
 
-import cv2
 import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 from scipy.stats import chi2
 
 from tests.support.leds.images import (
+    PATCH,
     REACH,
     Sensor,
     Spot,
     centre_bound,
-    part_of_a_disc,
     picture,
     scattered,
+    through_jpeg,
 )
-from verify.core.records import Array, Image, Spots
+from verify.core.records import Array, Spots
 from verify.errors import InputError
 from verify.measurement.detection.detect import detect
 from verify.measurement.detection.kernels.fit import expect_spot, fit_from_start
@@ -67,11 +67,6 @@ def test_centres_reach_the_bound_and_the_claimed_covariance_is_the_scatter(name:
     assert np.abs(np.mean(errors, axis=(0, 1))).max() < 4 * rms / 16  # 4 sigma of 256 errors' mean
 
 
-def through_jpeg(image: Image, quality: int) -> Image:
-    packed = cv2.imencode(".jpg", image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
-    return np.asarray(cv2.imdecode(packed, cv2.IMREAD_UNCHANGED), dtype=np.uint8)
-
-
 @pytest.mark.parametrize("quality", [75, 90])
 def test_the_centres_of_a_jpeg_scatter_as_claimed(quality: int) -> None:
     rng, normal = np.random.default_rng(21), []
@@ -101,11 +96,8 @@ def test_four_leds_a_frame_suffice_to_know_their_uncertainty(floor: float | Arra
         spots = detect(picture([spot] * 4, centres, sensor, rng, floor=room))
         nearest, error = matched(spots, centres)
         whitened = np.linalg.solve(spots.covariance[nearest], error[..., None])[..., 0]
-        normal.append(np.sum(whitened * error, axis=1))
-    within = np.mean(np.array(normal) < chi2.ppf(0.95, 2))  # of 240 spots: 1.4 % is one sigma
-    assert within == pytest.approx(0.95, abs=0.03)
-    if np.ndim(floor) == 0:  # before texture the squares of single spots outweigh the rest
-        assert np.mean(normal) / 2 == pytest.approx(1.0, abs=0.15)  # 6.5 % is one sigma
+        normal.append(np.sum(whitened * error, axis=1) / 2)
+    assert np.mean(normal) == pytest.approx(1.0, abs=0.15)  # 480 errors: 6.5 % is one sigma
 
 
 def test_windows_find_the_same_spots_as_the_whole_image() -> None:
@@ -206,7 +198,8 @@ def test_an_edge_before_an_led_is_told_from_an_led_seen_at_an_angle(
         for n, centre in enumerate(centres):
             x, y = np.rint(centre).astype(int)
             changed = {kind: rng.uniform(low, high)} if n % 3 == 0 else {}
-            part = part_of_a_disc(spot, *(centre - [x, y] + REACH), rng.uniform(0, 6.28), **changed)
+            at, side = centre - [x, y] + REACH, rng.uniform(0, 2 * np.pi)
+            part = spot.part(PATCH, *at, side, **changed)
             light[y - REACH : y + REACH + 1, x - REACH : x + REACH + 1] += part
         image = Sensor().expose(light, rng)
         spots = detect(through_jpeg(image, 90) if lossy else image, lossy=lossy)
