@@ -12,6 +12,7 @@ import numpy as np
 
 from reports.document import charts
 from reports.document.charts import Array, Chart, Mark, Panel, Path, isolated_points, pieces
+from reports.format.scales import coverage
 from reports.results import one_line
 
 PIXELS_PER_INCH = 150  # of a chart's height: strips on a screen want more room than on paper
@@ -154,12 +155,12 @@ def _band(band: charts.Band) -> list[dict[str, Any]]:
 
 
 def _level(level: charts.Level, panel: Panel, chart: Chart) -> list[dict[str, Any]]:
-    """Draw a level as a line of two points over the data's own extent."""
-    own = [m for m in panel.marks if isinstance(m, charts.Line)]
-    every = [m for p in chart.panels for m in p.marks if isinstance(m, charts.Line)]
-    along = [m.y if level.upright else m.x for m in (own if level.upright else every)]
-    valid = np.concatenate([a[np.isfinite(a)] for a in along] or [np.empty(0)])
-    ends = np.array([valid.min(), valid.max()]) if len(valid) else np.array([0.0, 1.0])
+    """Draw a level as a line of two points, right across the panel or as far as its marks go."""
+    given = panel.y_range if level.upright else panel.x_range
+    along = coverage((panel,), 1) if level.upright else coverage(chart.panels, 0)
+    valid = np.concatenate(along)
+    ends = np.array([valid.min(), valid.max()] if len(valid) else [0.0, 1.0])
+    ends = np.array(given) if given else ends
     if ends[0] == ends[1]:
         ends = ends + np.array([-0.5, 0.5])
     fixed = np.full(2, level.value)

@@ -70,21 +70,28 @@ def numbered(ends: tuple[float, float], most: int) -> Scale:
 
 def extent(panels: Iterable[Panel], along: int) -> tuple[float, float]:
     """Find the range that all marks of some panels fill along x (0) or y (1), with its margins."""
-    loose, firm = [], []
-    for mark in (mark for panel in panels for mark in panel.marks):
-        free, edges = _reach(mark, along)
-        loose += free
-        firm += edges
-    values = np.concatenate([np.ravel(a).astype(float) for a in [*loose, *firm]] or [np.empty(0)])
-    values = values[np.isfinite(values)]
+    loose, firm = coverage(panels, along)
+    values = np.concatenate([loose, firm])
     if not len(values):
         return 0.0, 1.0
     low, high = float(values.min()), float(values.max())
     if widened((low, high)) != (low, high):
         return widened((low, high))
-    fixed = {float(edge) for a in firm for edge in np.ravel(a)}  # bars stand on their axis
+    fixed = set(firm.tolist())  # bars stand on their axis
     margin = MARGIN * (high - low)
     return low - margin * (low not in fixed), high + margin * (high not in fixed)
+
+
+def coverage(panels: Iterable[Panel], along: int) -> tuple[Array, Array]:
+    """List what marks cover along x (0) or y (1): values with margins (n,), edges without (m,)."""
+    covered = [_reach(mark, along) for panel in panels for mark in panel.marks]
+    loose, firm = (
+        np.concatenate(
+            [np.empty(0), *(np.ravel(a).astype(float) for one in covered for a in one[i])]
+        )
+        for i in range(2)
+    )
+    return loose[np.isfinite(loose)], firm[np.isfinite(firm)]
 
 
 def edges(centres: Array) -> Array:

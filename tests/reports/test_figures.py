@@ -1,12 +1,14 @@
 """Figures of every kind of report: drawn where there is data, with units, always the same."""
 
+import base64
 import re
 
+import numpy as np
 import plotly.graph_objects as go
 import pytest
 
 from reports.document.blocks import collect_figures
-from reports.document.charts import Chart
+from reports.document.charts import Chart, Level, Panel, Points
 from reports.format import plotly, svg
 from tests.support.reports.page import coloured, document_of, drawing_of
 
@@ -50,3 +52,12 @@ def test_a_figure_is_accepted_by_plotly_drawn_alike_and_has_units(name: str, fig
                                 "LEDs at its ends", "figure over its u",
                                 "source left out")  # fmt: skip
             assert counted or re.search(r"\[(s|°|mm|mm/m|px|%)\]$", label), label
+
+
+@pytest.mark.parametrize(("x_range", "ends"), [((-0.5, 5.5), [-0.5, 5.5]), (None, [0.0, 5.0])])
+def test_a_level_is_as_long_as_its_panel_or_what_is_drawn_there(
+    x_range: tuple[float, float] | None, ends: list[float]
+) -> None:
+    marks = Level(0.0, "muted"), Points(np.arange(6.0), np.ones(6), "error")
+    level = plotly.specification(Chart((Panel(marks, "error [°]", x_range=x_range),)))["data"][0]
+    assert np.frombuffer(base64.b64decode(level["x"]["bdata"])).tolist() == ends
