@@ -3,6 +3,8 @@
 A blob stands above its own surroundings (top hat) at one of a few levels of contrast.
 """
 
+import math
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +12,7 @@ from numpy.typing import NDArray
 from verify.core.records import Array, Image
 from verify.measurement.detection.kernels.candidates import (
     MIN_WINDOW_SIDE,
+    Shape,
     compact_blobs,
     contrast_boxes,
     find_blobs,
@@ -44,7 +47,7 @@ def find_candidates(
     area = [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes]
     if image.ndim == 2 and max(area, default=0) <= MAX_SMALL_AREA:
         found = find_blobs(image, windows, 0, *blob_arguments(largest))
-        halved = np.ones(len(found), dtype=np.intp)
+        halved: int | NDArray[np.intp] = 1
     else:
         factor = [2 if pixels > MAX_FULL_SIZE_AREA else 1 for pixels in area]
         parts = [
@@ -88,7 +91,8 @@ def find_in_large_window(image: Image, window: list[int], factor: int, largest: 
     return found
 
 
-def blob_arguments(largest: float) -> tuple[int, tuple[int, ...], tuple[float, float, float], int]:
+def blob_arguments(largest: float) -> tuple[int, tuple[int, ...], Shape, int]:
     """Last arguments of `find_blobs` for LEDs of a largest width, px."""
     reach = int(BACKGROUND_FACTOR * largest) // 2
-    return reach, LEVELS, (4.0 * reach + 2.0, MAX_AXIS_RATIO, MIN_FILL), MAX_BLOBS
+    longest = largest * math.sqrt(MAX_AXIS_RATIO / MIN_FILL) + 1.0
+    return reach, LEVELS, (4.0 * reach + 2.0, longest, MAX_AXIS_RATIO, MIN_FILL), MAX_BLOBS

@@ -97,6 +97,5 @@ def clip_windows(windows: Array | None, image: Image) -> NDArray[np.int64] | Non
     if windows is None:
         return None
     height, width = image.shape[:2]
-    cut = np.clip(np.asarray(windows, dtype=float), 0.0, (width, height, width, height))
-    cut[:, 2:] = np.ceil(cut[:, 2:])
-    return np.asarray(cut, dtype=np.int64)
+    cut = np.minimum(np.maximum(windows, 0.0), (width, height, width, height))
+    return np.concatenate([cut[:, :2], np.ceil(cut[:, 2:])], axis=1).astype(np.int64)

@@ -15,7 +15,7 @@ from tests.support.leds.images import (
     scattered,
     through_jpeg,
 )
-from verify.core.records import Array, Spots
+from verify.core.records import Array, Image, Spots
 from verify.errors import InputError
 from verify.measurement.detection.detect import detect
 from verify.measurement.detection.kernels.fit import expect_spot, fit_from_start
@@ -183,6 +183,21 @@ def test_a_hidden_part_is_flagged_or_in_the_covariance() -> None:
     assert np.all(spots.merged | np.all(np.abs(error) < 4 * sigma, axis=1))
 
 
+def some_changed(
+    spot: Spot, change: dict[str, tuple[float, float]], rng: np.random.Generator
+) -> tuple[Image, Array]:
+    """Picture of twelve LEDs, every third one changed by a random share, and their centres."""
+    centres = scattered(2, 6, rng, pitch=100.0)
+    light = np.full((360, 640), 6.0)
+    for n, centre in enumerate(centres):
+        x, y = np.rint(centre).astype(int)
+        changed = {k: rng.uniform(*ends) for k, ends in change.items()} if n % 3 == 0 else {}
+        at, side = centre - [x, y] + REACH, rng.uniform(0, 2 * np.pi)
+        part = spot.part(PATCH, *at, side, **changed)
+        light[y - REACH : y + REACH + 1, x - REACH : x + REACH + 1] += part
+    return Sensor().expose(light, rng), centres
+
+
 TINY, LARGE = Spot(220, 0.5, radius=1.9), Spot(200, 0.6, radius=4.2)
 
 
@@ -193,20 +208,28 @@ def test_an_edge_before_an_led_is_told_from_an_led_seen_at_an_angle(
 ) -> None:
     rng, flagged = np.random.default_rng(17), {"hidden": [], "ratio": []}
     for kind, low, high in 6 * (("hidden", 0.2, 0.45), ("ratio", 0.6, 0.9)):
-        centres = scattered(2, 6, rng, pitch=100.0)
-        light = np.full((360, 640), 6.0)
-        for n, centre in enumerate(centres):
-            x, y = np.rint(centre).astype(int)
-            changed = {kind: rng.uniform(low, high)} if n % 3 == 0 else {}
-            at, side = centre - [x, y] + REACH, rng.uniform(0, 2 * np.pi)
-            part = spot.part(PATCH, *at, side, **changed)
-            light[y - REACH : y + REACH + 1, x - REACH : x + REACH + 1] += part
-        image = Sensor().expose(light, rng)
+        image, centres = some_changed(spot, {kind: (low, high)}, rng)
         spots = detect(through_jpeg(image, 90) if lossy else image, lossy=lossy)
         nearest, _ = matched(spots, centres[::3])
         flagged[kind] += spots.merged[nearest].tolist()
     assert np.mean(flagged["hidden"]) > 0.9
     assert np.mean(flagged["ratio"]) < 0.1
+
+
+@pytest.mark.parametrize("hidden", [(0.15, 0.25), (0.25, 0.35), (0.35, 0.5)])
+def test_out_of_focus_an_edge_shows_in_the_covariance_though_not_in_the_shape(
+    hidden: tuple[float, float],
+) -> None:
+    rng, within, flagged = np.random.default_rng(19), [], []
+    for _ in range(6):
+        image, centres = some_changed(BLURRED, {"hidden": hidden}, rng)
+        spots = detect(image)
+        nearest, error = matched(spots, centres)
+        sigma = np.sqrt(np.diagonal(spots.covariance, axis1=1, axis2=2))[nearest]
+        within.append(np.abs(error[::3]) < 1.96 * sigma[::3])
+        flagged.append(np.delete(spots.merged[nearest], np.s_[::3]))
+    assert np.mean(within) > 0.93
+    assert np.mean(flagged) < 0.02
 
 
 def test_texture_full_of_dim_lights_widens_the_covariance() -> None:

@@ -93,6 +93,13 @@ def surroundings_noise(rows: Pixels) -> float:
 
 
 @compiled
+def right_of(pool: Pixels, fits: Fits, n: int) -> Pixels:
+    """Part of a pool (8 p,) of all spots' pixels that is one spot's, (8, p)."""
+    begin, end = fits.begin[n], fits.begin[n + 1]
+    return pool[N_RIGHT * begin : N_RIGHT * end].reshape((N_RIGHT, end - begin))
+
+
+@compiled
 def fill_right(p: Array, rows: Pixels, right: Pixels) -> None:
     """Fill in `right` (8, p): a spot's residuals, and the derivatives by the curvature's terms.
 
@@ -283,12 +290,13 @@ def correct_for_room(
     solved = np.empty((count, N_AMPLITUDES, N_RIGHT, 3))
     moved, explained = np.empty((count, N_AROUND, 2)), np.zeros((count, 2))
     dim = np.empty((count, N_AROUND), np.bool_)
+    pool = np.empty(N_RIGHT * fits.begin[-1], Real)
     for m in range(count):
         n = kept[m]
         if assessed[m, COL_MERGED] == 0.0:
             noise[m] = surroundings_noise(rows_of(fits, n))
         if noise[m] > 0.0:
-            right = np.empty((N_RIGHT, fits.begin[n + 1] - fits.begin[n]), Real)
+            right = right_of(pool, fits, n)
             fill_right(fits.parameters[n], rows_of(fits, n), right)
             if not sum_curvature(fits, n, right, follow[m], solved[m], evidence):
                 noise[m] = 0.0
@@ -299,12 +307,10 @@ def correct_for_room(
             continue
         n, rows = kept[m], rows_of(fits, kept[m])
         average_correction(follow[m], solved[m], share, reach, factors, own[m])
-        right, shape = np.empty((N_RIGHT, rows.shape[1]), Real), (2, rows.shape[1])
-        weight, added = np.zeros(shape), np.zeros(shape)
-        fill_right(fits.parameters[n], rows, right)
+        weight, added = np.zeros((2, rows.shape[1])), np.zeros((2, rows.shape[1]))
         add_rows(follow[m, :, N_RIGHT:].copy(), rows, weight)
         add_rows(factors, rows, added)
-        add_rows(reach, right, added)
+        add_rows(reach, right_of(pool, fits, n), added)
         first, second = weigh_rows(rows, weight, added)
         explained[m, 0] = first * noise[m] + own[m, 0, 1]
         explained[m, 1] = second * noise[m] + own[m, 1, 2]

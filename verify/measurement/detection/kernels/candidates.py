@@ -32,6 +32,7 @@ MIN_PIXELS = 12  # px; fewer show no shape
 OUTSIDE, INSIDE = 0, 1
 Boxes = NDArray[np.int64]
 Labels = NDArray[np.int32]
+Shape = tuple[float, float, float, float]
 
 
 @compiled
@@ -143,7 +144,7 @@ def find_blobs(
     margin: int,
     reach: int,
     levels: tuple[int, ...],
-    shape: tuple[float, float, float],
+    shape: Shape,
     most: int,
 ) -> Array:
     """List compact bright blobs in windows of a grey picture, (m, 4), as `compact_blobs` does.
@@ -171,13 +172,12 @@ def find_blobs(
 
 
 @compiled
-def compact_blobs(
-    contrast: Image, levels: tuple[int, ...], shape: tuple[float, float, float], found: Array
-) -> int:
+def compact_blobs(contrast: Image, levels: tuple[int, ...], shape: Shape, found: Array) -> int:
     """List compact blobs by their contrast, and count them; a bright one's foot is no further one.
 
     `contrast` (h, w), DN above the surroundings; `levels`, DN, falling; `shape`: longest side of a
-    blob's box, px; longest axis ratio; least area over its ellipse's. `found` (m, 4) is filled from
+    blob's box, px, at a level and at half height; longest axis ratio; least area over its
+    ellipse's. `found` (m, 4) is filled from
     the first row with as many as it holds: column and row of the centre, px; half width, px;
     height, DN.
     """
@@ -210,7 +210,7 @@ def compact_blobs(
                     continue
                 x0, y0 = max(left - BOX_MARGIN, 0), max(top - BOX_MARGIN, 0)
                 part = contrast[y0 : bottom + BOX_MARGIN + 1, x0 : right + BOX_MARGIN + 1].copy()
-                if measure_half_height(part, shape[1], shape[2], found[count]):
+                if measure_half_height(part, shape, found[count]):
                     found[count, 0] += x0
                     found[count, 1] += y0
                     seeds[count, 0], seeds[count, 1] = y, x
@@ -219,11 +219,11 @@ def compact_blobs(
 
 
 @compiled
-def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -> bool:
+def measure_half_height(part: Image, shape: Shape, blob: Array) -> bool:
     """Measure the brightest blob of a picture at half its height; False: none, or not compact.
 
-    `part` (h, w), DN above the surroundings; `longest` axis ratio; `fill`, least area over its
-    ellipse's; `blob` (4,), filled: centre's column and row, px; half width, px; height, DN.
+    `part` (h, w), DN above the surroundings; `shape` as for `compact_blobs`; `blob` (4,), filled:
+    centre's column and row, px; half width, px; height, DN.
     """
     height, width = part.shape
     at_y, at_x, peak = 0, 0, -1
@@ -232,7 +232,9 @@ def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -
             if part[y, x] > peak:
                 at_y, at_x, peak = y, x, int(part[y, x])
     region, stack = np.zeros(part.shape, np.int32), np.empty((part.size, 2), np.int32)
-    flood_fill(part, peak // 2, at_y, at_x, region, 1, stack)
+    box = flood_fill(part, peak // 2, at_y, at_x, region, 1, stack)
+    if max(box[2] - box[0], box[3] - box[1]) >= shape[1]:
+        return False
     alone = True
     for y in range(height):
         for x in range(width):
@@ -259,7 +261,9 @@ def measure_half_height(part: Image, longest: float, fill: float, blob: Array) -
     xx, xy, yy = xx / area + 1 / 12, xy / area, yy / area + 1 / 12
     mean, split = (xx + yy) / 2.0, math.hypot((xx - yy) / 2.0, xy)
     long, short = 2.0 * math.sqrt(mean + split), 2.0 * math.sqrt(max(mean - split, 0.0))
-    return area < MIN_PIXELS or (long <= longest * short and area >= fill * math.pi * long * short)
+    return area < MIN_PIXELS or (
+        long <= shape[2] * short and area >= shape[3] * math.pi * long * short
+    )
 
 
 @compiled

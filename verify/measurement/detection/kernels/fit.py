@@ -229,12 +229,12 @@ def chi_squared(p: Array, rows: Pixels, variance: Pixels, prior: Array) -> float
 
 
 @compiled
-def fit_spot(fits: Fits, n: int, noise: Array, table: Pixels, steps: int, settled: float) -> None:
+def fit_spot(fits: Fits, n: int, noise: Array, table: Pixels, steps: int, tolerance: float) -> None:
     """Continue a spot's fit by Gauss-Newton with Levenberg's damping, until it settles.
 
     `noise` (3,): read variance, gain and black of one channel; `table`: of the profiles. `steps`:
-    at most, 0 weighs the pixels where the fit is. `settled`: of chi² that a step may still gain: it
-    is taken, and the pixels are not weighed again, but that their means follow.
+    at most, 0 weighs the pixels where the fit is. `tolerance`: of chi² that a step may still gain:
+    it is taken, and the pixels are not weighed again, but that their means follow.
     """
     best, scale, prior, rows = fits.parameters[n], fits.scale[n], fits.prior[n], rows_of(fits, n)
     information, gradient = fits.information[n], fits.gradient[n]
@@ -247,14 +247,15 @@ def fit_spot(fits: Fits, n: int, noise: Array, table: Pixels, steps: int, settle
     chi2 = normal_equations(best, rows, (out, full), prior, (information, gradient))
     variance, accepted = np.empty(rows.shape[1], Real), chi2
     copy_to(variance, rows[ROW_VARIANCE])
-    damping, refused = FIRST_DAMPING, False
+    damping, refused, fits.settled[n] = FIRST_DAMPING, False, False
     for _ in range(steps):
         gained, shortened = find_step(best, information, gradient, damping, (root, step))
-        if gained <= settled * (1.0 + chi2 / rows.shape[1]) and not shortened:
+        if gained <= tolerance * (1.0 + chi2 / rows.shape[1]) and not shortened:
             for a in range(N_PARAMETERS):
                 best[a] += step[a]
             chi2 -= gained
             update_means(step, rows)
+            fits.settled[n] = True
             break
         for a in range(N_PARAMETERS):
             tried[a] = best[a] + step[a]
@@ -304,8 +305,8 @@ def find_step(
 def fit_from_start(fits: Fits, n: int, noise: Array, table: Pixels) -> None:
     """Fit a spot from where its parameters are.
 
-    A clear spot comes within a step of its optimum: it is continued once the noise is known. A
-    saturated spot is fitted from two starts, as its hidden top may be steep or flat.
+    A clear spot comes within a step of its optimum. A saturated spot is fitted from two starts, as
+    its hidden top may be steep or flat.
     """
     fit_spot(fits, n, noise, table, MAX_STEPS, TOL_LAST_STEP)
     if not fits.saturated[n]:
@@ -325,7 +326,7 @@ def fit_from_start(fits: Fits, n: int, noise: Array, table: Pixels) -> None:
             copy_to(fits.information[n, a], information[a])
         for a in range(len(rows)):
             copy_to(rows[a], held[a])
-        fits.chi2[n] = chi2
+        fits.chi2[n], fits.settled[n] = chi2, False
 
 
 def _default_prior() -> Array:

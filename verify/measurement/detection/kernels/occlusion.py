@@ -38,6 +38,7 @@ from verify.measurement.detection.kernels.pixels import (
     N_WHITENED,
     ONE,
     PAR_PEAK,
+    PAR_STEEPNESS,
     PAR_X,
     PAR_Y,
     ROW_RADIUS2,
@@ -67,6 +68,9 @@ MIN_RADIUS2 = Real(1e-18)  # half-widths²: nearer the very centre no bite chang
 OCCLUSION_WIDTH = 0.3  # rad, standard deviation: a stalk of a third to a half of its LED's diameter
 RIM_RADIUS2 = Real(1.8**2)  # half-widths²: no rim beyond
 SERIES = tuple(Real(1.0 / math.factorial(n)) for n in range(2, 10))
+# Logarithm; a Gaussian's is 0.33. Nearer to it, what an edge leaves of an LED is stretched alone,
+# like one seen at an angle: a bite's chi² is 3 to 12, as it is by chance.
+MIN_STEEPNESS = 0.39
 MIN_INFORMATION = 0.05  # share of a bite's information that the fit's own parameters must leave
 
 
@@ -242,7 +246,8 @@ def score_spots(fits: Fits, kept: Index, assessed: Array, score: Array) -> Array
     """Score the bites of m spots of an image that have one LED's shape; others have none.
 
     `kept` (m,), of the fits; `assessed` (m, 16), theirs; `score` (m, 4, 24), filled as by
-    `score_bites`. Gives the chi² of each spot's likeliest bite, (m,), for noise as stated.
+    `score_bites`. Gives the chi² of each spot's likeliest bite, (m,), for noise as stated; inf of
+    spots so far out of focus that none shows.
     """
     chi2 = np.zeros(len(kept))
     score[:] = 0.0
@@ -255,6 +260,8 @@ def score_spots(fits: Fits, kept: Index, assessed: Array, score: Array) -> Array
         for side in range(N_DIRECTIONS):
             if score[m, 0, side] > 0.0:
                 chi2[m] = max(chi2[m], worth * score[m, 0, side] ** 2 / score[m, 1, side])
+        if fits.parameters[kept[m], PAR_STEEPNESS] < MIN_STEEPNESS:
+            chi2[m] = math.inf
     return chi2
 
 

@@ -57,6 +57,7 @@ class Fits(NamedTuple):
     pool: Pixels  # rows (25, p) of each spot's pixels, one spot behind the other
     prior: Array  # (n, 2, 10), mean and inverse variance of the parameters
     saturated: NDArray[np.bool_]  # (n,), whether some pixels on the spot are at the sensor's limit
+    settled: NDArray[np.bool_]  # (n,), whether a further step would gain nothing that counts
     parameters: Array  # (n, 10), x and y in px from the patch's centre pixel
     information: Array  # (n, 10, 10), inverse covariance, priors included
     gradient: Array  # (n, 10), of the quasi-likelihood
@@ -73,7 +74,7 @@ def empty_fits(size: Index) -> Fits:
     return Fits(
         np.empty((n, 2), np.int64), np.empty(n), np.empty((n, 2)), np.empty((n, 3)), np.empty(n),
         begin, np.empty(N_ROWS * begin[n], Real), np.empty((n, 2, N_PARAMETERS)),
-        np.empty(n, np.bool_), np.empty((n, N_PARAMETERS)),
+        np.empty(n, np.bool_), np.empty(n, np.bool_), np.empty((n, N_PARAMETERS)),
         np.empty((n, N_PARAMETERS, N_PARAMETERS)), np.empty((n, N_PARAMETERS)), np.empty(n),
     )  # fmt: skip
 

@@ -66,6 +66,7 @@ MAX_STRETCH = 0.05  # diameters
 MAX_LENGTH, MAX_SURE_LENGTH = 1.2, 1.04  # of the longest width, over the usual one: alone; misfit
 MAX_LONGER_SIGMA = 2.0  # standard deviations of that misfit
 MAX_ASYMMETRY = 12.0  # chi² of a bite out of a stretched spot, over the usual misfit
+MIN_STRETCH_SIGMA = 15.0  # of the centre: noise stretches a spot by 2.4 to 3.4 of them
 # Two equal lights d apart add d²/4 to the second moment along their line, and their middle is d/2
 # off: the widths give that as 0.36 stretch x diameter of Gaussians, 0.13 of discs; half an axis.
 STRETCH_SHARE = 0.15
@@ -218,10 +219,18 @@ def widen_lossy(assessed: Array) -> None:
 
 
 @compiled
+def least_stretch(row: Array, asymmetry: float) -> float:
+    """Least stretch of a spot, px, that is doubted: beyond noise, where nothing else would show."""
+    if asymmetry < math.inf:
+        return float(MAX_STRETCH * row[COL_DIAMETER])
+    return MIN_STRETCH_SIGMA * math.sqrt((row[COL_COVARIANCE_XX] + row[COL_COVARIANCE_YY]) / 2.0)
+
+
+@compiled
 def doubt_shapes(assessed: Array, asymmetry: Array) -> None:
     """Flag those of a picture's spots (n, 16) that are stretched alone; widen what is merged.
 
-    `asymmetry` (n,), chi² of a bite out of each, for noise as stated.
+    `asymmetry` (n,), chi² of a bite out of each, for noise as stated; inf where none would show.
     """
     count, alike, doubtful = len(assessed), 0, False
     off, clear, length = np.empty(count), np.empty(count), np.empty((count, 1))
@@ -230,7 +239,7 @@ def doubt_shapes(assessed: Array, asymmetry: Array) -> None:
         off[n], clear[n] = math.hypot(row[COL_STRETCH_X], row[COL_STRETCH_Y]), 1.0 - row[COL_MERGED]
         length[n, 0] = 2.0 * row[COL_DIAMETER] / (1.0 + 1.0 / row[COL_ELONGATION])
         alike += clear[n] > 0.0
-        doubtful = doubtful or clear[n] == 0.0 or off[n] > MAX_STRETCH * row[COL_DIAMETER]
+        doubtful = doubtful or clear[n] == 0.0 or off[n] > least_stretch(row, asymmetry[n])
     if not doubtful:
         return
     x, y, usual = 0.0, 0.0, math.inf  # none is longer than usual where nothing shows what that is
@@ -248,7 +257,7 @@ def doubt_shapes(assessed: Array, asymmetry: Array) -> None:
         over, longer = row[COL_MISFIT] / misfit, length[n, 0] / usual
         odd = asymmetry[n] > MAX_ASYMMETRY * misfit or longer > MAX_LENGTH
         odd = odd or (over > chance and longer > MAX_SURE_LENGTH)
-        if odd and off[n] > MAX_STRETCH * row[COL_DIAMETER]:
+        if odd and off[n] > least_stretch(row, asymmetry[n]):
             row[COL_MERGED] = 1.0
         if row[COL_MERGED] > 0.0:
             doubt = STRETCH_SHARE * off[n] * row[COL_DIAMETER]

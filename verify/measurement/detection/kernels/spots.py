@@ -96,7 +96,8 @@ def measure_spots(
     if unknown:
         refine_noise(fits, assess_all(fits, width, height, CORRELATED_PIXELS), noise, noise[3])
     for n in range(len(fits.scale)):
-        fit_spot(fits, n, noise, table, LAST_STEPS, TOL_LAST_STEP)
+        if unknown or not fits.settled[n]:
+            fit_spot(fits, n, noise, table, LAST_STEPS, TOL_LAST_STEP)
     lifted = 0.0 if lossy else CORRELATED_PIXELS
     assessed = assess_all(fits, width, height, lifted)
     if separate_neighbours(fits, assessed, noise, table):
