@@ -7,12 +7,10 @@ from typing import Any, Self
 import numpy as np
 import pinocchio
 
+from robots.elementary import Number
 from robots.transforms import Array, invert
 
 QUARTER_TURN = np.pi / 2
-# Plain floats for one pose (a camera frame must not wait for numpy's overhead), arrays (m,) for
-# many: the same arithmetic serves both, one coordinate at a time.
-Number = Any
 Vector = tuple[Number, Number, Number]
 Frame = tuple[Vector, Vector, Vector, Vector]  # x, y, z axes and origin, in the base frame
 

@@ -7,6 +7,9 @@ arm and the forearm in the plane that axis 3 crosses, it is the law of cosines; 
 wrist's height along axis 1, and θ1 its azimuth. Source: derived from the DH table.
 """
 
+import math
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
 from robots.arm import DhArm
@@ -18,16 +21,17 @@ from robots.closed_form import (
     TOL_SHOULDER,
     TOL_SIDE,
     WRIST,
-    Flags,
-    Mask,
+    Answer,
     Misfit,
     Needed,
+    Turn,
+    angle_of,
     table_mismatch,
     turn_wrist,
 )
-from robots.transforms import Array
+from robots.elementary import Condition, Number, arctan2, clip, cos, sin, sqrt
 
-Triple = tuple[Array, Array, Array]
+Triple = tuple[Number, Number, Number]
 
 ALPHA = (-90.0, 90.0, -90.0, 90.0, -90.0, 0.0)
 LENGTHS: Needed = {
@@ -50,76 +54,64 @@ def reach(arm: DhArm) -> tuple[float, float]:
     return float(np.hypot(upper - fore, arm.d[2])), float(np.hypot(upper + fore, arm.d[2]))
 
 
-def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
-    """Solve poses given as rows; see `closed_form.Family`."""
+def solve(arm: DhArm, pose: Sequence[Number], hold: Sequence[Number]) -> Iterator[Answer]:
+    """Solve poses; see `closed_form.Family`."""
     d1, d6 = float(arm.d[0]), float(arm.d[5])
     nx, ox, ax, px, ny, oy, ay, py, nz, oz, az, pz = pose[:12]
-    wrist = (px - d6 * ax, py - d6 * ay, pz - d6 * az - d1)
-
-    theta = np.empty((6, 2, 2, 2, pose.shape[1]))  # joint, shoulder, elbow, wrist, pose
-    theta3, exists, merged = _bend_elbow(arm, wrist)
-    (theta1, c1, s1), (theta2, c2, s2), turned, free = _turn_shoulder(arm, wrist, theta3, hold)
-    theta[0], theta[1] = theta1[:, :, None], theta2[:, :, None]
-    theta[2] = theta3[:, None]
-
-    # columns of R03; Q = R03ᵀ R
-    c3, s3 = np.cos(theta3), np.sin(theta3)
-    x = (c1 * c2 * c3 - s1 * s3, s1 * c2 * c3 + c1 * s3, -s2 * c3)
-    y = (-c1 * s2, -s1 * s2, -c2)
-    z = (-c1 * c2 * s3 - s1 * c3, -s1 * c2 * s3 + c1 * c3, s2 * s3)
-    n, o, a = (nx, ny, nz), (ox, oy, oz), (ax, ay, az)
-    entries = tuple(_dot(u, v) for u, v in ((x, n), (x, o), (x, a), (y, n), (y, o), (y, a), (z, a)))
-    straight = turn_wrist(theta, -1, entries, hold[3])
-
-    flags = np.where(straight, WRIST, 0) | np.where(merged, ELBOW, 0) | np.where(free, SHOULDER, 0)
-    return theta, (exists & turned)[:, None], flags[:, :, None].astype(np.uint8)
+    centre = (px - d6 * ax, py - d6 * ay, pz - d6 * az - d1)
+    flange = ((nx, ny, nz), (ox, oy, oz), (ax, ay, az))
+    bends, closes, merged = _bend_elbow(arm, centre)
+    for elbow, theta3 in enumerate(bends):
+        turns, exists, free = _turn_shoulder(arm, centre, theta3, hold)
+        c3, s3 = cos(theta3), sin(theta3)
+        for shoulder, ((theta1, c1, s1), (theta2, c2, s2)) in enumerate(turns):
+            # columns of R03; Q = R03ᵀ R
+            x = (c1 * c2 * c3 - s1 * s3, s1 * c2 * c3 + c1 * s3, -s2 * c3)
+            y = (-c1 * s2, -s1 * s2, -c2)
+            z = (-c1 * c2 * s3 - s1 * c3, -s1 * c2 * s3 + c1 * c3, s2 * s3)
+            entries = (*(_dot(u, v) for u in (x, y) for v in flange), _dot(z, flange[2]))
+            wrists, straight = turn_wrist(-1, entries, hold[3])
+            flags = ELBOW * merged | SHOULDER * free | WRIST * straight
+            for wrist, angles in enumerate(wrists):
+                branch, theta = 4 * shoulder + 2 * elbow + wrist, (theta1, theta2, theta3, *angles)
+                yield Answer(branch, theta, exists & closes, flags)
 
 
-def _bend_elbow(arm: DhArm, wrist: Triple) -> tuple[Array, Mask, Mask]:
-    """θ3 (2, m) by the distance of the wrist centre; where it exists and where both are one."""
-    upper, fore = np.hypot(arm.a[1], arm.d[1]), np.hypot(arm.a[2], arm.d[3])
-    cosine = (_dot(wrist, wrist) - upper**2 - fore**2 - arm.d[2] ** 2) / (2 * upper * fore)
-    exists = np.abs(cosine) <= 1 + TOL_COSINE
-    cosine = np.clip(cosine, -1, 1)
-    sine = np.sqrt((1 - cosine) * (1 + cosine))
-    bend = np.arctan2(sine, cosine)
-    stretched = np.arctan2(arm.d[1], arm.a[1]) - np.arctan2(arm.d[3], arm.a[2])
-    return np.stack([stretched + bend, stretched - bend]), exists, exists & (sine < TOL_ELBOW)
+def _bend_elbow(arm: DhArm, wrist: Triple) -> tuple[tuple[Number, Number], Condition, Condition]:
+    """Both θ3 by the distance of the wrist centre; where they exist and where both are one."""
+    upper, fore = math.hypot(arm.a[1], arm.d[1]), math.hypot(arm.a[2], arm.d[3])
+    d3 = float(arm.d[2])
+    cosine = (_dot(wrist, wrist) - upper**2 - fore**2 - d3**2) / (2 * upper * fore)
+    exists = abs(cosine) <= 1 + TOL_COSINE
+    cosine = clip(cosine, -1.0, 1.0)
+    sine = sqrt((1 - cosine) * (1 + cosine))
+    bend = arctan2(sine, cosine)
+    stretched = math.atan2(arm.d[1], arm.a[1]) - math.atan2(arm.d[3], arm.a[2])
+    return (stretched + bend, stretched - bend), exists, exists & (sine < TOL_ELBOW)
 
 
 def _turn_shoulder(
-    arm: DhArm, wrist: Triple, theta3: Array, hold: Array
-) -> tuple[tuple[Array, Array, Array], tuple[Array, Array, Array], Mask, Mask]:
-    """θ1 and θ2 with their cosines and sines, (2, 2, m): shoulder, elbow, pose.
-
-    Then where they exist, and where one of them is free.
-    """
-    angle = theta3 + np.arctan2(arm.d[3], arm.a[2])
-    fore = np.hypot(arm.a[2], arm.d[3])
+    arm: DhArm, wrist: Triple, theta3: Number, hold: Sequence[Number]
+) -> tuple[tuple[tuple[Turn, Turn], tuple[Turn, Turn]], Condition, Condition]:
+    """θ1 and θ2 of both shoulders, where they exist, and where one of them is free."""
+    (_, a2, a3), (_, d2, d3, d4) = arm.a[:3].tolist(), arm.d[:4].tolist()
+    angle, fore = theta3 + math.atan2(d4, a3), math.hypot(a3, d4)
     # the wrist centre in frame 1 at θ2 = 0, with y along axis 2 turned to z
-    vx, vy, vz = arm.a[1] + fore * np.cos(angle), -float(arm.d[2]), arm.d[1] + fore * np.sin(angle)
+    vx, vy, vz = a2 + fore * cos(angle), -d3, d2 + fore * sin(angle)
     x, y, height = wrist
-    distance = np.hypot(x, y)
-    exists = distance >= np.abs(vz) - TOL_SIDE
-    along = np.sqrt(np.maximum((distance - vz) * (distance + vz), 0.0))
-    across = np.stack([along, -along])
-    first = _angle(x * across + y * vz, y * across - x * vz, distance < TOL_SHOULDER, hold[0])
-    on_axis_2 = np.hypot(vx, vy) < TOL_SHOULDER
-    second = _angle(across * vx - height * vy, -across * vy - height * vx, on_axis_2, hold[1])
-    return first, second, exists, (distance < TOL_SHOULDER) | on_axis_2
+    distance = sqrt(x * x + y * y)
+    exists = distance >= abs(vz) - TOL_SIDE
+    on_axis_1, on_axis_2 = distance < TOL_SHOULDER, sqrt(vx * vx + vy * vy) < TOL_SHOULDER
+    along = sqrt(clip((distance - vz) * (distance + vz), 0.0, np.inf))
+    facing, away = (
+        (
+            angle_of(x * across + y * vz, y * across - x * vz, hold[0], on_axis_1),
+            angle_of(across * vx - height * vy, -across * vy - height * vx, hold[1], on_axis_2),
+        )
+        for across in (along, -along)
+    )
+    return (facing, away), exists, on_axis_1 | on_axis_2
 
 
-def _angle(x: Array, y: Array, free: Mask, hold: Array) -> tuple[Array, Array, Array]:
-    """The angle of (x, y), its cosine and its sine; where it is free, those of `hold`."""
-    theta, length = np.arctan2(y, x), np.hypot(x, y)
-    free = np.broadcast_to(free, x.shape) | (length == 0)
-    length = np.where(free, 1.0, length)
-    cosine, sine = x / length, y / length
-    if free.any():
-        theta[free] = np.broadcast_to(hold, x.shape)[free]
-        cosine[free], sine[free] = np.cos(theta[free]), np.sin(theta[free])
-    return theta, cosine, sine
-
-
-def _dot(u: Triple, v: Triple) -> Array:
+def _dot(u: Triple, v: Triple) -> Number:
     return u[0] * v[0] + u[1] * v[1] + u[2] * v[2]

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from robots import intersecting_axes, offset_wrist, parallel_axes, spherical_wrist
 from robots.arm import Arm, DhArm, TableForm, UrdfArm
-from robots.closed_form import SHOULDER, WRIST, Family, Flags
+from robots.closed_form import SHOULDER, WRIST, Family
 from robots.kinematics import forward, link_frames
 from robots.transforms import Array, difference, invert
 
@@ -21,6 +21,8 @@ FAMILIES: dict[str, Family] = {
     "intersecting_axes": intersecting_axes,
 }
 TABLE_FAMILIES = ("spherical_wrist", "parallel_axes")  # of robot files; a URDF can be of any
+
+Flags = NDArray[np.uint8]
 
 CHUNK_POSES = 2048  # poses at a time: their rows stay in the processor's second cache
 # where a free joint looks for an angle at which the elbow closes: either way, ever wider, rad
@@ -79,16 +81,14 @@ def inverse(arm: Arm, base_T_flange: Array, hold: Array | None = None) -> Branch
     poses = poses.reshape(-1, 16)
     held = arm.theta(np.zeros(6) if hold is None else np.asarray(hold, dtype=float))
     held = np.broadcast_to(held, (*shape, 6)).reshape(-1, 6)
-    q = np.empty((len(poses), 8, 6))
-    degenerate = np.empty((len(poses), 8), dtype=np.uint8)
-    for start in range(0, len(poses), CHUNK_POSES):
-        part = slice(start, start + CHUNK_POSES)
-        q[part], degenerate[part] = _solve_chunk(arm, poses[part], held[part])
+    q, degenerate = _solve(arm, poses, held)
     for shift in POSE_SHIFTS:
+        if not np.count_nonzero(degenerate):
+            break
         stuck = np.isnan(q[..., 0]).all(axis=1) & (degenerate & (WRIST | SHOULDER)).any(axis=1)
         if not stuck.any():
             break
-        q[stuck], degenerate[stuck] = _solve_chunk(arm, poses[stuck], held[stuck] + shift)
+        q[stuck], degenerate[stuck] = _solve(arm, poses[stuck], held[stuck] + shift)
     return Branches(q.reshape(*shape, 8, 6), degenerate.reshape(*shape, 8))
 
 
@@ -194,22 +194,29 @@ def _refined(arm: UrdfArm, q: Array, poses: Array) -> Array:
     return q
 
 
-def _solve_chunk(arm: DhArm, poses: Array, held: Array) -> tuple[Array, Flags]:
+def _solve(arm: DhArm, poses: Array, held: Array) -> tuple[Array, Flags]:
     """Joint angles (m, 8, 6) and flags (m, 8) of poses (m, 16), free joints at DH angles (m, 6)."""
-    rows = np.ascontiguousarray(poses.T)
-    theta, exists, flags = FAMILIES[arm.family].solve(arm, rows, held.T)
-    turns = np.ceil((theta - np.pi) / (2 * np.pi))  # wrap into (-pi, pi]
-    turns *= 2 * np.pi
-    theta -= turns
-    for row, sign, offset in zip(theta, arm.sign, arm.offset, strict=True):
-        if offset:
-            row -= offset
-        if sign < 0:
-            np.negative(row, out=row)
+    q, flags = np.empty((len(poses), 8, 6)), np.empty((len(poses), 8), dtype=np.uint8)
+    solve = FAMILIES[arm.family].solve
+    if len(poses) == 1:  # in plain floats
+        answers = sorted(solve(arm, poses[0].tolist(), held[0].tolist()))
+        _, theta, exists, bits = zip(*answers, strict=True)
+        q[0], flags[0] = _joint_angles(arm, np.array(theta).T, np.array(exists)), bits
+        return q, flags
+    for start in range(0, len(poses), CHUNK_POSES):
+        part = slice(start, start + CHUNK_POSES)
+        for answer in solve(arm, list(np.ascontiguousarray(poses[part].T)), list(held[part].T)):
+            q[part, answer.branch] = _joint_angles(arm, np.array(answer.theta), answer.exists)
+            flags[part, answer.branch] = answer.flags
+    return q, flags
+
+
+def _joint_angles(arm: DhArm, theta: Array, exists: NDArray[np.bool_]) -> Array:
+    """Joint angles (k, 6) of DH angles (6, k), which are brought into (-pi, pi], in place."""
+    theta -= FULL_TURN * np.ceil((theta - np.pi) / FULL_TURN)
     if not exists.all():
         np.copyto(theta, np.nan, where=~exists)
-    flags = np.broadcast_to(flags, theta.shape[1:])
-    return theta.reshape(6, 8, -1).T, flags.reshape(8, -1).T
+    return arm.joint_angles(theta.T)
 
 
 def within_limits(arm: Arm, q: Array) -> NDArray[np.bool_]:
@@ -236,7 +243,7 @@ def turns(arm: Arm, q: Array) -> Array:
 
 def near(q: Array, q_near: Array) -> Array:
     """Shift each joint of q by whole turns to within half a turn of q_near; shapes broadcast."""
-    return q - FULL_TURN * np.round((q - q_near) / FULL_TURN)
+    return q - FULL_TURN * np.rint((q - q_near) / FULL_TURN)
 
 
 def near_within(arm: Arm, q: Array, q_near: Array) -> Array:

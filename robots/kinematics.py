@@ -4,7 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from robots.arm import Arm, DhArm, Frame, Number, UrdfArm, Vector
+from robots.arm import Arm, DhArm, Frame, UrdfArm, Vector
+from robots.elementary import Number
 from robots.transforms import Array
 
 BASE: Frame = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, 0.0))

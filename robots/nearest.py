@@ -48,14 +48,14 @@ def nearest(
 def _nearest_branch(
     arm: Arm, poses: Array, seeds: Array, limits: bool
 ) -> tuple[Array, NDArray[np.bool_]]:
-    branches = inverse(arm, poses, hold=seeds).q
-    rivals = seeds[..., None, :]
+    branches, rivals = inverse(arm, poses, hold=seeds).q, seeds[..., None, :]
     q = near_within(arm, branches, rivals) if limits else near(branches, rivals)
-    distance = np.linalg.norm(q - rivals, axis=-1)
-    distance = np.where(np.isnan(distance), np.inf, distance)
-    best = np.argmin(distance, axis=-1)[..., None]
-    chosen = np.take_along_axis(q, best[..., None], axis=-2)[..., 0, :]
-    return chosen, np.isfinite(np.take_along_axis(distance, best, axis=-1)[..., 0])
+    away = q - rivals
+    distance = (away * away).sum(axis=-1)
+    distance[np.isnan(distance)] = np.inf
+    best = distance.argmin(axis=-1).ravel()
+    chosen = q.reshape(best.size, -1, arm.dof)[np.arange(best.size), best].reshape(seeds.shape)
+    return chosen, np.isfinite(chosen[..., 0])
 
 
 def _damped_least_squares(arm: UrdfArm, pose: Array, seed: Array, limits: bool) -> Array:

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.arm import DhArm
-from robots.closed_form import Mask, Misfit, Needed, bend_to, table_mismatch, turn_to
+from robots.closed_form import Misfit, Needed, bend_to, table_mismatch, turn_to
 from robots.transforms import Array
 
 ALPHA = (-90.0, 0.0, -90.0, 90.0, -90.0, 0.0)
@@ -25,6 +25,7 @@ N_SAMPLES = 128  # of a turn: roots of one branch that are nearer together can p
 N_BISECTIONS = 32  # of a sample's width: to 1e-11 rad
 MAX_LEAST = 0.2  # |e|: a least value above hides no root between two samples
 Choices = NDArray[np.intp]
+Mask = NDArray[np.bool_]
 
 
 def misfit(arm: DhArm) -> Misfit | None:
@@ -87,16 +88,19 @@ def _solve(arm: DhArm, poses: Array, theta6: Array) -> tuple[Array, Array, Mask]
     n, o, z5, p = (poses[:, :3, i].T for i in range(4))
     x5, y5 = c6 * n - s6 * o, s6 * n + c6 * o
     wx, wy, wz = p - d6 * z5 - a5 * x5 + d5 * y5
-    turned = turn_to(wx, wy, np.zeros(1), float(arm.d[1] + arm.d[2]))
-    c1, s1 = turned.cosine[:, None], turned.sine[:, None]
-    along = wx * turned.cosine + wy * turned.sine - a1
+    shoulders, _, there = turn_to(wx, wy, np.zeros(1), float(arm.d[1] + arm.d[2]))
     length, gamma = float(np.hypot(a3, d4)), -float(np.arctan2(d4, a3))
-    bent = bend_to(along, d1 - wz, a2, length)
 
     theta = np.empty((6, 2, 2, len(theta6)))  # joint, shoulder, elbow, pose
-    theta[0] = turned.theta[:, None]
-    theta[1, :, 0], theta[1, :, 1] = bent.azimuth - bent.inner, bent.azimuth + bent.inner
-    theta[2, :, 0], theta[2, :, 1] = gamma + bent.bend, gamma - bent.bend
+    exists = np.empty(theta.shape[1:], dtype=np.bool_)
+    for shoulder, (theta1, cosine, sine) in enumerate(shoulders):
+        bent = bend_to(wx * cosine + wy * sine - a1, d1 - wz, a2, length)
+        exists[shoulder] = there & bent.exists
+        theta[0, shoulder] = theta1
+        for elbow in (0, 1):
+            theta[1, shoulder, elbow] = bent.azimuths[elbow]
+            theta[2, shoulder, elbow] = gamma + bent.bends[elbow]
+    c1, s1 = np.cos(theta[0]), np.sin(theta[0])
     c23, s23 = np.cos(theta[1] + theta[2]), np.sin(theta[1] + theta[2])
 
     def x3(v: Array) -> Array:
@@ -111,5 +115,4 @@ def _solve(arm: DhArm, poses: Array, theta6: Array) -> tuple[Array, Array, Mask]
     theta[3] = np.arctan2(-x3(y5), y3(y5))
     theta[4] = np.arctan2(z3(x5), z3(z5))
     theta[5] = theta6
-    exists = (bent.exists & turned.exists)[:, None] & np.ones((1, 2, 1), dtype=np.bool_)
     return np.where(exists, theta, np.nan), np.where(exists, -z3(y5), np.nan), exists

@@ -6,6 +6,8 @@ far the arm's plane passes axis 1. Unlike a spherical wrist, axis 6 turning para
 (2018) with its misprints mended, derived again from the DH table.
 """
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
 from robots.arm import DhArm
@@ -14,15 +16,17 @@ from robots.closed_form import (
     SHOULDER,
     TOL_WRIST,
     WRIST,
-    Flags,
-    Mask,
+    Answer,
     Misfit,
     Needed,
     bend_to,
     table_mismatch,
     turn_to,
 )
-from robots.transforms import Array
+from robots.elementary import Condition, Number, arctan2, cos, sin, some, sqrt, where
+
+Triple = tuple[Number, Number, Number]
+Wrist = tuple[Number, Number, Number, Number, Number, Number]
 
 ALPHA = (-90.0, 0.0, 0.0, 90.0, -90.0, 0.0)
 LENGTHS: Needed = {"a_mm": (None, None, None, None, 0.0, 0.0), "d_mm": (None,) * 6}
@@ -42,67 +46,53 @@ def reach(arm: DhArm) -> tuple[float, float]:
     return abs(float(arm.a[1] - arm.a[2])), float(arm.a[1] + arm.a[2])
 
 
-def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
-    """Solve poses given as rows; see `closed_form.Family`."""
-    a1, a2, a3, a4 = arm.a[:4].tolist()
-    d1, _, _, _, d5, d6 = arm.d.tolist()
+def solve(arm: DhArm, pose: Sequence[Number], hold: Sequence[Number]) -> Iterator[Answer]:
+    """Solve poses; see `closed_form.Family`."""
+    (a1, a2, a3, a4), (d1, d2, d3, d4, d5, d6) = arm.a[:4].tolist(), arm.d.tolist()
     nx, ox, ax, px, ny, oy, ay, py, nz, oz, az, pz = pose[:12]
+    shoulders, free, exists = turn_to(px - d6 * ax, py - d6 * ay, hold[0], d2 + d3 + d4)
+    for shoulder, (theta1, cosine, sine) in enumerate(shoulders):
+        n, o, a, p = (cosine * x + sine * y for x, y in ((nx, ny), (ox, oy), (ax, ay), (px, py)))
+        wrists, straight = _turn_wrist((n, o, a), (nz, oz, az), cosine * ay - sine * ax, hold[5])
+        for wrist, (theta234, theta5, theta6, c234, s234, s5) in enumerate(wrists):
+            lever = a4 - d6 * s5
+            bent = bend_to(
+                p - lever * c234 - d5 * s234 - a1, d1 - pz - lever * s234 + d5 * c234, a2, a3
+            )
+            flags = ELBOW * bent.merged | SHOULDER * free | WRIST * straight
+            for elbow, (theta2, theta3) in enumerate(zip(bent.azimuths, bent.bends, strict=True)):
+                yield Answer(
+                    4 * shoulder + 2 * elbow + wrist,
+                    (theta1, theta2, theta3, theta234 - theta2 - theta3, theta5, theta6),
+                    exists & bent.exists,
+                    flags,
+                )
 
-    turned = turn_to(px - d6 * ax, py - d6 * ay, hold[0], float(arm.d[1:4].sum()))
-    cosine, sine = turned.cosine, turned.sine
-    n_along, o_along, a_along, p_along = (
-        cosine * x + sine * y for x, y in ((nx, ny), (ox, oy), (ax, ay), (px, py))
-    )
-    c5 = cosine * ay - sine * ax
-    s5 = np.sqrt(a_along * a_along + az * az)
 
-    # Axes (shoulder, wrist, pose) from here. θ234 turns axis 5 square to the flange's z.
+def _turn_wrist(
+    along: Triple, up: Triple, c5: Number, hold: Number
+) -> tuple[tuple[Wrist, Wrist], Condition]:
+    """Turn θ234 so that axis 5 is square to the flange's z: both ways, and where it is straight.
+
+    `along` and `up` are the shares of the flange's axes in the arm's plane. A wrist is θ234, θ5 and
+    θ6, the cosine and sine of θ234, and the sine of θ5.
+    """
+    (n, o, a), (nz, oz, az) = along, up
+    s5 = sqrt(a * a + az * az)
     straight = s5 < TOL_WRIST
-    some_straight = bool(straight.any())
-    divisor = np.where(straight, 1.0, s5) if some_straight else s5
-    s234, c234 = _both(az / divisor), _both(-a_along / divisor)
-    theta234, theta5 = np.empty_like(s234), _both(np.arctan2(s5, c5))
-    theta234[:, 0] = np.arctan2(az, -a_along)
-    theta234[:, 1] = theta234[:, 0] + np.pi
-    s5 = _both(s5)
-    if some_straight:  # only θ234 ± θ6 is determined: hold θ6
-        free = np.arctan2(-nz, n_along)[straight]
-        theta6 = np.broadcast_to(hold[5], straight.shape)[straight]
-        held = np.where(c5[straight] > 0, free - theta6, free - np.pi + theta6)
-        c, s = np.cos(held), np.sin(held)
-        lean = s * np.broadcast_to(az, straight.shape)[straight] - c * a_along[straight]
-        turn = np.arctan2(lean, c5[straight])
-        for wrist in (0, 1):
-            for angles, value in ((theta234, held), (c234, c), (s234, s), (theta5, turn)):
-                angles[:, wrist][straight] = value
-            s5[:, wrist][straight] = np.sin(turn)
-
-    lever = a4 - d6 * s5
-    bent = bend_to(
-        p_along[:, None] - lever * c234 - d5 * s234 - a1, d1 - pz - lever * s234 + d5 * c234, a2, a3
-    )
-
-    theta = np.empty((6, 2, 2, 2, pose.shape[1]))  # joint, shoulder, elbow, wrist, pose
-    theta[0] = turned.theta[:, None, None]
-    theta[1, :, 0], theta[1, :, 1] = bent.azimuth - bent.inner, bent.azimuth + bent.inner
-    theta[2, :, 0], theta[2, :, 1] = bent.bend, -bent.bend
-    theta[3] = theta234[:, None] - theta[1] - theta[2]
-    theta[4] = theta5[:, None]
+    some_straight = some(straight)
+    divisor = where(straight, 1.0, s5) if some_straight else s5
+    s234, c234 = az / divisor, -a / divisor
     # axis 5 is (C1 s234, S1 s234, c234): its share in n and o is sin θ6 and cos θ6, θ5 or not
-    theta[5] = np.arctan2(
-        -(s234 * n_along[:, None] + c234 * nz), -(s234 * o_along[:, None] + c234 * oz)
-    )[:, None]
-    if some_straight:
-        for wrist in (0, 1):
-            theta[5, :, :, wrist].swapaxes(0, 1)[:, straight] = theta6
-
-    flags = np.where(bent.merged, ELBOW, 0)[:, None] | np.where(turned.free, SHOULDER, 0)
-    flags = flags | np.where(straight, WRIST, 0)[:, None, None]
-    return theta, (bent.exists & turned.exists)[:, None], flags.astype(np.uint8)
-
-
-def _both(value: Array) -> Array:
-    """Value for sin θ5 >= 0 and its negative for <= 0: (2, m) to (2, 2, m)."""
-    both = np.empty((2, 2, value.shape[-1]))
-    both[:, 0], both[:, 1] = value, -value
-    return both
+    sine6, cosine6 = s234 * n + c234 * nz, s234 * o + c234 * oz
+    theta234, theta5 = arctan2(az, -a), arctan2(s5, c5)
+    one = theta234, theta5, arctan2(-sine6, -cosine6), c234, s234, s5
+    other = theta234 + np.pi, -theta5, arctan2(sine6, cosine6), -c234, -s234, -s5
+    if some_straight:  # only θ234 ± θ6 is determined: hold θ6
+        free = arctan2(-nz, n)
+        theta234 = where(c5 > 0, free - hold, free - np.pi + hold)
+        c234, s234 = cos(theta234), sin(theta234)
+        theta5 = arctan2(s234 * az - c234 * a, c5)
+        held = theta234, theta5, hold, c234, s234, sin(theta5)
+        one, other = where(straight, held, one), where(straight, held, other)
+    return (one, other), straight

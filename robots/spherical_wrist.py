@@ -7,6 +7,8 @@ elbow to wrist centre L = hypot(a3, d4) at the angle γ = g · atan2(d4, a3) fro
 Brandstötter, Angerer and Hofbaur (2014) covers the same arms.
 """
 
+from collections.abc import Iterator, Sequence
+
 import numpy as np
 
 from robots.arm import DhArm
@@ -14,8 +16,7 @@ from robots.closed_form import (
     ELBOW,
     SHOULDER,
     WRIST,
-    Flags,
-    Mask,
+    Answer,
     Misfit,
     Needed,
     bend_to,
@@ -23,7 +24,7 @@ from robots.closed_form import (
     turn_to,
     turn_wrist,
 )
-from robots.transforms import Array
+from robots.elementary import Number, cos, sin
 
 ALPHA_BY_SIDE = {1: (-90.0, 0.0, 90.0, -90.0, 90.0, 0.0), -1: (-90.0, 0.0, -90.0, 90.0, -90.0, 0.0)}
 LENGTHS: Needed = {
@@ -58,39 +59,26 @@ def reach(arm: DhArm) -> tuple[float, float]:
     return abs(float(arm.a[1]) - length), float(arm.a[1]) + length
 
 
-def solve(arm: DhArm, pose: Array, hold: Array) -> tuple[Array, Mask, Flags]:
-    """Solve poses given as rows; see `closed_form.Family`."""
+def solve(arm: DhArm, pose: Sequence[Number], hold: Sequence[Number]) -> Iterator[Answer]:
+    """Solve poses; see `closed_form.Family`."""
     g = elbow_side(arm)
     length, gamma = forearm(arm)
-    a1, d1, d6 = float(arm.a[0]), float(arm.d[0]), float(arm.d[5])
+    (a1, a2), (d1, d2, d3, _, _, d6) = arm.a[:2].tolist(), arm.d.tolist()
     nx, ox, ax, px, ny, oy, ay, py, nz, oz, az, pz = pose[:12]
-
-    wrist_x, wrist_y = px - d6 * ax, py - d6 * ay
-    turned = turn_to(wrist_x, wrist_y, hold[0], float(arm.d[1] + arm.d[2]))
-    along = wrist_x * turned.cosine + wrist_y * turned.sine - a1
-    bent = bend_to(along, d1 - (pz - d6 * az), float(arm.a[1]), length)
-
-    m = pose.shape[1]
-    theta = np.empty((6, 2, 2, 2, m))  # joint, shoulder, elbow, wrist, pose
-    theta[0] = turned.theta[:, None, None]
-    theta[1, :, 0] = (bent.azimuth - bent.inner)[:, None]
-    theta[1, :, 1] = (bent.azimuth + bent.inner)[:, None]
-    theta[2, :, 0] = (bent.bend + gamma)[:, None]
-    theta[2, :, 1] = (gamma - bent.bend)[:, None]
-
-    # Q = R03ᵀ R; the flange's axes along the arm's plane and across it, (2, m), are enough
-    pitch = theta[1, :, :, 0] + theta[2, :, :, 0]  # θ2 + θ3, (2, 2, m)
-    c23, s23 = np.cos(pitch), np.sin(pitch)
-    cosine, sine = turned.cosine, turned.sine
-    n_along, o_along, a_along = (cosine * x + sine * y for x, y in ((nx, ny), (ox, oy), (ax, ay)))
-    q21, q22, q23 = (g * (cosine * y - sine * x) for x, y in ((nx, ny), (ox, oy), (ax, ay)))
-    q11 = c23 * n_along[:, None] - s23 * nz
-    q12 = c23 * o_along[:, None] - s23 * oz
-    q13 = c23 * a_along[:, None] - s23 * az
-    q33 = g * (s23 * a_along[:, None] + c23 * az)
-
-    entries = (q11, q12, q13, q21[:, None], q22[:, None], q23[:, None], q33)
-    straight = turn_wrist(theta, g, entries, hold[3])
-    flags = np.where(bent.merged, ELBOW, 0)[:, None, None] | np.where(turned.free, SHOULDER, 0)
-    flags = flags | np.where(straight, WRIST, 0)[:, :, None]
-    return theta, bent.exists[:, None, None] & turned.exists, flags.astype(np.uint8)
+    x, y, z = px - d6 * ax, py - d6 * ay, pz - d6 * az  # of the wrist
+    shoulders, free, exists = turn_to(x, y, hold[0], d2 + d3)
+    for shoulder, (theta1, c1, s1) in enumerate(shoulders):
+        bent = bend_to(x * c1 + y * s1 - a1, d1 - z, a2, length)
+        # Q = R03ᵀ R; the flange's axes along the arm's plane and across it are enough
+        n, o, a = (c1 * u + s1 * v for u, v in ((nx, ny), (ox, oy), (ax, ay)))
+        q21, q22, q23 = (g * (c1 * v - s1 * u) for u, v in ((nx, ny), (ox, oy), (ax, ay)))
+        for elbow, (theta2, bend) in enumerate(zip(bent.azimuths, bent.bends, strict=True)):
+            theta3 = bend + gamma
+            c23, s23 = cos(theta2 + theta3), sin(theta2 + theta3)
+            q11, q12, q13 = c23 * n - s23 * nz, c23 * o - s23 * oz, c23 * a - s23 * az
+            q33 = g * (s23 * a + c23 * az)
+            wrists, straight = turn_wrist(g, (q11, q12, q13, q21, q22, q23, q33), hold[3])
+            flags = ELBOW * bent.merged | SHOULDER * free | WRIST * straight
+            for wrist, angles in enumerate(wrists):
+                branch, theta = 4 * shoulder + 2 * elbow + wrist, (theta1, theta2, theta3, *angles)
+                yield Answer(branch, theta, exists & bent.exists, flags)
