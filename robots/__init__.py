@@ -25,7 +25,7 @@ from robots.coupling import Coupling, coupled, couplings
 from robots.errors import RobotError
 from robots.export import export_urdf
 from robots.inverse import Branches, inverse, turns, within_limits
-from robots.kinematics import forward, jacobian, link_frames
+from robots.kinematics import forward, forward_and_jacobian, jacobian, link_frames
 from robots.library import example_names, load, names
 from robots.nearest import nearest
 from robots.pinocchio_model import pinocchio_model
@@ -44,6 +44,7 @@ __all__ = [
     "example_names",
     "export_urdf",
     "forward",
+    "forward_and_jacobian",
     "inverse",
     "jacobian",
     "link_frames",

@@ -9,12 +9,15 @@ u(orientation) / 0.2, and a good stereo pose is known to 0.25 mm and 0.10°, who
 """
 
 import itertools
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from robots import spherical_wrist
 from robots.arm import Arm, DhArm, UrdfArm
+from robots.elementary import Number, cos, sin
 from robots.kinematics import forward, jacobian
 from robots.transforms import Array
 
@@ -49,8 +52,10 @@ class Coupling:
         return "+".join(str(joint + 1) for joint in self.joints)
 
 
-def coupled(arm: Arm, q: Array) -> Coupling | None:
+def coupled(arm: Arm, q: Array, base_T_flange: Array | None = None) -> Coupling | None:
     """Say which joints cannot be told apart at q (n,), rad; None where all can.
+
+    `base_T_flange` (4, 4), m: `forward` of q, where it is known.
 
     For a DH arm each factor of det J has its gate; the joints are those that the singular direction
     moves at the singular posture next to q, of all that are near. For a URDF the singular values of
@@ -61,8 +66,9 @@ def coupled(arm: Arm, q: Array) -> Coupling | None:
         return _by_singular_values(arm, q)
     assert isinstance(arm, DhArm)
     theta = arm.theta(q)
-    factors = _factors(arm, forward(arm, q), theta)
-    near = [(name, float(value)) for name, value, gate in factors if value < gate]
+    pose = forward(arm, q) if base_T_flange is None else base_T_flange
+    factors = _factors(arm, pose.tolist(), theta.tolist())
+    near = [(name, value) for name, value, gate in factors if value < gate]
     if not near:
         return None
     names = [name for name, _ in near]
@@ -81,7 +87,9 @@ def couplings(
     if not len(q) or not isinstance(arm, DhArm):
         return tuple(coupled(arm, one) for one in q)
     pose = forward(arm, q) if base_T_flange is None else base_T_flange
-    factors = _factors(arm, pose, arm.theta(q))
+    if len(q) == 1:
+        return (coupled(arm, q[0], pose[0]),)
+    factors = _factors(arm, list(np.moveaxis(pose, 0, -1)), list(arm.theta(q).T))
     near = np.any([value < GATE_MARGIN * gate for _, value, gate in factors], 0)
     return tuple(coupled(arm, one) if close else None for one, close in zip(q, near, strict=True))
 
@@ -104,12 +112,14 @@ def _self_motions(arm: DhArm, theta: Array, name: str, near: list[str]) -> Array
     return np.asarray(vt[np.minimum(s, s[-1] + TOL_ORTHOGONAL) == s])
 
 
-def _factors(arm: DhArm, pose: Array, theta: Array) -> list[tuple[str, Array, float]]:
-    """What vanishes at singularities, (...,) of postures (..., 6), and the gate of each."""
+def _factors(
+    arm: DhArm, pose: Sequence[Any], theta: Sequence[Number]
+) -> list[tuple[str, Number, float]]:
+    """What vanishes at singularities, numbers like the pose's and angles', and the gate of each."""
     return [
-        ("wrist", np.abs(np.sin(theta[..., 4])), WRIST_GATE),
-        ("elbow", np.abs(np.sin(theta[..., 2] - _stretched_elbow(arm))), ELBOW_GATE),
-        ("shoulder", np.abs(_wrist_distance(arm, pose, theta)), SHOULDER_GATE),
+        ("wrist", abs(sin(theta[4])), WRIST_GATE),
+        ("elbow", abs(sin(theta[2] - _stretched_elbow(arm))), ELBOW_GATE),
+        ("shoulder", abs(_wrist_distance(arm, pose, theta)), SHOULDER_GATE),
     ]
 
 
@@ -118,12 +128,11 @@ def _stretched_elbow(arm: DhArm) -> float:
     return spherical_wrist.forearm(arm)[1] if arm.family == "spherical_wrist" else 0.0
 
 
-def _wrist_distance(arm: DhArm, pose: Array, theta: Array) -> Array:
-    """The wrist's signed distance from axis 1, m, in the plane that θ1 turns; (...,)."""
-    wrist = pose[..., :2, 3] - arm.d[5] * pose[..., :2, 2]
-    theta1 = theta[..., 0]
-    distance: Array = np.cos(theta1) * wrist[..., 0] + np.sin(theta1) * wrist[..., 1]
-    return distance
+def _wrist_distance(arm: DhArm, pose: Sequence[Any], theta: Sequence[Number]) -> Number:
+    """The wrist's signed distance from axis 1, m, in the plane that θ1 turns."""
+    d6 = float(arm.d[5])
+    (_, _, ax, px), (_, _, ay, py), *_ = pose
+    return cos(theta[0]) * (px - d6 * ax) + sin(theta[0]) * (py - d6 * ay)
 
 
 def _wrist_slopes(arm: DhArm, pose: Array, q: Array, theta: Array) -> Array:
@@ -140,7 +149,7 @@ def _move_to_axis(arm: DhArm, theta: Array) -> None:
     for _ in range(20):  # four or five bring rounding
         q = arm.joint_angles(theta)
         pose = forward(arm, q)
-        distance = _wrist_distance(arm, pose, theta)
+        distance = _wrist_distance(arm, pose.tolist(), theta.tolist())
         slopes = arm.sign * _wrist_slopes(arm, pose, q, theta)  # by θ
         if abs(distance) < TOL_ON_AXIS or not slopes.any():
             return

@@ -1,7 +1,7 @@
 """Compare measured pairs with the encoders, each by itself, by the steps of `verify.analysis`."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -115,7 +115,7 @@ class Comparer:
         """
         measured = [i for i, (m, _) in enumerate(pairs) if m.status == "measured"]
         rows = {
-            i: self._empty(m, m.status, clock)
+            i: self._row(m, m.status, clock)
             for i, (m, clock) in enumerate(pairs)
             if m.status != "measured"
         }
@@ -160,13 +160,13 @@ class Comparer:
                 rows[i] = self._compared(pairs[i], comparison, joints, n, effects[n], alignment)
         for i in (~known).nonzero()[0].tolist():
             (measurement, clock), alone = pairs[i], track.base_T_flange[i]
-            rows[i] = self._empty(measurement, NO_ENCODER, clock, base_T_measured=alone)
+            rows[i] = self._row(measurement, NO_ENCODER, clock, base_T_measured=alone)
         return [rows[i] for i in range(len(pairs))]
 
     def without(self, measurement: Measurement) -> JointRow:
         """Word a pair for which there is no clock yet, as no reading has ever come."""
         status = NO_ENCODER if measurement.status == "measured" else measurement.status
-        return self._empty(measurement, status, None)
+        return self._row(measurement, status, None)
 
     def _compared(
         self,
@@ -179,17 +179,25 @@ class Comparer:
     ) -> JointRow:
         """Word row n of a comparison; effect (6,): what a second of clock offset does."""
         measurement, clock = pair
+        known = {
+            "base_T_measured": comparison.base_T_measured[n],
+            "base_T_encoder": comparison.base_T_encoder[n],
+            "encoder": comparison.q[n],
+        }
         if not joints.reached[n]:
-            return self._empty(measurement, UNREACHABLE, clock, (comparison, n))
+            return self._row(measurement, UNREACHABLE, clock, **known)
         prior = comparison.systematic[n] @ self._root
         aligned = alignment if comparison.determined[n].shape[1] == 6 else np.zeros((6, 6))
         doubt = clock.standard_uncertainty or 0.0
         inverse = joints.inverse[n]
-        variance = np.diag(joints.covariance[n]) + np.sum((inverse @ prior) ** 2, axis=1)
-        variance = variance + (inverse @ effect * doubt) ** 2
+        held, shifted = inverse @ prior, inverse @ effect * doubt
+        variance = joints.covariance[n].diagonal() + (held * held).sum(axis=1) + shifted**2
         uncertainty = np.where(np.isnan(joints.q[n]), np.nan, np.sqrt(variance))
-        return replace(
-            self._empty(measurement, measurement.status, clock, (comparison, n)),
+        return self._row(
+            measurement,
+            measurement.status,
+            clock,
+            **known,
             measured=joints.q[n],
             error=joints.error[n],
             uncertainty=uncertainty,
@@ -206,32 +214,18 @@ class Comparer:
             ),
         )
 
-    def _empty(
-        self,
-        measurement: Measurement,
-        status: str,
-        clock: LiveClock | None,
-        compared: tuple[Comparison, int] | None = None,
-        **known: Any,
+    def _row(
+        self, measurement: Measurement, status: str, clock: LiveClock | None, **known: Any
     ) -> JointRow:
+        """Word what is known of a pair; angles that are not are nan."""
         nothing = np.full(self.arm.dof, np.nan)
-        encoder = nothing
-        if compared is not None:
-            comparison, n = compared
-            known["base_T_measured"] = comparison.base_T_measured[n]
-            known["base_T_encoder"] = comparison.base_T_encoder[n]
-            encoder = comparison.q[n]
+        angles = ("measured", "encoder", "error", "uncertainty", "single")
         return JointRow(
             frame=measurement.frame,
             t=measurement.t,
             status=status,
             leds_seen=measurement.leds_seen,
-            measured=nothing,
-            encoder=encoder,
-            error=nothing,
-            uncertainty=nothing,
-            single=nothing,
             clock=clock,
             settled=measurement.settled,
-            **known,
+            **dict.fromkeys(angles, nothing) | known,
         )

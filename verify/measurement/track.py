@@ -71,7 +71,9 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
         twist=np.array([turn @ p.twist for p in poses]).reshape(n, 6),
         acceleration_prior=np.array([p.acceleration_prior for p in poses]).reshape(n, 2),
         order=np.array([_lowest_order(m) for m in measured], dtype=np.int64),
-        alignment_error=_alignment_errors(measurements) @ turn.T,
+        alignment_error=_alignment_errors(measurements) @ turn.T
+        if len(measurements) > 2  # a second derivative's window
+        else np.zeros((n, 6)),
         systematic=np.array(systematic).reshape(n, 6, -1) if n else np.zeros((0, 6, 0)),
         determined=tuple(turn @ p.determined for p in poses),
     )

@@ -78,7 +78,7 @@ def chain_of(arm: robots.Arm) -> KinematicChain:
             np.zeros(arm.dof), arm.linkage,
         )  # fmt: skip
     rest, linkage, arm = np.zeros(arm.dof), arm.linkage, arm.unlinked
-    base_T_flange, columns = robots.forward(arm, rest), robots.jacobian(arm, rest)
+    base_T_flange, columns = robots.forward_and_jacobian(arm, rest)
     turns = columns[3:].T
     points = base_T_flange[:3, 3] - np.cross(columns[:3].T, turns)  # nearest to the flange's origin
     frame = _first_frame(turns[0], points[0])

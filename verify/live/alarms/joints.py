@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from verify.analysis.comparison import pseudo_inverse
 from verify.core.records import Array
 from verify.core.statistics import norm_isf
 from verify.live.alarms.change_detection import (
@@ -87,7 +88,7 @@ class ToleranceWatch:
         evidence = row.evidence
         if evidence is None:
             return
-        inverse = np.linalg.pinv(evidence.jacobian, rcond=1e-9)
+        inverse = pseudo_inverse(evidence.jacobian)
         spread = evidence.noise + evidence.alignment
         random = np.einsum("ij,jk,ik->i", inverse, spread, inverse) * inflation
         whole = np.where(valid, np.nan_to_num(row.uncertainty) ** 2, 0.0)
