@@ -6,8 +6,8 @@ import pytest
 # as the command line does, before numpy is first imported: small matrices want one thread
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
-LONGEST = "tests/end_to_end/test_documentation.py::test_the_readme"
-TUTORIAL = "tests/end_to_end/test_documentation.py::test_the_tutorial"  # nearly as long
+README = "tests/end_to_end/test_documentation.py::test_the_readme"
+TUTORIAL = "tests/end_to_end/test_documentation.py::test_the_tutorial"
 NICENESS = 19  # of all that runs beside tests in real time; more than of live frame encoding (10)
 REALTIME_FILES = pytest.StashKey[set[str]]()
 
@@ -26,12 +26,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
     files = {str(i.path) for i in real_time}
     config.stash[REALTIME_FILES] = files
     # at the head of the queue they share one worker; at the end, all workers would be left with
-    # them, and with the longest, which cannot be shared
-    items.sort(key=lambda i: (not i.nodeid.startswith(LONGEST), str(i.path) not in files))
-    tutorial = [i for i in items if i.nodeid.startswith(TUTORIAL)]
-    others = [i for i in items if not i.nodeid.startswith(TUTORIAL)]
-    half = len(others) // 2  # another worker's
-    items[:] = [*others[:half], *tutorial, *others[half:]]
+    # them, and with the longest, which cannot be shared; the two longest share what they make
+    longest = (README, TUTORIAL)
+    items.sort(key=lambda i: (not i.nodeid.startswith(longest), str(i.path) not in files))
 
 
 @pytest.hookimpl(wrapper=True)
