@@ -60,7 +60,8 @@ def solve(arm: DhArm, pose: Sequence[Number], hold: Sequence[Number]) -> Iterato
                 p - lever * c234 - d5 * s234 - a1, d1 - pz - lever * s234 + d5 * c234, a2, a3
             )
             flags = ELBOW * bent.merged | SHOULDER * free | WRIST * straight
-            for elbow, (theta2, theta3) in enumerate(zip(bent.azimuths, bent.bends, strict=True)):
+            for elbow in (0, 1):
+                theta2, theta3 = bent.azimuths[elbow], bent.bends[elbow]
                 yield Answer(
                     4 * shoulder + 2 * elbow + wrist,
                     (theta1, theta2, theta3, theta234 - theta2 - theta3, theta5, theta6),

@@ -144,14 +144,14 @@ def _reading_covariance(
         variance = variance + stated.interpolation[index] ** 2
     if stated.resolution is not None:
         variance = variance + stated.resolution**2 / 12
-    spread: Array = (jacobian * variance[:, None]) @ np.swapaxes(jacobian, 1, 2)
+    spread: Array = (jacobian * variance[:, None]) @ jacobian.swapaxes(1, 2)
     if stated.time is not None:
         moved = jacobian @ rate[:, :, None]
         if isinstance(stated.time, np.ndarray):
             moved *= stated.time[index, None, None]
         else:
             moved *= stated.time
-        spread += moved @ np.swapaxes(moved, 1, 2)
+        spread += moved @ moved.swapaxes(1, 2)
     return spread
 
 
@@ -188,7 +188,7 @@ def without_weight(comparison: Comparison, pairs: NDArray[np.int64]) -> Comparis
 
 def twist_difference(a_T_one: Array, a_T_other: Array) -> Array:
     """One pose less the other as a twist in a's axes: (n, 4, 4) twice to (n, 6), m and rad."""
-    turn = a_T_one[:, :3, :3] @ np.swapaxes(a_T_other[:, :3, :3], 1, 2)
+    turn = a_T_one[:, :3, :3] @ a_T_other[:, :3, :3].swapaxes(1, 2)
     rotation = np.empty((len(turn), 3))
     rotation_vectors(turn, rotation)
     return np.concatenate([a_T_one[:, :3, 3] - a_T_other[:, :3, 3], rotation], axis=1)
@@ -305,7 +305,7 @@ class JointComparison:
     @property
     def single(self) -> Array:
         """Errors that may enter a single joint's statistics: coupled ones are nan; (n, j)."""
-        return np.where(self.coupled, np.nan, self.error)
+        return np.where(self.coupled, np.nan, self.error) if any(self.coupling) else self.error
 
 
 def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:

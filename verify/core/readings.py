@@ -114,7 +114,7 @@ class Readings:
         A joint has turned back once it is further from its extreme than the readings' noise can
         explain; at rest the last direction is kept.
         """
-        held = np.maximum(np.searchsorted(self.t, t, side="right") - 1, 0)
+        held = np.maximum(self.t.searchsorted(t, side="right") - 1, 0)
         return self._directions[held]
 
     @cached_property
