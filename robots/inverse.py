@@ -80,7 +80,7 @@ def inverse(arm: Arm, base_T_flange: Array, hold: Array | None = None) -> Branch
     shape = poses.shape[:-2]
     poses = poses.reshape(-1, 16)
     held = arm.theta(np.zeros(6) if hold is None else np.asarray(hold, dtype=float))
-    held = spread(held, (*shape, 6)).reshape(-1, 6)
+    held = np.broadcast_to(held, (*shape, 6)).reshape(-1, 6)
     q, degenerate = _solve(arm, poses, held)
     for shift in POSE_SHIFTS:
         if not np.count_nonzero(degenerate):
@@ -239,11 +239,6 @@ def turns(arm: Arm, q: Array) -> Array:
         if np.isfinite(row).all():
             found.extend(itertools.product(*map(_whole_turns, row, arm.lower, arm.upper)))
     return np.array(found, dtype=float).reshape(-1, arm.dof)
-
-
-def spread(q: Array, shape: tuple[int, ...]) -> Array:
-    """Joint angles of a shape, where they have another repeated for every pose."""
-    return q if q.shape == shape else np.broadcast_to(q, shape)
 
 
 def near(q: Array, q_near: Array) -> Array:

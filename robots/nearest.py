@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots.arm import Arm, DhArm, UrdfArm
-from robots.inverse import inverse, near, near_within, spread
+from robots.inverse import inverse, near, near_within
 from robots.kinematics import forward, jacobian
 from robots.transforms import Array, difference
 
@@ -29,7 +29,7 @@ def nearest(
     q (..., n), NaN where not reached, and whether the pose was reached (...).
     """
     poses = np.asarray(base_T_flange, dtype=float)
-    seeds = spread(np.asarray(q_near, dtype=float), (*poses.shape[:-2], arm.dof))
+    seeds = np.broadcast_to(np.asarray(q_near, dtype=float), (*poses.shape[:-2], arm.dof))
     if isinstance(arm, DhArm):
         return _nearest_branch(arm, poses, seeds, limits)
     assert isinstance(arm, UrdfArm)

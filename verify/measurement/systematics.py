@@ -31,7 +31,6 @@ from scipy.linalg import block_diag
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
 from verify.core.rig import Covariance, Rig
-from verify.measurement.kernels.sensitivities import Index
 from verify.measurement.sensitivities import AXES, prepare_views, spot_derivatives
 
 BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
@@ -165,7 +164,7 @@ def sensitivities(
     names = (*parameters.names, *PAN_READINGS)
     columns = -gain @ pixel_sensitivities(names, measurement, rig, marker)
     places, axes = _base_parameters(names)
-    if len(places):
+    if places:
         columns[:, places] = _by_base(rig, pose)[:, axes]
     return columns
 
@@ -226,8 +225,7 @@ def _by_base(rig: Rig, pose: Pose) -> Array:
 
 
 @lru_cache(maxsize=8)
-def _base_parameters(names: tuple[str, ...]) -> tuple[Index, Index]:
+def _base_parameters(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
     """Which parameters are the robot base's, and which of its six ways to move each is."""
     places = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
-    axes = [BODY.index(names[i].partition(".")[2]) for i in places]
-    return np.array(places, dtype=np.intp), np.array(axes, dtype=np.intp)
+    return places, [BODY.index(names[i].partition(".")[2]) for i in places]
