@@ -116,9 +116,12 @@ def emulate_command(*words: str) -> Iterator[str]:
     command = "import typer; from verify.cli.emulate import emulate; typer.run(emulate)"
     start = [sys.executable, "-c", command, *words]
     with subprocess.Popen(start, stdout=subprocess.PIPE, text=True) as process:
-        yield process.stdout.readline().split(" at ")[1].split(";")[0]
-        process.send_signal(signal.SIGINT)
-        process.wait(timeout=10)
+        try:
+            yield process.stdout.readline().split(" at ")[1].split(";")[0]
+            process.send_signal(signal.SIGINT)
+            process.wait(timeout=10)
+        finally:  # a test that fails must not wait for it without end
+            process.kill()
 
 
 def gather(device: Device[R], until: Callable[[list[R]], bool], limit: float = 10.0) -> list[R]:
