@@ -5,7 +5,7 @@ the board and divided into sub-pixels, each with an edge's exact share; then com
 noise, 8 bits. Corners come from cv2.projectPoints. Nothing is shared with the finder.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -38,6 +38,11 @@ def camera(distortion: tuple[float, ...] = (-0.085, 0.06, 0.0006, -0.0004, 0.0))
     matrix = np.array([[1010.0, 0, 642.0], [0, 1012.0, 356.0], [0, 0, 1]])
     zero = np.zeros(3)
     return Camera(matrix, np.array(distortion), zero, np.array([0.0, 1, 0]), 0.0, np.eye(4))
+
+
+# a board that is not there is searched for long in larger pictures
+HALF_SIZE = (640, 360)  # px
+HALF_CAMERA = replace(camera(), matrix=np.diag([0.5, 0.5, 1.0]) @ camera().matrix)
 
 
 def placed(

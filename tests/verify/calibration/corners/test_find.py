@@ -5,7 +5,16 @@ import pytest
 
 from tests.bench.corners import recorded
 from tests.bench.halves import SETS
-from tests.support.boards.board_images import Look, camera, corners, picture, placed, random_pose
+from tests.support.boards.board_images import (
+    HALF_CAMERA,
+    HALF_SIZE,
+    Look,
+    camera,
+    corners,
+    picture,
+    placed,
+    random_pose,
+)
 from tests.support.recorded import require_shared
 from verify.calibration.corners.find import find_board, find_other_board, is_ambiguous
 from verify.core.fiducials import Board, BoardView
@@ -144,7 +153,7 @@ def test_other_counts_are_not_found_but_named(
     stated: tuple[int, int], there: tuple[int, int]
 ) -> None:
     rng = np.random.default_rng(12)
-    image = picture(PLAIN, CAMERA, random_pose(PLAIN, rng), rng)
+    image = picture(PLAIN, HALF_CAMERA, random_pose(PLAIN, rng), rng, size=HALF_SIZE)
     board = Board(*stated, 0.040)
     assert find_board(image, board) is None
     assert find_other_board(image, board) == there

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 
-from tests.support.boards.board_images import camera, picture, placed
+from tests.support.boards.board_images import HALF_CAMERA, HALF_SIZE, picture, placed
 from tests.support.recorded import refusal
 from verify.calibration.corners.folder import find_boards
 from verify.core.fiducials import Board
@@ -18,8 +18,6 @@ from verify.io.board.folder import open_board_folder
 PLAIN = Board(columns=7, rows=5, square=0.04)
 CHARUCO = replace(PLAIN, markers="DICT_5X5_100", marker=0.03)
 OTHER = replace(PLAIN, markers="DICT_4X4_50", marker=0.03)
-SIZE = (640, 360)  # px: a board that is not there is searched for long in larger pictures
-HALF = replace(camera(), matrix=np.diag([0.5, 0.5, 1.0]) @ camera().matrix)
 
 
 def complaint(folder: Path, shown: Board, stated: Board) -> InputError:
@@ -28,7 +26,7 @@ def complaint(folder: Path, shown: Board, stated: Board) -> InputError:
         (folder / side).mkdir()
         rng = np.random.default_rng(i)
         camera_T_board = placed((0.2, 0.1, 0.0), (0.0, 0.0, 0.6), shown)
-        image = picture(shown, HALF, camera_T_board, rng, size=SIZE)
+        image = picture(shown, HALF_CAMERA, camera_T_board, rng, size=HALF_SIZE)
         cv2.imwrite(str(folder / side / "0.png"), image)
     return refusal(find_boards, open_board_folder(folder, stated), lambda _done, _of: None)
 
