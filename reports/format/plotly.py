@@ -157,8 +157,8 @@ def _band(band: charts.Band) -> list[dict[str, Any]]:
 def _level(level: charts.Level, panel: Panel, chart: Chart) -> list[dict[str, Any]]:
     """Draw a level as a line of two points, right across the panel or as far as its marks go."""
     given = panel.y_range if level.upright else panel.x_range
-    along = coverage((panel,), 1) if level.upright else coverage(chart.panels, 0)
-    valid = np.concatenate(along)
+    alike = chart.panels if chart.shared_x and not level.upright else (panel,)
+    valid = np.concatenate(coverage(alike, int(level.upright)))
     ends = np.array([valid.min(), valid.max()] if len(valid) else [0.0, 1.0])
     ends = np.array(given) if given else ends
     if ends[0] == ends[1]:

@@ -177,9 +177,8 @@ def compact_blobs(contrast: Image, levels: tuple[int, ...], shape: Shape, found:
 
     `contrast` (h, w), DN above the surroundings; `levels`, DN, falling; `shape`: longest side of a
     blob's box, px, at a level and at half height; longest axis ratio; least area over its
-    ellipse's. `found` (m, 4) is filled from
-    the first row with as many as it holds: column and row of the centre, px; half width, px;
-    height, DN.
+    ellipse's. `found` (m, 4) is filled from the first row with as many as it holds: column and row
+    of the centre, px; half width, px; height, DN.
     """
     label = np.zeros(contrast.shape, np.int32)
     stack = np.empty((contrast.size, 2), np.int32)
