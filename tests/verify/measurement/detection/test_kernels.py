@@ -136,17 +136,22 @@ def test_a_small_spot_that_fits_by_chance_is_no_noise_estimate() -> None:
 
 @pytest.mark.parametrize("reach", [1, 4, 15, 30])
 def test_pixels_above_their_surroundings_agree_with_opencv(reach: int) -> None:
-    """Pictures smaller than the window, as large, and several times as large; borders included."""
+    """Pictures smaller than the square, as large, and several times as large; borders included.
+
+    All of a picture, and a window of it with what is about it.
+    """
     rng = np.random.default_rng(reach)
     side = 2 * reach + 1
     sizes = [(1, 1), (side, side), (side + 1, side - 1), *rng.integers(1, 4 * side, (40, 2))]
     nearly_black = rng.poisson(0.3, (70, 90)).astype(np.uint8)
     nearly_black[20:30, 40:52] = 200
     for image in [nearly_black, *(rng.integers(0, 256, size).astype(np.uint8) for size in sizes)]:
-        contrast = np.empty_like(image)
-        top_hat(image, reach, contrast)
-        window = np.ones((side, side), np.uint8)
-        assert_array_equal(contrast, cv2.morphologyEx(image, cv2.MORPH_TOPHAT, window))
+        height, width = image.shape
+        expected = cv2.morphologyEx(image, cv2.MORPH_TOPHAT, np.ones((side, side), np.uint8))
+        assert_array_equal(top_hat(image, (0, 0, width, height), 0, reach), expected)
+        (x0, x1), (y0, y1) = (np.sort(rng.choice(n + 1, 2, replace=False)) for n in (width, height))
+        contrast = top_hat(image, (int(x0), int(y0), int(x1), int(y1)), 2 * reach, reach)
+        assert_array_equal(contrast, expected[y0:y1, x0:x1])
 
 
 LIMIT = 255.0

@@ -31,56 +31,72 @@ BOX_MARGIN = 2  # px about a region's box: its half height may lie below the lev
 MIN_PIXELS = 12  # px; fewer show no shape
 OUTSIDE, INSIDE = 0, 1
 Boxes = NDArray[np.int64]
+Box = tuple[int, int, int, int]
 Labels = NDArray[np.int32]
 Shape = tuple[float, float, float, float]
 
 
 @compiled
-def top_hat(image: Image, reach: int, contrast: Image) -> None:
-    """Fill in `contrast`, an image (h, w) less its opening by a square of 2 reach + 1 px.
+def top_hat(image: Image, window: Box, margin: int, reach: int) -> Image:
+    """Contrast in a window (h, w): the image less its opening by a square of 2 reach + 1 px.
 
-    Borders hold nothing: in one long row, what is beyond them is 255, all about the image.
+    `window`: x0, y0, x1, y1, px, upper bounds exclusive, inside the image. A `margin` about it
+    counts: 0, or no less than 2 reach. Borders hold nothing.
     """
-    (height, width), side = image.shape, 2 * reach + 1
-    stride = width + reach
-    first, end = reach * stride + reach, (reach + height) * stride + reach
-    size = (height + 2 * reach) * stride + reach
-    low, spare = np.empty(size, np.uint8), np.empty(size, np.uint8)
-    for turn in range(2):  # the greatest of the least: the least of the complement
-        for i in range(size):
-            spare[i] = 255
-        for y in range(height):
-            begin = y * stride
-            row, below = spare[first + begin : first + begin + width], low[begin : begin + width]
-            for x in range(width):
-                row[x] = image[y, x] if turn == 0 else 255 - below[x]
-        for i in range(size):
-            low[i] = spare[i]
-        low, spare = least_ahead(low, spare, (reach * stride, end), 1, side)
-        low, spare = least_ahead(low, spare, (0, size), stride, side)
-    for y in range(height):
-        below = low[y * stride : y * stride + width]
-        for x in range(width):
-            contrast[y, x] = image[y, x] - (255 - below[x])
+    x0, y0, x1, y1 = window
+    left, top = max(x0 - margin, 0), max(y0 - margin, 0)
+    part = image[top : y1 + margin, left : x1 + margin]
+    # where least values are asked for: the window, and as far as it looks for the greatest of them
+    west, north = max(x0 - reach, left), max(y0 - reach, top)
+    wide = min(x1 + reach, left + part.shape[1]) - west
+    high = min(y1 + reach, top + part.shape[0]) - north
+    pad = reach - north + top, reach - west + left
+    least = erode(part, pad, (high, wide), reach)
+    for y in range(high):  # the greatest value is the least of the complement
+        for x in range(wide):
+            least[y, x] = 255 - least[y, x]
+    shape = y1 - y0, x1 - x0
+    contrast = erode(least, (reach - y0 + north, reach - x0 + west), shape, reach)
+    for y in range(shape[0]):
+        for x in range(shape[1]):
+            contrast[y, x] += image[y0 + y, x0 + x] - 255
+    return contrast
+
+
+@compiled
+def erode(values: Image, pad: tuple[int, int], shape: tuple[int, int], reach: int) -> Image:
+    """Least value, (h, w) of that shape, in each square of 2 reach + 1 px; nothing is beyond.
+
+    `pad`: rows above `values`, and columns left of them, where the first square begins.
+    """
+    (above, beside), (high, wide), side = pad, shape, 2 * reach + 1
+    along = least_ahead(values, (0, beside), (len(values), wide + side - 1), 1, side)
+    return least_ahead(along[:, :wide], (above, 0), (high + side - 1, wide), wide, side)[:high]
 
 
 @compiled
 def least_ahead(
-    values: Image, spare: Image, where: tuple[int, int], step: int, count: int
-) -> tuple[Image, Image]:
-    """Least of so many values, a step apart, from each of (n,) on; the other array is left over.
+    part: Image, pad: tuple[int, int], shape: tuple[int, int], step: int, count: int
+) -> Image:
+    """Least of so many values from each on, in a row (`step` 1) or a column (the row's length).
 
-    `where`: the first one and the end. Beyond the end there is nothing.
+    `pad`: rows and columns of nothing before `part`; `shape`: of all with it, and of what is given.
+    Where fewer values are ahead, what is given holds others too.
     """
-    have, (begin, end) = 1, where
+    values = np.full(shape[0] * shape[1], 255, np.uint8)
+    for y in range(part.shape[0]):
+        begin = (pad[0] + y) * shape[1] + pad[1]
+        row = values[begin : begin + part.shape[1]]
+        for x in range(part.shape[1]):
+            row[x] = part[y, x]
+    have, end, spare = 1, len(values), np.empty_like(values)
     while have < count:
         more = min(have, count - have)
-        last = max(end - more * step, begin)
-        least_of(values[begin:last], values[begin + more * step : end], spare[begin:last])
-        least_of(values[last:end], values[last:end], spare[last:end])
+        end -= more * step  # beyond, columns are not whole
+        least_of(values[:end], values[more * step :], spare[:end])
         values, spare = spare, values
         have += more
-    return values, spare
+    return values.reshape(shape)
 
 
 @compiled
@@ -112,8 +128,7 @@ def contrast_boxes(image: Image, reach: int, level: int) -> Boxes:
             for x in range(column * BLOCK, min((column + 1) * BLOCK, width)):
                 most[row, column], low = max(most[row, column], above[x]), min(low, below[x])
             least[row, column] = low
-    contrast = np.empty(shape, np.uint8)
-    top_hat(least, -(-reach // BLOCK), contrast)
+    contrast = top_hat(least, (0, 0, shape[1], shape[0]), 0, -(-reach // BLOCK))
     for row in range(shape[0]):
         for column in range(shape[1]):
             contrast[row, column] += most[row, column] - least[row, column]
@@ -158,13 +173,8 @@ def find_blobs(
         x0, y0, x1, y1 = window
         if min(x1 - x0, y1 - y0) < MIN_WINDOW_SIDE:
             continue
-        left, top = max(x0 - margin, 0), max(y0 - margin, 0)
-        part = image[top : y1 + margin, left : x1 + margin].copy()
-        contrast = np.empty_like(part)
-        top_hat(part, reach, contrast)
-        own = contrast[y0 - top : y1 - top, x0 - left : x1 - left].copy()
-        before = count
-        count += compact_blobs(own, levels, shape, found[before:])
+        before, contrast = count, top_hat(image, (x0, y0, x1, y1), margin, reach)
+        count += compact_blobs(contrast, levels, shape, found[before:])
         for k in range(before, count):
             found[k, 0] += x0
             found[k, 1] += y0
