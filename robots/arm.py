@@ -2,13 +2,15 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
-import pinocchio
 
 from robots.elementary import Number
 from robots.transforms import Array, invert
+
+if TYPE_CHECKING:
+    import pinocchio  # 50 MB: loaded for a URDF, or to check an arm
 
 QUARTER_TURN = np.pi / 2
 Vector = tuple[Number, Number, Number]
@@ -126,7 +128,7 @@ class TableForm:
 class UrdfArm(Arm):
     """A chain of revolute joints out of a URDF; every other joint of the file is locked at 0."""
 
-    model: pinocchio.Model  # holds the chain's joints only
+    model: "pinocchio.Model"  # holds the chain's joints only
     base: str
     tip: str
     base_frame: int
@@ -140,6 +142,8 @@ class UrdfArm(Arm):
 
         In the base.
         """
+        import pinocchio
+
         data = self.model.createData()
         pinocchio.framesForwardKinematics(self.model, data, pinocchio.neutral(self.model))
         base = data.oMf[self.base_frame]

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio
 
 from robots.arm import Arm, DhArm, UrdfArm
 from robots.inverse import FAMILIES, inverse, near
@@ -120,6 +119,8 @@ def _check_iteration(
 
 
 def _pinocchio(arm: Arm, q: Array) -> tuple[Array, Array]:
+    import pinocchio
+
     model, world = pinocchio_model(arm), pinocchio.ReferenceFrame.LOCAL_WORLD_ALIGNED
     if isinstance(arm, UrdfArm):
         names, base, tip = arm.joint_names, arm.base_frame, arm.tip_frame

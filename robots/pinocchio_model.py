@@ -1,14 +1,18 @@
 """The same arm in pinocchio, from its table: for cross-checks and for whatever pinocchio can do."""
 
+from typing import TYPE_CHECKING
+
 import numpy as np
-import pinocchio
 
 from robots.arm import Arm, DhArm, UrdfArm
+
+if TYPE_CHECKING:
+    import pinocchio
 
 Z = np.array([0.0, 0.0, 1.0])
 
 
-def pinocchio_model(arm: Arm) -> pinocchio.Model:
+def pinocchio_model(arm: Arm) -> "pinocchio.Model":
     """Build the arm in pinocchio; its last frame is called "flange".
 
     Its configuration is q, of a linked arm `axis_angles` of q. A URDF's model is the one it was
@@ -16,6 +20,8 @@ def pinocchio_model(arm: Arm) -> pinocchio.Model:
     """
     if isinstance(arm, UrdfArm):
         return arm.model
+    import pinocchio
+
     assert isinstance(arm, DhArm)
     model = pinocchio.Model()
     model.name = arm.name

@@ -5,14 +5,17 @@ import re
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pinocchio
 
 from robots.arm import UrdfArm
 from robots.definition import linkage_matrix
 from robots.errors import RobotError
 from robots.recognition import recognise
+
+if TYPE_CHECKING:
+    import pinocchio
 
 TURNING_TYPES = {"revolute", "continuous"}
 # not a joint of the arm
@@ -51,6 +54,8 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
         RobotError: the file cannot be read, a link is unknown, the chain is not single, or it holds
             a joint that is not an angle of its own.
     """
+    import pinocchio
+
     content, joints, links = _parse(path)
     base = base or _first_link(path, joints, links)
     for link in (base, tip or base):
@@ -85,7 +90,7 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
     return replace(arm, closed_form=recognise(arm))
 
 
-def _limits(path: Path, model: pinocchio.Model, joint: Joint) -> tuple[float, float]:
+def _limits(path: Path, model: "pinocchio.Model", joint: Joint) -> tuple[float, float]:
     if joint.kind == "continuous":
         return -MAX_CONTINUOUS_ANGLE, MAX_CONTINUOUS_ANGLE
     place = model.joints[model.getJointId(joint.name)].idx_q
@@ -193,8 +198,10 @@ def _chain(path: Path, joints: list[Joint], base: str, tip: str) -> list[Joint]:
     return chain
 
 
-def _lock_other_joints(path: Path, chain: list[Joint]) -> pinocchio.Model:
+def _lock_other_joints(path: Path, chain: list[Joint]) -> "pinocchio.Model":
     """Load the file, and lock all but the chain's joints at 0; RobotError: it is no robot."""
+    import pinocchio
+
     try:
         model = pinocchio.buildModelFromUrdf(str(path))
         kept = {joint.name for joint in chain}
