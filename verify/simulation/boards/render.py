@@ -5,6 +5,7 @@ says where the corners truly are, goes the other way.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -91,14 +92,24 @@ class PrintedBoard:
         fine = (size[0] * GRAINS_PER_PX, size[1] * GRAINS_PER_PX)
         columns = _Lattice.across(u / self.board.square, self.board.columns, fine)
         rows = _Lattice.across(v / self.board.square, self.board.rows, fine)
-        ink = 0.5 * (1 + columns.sign() * rows.sign()) * columns.within(0) * rows.within(0)
+        ink = columns.sign()
+        ink *= rows.sign()
+        ink += 1
+        ink *= 0.5
+        ink *= columns.within(0)
+        ink *= rows.within(0)
         if self.board.markers is not None:
             ink = np.maximum(ink, _markers(self.board, columns.at, rows.at))
         margin = self.margin / self.board.square
-        paper = columns.within(margin) * rows.within(margin)
-        dark = np.float32(1 - self.table.black_dn / self.table.white_dn)
-        shown = _interpolate_nodes(light, fine) * (1 - dark * ink)
-        shown = self.table.room_dn + paper * (shown - self.table.room_dn)
+        paper = columns.within(margin)
+        paper *= rows.within(margin)
+        ink *= np.float32(self.table.black_dn / self.table.white_dn - 1)
+        ink += 1
+        shown = _interpolate_nodes(light, fine)
+        shown *= ink
+        shown -= self.table.room_dn
+        shown *= paper
+        shown += self.table.room_dn
         blurred = cv2.GaussianBlur(shown, (0, 0), self.table.blur_px * GRAINS_PER_PX)
         return np.asarray(cv2.resize(blurred, size, interpolation=cv2.INTER_AREA), np.float32)
 
@@ -120,15 +131,26 @@ class _Lattice:
 
     def sign(self) -> Picture:
         """Alternate from square to square between 1 and -1, soft over one grain at each edge."""
-        at = np.clip(self.at, -0.5, self.count - 0.5)  # the outer edges are `within`'s
-        turn = 0.5 * at + 0.25  # of a triangle wave that is 0 at the edges
-        wave = np.abs(2 * (turn - np.floor(turn)) - 1) - 0.5
-        return np.asarray(np.clip(2 * wave / self.grain, -1, 1), np.float32)
+        wave = np.clip(self.at, -0.5, self.count - 0.5)  # the outer edges are `within`'s
+        wave *= 0.5  # a turn of a triangle wave that is 0 at the edges; in place, for its size
+        wave += 0.25
+        wave -= np.floor(wave)
+        wave *= 2
+        wave -= 1
+        np.abs(wave, out=wave)
+        wave -= 0.5
+        wave *= 2
+        wave /= self.grain
+        return np.clip(wave, -1, 1, out=wave)
 
     def within(self, margin: float) -> Picture:
         """Say what share of each grain lies in the pattern, or so many squares around it."""
-        depth = np.minimum(self.at + 1 + margin, self.count + margin - self.at)
-        return np.asarray(np.clip(depth / self.grain + 0.5, 0, 1), np.float32)
+        depth = self.at + 1
+        depth += margin
+        np.minimum(depth, self.count + margin - self.at, out=depth)
+        depth /= self.grain
+        depth += 0.5
+        return np.clip(depth, 0, 1, out=depth)
 
 
 def _markers(board: Board, across: Picture, down: Picture) -> Picture:
@@ -172,20 +194,29 @@ def _on_board(camera: SimulatedCamera, camera_T_board: Array) -> tuple[Array, Ar
     A node stands in the middle of its NODE_SPACING_PX x NODE_SPACING_PX pixels, as
     `_interpolate_nodes` expects; one row and column of nodes lie outside the picture on each side.
     """
+    rays = _node_rays(camera.image_size, camera.matrix.tobytes(), camera.distortion.tobytes())
+    height, width = rays.shape[:2]
+    homography = np.linalg.inv(camera_T_board[:3, [0, 1, 3]])
+    on_board = rays.reshape(-1, 3) @ homography.T
+    before = on_board[:, 2:] > 0  # else the ray meets the board's plane behind the camera
+    uv = np.where(before, on_board[:, :2] / np.where(before, on_board[:, 2:], 1.0), FAR_AWAY)
+    return uv[:, 0].reshape(height, width), uv[:, 1].reshape(height, width)
+
+
+@lru_cache(maxsize=4)  # both cameras of a rig, for each picture of it
+def _node_rays(image_size: tuple[int, int], matrix: bytes, distortion: bytes) -> Array:
+    """Rays of a picture's nodes, (rows, columns, 3), in the camera's frame, 1 along its axis."""
     px, py = (
         NODE_SPACING_PX * np.arange(-1, -(-extent // NODE_SPACING_PX) + 1)
         + (NODE_SPACING_PX - 1) / 2
-        for extent in camera.image_size
+        for extent in image_size
     )
-    pixels = np.stack(np.meshgrid(px, py), axis=-1).reshape(-1, 1, 2)
+    pixels = np.stack(np.meshgrid(px, py), axis=-1)
+    lens = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
     rays = cv2.undistortPoints(
-        pixels, camera.matrix, camera.distortion, None, None, None, UNDISTORT_CRITERIA
-    ).reshape(-1, 2)
-    homography = np.linalg.inv(camera_T_board[:3, [0, 1, 3]])
-    on_board = np.column_stack([rays, np.ones(len(rays))]) @ homography.T
-    before = on_board[:, 2:] > 0  # else the ray meets the board's plane behind the camera
-    uv = np.where(before, on_board[:, :2] / np.where(before, on_board[:, 2:], 1.0), FAR_AWAY)
-    return uv[:, 0].reshape(len(py), -1), uv[:, 1].reshape(len(py), -1)
+        pixels.reshape(-1, 1, 2), *lens, None, None, None, UNDISTORT_CRITERIA
+    ).reshape(pixels.shape)
+    return np.concatenate([rays, np.ones((*pixels.shape[:2], 1))], axis=-1)
 
 
 def _lambert(u: Array, v: Array, lamp: Array, rim: tuple[Array, Array]) -> Array:
