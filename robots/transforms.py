@@ -28,10 +28,9 @@ def carry(a_T_b: Array, points_b: Array) -> Array:
 
 def cross_matrix(vectors: Array) -> Array:
     """Matrices (..., 3, 3) of v x . for vectors (..., 3)."""
-    x, y, z = np.moveaxis(vectors, -1, 0)
-    zero = np.zeros_like(x)
-    matrix = np.stack([zero, -z, y, z, zero, -x, -y, x, zero], axis=-1)
-    return matrix.reshape(*vectors.shape, 3)
+    matrix = np.zeros((*vectors.shape, 3))
+    matrix[..., (2, 0, 1), (1, 2, 0)] = vectors
+    return matrix - matrix.swapaxes(-1, -2)
 
 
 def rotation_log(rotation: Array) -> Array:

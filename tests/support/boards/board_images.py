@@ -6,6 +6,7 @@ noise, 8 bits. Corners come from cv2.projectPoints. Nothing is shared with the f
 """
 
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import cv2
 import numpy as np
@@ -104,19 +105,32 @@ def picture(
 
 def on_board(view: Camera, camera_T_board: Array, size: tuple[int, int]) -> Array:
     """Where each pixel's centre looks on the board's plane, (h, w, 2), m."""
+    rays = pixel_rays(view.matrix.tobytes(), view.distortion.tobytes(), size)
+    xyw = rays @ np.linalg.inv(camera_T_board[:3, [0, 1, 3]]).T
+    return (xyw[:, :2] / xyw[:, 2:]).reshape(size[1], size[0], 2)
+
+
+@lru_cache(maxsize=4)
+def pixel_rays(matrix: bytes, distortion: bytes, size: tuple[int, int]) -> Array:
+    """Rays of all pixels' centres, (h w, 3), 1 along the axis."""
     pixels = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), axis=-1).astype(float)
     end = (cv2.TERM_CRITERIA_COUNT | cv2.TERM_CRITERIA_EPS, 60, 1e-12)
-    flat = pixels.reshape(-1, 1, 2)
-    rays = cv2.undistortPoints(flat, view.matrix, view.distortion, criteria=end).reshape(-1, 2)
-    to_board = np.linalg.inv(camera_T_board[:3, [0, 1, 3]])
-    xyw = np.column_stack([rays, np.ones(len(rays))]) @ to_board.T
-    return (xyw[:, :2] / xyw[:, 2:]).reshape(size[1], size[0], 2)
+    lens = np.frombuffer(matrix).reshape(3, 3), np.frombuffer(distortion)
+    rays = cv2.undistortPoints(pixels.reshape(-1, 1, 2), *lens, criteria=end).reshape(-1, 2)
+    return np.column_stack([rays, np.ones(len(rays))])
 
 
 def on_paper(board: Board, squares: Array) -> Array:
     """Whether points of the board's plane (…, 2), in squares, lie on its paper."""
-    count = np.array([board.columns, board.rows])
-    return ((squares > -1 - MARGIN) & (squares < count + MARGIN)).all(axis=-1)
+    return within(board, squares, MARGIN)
+
+
+def within(board: Board, squares: Array, margin: float) -> Array:
+    """Whether points (…, 2), in squares, lie in the pattern or so many squares about it."""
+    x, y = squares[..., 0], squares[..., 1]
+    inside = (x > -1 - margin) & (x < board.columns + margin)
+    inside &= (y > -1 - margin) & (y < board.rows + margin)
+    return inside
 
 
 def exposed(board: Board, squares: Array, look: Look) -> Array:
@@ -141,7 +155,7 @@ def sub_pixels(board: Board, at: Array, ramp: Array, look: Look) -> Array:
     nearest = np.clip(np.rint(at), -1, count)
     side = np.clip(2 * (at - nearest) / ramp, -1, 1) * np.where(nearest % 2 == 0, 1, -1)
     share = -side[..., 0] * side[..., 1] * (-1 if look.inverted else 1)  # 1 white, -1 black
-    share[((at < -1) | (at > count)).any(axis=-1)] = 1.0
+    share[~within(board, at, 0.0)] = 1.0
     if board.markers is not None:
         share[marker_ink(board, at)] = -1.0
     brightness = look.black + (look.white - look.black) * (share + 1) / 2

@@ -4,6 +4,7 @@ The readings' own noise moves all spots of a pair together, so each pair's pixel
 covariance: the spots' own and, through the arm's Jacobian, the readings'.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -125,50 +126,62 @@ def _append_stated_clock(
 
 def whiten_pairs(spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup) -> WhitenedRows:
     """Whiten each pair's used spots, and turn the rows so that six of them hold its pose."""
-    parts, pair, place = [], [], []
-    for i in range(len(spotted)):
-        mine = np.flatnonzero((spotted.pair == i) & spotted.used)
-        if not len(mine):
-            continue
-        count = 2 * len(mine)
-        lower = np.linalg.cholesky(_covariance(spotted, seen, setup, mine))
-        kinds = seen.by_flange, seen.residual, seen.design, seen.by_joint
-        columns = np.concatenate([kind[mine].reshape(count, -1) for kind in kinds], axis=1)
-        white = np.linalg.solve(lower, columns)
-        turn, triangle = np.linalg.qr(white[:, :6], mode="complete")
-        turn[:, : len(triangle.T)] *= np.sign(np.diag(triangle))[None, : len(turn)]
-        parts.append(turn.T @ white[:, 6:])
-        pair += [i] * count
-        place += [k if k < 6 else -1 for k in range(count)]
-    where, rows = np.array(place, dtype=np.int64), np.concatenate(parts)
+    used = np.flatnonzero(spotted.used)
+    kinds = seen.by_flange, seen.residual[..., None], seen.design, seen.by_joint
+    columns = np.concatenate([kind[used] for kind in kinds], axis=2)
+    rows, place = np.empty((len(used), 2, columns.shape[2] - 6)), np.empty((len(used), 2), np.int64)
+    for mine in _pairs_alike(spotted.pair[used]):
+        pairs, count = len(mine), 2 * mine.shape[1]
+        lower = np.linalg.cholesky(_covariance(spotted, seen, setup, used[mine]))
+        white = np.linalg.solve(lower, columns[mine].reshape(pairs, count, -1))
+        turn, triangle = np.linalg.qr(white[..., :6], mode="complete")
+        signs = np.sign(np.diagonal(triangle, axis1=1, axis2=2))
+        turn[..., : signs.shape[1]] *= signs[:, None]
+        rows[mine] = (turn.swapaxes(1, 2) @ white[..., 6:]).reshape(pairs, -1, 2, rows.shape[2])
+        place[mine] = np.array([k if k < 6 else -1 for k in range(count)]).reshape(-1, 2)
+    residual, design, joints = np.split(
+        rows.reshape(2 * len(used), -1), [1, 1 + seen.design.shape[2]], axis=1
+    )
+    where = place.reshape(-1)
     return WhitenedRows(
-        pair=np.array(pair, dtype=np.int64),
+        pair=spotted.pair[used].repeat(2),
         pose=where >= 0,
         place=where,
-        residual=rows[:, 0],
-        design=rows[:, 1 : 1 + seen.design.shape[2]],
-        joints=rows[:, 1 + seen.design.shape[2] :],
+        residual=residual[:, 0],
+        design=design,
+        joints=joints,
     )
+
+
+def _pairs_alike(pair: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
+    """Places of the spots of all pairs with m spots, (p, m), for each m; `pair` (s,), rising."""
+    begin, size = np.unique(pair, return_index=True, return_counts=True)[1:]
+    for count in np.unique(size):
+        yield begin[size == count, None] + np.arange(count)
 
 
 def _covariance(
     spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup, mine: NDArray[np.int64]
 ) -> Array:
-    """Of one pair's pixels, (2 m, 2 m): the spots' noise, and the readings' that they share."""
-    by_joint = seen.by_joint[mine].reshape(2 * len(mine), -1)
-    speed = by_joint @ seen.rate[mine[0]]
-    common = (by_joint * setup.variance) @ by_joint.T + setup.time_variance * np.outer(speed, speed)
+    """Of a pair's pixels, (..., 2 m, 2 m): the spots' noise, and the readings' that they share.
+
+    `mine` (..., m): the spots of a pair, or of several.
+    """
+    by_joint = seen.by_joint[mine].reshape(*mine.shape[:-1], 2 * mine.shape[-1], -1)
+    speed = by_joint @ seen.rate[mine[..., 0], :, None]
+    common = (by_joint * setup.variance) @ by_joint.swapaxes(-1, -2)
+    common += setup.time_variance * speed @ speed.swapaxes(-1, -2)
     shared = shared_noise(seen.readings[0][mine], seen.readings[1][mine])
-    covariance: Array = common * np.kron(shared, np.ones((2, 2)))
+    covariance: Array = common * shared.repeat(2, axis=-1).repeat(2, axis=-2)
     return covariance + block_diagonal(spotted.covariance[mine])
 
 
 def block_diagonal(blocks: Array) -> Array:
-    """(n, 2, 2) as one (2 n, 2 n) matrix."""
-    n = len(blocks)
-    matrix = np.zeros((n, 2, n, 2))
-    matrix[np.arange(n), :, np.arange(n)] = blocks
-    return matrix.reshape(2 * n, 2 * n)
+    """(..., n, 2, 2) as one matrix (..., 2 n, 2 n)."""
+    (*lead, n), each = blocks.shape[:-2], np.arange(blocks.shape[-3])
+    matrix = np.zeros((*lead, n, 2, n, 2))
+    matrix[..., each, :, each, :] = np.moveaxis(blocks, -3, 0)
+    return matrix.reshape(*lead, 2 * n, 2 * n)
 
 
 def _worst_spots(spotted: SpotStack, seen: PredictedSpots) -> NDArray[np.bool_]:

@@ -81,9 +81,12 @@ def _slope(before: Array, after: Array) -> Array:
 
 
 def shared_noise(index: NDArray[np.int64], weight: Array) -> Array:
-    """Covariance (m, m) of interpolated readings at instants (m) by noise of unit variance."""
-    same = index[:, None, :, None] == index[None, :, None, :]
-    shared: Array = np.einsum("abkl,ak,bl->ab", same, weight, weight)
+    """Covariance (..., m, m) of readings at instants (..., m) by noise of unit variance.
+
+    `index` and `weight` (..., m, k): the k samples that each is interpolated from.
+    """
+    same = index[..., :, None, :, None] == index[..., None, :, None, :]
+    shared: Array = np.einsum("...abkl,...ak,...bl->...ab", same, weight, weight)
     return shared
 
 
