@@ -20,6 +20,7 @@ from verify.core.records import Array, Image
 MIN_CORNERS = 3  # inner corners a side, OpenCV's least
 MAX_CORNERS = 60  # inner corners a side at which growing stops
 SEED_CORNERS = (4, 3, 5)  # inner corners a side that a general search starts from
+MIN_CONTRAST = 4  # DN, of a picture at an eighth of its size: less is noise on one grey
 MAX_START_ERROR = 0.1  # squares by which a corner may be off for its fit to begin
 Finder = Callable[..., Any]  # picture and counts to whether there is a board, and its corners
 # by black quadrangles: in a few ms where the light is even; and boards cut by the image's border
@@ -40,7 +41,7 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
 
     Returns (rows, columns, 2), px, in no certain order; None where this very board is not in view.
     """
-    if min(columns, rows) < MIN_CORNERS:
+    if min(columns, rows) < MIN_CORNERS or is_blank(grey):
         return None
     counts = (columns, rows)
     quick = (QUICK_FINDER, MAX_START_ERROR), *((finder, math.inf) for finder in SECTOR_FINDERS)
@@ -60,6 +61,13 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
             if grid is not None:
                 return grid
     return None
+
+
+def is_blank(grey: Image) -> bool:
+    """Whether an image (h, w) shows nothing at all: to search it for a board takes longest."""
+    height, width = (max(side // 8, 1) for side in grey.shape)
+    small = cv2.resize(grey, (width, height), interpolation=cv2.INTER_AREA)
+    return bool(np.ptp(small) < MIN_CONTRAST)
 
 
 def _find_whole(
@@ -120,6 +128,8 @@ def find_by_growing(grey: Image) -> Array | None:
 
     Returns (rows, columns, 2), px; None where no chessboard is in view.
     """
+    if is_blank(grey):
+        return None
     for flags in (0, cv2.CALIB_CB_EXHAUSTIVE, cv2.CALIB_CB_NORMALIZE_IMAGE):
         for seed in SEED_CORNERS:
             found, corners, meta = cv2.findChessboardCornersSBWithMeta(
