@@ -158,9 +158,8 @@ def _triangular_factor(*parts: Array) -> Array:
     triangle = np.zeros((0, width))
     for start in range(0, len(parts[0]), CHUNK):
         rows = np.concatenate([p[start : start + CHUNK] for p in parts], axis=1)
-        triangle = np.asarray(
-            np.linalg.qr(np.concatenate([triangle, rows]), mode="r"), dtype=np.float64
-        )
+        rows = np.concatenate([triangle, rows])  # the chunk itself is not needed beside it
+        triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
     return triangle
 
 

@@ -184,7 +184,7 @@ def _determined_functionals(fit: _PoseFit) -> Array:
     """Functionals of the pose that the spots determine, (6, d): across what none of them shows."""
     directions, known = fit.directions
     if np.count_nonzero(known) == len(known):
-        return IDENTITY.copy()
+        return IDENTITY  # one for all pairs: a long session has thousands
     hidden = directions[:, ~known] * SCALE[:, None]
     return np.linalg.svd(hidden, full_matrices=True)[0][:, hidden.shape[1] :]
 
