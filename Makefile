@@ -35,7 +35,7 @@ $(SITE): $(RUN)
 
 # compiled once, not at the first measurement
 $(COMPILED): $(RUN)
-	@echo "machine code of the inner loops, once: about a minute of processor time"
+	@echo "machine code of the inner loops, once: one to two minutes of processor time"
 	@$(BIN)/python -m verify.compile_ahead
 	@touch $@
 

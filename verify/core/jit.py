@@ -16,7 +16,7 @@ from numba.core import codegen, event, types
 from numba.core.compiler import Compiler
 from numba.core.registry import CPUDispatcher
 
-COMPILING = "Compiling inner loops, once after an installation: up to a minute."
+COMPILING = "Compiling inner loops, once after an installation: a minute or two."
 Function = TypeVar("Function", bound=Callable[..., object])
 MAX_CODE_BYTES = 100_000_000  # that loading one function takes
 FASTMATH_FLAGS = {"reassoc", "contract", "nsz"}

@@ -75,6 +75,7 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
         if len(measurements) > 2  # a second derivative's window
         else np.zeros((n, 6)),
         systematic=np.array(systematic).reshape(n, 6, -1) if n else np.zeros((0, 6, 0)),
+        # of all six any basis serves: one array for all pairs
         determined=tuple(turn @ p.determined if p.known_dof < 6 else turn for p in poses),
     )
 

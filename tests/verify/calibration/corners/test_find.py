@@ -17,6 +17,7 @@ from tests.support.boards.board_images import (
 )
 from tests.support.recorded import require_shared
 from verify.calibration.corners.find import find_board, find_other_board, is_ambiguous
+from verify.calibration.corners.search import is_blank
 from verify.core.fiducials import Board, BoardView
 from verify.core.records import Array, Image
 
@@ -165,6 +166,16 @@ def test_where_no_board_is_none_is_found() -> None:
         assert find_board(image, PLAIN) is None
         assert find_board(image, CHARUCO) is None
         assert find_other_board(image, PLAIN) is None
+
+
+def test_noise_on_one_grey_is_blank_and_a_board_in_hardly_any_light_is_found() -> None:
+    rng = np.random.default_rng(15)
+    assert is_blank(np.rint(rng.normal(90, 2, (720, 1280))).astype(np.uint8))
+    dim = Look(white=14, black=8, background=9, read=0.5)
+    image = picture(PLAIN, camera(), random_pose(PLAIN, rng), rng, dim)
+    view = find_board(image, PLAIN)
+    assert view is not None
+    assert len(view) == len(PLAIN)
 
 
 @pytest.mark.shared

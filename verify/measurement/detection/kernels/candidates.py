@@ -78,10 +78,10 @@ def erode(values: Image, pad: tuple[int, int], shape: tuple[int, int], reach: in
 def least_ahead(
     part: Image, pad: tuple[int, int], shape: tuple[int, int], step: int, count: int
 ) -> Image:
-    """Least of so many values from each on, in a row (`step` 1) or a column (the row's length).
+    """Least of `count` values from each one on, `step` apart, as a picture (h, w) of `shape`.
 
-    `pad`: rows and columns of nothing before `part`; `shape`: of all with it, and of what is given.
-    Where fewer values are ahead, what is given holds others too.
+    A step of 1 goes along rows, one of w down columns. `part` stands behind `pad` rows and columns
+    of nothing (255) in that picture. What has fewer values ahead of it, at the end, means nothing.
     """
     values = np.full(shape[0] * shape[1], 255, np.uint8)
     for y in range(part.shape[0]):
@@ -92,7 +92,7 @@ def least_ahead(
     have, end, spare = 1, len(values), np.empty_like(values)
     while have < count:
         more = min(have, count - have)
-        end -= more * step  # beyond, columns are not whole
+        end -= more * step  # beyond it too few are ahead
         least_of(values[:end], values[more * step :], spare[:end])
         values, spare = spare, values
         have += more
