@@ -28,32 +28,28 @@ Drawn = tuple[Array, Array, Array, Array, Array]
 
 @compiled
 def motion_misfits(
-    instants: Array,
+    ends: NDArray[np.int64],
     known: Flags,
-    grid: tuple[Array, Array],
-    step: float,
+    poses: Array,
     measured: tuple[Array, Array],
     most: float,
     cost: Array,
 ) -> None:
     """Fill in `cost` (o,): mean squared misfit of the motions read to those measured, at o offsets.
 
-    `instants` (o, 2, n), s: beginning and end of each of n motions, on the readings' clock; `known`
-    (o, n): those with readings. `grid`: instants in order (g,), `step` s apart, and the flange then
-    (g, 4, 4). `measured`: the motions' angle and distance, and the variance of each, (n, 2) both. A
-    squared misfit counts for `most` at most: a wild pair has one vote.
+    `ends` (o, 2, n): which of the flange's poses read (g, 4, 4) begins and ends each of n motions;
+    `known` (o, n): those with readings. `measured`: the motions' angle and distance, and the
+    variance of each, (n, 2) both. A squared misfit counts for `most` at most: a wild pair has one
+    vote.
     """
-    times, poses = grid
     figures, variance = measured
-    for o in range(len(instants)):
+    for o in range(len(ends)):
         total, count = 0.0, 0
         for n in range(len(figures)):
             if not known[o, n]:
                 continue
             count += 2
-            i = min(np.searchsorted(times, instants[o, 0, n] - step / 2), len(times) - 1)
-            k = min(np.searchsorted(times, instants[o, 1, n] - step / 2), len(times) - 1)
-            angle, distance = motion_between(poses[i], poses[k])
+            angle, distance = motion_between(poses[ends[o, 0, n]], poses[ends[o, 1, n]])
             total += min((angle - figures[n, 0]) ** 2 / variance[n, 0], most)
             total += min((distance - figures[n, 1]) ** 2 / variance[n, 1], most)
         cost[o] = total / count

@@ -51,7 +51,7 @@ def warm_up_comparison() -> None:
     motion_sizes(poses[:1], poses[:1], figures)
     known = np.ones((1, 1), dtype=np.bool_)
     motion_misfits(
-        t[None, :2, None].copy(), known, (t, poses), 1.0, (figures, figures), 1.0, np.empty(1)
+        np.zeros((1, 2, 1), dtype=np.int64), known, poses, (figures, figures), 1.0, np.empty(1)
     )
     led, none = np.arange(len(LEDS)), np.zeros((len(LEDS), 2))
     spread, still = np.zeros((len(LEDS), 2, 2)), np.zeros(len(LEDS))

@@ -36,9 +36,7 @@ class Readings:
         In a gap there are within HOLD_TIME of a burst whose readings show the arm at rest (or of a
         single reading: a visit). Where the arm moves and the readings stop, there is none.
         """
-        available: NDArray[np.bool_] = kernel.bracketed(
-            self._contiguous[0], MAX_GAP, _as_contiguous(t)
-        )
+        available = self._bracketed(t)
         if np.count_nonzero(available) == len(available):
             return available
         gaps = np.flatnonzero(~available & (t >= self.t[0]) & (t <= self.t[-1]))
@@ -49,10 +47,20 @@ class Readings:
             available[gaps] = (np.minimum(since, until) <= HOLD_TIME) & self._at_rest[nearest]
         return available
 
+    def _bracketed(self, t: Array) -> NDArray[np.bool_]:
+        """Whether readings stand at both sides of the instants t (n,), no gap between them."""
+        marks: NDArray[np.bool_] = self._without_gap[np.searchsorted(self.t, t)] | (t == self.t[0])
+        return marks
+
     def instants(self, step: float) -> Array:
         """Instants so many s apart wherever there are readings, (g,) s."""
         bursts = np.split(self.t, np.flatnonzero(np.diff(self.t) > MAX_GAP) + 1)
         return np.concatenate([np.arange(b[0], b[-1] + step, step) for b in bursts])
+
+    @cached_property
+    def _without_gap(self) -> NDArray[np.bool_]:
+        """Whether the interval before each reading, and after the last, is no gap: (m + 1,)."""
+        return np.diff(self.t, prepend=-np.inf, append=np.inf) <= MAX_GAP
 
     @cached_property
     def _at_rest(self) -> NDArray[np.bool_]:
@@ -74,10 +82,17 @@ class Readings:
         return kernel.interpolate(*self._contiguous, MAX_GAP, _as_contiguous(t))
 
     def rate(self, t: Array) -> Array:
-        """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN."""
+        """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN.
+
+        0 in a gap, where a reading is held.
+        """
         if len(self.t) < 2:
             return np.zeros((len(t), self.q.shape[1]))
-        return kernel.rates(*self._contiguous, MAX_GAP, RATE_SPAN, _as_contiguous(t))
+        ends = np.clip([t - RATE_SPAN, t + RATE_SPAN], self.t[0], self.t[-1])
+        travel = self.at(ends[1]) - self.at(ends[0])
+        speed: Array = travel / np.maximum(ends[1] - ends[0], RATE_SPAN)[:, None]
+        speed[~(self._bracketed(t) | np.isin(t, self.t))] = 0.0
+        return speed
 
     @cached_property
     def _contiguous(self) -> tuple[Array, Array]:

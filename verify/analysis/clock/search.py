@@ -104,19 +104,18 @@ def _costs_by_motion(track: Track, arm: robots.Arm, readings: Readings, offsets:
     variance = variance + _motion_within_a_step(track, early, late, sizes)
     # poses along the whole log once; every offset then only looks them up
     grid_t = readings.instants(COARSE_STEP)
-    grid = grid_t, robots.forward(arm, readings.at(grid_t))
-    ends = np.stack([track.t[early], track.t[late]])
+    poses = robots.forward(arm, readings.at(grid_t))
+    pairs, ends = np.unique([early, late], return_inverse=True)
     parts = []
-    for some in np.array_split(offsets, -(-len(offsets) * len(early) // MAX_INSTANTS)):
-        instants = ends - some[:, None, None]
-        at_ends = readings.available(instants.reshape(-1)).reshape(instants.shape)
-        known = at_ends[:, 0] & at_ends[:, 1]
+    for some in np.array_split(offsets, -(-len(offsets) * len(pairs) // MAX_INSTANTS)):
+        instants = track.t[pairs] - some[:, None]
+        read = readings.available(instants.reshape(-1)).reshape(instants.shape)
+        known = read[:, ends[0]] & read[:, ends[1]]
         enough = known.mean(axis=1) >= MIN_OVERLAP
         cost = np.empty(int(enough.sum()))
-        motion_misfits(
-            instants[enough], known[enough], grid, COARSE_STEP, (sizes, variance),
-            MAX_SQUARED_MISFIT, cost,
-        )  # fmt: skip
+        nearest = np.searchsorted(grid_t, instants[enough] - COARSE_STEP / 2)
+        nearest = np.minimum(nearest, len(grid_t) - 1)[:, ends]
+        motion_misfits(nearest, known[enough], poses, (sizes, variance), MAX_SQUARED_MISFIT, cost)
         parts.append(np.stack([some[enough], cost], axis=1))
     return np.concatenate(parts)
 

@@ -1,4 +1,4 @@
-"""Interpolate joint readings: values, speeds, interpolation errors, directions of travel.
+"""Interpolate joint readings: values, interpolation errors, directions of travel.
 
 Between readings h apart, s the share of h passed, values follow the cubic with the speeds v0, v1
 of second-order differences at both ends (Catmull-Rom); an error e0, e1 of these speeds makes
@@ -124,47 +124,6 @@ def interpolation_error(t: Array, q: Array, longest: float, instants: Array) -> 
             end = slope_difference(t, q, after, j, longest)
             values[n, j] = width * late * early * (begin * early + end * late)
     return values
-
-
-@compiled
-def rates(t: Array, q: Array, longest: float, span: float, instants: Array) -> Array:
-    """Joints' speeds (n, j), rad/s, at some instants; 0 beside a gap, where a reading is held.
-
-    As `interpolate`, and `span`, s, over which a speed is taken, before and after.
-    """
-    values, ends = np.zeros((len(instants), q.shape[1])), np.empty(2)
-    for n in range(len(instants)):
-        ends[0] = min(max(instants[n] - span, t[0]), t[-1])
-        ends[1] = min(max(instants[n] + span, t[0]), t[-1])
-        if in_burst(t, longest, instants[n]):
-            there = interpolate(t, q, longest, ends)
-            width = max(ends[1] - ends[0], span)
-            for j in range(q.shape[1]):
-                values[n, j] = (there[1, j] - there[0, j]) / width
-    return values
-
-
-@compiled
-def bracketed(t: Array, longest: float, instants: Array) -> NDArray[np.bool_]:
-    """Say at which instants (n,) readings stand at both sides, no gap between them."""
-    marks = np.empty(len(instants), np.bool_)
-    for n in range(len(instants)):
-        after = np.searchsorted(t, instants[n])
-        if after == 0 or after == len(t):
-            marks[n] = after == 0 and instants[n] == t[0]
-        else:
-            marks[n] = t[after] - t[after - 1] <= longest
-    return marks
-
-
-@compiled
-def in_burst(t: Array, longest: float, instant: float) -> bool:
-    """Say whether readings stand about an instant, or one at it."""
-    if instant < t[0] or instant > t[-1]:
-        return False
-    after = min(max(int(np.searchsorted(t, instant)), 1), len(t) - 1)
-    early, late = float(t[after - 1]), float(t[after])
-    return late - early <= longest or instant in (early, late)
 
 
 @compiled
