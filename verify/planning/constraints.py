@@ -202,10 +202,11 @@ class PostureConstraints:
         return LinkChain(self.setup.arm)
 
     @cached_property
-    def _apart(self) -> Flags:
-        """Which pairs of points are far from each other along the links, (p, p)."""
+    def _apart(self) -> tuple[Rows, Rows]:
+        """Pairs of points that are far from each other along the links: first (n,), second (n,)."""
         way = self.skeleton.way
-        return np.abs(way[:, None] - way) > MIN_LINK_SEPARATION
+        first, second = np.nonzero(np.triu(np.abs(way[:, None] - way) > MIN_LINK_SEPARATION))
+        return first, second
 
     @cached_property
     def _camera_centres(self) -> Array:
@@ -252,13 +253,13 @@ class PostureConstraints:
         points = self.skeleton.points(frames)
         raised = points[:, self.skeleton.moving]
         away = np.linalg.norm(raised[:, :, None] - self._camera_centres, axis=-1).min(axis=(1, 2))
-        gaps = np.linalg.norm(points[:, :, None] - points[:, None], axis=-1)
-        gaps[:, ~self._apart] = np.inf
+        first, second = self._apart
+        gaps = np.linalg.norm(points[:, first] - points[:, second], axis=-1)
         least = MIN_SINGULAR_VALUE_PASSING if passing else MIN_SINGULAR_VALUE
         broken = (
             (raised[:, :, 2] < self.request.floor).any(axis=1),
             away < MIN_CAMERA_CLEARANCE,
-            gaps.min(axis=(1, 2)) < MIN_LINK_DISTANCE,
+            gaps.min(axis=1, initial=np.inf) < MIN_LINK_DISTANCE,
             dexterity(frames) < least,
         )
         reason = np.full(len(frames), -1, dtype=np.int64)
