@@ -1,5 +1,6 @@
 """The simulated controller and its arm: orders in, joint angles out, later and a little noisy."""
 
+import bisect
 from collections import deque
 from collections.abc import Callable
 
@@ -46,10 +47,12 @@ class CellArm:
         """Where the joints are, (n,), rad."""
         if self.braked is not None:
             return self.braked
-        times = np.array([at for at, _ in self._orders])
-        angles = np.array([q for _, q in self._orders])
-        then = t - self._delay
-        return np.array([np.interp(then, times, column) for column in angles.T])
+        orders, then = self._orders, t - self._delay
+        later = bisect.bisect_right(orders, then, key=lambda order: order[0])
+        if later in (0, len(orders)):
+            return orders[min(later, len(orders) - 1)][1].copy()
+        (begin, first), (end, second) = orders[later - 1], orders[later]
+        return first + (then - begin) * ((second - first) / (end - begin))
 
 
 class SimMover:

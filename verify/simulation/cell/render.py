@@ -1,7 +1,8 @@
 """Pictures of the simulated cell: polygons, far ones first, on a background that is drawn once."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -25,6 +26,17 @@ BLUR_PX = 0.6  # px
 NOISE_SHIFT_PX = 64  # px by which the noise pattern may be shifted
 CIRCLE_ANGLES = np.linspace(0.0, 2 * np.pi, 20, endpoint=False)
 RIM_ANGLES = np.linspace(0.0, 2 * np.pi, 40, endpoint=False)
+
+
+class Shape(NamedTuple):
+    """What is drawn in one go: the convex hull of some points, or an LED at the one point."""
+
+    points: Array  # (n, 3), m, base frame
+    colour: Array | tuple[float, ...]  # BGR
+    led_radius: float = 0.0  # px; 0: no LED
+
+
+Part = tuple[float, list[Shape]]  # m, how far from the camera, and what hides what is behind it
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +83,8 @@ class CellCamera:
         """Turn its base to where a reading would be pan, rad."""
         self._camera_T_base = self._camera.camera_T_rig(pan) @ self._rig_T_base
         self._rotation = cv2.Rodrigues(self._camera_T_base[:3, :3])[0]
+        across = np.linalg.inv(self._camera_T_base[:3, :3])[:, :2]  # a circle faces the camera
+        self._disc = np.stack([np.cos(CIRCLE_ANGLES), np.sin(CIRCLE_ANGLES)], axis=1) @ across.T
         self._background = self._table()
 
     def picture(
@@ -87,16 +101,12 @@ class CellCamera:
         its corners, (4, 3), m.
         """
         picture = self._background.copy()
-        parts: list[tuple[float, Callable[[], None]]] = []
-        for cap in caps:
-            middle = cap.base_T_cap[:3, 3]
-            parts.append((self._away(middle), lambda cap=cap: self._cap(picture, cap)))  # type: ignore[misc]
-        parts += self._arm(picture, posed)
+        parts = [(self._away(cap.base_T_cap[:3, 3]), self._cap(cap)) for cap in caps]
+        parts += self._arm(posed)
         if board is not None:
-            away = self._away(board.mean(axis=0))
-            parts.append((away, lambda: self._fill(picture, board, FINGER_COLOUR)))
-        for _, draw in sorted(parts, key=lambda part: -part[0]):
-            draw()
+            parts.append((self._away(board.mean(axis=0)), [Shape(board, FINGER_COLOUR)]))
+        far_first = sorted(parts, key=lambda part: -part[0])
+        self._draw(picture, [shape for _, part in far_first for shape in part])
         cv2.GaussianBlur(picture, (0, 0), BLUR_PX, dst=picture)
         dy, dx = self._rng.integers(0, NOISE_SHIFT_PX, 2)
         height, width = picture.shape[:2]
@@ -110,20 +120,19 @@ class CellCamera:
         picture = np.empty((height, width, 3), np.uint8)
         picture[:] = FLOOR_COLOUR
         top = np.array([(*corner, 0.0) for corner in TABLE_CORNERS])
-        self._fill(picture, top, TABLE_COLOUR)
+        shapes = [Shape(top, TABLE_COLOUR)]
         for x, y, colour in ((0.66, -0.34, (190, 170, 150)), (0.62, 0.33, (150, 185, 150))):
             paper = np.array([(x + a, y + b, 0.0) for a, b in ((0, 0), (0.06, 0), (0.06, 0.05))])
-            self._fill(picture, np.vstack([paper, [x, y + 0.05, 0.0]]), colour)
+            shapes.append(Shape(np.vstack([paper, [x, y + 0.05, 0.0]]), colour))
+        self._draw(picture, shapes)
         mixed: Image = np.clip(picture + self._pattern, 0, 255).astype(np.uint8)
         return mixed
 
-    def _arm(self, picture: Image, posed: RenderedArm) -> list[tuple[float, Callable[[], None]]]:
-        parts: list[tuple[float, Callable[[], None]]] = []
+    def _arm(self, posed: RenderedArm) -> list[Part]:
+        parts: list[Part] = []
 
         def capsule(a: Array, b: Array, radius: float, colour: tuple[int, int, int]) -> None:
-            parts.append(
-                (self._away((a + b) / 2), lambda: self._capsule(picture, a, b, radius, colour))
-            )
+            parts.append((self._away((a + b) / 2), self._capsule(a, b, radius, colour)))
 
         for a, b in zip(posed.joints[:-1], posed.joints[1:], strict=True):
             capsule(a, b, LINK_RADIUS, ARM_COLOUR)
@@ -142,46 +151,48 @@ class CellCamera:
             capsule(root, knee, FINGER_RADIUS, FINGER_COLOUR)
             capsule(knee, tip, FINGER_RADIUS, FINGER_COLOUR)
         nearest = self._away(grip[:3, 3] - 0.05 * grip[:3, 2]) - 0.08
-        parts.append((nearest, lambda: self._leds(picture, flange)))
+        parts.append((nearest, self._leds(flange)))
         return parts
 
-    def _leds(self, picture: Image, flange: Array) -> None:
+    def _leds(self, flange: Array) -> list[Shape]:
         """Those that face the camera."""
+        found = []
         eye = invert(self._camera_T_base)[:3, 3]
         for led in self._marker.leds:
             at = carry(flange, led)
             outwards = flange[:3, :3] @ np.array([led[0], led[1], 0.0])
             if outwards @ (eye - at) > 0.3 * np.linalg.norm(outwards) * np.linalg.norm(eye - at):
                 radius = self._camera.matrix[0, 0] * self._marker.led_diameter / 2 / self._away(at)
-                _draw_led(picture, self._pixels(at[None])[0], radius)
+                found.append(Shape(at[None], (LED,), radius))
+        return found
 
-    def _cap(self, picture: Image, cap: RenderedCap) -> None:
+    def _cap(self, cap: RenderedCap) -> list[Shape]:
         """A short cylinder: a lit top, a darker side, darker still to the right, a reflection."""
         circle = np.cos(RIM_ANGLES), np.sin(RIM_ANGLES), np.zeros_like(RIM_ANGLES)
         ring = cap.radius * np.stack(circle, axis=1)
         up = np.array([0.0, 0.0, cap.height / 2])
         top, bottom = carry(cap.base_T_cap, ring + up), carry(cap.base_T_cap, ring - up)
         colour = np.array(COLOURS[cap.colour], dtype=float)
-        self._fill(picture, np.vstack([top, bottom]), 0.72 * colour)
         shade = ring[:, 1] > 0.3 * cap.radius
-        self._fill(picture, np.vstack([top[shade], bottom[shade]]), 0.55 * colour)
-        self._fill(picture, top, colour)
         eye = invert(self._camera_T_base)[:3, 3]
         aside = carry(invert(cap.base_T_cap), eye)[1]
         shift = np.array([0.3 * cap.radius, 0.5 * aside * cap.radius, 0.0])
         shine = carry(cap.base_T_cap, 0.18 * ring + up + shift)
-        self._fill(picture, shine, 0.4 * colour + 0.6 * 255)
+        return [
+            Shape(np.vstack([top, bottom]), 0.72 * colour),
+            Shape(np.vstack([top[shade], bottom[shade]]), 0.55 * colour),
+            Shape(top, colour),
+            Shape(shine, 0.4 * colour + 0.6 * 255),
+        ]
 
     def _capsule(
-        self, picture: Image, a: Array, b: Array, radius: float, colour: tuple[int, int, int]
-    ) -> None:
+        self, a: Array, b: Array, radius: float, colour: tuple[int, int, int]
+    ) -> list[Shape]:
         """Its outline by two circles that face the camera, and a lighter streak along it."""
-        across = np.linalg.inv(self._camera_T_base[:3, :3])[:, :2]
-        disc = np.stack([np.cos(CIRCLE_ANGLES), np.sin(CIRCLE_ANGLES)], axis=1) @ across.T
+        disc, lit = self._disc, 0.55 * radius * self._disc + [0.0, 0.0, 0.25 * radius]
         outline = np.vstack([a + radius * disc, b + radius * disc])
-        self._fill(picture, outline, np.array(colour) * 0.8)
-        streak = 0.55 * radius * disc + [0.0, 0.0, 0.25 * radius]
-        self._fill(picture, np.vstack([a + streak, b + streak]), colour)
+        streak = np.vstack([a + lit, b + lit])
+        return [Shape(outline, np.array(colour) * 0.8), Shape(streak, colour)]
 
     def _away(self, point: Array) -> float:
         """How far a point (3,) of the base is from the camera, m."""
@@ -195,11 +206,19 @@ class CellCamera:
         )
         return np.asarray(found[:, 0], dtype=float)
 
-    def _fill(self, picture: Image, points: Array, colour: Sequence[float] | Array) -> None:
-        pixels = np.rint(np.clip(self._pixels(points), -4e3, 4e3) * 16).astype(np.int32)
-        outline = cv2.convexHull(pixels)
-        shade = np.asarray(colour, dtype=float).tolist()
-        cv2.fillConvexPoly(picture, outline, shade, cv2.LINE_AA, shift=4)
+    def _draw(self, picture: Image, shapes: Sequence[Shape]) -> None:
+        """Draw one after the other."""
+        pixels = self._pixels(np.concatenate([shape.points for shape in shapes]))
+        corners = np.rint(np.clip(pixels, -4e3, 4e3) * 16).astype(np.int32)
+        end = 0
+        for shape in shapes:
+            begin, end = end, end + len(shape.points)
+            if shape.led_radius > 0.0:
+                _draw_led(picture, pixels[begin], shape.led_radius)
+                continue
+            outline = cv2.convexHull(corners[begin:end])
+            shade = np.asarray(shape.colour, dtype=float).tolist()
+            cv2.fillConvexPoly(picture, outline, shade, cv2.LINE_AA, shift=4)
 
 
 def _draw_led(picture: Image, centre: Array, radius: float) -> None:
