@@ -10,6 +10,7 @@ them. No two pairs need to be near in time, so single visits serve as well as a 
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import combinations
 
 import numpy as np
@@ -55,13 +56,19 @@ class PairSpots:
     height: int  # px, of the image
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class PointCloud:
     """The candidate points of one pair."""
 
     points: Array  # (m, 3), m
     spots: NDArray[np.int64]  # (m, 2), the left and the right spot behind each
     play: float  # m, how far a distance between two of them may be off
+
+    @cached_property
+    def distances(self) -> Array:
+        """From each point to each, (m, m), m."""
+        apart: Array = np.linalg.norm(self.points[:, None] - self.points[None], axis=2)
+        return apart
 
 
 def find_spots(recording: Recording, progress: Progress) -> list[PairSpots]:
@@ -92,12 +99,14 @@ def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
     alike = [j for j in np.flatnonzero(pan == pan[i]).tolist() if j != i]
     if len(alike) + 1 < MIN_PAIRS or not len(found[i]):
         return np.zeros(len(found[i]), dtype=bool)
-    again = np.zeros(len(found[i]))
-    for j in alike:
-        if len(found[j]):
-            apart = np.linalg.norm(found[i][:, None] - found[j][None], axis=2)
-            again += apart.min(axis=1) < MAX_STILL_PX
-    return again > MIN_STILL_SHARE * len(alike)
+    others = [found[j] for j in alike if len(found[j])]
+    if not others:
+        return np.zeros(len(found[i]), dtype=bool)
+    apart = np.linalg.norm(found[i][:, None] - np.concatenate(others)[None], axis=2)
+    begin = np.cumsum([0, *map(len, others[:-1])])
+    again = np.logical_or.reduceat(apart < MAX_STILL_PX, begin, axis=1).sum(axis=1)
+    still: NDArray[np.bool_] = again > MIN_STILL_SHARE * len(alike)
+    return still
 
 
 def find_leds(pairs: Sequence[PairSpots], rig: Rig, leds: int | None, place: str) -> Array:
@@ -212,8 +221,7 @@ def _usable(corners: Array) -> bool:
 def _match(cloud: PointCloud, corners: Array) -> NDArray[np.int64] | None:
     """Find the three points of a pair that form the triangle best, (3,), or None."""
     wanted = [np.linalg.norm(corners[i] - corners[j]) for i, j in ((0, 1), (0, 2), (1, 2))]
-    apart = np.linalg.norm(cloud.points[:, None] - cloud.points[None], axis=2)
-    first, second, third = (np.abs(apart - w) for w in wanted)
+    first, second, third = (np.abs(cloud.distances - w) for w in wanted)
     ij = np.argwhere(first < cloud.play)
     if not len(ij):
         return None
