@@ -2,8 +2,8 @@
 
 No model is fitted here: a finder's answer counts where the map of `grid` shows crossings of
 alternating colour in all of its rows and columns and in none of the lines around it. The finders
-are tried from the quickest to the one that withstands most, on the image and on variants of it
-(half the size, equalised, twice the size).
+are tried from the quickest on, then the one that withstands most on variants of the image (half the
+size, equalised, twice the size).
 """
 
 import math
@@ -19,21 +19,19 @@ from verify.core.records import Array, Image
 
 MIN_CORNERS = 3  # inner corners a side, OpenCV's least
 MAX_CORNERS = 60  # inner corners a side at which growing stops
-SEED_CORNERS = (4, 3, 5)  # inner corners a side that a general search starts from
+# flags and inner corners a side that a general search starts from; the last takes longest
+SEEDS = (
+    *((flags, seed) for flags in (0, cv2.CALIB_CB_NORMALIZE_IMAGE) for seed in (4, 3, 5)),
+    (cv2.CALIB_CB_EXHAUSTIVE, 4),
+)
 MIN_CONTRAST = 4  # DN, of a picture at an eighth of its size: less is noise on one grey
 MAX_START_ERROR = 0.1  # squares by which a corner may be off for its fit to begin
 Finder = Callable[..., Any]  # picture and counts to whether there is a board, and its corners
 # by black quadrangles: in a few ms where the light is even; and boards cut by the image's border
 QUICK_FINDER: Finder = partial(cv2.findChessboardCorners, flags=0)
-QUAD_FINDER: Finder = partial(
-    cv2.findChessboardCorners,
-    flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE,
-)
-# by sectors: noise, blur and steep views; dark or overexposed boards
-SECTOR_FINDERS: tuple[Finder, ...] = (
-    partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_EXHAUSTIVE),
-    partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_NORMALIZE_IMAGE),
-)
+# by sectors: noise, blur and steep views; and where the image around the board is bright
+SECTOR_FINDER: Finder = partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_EXHAUSTIVE)
+DIM_FINDER: Finder = partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
 
 
 def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
@@ -44,22 +42,18 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
     if min(columns, rows) < MIN_CORNERS or is_blank(grey):
         return None
     counts = (columns, rows)
-    quick = (QUICK_FINDER, MAX_START_ERROR), *((finder, math.inf) for finder in SECTOR_FINDERS)
-    for finder, max_error in quick:
+    finders = (QUICK_FINDER, MAX_START_ERROR), (SECTOR_FINDER, math.inf), (DIM_FINDER, math.inf)
+    for finder, max_error in finders:
         grid = _find_whole(grey, grey, 1.0, counts, finder, max_error)
         if grid is not None:
             return grid
     other = find_by_growing(grey)
-    if other is not None and sorted(other.shape[:2]) == sorted(counts):
-        return other
-    grid = _find_whole(grey, grey, 1.0, counts, QUAD_FINDER)
-    if grid is not None or other is not None:
-        return grid  # where a board of other counts is in view, there is no need to search harder
+    if other is not None:  # where a board of other counts is in view, do not search harder
+        return other if sorted(other.shape[:2]) == sorted(counts) else None
     for picture, scale in picture_variants(grey):
-        for finder in (*SECTOR_FINDERS, QUAD_FINDER):
-            grid = _find_whole(grey, picture, scale, counts, finder)
-            if grid is not None:
-                return grid
+        grid = _find_whole(grey, picture, scale, counts, SECTOR_FINDER)
+        if grid is not None:
+            return grid
     return None
 
 
@@ -130,20 +124,19 @@ def find_by_growing(grey: Image) -> Array | None:
     """
     if is_blank(grey):
         return None
-    for flags in (0, cv2.CALIB_CB_EXHAUSTIVE, cv2.CALIB_CB_NORMALIZE_IMAGE):
-        for seed in SEED_CORNERS:
-            found, corners, meta = cv2.findChessboardCornersSBWithMeta(
-                grey, (seed, seed), cv2.CALIB_CB_LARGER | flags
-            )
-            rows, columns = meta.shape if found else (0, 0)
-            if not found or corners.size != 2 * rows * columns:
-                continue
-            grid = grow_grid(grey, np.asarray(corners, dtype=float).reshape(rows, columns, 2))
-            grid_map = None if grid is None else grids.fit_grid_map(grey, grid)
-            if grid is not None and grid_map is not None:
-                rows, columns = grid.shape[:2]
-                if grids.is_whole(grey, grid_map, columns, rows):
-                    return grid
+    for flags, seed in SEEDS:
+        found, corners, meta = cv2.findChessboardCornersSBWithMeta(
+            grey, (seed, seed), cv2.CALIB_CB_LARGER | flags
+        )
+        rows, columns = meta.shape if found else (0, 0)
+        if not found or corners.size != 2 * rows * columns:
+            continue
+        grid = grow_grid(grey, np.asarray(corners, dtype=float).reshape(rows, columns, 2))
+        grid_map = None if grid is None else grids.fit_grid_map(grey, grid)
+        if grid is not None and grid_map is not None:
+            rows, columns = grid.shape[:2]
+            if grids.is_whole(grey, grid_map, columns, rows):
+                return grid
     return None
 
 
