@@ -6,7 +6,7 @@ RUN := $(VENV)/.run-installed
 DEV := $(VENV)/.dev-installed
 SITE := $(VENV)/.docs-installed
 COMPILED := $(VENV)/.compiled
-PIP = $(BIN)/python -m pip install --quiet --no-compile --disable-pip-version-check -c .ci/constraints.txt
+PIP = $(BIN)/python -m pip install -qq --no-compile --disable-pip-version-check -c .ci/constraints.txt
 
 # packages come without compiled modules; Python keeps what it compiles, also where a container forbids it
 unexport PYTHONDONTWRITEBYTECODE
@@ -18,6 +18,7 @@ $(RUN): pyproject.toml .ci/constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "verify needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
 	@echo "environment: $(VENV), packages that running needs"
 	@$(PYTHON) -m venv $(VENV)
+	-@$(PIP) --upgrade pip  # an older one takes twice as long
 	@$(PIP) -e .
 	@touch $@
 
