@@ -29,7 +29,11 @@ MAX_START_ERROR = 0.1  # squares by which a corner may be off for its fit to beg
 Finder = Callable[..., Any]  # picture and counts to whether there is a board, and its corners
 # by black quadrangles: in a few ms where the light is even; and boards cut by the image's border
 QUICK_FINDER: Finder = partial(cv2.findChessboardCorners, flags=0)
-# by sectors: noise, blur and steep views; and where the image around the board is bright
+QUAD_FINDER: Finder = partial(
+    cv2.findChessboardCorners,
+    flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE,
+)
+# by sectors: noise, blur and steep views; dim boards beside bright things
 SECTOR_FINDER: Finder = partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_EXHAUSTIVE)
 DIM_FINDER: Finder = partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_NORMALIZE_IMAGE)
 
@@ -42,18 +46,24 @@ def find_grid(grey: Image, columns: int, rows: int) -> Array | None:
     if min(columns, rows) < MIN_CORNERS or is_blank(grey):
         return None
     counts = (columns, rows)
+    cv2.setRNGSeed(0)  # OpenCV draws random numbers: the same picture is to give the same answer
     finders = (QUICK_FINDER, MAX_START_ERROR), (SECTOR_FINDER, math.inf), (DIM_FINDER, math.inf)
     for finder, max_error in finders:
         grid = _find_whole(grey, grey, 1.0, counts, finder, max_error)
         if grid is not None:
             return grid
     other = find_by_growing(grey)
-    if other is not None:  # where a board of other counts is in view, do not search harder
-        return other if sorted(other.shape[:2]) == sorted(counts) else None
+    if other is not None and sorted(other.shape[:2]) == sorted(counts):
+        return other
+    grid = _find_whole(grey, grey, 1.0, counts, QUAD_FINDER)
+    if grid is not None or other is not None:
+        return grid  # where a board of other counts is in view, there is no need to search harder
     for picture, scale in picture_variants(grey):
-        grid = _find_whole(grey, picture, scale, counts, SECTOR_FINDER)
-        if grid is not None:
-            return grid
+        # enlarged noise is full of quadrangles
+        for finder in (SECTOR_FINDER, QUAD_FINDER) if scale <= 1.0 else (SECTOR_FINDER,):
+            grid = _find_whole(grey, picture, scale, counts, finder)
+            if grid is not None:
+                return grid
     return None
 
 
@@ -124,6 +134,7 @@ def find_by_growing(grey: Image) -> Array | None:
     """
     if is_blank(grey):
         return None
+    cv2.setRNGSeed(0)
     for flags, seed in SEEDS:
         found, corners, meta = cv2.findChessboardCornersSBWithMeta(
             grey, (seed, seed), cv2.CALIB_CB_LARGER | flags
