@@ -8,9 +8,9 @@ import re
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import pandas as pd
 from numpy.typing import NDArray
 
 from verify.core.readings import MAX_GAP
@@ -19,6 +19,9 @@ from verify.errors import InputError
 from verify.io.files import read_bytes
 from verify.io.rows import whole_rows
 from verify.io.toml import did_you_mean
+
+if TYPE_CHECKING:  # imported where a file is read: what measures live reads none, and starts sooner
+    import pandas as pd
 
 _PAIR_TIMES = ("t_left_s", "t_right_s")
 MAX_NUMBER = 1e20  # in whatever unit; its square is finite
@@ -268,6 +271,8 @@ class CsvTable:
 
         Not by Arrow: its threads may outlive a refusal, and then end the process.
         """
+        import pandas as pd
+
         try:
             table = pd.read_csv(
                 io.BytesIO(self.data),
@@ -351,7 +356,7 @@ def _header(path: Path, data: bytes) -> list[str]:
     return names
 
 
-def read_alarms(path: Path, joints: int) -> pd.DataFrame | None:
+def read_alarms(path: Path, joints: int) -> "pd.DataFrame | None":
     """Read the alarms of a watched run, ALARM_COLUMNS one a row; None where there is no file.
 
     Raises:
@@ -359,6 +364,8 @@ def read_alarms(path: Path, joints: int) -> pd.DataFrame | None:
     """
     if not path.exists():
         return None
+    import pandas as pd
+
     table, _ = open_table(path, torn=False)
     rows = []
     for line, cells in table._rows():
