@@ -110,7 +110,7 @@ def _interrupt_again(_signal: int, _frame: object) -> None:
 
 @cache
 def _command_line() -> Any:
-    """Parse by it; to build it takes a twentieth of a second."""
+    """Build the parser of the command line, once a process."""
     return typer.main.get_command(app)
 
 
