@@ -3,11 +3,12 @@
 import os
 import signal
 import sys
+import threading
 from collections import Counter, deque
 from collections.abc import Iterator
 from contextlib import suppress
 from functools import partial
-from typing import Any, NoReturn
+from typing import Any
 
 from verify.core import processes
 from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied, perform
@@ -92,9 +93,11 @@ def _load(threads: int) -> None:
         warm_up_comparison()
 
 
-def _exit(_signal: int, _frame: object) -> NoReturn:
+def _exit(_signal: int, _frame: object) -> None:
+    """End, unless it ends already: fetched sessions are removed on the way out."""
     signal.signal(signal.SIGTERM, signal.SIG_IGN)
-    sys.exit(1)  # fetched sessions are removed on the way out
+    if threading.main_thread().is_alive():
+        sys.exit(1)
 
 
 def available_cpus() -> int:

@@ -114,3 +114,17 @@ def test_closing_sends_every_process_home(pool: ProcessPool) -> None:
     pool.close()
     for pid in pids:
         wait_until(lambda pid=pid: not running(pid))
+
+
+def test_a_worker_that_ends_already_removes_what_it_fetched_whatever_ends_it() -> None:
+    code = """
+import atexit, os, signal, weakref
+from verify.fleet.batch import workers
+class Session: pass
+fetched = Session()
+weakref.finalize(fetched, print, "removed")
+weakref.finalize(fetched, os.kill, os.getpid(), signal.SIGTERM)  # the last one made runs first
+signal.signal(signal.SIGTERM, workers._exit)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert (done.returncode, done.stdout, done.stderr) == (0, "removed\n", "")
