@@ -2,7 +2,6 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from xml.sax.saxutils import quoteattr
 
 import numpy as np
 
@@ -66,6 +65,8 @@ def urdf_text(
     name: str, joints: Sequence[WrittenJoint], last_T_flange: Array, comments: Sequence[str]
 ) -> str:
     """Write a chain from base_link to tool0, one link a joint; `last_T_flange` (4, 4), m."""
+    from xml.sax.saxutils import quoteattr  # slow to load, by way of urllib
+
     links = ["base_link", *(f"link_{j + 1}" for j in range(len(joints))), "tool0"]
     lines = ['<?xml version="1.0" encoding="utf-8"?>']
     lines += [f"<!-- {_comment(sentence)} -->" for sentence in comments]

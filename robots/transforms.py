@@ -2,7 +2,6 @@
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 Array = NDArray[np.float64]
 
@@ -35,12 +34,16 @@ def cross_matrix(vectors: Array) -> Array:
 
 def rotation_log(rotation: Array) -> Array:
     """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3); lengths in [0, pi]."""
+    from scipy.spatial.transform import Rotation  # slow to load, and not all processes turn
+
     vectors = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
     return np.asarray(vectors, dtype=float).reshape(*rotation.shape[:-2], 3)
 
 
 def rotation_exp(vector: Array) -> Array:
     """Rotation matrices (..., 3, 3) of rotation vectors (..., 3), rad."""
+    from scipy.spatial.transform import Rotation
+
     matrices = Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix()
     return np.asarray(matrices, dtype=float).reshape(*vector.shape, 3)
 

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
 from dataclasses import replace
 from itertools import chain
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -21,9 +21,11 @@ from verify.core import processes
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Image, Measurement, Spots, StereoPair
 from verify.core.rig import Rig
-from verify.live.protocols import ExpectedPoses
 from verify.measurement.chain import Setup, detect_in_turn, measure
 from verify.measurement.detection.detect import detect
+
+if TYPE_CHECKING:  # not loaded where pairs are measured: it brings the comparison along
+    from verify.live.protocols import ExpectedPoses
 
 DETECTION_TIMEOUT = 1.0  # s a picture, ten times what a whole frame takes
 MEASUREMENT_TIMEOUT = 2.0  # s a pair, twenty times what a whole frame takes
@@ -129,7 +131,7 @@ class MeasuringProcess:
             self._prepared = (pair, self._message(pair))
 
     def measure(
-        self, pairs: Iterator[StereoPair], expected: ExpectedPoses
+        self, pairs: Iterator[StereoPair], expected: "ExpectedPoses"
     ) -> Iterator[Measurement]:
         """Measure pairs in order, as `chain.measure` does: each causally, then settled.
 
@@ -168,7 +170,7 @@ class MeasuringProcess:
         return bare, left.put(pair.left), right.put(pair.right)
 
     def _measured(
-        self, expected: ExpectedPoses, unanswered: deque[StereoPair]
+        self, expected: "ExpectedPoses", unanswered: deque[StereoPair]
     ) -> Iterator[Measurement]:
         """Measurements until the next pair is requested."""
         while True:

@@ -165,7 +165,8 @@ class SessionRecorder:
         with self._wake:
             late = self._items and now - self._items[0].came > self._max_lag
             if late and not self._trouble:
-                self._trouble = f"{self._parent}: the disk is too slow, {self._max_lag:g} s behind"
+                lag = f"{self._max_lag:g} s behind"
+                self._trouble = f"{self._parent}: disk or processor too slow, {lag}"
             if self._trouble or self._closing:
                 return None
             item = _WriteItem(content, now)

@@ -11,9 +11,6 @@ from verify.devices.cameras.capture import is_file, open_camera
 from verify.devices.encoders.csv import CsvEncoders, CsvSettings
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
-from verify.devices.encoders.opcua import OpcUaEncoders
-from verify.devices.encoders.rosbridge import RosbridgeEncoders
-from verify.devices.encoders.rtde import RtdeEncoders
 from verify.devices.encoders.text import FieldMap, TextEncoders, TextSettings
 from verify.devices.melfa.reader import DEFAULT_MELFA_LINE, MelfaEncoders, MelfaSettings
 from verify.devices.melfa.realtime import RealtimeEncoders, RealtimeSettings
@@ -22,8 +19,8 @@ from verify.devices.ports import DEFAULT_LINE, SerialLine, host_and_port
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
 from verify.errors import InputError
 from verify.io.toml import key_error, one_of
-from verify.live.station import networked
 from verify.live.station.keys import (
+    SECURITY_KEYS,
     AngleDeviceTable,
     PanTable,
     SimulatedDevices,
@@ -51,7 +48,7 @@ ENCODER_KEYS: dict[str, tuple[str, ...]] = {
     "rosbridge": (*READ_KEYS, "port", "topic", "joint_names", *STAMP_KEYS),
     "opcua": (
         *(*READ_KEYS, "port", "nodes", "angle_unit", "rate_hz"),
-        *(*STAMP_KEYS, *networked.SECURITY_KEYS, "user"),
+        *(*STAMP_KEYS, *SECURITY_KEYS, "user"),
     ),
     "sim": (*COMMON_KEYS, "rate_hz"),
 }
@@ -154,12 +151,10 @@ def _make_encoders(
             )
         case "csv":
             return CsvEncoders(_csv_settings(path, table, joints), angles)
-        case "rtde":
-            return RtdeEncoders(networked.rtde_settings(path, table, joints), angles)
-        case "rosbridge":
-            return RosbridgeEncoders(networked.rosbridge_settings(path, table, joints), angles)
-        case "opcua":
-            return OpcUaEncoders(networked.opcua_settings(path, table, joints), angles)
+        case "rtde" | "rosbridge" | "opcua":
+            from verify.live.station.networked import open_networked  # slow to load
+
+            return open_networked(path, table, angles, joints)
     return TextEncoders(_text_settings(path, table, joints), angles)
 
 

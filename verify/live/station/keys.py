@@ -10,6 +10,8 @@ from verify.core.rig import Rig
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
 from verify.io.session import keys
 
+SECURITY_KEYS = ("certificate", "private_key", "server_certificate", "security_policy")  # OPC UA
+
 
 class StationCameraTable(msgspec.Struct, kw_only=True):
     """The keys of [left] and [right]."""

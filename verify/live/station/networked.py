@@ -6,15 +6,16 @@ import re
 from pathlib import Path
 from typing import Any
 
-from verify.devices.encoders.opcua import POLICIES, OpcUaSecurity, OpcUaSettings
-from verify.devices.encoders.rosbridge import RosbridgeSettings
-from verify.devices.encoders.rtde import MAX_RTDE_RATE, RTDE_JOINTS, RtdeSettings
+from verify.devices.encoders.intake import AngleMap
+from verify.devices.encoders.opcua import POLICIES, OpcUaEncoders, OpcUaSecurity, OpcUaSettings
+from verify.devices.encoders.rosbridge import RosbridgeEncoders, RosbridgeSettings
+from verify.devices.encoders.rtde import MAX_RTDE_RATE, RTDE_JOINTS, RtdeEncoders, RtdeSettings
+from verify.devices.protocols import EncoderDevice
 from verify.io.toml import key_error, one_of
-from verify.live.station.keys import StationEncodersTable
+from verify.live.station.keys import SECURITY_KEYS, StationEncodersTable
 
 MAX_POLL_RATE = 200.0  # Hz: a poll of more is slower than its server
 RADIANS_PER_UNIT = {"deg": math.radians(1.0), "rad": 1.0}
-SECURITY_KEYS = ("certificate", "private_key", "server_certificate", "security_policy")
 PASSWORD_VARIABLE = "VERIFY_OPCUA_PASSWORD"
 _HOST = r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)"
 _PORTS = {  # what the address of each driver looks like, and an example
@@ -25,6 +26,18 @@ _PORTS = {  # what the address of each driver looks like, and an example
         "opc.tcp://192.168.0.20:4840",
     ),
 }
+
+
+def open_networked(
+    path: Path, table: StationEncodersTable, angles: AngleMap, joints: int
+) -> EncoderDevice:
+    """Open the controller that [encoders] names; InputError: a key is wrong."""
+    match table.driver:
+        case "rtde":
+            return RtdeEncoders(rtde_settings(path, table, joints), angles)
+        case "rosbridge":
+            return RosbridgeEncoders(rosbridge_settings(path, table, joints), angles)
+    return OpcUaEncoders(opcua_settings(path, table, joints), angles)
 
 
 def rtde_settings(path: Path, table: StationEncodersTable, joints: int) -> RtdeSettings:

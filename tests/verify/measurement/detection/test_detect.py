@@ -18,10 +18,9 @@ from tests.support.leds.images import (
 from verify.core.records import Array, Image, Spots
 from verify.errors import InputError
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.kernels.fit import expect_spot, fit_from_start
-from verify.measurement.detection.kernels.patches import Picture, cut_patches, rows_of
-from verify.measurement.detection.kernels.pixels import ROW_VALID
-from verify.measurement.detection.kernels.quality import COL_SOUND, assess_all
+from verify.measurement.detection.kernels.patches import Picture
+from verify.measurement.detection.kernels.quality import N_COLUMNS
+from verify.measurement.detection.kernels.spots import measure_spots
 from verify.measurement.detection.profile import profile_table
 
 DISC = Spot(210, 0.6, radius=4.2)
@@ -286,9 +285,9 @@ def test_what_is_not_an_8_bit_picture_is_refused() -> None:
 
 
 def test_a_patch_without_a_single_pixel_that_counts_is_no_spot_and_no_crash() -> None:
-    picture = Picture(np.zeros(200 * 200, np.uint8), 200, 200, 1)
-    fits = cut_patches(picture, np.array([[100.0, 100.0, 4.0, 20.0]]), False)
-    rows_of(fits, 0)[ROW_VALID] = 0.0
-    expect_spot(fits, 0, 1.5)
-    fit_from_start(fits, 0, np.array([1.5**2, 0.03, 0.0]), profile_table())
-    assert not assess_all(fits, 200, 200, 0.0)[:, COL_SOUND].any()
+    flat = np.tile(np.array([255, 100, 100], np.uint8), 200 * 200)  # no pixel is clear in blue
+    candidate, noise = np.array([[100.0, 100.0, 4.0, 20.0]]), np.array([1.5**2, 0.03, 0.0, 0.0])
+    found, wanted = (np.empty((9, N_COLUMNS)), np.empty((9, 3))), (2.0, 40.0, 9, False, False)
+    flat_picture = Picture(flat, 200, 200, 3)
+    spots = measure_spots(flat_picture, candidate, noise, profile_table(), wanted, False, found)
+    assert spots == 0
