@@ -51,7 +51,7 @@ def test_an_interrupted_run_reports_it_and_writes_nothing(
 
 @pytest.mark.slow
 def test_ctrl_c_at_any_moment_ends_a_run_in_a_word(tmp_path: Path) -> None:
-    for delay in np.random.default_rng(1).uniform(0.3, 4.0, 20):  # before, it is Python that loads
+    for delay in np.linspace(0.5, 4.0, 10):  # before, it is Python that loads
         words = [*COMMAND, str(SESSION), "-o", str(tmp_path / "out"), "--quiet"]
         process = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
         time.sleep(delay)

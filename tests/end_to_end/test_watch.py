@@ -180,7 +180,7 @@ def test_a_disk_that_fills_up_ends_the_recording_and_nothing_else(tmp_path: Path
 
 
 @pytest.mark.realtime
-@pytest.mark.slow
+@pytest.mark.long
 def test_killed_runs_leave_sessions_up_to_their_last_second_and_no_process() -> None:
     for number, after in enumerate((0.0, 0.35, 2.6)):
         killed = kill(after, whole_group=number % 2 == 0)

@@ -37,7 +37,7 @@ def complaint(folder: Path, shown: Board, stated: Board) -> InputError:
         (PLAIN, CHARUCO, "no marker was found.*a plain board of 7 x 5 inner corners", "ChArUco"),
         pytest.param(
             CHARUCO, PLAIN, "with markers, as in DICT_5X5_250",
-            "a plain one of 7 x 5 inner corners", marks=pytest.mark.slow,
+            "a plain one of 7 x 5 inner corners", marks=pytest.mark.long,
         ),
         (OTHER, CHARUCO, "markers as in DICT_4X4_250", "DICT_5X5_100"),
         (replace(PLAIN, columns=8), PLAIN, "8 x 5 inner corners", ""),

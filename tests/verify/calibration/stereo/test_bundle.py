@@ -304,7 +304,7 @@ def test_a_boards_pose_lies_within_its_uncertainty() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("kind", ["fixed", "scattering"])
+@pytest.mark.parametrize("kind", [pytest.param("fixed", marks=pytest.mark.long), "scattering"])
 def test_stated_uncertainties_cover_the_truth(kind: str) -> None:
     outcomes = study(kind, 20, 20261121, jobs=1)
     ratio, low, high = d2_ratio(outcomes)

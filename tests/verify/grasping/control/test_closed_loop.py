@@ -79,7 +79,9 @@ def test_a_hand_too_far_off_is_not_corrected_and_the_margin_decides() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("far", [(0.525, -0.06), (0.439, -0.021)])
+@pytest.mark.parametrize(
+    "far", [(0.525, -0.06), pytest.param((0.439, -0.021), marks=pytest.mark.long)]
+)
 def test_the_hand_is_measured_where_it_was_hidden_before(far: tuple[float, float]) -> None:
     """At the box's far wall, where joints by themselves do not get to; where LEDs look alike."""
     grab, ended = grabbed(CellScene((Cap("blue", far),), seed=1))

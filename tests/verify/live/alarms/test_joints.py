@@ -48,7 +48,7 @@ def test_the_threshold_gives_white_noise_no_more_than_the_stated_alarms() -> Non
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("repeating", [0.0, 0.9])
+@pytest.mark.parametrize("repeating", [pytest.param(0.0, marks=pytest.mark.long), 0.9])
 def test_healthy_joints_raise_no_more_false_alarms_than_stated(repeating: float) -> None:
     hour_share, stated = 200.0 / 3600, 120.0  # many an hour are allowed, so that some could come
     found = [
