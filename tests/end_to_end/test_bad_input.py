@@ -45,6 +45,11 @@ def five_joints(folder: Path) -> None:
     readings.iloc[:, :-1].to_csv(folder / "encoders.csv", index=False)
 
 
+def log_of_half_a_second(folder: Path) -> None:
+    readings = pd.read_csv(folder / "encoders.csv")
+    readings[readings["t_s"] < 1.6].to_csv(folder / "encoders.csv", index=False)
+
+
 def other_size(folder: Path) -> None:
     edit("rig.toml", r"image_size = .*", "image_size = [1920, 1080]")(folder)
     edit("rig.toml", r"camera_matrix = .*", "camera_matrix = [[1500.0, 0.0, 960.0], "
@@ -80,6 +85,7 @@ CASES = {
     "a truncated video": (cut_short, "right.mkv"),
     "times that go back": (edit("frames.csv", r"^5,([\d.]+)", "5,0.001"), "line 7"),
     "five joints": (five_joints, "5 joint columns"),
+    "a log that ends early": (log_of_half_a_second, "encoders.csv: the readings cover 9 of 60"),
     "an unknown robot": (edit("session.toml", "iust_6r", "iust_5r"), 'did you mean "iust_6r"'),
     "images of another size": (other_size, "1920"),
     "a TOML syntax error": (

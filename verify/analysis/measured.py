@@ -11,7 +11,13 @@ import cv2
 import numpy as np
 
 import robots
-from verify.analysis.clock.estimate import ClockEstimate, clock_from_arrival_times, estimate_clock
+from verify.analysis.clock.estimate import (
+    LEAST_OVERLAP,
+    ClockEstimate,
+    clock_from_arrival_times,
+    estimate_clock,
+)
+from verify.analysis.clock.search import are_visits
 from verify.analysis.instrument import (
     MeasuredSession,
     measure_poses,
@@ -32,6 +38,7 @@ from verify.measurement.track import Track, collect_track
 WIDTH, HEIGHT = 720, 450  # px of one picture in the report
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # a second
 MIN_STEP_RATIO = 5.0  # from reading to reading, over that of the pairs: nobody logs so little
+MIN_MOTION = np.deg2rad(0.3)  # of a joint, beyond which the clock's offset matters
 MARGIN = 0.35  # of the LEDs' extent, left around them
 MIN_SIDE = 160  # px of the original: less shows nothing but squares
 PNG_FLAGS = (
@@ -192,7 +199,7 @@ def session_clock(session: Session, track: Track, readings: Readings) -> ClockEs
 
     Raises:
         InputError: the readings' times are in another unit; or the motion does not show an offset,
-            and no pair has a reading without one.
+            and no pair has a reading without one, or too few to find it by while the arm moves.
     """
     refuse_time_unit(session.folder, track.t, readings.t)
     if session.clock is not None:
@@ -203,10 +210,19 @@ def session_clock(session: Session, track: Track, readings: Readings) -> ClockEs
     t_host = session.encoders.t_host
     arrival = None if t_host is None else clock_from_arrival_times(session.encoders.t, t_host)
     clock = estimate_clock(track, session.arm, readings, arrival)
-    if clock.source == "none" and not readings.available(track.t - clock.offset).any():
+    covered = readings.available(track.t - clock.offset)
+    if clock.source != "none" or covered.mean() >= LEAST_OVERLAP:
+        return clock
+    remedy = "State [clock] encoder_offset_s, or record t_host_s."
+    if not covered.any():
+        raise InputError(*_apart(session.folder, track.t, readings.t), remedy)
+    if not are_visits(track.t) and np.ptp(readings.q, axis=0).max() > MIN_MOTION:
         raise InputError(
-            *_apart(session.folder, track.t, readings.t),
-            "State [clock] encoder_offset_s, or record t_host_s.",
+            session.folder / "encoders.csv",
+            f"the readings cover {covered.sum()} of {len(track)} pairs, too few to find the offset "
+            "of their clock by",
+            f"readings for {LEAST_OVERLAP:.0%} of the pairs or more, or a known offset",
+            f"Give the whole log. {remedy}",
         )
     return clock
 

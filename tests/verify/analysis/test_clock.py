@@ -116,6 +116,13 @@ def test_a_log_of_visits_that_was_cut_off_is_not_shifted() -> None:
     assert (estimate.source, estimate.offset) == ("none", 0.0)
 
 
+@pytest.mark.parametrize("log", [LOG[LOG < 2.5], LOG[LOG > 5.2]], ids=["ends early", "begins late"])
+def test_a_log_that_covers_a_quarter_of_the_pairs_shows_the_offset(log: Array) -> None:
+    estimate = estimated(12, swinging, 0.137, log=log)
+    assert (estimate.source, estimate.rivals) == ("estimated", ())
+    assert abs(estimate.offset - 0.137) < 4 * (estimate.standard_uncertainty or 0.0)
+
+
 def test_the_search_ends_whatever_unit_the_times_are_in() -> None:
     rng = np.random.default_rng(11)
     readings = read(swinging, LOG, 0.0, rng)

@@ -23,7 +23,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
-from verify.analysis.clock.search import COARSE_STEP, MOTION_LAG, coarse_costs, dips
+from verify.analysis.clock.search import (
+    COARSE_STEP,
+    MIN_OVERLAP,
+    MOTION_LAG,
+    coarse_costs,
+    dips,
+)
 from verify.analysis.comparison import Comparison, compare
 from verify.analysis.least_squares import autocorrelation, whiten
 from verify.core.readings import Readings
@@ -36,7 +42,9 @@ CAMERA_STAMP = 0.03
 MIN_SPREAD_SHARE = 0.1  # of the delays' spread: the quickest of a jittery line is less well known
 MAX_DIPS = 60  # that are refined, the likeliest ones
 MAX_PAIRS_COMPARED = 300  # of each candidate; more only cost time
-MIN_OVERLAP_AT_ZERO = 0.2  # of the pairs: with fewer the readings' clock is another one
+# of the pairs: a log that ends early may cover no more at its true offset; where fewer have a
+# reading at zero, the readings' clock is another one
+LEAST_OVERLAP = 0.2
 MAX_ARRIVAL_PENALTY = 100.0  # a line that is always late is believed less than a clear motion
 MIN_DISTANCE = 5 * COARSE_STEP  # s: candidates nearer than this are one
 MIN_EVIDENCE = 16.0  # four standard deviations: less leaves the clock ambiguous
@@ -92,9 +100,26 @@ def estimate_clock(
     """Find the offset from the motion, and from arrival times where there are any.
 
     Its source is `ambiguous` where others fit as well (a periodic motion), `arrival` or `none`
-    where the motion (at rest, or at constant speed) does not show it.
+    where the motion (at rest, or at constant speed) does not show it. A log that covers few of the
+    pairs is searched for only where none is found with most of them: few pairs fit by chance.
     """
-    curve = coarse_costs(track, arm, readings, None if arrival is None else arrival.offset)
+    found = _search(track, arm, readings, arrival, MIN_OVERLAP)
+    if found.source not in ("none", "arrival"):
+        return found
+    cut = _search(track, arm, readings, arrival, LEAST_OVERLAP)
+    return found if cut.source in ("none", "arrival") else cut
+
+
+def _search(
+    track: Track,
+    arm: robots.Arm,
+    readings: Readings,
+    arrival: ArrivalClock | None,
+    overlap: float,
+) -> ClockEstimate:
+    """The offset among those that give a share `overlap` of the pairs a reading."""
+    guess = None if arrival is None else arrival.offset
+    curve = coarse_costs(track, arm, readings, guess, overlap)
     open_clock = _unshown_offset(track, readings, curve, arrival)
     if not len(curve):
         return open_clock
@@ -118,7 +143,7 @@ def _unshown_offset(
     """The offset to take where the motion does not show one."""
     if arrival is not None:
         return ClockEstimate(arrival.offset, arrival.standard_uncertainty, "arrival", curve)
-    at_zero = readings.available(track.t).mean() >= MIN_OVERLAP_AT_ZERO
+    at_zero = readings.available(track.t).mean() >= LEAST_OVERLAP
     offset = 0.0 if at_zero or not len(curve) else float(curve[np.argmin(curve[:, 1]), 0])
     return ClockEstimate(offset, None, "none", curve)
 

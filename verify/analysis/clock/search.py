@@ -38,18 +38,22 @@ MAX_DIP_EXCESS = 8.0
 
 
 def coarse_costs(
-    track: Track, arm: robots.Arm, readings: Readings, guess: float | None = None
+    track: Track,
+    arm: robots.Arm,
+    readings: Readings,
+    guess: float | None = None,
+    overlap: float = MIN_OVERLAP,
 ) -> Array:
-    """Cost of the offsets that give enough pairs a reading, (m, 2): offset s, cost.
+    """Cost of the offsets that give a share `overlap` of pairs a reading, (m, 2): offset s, cost.
 
     About `guess`, s, where there are more than MAX_OFFSETS to try.
     """
-    offsets = _offsets_to_try(track, readings, guess)
+    offsets = _offsets_to_try(track, readings, guess, overlap)
     if not are_visits(track.t) and not are_visits(readings.t):
-        curve = _costs_by_motion(track, arm, readings, offsets)
+        curve = _costs_by_motion(track, arm, readings, offsets, overlap)
         if len(curve):
             return curve
-    return _costs_by_pose(track, arm, readings, offsets)
+    return _costs_by_pose(track, arm, readings, offsets, overlap)
 
 
 def dips(curve: Array) -> Array:
@@ -66,11 +70,11 @@ def are_visits(t: Array) -> bool:
     return len(t) < 2 or float(np.median(np.diff(t))) > MAX_GAP
 
 
-def _offsets_to_try(track: Track, readings: Readings, guess: float | None) -> Array:
+def _offsets_to_try(track: Track, readings: Readings, guess: float | None, overlap: float) -> Array:
     """Offsets COARSE_STEP apart, or those that bring a reading to a visit, (m,), s."""
-    half = 0.5 * float(track.t[-1] - track.t[0])
-    lowest = float(track.t[-1] - readings.t[-1]) - half
-    highest = float(track.t[0] - readings.t[0]) + half
+    uncovered = (1.0 - overlap) * float(track.t[-1] - track.t[0])
+    lowest = float(track.t[-1] - readings.t[-1]) - uncovered
+    highest = float(track.t[0] - readings.t[0]) + uncovered
     if lowest > highest:
         return np.zeros(0)
     if are_visits(readings.t):
@@ -93,7 +97,9 @@ def _visit_offsets(t: Array, reading_t: Array, limits: tuple[float, float]) -> A
     return np.unique(np.round(inside / HOLD_TIME) * HOLD_TIME)
 
 
-def _costs_by_motion(track: Track, arm: robots.Arm, readings: Readings, offsets: Array) -> Array:
+def _costs_by_motion(
+    track: Track, arm: robots.Arm, readings: Readings, offsets: Array, overlap: float
+) -> Array:
     """The curve by relative motions; empty where too few poses are whole."""
     early, late = _motion_ends(track)
     if not len(early) or not len(offsets):
@@ -111,7 +117,7 @@ def _costs_by_motion(track: Track, arm: robots.Arm, readings: Readings, offsets:
         instants = track.t[pairs] - some[:, None]
         read = readings.available(instants.reshape(-1)).reshape(instants.shape)
         known = read[:, ends[0]] & read[:, ends[1]]
-        enough = known.mean(axis=1) >= MIN_OVERLAP
+        enough = known.mean(axis=1) >= overlap
         cost = np.empty(int(enough.sum()))
         nearest = np.searchsorted(grid_t, instants[enough] - COARSE_STEP / 2)
         nearest = np.minimum(nearest, len(grid_t) - 1)[:, ends]
@@ -120,14 +126,16 @@ def _costs_by_motion(track: Track, arm: robots.Arm, readings: Readings, offsets:
     return np.concatenate(parts)
 
 
-def _costs_by_pose(track: Track, arm: robots.Arm, readings: Readings, offsets: Array) -> Array:
+def _costs_by_pose(
+    track: Track, arm: robots.Arm, readings: Readings, offsets: Array, overlap: float
+) -> Array:
     """The curve by poses, beside constant joint errors: for visits, and what few LEDs determine."""
     few = np.linspace(0, len(track) - 1, min(len(track), MAX_PAIRS_BY_POSE)).astype(int)
     sample = subset(track, np.unique(few))
-    overlap = np.array([readings.available(sample.t - offset).mean() for offset in offsets])
-    offsets = offsets[overlap >= MIN_OVERLAP]
+    share = np.array([readings.available(sample.t - offset).mean() for offset in offsets])
+    offsets, share = offsets[share >= overlap], share[share >= overlap]
     if len(offsets) > MAX_OFFSETS_BY_POSE:
-        best = np.argsort(-overlap[overlap >= MIN_OVERLAP], kind="stable")
+        best = np.argsort(-share, kind="stable")
         even = np.linspace(0, len(offsets) - 1, MAX_OFFSETS_BY_POSE).astype(int)
         offsets = np.sort(offsets[best[:MAX_OFFSETS_BY_POSE] if are_visits(readings.t) else even])
     curve = []
