@@ -93,6 +93,10 @@ def refuse_other_motion(
     if named is not None:
         found = f"{named.name} fits: {degrees(remains)} instead of {degrees(typical)}"
         raise _refusal(session, named, found)
+    for joint in _standing_joints(written, clock.offset):
+        remedy = f"Check the encoder of joint {joint} and the column q{joint}_deg."
+        standing = replace(written, remedy=remedy)
+        raise _refusal(session, standing, f"those of joint {joint} never change while it turns")
     if off > 1 and screws > MAX_STRAY:
         misfits = [screw_misfit(*mistake) for mistake in mistakes]
         best = int(np.argmin(misfits))
@@ -243,6 +247,15 @@ def _is_frozen(written: Mistake, offset: float) -> bool:
         return False
     turned = np.linalg.norm(difference(poses, poses[0])[:, 3:], axis=1)
     return bool(turned.max() > CLEAR_ERROR)
+
+
+def _standing_joints(written: Mistake, offset: float) -> list[int]:
+    """Joints, from 1, whose readings stand while the measured angle goes far."""
+    angle = _joint_errors(written, offset)[1]
+    if not len(angle):
+        return []
+    stands = np.ptp(written.readings.q, axis=0) < MAX_FROZEN
+    return (np.flatnonzero(stands & (np.ptp(angle, axis=0) > MAX_ERROR)) + 1).tolist()
 
 
 def _faults(written: Mistake) -> Iterator[Mistake]:

@@ -47,10 +47,15 @@ def freeze(q: Array) -> Array:
     return np.tile(q[0], (len(q), 1))
 
 
+def stop_third(q: Array) -> Array:
+    return np.where(np.arange(6) == 2, q[0], q)
+
+
 @pytest.mark.parametrize(
     ("mistake", "message"),
     [
         (reverse_first, r"encoders\.csv: .*joint 1 reversed fits.* column q1_deg by -1"),
+        (stop_third, r"joint 3 never change while it turns.* column q3_deg"),
         pytest.param(freeze, "readings never change", marks=pytest.mark.slow),
     ],
 )
