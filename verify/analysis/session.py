@@ -101,6 +101,7 @@ def analyse(
     """
     alarms = read_alarms(session.folder / ALARMS, session.arm.dof)
     readings = Readings(session.encoders.t, session.encoders.q)
+    session = _with_time_noise(session, readings)
     measured, clock = measure_session(session, readings, progress, chain or measure)
     compared, unreachable = compare_session(session, measured, readings, clock)
     tolerance = tolerance or NO_TOLERANCE
@@ -117,6 +118,23 @@ def analyse(
         results.tables["alarms"] = alarms
         results.summary["inputs"][ALARMS] = digest(session.folder / ALARMS)
     return results
+
+
+def _with_time_noise(session: Session, readings: Readings) -> Session:
+    """The session with the uncertainty of its readings' stamps, where only the log shows it."""
+    noise = max(readings.time_noise, session.encoders.late)
+    if session.encoder_time_standard_uncertainty is not None or not noise:
+        return session
+    warning = (
+        f"encoders.csv: the times of the readings scatter by {1e3 * noise:.2g} ms (standard "
+        "uncertainty), as the log shows; it is taken into account. Record the controller's own "
+        "time stamps."
+    )
+    return replace(
+        session,
+        encoder_time_standard_uncertainty=noise,
+        warnings=(*session.warnings, warning),
+    )
 
 
 def _spread_rivals(rivals: tuple[float, ...]) -> list[float]:

@@ -16,6 +16,10 @@ MAD_TO_SIGMA = 1.4826  # of a Gaussian
 DIFFERENCE_VARIANCES = (6.0, 20.0, 70.0)  # of white noise's second to fourth ones, over its own
 MIN_DIFFERENCES = 8  # fewer show no spread
 HOLD_TIME = 0.5  # s: at the edge of a burst at rest the arm is taken as standing still for so long
+MIN_STAMPS = 12  # readings of moving joints; fewer do not show whether joints are late together
+MIN_TOGETHER = 0.75  # of them: less is little beside the noise; half are by chance
+STAMPS_SIGMA = 3.5  # from chance
+CHI2_MEDIAN = 0.4549  # of one degree of freedom
 MIN_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
 
 
@@ -114,6 +118,33 @@ class Readings:
                 smallest = np.minimum(smallest, MAD_TO_SIGMA * size / np.sqrt(variance))
         return np.where(np.isfinite(smallest), smallest, 0.0)
 
+    @cached_property
+    def time_noise(self) -> float:
+        """Standard deviation of one time stamp, s; 0 where the readings do not show it.
+
+        Between four neighbours each reading is off the cubic through them. A wrong stamp moves all
+        joints by their speeds, which nothing else does: the products of two joints' deviations tell
+        it from the readings' own noise.
+        """
+        middle = np.arange(2, len(self.t) - 2)
+        near = middle[:, None] + [-2, -1, 1, 2]
+        x = self.t[near] - self.t[middle][:, None]
+        middle, near, x = (a[np.ptp(x, axis=1) <= MAX_GAP] for a in (middle, near, x))
+        if len(middle) < MIN_STAMPS:
+            return 0.0
+        others = x[:, [[1, 2, 3], [0, 2, 3], [0, 1, 3], [0, 1, 2]]]
+        weight = np.prod(-others / (x[:, :, None] - others), axis=2)  # Lagrange's, at 0
+        off = self.q[middle] - np.einsum("nk,nkj->nj", weight, self.q[near])
+        speed = (self.q[near[:, 3]] - self.q[near[:, 0]]) / np.ptp(x, axis=1)[:, None]
+        shown = _products_of_two(off * speed)
+        expected = _products_of_two(speed**2)
+        fast = expected > np.mean(expected)
+        square = shown[fast] / (expected[fast] * (1 + np.sum(weight[fast] ** 2, axis=1)))
+        chance = STAMPS_SIGMA / (2 * np.sqrt(max(len(square), 1)))
+        if len(square) < MIN_STAMPS or np.mean(square > 0) < max(0.5 + chance, MIN_TOGETHER):
+            return 0.0
+        return float(np.sqrt(max(np.median(square), 0.0) / CHI2_MEDIAN))
+
     def interpolation_uncertainty(self, t: Array) -> Array:
         """Standard uncertainty of the interpolation at the instants t (n,), rad, (n, joints).
 
@@ -137,6 +168,12 @@ class Readings:
         """Last direction of travel after each reading, (m, joints)."""
         thresholds = np.maximum(5 * self.noise, MIN_TRAVEL)
         return kernel.travel_directions(self._contiguous[1], thresholds).astype(np.float64)
+
+
+def _products_of_two(values: Array) -> Array:
+    """Sum of the products of any two of a row's values (n, j), (n,)."""
+    products: Array = (values.sum(axis=1) ** 2 - np.sum(values**2, axis=1)) / 2
+    return products
 
 
 def _as_contiguous(values: Array) -> Array:

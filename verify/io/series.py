@@ -11,12 +11,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.readings import MAX_GAP
 from verify.core.records import Array, take_rows
 from verify.errors import InputError
 from verify.io.files import read_bytes
+from verify.io.left_out import (
+    find_repeats,
+    find_spikes,
+    find_stray,
+    warn_of_repeats,
+    warn_of_spikes,
+)
 from verify.io.rows import whole_rows
 from verify.io.toml import did_you_mean
 
@@ -27,13 +32,7 @@ _PAIR_TIMES = ("t_left_s", "t_right_s")
 MAX_NUMBER = 1e20  # in whatever unit; its square is finite
 VISIT_PERIOD = 60.0  # s, of visits without times
 _JOINT = re.compile(r"q[1-9]\d*_deg")
-MAX_SPIKE = 2  # readings in a row
-MAX_SPEED = 20.0  # rad/s; wrists of small arms turn at up to 13
-MIN_SPIKE = np.deg2rad(2.0)
-MIN_SPIKE_RATIO = 8.0  # of the typical step: random postures jump by up to four times theirs
-MAX_BEYOND = np.deg2rad(45.0)  # an encoder may be off, and its arm at the end of its travel
 MAX_FAR_BEYOND = 4 * np.pi  # beyond the limits, in most rows: no count of turns, but another unit
-MAX_NAMED = 5  # spikes
 _REMEDY = "Delete the row or export again."
 ALARMS = "alarms.csv"  # of a watched run: beside the recording, and in its report's folder
 ALARM_COLUMNS = (
@@ -68,6 +67,7 @@ class EncoderSeries:
     t: Array  # (m,), s, controller's clock, strictly increasing
     q: Array  # (m, dof), rad
     t_host: Array | None = None  # (m,), s, cameras' clock, when each reading arrived
+    late: float = 0.0  # s, standard uncertainty of t where the log repeats each reading
 
     def __len__(self) -> int:
         return len(self.t)
@@ -141,12 +141,16 @@ def read_encoders(
         raise InputError(path, times, expected, remedy)
     if limits is not None:
         _refuse_far_beyond(Path(path), q, limits)
-    spike = _stray(t, q, limits)
+    spike = find_stray(t, q, limits)
     if pairs is None or not np.array_equal(t, pairs.t_left):
-        spike |= _spikes(t, q)
+        spike |= find_spikes(t, q)
     kept = np.flatnonzero(~spike.any(axis=1))
-    series = take_rows(EncoderSeries(t, q, columns.get("t_host_s")), kept)
-    return series, (*warnings, *_spike_warning(Path(path), spike))
+    repeats, period = find_repeats(t[kept], q[kept])
+    # a reading is renewed at any time between two rows
+    late = float(np.median(np.diff(t))) / np.sqrt(12) if repeats.any() else 0.0
+    series = take_rows(EncoderSeries(t, q, columns.get("t_host_s"), late), kept[~repeats])
+    notes = (*warn_of_repeats(repeats, period), *warn_of_spikes(spike))
+    return series, (*warnings, *(f"{Path(path).name}: {note}" for note in notes))
 
 
 def _refuse_far_beyond(path: Path, q: Array, limits: tuple[Array, Array]) -> None:
@@ -162,51 +166,6 @@ def _refuse_far_beyond(path: Path, q: Array, limits: tuple[Array, Array]) -> Non
         found = f"q{joint + 1}_deg runs from {least:.5g}° to {most:.5g}°"
         expected = f"joint {joint + 1} turns from {low:.5g}° to {high:.5g}°"
         raise InputError(path, found, expected, "Check the column's unit; degrees are expected.")
-
-
-def _is_too_fast(t: Array, q: Array, lag: int) -> NDArray[np.bool_]:
-    """Whether q (m, j), rad, changes faster over `lag` readings than an arm turns, (m - lag, j)."""
-    fastest = np.maximum(MAX_SPEED * (t[lag:] - t[:-lag])[:, None], MIN_SPIKE)
-    typical = np.median(np.abs(np.diff(q, axis=0)), axis=0)
-    return np.abs(q[lag:] - q[:-lag]) > np.maximum(fastest, MIN_SPIKE_RATIO * typical)
-
-
-def _spikes(t: Array, q: Array) -> NDArray[np.bool_]:
-    """Readings (m, j) that jump away and come back, while those beside them agree."""
-    spikes = np.zeros(q.shape, dtype=bool)
-    for length in range(1, min(MAX_SPIKE, len(t) - 2) + 1):
-        step = _is_too_fast(t, q, 1)
-        apart = _is_too_fast(t, q, length + 1)
-        away = step[:-length] & step[length:] & ~apart  # between readings i and i + length + 1
-        for place in range(1, length + 1):
-            spikes[place : place + len(away)] |= away
-    return spikes
-
-
-def _stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> NDArray[np.bool_]:
-    """Readings (m, j) far outside the limits that no motion leads to; none where most are."""
-    if limits is None:
-        return np.zeros(q.shape, dtype=bool)
-    outside = (q < limits[0] - MAX_BEYOND) | (q > limits[1] + MAX_BEYOND)
-    if len(t) > 1:  # a stretch that motion leads to is an encoder's error
-        alone = _is_too_fast(t, q, 1) | (np.diff(t) > MAX_GAP)[:, None]
-        for joint in np.flatnonzero(outside.any(axis=0)):
-            parts = np.concatenate([[0], np.cumsum(alone[:, joint])])
-            inside = np.bincount(parts, ~outside[:, joint]) > 0
-            outside[:, joint] &= ~inside[parts]
-    stray: NDArray[np.bool_] = outside & (outside.mean(axis=0) <= 0.5)
-    return stray
-
-
-def _spike_warning(path: Path, spike: NDArray[np.bool_]) -> Iterator[str]:
-    rows, joints = np.nonzero(spike)
-    if len(rows):
-        places = [f"line {i + 2} (q{j + 1}_deg)" for i, j in zip(rows, joints, strict=True)]
-        more = ", …" if len(places) > MAX_NAMED else ""
-        yield (
-            f"{path.name}: {np.unique(rows).size} of {len(spike)} readings were left out, the "
-            f"arm cannot reach them: {', '.join(places[:MAX_NAMED])}{more}."
-        )
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,4 +1,5 @@
 import numpy as np
+import pytest
 from numpy.testing import assert_allclose
 from scipy.interpolate import BarycentricInterpolator, CubicHermiteSpline
 
@@ -66,6 +67,26 @@ def test_noise_is_read_off_the_readings_and_motion_is_not_taken_for_noise() -> N
     burst = np.arange(len(t)) // 6  # a third of the second differences cross a gap
     apart = Readings(t + burst, q - smooth.q + 0.1 * (burst % 2)[:, None])
     assert_allclose(apart.noise, sigma, rtol=0.1)
+
+
+@pytest.mark.parametrize("scatter", [0.0, 0.001, 0.004])
+def test_the_scatter_of_time_stamps_is_read_off_all_joints_together(scatter: float) -> None:
+    t, found = np.arange(0.0, 10.0, 0.02), []
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        q = np.stack([0.3 * np.sin(w * t + w) for w in rng.uniform(0.5, 3.0, 6)], axis=1)
+        q += rng.normal(0, np.deg2rad(0.01), q.shape)
+        stamps = np.sort(t + rng.normal(0, scatter, len(t)))
+        found.append(Readings(stamps, q).time_noise)
+    assert_allclose(np.mean(found), scatter, rtol=0.15)
+
+
+def test_noise_of_single_joints_is_no_scatter_of_time_stamps() -> None:
+    rng = np.random.default_rng(4)
+    t = np.arange(0.0, 10.0, 0.02)
+    q = np.stack([0.3 * np.sin(w * t) for w in (0.5, 1.1, 1.7, 2.3)], axis=1)
+    q += rng.normal(0, [1e-4, 1e-4, 1e-2, 1e-3], q.shape)
+    assert Readings(t, q).time_noise == 0.0
 
 
 def test_between_two_bursts_of_readings_nothing_is_known() -> None:

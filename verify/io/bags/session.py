@@ -21,7 +21,7 @@ from verify.io.bags import pictures
 from verify.io.bags.bag import SECOND, Bag, BagMessage, ChosenTopics
 from verify.io.encoding import VideoWriter
 from verify.io.joints import ANGLE_UNITS, RADIANS, JointRange, match_joint_names
-from verify.io.series import MAX_SPEED, MIN_SPIKE
+from verify.io.left_out import MAX_SPEED, MIN_SPIKE
 
 HEADER, RECEIVED = "header", "received"  # which time of a message counts
 SIDES = ("left", "right")

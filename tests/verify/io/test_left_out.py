@@ -1,0 +1,64 @@
+"""Rows that a log repeats are told from a coarse read-out and from an arm at rest."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.support.motions import read, swinging
+from verify.core.records import Array
+from verify.io.left_out import find_repeats
+from verify.io.series import read_encoders
+
+T = np.arange(0.0, 8.0, 0.02)
+RNG = np.random.default_rng(1)
+
+
+def renewed(period: float) -> Array:
+    """Readings (400, 6), rad, that the controller renews so often, s, and the log asks at T."""
+    held = np.floor(T / period + 1e-9) * period
+    return read(swinging, np.unique(held), 0.0, RNG).q[np.unique(held, return_inverse=True)[1]]
+
+
+@pytest.mark.parametrize("period", [0.04, 0.1, 0.03])
+def test_the_first_row_of_each_renewal_is_left(period: float) -> None:
+    q = renewed(period)
+    repeats, found = find_repeats(T, q)
+    assert found == pytest.approx(period, abs=0.011)  # it shows to half a row
+    assert np.array_equal(~repeats, np.append(True, np.diff(q, axis=0).any(axis=1)))
+
+
+def slow_and_coarse() -> Array:
+    """One joint at 2°/s, read to 0.1°."""
+    q = np.zeros((len(T), 6))
+    q[:, 0] = np.deg2rad(np.round(2.0 * T, 1))
+    return q
+
+
+def from_rest_to_rest() -> Array:
+    """A second of motion, a second of rest, and so on, without noise."""
+    return swinging(np.cumsum(np.where(T % 2 < 1, 0.02, 0.0)))
+
+
+@pytest.mark.parametrize("q", [slow_and_coarse(), from_rest_to_rest(), np.zeros((len(T), 6))])
+def test_a_coarse_read_out_and_rest_are_no_repeats(q: Array) -> None:
+    repeats, period = find_repeats(T, q)
+    assert not repeats.any()
+    assert period == 0.0
+
+
+def test_rest_is_kept_where_readings_repeat() -> None:
+    q = renewed(0.1)
+    q[150:250] = q[150]
+    assert not find_repeats(T, q)[0][165:240].any()
+
+
+def test_a_log_without_its_repeats_has_doubtful_times_and_a_warning(tmp_path: Path) -> None:
+    path = tmp_path / "encoders.csv"
+    header = "t_s," + ",".join(f"q{i}_deg" for i in range(1, 7))
+    rows = np.column_stack([T, np.rad2deg(renewed(0.1))])
+    np.savetxt(path, rows, "%.6f", ",", header=header, comments="")
+    readings, warnings = read_encoders(path, 6)
+    assert len(readings) == 80
+    assert readings.late == pytest.approx(0.02 / np.sqrt(12))
+    assert any("renews them every 100 ms" in warning for warning in warnings)

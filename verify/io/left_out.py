@@ -1,0 +1,106 @@
+"""Readings that are left out of a log: those that no arm reaches, and those that only repeat.
+
+Who asks a controller more often than it renews its readings logs each value several times, with new
+times: steps instead of a motion, late by up to the period of renewal. Only the first of such rows
+is a reading. A read-out of few digits repeats itself as well where an arm moves slowly, but then by
+one digit at a time; an arm at rest, for far longer than a period.
+"""
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.readings import MAX_GAP
+from verify.core.records import Array
+
+MAX_SPIKE = 2  # readings in a row
+MAX_SPEED = 20.0  # rad/s; wrists of small arms turn at up to 13
+MIN_SPIKE = np.deg2rad(2.0)
+MIN_SPIKE_RATIO = 8.0  # of the typical step: random postures jump by up to four times theirs
+MAX_BEYOND = np.deg2rad(45.0)  # an encoder may be off, and its arm at the end of its travel
+MAX_NAMED = 5  # spikes
+MIN_REPEATED = 0.2  # of the rows of a motion
+MIN_CHANGES = 10
+MIN_DIGITS = 3.0  # by which readings change, typically: slower ones wait for their last digit
+REST_PERIODS = 3.0  # of renewal: a value that stays for longer is rest
+KEPT_PERIODS = 1.5  # after which a value that stays was renewed
+
+
+def _is_too_fast(t: Array, q: Array, lag: int) -> NDArray[np.bool_]:
+    """Whether q (m, j), rad, changes faster over `lag` readings than an arm turns, (m - lag, j)."""
+    fastest = np.maximum(MAX_SPEED * (t[lag:] - t[:-lag])[:, None], MIN_SPIKE)
+    typical = np.median(np.abs(np.diff(q, axis=0)), axis=0)
+    return np.abs(q[lag:] - q[:-lag]) > np.maximum(fastest, MIN_SPIKE_RATIO * typical)
+
+
+def find_spikes(t: Array, q: Array) -> NDArray[np.bool_]:
+    """Readings (m, j) that jump away and come back, while those beside them agree."""
+    spikes = np.zeros(q.shape, dtype=bool)
+    for length in range(1, min(MAX_SPIKE, len(t) - 2) + 1):
+        step = _is_too_fast(t, q, 1)
+        apart = _is_too_fast(t, q, length + 1)
+        away = step[:-length] & step[length:] & ~apart  # between readings i and i + length + 1
+        for place in range(1, length + 1):
+            spikes[place : place + len(away)] |= away
+    return spikes
+
+
+def find_stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> NDArray[np.bool_]:
+    """Readings (m, j) far outside the limits that no motion leads to; none where most are."""
+    if limits is None:
+        return np.zeros(q.shape, dtype=bool)
+    outside = (q < limits[0] - MAX_BEYOND) | (q > limits[1] + MAX_BEYOND)
+    if len(t) > 1:  # a stretch that motion leads to is an encoder's error
+        alone = _is_too_fast(t, q, 1) | (np.diff(t) > MAX_GAP)[:, None]
+        for joint in np.flatnonzero(outside.any(axis=0)):
+            parts = np.concatenate([[0], np.cumsum(alone[:, joint])])
+            inside = np.bincount(parts, ~outside[:, joint]) > 0
+            outside[:, joint] &= ~inside[parts]
+    stray: NDArray[np.bool_] = outside & (outside.mean(axis=0) <= 0.5)
+    return stray
+
+
+def warn_of_spikes(spike: NDArray[np.bool_]) -> Iterator[str]:
+    """Name the readings (m, j) that are left out, where there are any."""
+    rows, joints = np.nonzero(spike)
+    if len(rows):
+        places = [f"line {i + 2} (q{j + 1}_deg)" for i, j in zip(rows, joints, strict=True)]
+        more = ", …" if len(places) > MAX_NAMED else ""
+        yield (
+            f"{np.unique(rows).size} of {len(spike)} readings were left out, the "
+            f"arm cannot reach them: {', '.join(places[:MAX_NAMED])}{more}."
+        )
+
+
+def find_repeats(t: Array, q: Array) -> tuple[NDArray[np.bool_], float]:
+    """Rows of t (m,), s, and q (m, j) that repeat the one before (m,), and the period, s.
+
+    None, and 0, where the log does not have them regularly.
+    """
+    none = np.zeros(len(t), dtype=bool), 0.0
+    change = np.abs(np.diff(q, axis=0))
+    first = np.concatenate([[0], np.flatnonzero(change.any(axis=1)) + 1])
+    lasts = np.diff(t[first])
+    if np.count_nonzero(lasts <= MAX_GAP) < MIN_CHANGES or len(first) == len(t):
+        return none
+    period = float(np.median(lasts[lasts <= MAX_GAP]))
+    rows = np.diff(first)[lasts <= REST_PERIODS * period]
+    digit = np.min(change, axis=0, where=change > 0, initial=np.inf)
+    digits = np.median((change[first[1:] - 1] / digit).max(axis=1))
+    if 1 - len(rows) / max(rows.sum(), 1) < MIN_REPEATED or digits < MIN_DIGITS:
+        return none
+    run = np.searchsorted(first, np.arange(len(t)), side="right") - 1
+    since = t - t[first[run]]
+    until = np.append(t[first], np.inf)[run + 1] - t
+    stale = (since > 0) & ((since < KEPT_PERIODS * period) | (until < period))
+    return stale, period
+
+
+def warn_of_repeats(repeats: NDArray[np.bool_], period: float) -> Iterator[str]:
+    """Tell how many rows repeat (m,), where any do, and how often readings are renewed, s."""
+    if repeats.any():
+        yield (
+            f"{np.count_nonzero(repeats)} of {len(repeats)} readings repeat the one before and "
+            f"were left out: the controller renews them every {1e3 * period:.3g} ms."
+        )
