@@ -1,5 +1,6 @@
 """What a result rests on and what it leaves out, in sentences: the warnings of a report."""
 
+from collections import Counter
 from collections.abc import Iterator
 
 import numpy as np
@@ -13,6 +14,7 @@ from verify.io.session.session import Session
 from verify.measurement.systematics import Systematics
 
 POSE_DOF = 6  # degrees of freedom of a pose
+MAX_LOST_SHARE = 0.5  # of the pairs, above which pictures and calibration hardly belong together
 MAX_RIVALS_NAMED = 4  # of a periodic motion's clock offsets; the list goes on for ever
 
 
@@ -42,6 +44,14 @@ def _input_warnings(
         yield (
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the verdict holds "
             "on that condition."
+        )
+    lost = Counter(m.status for m in measurements if m.status != "measured")
+    if session.instrument is None and lost.total() > MAX_LOST_SHARE * len(measurements):
+        reasons = ", ".join(f"{count} {status}" for status, count in lost.most_common())
+        yield (
+            f"Only {len(measurements) - lost.total()} of {len(measurements)} pairs were measured "
+            f"({reasons}). Check the times of the pictures, and that rig.toml and marker.toml "
+            "belong to them."
         )
     unseen = _unused_leds(session, measurements)
     if unseen:
@@ -116,6 +126,6 @@ def _clock_warnings(clock: ClockEstimate) -> Iterator[str]:
         )
     if clock.source == "none":
         yield (
-            "The motion (at rest or at constant speed) does not show the clock offset: readings "
-            f"are taken {clock.offset:g} s later than stamped."
+            "The motion (at rest, at constant speed, or not the one that the readings tell) does "
+            f"not show the clock offset: readings are taken {clock.offset:g} s later than stamped."
         )
