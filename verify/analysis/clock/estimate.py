@@ -17,6 +17,7 @@ d ≥ 0, so that t_host - t = offset + d. The quickest delivery of a log is late
     offset = min(t_host - t) - MEAN_DELIVERY
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -125,7 +126,7 @@ def _search(
         return open_clock
     sample = subset(track, _spread(len(track), MAX_PAIRS_COMPARED))
     likely = sorted(dips(curve), key=lambda o: _penalty(track.t, readings, o, arrival))[:MAX_DIPS]
-    refined = [_refine(sample, arm, readings, o) for o in likely]
+    refined = [_refine(sample, arm, readings, o, likely[:n]) for n, o in enumerate(likely)]
     starts = _merge([fit[0] for fit in refined if fit is not None])
     if not starts:
         return open_clock
@@ -257,9 +258,18 @@ def _spread(count: int, most: int) -> NDArray[np.int64]:
 
 
 def _refine(
-    track: Track, arm: robots.Arm, readings: Readings, offset: float
+    track: Track,
+    arm: robots.Arm,
+    readings: Readings,
+    offset: float,
+    earlier: Sequence[float] = (),
 ) -> tuple[float, float] | None:
-    """Newton on the offset with a constant error of every joint fitted beside it."""
+    """Newton on the offset with a constant error of every joint fitted beside it.
+
+    None where nothing shows it, and where it passes an offset that an `earlier` search started
+    from: it would go on as that one did.
+    """
+    starts = np.array(earlier)
     for _ in range(MAX_ITERATIONS):
         comparison = compare(track, arm, readings, offset)
         if len(comparison) < 3:
@@ -268,7 +278,9 @@ def _refine(
         if solved is None:
             return None
         step, uncertainty = solved
-        offset += float(np.clip(step, -MAX_STEP, MAX_STEP))
+        before, offset = offset, offset + float(np.clip(step, -MAX_STEP, MAX_STEP))
+        if np.any((starts - before) * (starts - offset) < 0.0):
+            return None
         if abs(step) < TOL_OFFSET:
             break
     return offset, uncertainty
