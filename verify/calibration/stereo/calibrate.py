@@ -8,6 +8,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from verify.calibration.stereo import bundle, estimate, pan_bases, refusals, start
 from verify.calibration.stereo import parameters as par
@@ -95,7 +96,7 @@ def calibrate(
         noise=found.noise,
         degrees_of_freedom=found.degrees_of_freedom,
         fixed=fixed_names(found.model),
-        decisions=(*begin.notes, *_decisions(adjusted, board)),
+        decisions=(*begin.notes, *_decisions(adjusted, board, frames)),
         square_found=estimate.square_edges(found, corners, board),
         turning=begin.bases != (BASE_FIXED, BASE_FIXED),
         motion=_seen_errors(adjusted, par.MOTION),
@@ -114,7 +115,9 @@ def gather_pairs(
     views = [(usable_view(p.left, board), usable_view(p.right, board)) for p in pairs]
     usable = [replace(p, left=v[0], right=v[1]) for p, v in zip(pairs, views, strict=True)]
     usable, notes = _drop_foreign(usable, board)
-    refusals.refuse_unseen(usable)
+    usable, copies = _drop_copies(usable)
+    refusals.refuse_unseen(usable, " ".join(copies))
+    notes += copies
     lenses = [start.start_lens(_views(usable, side), board, image_size) for side in (0, 1)]
     readings = np.array([[p.pan_left, p.pan_right] for p in usable])
     kinds = pan_bases.base_kinds(readings)
@@ -126,6 +129,7 @@ def gather_pairs(
         relation, both, kinds != (BASE_FIXED, BASE_FIXED), four_fold=board.four_fold
     )
     refusals.refuse_swapped(relation)
+    refusals.refuse_one_place([lens.poses for lens in lenses])
     outliers = sorted(set(relation.outliers) - set(relation.quarter_turned))
     if outliers:
         named = refusals.list_pairs([frames[i] for i in outliers])
@@ -167,6 +171,23 @@ def _drop_foreign(pairs: list[BoardPair], board: Board) -> tuple[list[BoardPair]
                 "board."
             )
     return pairs, notes
+
+
+def _drop_copies(pairs: list[BoardPair]) -> tuple[list[BoardPair], list[str]]:
+    """Drop pairs whose two pictures are those of an earlier pair: they show nothing more."""
+    first: dict[tuple[bytes, ...], int] = {}
+    kept, copies = [], []
+    for pair in pairs:
+        views = [v for v in (pair.left, pair.right) if v is not None]
+        key = tuple(b for v in views for b in (v.corner.tobytes(), v.centre.tobytes()))
+        if len(views) == len(par.SIDES) and first.setdefault(key, pair.frame) != pair.frame:
+            copies.append(pair.frame)
+        else:
+            kept.append(pair)
+    if not copies:
+        return kept, []
+    named = refusals.list_pairs(copies)
+    return kept, [f"{named} left out: the same pictures as in an earlier pair."]
 
 
 def usable_view(view: BoardView | None, board: Board) -> BoardView | None:
@@ -221,8 +242,6 @@ def _adjust(
     bowed = estimate.adjust_robust(found.state, corners, replace(found.model, bowed=True))
     found = bowed if _bow_shows(bowed) else found
     found, scatter, notes = pan_bases.settle_bases(found, corners)
-    if scatter is not None:
-        refusals.refuse_wrong_readings(scatter.deviation)
     progress(4, N_STAGES)
     model = replace(found.model, lens=lens_rows(found.state, image_size, found.variance))
     found = estimate.adjust_robust(found.state, corners, model)
@@ -289,18 +308,19 @@ def _with_reading(
     return replace(camera, pan=float(np.median(readings)), pan_standard_uncertainty=deviation)
 
 
-def _decisions(adjusted: _AdjustedBundle, board: Board) -> Iterator[str]:
+def _decisions(adjusted: _AdjustedBundle, board: Board, frames: NDArray[np.int64]) -> Iterator[str]:
     """Describe what was chosen of bases, lens and board, and what was refused."""
     found = adjusted.found
     yield from adjusted.notes
     yield from open_coefficients(found)
-    yield from pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan)
+    yield from pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan, frames)
     if (moved := _seen_errors(adjusted, par.MOTION)) is not None:
         motion = 1e3 * np.linalg.norm(moved, axis=1)
         yield (
             f"Left and right pictures were not taken together: between them the board moved by "
             f"{np.median(motion):.2g} mm in half of the pairs, up to {motion.max():.2g} mm. The "
-            "uncertainties allow for it; better, let the board stand still or expose both at once."
+            "uncertainties allow for it; better, let the board stand still or expose both at once. "
+            "A camera that was touched, or a lens that was turned, between two pairs looks alike."
         )
     if (bent := _seen_errors(adjusted, par.BEND)) is not None:
         bend = 1e3 * np.abs(bent - bent.mean(axis=0)).max(axis=1)
@@ -311,7 +331,7 @@ def _decisions(adjusted: _AdjustedBundle, board: Board) -> Iterator[str]:
         )
     if found.model.bowed:
         yield (
-            f"the board is not flat: it bows by {1e3 * np.abs(found.state.bow).max():.2f} mm "
+            f"the board is not flat: it bows by {1e3 * np.abs(found.state.bow).max():.2g} mm "
             "between its middle and its rim, which was fitted along; a flat, stiff board is better."
         )
     refused = int(np.sum(~found.used))

@@ -9,11 +9,13 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.estimate import Estimate, readjust
 from verify.calibration.stereo.gauge import BASE_CENTRED, BASE_FIXED, BASE_TURNING
 from verify.calibration.stereo.prior import lens_rows
+from verify.calibration.stereo.refusals import refuse_wrong_readings
 from verify.calibration.stereo.scatter import ErrorScatter, adjust_with_scatter
 from verify.core.records import Array
 
@@ -43,10 +45,14 @@ def settle_bases(
     """Find how the readings scatter, then hold what the bases' turns do not determine.
 
     Returns the scatter, None where no base turned, and a sentence for each base that is held.
+
+    Raises:
+        InputError: the bases stand too far off their readings.
     """
     if found.model.bases == (BASE_FIXED, BASE_FIXED):
         return found, None, []
     found, (scatter,) = adjust_with_scatter(found, corners, [_turned(found.model.bases)])
+    refuse_wrong_readings(scatter.deviation)  # before anything is adjusted as if they were right
     kinds, sentences = _determined_bases(found)
     if kinds == found.model.bases:
         return found, scatter, sentences
@@ -56,6 +62,7 @@ def settle_bases(
     if kinds == (BASE_FIXED, BASE_FIXED):
         return found, None, sentences
     found, (scatter,) = adjust_with_scatter(found, corners, [_turned(kinds)])
+    refuse_wrong_readings(scatter.deviation)
     return found, scatter, sentences
 
 
@@ -127,8 +134,10 @@ def _determined_bases(found: Estimate) -> tuple[tuple[str, str], list[str]]:
     return (kinds[0], kinds[1]), sentences
 
 
-def base_sentences(found: Estimate, scatter: ErrorScatter | None, readings: Array) -> Iterator[str]:
-    """Describe what was found and chosen of each base, and the readings' scatter."""
+def base_sentences(
+    found: Estimate, scatter: ErrorScatter | None, readings: Array, frames: NDArray[np.int64]
+) -> Iterator[str]:
+    """Describe what was found and chosen of each base, and the scatter of the pairs' readings."""
     for side, base, values in zip(par.SIDES, found.model.bases, readings.T, strict=True):
         if base == BASE_FIXED and np.ptp(values) <= MIN_TURN:
             yield (
@@ -142,8 +151,12 @@ def base_sentences(found: Estimate, scatter: ErrorScatter | None, readings: Arra
                 "it (0, in the pan zero instead)."
             )
     if scatter is not None and scatter.visible:
+        off = np.rad2deg(found.state.errors[:, par.PAN_ERRORS])
+        pair, base_index = divmod(int(np.abs(off).argmax()), len(par.SIDES))
         yield (
-            f"pan readings: scatter by {np.rad2deg(scatter.deviation):.2g}°, which was allowed for."
+            f"pan readings: scatter by {np.rad2deg(scatter.deviation):.2g}°, which was allowed "
+            f"for; farthest off is the {par.SIDES[base_index]} one of pair {frames[pair]}, "
+            f"by {-off[pair, base_index]:+.2g}°."
         )
     elif scatter is not None:
         hidden = np.format_float_positional(

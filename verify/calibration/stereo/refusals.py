@@ -18,14 +18,18 @@ MIN_NORMAL_SPREAD = np.deg2rad(6.0)  # boards whose normals spread by less are p
 # small tilts are uncertain themselves, and then it is too small (simulated, rms z is 1.5 to 2)
 MAX_FOCAL_UNCERTAINTY = {0.0: 0.01, MIN_NORMAL_SPREAD: 0.05, np.deg2rad(10.0): 0.1}
 MAX_NAMED_PAIRS = 8  # pairs that a message lists
+SAME_PLACE = np.deg2rad(1.0)  # boards that are turned and, from the camera, moved by less
 MAX_PAN_SCATTER = np.deg2rad(2.0)  # scatter of readings beyond which they are no readings
 MORE_PICTURES = (
     "Move the board through the whole picture, near and far, tilted 20 to 40° every way."
 )
 
 
-def refuse_unseen(pairs: Sequence[BoardPair]) -> None:
-    """Raise InputError where too few pairs show the board in a camera, or in both at once."""
+def refuse_unseen(pairs: Sequence[BoardPair], left_out: str = "") -> None:
+    """Raise InputError where too few pairs show the board in a camera, or in both at once.
+
+    `left_out`: a sentence on pairs that would have been usable.
+    """
     views = [[p.left is not None for p in pairs], [p.right is not None for p in pairs]]
     counts, both = [sum(own) for own in views], sum(map(all, zip(*views, strict=True)))
     expected = "the board's inner corners are looked for"
@@ -38,9 +42,24 @@ def refuse_unseen(pairs: Sequence[BoardPair]) -> None:
             raise InputError(side, found, expected, remedy)
     if both < MIN_PAIRS:
         found = f"show the board in both cameras {both} time{'' if both == 1 else 's'}"
-        raise InputError(
-            "pairs", found, "three are the fewest, ten to twenty are good", MORE_PICTURES
-        )
+        remedy = f"{left_out} {MORE_PICTURES}".strip()
+        raise InputError("pairs", found, "three are the fewest, ten to twenty are good", remedy)
+
+
+def refuse_one_place(poses: Sequence[dict[int, Array]]) -> None:
+    """Raise InputError where every picture of either camera shows the board at the same place.
+
+    What all of them share (a lens's bend, a bow) then passes for the focal length, many times over.
+    """
+    for own in poses:
+        boards = np.array(list(own.values()))
+        turns = np.einsum("ij,bij->b", boards[0, :3, :3], boards[:, :3, :3])
+        apart = np.linalg.norm(boards[:, :3, 3] - boards[0, :3, 3], axis=1)
+        turned = np.any(turns < 1 + 2 * np.cos(SAME_PLACE))
+        if turned or np.any(apart > SAME_PLACE * boards[0, 2, 3]):
+            return
+    found = "show the board at one and the same place, all of them"
+    raise InputError("pairs", found, "three places are the fewest", MORE_PICTURES)
 
 
 def refuse_half_turned(

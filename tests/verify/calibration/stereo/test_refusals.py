@@ -163,6 +163,46 @@ def test_a_pair_of_two_instants_is_left_out_and_named() -> None:
     assert any(d.startswith("pair 6 left out") for d in found.decisions)
 
 
+def test_the_same_pictures_again_are_left_out_and_named() -> None:
+    pairs = good_pairs(5)
+    again = [replace(pairs[4], frame=5 + i) for i in range(3)]
+    found = calibrate([*pairs, *again], BOARD, SIZE)
+    assert found.frames.tolist() == [0, 1, 2, 3, 4]
+    assert any(d.startswith("pairs 5, 6, 7 left out: the same pictures") for d in found.decisions)
+
+
+def test_one_pair_many_times_is_refused_by_that_name() -> None:
+    pairs = [replace(good_pairs(1)[0], frame=i) for i in range(5)]
+    error = refusal(calibrate, pairs, BOARD, SIZE)
+    assert "in both cameras 1 time" in error.found
+    assert "pairs 1, 2, 3, 4 left out: the same pictures" in error.remedy
+
+
+def test_many_pictures_of_a_board_at_one_place_are_refused() -> None:
+    rng = np.random.default_rng(29)
+    pairs = make_pairs(fixed_rig(), np.repeat(poses(rng, 1), 12, axis=0), rng)
+    error = refusal(calibrate, pairs, BOARD, SIZE)
+    assert error.place == "pairs"
+    assert "one and the same place" in error.found
+
+
+@pytest.mark.parametrize("mistake", ["columns exchanged", "a row late"])
+def test_pan_angles_of_the_other_base_or_of_the_next_pair_are_refused(mistake: str) -> None:
+    rng = np.random.default_rng(31)
+    turns = np.stack([np.arange(12) % 3 * 12.5 - 5.0, np.arange(12) // 3 % 4 * 8.0 - 20.0], axis=1)
+    pan = np.deg2rad(turns)
+    wrong = pan[:, ::-1] if mistake == "columns exchanged" else np.roll(pan, 1, axis=0)
+    pairs = [
+        replace(p, pan_left=left, pan_right=right)
+        for p, (left, right) in zip(
+            make_pairs(turning_rig(), poses(rng, 12), rng, pan), wrong, strict=True
+        )
+    ]
+    error = refusal(calibrate, pairs, BOARD, SIZE)
+    assert error.place == "pairs"
+    assert "pan" in error.remedy
+
+
 def test_a_view_that_shows_no_board_is_left_out_and_named() -> None:
     pairs = good_pairs(10)
     seen = pairs[3].left
