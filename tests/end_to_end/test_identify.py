@@ -1,5 +1,6 @@
 """`verify identify` from the pictures to the corrected robot file, and what it refuses."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
@@ -137,11 +138,16 @@ def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:
     full = tmp_path / "full"
     full.mkdir()
     (full / "a").write_text("")
+    copy = tmp_path / "copy"
+    shutil.copytree(one, copy)
+    with (copy / "session.toml").open("a") as file:
+        file.write("\n[environment]\ntemperature_c = 23.0\n")
     for words, message in (
         ((tmp_path / "nowhere",), "nowhere"),
         ((one, one), "is given twice"),
         ((one, other), "one arm is identified at a time"),
         ((one, "--judge", one), "is given twice"),
+        ((one, copy), "holds the same recording as"),
         ((one, "-o", full), "is not empty"),
         ((one, "--share", "0"), "0.05"),
         ((one, "--model", "all"), "geometry"),

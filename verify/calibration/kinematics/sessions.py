@@ -71,17 +71,19 @@ class CombinedPoses:
 
 
 def require_one_arm(sessions: Sequence[Session]) -> None:
-    """Refuse sessions of different arms, and one that is given twice.
+    """Refuse sessions of different arms, and one that is given twice, be it as a copy.
 
     Raises:
         InputError: names the session at fault.
     """
     first = sessions[0]
     for i, session in enumerate(sessions[1:], start=1):
-        if session.folder.resolve() in [other.folder.resolve() for other in sessions[:i]]:
-            raise InputError(
-                session.folder, "is given twice", "its poses would count twice", "Give it once."
-            )
+        for other in sessions[:i]:
+            if _recorded(session) == _recorded(other):
+                same = session.folder.resolve() == other.folder.resolve()
+                found = "is given twice" if same else f"holds the same recording as {other.folder}"
+                remedy = "Give it once."
+                raise InputError(session.folder, found, "its poses would count twice", remedy)
         if session.arm.fingerprint != first.arm.fingerprint:
             raise InputError(
                 session.folder,
@@ -89,6 +91,11 @@ def require_one_arm(sessions: Sequence[Session]) -> None:
                 f"{first.folder} is of {first.robot}, and one arm is identified at a time",
                 "Give the sessions of one arm.",
             )
+
+
+def _recorded(session: Session) -> set[str]:
+    """Digests of what was recorded, without the TOML files that say how it is to be read."""
+    return {digest for name, digest in session.inputs.items() if not name.endswith(".toml")}
 
 
 def split_targets(session: Session) -> list[Session]:

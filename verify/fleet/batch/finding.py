@@ -128,14 +128,19 @@ def find_sessions(
     are followed, each folder is taken once, by the first name that leads to it.
 
     Raises:
-        InputError: a root does not exist or is no folder; no session is there.
+        InputError: a root does not exist, is no folder or is `out`; no session is there.
     """
     found: list[SessionLocation] = []
     failures: list[SessionFailure] = []
-    visited: set[FolderIdentity] = set()
+    results: set[FolderIdentity] = set()
     with suppress(OSError):  # not there yet
-        visited.add(_identity(str(out)))
+        results.add(_identity(str(out)))
+    visited = set(results)
     for root in roots:
+        if not is_url(root) and _identity(_root(root)) in results:
+            found_text = "is the folder of the results as well"
+            expected = "results go beside the sessions, or into a folder below theirs"
+            raise InputError(root, found_text, expected, "Give another folder with -o.")
         for one in list_sessions(root) if is_url(root) else _walk(_root(root), visited):
             if isinstance(one, SessionLocation):
                 found.append(one)

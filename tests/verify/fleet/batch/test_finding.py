@@ -117,3 +117,14 @@ def test_sessions_behind_a_url_are_found_fetched_and_distinguished() -> None:
         assert [n for n in after if after[n] != before[n]] == ["left/000000.png"]
     finally:
         storage.rm("/lab", recursive=True)
+
+
+@pytest.mark.parametrize("name", ["sessions", "sessions/../sessions", "sessions/one"])
+def test_results_into_the_folder_of_the_sessions_itself_are_refused(
+    tmp_path: Path, name: str
+) -> None:
+    one = tmp_path / "sessions" / "one"
+    one.mkdir(parents=True)
+    (one / "session.toml").touch()
+    error = refusal(find_sessions, [str(tmp_path / name)], (tmp_path / name).resolve())
+    assert "the folder of the results as well" in error.found
