@@ -18,6 +18,7 @@ from robots.transforms import difference, invert
 from tests.bench.calibration import deviation
 from tests.bench.cells import Checked, checked
 from tests.support.boards.calibrated import squared_distance
+from tests.support.boards.drawn_corners import board_pairs
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify.analysis.clock.estimate import ClockEstimate
@@ -44,7 +45,7 @@ from verify.io.session.keys import Clock as ToldClock
 from verify.measurement.pose import perturb
 from verify.measurement.systematics import sensitivities, stated_systematics
 from verify.measurement.track import collect_track
-from verify.simulation.boards.simulate import board_pairs, simulate_boards
+from verify.simulation.boards.simulate import simulate_boards
 from verify.simulation.scenario import (
     BoardRig,
     BoardScenario,

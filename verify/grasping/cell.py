@@ -5,23 +5,28 @@ The meaning of every key is in docs/grab.md.
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import msgspec
 import numpy as np
 
 from robots.transforms import rotation_exp
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.io.toml import MM, decode, key_error, not_negative
 
 Triple = tuple[float, float, float]
+Table = TypeVar("Table", bound=msgspec.Struct)
 
 
-class SurfaceTable(msgspec.Struct, kw_only=True):
-    """The keys of [table]."""
+class TableSurface(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_mm"):
+    """The keys of [table]: what objects stand on; clearances of all that moves above it.
 
-    height_mm: float
-    clearance_mm: float = 30.0
-    finger_clearance_mm: float = 3.0
+    In mm as read, in m in a Cell.
+    """
+
+    height: float  # of its top in the robot's base frame, level
+    clearance: float = 30.0  # of arm and palm
+    finger_clearance: float = 3.0  # of the finger tips
 
 
 class WorkspaceTable(msgspec.Struct, kw_only=True):
@@ -62,18 +67,20 @@ class MotionTable(msgspec.Struct, kw_only=True):
     home_deg: list[float] | None = None
 
 
-class AccuracyTable(msgspec.Struct, kw_only=True):
-    """The keys of [accuracy]."""
+class ArmAccuracy(msgspec.Struct, frozen=True, rename={"robot": "robot_standard_uncertainty_mm"}):
+    """The keys of [accuracy]: of the arm, and the probability required; m in a Cell."""
 
-    robot_standard_uncertainty_mm: float
-    coverage: float = 0.95
+    robot: float  # standard uncertainty of the grip point's place, a coordinate
+    coverage: float = 0.95  # probability with which the object must be between the fingers
 
 
-class StillTable(msgspec.Struct, kw_only=True):
-    """The keys of [still]."""
+class StillnessCriterion(
+    msgspec.Struct, frozen=True, rename={"speed": "speed_mm_s", "duration": "for_s"}
+):
+    """The keys of [still]: when a target counts as still; m/s in a Cell."""
 
-    speed_mm_s: float = 10.0
-    for_s: float = 0.5
+    speed: float = 10.0
+    duration: float = 0.5  # s
 
 
 class WatchdogLimits(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_s"):
@@ -89,26 +96,17 @@ class CellTable(msgspec.Struct, kw_only=True):
     """The keys of grab.toml."""
 
     format: int
-    table: SurfaceTable
+    table: TableSurface
     workspace: WorkspaceTable
     gripper: GripperTable
     approach: ApproachTable = msgspec.field(default_factory=ApproachTable)
     motion: MotionTable = msgspec.field(default_factory=MotionTable)
-    accuracy: AccuracyTable
-    still: StillTable = msgspec.field(default_factory=StillTable)
+    accuracy: ArmAccuracy
+    still: StillnessCriterion = StillnessCriterion()
     watchdog: WatchdogLimits = WatchdogLimits()
 
 
 MIN_DIRECTION_NORM = 1e-6  # of a direction: less is none
-
-
-@dataclass(frozen=True, slots=True)
-class TableSurface:
-    """What objects stand on; clearances of everything that moves above it."""
-
-    height: float  # m, of its top in the robot's base frame, level
-    clearance: float  # m, of arm and palm
-    finger_clearance: float  # m, of the finger tips
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,22 +143,6 @@ class CellMotion:
 
 
 @dataclass(frozen=True, slots=True)
-class ArmAccuracy:
-    """Accuracy of the arm, and the probability required."""
-
-    robot: float  # m, standard uncertainty of the grip point's place, a coordinate
-    coverage: float  # probability with which the object must be between the fingers
-
-
-@dataclass(frozen=True, slots=True)
-class StillnessCriterion:
-    """When a target counts as still."""
-
-    speed: float  # m/s
-    duration: float  # s
-
-
-@dataclass(frozen=True, slots=True)
 class Cell:
     """All of grab.toml."""
 
@@ -189,7 +171,7 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
         axis = "xyz"[int(np.argmax(lower >= upper))]
         found = f"lies above upper_mm in {axis}"
         raise key_error(path, "workspace.lower_mm", found, "each number is below its partner")
-    if upper[2] <= table.table.height_mm * MM:
+    if upper[2] <= table.table.height * MM:
         expected = "the box reaches above the table"
         raise key_error(path, "workspace.upper_mm", f"has z = {upper[2] / MM:g} mm", expected)
     accuracy = table.accuracy
@@ -197,14 +179,14 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
         expected = "a probability below 1 is expected, such as 0.95"
         raise key_error(path, "accuracy.coverage", f"is {accuracy.coverage:g}", expected)
     cell = Cell(
-        TableSurface(**_lengths(table.table)),
+        _in_metres(table.table),
         lower,
         upper,
         _gripper(path, table.gripper),
         _approach(path, table.approach),
         _moving(path, table.motion, joints),
-        ArmAccuracy(accuracy.robot_standard_uncertainty_mm * MM, accuracy.coverage),
-        StillnessCriterion(table.still.speed_mm_s * MM, table.still.for_s),
+        _in_metres(accuracy),
+        _in_metres(table.still),
         table.watchdog,
     )
     return cell, warnings
@@ -212,9 +194,14 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
 
 def _lengths(table: msgspec.Struct) -> dict[str, float]:
     """Values of the keys `name_mm`, `name_mm_s` and the like in metres, by name."""
-    keys = [key for key in table.__struct_fields__ if "_mm" in key]
-    values = {key.partition("_mm")[0]: getattr(table, key) for key in keys}
-    return {name: value * MM for name, value in values.items() if isinstance(value, float)}
+    fields = zip(table.__struct_fields__, table.__struct_encode_fields__, strict=True)
+    values = {name: getattr(table, name) for name, key in fields if "_mm" in key}
+    floats = {name: value for name, value in values.items() if isinstance(value, float)}
+    return {name.partition("_mm")[0]: value * MM for name, value in floats.items()}
+
+
+def _in_metres(table: Table) -> Table:
+    return msgspec.structs.replace(table, **_lengths(table))
 
 
 def _check_signs(path: Path, table: CellTable) -> None:
@@ -242,9 +229,8 @@ def _gripper(path: Path, table: GripperTable) -> GripperGeometry:
     if table.tips_mm >= table.finger_length_mm:
         expected = "the grip point lies between the palm and the tips (finger_length_mm)"
         raise key_error(path, "gripper.tips_mm", f"is {table.tips_mm:g}", expected)
-    placed = np.eye(4)
-    placed[:3, :3] = rotation_exp(np.radians(table.rotation_deg))
-    placed[:3, 3] = np.array(table.position_mm) * MM
+    turn = rotation_exp(np.radians(table.rotation_deg))
+    placed = rigid_transform(turn, np.array(table.position_mm) * MM)
     return GripperGeometry(placed, **_lengths(table))
 
 

@@ -32,15 +32,19 @@ MIN_LINK_SEPARATION = 0.3  # m along the links: nearer points belong to one bend
 CHUNK_POSTURES = 4000  # postures at a time
 TOL_LIMIT = 1e-9  # rad: rounding at a limit
 
-REASONS = (
-    "fewer than 3 LEDs inside both pictures",
-    "LEDs turned away from a camera",
-    "LED images that merge",
-    "the arm below the floor",
-    "the arm too near to a camera",
-    "links of the arm too near to each other",
-    "near a singularity",
-)
+ROOM_REMEDY = "Give another --near or a wider --within-deg."
+REMEDIES = {  # what excludes a posture, and what helps against it
+    "fewer than 3 LEDs inside both pictures": "Turn the camera bases or move the rig: pan_deg and "
+    "[robot_base] in rig.toml.",
+    "LEDs turned away from a camera": "Move the rig to where the flange looks, or give a larger "
+    "--view-angle-deg.",
+    "LED images that merge": "Move the rig nearer, or the LEDs apart.",
+    "the arm below the floor": "Give a lower --floor-mm.",
+    "the arm too near to a camera": "Move the rig away from the arm.",
+    "links of the arm too near to each other": ROOM_REMEDY,
+    "near a singularity": ROOM_REMEDY,
+}
+REASONS = tuple(REMEDIES)
 SPACING = 0.06  # m between the points that stand for a link
 TOL_SHARE = 1e-9  # of SPACING: a piece of rounding alone gets no point
 

@@ -30,7 +30,7 @@ import numpy as np
 
 import robots
 from verify.core.fiducials import Marker
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera, Covariance, Rig
 from verify.errors import InputError
 from verify.planning.constraints import dexterity
@@ -215,10 +215,8 @@ def look_at(eye: Array, target: Array) -> Array:
     if np.linalg.norm(x) < 1e-6:
         x = np.array([0.0, -1.0, 0.0])
     x /= np.linalg.norm(x)
-    camera_T_world = np.eye(4)
-    camera_T_world[:3, :3] = np.stack([x, np.cross(z, x), z])
-    camera_T_world[:3, 3] = -np.squeeze(camera_T_world[:3, :3] @ eye[:, None], -1)
-    return camera_T_world
+    turn = np.stack([x, np.cross(z, x), z])
+    return rigid_transform(turn, -np.squeeze(turn @ eye[:, None], -1))
 
 
 def spread_directions() -> Array:

@@ -18,7 +18,7 @@ from scipy.spatial import KDTree
 import robots
 from verify.core.records import Array
 from verify.errors import InputError
-from verify.planning.constraints import REASONS, PostureConstraints, Rows
+from verify.planning.constraints import REASONS, REMEDIES, PostureConstraints, Rows
 
 N_BATCH = 20_000  # postures drawn at a time
 MAX_DRAWN = 400_000
@@ -29,22 +29,6 @@ LEG_STEP = np.deg2rad(5.0)  # between the postures at which a leg is checked
 STRAY_SIGMA = np.deg2rad(20.0)  # standard deviation about a known posture, each joint
 MAX_WALKS = 40  # rounds of drawing about known postures
 MAX_ROUNDS = 20  # of improvements by reversing parts of the tour
-ROOM_REMEDY = "Give another --near or a wider --within-deg."
-REMEDIES = dict(
-    zip(
-        REASONS,
-        (
-            "Turn the camera bases or move the rig: pan_deg and [robot_base] in rig.toml.",
-            "Move the rig to where the flange looks, or give a larger --view-angle-deg.",
-            "Move the rig nearer, or the LEDs apart.",
-            "Give a lower --floor-mm.",
-            "Move the rig away from the arm.",
-            ROOM_REMEDY,
-            ROOM_REMEDY,
-        ),
-        strict=True,
-    )
-)
 
 
 @dataclass(frozen=True, slots=True)

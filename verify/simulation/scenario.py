@@ -264,7 +264,7 @@ class ScenarioBoards(BoardScenarioTable, frozen=True):
     distance_mm: tuple[Positive, Positive] = (650.0, 1500.0)  # nearest, farthest
     tilt_deg: Angle = 45.0  # the most, out of the plane that faces the cameras
     roll_deg: Annotated[float, msgspec.Meta(ge=0, le=30)] = 20.0  # the most, in its own plane
-    corner_noise_px: NotNegative = 0.03  # of `board_pairs`, each coordinate
+    corner_noise_px: NotNegative = 0.03  # where corners are drawn without pictures
 
 
 class BoardScenarioBases(BoardScenarioTable, frozen=True):

@@ -188,10 +188,7 @@ def add_line(grey: Image, grid: Array, grid_map: grids.CornerMap) -> Array | Non
             continue
         step = np.linalg.norm(grid_map.jacobian(squares), axis=1)
         half = max(int(0.35 * step.min()), 2)
-        rough, stop = (
-            places.astype(np.float32).reshape(-1, 1, 2),
-            (cv2.TERM_CRITERIA_COUNT, 10, 0.0),
-        )
+        stop, rough = (cv2.TERM_CRITERIA_COUNT, 10, 0.0), places.astype(np.float32)[:, None]
         sharper = cv2.cornerSubPix(grey, rough, (half, half), (-1, -1), stop).reshape(-1, 2)
         if np.linalg.norm(sharper - places, axis=1).max() > half:
             sharper = places.astype(np.float32)

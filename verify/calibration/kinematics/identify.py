@@ -106,7 +106,7 @@ class IdentificationResult:
 def identify_arm(
     chain: KinematicChain,
     poses: IdentificationPoses,
-    options: IdentificationOptions | None = None,
+    options: IdentificationOptions = IdentificationOptions(),
     known: ArmState | None = None,
 ) -> IdentificationResult:
     """Identify the parameters of the arm that the data support.
@@ -116,7 +116,6 @@ def identify_arm(
     Raises:
         ValueError: too few rows for what is free.
     """
-    options = options or IdentificationOptions()
     begun = replace(known, chain=chain) if known is not None else start_state(chain, poses)
     supports = _supports(begun, poses, _registration(begun, poses, options))
     fitted = [_fitted(support) for support in supports]
@@ -147,7 +146,7 @@ def identify_arm(
 def register(
     chain: KinematicChain,
     poses: IdentificationPoses,
-    options: IdentificationOptions | None = None,
+    options: IdentificationOptions = IdentificationOptions(),
     known: ArmState | None = None,
 ) -> KinematicFit:
     """Fit base and tool alone: how a given arm, corrected or not, fits other data.
@@ -159,8 +158,7 @@ def register(
         ValueError: too few rows.
     """
     begun = replace(known, chain=chain) if known is not None else start_state(chain, poses)
-    placed = _registration(begun, poses, options or IdentificationOptions())
-    return fit_parameters(begun, poses, placed)
+    return fit_parameters(begun, poses, _registration(begun, poses, options))
 
 
 def _registration(

@@ -97,10 +97,8 @@ def drop_still_spots(pairs: Sequence[PairSpots]) -> list[PairSpots]:
 def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
     """Which spots of pair i are where others with the same pan reading have one, too."""
     alike = [j for j in np.flatnonzero(pan == pan[i]).tolist() if j != i]
-    if len(alike) + 1 < MIN_PAIRS or not len(found[i]):
-        return np.zeros(len(found[i]), dtype=bool)
     others = [found[j] for j in alike if len(found[j])]
-    if not others:
+    if len(alike) + 1 < MIN_PAIRS or not len(found[i]) or not others:
         return np.zeros(len(found[i]), dtype=bool)
     apart = np.linalg.norm(found[i][:, None] - np.concatenate(others)[None], axis=2)
     begin = np.cumsum([0, *map(len, others[:-1])])

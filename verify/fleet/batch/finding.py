@@ -23,10 +23,8 @@ def is_url(place: str) -> bool:
 def list_sessions(url: str) -> Iterator[SessionLocation]:
     """List the sessions under a URL, none inside another; InputError: not known, or refused."""
     system, root = _filesystem(url)
-    try:
+    with _storage_errors(url):
         files = system.find(root)
-    except Exception as error:  # each storage has errors of its own
-        raise _storage_error(url, error) from error
     paths = map(PurePosixPath, files)
     folders = sorted(str(path.parent) for path in paths if path.name == SESSION_FILE)
     last = None
@@ -51,16 +49,12 @@ def local_copy(folder: str) -> Iterator[Path]:
     with tempfile.TemporaryDirectory(prefix="verify-session-") as place:
         copy = Path(place) / "session"
         copy.mkdir()
-        try:
-            system, root = _filesystem(folder)
+        system, root = _filesystem(folder)
+        with _storage_errors(folder):
             for file in _files(system, root):
                 target = copy / PurePosixPath(file).relative_to(root)
                 target.parent.mkdir(parents=True, exist_ok=True)
                 system.get_file(file, str(target))
-        except InputError:
-            raise
-        except Exception as error:  # each storage has errors of its own
-            raise _storage_error(folder, error) from error
         try:
             yield copy
         except InputError as problem:
@@ -74,16 +68,12 @@ def file_versions(folder: str) -> dict[str, str]:
     Raises:
         InputError: the storage refuses.
     """
-    try:
-        system, root = _filesystem(folder)
+    system, root = _filesystem(folder)
+    with _storage_errors(folder):
         return {
             str(PurePosixPath(file).relative_to(root)): f"storage:{system.ukey(file)}"
             for file in _files(system, root)
         }
-    except InputError:
-        raise
-    except Exception as error:  # each storage has errors of its own
-        raise _storage_error(folder, error) from error
 
 
 def _files(system: Any, root: str) -> list[str]:
@@ -101,16 +91,19 @@ def _filesystem(url: str) -> tuple[Any, str]:
         raise InputError(
             url, "needs the package fsspec", "", "Install verify-robot[cluster]."
         ) from error
-    try:
+    with _storage_errors(url):
         system, path = fsspec.core.url_to_fs(url)
-    except Exception as error:  # each storage has errors of its own
-        raise _storage_error(url, error) from error
     return system, path.rstrip("/")
 
 
-def _storage_error(url: str, error: Exception) -> InputError:
-    found = f"cannot be reached ({type(error).__name__}: {error})"
-    return InputError(url, found, "", "Check the address, the rights, and the storage's package.")
+@contextmanager
+def _storage_errors(url: str) -> Iterator[None]:
+    try:
+        yield
+    except Exception as error:  # each storage has errors of its own
+        found = f"cannot be reached ({type(error).__name__}: {error})"
+        remedy = "Check the address, the rights, and the storage's package."
+        raise InputError(url, found, "", remedy) from error
 
 
 SESSION_FILE = "session.toml"

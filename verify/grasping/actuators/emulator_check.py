@@ -53,13 +53,11 @@ class EmulatorPortOpener:
             return port
         port = self._open_port()
         try:
-            proven = self._asks(port)
+            if not self._asks(port):
+                raise ConnectionRefusedError("the other end is not an emulator of this program")
         except OSError:
             port.close()
             raise
-        if not proven:
-            port.close()
-            raise ConnectionRefusedError("the other end is not an emulator of this program")
         return port
 
     def close(self) -> None:

@@ -194,13 +194,9 @@ class BackgroundOpener:
         if not opening.done():
             raise self._failed or BlockingIOError(0, "the port is being opened")
         self._opening = None
-        try:
-            port = opening.result()
-        except OSError as failed:
-            self._failed = failed
-            raise
-        self._failed = None
-        return port
+        failed = opening.exception()
+        self._failed = failed if isinstance(failed, OSError) else None
+        return opening.result()
 
     def close(self) -> None:
         """Open nothing any more."""

@@ -9,7 +9,7 @@ import robots
 from robots import DhArm
 from robots.trajectory import JointPath
 from robots.transforms import difference, rotation_exp
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 
 MIN_NODES, MAX_NODES = 9, 129  # of the spline through exact postures; doubled until it is true
 TOL_POSITION = 2e-5  # m: by so much the spline may leave the line midway between its nodes
@@ -26,10 +26,7 @@ def hand_poses(direction: Array, point: Array, turns: Array) -> Array:
     x = base - (base @ direction) * direction
     x /= np.linalg.norm(x)
     plain = np.column_stack([x, np.cross(direction, x), direction])
-    poses = np.tile(np.eye(4), (len(turns), 1, 1))
-    poses[:, :3, :3] = plain @ rotation_exp(np.multiply.outer(turns, np.eye(3)[2]))
-    poses[:, :3, 3] = point
-    return poses
+    return rigid_transform(plain @ rotation_exp(np.multiply.outer(turns, np.eye(3)[2])), point)
 
 
 def nearest_turn(direction: Array, base_R_grip: Array) -> float:

@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from verify.core.fiducials import Board
-from verify.core.records import Array, Image
+from verify.core.records import Array, Image, rigid_transform
 from verify.devices import protocols
 from verify.errors import InputError
 from verify.live.station.keys import SimSettings
@@ -272,8 +272,6 @@ def _board_scenario(session: session_simulate.SimulatedSession) -> BoardScenario
 
 def _interpolate_pose(start: Array, end: Array, share: float) -> Array:
     """A pose (4, 4) on the way from one to another, by shares of turn and of way."""
-    a_T_b = np.eye(4)
     turns = Rotation.from_matrix(np.stack([start[:3, :3], end[:3, :3]]))
-    a_T_b[:3, :3] = Slerp([0.0, 1.0], turns)(share).as_matrix()
-    a_T_b[:3, 3] = start[:3, 3] + share * (end[:3, 3] - start[:3, 3])
-    return a_T_b
+    place = start[:3, 3] + share * (end[:3, 3] - start[:3, 3])
+    return rigid_transform(Slerp([0.0, 1.0], turns)(share).as_matrix(), place)

@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.fiducials import Board, BoardPair, BoardView
-from verify.core.records import Array, Image
+from verify.core.fiducials import Board
+from verify.core.records import Array, Image, rigid_transform
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io.fiducials import BoardTable, build_board
@@ -56,12 +56,6 @@ class SimulatedBoards:
             base_source="" if self.rig_T_base is None else "fixture",
         )
 
-    def corners(self, side: int) -> Array:
-        """Where the inner corners truly are in one camera's pictures, (pairs, corners, 2), px."""
-        camera, points = self.cameras[side], self.board.points
-        stood = zip(self.rig_T_board, self.true_pan[:, side], strict=True)
-        return np.array([camera.project(transform(pose, points), pan) for pose, pan in stood])
-
     def image(self, side: int, index: int) -> Image:
         """Take one picture, (h, w)."""
         scenario = self.scenario
@@ -97,31 +91,6 @@ def _board(scenario: BoardScenario) -> Board:
     keys = ("inner_corners", "square_mm", "markers", "marker_mm")
     pattern = {key: getattr(scenario.boards, key) for key in keys}
     return build_board("boards", BoardTable(format=1, **pattern))
-
-
-def board_pairs(scenario: BoardScenario) -> tuple[list[BoardPair], Rig]:
-    """Make what a corner finder would hand over, without pictures: true corners and noise.
-
-    Each corner's covariance is that of the noise drawn; with the pairs, the true rig.
-
-    Raises:
-        InputError: as `simulate_boards`.
-    """
-    boards = simulate_boards(scenario)
-    left, right = boards.corners(0), boards.corners(1)
-    pairs = [
-        BoardPair(i, p, q, _view(scenario, left[i], 0, i), _view(scenario, right[i], 1, i))
-        for i, (p, q) in enumerate(boards.pan.tolist())
-    ]
-    return pairs, boards.rig
-
-
-def _view(scenario: BoardScenario, corners: Array, side: int, index: int) -> BoardView:
-    u = scenario.boards.corner_noise_px
-    rng = generator(scenario.seed, RandomStream.PIXELS, side, index)
-    noisy = corners + u * rng.standard_normal(corners.shape)
-    corner = np.flatnonzero(inside(corners, scenario.rig.image_size))
-    return BoardView(corner, noisy[corner], np.tile(u**2 * np.eye(2), (len(corner), 1, 1)))
 
 
 def _fixture(scenario: BoardScenario) -> tuple[Array | None, Array | None]:
@@ -180,9 +149,8 @@ def _draw_pose(
     forward = np.array([np.sin(azimuth) * level, np.sin(elevation), np.cos(azimuth) * level])
     right = np.cross([0.0, 1.0, 0.0], forward)
     right /= np.linalg.norm(right)
-    facing = np.eye(4)
-    facing[:3, :3] = np.column_stack([right, np.cross(forward, right), forward])
-    facing[:3, 3] = distance * forward
+    turn = np.column_stack([right, np.cross(forward, right), forward])
+    facing = rigid_transform(turn, distance * forward)
     about = rng.uniform(0, 2 * np.pi)
     tilt = np.radians(scenario.boards.tilt_deg) * np.sqrt(rng.uniform())
     roll = np.radians(scenario.boards.roll_deg) * rng.uniform(-1, 1)

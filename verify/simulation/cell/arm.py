@@ -84,8 +84,7 @@ class SimMover:
         """
         if self._state not in ACCEPTING_STATES | {MoverState.MOVING} or self._way is not None:
             raise MotionRefusedError(f"the arm takes no set point now, it is {self._state.value}")
-        if violation := trajectory.limit_violation(self._setup.limits, trajectory.rest_motion(q)):
-            raise MotionRefusedError(violation)
+        self._require_within(q)
         self._ordered = np.array(q)
         self._enter(MoverState.MOVING)
         self._arm.order(self._now(), self._ordered)
@@ -158,9 +157,10 @@ class SimMover:
     def _require_rest(self, q: Array) -> None:
         if self._state not in ACCEPTING_STATES:
             raise MotionRefusedError(f"the arm takes no move now, it is {self._state.value}")
-        if violation := trajectory.limit_violation(
-            self._setup.limits, trajectory.JointMotion(q, 0 * q, 0 * q)
-        ):
+        self._require_within(q)
+
+    def _require_within(self, q: Array) -> None:
+        if violation := trajectory.limit_violation(self._setup.limits, trajectory.rest_motion(q)):
             raise MotionRefusedError(violation)
 
     def _begin(self, way: trajectory.Trajectory) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 
 from robots.trajectory import JointLimits
 from robots.transforms import carry, invert
-from verify.core.records import Array, StereoPair
+from verify.core.records import Array, StereoPair, rigid_transform
 from verify.devices.protocols import EncoderReading, PanReading
 from verify.simulation.cell.arm import CellArm
 from verify.simulation.cell.hand import CellHand
@@ -143,9 +143,7 @@ class CellWorld:
             return self.grip() @ self.held[1]
         if number in self.let_go:
             return self.let_go[number]
-        placed = np.eye(4)
-        placed[:3, 3] = self.scene.caps[number].place(t)
-        return placed
+        return rigid_transform(np.eye(3), self.scene.caps[number].place(t))
 
     def happened(self, what: EventKind) -> bool:
         """Whether something has happened and still lasts."""
@@ -178,10 +176,9 @@ class CellWorld:
         if self.held is not None:
             if not hand.holds:  # it falls straight down, and stands
                 number = self.held[0]
-                dropped = np.eye(4)
-                dropped[:3, 3] = (grip @ self.held[1])[:3, 3]
-                dropped[2, 3] = self.scene.caps[number].height / 2
-                self.let_go[number] = dropped
+                x, y, _ = (grip @ self.held[1])[:3, 3]
+                stands = np.array([x, y, self.scene.caps[number].height / 2])
+                self.let_go[number] = rigid_transform(np.eye(3), stands)
                 self.held, hand.between = None, 0.0
             return
         hand.between = 0.0

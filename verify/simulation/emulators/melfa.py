@@ -207,9 +207,7 @@ class RealtimeEngine:
         blocks = [(kind, self._block(kind, t)) for kind in self._wanted]
         (first, data), *others = blocks
         rest = [part for kind, block in others for part in (kind, 0, block)]
-        return LAYOUT.pack(
-            0, 0, first, 0, data, 0, 0, 0, 0, 0, self._missed, self._count, *rest
-        )  # fmt: skip
+        return LAYOUT.pack(0, 0, first, 0, data, 0, 0, 0, 0, 0, self._missed, self._count, *rest)
 
     def _block(self, kind: int, t: float) -> bytes:
         lag = SERVO_LAG if kind in (MEASURED, MEASURED_PULSES) else 0.0

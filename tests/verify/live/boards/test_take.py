@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 import pytest
 
+from tests.support.boards.drawn_corners import board_pairs
 from tests.support.boards.station import SMALL, STATION
 from tests.support.command import verify
 from tests.support.devices.chromium import Browser
@@ -39,7 +40,7 @@ from verify.live.station.cameras import open_station_cameras
 from verify.live.station.keys import SimSettings
 from verify.simulation import library
 from verify.simulation.boards.cameras import BoardCameras
-from verify.simulation.boards.simulate import board_pairs, simulate_boards
+from verify.simulation.boards.simulate import simulate_boards
 from verify.simulation.scenario import BoardScenario
 from verify.simulation.session.simulate import simulate_session
 from verify.simulation.world.bench import rigid

@@ -8,6 +8,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from robots.transforms import carry
+from tests.support.boards.drawn_corners import board_pairs, true_corners
 from tests.support.leds.scene import moved
 from tests.support.scene import project
 from tests.support.simulated import AWKWARD
@@ -20,7 +21,7 @@ from verify.io import rig as io_rig
 from verify.io.board.folder import open_board_folder
 from verify.simulation import library
 from verify.simulation.boards.render import PrintedBoard
-from verify.simulation.boards.simulate import board_pairs, inside, simulate_boards
+from verify.simulation.boards.simulate import inside, simulate_boards
 from verify.simulation.scenario import (
     BoardImage,
     BoardRig,
@@ -94,7 +95,7 @@ def test_the_board_is_whole_its_first_corner_at_the_top_left_and_bases_turn_in_s
     fixed = np.degrees(simulate_boards(built_in("boards_fixed")).pan)
     assert_allclose(fixed, np.tile([7.5, -7.5], (20, 1)))
     for side in range(2):
-        seen = boards.corners(side)
+        seen = true_corners(boards, side)
         assert np.all(inside(seen, (1280, 720)))
         grid = seen.reshape(len(boards), 7, 9, 2)
         assert np.all(np.diff(grid[..., 0], axis=2) > 0)
@@ -111,7 +112,7 @@ def test_the_markers_are_those_of_opencvs_charuco_board() -> None:
         for i in range(len(boards)):
             corners, numbers, _, _ = detector.detectBoard(boards.image(side, i))
             assert len(numbers) > 20
-            truth = boards.corners(side)[i, np.ravel(numbers)]
+            truth = true_corners(boards, side)[i, np.ravel(numbers)]
             assert_allclose(np.reshape(corners, (-1, 2)), truth, atol=0.5)
     pairs, _ = board_pairs(boards.scenario)
     assert any(view is not None and len(view) < 63 for p in pairs for view in (p.left, p.right))
