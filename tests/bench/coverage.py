@@ -29,6 +29,7 @@ from scipy.stats import t as student_t
 import robots
 from tests.bench.cells import HIGH, LOW, SEEDS, WITHIN, conclude, replicates
 from tests.support.leds.images import through_jpeg
+from tests.support.leds.truth import led_images
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
@@ -37,7 +38,6 @@ from verify.core.rig import Camera
 from verify.measurement.alignment import RawSighting
 from verify.measurement.chain import Setup, measure
 from verify.simulation.scenario import Occlusion, Scenario
-from verify.simulation.world.led_render import led_images
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 100

@@ -192,7 +192,7 @@ def true_error(
     `struck`: the reading that the fault of the readings begins with.
     """
     station.scene.clock.began = began["t"]
-    q = station.scene.joints(t)
+    q = station.scene.world.joints(station.scene.seconds(t))
     first = np.zeros(q.shape[1]) if struck is None else np.array(struck)
     kinds = {"stalled": first - q, "jumped": JUMP + 0 * q, "mirrored": 2 * (first - q)}
     group, _, name = fault.partition(": ")

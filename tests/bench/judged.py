@@ -23,6 +23,7 @@ import numpy as np
 from reports.session.causes import cause_name
 from tests.bench.diagnosis.sessions import STATED
 from tests.bench.memory import long_session
+from tests.support.leds.truth import true_spots
 from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify.analysis.session import analyse
 from verify.core.records import Measurement, StereoPair
@@ -37,7 +38,7 @@ SEED = 20261122
 
 def judged(session: InMemory) -> tuple[float, str]:
     """Judge a session whose spots are found already: seconds, and what was found."""
-    spots = [session.simulated.spots(side) for side in (0, 1)]
+    spots = [true_spots(session.simulated, side) for side in (0, 1)]
 
     def measured(_pairs: Iterable[StereoPair], _setup: Setup) -> Iterator[Measurement]:
         systematics = stated_systematics(session.rig, session.marker, turning=False)

@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from robots.transforms import difference
 from tests.bench.cells import Checked, d2_ratio, seeds
+from tests.support.leds.truth import true_spots
 from tests.support.random_scenarios import random_scenario
 from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
 from verify.calibration.registration.model import (
@@ -35,7 +36,7 @@ SIGMA_PX = 0.02
 
 def spot_level(session: SimulatedSession, sigma: float, rng: np.random.Generator) -> SpotStack:
     """True spots with white noise of `sigma` px, which is also what is stated (0: 0.02)."""
-    true = [session.spots(side) for side in (0, 1)]
+    true = [true_spots(session, side) for side in (0, 1)]
     centres = [spots + sigma * rng.standard_normal(spots.shape) for spots in true]
     return spot_stack(session.rig, centres, session.t, session.pan, sigma or SIGMA_PX)
 

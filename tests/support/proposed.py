@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import robots
+from tests.support.leds.truth import true_spots
 from tests.support.planning import Played, few_postures, planned
 from tests.support.scene import sighting
 from tests.support.simulated import InMemory, in_memory
@@ -124,7 +125,7 @@ def _chain(session: InMemory, one: Proposal, seed: int, *_: object) -> Iterator[
     """Fit poses to the true images, with noise, of the LEDs that the plan has in view."""
     rng, rig, marker = np.random.default_rng(seed), session.rig, session.marker
     stated = stated_systematics(rig, marker, turning=False)
-    true = [session.simulated.spots(side) for side in (0, 1)]
+    true = [true_spots(session.simulated, side) for side in (0, 1)]
     for i, q in enumerate(session.truth):
         planned_pair = one.made.prediction.session.measurements[i]
         sides = planned_pair.left, planned_pair.right

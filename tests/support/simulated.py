@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 
 import robots
+from tests.support.leds.truth import true_spots
 from tests.support.scene import sighting
 from verify.core.records import Array, Measurement, Sighting, StereoPair
 from verify.io.series import EncoderSeries, FrameSeries
@@ -98,7 +99,7 @@ def measured_at_spots(
 ) -> Iterator[Measurement]:
     """Fit a pose to the spots of each pair; `spots`, px, (n, LEDs, 2) a side, replace true ones."""
     rig, marker, played = session.rig, session.marker, session.simulated
-    spots = spots or [played.spots(side) for side in (0, 1)]
+    spots = spots or [true_spots(played, side) for side in (0, 1)]
     for i, q in enumerate(session.truth):
         left, right = (_sighting(played, spots[side][i], side, i, rng, sigma) for side in (0, 1))
 

@@ -258,7 +258,15 @@ class GraspPageSource:
         return {
             "plan": None if shown.planned is None else plan_fields(shown.planned),
             "way": self._way(shown.planned),
-            "passages": [self._passage(p) for p in shown.passages[: -MAX_STATE_CHANGES - 1 : -1]],
+            "passages": [
+                {
+                    "elapsed_s": round(passage.t - (self._began or 0.0), 2),
+                    "state": passage.target.value,
+                    "event": passage.event.value,
+                    "reason": passage.reason,
+                }
+                for passage in shown.passages[: -MAX_STATE_CHANGES - 1 : -1]
+            ],
             "devices": [{"name": n, "well": well, "sentence": s} for n, well, s in shown.lines],
             "silent_s": round(silent, 1) if silent > SILENCE_TIMEOUT else 0.0,
         }
@@ -292,14 +300,6 @@ class GraspPageSource:
             "# TYPE verify_grab_target_quality_ratio gauge\n"
             f"verify_grab_target_quality_ratio {quality:.4f}\n"
         )
-
-    def _passage(self, passage: states.StateChange) -> dict[str, Any]:
-        return {
-            "elapsed_s": round(passage.t - (self._began or 0.0), 2),
-            "state": passage.target.value,
-            "event": passage.event.value,
-            "reason": passage.reason,
-        }
 
     def _scene(self, cycle: LoopCycle) -> dict[str, Any]:
         """Arm as read, the target, and the cameras as they stood for the pictures shown."""

@@ -13,6 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import invert
+from tests.support.leds.truth import true_spots
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify.analysis.clock.estimate import ClockEstimate
@@ -88,7 +89,7 @@ def watched(seed: int) -> Watched:
             session = in_memory(scenario)
         except InputError:  # outside the limits, or nowhere to look from
             continue
-        if np.isnan(session.simulated.spots(0)).any() or np.isnan(session.simulated.spots(1)).any():
+        if any(np.isnan(true_spots(session.simulated, side)).any() for side in (0, 1)):
             continue
         break
     else:
@@ -116,7 +117,7 @@ def measured(
         t=played.t + np.array([0.0, skew]),
         true_pan=played.true_pan + np.array([0.0, turned]),
     )
-    spots = [late.spots(side) for side in (0, 1)]
+    spots = [true_spots(late, side) for side in (0, 1)]
     return tuple(measured_at_spots(session, systematics, rng, spots=spots))
 
 

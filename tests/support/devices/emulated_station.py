@@ -58,7 +58,7 @@ class Followed:
 
     def __call__(self, t: float) -> Array:
         """Joint angles, (joints,), rad, at t seconds after the emulator's start."""
-        q: Array = self._scene.joints(np.array([self.start + t]))[0]
+        q: Array = self._scene.world.joints(self._scene.seconds(np.array([self.start + t])))[0]
         return q
 
 

@@ -9,6 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from robots.transforms import difference
+from tests.support.leds.truth import true_spots
 from tests.support.simulated import HOME_DEG, in_memory, marker_of, scene
 from tests.support.spot_level import SpotRun, facing_rig, picture, without_pictures
 from verify.analysis.session import analyse
@@ -172,7 +173,7 @@ def assert_sound(session: SimulatedSession, measurements: list[Measurement]) -> 
     for m in measured:
         good = np.split(~m.pose.rejected, [len(m.left)])
         for side, sighting in enumerate((m.left, m.right)):
-            truth = session.spots(side)[m.frame, sighting.led[good[side]]]
+            truth = true_spots(session, side)[m.frame, sighting.led[good[side]]]
             off = np.abs(sighting.centre[good[side]] - truth)
             sigma = np.sqrt(np.diagonal(sighting.covariance[good[side]], axis1=1, axis2=2))
             # px, 50 from LED to LED; a half-hidden one is farther off, and says so

@@ -148,7 +148,7 @@ class SimulatedCameraDevice:
         pan = float(scene.pan(t)[side])
         hidden = scene.hidden(t, side)
         image = self._painter.paint(
-            RenderRequest(side, scene.seconds(t), pan, scene.lit(t), hidden, number)
+            RenderRequest(side, scene.seconds(t), pan, scene.happens("lamp_on", t), hidden, number)
         )
         if self._settings.grey and image.ndim == 3:
             return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)

@@ -88,14 +88,6 @@ class DeviceScene:
     def _events_from(self) -> float:
         return self.clock.began if self._opened is None else self._opened
 
-    def joints(self, t: Array) -> Array:
-        """True joint angles at instants of the cameras' clock: (n,) to (n, joints), rad."""
-        return self.world.joints(t - self.clock.began + START_OFFSET)
-
-    def lit(self, t: float) -> bool:
-        """Whether a lamp is on at an instant."""
-        return self.happens("lamp_on", t)
-
     def happens(self, what: str, t: float) -> bool:
         """Whether an event of a kind is going on at an instant."""
         return any(event.what == what for event in self.present(t))

@@ -86,10 +86,6 @@ class MoveExecution:
             return self._go(match[1], match[2], q, t)
         return ERROR_SYNTAX
 
-    def go_to(self, target: Array, q: Array, t: float) -> None:
-        """Begin a joint-interpolated move from q."""
-        self._begin(joint_path(q, target), q, t)
-
     def stop(self) -> None:
         """Brake."""
         self._braking = True
@@ -143,10 +139,11 @@ class MoveExecution:
         path = joint_path(q, target) if how == "MOV" else self._line(q, target)
         if path is None:
             return ERROR_VIA_OUT_OF_REACH
-        self._begin(path, q, t)
+        self.begin(path, q, t)
         return 0
 
-    def _begin(self, path: MovePath, q: Array, t: float) -> None:
+    def begin(self, path: MovePath, q: Array, t: float) -> None:
+        """Begin a move from q, (joints,), rad."""
         self._path, self._gone, self._speed, self._braking = path, 0.0, 0.0, False
         self._past = deque([(t, q)])
 
@@ -308,7 +305,8 @@ class MelfaArm:
         self.running = True
         if self._off_program:
             self._returning = True
-            self._moves.go_to(self._trajectory(self._played), self._moves.at(t), t)
+            q = self._moves.at(t)
+            self._moves.begin(joint_path(q, self._trajectory(self._played)), q, t)
 
     def _execute(self, instruction: str, t: float) -> str | int:
         if self.moving:

@@ -13,7 +13,7 @@ from verify.errors import InputError
 from verify.simulation.scenario import Scenario, ScenarioFault, ScenarioUncertainty
 from verify.simulation.world import uncertainty
 from verify.simulation.world.bench import build_bench, place_rig
-from verify.simulation.world.led_render import Renderer, hidden_leds, led_images, visible_lights
+from verify.simulation.world.led_render import Renderer, hidden_leds, visible_lights
 from verify.simulation.world.motion import RandomStream, generator, plan_motion
 from verify.simulation.world.world import SimulatedWorld
 
@@ -70,11 +70,6 @@ class SimulatedSession:
     def truth(self) -> Array:
         """True joint angles at each pair's left time, (pairs, joints), rad."""
         return self.world.joints(self.t[:, 0])
-
-    def spots(self, side: int) -> Array:
-        """True LED images of the left (0) or right (1) camera, (pairs, leds, 2), px; NaN unseen."""
-        taken = zip(self.t[:, side], self.true_pan[:, side], strict=True)
-        return np.array([led_images(self.world, side, t, pan) for t, pan in taken])
 
     def image(self, side: int, index: int) -> Image:
         """Render one picture of the left (0) or right (1) camera."""

@@ -1,7 +1,8 @@
 """Render the LEDs in view of a camera: exposure, lens blur, sensor noise, black level, 8 bits."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import cv2
 import numpy as np
@@ -30,30 +31,16 @@ class Light:
     hidden: float = 0.0  # share of its width that something covers, from the left
 
 
-def led_images(world: SimulatedWorld, side: int, t: float, pan: float) -> Array:
-    """Image of every LED's centre, (leds, 2), px; NaN where it faces away or leaves the picture.
-
-    The side is 0 left, 1 right; t, s, cameras' clock, mid-exposure of the middle row; pan, rad, the
-    base's true angle.
-    """
-    camera, n = world.bench.cameras[side], len(world.leds)
-    centres = camera.project(world.sources(_instants(world, camera, t, pan))[:n, 0], pan)
-    lit = world.brightness(camera.rig_T_camera(pan)[:3, 3], t)[:n] > 0
-    limit = np.array(camera.image_size) - 1
-    inside = np.all((centres >= 0) & (centres <= limit), axis=1)  # NaN compares as outside
-    centres[~(lit & inside)] = np.nan
-    return centres
-
-
 def visible_lights(
     world: SimulatedWorld, side: int, t: float, pan: float, hidden: dict[int, float] | None = None
 ) -> list[Light]:
-    """Everything that shines into one exposure; arguments as in `led_images`.
+    """Everything that shines into one exposure of the left (0) or right (1) camera.
 
-    `hidden` gives the covered share of LEDs by their index; reflections and lamps stay.
+    It is at t, s, cameras' clock, mid-exposure of the middle row; pan, rad, is the base's true
+    angle. `hidden` gives the covered share of LEDs by their index; reflections and lamps stay.
     """
     camera = world.bench.cameras[side]
-    instants = _instants(world, camera, t, pan)
+    instants = mid_exposures(world, camera, t, pan)
     eye = camera.rig_T_camera(pan)[:3, 3]
     discs = _discs(camera, pan, world.sources(instants)[:, 0], world.radii)
     peaks, colours = world.brightness(eye, t), world.colours
@@ -78,7 +65,7 @@ def hidden_leds(
     }
 
 
-def _instants(world: SimulatedWorld, camera: SimulatedCamera, t: float, pan: float) -> Array:
+def mid_exposures(world: SimulatedWorld, camera: SimulatedCamera, t: float, pan: float) -> Array:
     """Mid-exposure of each shining thing's own row, (things, 1), s.
 
     Rows pass in microseconds, so the row of the last round settles within three; the rows'
@@ -137,7 +124,7 @@ BGR: dict[Colour, tuple[float, float, float]] = {  # what a colour sensor makes 
 }
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Renderer:
     """One camera's lens, sensor and room.
 
@@ -149,12 +136,6 @@ class Renderer:
     image_size: tuple[int, int]  # width, height
     seed: int
     side: int  # 0 left, 1 right
-    _room: Picture = field(init=False, repr=False)  # (h, w) or (h, 2 w), wraps round
-    _dark: Array = field(init=False, repr=False)  # (MAX_LEVELS,), how often a room pixel is 0, 1, …
-
-    def __post_init__(self) -> None:
-        object.__setattr__(self, "_room", self._drawn_room())  # a frozen dataclass's own way in
-        object.__setattr__(self, "_dark", self._levels_of_the_dark())
 
     @property
     def shape(self) -> tuple[int, ...]:
@@ -176,14 +157,6 @@ class Renderer:
             )
             return np.stack([self._expose(room, part, rng) for part in dimmed], axis=-1)
         return self._expose(room, lights, rng)
-
-    def clean(self, lights: Sequence[Light], turned_px: float = 0.0) -> Picture:
-        """Give the light on each pixel of a grey picture, DN, without noise or limits."""
-        scene = self._view(turned_px).copy()
-        for light in lights:
-            if (glow := self._glow(light, scene.shape)) is not None:
-                scene[glow[0]] += glow[1]
-        return scene
 
     def _expose(self, room: Picture, lights: Sequence[Light], rng: np.random.Generator) -> Image:
         glows = [glow for light in lights if (glow := self._glow(light, room.shape)) is not None]
@@ -222,8 +195,9 @@ class Renderer:
         np.rint(noise, out=noise)
         return np.clip(noise, 0, 255, out=noise).astype(np.uint8)
 
-    def _levels_of_the_dark(self) -> Array:
-        """Give the probability of each of the lowest levels in an even room, (MAX_LEVELS,)."""
+    @cached_property
+    def _dark(self) -> Array:
+        """Probability of each of the lowest levels in an even room, (MAX_LEVELS,)."""
         table = self.table
         if table.texture_dn > 0:
             return np.zeros(MAX_LEVELS)
@@ -232,8 +206,9 @@ class Renderer:
         below = ndtr(edges / max(sigma, 1e-6))  # 1e-6 DN: a noiseless room is certain
         return np.diff(below, prepend=0.0)
 
-    def _drawn_room(self) -> Picture:
-        """Draw the far room once: as wide as two pictures, for a turning camera to look round.
+    @cached_property
+    def _room(self) -> Picture:
+        """The far room, (h, w) or (h, 2 w): wraps round, for a turning camera to look round.
 
         A camera that turns by an angle shifts it by the focal length times that.
         """

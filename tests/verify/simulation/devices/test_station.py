@@ -139,7 +139,9 @@ def test_readings_are_the_arms_angles_on_the_controllers_clock() -> None:
     t = np.array([r.t for r in readings]) + offset
     q = np.array([r.q for r in readings])
     assert_allclose(np.diff(t), 0.01, atol=1e-9)
-    assert_allclose(q, made.scene.joints(t), atol=np.deg2rad(0.03))  # noise of 0.005°
+    assert_allclose(
+        q, made.scene.world.joints(made.scene.seconds(t)), atol=np.deg2rad(0.03)
+    )  # noise of 0.005°
     assert all(r.t_host >= instant for r, instant in zip(readings, t, strict=True))
     assert encoders.state().readings == 200
 
@@ -152,7 +154,11 @@ def test_events_count_from_the_first_device_on_however_long_the_start_took() -> 
     opened = clock.now()
     clock.wait_until(opened + 0.5, 100.0)
     made.camera(0, SIM)
-    assert [made.scene.lit(opened + t) for t in (0.9, 1.2, 1.6)] == [False, True, False]
+    assert [made.scene.happens("lamp_on", opened + t) for t in (0.9, 1.2, 1.6)] == [
+        False,
+        True,
+        False,
+    ]
     assert made.scene.resets(opened + 1.9) == []
     assert made.scene.resets(opened + 2.1) == pytest.approx([opened + 2.0])
 
@@ -163,7 +169,7 @@ def test_a_jump_appears_in_its_joint_from_its_instant_on() -> None:
     encoders, began = made.encoders(100.0), made.scene.clock.began
     readings = gather(encoders, lambda found: len(found) >= 200)
     t = np.array([r.t for r in readings]) + made.scene.scenario.encoders.clock_offset_s
-    error = np.array([r.q for r in readings]) - made.scene.joints(t)
+    error = np.array([r.q for r in readings]) - made.scene.world.joints(made.scene.seconds(t))
     after = t - began >= 1.0
     assert_allclose(error[after].mean(axis=0), [0, 0, 0, jump, 0, 0], atol=2e-5)
     assert_allclose(error[~after].mean(axis=0), 0, atol=2e-5)

@@ -4,6 +4,7 @@ from numpy.testing import assert_allclose, assert_array_equal
 from scipy.special import j1
 
 import robots
+from tests.support.leds.truth import led_images, true_spots
 from tests.support.simulated import AWKWARD, played
 from verify.core.records import Array
 from verify.core.rig import Camera
@@ -19,7 +20,6 @@ from verify.simulation.world.bench import SimulatedCamera, build_camera
 from verify.simulation.world.led_render import (
     Light,
     Renderer,
-    led_images,
     render_light,
     visible_lights,
 )
@@ -54,7 +54,7 @@ def test_spots_are_where_rig_marker_and_truth_put_them() -> None:
     session = played(rig=ScenarioRig(bases="follow", left=AWKWARD, right=ScenarioCamera()))
     arm = robots.load("iust_6r")
     for side, camera in enumerate((session.rig.left, session.rig.right)):
-        seen = session.spots(side)
+        seen = true_spots(session, side)
         for i in range(len(session)):
             q = session.world.joints(session.t[i, side])
             rig_T_flange = session.rig.rig_T_base @ robots.forward(arm, q)
@@ -216,7 +216,7 @@ def test_an_occlusion_hides_its_share_of_the_led_in_its_frames_alone() -> None:
     session, free = played(occlusion=[occlusion]), played()
 
     def light_of_b(played: object, side: int, index: int) -> float:
-        x, y = free.spots(side)[index, 1].astype(int)
+        x, y = true_spots(free, side)[index, 1].astype(int)
         image = (session if played is session else free).image(side, index)
         return float(image[y - 12 : y + 13, x - 12 : x + 13].sum())
 
@@ -228,6 +228,6 @@ def test_an_occlusion_hides_its_share_of_the_led_in_its_frames_alone() -> None:
 def test_a_turning_camera_shifts_the_background() -> None:
     table = ScenarioImage(background_dn=40.0, texture_dn=8.0, read_noise_dn=0.0)
     renderer = Renderer(table, (640, 360), seed=1, side=0)
-    straight, turned = renderer.clean([], 0.0), renderer.clean([], 50.0)
+    straight, turned = renderer._view(0.0), renderer._view(50.0)
     assert_array_equal(straight[:, 50:], turned[:, :-50])
     assert straight.std() == pytest.approx(8.0, rel=0.15)  # a few hundred grains make the pattern
