@@ -245,9 +245,8 @@ class PostureConstraints:
         inside = left.inside & right.inside
         facing = inside & left.facing & right.facing
         apart = facing & left.apart & right.apart
-        reason = np.full(len(q), -1, dtype=np.int64)
-        for place, leds in reversed(list(enumerate((inside, facing, apart)))):
-            reason[leds.sum(axis=1) < MIN_LEDS] = place
+        few = [leds.sum(axis=1) < MIN_LEDS for leds in (inside, facing, apart)]
+        reason = np.select(few, range(len(few)), -1)
         left_over = np.flatnonzero(reason < 0)
         reason[left_over] = self._arm_reason(frames[left_over], passing)
         return reason
@@ -266,7 +265,4 @@ class PostureConstraints:
             gaps.min(axis=1, initial=np.inf) < MIN_LINK_DISTANCE,
             dexterity(frames) < least,
         )
-        reason = np.full(len(frames), -1, dtype=np.int64)
-        for place, flags in reversed(list(enumerate(broken))):
-            reason[flags] = len(REASONS) - len(broken) + place
-        return reason
+        return np.select(broken, range(len(REASONS) - len(broken), len(REASONS)), -1)

@@ -135,26 +135,28 @@ def build_setup(arm: robots.Arm, proposed: ProposedRig, work: Array, floor: floa
             "Give a posture whose flange faces a place for the cameras, or a lower --floor-mm.",
         )  # fmt: skip
     eye = eyes[int(np.argmax(np.where(usable, toward, -2.0)))]
+    size, half, inwards = proposed.image_size, proposed.baseline / 2, proposed.vergence
     rig = Rig(
-        image_size=proposed.image_size,
-        left=_camera(proposed, -1.0),
-        right=_camera(proposed, 1.0),
+        image_size=size,
+        left=level_camera(size, proposed.focal, -half, inwards),
+        right=level_camera(size, proposed.focal, half, -inwards),
         rig_T_base=look_at(eye, target),
         covariance=_covariance(proposed.uncertainties),
     )
     return PlanningSetup(arm, rig, marker)
 
 
-def _camera(proposed: ProposedRig, side: float) -> Camera:
-    (width, height), f = proposed.image_size, proposed.focal
+def level_camera(size: tuple[int, int], focal: float, x: float, pan: float) -> Camera:
+    """A camera at (x, 0, 0) of the rig, m, turned to pan, rad; size and focal length in px."""
+    middle = (np.array(size) - 1) / 2
     return Camera(
-        matrix=np.array([[f, 0, (width - 1) / 2], [0, f, (height - 1) / 2], [0, 0, 1.0]]),
+        matrix=np.array([[focal, 0, middle[0]], [0, focal, middle[1]], [0, 0, 1.0]]),
         distortion=np.zeros(5),
-        pan_center=np.array([side * proposed.baseline / 2, 0.0, 0.0]),
+        pan_center=np.array([x, 0.0, 0.0]),
         pan_axis=np.array([0.0, 1.0, 0.0]),
         pan_zero=0.0,
         mount=np.eye(4),
-        pan=-side * proposed.vergence,
+        pan=pan,
     )
 
 

@@ -145,8 +145,7 @@ def refuse_other_robot(
     )
     expected = f"{np.rad2deg(MAX_TURN_DIFFERENCE):.0f}° are the worst that joint errors explain"
     if off > MAX_TURN_DIFFERENCE:
-        named = _name_mistake(start, readings, restart)
-        name, remedy = ("", f"Check {check}.") if named is None else (f"; {named[0]}", named[1])
+        name, remedy = _name_mistake(start, readings, restart) or ("", f"Check {check}.")
         raise InputError(folder / "encoders.csv", f"{found} (median){name}", expected, remedy)
     if start.solved.mirrored:
         raise InputError(
@@ -168,12 +167,12 @@ def _name_mistake(
 ) -> tuple[str, str] | None:
     """The usual mistake in the readings without which flange and LEDs move alike; its remedy."""
     if np.ptp(readings.q, axis=0).max() < MAX_FROZEN:
-        return "the readings never change", "Log the encoders while the robot moves."
+        return "; the readings never change", "Log the encoders while the robot moves."
     tried = [(_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)]
     least, name, remedy = min(tried)
     if least > MAX_LEFT_SHARE * _difference(start):
         return None
-    return f"{name} fits: {np.rad2deg(least):.2g}° instead", remedy
+    return f"; {name} fits: {np.rad2deg(least):.2g}° instead", remedy
 
 
 def refuse_misfit(
@@ -192,7 +191,6 @@ def refuse_misfit(
     if distance > MAX_RMS_PX:
         found = f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen"
         expected = f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain"
-        named = _name_mistake(start, readings, restart)
         remedy = "Check the robot's name, the readings' unit (degrees) and order, and the rig."
-        name, remedy = ("", remedy) if named is None else (f"; {named[0]}", named[1])
+        name, remedy = _name_mistake(start, readings, restart) or ("", remedy)
         raise InputError(folder / "encoders.csv", f"{found}{name}", expected, remedy)

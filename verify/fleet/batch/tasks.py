@@ -1,9 +1,8 @@
 """Tasks of workers: measure a session, check whether it has changed, write its report."""
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import reports
 from reports import Results
@@ -25,8 +24,6 @@ from verify.io.files import digest, lacks_memory, memory_refusal, system_refusal
 from verify.io.results import RESULTS, read_results, write_report_folder
 from verify.io.session.session import open_session
 
-T = TypeVar("T")
-
 
 @dataclass(frozen=True, slots=True)
 class MeasureTask:
@@ -36,8 +33,22 @@ class MeasureTask:
     options: BatchOptions
 
     def perform(self) -> SessionResults | SessionFailure:
-        """Give its results as files, or why there are none."""
-        return _result_or_failure(self.found, self._measured)
+        """Give its results as files, or why there are none: that must not stop the others."""
+        session, folder = self.found.session, self.found.folder
+        try:
+            return self._measured()
+        except InputError as problem:
+            kind, refused = REFUSED, problem
+        except OSError as problem:
+            kind, refused = UNREADABLE, system_refusal(problem.filename or folder, problem)
+        except Exception as problem:  # a defect of ours is reported, and the batch goes on
+            if not lacks_memory(problem):
+                why = one_line(f"{session}: {type(problem).__name__}: {problem}. ")
+                defect = printable_path(f"{why}Please report this defect.")
+                return SessionFailure(session, DEFECT, defect)
+            kind, refused = UNREADABLE, memory_refusal(folder)
+        why = str(refused).replace(one_line(folder), one_line(session))
+        return SessionFailure(session, kind, printable_path(why))
 
     def _measured(self) -> SessionResults:
         with local_copy(self.found.folder) as folder:
@@ -99,21 +110,3 @@ def rename_session(results: Results, folder: str, session: str) -> Results:
     was, now = one_line(folder), one_line(session)
     summary["warnings"] = [printable_path(text.replace(was, now)) for text in summary["warnings"]]
     return replace(results, summary=summary)
-
-
-def _result_or_failure(found: SessionLocation, work: Callable[[], T]) -> T | SessionFailure:
-    """Do the work on one session; whatever is wrong with it must not stop the others."""
-    try:
-        return work()
-    except InputError as problem:
-        kind, refused = REFUSED, problem
-    except OSError as problem:
-        kind, refused = UNREADABLE, system_refusal(problem.filename or found.folder, problem)
-    except Exception as problem:  # a defect of ours is reported, and the batch goes on
-        if not lacks_memory(problem):
-            why = one_line(f"{found.session}: {type(problem).__name__}: {problem}. ")
-            defect = printable_path(f"{why}Please report this defect.")
-            return SessionFailure(found.session, DEFECT, defect)
-        kind, refused = UNREADABLE, memory_refusal(found.folder)
-    why = str(refused).replace(one_line(found.folder), one_line(found.session))
-    return SessionFailure(found.session, kind, printable_path(why))

@@ -1,6 +1,6 @@
 """The simulated cell's fixed parts: arm, grab.toml, calibrated cameras, LEDs on the flange."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
@@ -13,7 +13,7 @@ from verify.core.rig import Camera, Covariance, Rig
 from verify.grasping import cell as grasping_cell
 from verify.grasping.cell import Cell
 from verify.grasping.planning.plan import GraspPlanner, planner_with_cameras
-from verify.planning.proposal import look_at
+from verify.planning.proposal import level_camera, look_at
 
 ROBOT = "rv_3sd_melfa"
 FULL_SIZE, SMALL_SIZE = (1280, 720), (640, 360)  # px
@@ -69,17 +69,11 @@ def _rig(size: tuple[int, int], pan_uncertainty: float | None) -> Rig:
 
 
 def _camera(size: tuple[int, int], sign: int, pan: float, pan_uncertainty: float | None) -> Camera:
-    width, height = size
-    focal = FOCAL_RATIO * width
-    matrix = [[focal, 0, (width - 1) / 2 + 3 * sign], [0, focal, (height - 1) / 2], [0, 0, 1]]
-    return Camera(
-        matrix=np.array(matrix, dtype=float),
+    ideal = level_camera(size, FOCAL_RATIO * size[0], sign * BASELINE / 2, pan)
+    return replace(
+        ideal,
+        matrix=ideal.matrix + np.array([[0, 0, 3 * sign], [0, 0, 0], [0, 0, 0]]),
         distortion=np.array([-0.06, 0.03, 0.0004, -0.0003, 0.0]),
-        pan_center=np.array([sign * BASELINE / 2, 0.0, 0.0]),
-        pan_axis=np.array([0.0, 1.0, 0.0]),
-        pan_zero=0.0,
-        mount=np.eye(4),
-        pan=pan,
         pan_standard_uncertainty=pan_uncertainty,
     )
 

@@ -23,7 +23,6 @@ IDENTITY = (b"verify", b"emulated gripper", b"1")
 BASIC = 1  # the stream, and the conformity that goes with it
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 FRAME_TIMEOUT = 0.005  # s without a byte: what has come is all there is
-CYCLE = 0.005  # s: new outputs are taken up and echoed 200 times a second, by the manual
 MIN_FRAME = 4  # bytes: slave, function, check
 
 
@@ -34,7 +33,7 @@ class GripperOptions:
     activation: float = 3.0  # s
     contacts: Array | None = None  # (4,), positions where A, B, C and scissor meet an object
     latency: float = 0.002  # s from request to answer
-    cycle: float = CYCLE  # s from an order until it is taken up
+    cycle: float = 0.005  # s until an order is taken up and echoed: 200 a second, by the manual
     exceptions: bool = True  # grippers of 2014 answer a wrong request with silence
 
 

@@ -24,9 +24,7 @@ _NAME = re.compile(
     r"|ERROR|STATE|HNDOFF|HNDON|MOVSP|OPEN|OVRD|EXEC|STOP|PAR|RUN|JOG|HOT"
 )
 # starred in the manual: they need the operation right
-RIGHTS_COMMANDS = frozenset(
-    {"SRVON", "SRVOFF", "EXEC", "EXEC2=", "RUN", "PRGLOAD", "MOVSP", "JOG"}
-)  # fmt: skip
+RIGHTS_COMMANDS = frozenset({"SRVON", "SRVOFF", "EXEC", "EXEC2=", "RUN", "PRGLOAD", "MOVSP", "JOG"})
 SERVO_COMMANDS = frozenset({"EXEC", "EXEC2=", "MOVSP", "JOG", "RUN"})  # these need the servo, too
 
 
