@@ -124,6 +124,7 @@ def change_rows(judged: JointAssessment) -> list[tuple[Any, ...]]:
     """One row a change, as `CHANGE_COLUMNS` names them."""
     rows = []
     series, t = judged.series, judged.series.t[judged.ordinary]
+    group = series.group[judged.ordinary]
     for one in judged.course.changes:
         step, place = one.term.kind == "step", one.term.place
         rows.append((
@@ -131,12 +132,7 @@ def change_rows(judged: JointAssessment) -> list[tuple[Any, ...]]:
             series.session[judged.ordinary[place]], t[place], t[place - 1 if step else place],
             t[one.earliest], t[one.latest], one.size, one.standard_uncertainty,
             "deg" if step else "deg/month", one.clearer_by,
-            step and _is_recalibration(judged, one),
+            # whether a step may fall on a new calibration
+            step and bool(group[one.earliest - 1] != group[one.latest]),
         ))  # fmt: skip
     return rows
-
-
-def _is_recalibration(judged: JointAssessment, one: changes.TrendChange) -> bool:
-    """Tell whether a step may fall on a new calibration."""
-    group = judged.series.group[judged.ordinary]
-    return bool(group[one.earliest - 1] != group[one.latest])

@@ -225,9 +225,7 @@ class SteppedArm(OrderedArm):
 
     def begin_back(self) -> None:
         """Go back up the line that was gone down, from wherever on it the arm rests."""
-        self._moves = []
-        if self._top is not None and self._began_line:
-            self._moves = [(self._top, True)]
+        self._moves = [(self._top, True)] if self._top is not None and self._began_line else []
         self._sent, self.going_back = False, True
 
     def go(self) -> None:

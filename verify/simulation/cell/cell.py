@@ -11,7 +11,7 @@ from verify.devices.protocols import EncoderReading, PanReading
 from verify.simulation.cell.arm import CellArm
 from verify.simulation.cell.hand import CellHand
 from verify.simulation.cell.render import CellCamera, RenderedArm, RenderedCap, joint_points
-from verify.simulation.cell.scene import DUSK_TIME, CellScene, EventKind, SceneEvent
+from verify.simulation.cell.scene import DUSK_TIME, CellScene, EventKind
 from verify.simulation.cell.setup import CellSetup
 
 RATE = 30.0  # Hz, of the cameras
@@ -63,7 +63,7 @@ class CellWorld:
         self.let_go: dict[int, Array] = {}  # where caps lie that were in the hand, base_T_cap
         self.closed_on: Array | None = None  # (3,), m, base: the grip point when fingers closed
         self.closed_at: Array | None = None  # (3,), m: where the target was then
-        self._since: dict[EventKind, float] = {}
+        self._spans: dict[EventKind, tuple[float, float]] = {}  # s, what has happened: from, to
         self._frame = 0
         self._turned = 0.0  # rad, by as much the bases stood elsewhere in the last picture
         self._cameras = [
@@ -147,20 +147,16 @@ class CellWorld:
 
     def happened(self, what: EventKind) -> bool:
         """Whether something has happened and still lasts."""
-        since = self._since.get(what)
-        return since is not None and self.t < since + self._of(what).lasts
+        return what in self._spans and self.t < self._spans[what][1]
 
     def _gone(self, t: float) -> float:
         """By how much both bases have turned since the start, rad."""
         return sum(turn.gone(t) for turn in self.scene.turns)
 
-    def _of(self, what: EventKind) -> SceneEvent:
-        return next(h for h in self.scene.happenings if h.what == what)
-
     def _happen(self, grip: Array) -> None:
         target = self.cap(0, self.t)
         for happening in self.scene.happenings:
-            if happening.what in self._since:
+            if happening.what in self._spans:
                 continue
             if happening.near is None:
                 due = self.t >= happening.at
@@ -168,7 +164,7 @@ class CellWorld:
                 away = np.inf if target is None else np.linalg.norm(target[:3, 3] - grip[:3, 3])
                 due = bool(away < happening.near)
             if due:
-                self._since[happening.what] = self.t
+                self._spans[happening.what] = self.t, self.t + happening.lasts
 
     def _grasp(self, grip: Array) -> None:
         """What stands between the fingers stops them, and goes with them while they hold it."""
@@ -209,7 +205,7 @@ class CellWorld:
     def _light(self, t: float) -> float:
         if not self.happened("dusk"):
             return self.scene.light
-        gone = np.clip((t - self._since["dusk"]) / DUSK_TIME, 0.0, 1.0)
+        gone = np.clip((t - self._spans["dusk"][0]) / DUSK_TIME, 0.0, 1.0)
         return float(self.scene.light * (1 - 0.5 * gone))
 
     def _board(self) -> Array:
