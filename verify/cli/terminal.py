@@ -61,27 +61,21 @@ class Terminal:
     @contextmanager
     def progress(self, what: str) -> Iterator["ProgressCounter"]:
         """Show how far long work has come: a bar on a terminal, plain lines elsewhere."""
+        from rich import progress as bars
         from rich.console import Console
-        from rich.progress import (
-            BarColumn,
-            MofNCompleteColumn,
-            Progress,
-            TextColumn,
-            TimeRemainingColumn,
-        )
 
         console, silent = Console(stderr=True), self.quiet or self.as_json
         if silent or not console.is_terminal:
             yield ProgressCounter(None, what, silent=silent)
             return
         columns = (
-            TextColumn("{task.description}"),
-            BarColumn(),
-            MofNCompleteColumn(),
-            TextColumn("{task.fields[rate]}"),
-            TimeRemainingColumn(),
+            bars.TextColumn("{task.description}"),
+            bars.BarColumn(),
+            bars.MofNCompleteColumn(),
+            bars.TextColumn("{task.fields[rate]}"),
+            bars.TimeRemainingColumn(),
         )
-        with Progress(*columns, console=console, transient=True) as bar:
+        with bars.Progress(*columns, console=console, transient=True) as bar:
             yield ProgressCounter(bar, what, silent=False)
 
 

@@ -14,18 +14,8 @@ from scipy.linalg import polar
 from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera, Covariance, Rig
 from verify.errors import InputError, one_line
+from verify.io import toml
 from verify.io.files import write_whole
-from verify.io.toml import (
-    FORMAT,
-    MM,
-    decode,
-    encode_numbers,
-    key_error,
-    not_negative,
-    one_of,
-    scaled,
-)
-from verify.io.toml import encode as encode_toml
 
 SOURCES = ("fixture", "motion")
 TOL_ROTATION = 1e-6  # of R'R - I: seven decimals in the file; more is a wrong matrix, not rounding
@@ -33,7 +23,7 @@ TOL_ROTATION = 1e-6  # of R'R - I: seven decimals in the file; more is a wrong m
 TOL_CORRELATION = 1e-6
 MAX_CENTRE_OFFSET = 0.2  # of the image's size: a principal point farther off is worth a warning
 # m or rad a radian in a unit of the file (mm or deg a degree), (12, 1)
-ABSORPTION_UNITS = np.tile([MM * 180 / np.pi] * 3 + [1.0] * 3, 2)[:, None]
+ABSORPTION_UNITS = np.tile([toml.MM * 180 / np.pi] * 3 + [1.0] * 3, 2)[:, None]
 
 MAX_STANDARD_UNCERTAINTY = {"mm": 1e3, "deg": 180.0, "px": 1e4}  # of a parameter in that unit
 
@@ -71,29 +61,29 @@ def check_covariance(path: Path, table: CovarianceTable) -> Covariance:
         key = f"covariance.parameters[{index}]"
         if not _PARAMETER.fullmatch(name):
             expected = "a name is like left.fx_px, robot_base.rz_deg or led.A.x_mm"
-            raise key_error(path, key, f'is "{name}"', expected)
+            raise toml.key_error(path, key, f'is "{name}"', expected)
         if name in names[:index]:
-            raise key_error(path, key, f'repeats "{name}"', "each name may appear only once")
+            raise toml.key_error(path, key, f'repeats "{name}"', "each name may appear only once")
     for index, u in enumerate(table.standard_uncertainty):
         key = f"covariance.standard_uncertainty[{index}]"
-        not_negative(path, key, u)
+        toml.not_negative(path, key, u)
         ending = names[index].rpartition("_")[2] if index < len(names) else ""
         if ending in MAX_STANDARD_UNCERTAINTY and u > MAX_STANDARD_UNCERTAINTY[ending]:
             most = f"at most {MAX_STANDARD_UNCERTAINTY[ending]:g} {ending} is plausible"
-            raise key_error(path, key, f"is {u:g}, of {names[index]}", most)
+            raise toml.key_error(path, key, f"is {u:g}, of {names[index]}", most)
     count = len(names)
     if len(table.standard_uncertainty) != count:
         found = f"has {len(table.standard_uncertainty)} numbers"
         expected = f"there are {count} parameters"
-        raise key_error(path, "covariance.standard_uncertainty", found, expected)
+        raise toml.key_error(path, "covariance.standard_uncertainty", found, expected)
     rows = table.correlation
     if len(rows) != count or any(len(row) != count for row in rows):
         expected = f"{count} rows of {count} are expected, one a parameter"
-        raise key_error(path, "covariance.correlation", "has another size", expected)
+        raise toml.key_error(path, "covariance.correlation", "has another size", expected)
     correlation = _correlation(path, np.array(rows).reshape(count, count))
     if table.degrees_of_freedom is not None and table.degrees_of_freedom <= 0:
         found, expected = f"is {table.degrees_of_freedom}", "a positive number is expected"
-        raise key_error(path, "covariance.degrees_of_freedom", found, expected)
+        raise toml.key_error(path, "covariance.degrees_of_freedom", found, expected)
     return Covariance(
         parameters=tuple(names),
         standard_uncertainty=np.array(table.standard_uncertainty, dtype=float),
@@ -106,7 +96,7 @@ def check_covariance(path: Path, table: CovarianceTable) -> Covariance:
 def _correlation(path: Path, matrix: Array) -> Array:
     def refused(found: str, expected: str) -> InputError:
         remedy = "Write it with more decimals."
-        return key_error(path, "covariance.correlation", found, expected, remedy)
+        return toml.key_error(path, "covariance.correlation", found, expected, remedy)
 
     if not len(matrix):
         return matrix
@@ -169,14 +159,16 @@ def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, 
             `registered` also of a rig without the robot's base.
     """
     path = Path(path)
-    table, warnings = decode(path, RigTable)
+    table, warnings = toml.decode(path, RigTable)
     width, height = table.image_size
     if min(width, height) < 1:
-        raise key_error(path, "image_size", f"is {width} x {height}", "both are at least one pixel")
+        raise toml.key_error(
+            path, "image_size", f"is {width} x {height}", "both are at least one pixel"
+        )
     if registered and table.robot_base is None:
         expected = "where the robot stands in the rig is needed here"
         remedy = "Register the robot first: `verify calibrate register`."
-        raise key_error(path, "robot_base", "is missing", expected, remedy)
+        raise toml.key_error(path, "robot_base", "is missing", expected, remedy)
     rig = Rig(
         image_size=table.image_size,
         left=_camera(path, "left", table.left),
@@ -192,9 +184,9 @@ def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, 
 def encode(rig: Rig) -> bytes:
     """Write a rig as the text of a rig.toml; what is None stays out."""
     covariance = rig.covariance
-    return encode_toml(
+    return toml.encode(
         {
-            "format": FORMAT,
+            "format": toml.FORMAT,
             "image_size": list(rig.image_size),
             "left": _camera_table(rig.left),
             "right": _camera_table(rig.right),
@@ -207,8 +199,8 @@ def encode(rig: Rig) -> bytes:
 def _covariance_table(covariance: Covariance) -> dict[str, Any]:
     return {
         "parameters": list(covariance.parameters),
-        "standard_uncertainty": encode_numbers(covariance.standard_uncertainty),
-        "correlation": encode_numbers(covariance.correlation),
+        "standard_uncertainty": toml.encode_numbers(covariance.standard_uncertainty),
+        "correlation": toml.encode_numbers(covariance.correlation),
         "degrees_of_freedom": covariance.degrees_of_freedom,
         "temperature_c": covariance.temperature_c,
     }
@@ -216,11 +208,11 @@ def _covariance_table(covariance: Covariance) -> dict[str, Any]:
 
 def _base_table(rig: Rig) -> dict[str, Any]:
     return {
-        "rotation": encode_numbers(rig.rig_T_base[:3, :3]),
-        "position_mm": encode_numbers(rig.rig_T_base[:3, 3], MM),
+        "rotation": toml.encode_numbers(rig.rig_T_base[:3, :3]),
+        "position_mm": toml.encode_numbers(rig.rig_T_base[:3, 3], toml.MM),
         "source": rig.base_source,
         "registration": rig.registration,
-        "absorption": encode_numbers(rig.absorption, ABSORPTION_UNITS),
+        "absorption": toml.encode_numbers(rig.absorption, ABSORPTION_UNITS),
     }
 
 
@@ -235,7 +227,7 @@ def read_base(path: Path, base: BaseTable | None) -> dict[str, Any]:
         return {"rig_T_base": np.full((4, 4), np.nan), "base_source": ""}
     return {
         "rig_T_base": nearest_pose(path, "robot_base.rotation", base.rotation, base.position_mm),
-        "base_source": one_of(path, "robot_base.source", base.source, SOURCES),
+        "base_source": toml.one_of(path, "robot_base.source", base.source, SOURCES),
         "registration": base.registration,
         "absorption": _absorption(path, base.absorption),
     }
@@ -246,27 +238,27 @@ def _camera(path: Path, side: str, table: CameraTable) -> Camera:
     for axis, key in ((0, "fx"), (1, "fy")):
         if k[axis, axis] <= 0:
             found = f"has {key} = {k[axis, axis]} px"
-            raise key_error(path, f"{side}.camera_matrix", found, "a focal length is positive")
+            raise toml.key_error(path, f"{side}.camera_matrix", found, "a focal length is positive")
     if k[1, 0] != 0 or k[2].tolist() != [0.0, 0.0, 1.0]:
         expected = "expected is [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
-        raise key_error(path, f"{side}.camera_matrix", "is not a camera matrix", expected)
+        raise toml.key_error(path, f"{side}.camera_matrix", "is not a camera matrix", expected)
     axis_length = float(np.linalg.norm(table.pan_axis))
     if axis_length < TOL_ROTATION:
-        raise key_error(path, f"{side}.pan_axis", "has no length", "a direction is expected")
+        raise toml.key_error(path, f"{side}.pan_axis", "has no length", "a direction is expected")
     for key in ("pan_standard_uncertainty_deg", "line_time_s", "exposure_s"):
-        not_negative(path, f"{side}.{key}", getattr(table, key))
+        toml.not_negative(path, f"{side}.{key}", getattr(table, key))
     mount = nearest_pose(
         path, f"{side}.mount_rotation", table.mount_rotation, table.mount_offset_mm
     )
     return Camera(
         matrix=k,
         distortion=np.array(table.distortion),
-        pan_center=np.array(table.pan_center_mm) * MM,
+        pan_center=np.array(table.pan_center_mm) * toml.MM,
         pan_axis=np.array(table.pan_axis) / axis_length,
         pan_zero=float(np.deg2rad(table.pan_zero_deg)),
         mount=mount,
         pan=float(np.deg2rad(table.pan_deg)),
-        pan_standard_uncertainty=scaled(table.pan_standard_uncertainty_deg, np.pi / 180),
+        pan_standard_uncertainty=toml.scaled(table.pan_standard_uncertainty_deg, np.pi / 180),
         line_time=table.line_time_s,
         exposure=table.exposure_s,
     )
@@ -275,15 +267,15 @@ def _camera(path: Path, side: str, table: CameraTable) -> Camera:
 def _camera_table(camera: Camera) -> dict[str, Any]:
     u = camera.pan_standard_uncertainty
     return {
-        "camera_matrix": encode_numbers(camera.matrix),
-        "distortion": encode_numbers(camera.distortion),
-        "pan_center_mm": encode_numbers(camera.pan_center, MM),
-        "pan_axis": encode_numbers(camera.pan_axis),
-        "pan_deg": encode_numbers(np.rad2deg(camera.pan)),
-        "pan_zero_deg": encode_numbers(np.rad2deg(camera.pan_zero)),
-        "pan_standard_uncertainty_deg": None if u is None else encode_numbers(np.rad2deg(u)),
-        "mount_rotation": encode_numbers(camera.mount[:3, :3]),
-        "mount_offset_mm": encode_numbers(camera.mount[:3, 3], MM),
+        "camera_matrix": toml.encode_numbers(camera.matrix),
+        "distortion": toml.encode_numbers(camera.distortion),
+        "pan_center_mm": toml.encode_numbers(camera.pan_center, toml.MM),
+        "pan_axis": toml.encode_numbers(camera.pan_axis),
+        "pan_deg": toml.encode_numbers(np.rad2deg(camera.pan)),
+        "pan_zero_deg": toml.encode_numbers(np.rad2deg(camera.pan_zero)),
+        "pan_standard_uncertainty_deg": None if u is None else toml.encode_numbers(np.rad2deg(u)),
+        "mount_rotation": toml.encode_numbers(camera.mount[:3, :3]),
+        "mount_offset_mm": toml.encode_numbers(camera.mount[:3, 3], toml.MM),
         "line_time_s": camera.line_time,
         "exposure_s": camera.exposure,
     }
@@ -300,11 +292,11 @@ def nearest_pose(path: Path, key: str, rotation: Matrix, position_mm: Triple) ->
     if off > TOL_ROTATION:
         expected = "rows of unit length at right angles are expected"
         remedy = "Write it with at least seven decimals."
-        raise key_error(path, key, f"is not a rotation: off by {off:.1e}", expected, remedy)
+        raise toml.key_error(path, key, f"is not a rotation: off by {off:.1e}", expected, remedy)
     if np.linalg.det(matrix) < 0:
         expected = "a right-handed rotation is expected"
-        raise key_error(path, key, "is a reflection", expected, "Turn the sign of one axis.")
-    return rigid_transform(polar(matrix)[0], np.array(position_mm) * MM)
+        raise toml.key_error(path, key, "is a reflection", expected, "Turn the sign of one axis.")
+    return rigid_transform(polar(matrix)[0], np.array(position_mm) * toml.MM)
 
 
 def _principal_point(path: Path, side: str, camera: Camera, size: tuple[int, int]) -> list[str]:
@@ -316,7 +308,7 @@ def _principal_point(path: Path, side: str, camera: Camera, size: tuple[int, int
         if not -0.5 <= at <= extent - 0.5:  # pixel centres at whole numbers
             found = f"has {name} = {at} px, outside an image of {size[0]} x {size[1]}"
             expected = "the optical axis meets the sensor"
-            raise key_error(path, key, found, expected, "Compare it with image_size.")
+            raise toml.key_error(path, key, found, expected, "Compare it with image_size.")
         centre = (extent - 1) / 2
         if abs(at - centre) > MAX_CENTRE_OFFSET * extent:
             off = f"is more than {MAX_CENTRE_OFFSET:.0%} of the image off its centre, {centre} px"
@@ -331,6 +323,6 @@ def _absorption(path: Path, rows: list[list[float]] | None) -> Array | None:
     widths = {len(row) for row in rows}
     if len(rows) != 12 or len(widths) != 1 or 0 in widths:
         expected = "12 rows are expected, six of the base and six of the LEDs, one column a joint"
-        raise key_error(path, "robot_base.absorption", f"has {len(rows)} rows", expected)
-    scaled: Array = np.array(rows) * ABSORPTION_UNITS
-    return scaled
+        raise toml.key_error(path, "robot_base.absorption", f"has {len(rows)} rows", expected)
+    absorption: Array = np.array(rows) * ABSORPTION_UNITS
+    return absorption

@@ -14,14 +14,8 @@ import numpy as np
 
 from verify.core.records import Array, take_rows
 from verify.errors import InputError
+from verify.io import left_out
 from verify.io.files import read_bytes
-from verify.io.left_out import (
-    find_repeats,
-    find_spikes,
-    find_stray,
-    warn_of_repeats,
-    warn_of_spikes,
-)
 from verify.io.rows import whole_rows
 from verify.io.toml import did_you_mean
 
@@ -141,15 +135,15 @@ def read_encoders(
         raise InputError(path, times, expected, remedy)
     if limits is not None:
         _refuse_far_beyond(Path(path), q, limits)
-    spike = find_stray(t, q, limits)
+    spike = left_out.find_stray(t, q, limits)
     if pairs is None or not np.array_equal(t, pairs.t_left):
-        spike |= find_spikes(t, q)
+        spike |= left_out.find_spikes(t, q)
     kept = np.flatnonzero(~spike.any(axis=1))
-    repeats, period = find_repeats(t[kept], q[kept])
+    repeats, period = left_out.find_repeats(t[kept], q[kept])
     # a reading is renewed at any time between two rows
     late = float(np.median(np.diff(t))) / np.sqrt(12) if repeats.any() else 0.0
     series = take_rows(EncoderSeries(t, q, columns.get("t_host_s"), late), kept[~repeats])
-    notes = (*warn_of_repeats(repeats, period), *warn_of_spikes(spike))
+    notes = (*left_out.warn_of_repeats(repeats, period), *left_out.warn_of_spikes(spike))
     return series, (*warnings, *(f"{Path(path).name}: {note}" for note in notes))
 
 

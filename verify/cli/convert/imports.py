@@ -20,15 +20,9 @@ from verify.io.bags.cameras import rig_from_bag
 from verify.io.bags.session import BagRequest, BagSession, write_bag_session
 from verify.io.files import read_bytes, require_apart, write_folder_whole
 from verify.io.joints import RADIANS
+from verify.io.logs import mapping as columns_of
 from verify.io.logs import session as logs
 from verify.io.logs.bodies import require_rotation
-from verify.io.logs.mapping import (
-    ColumnMapping,
-    StatedUnits,
-    parse_mapping,
-    propose_mapping,
-    settle_units,
-)
 from verify.io.logs.table import LogTable, open_log
 from verify.io.rows import left_out, unended
 from verify.io.session.folder import ROBOT_FILES, SESSION_FILE, copy_robot, load_arm
@@ -140,7 +134,7 @@ class MappedTable:
     """A table whose mapping is settled."""
 
     table: LogTable
-    mapping: ColumnMapping
+    mapping: columns_of.ColumnMapping
     outline: logs.LogOutline
 
 
@@ -190,9 +184,9 @@ def _settle(
 ) -> MappedTable:
     """Map a table's columns, settle their units by its values, and check these."""
     if options.mapping:
-        mapping = parse_mapping(table, options.mapping, options.rotation)
+        mapping = columns_of.parse_mapping(table, options.mapping, options.rotation)
     else:
-        mapping = propose_mapping(table, arm, options.joint_names)
+        mapping = columns_of.propose_mapping(table, arm, options.joint_names)
     if mapping.has_poses and options.instrument is None:
         mapping = mapping.only(poses=False)
         terminal.warn(
@@ -218,8 +212,8 @@ def _settle(
             "Name it by --map if there is one."
         )
     outline = logs.read_outline(table, mapping, progress)
-    stated = StatedUnits(options.angles, options.lengths, options.rotation)
-    mapping = settle_units(table, mapping, stated, outline.joints, outline.step)
+    stated = columns_of.StatedUnits(options.angles, options.lengths, options.rotation)
+    mapping = columns_of.settle_units(table, mapping, stated, outline.joints, outline.step)
     if arm is not None:
         logs.require_joints_within(table, mapping, outline, arm)
     return MappedTable(table, mapping, outline)

@@ -12,12 +12,6 @@ import numpy as np
 
 from verify.devices.encoders.intake import AngleMap, ControllerInstant, PortDriver, ReadingIntake
 from verify.devices.melfa import protocol as r3
-from verify.devices.melfa.protocol import (
-    AnswerBuffer,
-    ControllerAnswer,
-    ReadCommand,
-    ReceivedAnswer,
-)
 from verify.devices.ports import READ_TIMEOUT, SerialLine, link_to
 from verify.devices.protocols import DeviceState, EncoderReading
 
@@ -27,7 +21,7 @@ MIN_ROUND_TRIPS = 5  # round trips before their median is used
 MAX_ROUND_TRIPS = 500  # round trips
 TIMEOUT_FACTOR = 3  # times the time-out, for a STATE that shows whether late answers are under way
 REFUSAL_DELAY = 1.0  # s, from a refusal to the next request
-STATE, JPOSF, CLOSE = ReadCommand("STATE"), ReadCommand("JPOSF"), ReadCommand("CLOSE")
+STATE, JPOSF, CLOSE = r3.ReadCommand("STATE"), r3.ReadCommand("JPOSF"), r3.ReadCommand("CLOSE")
 DEFAULT_MELFA_LINE = SerialLine(9600, 8, "E", 2)
 
 
@@ -49,7 +43,7 @@ class MelfaSettings:
 class ConnectionState:
     """The state of the exchange since the line was opened."""
 
-    pending: ReadCommand | None = None  # sent, not answered
+    pending: r3.ReadCommand | None = None  # sent, not answered
     sent_at: float = 0.0  # s
     due: float = float("-inf")  # s: when the next request may be sent
     state_due: float = float("-inf")
@@ -73,9 +67,9 @@ class MelfaEncoders(PortDriver):
         self.round_trips: deque[float] = deque(maxlen=MAX_ROUND_TRIPS)  # s, of JPOSF
         self._settings, self._joints = settings, angles.joints
         self._intake = ReadingIntake(angles, self.counts)
-        self._answers = AnswerBuffer()
+        self._answers = r3.AnswerBuffer()
         self._pause = settings.pause
-        self._open = ReadCommand("OPEN", f"={settings.client}")
+        self._open = r3.ReadCommand("OPEN", f"={settings.client}")
         self._texts = dict(r3.ERROR_MEANINGS)
         self._connection = 0
         self._talk = ConnectionState()
@@ -112,7 +106,7 @@ class MelfaEncoders(PortDriver):
             self._send(CLOSE)
         super().close()
 
-    def _send(self, request: ReadCommand) -> None:
+    def _send(self, request: r3.ReadCommand) -> None:
         """Send a request. Nothing else in this program writes to the controller."""
         self._talk.sent_at = self.link.now()
         if self.link.send(request.encoded(self._settings.terminator)):
@@ -141,15 +135,15 @@ class MelfaEncoders(PortDriver):
         if self.link.connected and now >= self._talk.due:
             self._send(self._next_request(now))
 
-    def _next_request(self, now: float) -> ReadCommand:
+    def _next_request(self, now: float) -> r3.ReadCommand:
         if not self._talk.opened:
             return self._open
         if not self._talk.in_step or now >= self._talk.state_due:
             return STATE
         if self._talk.alarm_stands and not self._talk.alarm_read:
-            return ReadCommand("ERROR")
+            return r3.ReadCommand("ERROR")
         if self._talk.missing_text is not None:
-            return ReadCommand("ERRORMES", f"{self._talk.missing_text:04d}")
+            return r3.ReadCommand("ERRORMES", f"{self._talk.missing_text:04d}")
         return JPOSF
 
     def _give_up_if_late(self) -> None:
@@ -173,7 +167,7 @@ class MelfaEncoders(PortDriver):
         self._answers.clear()
         self._talk.due = self.link.now() + self._pause
 
-    def _take(self, line: ReceivedAnswer) -> list[EncoderReading]:
+    def _take(self, line: r3.ReceivedAnswer) -> list[EncoderReading]:
         request, answer = self._talk.pending, r3.parse_answer(line.data)
         if r3.PROCEDURAL.match(line.data):
             self._talk.complaint = "the controller uses procedural RS-232; set its CPRC232 to 0"
@@ -195,7 +189,7 @@ class MelfaEncoders(PortDriver):
             return []
         return self._understand(request, answer, line)
 
-    def _is_earlier(self, request: ReadCommand, answer: ControllerAnswer) -> bool:
+    def _is_earlier(self, request: r3.ReadCommand, answer: r3.ControllerAnswer) -> bool:
         """Whether this may be a late answer to an earlier request; then ours is yet to come."""
         if answer.error is not None:
             return False
@@ -205,7 +199,7 @@ class MelfaEncoders(PortDriver):
         return request.name == "STATE" and not self._talk.in_step and self._talk.states_out > 0
 
     def _understand(
-        self, request: ReadCommand, answer: ControllerAnswer, line: ReceivedAnswer
+        self, request: r3.ReadCommand, answer: r3.ControllerAnswer, line: r3.ReceivedAnswer
     ) -> list[EncoderReading]:
         match request.name:
             case "JPOSF":
@@ -233,7 +227,9 @@ class MelfaEncoders(PortDriver):
             self._texts[self._talk.missing_text] = text
             self._talk.missing_text = None
 
-    def _position(self, answer: ControllerAnswer, line: ReceivedAnswer) -> list[EncoderReading]:
+    def _position(
+        self, answer: r3.ControllerAnswer, line: r3.ReceivedAnswer
+    ) -> list[EncoderReading]:
         position = r3.parse_joints(answer.data, self._joints)
         if position is None:
             self._out_of_step()
@@ -250,7 +246,7 @@ class MelfaEncoders(PortDriver):
         middle = ControllerInstant((self._talk.sent_at + line.t) / 2, 0)
         return self._intake.take(middle, line.t, trip / 2, np.deg2rad(position.joints_deg))
 
-    def _refused(self, request: ReadCommand, error: int) -> None:
+    def _refused(self, request: r3.ReadCommand, error: int) -> None:
         meaning = self._texts.get(error)
         if meaning is None:
             self._talk.missing_text = error
@@ -263,7 +259,7 @@ class MelfaEncoders(PortDriver):
         if request.name == "ERRORMES":
             self._set_text("not in the manual")
 
-    def _run_state(self, answer: ControllerAnswer) -> None:
+    def _run_state(self, answer: r3.ControllerAnswer) -> None:
         state = r3.parse_state(answer.data)
         if state is None:
             self._drop("state that is not understood")

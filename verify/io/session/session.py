@@ -17,15 +17,8 @@ from verify.io import fiducials
 from verify.io import rig as io_rig
 from verify.io.files import digest
 from verify.io.series import EncoderSeries, FrameSeries, read_encoders, read_frames
+from verify.io.session import folder as session_folder
 from verify.io.session import keys as session_keys
-from verify.io.session.folder import (
-    check_absorption,
-    file_digests,
-    find_session_file,
-    load_arm,
-    recording_fields,
-    resolve_inside,
-)
 from verify.io.session.keys import Clock, RecordingTable, Tolerance
 from verify.io.session.poses import Instrument, read_pose_streams
 from verify.io.toml import key_error
@@ -111,7 +104,7 @@ def open_session(
             and what to do.
     """
     folder = Path(folder)
-    path = find_session_file(folder)
+    path = session_folder.find_session_file(folder)
     if session_keys.has_poses(path):
         return _open_poses(path, rig, marker)
     table, warnings = session_keys.read(path, RecordingTable)
@@ -126,10 +119,10 @@ def open_session(
     rig_path, marker_path = (
         named[key] if other is None else Path(other) for key, other in given.items()
     )
-    arm = load_arm(path, table)
+    arm = session_folder.load_arm(path, table)
     cameras, rig_warnings = io_rig.read(rig_path)
     leds, marker_warnings = fiducials.read_marker(marker_path)
-    check_absorption(rig_path, cameras, arm.dof)
+    session_folder.check_absorption(rig_path, cameras, arm.dof)
     tolerance = session_keys.tolerance(path, table.tolerance, arm.dof)
     notes = (*warnings, *rig_warnings, *marker_warnings, *_warn_mismatch(folder, cameras, leds))
     parts = _read_streams(path, table, named, arm, cameras, notes)
@@ -142,7 +135,7 @@ def _open_poses(path: Path, rig: str | Path | None, marker: str | Path | None) -
         raise InputError("--marker", "is given", "a session of poses has no LEDs", "Leave it out.")
     placed = None if rig is None else Path(rig)
     if placed is not None and placed.is_dir():
-        placed = find_session_file(placed)
+        placed = session_folder.find_session_file(placed)
     return Session(**read_pose_streams(path, placed=placed))
 
 
@@ -151,7 +144,7 @@ def open_poses(folder: str | Path) -> Session | None:
 
     Raises InputError as `open_session` does.
     """
-    path = find_session_file(Path(folder))
+    path = session_folder.find_session_file(Path(folder))
     if not session_keys.has_poses(path):
         return None
     return Session(**read_pose_streams(path, registered=False))
@@ -167,7 +160,7 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
         InputError: as `open_session`; a session of poses has nothing to register by.
     """
     folder = Path(folder)
-    path = find_session_file(folder)
+    path = session_folder.find_session_file(folder)
     if session_keys.has_poses(path):
         expected = "robot and LEDs are registered by pictures of the LEDs"
         remedy = "Open it with open_poses."
@@ -178,7 +171,7 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
         raise key_error(path, "rig", "is missing", expected, "Name them there or with --rig.")
     named = _resolve_paths(path, table, _STREAMS if rig is not None else ("rig", *_STREAMS))
     rig_path = named["rig"] if rig is None else Path(rig)
-    arm = load_arm(path, table)
+    arm = session_folder.load_arm(path, table)
     cameras, rig_warnings = io_rig.read(rig_path, registered=False)
     parts = _read_streams(path, table, named, arm, cameras, (*warnings, *rig_warnings))
     if rig is not None:
@@ -187,7 +180,7 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
 
 
 def _resolve_paths(path: Path, table: RecordingTable, keys: tuple[str, ...]) -> dict[str, Path]:
-    named = {key: resolve_inside(path, key, getattr(table, key)) for key in keys}
+    named = {key: session_folder.resolve_inside(path, key, getattr(table, key)) for key in keys}
     if named["left"].resolve() == named["right"].resolve():
         expected = "each camera has its own images"
         raise key_error(path, "right", f'names what left names, "{table.right}"', expected)
@@ -215,11 +208,11 @@ def _read_streams(
     if torn and pending.exists():
         files[PENDING] = pending
     return {
-        **recording_fields(path, table, arm, timed=frames.timed),
+        **session_folder.recording_fields(path, table, arm, timed=frames.timed),
         "rig": rig,
         "frames": frames,
         "encoders": encoders,
-        "inputs": file_digests(path, table.robot, files),
+        "inputs": session_folder.file_digests(path, table.robot, files),
         "warnings": (*warnings, *frames_warnings, *encoders_warnings, *length_warnings),
         "left": sides[0],
         "right": sides[1],
