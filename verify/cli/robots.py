@@ -32,7 +32,7 @@ def robots(
     Example: verify robots iust_6r
     """
     import robots as arms
-    from verify.errors import InputError
+    from verify.io.files import restated
 
     if name is None:
         if urdf is not None:
@@ -42,16 +42,12 @@ def robots(
             terminal.say(f"{arm_name:20} {arm.description}")
             terminal.record("robot", name=arm_name, description=arm.description)
         return 0
-    try:
+    with restated(arms.RobotError):
         arm = arms.load(name)
         if urdf is not None:
             return _export(arm, urdf)
         terminal.say(_table(arm))
         check = arms.self_check(arm, poses=poses, seed=seed)
-    except arms.RobotError as problem:
-        raise InputError(
-            problem.place, problem.found, problem.expected, problem.remedy
-        ) from problem
     return _report(arm, check)
 
 

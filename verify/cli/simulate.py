@@ -25,9 +25,9 @@ def simulate(
     """
     import msgspec
 
-    import robots
+    from robots import RobotError
     from verify.errors import InputError
-    from verify.io.files import write_folder_whole
+    from verify.io.files import restated, write_folder_whole
     from verify.simulation import library
     from verify.simulation.boards import files
     from verify.simulation.boards import simulate as boards_simulate
@@ -39,21 +39,13 @@ def simulate(
     if seed is not None:
         chosen = msgspec.structs.replace(chosen, seed=seed)
     with write_folder_whole(out, force) as place:
-        try:
+        with restated(RobotError, f"{scenario}, robot: "), restated(InputError, f"{scenario}, "):
             if isinstance(chosen, BoardScenario):
                 made = boards_simulate.simulate_boards(chosen)
                 pairs, write = len(made), partial(files.write, made, place)
             else:
                 session = session_simulate.simulate_session(chosen)
                 pairs, write = len(session), partial(folder.write_session, session, place)
-        except InputError as error:
-            raise InputError(
-                f"{scenario}, {error.place}", error.found, error.expected, error.remedy
-            ) from None
-        except robots.RobotError as error:
-            raise InputError(
-                f"{scenario}, robot: {error.place}", error.found, error.expected, error.remedy
-            ) from None
         with terminal.progress("pictures") as progress:
             number = count(1)
             write(lambda: progress(next(number), 2 * pairs))

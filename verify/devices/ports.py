@@ -87,6 +87,17 @@ class SocketPort:
         self._socket.close()
 
 
+def wait_until(there: Callable[[], bool], seconds: float, period: float = POLL_PERIOD) -> bool:
+    """Ask every `period` s whether there is something to take, for at most so long."""
+    deadline = time.monotonic() + seconds
+    while not there():
+        rest = deadline - time.monotonic()
+        if rest <= 0:
+            return False
+        time.sleep(min(rest, period))
+    return True
+
+
 class SerialPort:
     """Whatever pyserial opens."""
 
@@ -101,12 +112,7 @@ class SerialPort:
         """Wait for bytes."""
         if self._descriptor is not None:
             return bool(select.select([self._descriptor], [], [], max(seconds, 0.0))[0])
-        deadline = time.monotonic() + seconds
-        while not self._port.in_waiting:
-            if time.monotonic() >= deadline:
-                return False
-            time.sleep(POLL_PERIOD)
-        return True
+        return wait_until(lambda: bool(self._port.in_waiting), seconds)
 
     def take(self) -> bytes:
         """Take what is there."""

@@ -264,9 +264,8 @@ def _check_markers(path: Path, table: BoardTable, board: Board) -> None:
         remedy = did_you_mean(markers, fiducials.DICTIONARIES).strip()
         raise key_error(path, "markers", f'is "{markers}"', expected, remedy)
     if marker_mm >= table.square_mm:
-        found = f"is {marker_mm}"
         expected = f"a marker fits into a square of {table.square_mm} mm with white around it"
-        raise key_error(path, "marker_mm", found, expected)
+        raise key_error(path, "marker_mm", f"is {marker_mm}", expected)
     count = len(fiducials.dictionary(markers).bytesList)
     needed = fiducials.count_white_squares(board)
     if count < needed:

@@ -14,6 +14,7 @@ import socket
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Any
 
 from verify.errors import InputError
 
@@ -78,6 +79,17 @@ def refused_as_input_error(path: str | Path) -> Iterator[None]:
         raise system_refusal(path, OSError(errno.ELOOP, os.strerror(errno.ELOOP))) from error
     except ValueError as error:  # a zero byte in the name
         raise system_refusal(path, OSError(str(error))) from error
+
+
+@contextmanager
+def restated(kind: type[Exception], before: str = "") -> Iterator[None]:
+    """Turn errors in an InputError's four parts into one, with `before` before their place."""
+    try:
+        yield
+    except kind as error:
+        parts: Any = error
+        place = f"{before}{parts.place}"
+        raise InputError(place, parts.found, parts.expected, parts.remedy) from error
 
 
 def output_refusal(path: str | Path, error: OSError) -> InputError:

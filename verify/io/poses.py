@@ -85,9 +85,8 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
         wrong = np.flatnonzero(columns[name] <= 0)
         if len(wrong):
             found = f"{name} is {columns[name][wrong[0]]:g}"
-            expected = "a standard uncertainty is positive"
             remedy = "Leave the column out with its like if it is unknown."
-            raise table.fault(int(wrong[0]), found, expected, remedy)
+            raise table.fault(int(wrong[0]), found, "a standard uncertainty is positive", remedy)
     position = np.stack([columns[name] for name in POSITION], axis=1)
     quaternion, position_u, orientation_u = (
         np.stack([columns[name] for name in group], axis=1) if group in present else None

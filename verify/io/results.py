@@ -97,10 +97,8 @@ def write_reports(results: reports.Results, folder: Path, name: str = "report") 
 
 def read_results(out: Path) -> reports.Results:
     """Read what an earlier run left; raises InputError: `out` holds no results, or damaged ones."""
-    try:
+    with files.restated(reports.ReportError):
         return _with_film(reports.read(out / RESULTS), out)
-    except reports.ReportError as error:
-        raise InputError(error.place, error.found, error.expected, error.remedy) from error
 
 
 @dataclass(frozen=True, repr=False)
@@ -137,8 +135,7 @@ class Results(reports.Results):
             {name: [entry[name] for entry in entries] for name in JOINT_COLUMNS},
             index=pd.Index([entry["joint"] for entry in entries], name="joint"),
         )
-        words = ("verdict", "reason")
-        figures = [name for name in JOINT_COLUMNS if name not in (*words, "pairs")]
+        figures = [name for name in JOINT_COLUMNS if name not in ("verdict", "reason", "pairs")]
         table[figures] = table[figures].astype(float)
         place = table.columns.get_loc("worst_error_standard_uncertainty_deg")
         doubled = 2 * table.pop("worst_error_standard_uncertainty_deg")

@@ -34,9 +34,8 @@ NO_PICTURE: Image = np.zeros((0, 0), dtype=np.uint8)
 
 # shared memory, shape, windows, lossy
 DetectionRequest = tuple[str, tuple[int, ...], Array | None, bool]
-PairMessage = tuple[
-    StereoPair, processes.Place, processes.Place
-]  # without its pictures, and where those are
+# a pair without its pictures, and where those are
+PairMessage = tuple[StereoPair, processes.Place, processes.Place]
 
 
 class ParallelDetector:

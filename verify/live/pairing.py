@@ -74,8 +74,7 @@ class Pairing:
             self.dropped[NOT_LATER] += 1
             return None
         times.append(frame.t)
-        others = self._waiting[1 - side]
-        partner = self._partner(others, frame)
+        partner = self._partner(self._waiting[1 - side], frame)
         if partner is None:
             self._wait(side, frame)
             return None

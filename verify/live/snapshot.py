@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from verify.core.records import Image
-from verify.live.page.scene import small_jpeg
+from verify.live.page.scene import image_size, small_jpeg
 
 if TYPE_CHECKING:
     from _typeshed import DataclassInstance
@@ -63,13 +63,13 @@ class SnapshotPageSource(Generic[SnapshotT]):
         self,
         look: PairLook | None,
         found: Sequence[FoundT],
-        fields: Callable[[Image, FoundT], dict[str, Any]],
+        fields: Callable[[FoundT], dict[str, Any]],
     ) -> list[tuple[int, dict[str, Any], bytes]]:
         """Both images of a pair with what was `found` in each; nothing if it was given already."""
         if look is None or look.number == self._shown:
             return []
         self._shown = look.number
         return [
-            (side, fields(image, one), small_jpeg(image))
+            (side, image_size(image) | fields(one), small_jpeg(image))
             for side, (image, one) in enumerate(zip(look.images, found, strict=True))
         ]

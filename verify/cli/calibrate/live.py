@@ -71,9 +71,8 @@ def take_pictures(station: Path, folder: Path, options: BoardRunOptions) -> None
     terminal.warn(*opened.warnings)
     board = options.board or opened.board
     if board is None:
-        expected = "which board is shown must be known"
         remedy = "Give --board board.toml of `verify board`, or --corners and --square-mm."
-        raise InputError("--board", "is missing", expected, remedy)
+        raise InputError("--board", "is missing", "which board is shown must be known", remedy)
     state = BoardState()
     with ExitStack() as stack:
         devices = _open_devices(opened, stack)

@@ -182,17 +182,14 @@ def _convert_out(source: Path, out: Path, to: str | None, *, force: bool) -> Non
 
 
 def _write_file(content: "ExportContent", kind: str, path: Path) -> None:
-    from verify.io.export.tables import write_mat
-
     if kind == "mat":
+        from verify.io.export.tables import write_mat
+
         write_mat(content, path)
         return
+    if kind == "mcap":
+        from verify.io.export.mcap import write_mcap as write
+    else:
+        from verify.io.export.rrd import write_rrd as write
     with terminal.progress("messages") as progress:
-        if kind == "mcap":
-            from verify.io.export.mcap import write_mcap
-
-            write_mcap(content, path, progress)
-            return
-        from verify.io.export.rrd import write_rrd
-
-        write_rrd(content, path, progress)
+        write(content, path, progress)

@@ -4,17 +4,18 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from verify.cli.doctor.machine import Finding
 from verify.core.records import Array
 from verify.devices.melfa.reader import MelfaEncoders
-from verify.devices.protocols import CameraDevice, EncoderDevice, EncoderReading, PanDevice
+from verify.devices.protocols import CameraDevice, Device, EncoderDevice, PanDevice
 from verify.errors import InputError
 from verify.live.station.station import Station
 
+State = TypeVar("State")
 START_TIMEOUT = 5.0  # s that a device is given for its first word
 WATCH_TIME = 1.0  # s from then on
 
@@ -45,9 +46,7 @@ def check_devices(station: Station) -> list[Finding]:
 
 
 def _try_camera(name: str, camera: CameraDevice, station: Station) -> Finding:
-    frames = _collect_readings(lambda: [f] if (f := camera.read()) is not None else [])
-    state = camera.state()
-    camera.close()
+    frames, state = _watch(camera, lambda: [f] if (f := camera.read()) is not None else [])
     if not frames:
         return Finding(name, "fails", state.sentence)
     height, width = frames[0].image.shape[:2]
@@ -70,10 +69,8 @@ def _try_camera(name: str, camera: CameraDevice, station: Station) -> Finding:
 
 
 def _try_encoders(encoders: EncoderDevice) -> Finding:
-    readings: list[EncoderReading] = _collect_readings(encoders.read)
-    state = encoders.state()
+    readings, state = _watch(encoders, encoders.read)
     trips = list(encoders.round_trips) if isinstance(encoders, MelfaEncoders) else []
-    encoders.close()
     if not readings:
         return Finding("encoders", "fails", state.sentence)
     t = np.array([reading.t_host for reading in readings])
@@ -90,9 +87,7 @@ def _try_encoders(encoders: EncoderDevice) -> Finding:
 
 
 def _try_pan(pan: PanDevice) -> Finding:
-    readings = _collect_readings(pan.read)
-    state = pan.state()
-    pan.close()
+    readings, state = _watch(pan, pan.read)
     if not readings:
         return Finding("pan bases", "fails", state.sentence)
     left, right = np.rad2deg(readings[-1].pan).tolist()
@@ -108,8 +103,8 @@ def _rate(t: Array, figures: dict[str, Any]) -> str:
     return f", {figures['rate_hz']:.1f} a second"
 
 
-def _collect_readings(read: Callable[[], list[Any]]) -> list[Any]:
-    """Collect a device's readings for a second from the first one on; empty without any."""
+def _watch(device: Device[Any, State], read: Callable[[], list[Any]]) -> tuple[list[Any], State]:
+    """Collect a device's readings for a second from the first one on, and its state; close it."""
     readings: list[Any] = []
     deadline = time.monotonic() + START_TIMEOUT
     while time.monotonic() < deadline:
@@ -117,4 +112,6 @@ def _collect_readings(read: Callable[[], list[Any]]) -> list[Any]:
         if new and not readings:
             deadline = time.monotonic() + WATCH_TIME
         readings += new
-    return readings
+    state = device.state()
+    device.close()
+    return readings, state

@@ -221,8 +221,7 @@ def _run(
         if cycle.state is not state:
             state = cycle.state
             terminal.say(f"{cycle.t:7.2f} s  {cycle.state.value}: {cycle.reason or 'ready'}")
-            t = round(cycle.t, 3)
-            terminal.record("state", t_s=t, state=state.value, reason=cycle.reason)
+            terminal.record("state", t_s=round(cycle.t, 3), state=state.value, reason=cycle.reason)
 
     def orders() -> Sequence[GraspEvent]:
         pressed = () if keys is None else keys.pressed()

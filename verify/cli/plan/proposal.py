@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from reports.document.formatting import DASH, significant
+from reports.document.formatting import DASH, expanded, significant
 from robots import Arm
 from verify.cli.terminal import terminal
 from verify.core.records import Array
@@ -138,13 +138,13 @@ def _row(
     flange = flange_entry(predicted.session)
     row: dict[str, str | float | None] = {
         **_describe(rig),
-        "flange_mm": _expanded(flange["standard_uncertainty_mm"]),
-        "flange_deg": _expanded(flange["standard_uncertainty_deg"]),
+        "flange_mm": expanded(flange["standard_uncertainty_mm"]),
+        "flange_deg": expanded(flange["standard_uncertainty_deg"]),
     }
     levers = joint_levers(predicted.session)
     spread: Array = np.sqrt(np.diag(predicted.analysis.means.covariance))
     for j, (u, lever) in enumerate(zip(spread.tolist(), levers.tolist(), strict=True)):
-        known = None if math.isnan(u) else 2 * u
+        known = expanded(u)
         joint = f"q{j + 1}"
         row[f"{joint}_deg"] = None if known is None else math.degrees(known)
         row[f"{joint}_mm"] = None if known is None else known * lever * 1e3
@@ -184,10 +184,6 @@ def _both(degrees: object, millimetres: object) -> str:
     if degrees is None:
         return DASH
     return f"{significant(degrees)} / {significant(millimetres)}"
-
-
-def _expanded(u: float | None) -> float | None:
-    return None if u is None else 2 * u
 
 
 def _camera(text: str) -> tuple[tuple[int, int], float]:

@@ -2,14 +2,13 @@
 
 import os
 import re
-import time
 from dataclasses import dataclass
 from pathlib import Path
 from typing import BinaryIO
 
 from verify.devices.encoders.intake import AngleMap
 from verify.devices.encoders.text import FieldMap, LineEncoders, TextIntake
-from verify.devices.ports import MAX_LINE_BYTES, PortLink
+from verify.devices.ports import MAX_LINE_BYTES, PortLink, wait_until
 
 POLL_PERIOD = 0.005  # s: how often a file at rest is asked whether it has grown
 MAX_READ_BYTES = 1 << 20  # bytes at once: a program may flush much
@@ -97,13 +96,7 @@ class FilePort:
 
     def wait(self, seconds: float) -> bool:
         """Wait until the file has grown; OSError: it is another file now, or a shorter one."""
-        deadline = time.monotonic() + seconds
-        while not self._grown():
-            rest = deadline - time.monotonic()
-            if rest <= 0:
-                return False
-            time.sleep(min(rest, POLL_PERIOD))
-        return True
+        return wait_until(self._grown, seconds, POLL_PERIOD)
 
     def take(self) -> bytes:
         """Take what was appended, without the end of a line that had begun before."""

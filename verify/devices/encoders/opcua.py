@@ -43,7 +43,6 @@ MAX_SPAN: Final = 0.1  # s: axes that moved farther apart in time are not of one
 POLICIES: Final = ("Basic256Sha256", "Aes128Sha256RsaOaep", "Aes256Sha256RsaPss")
 MAX_KEY_BYTES: Final = 1 << 20  # bytes, of a certificate or key
 JOIN_TIMEOUT: Final = 1.0  # s
-POLL_STEP: Final = 0.001  # s: how often a pending answer is looked for
 
 
 def require_asyncua() -> None:
@@ -211,18 +210,7 @@ class OpcUaPort:
 
     def wait(self, seconds: float) -> bool:
         """Wait for the answer to a poll, which is sent when it is due; OSError: the line broke."""
-        end = time.monotonic() + seconds
-        while True:
-            now = time.monotonic()
-            if self._pending is None and now >= self._due:
-                self._sent, self._due = now, max(self._due + self._period, now)
-                self._pending = self._run(self._client.uaclient.read(self._request))
-            if self._pending is not None and self._pending.done():
-                return True
-            rest = end - time.monotonic()
-            if rest <= 0:
-                return False
-            time.sleep(min(rest, POLL_STEP))
+        return ports.wait_until(self._answered, seconds)
 
     def take(self) -> bytes:
         """Take the answer that was waited for."""
@@ -248,6 +236,13 @@ class OpcUaPort:
         self._thread.join(JOIN_TIMEOUT)
         if not self._thread.is_alive():
             self._loop.close()
+
+    def _answered(self) -> bool:
+        now = time.monotonic()
+        if self._pending is None and now >= self._due:
+            self._sent, self._due = now, max(self._due + self._period, now)
+            self._pending = self._run(self._client.uaclient.read(self._request))
+        return self._pending is not None and self._pending.done()
 
     async def _connect(self, settings: OpcUaSettings) -> None:
         if settings.user:

@@ -141,10 +141,9 @@ def _distortion(place: str, info: Any) -> Array:
     kind = str(info.distortion_model)
     values = np.array(_field(info, "d"), dtype=float)
     if kind not in PINHOLE or np.any(values[5:] != 0):
-        found = f'has a lens of the model "{kind}"'
         expected = "k1, k2, p1, p2, k3 are expected, as in plumb_bob"
         remedy = "Calibrate the cameras with `verify calibrate boards` and give --rig rig.toml."
-        raise InputError(place, found, expected, remedy)
+        raise InputError(place, f'has a lens of the model "{kind}"', expected, remedy)
     return np.resize(np.append(values[:5], np.zeros(5)), 5)
 
 

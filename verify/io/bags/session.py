@@ -165,9 +165,8 @@ class JointNames:
         seen = sorted(frozenset[str]().union(*self._tried))
         request = self._request
         names = match_joint_names(self._place, seen, request.arm, request.joint_names)
-        lacks = f"has no message with all of {', '.join(names)}"
         remedy = "Record one publisher of all joints, or name another."
-        raise InputError(self._place, lacks, "", remedy)
+        raise InputError(self._place, f"has no message with all of {', '.join(names)}", "", remedy)
 
     def _match(self, listed: Iterable[str]) -> tuple[str, ...] | None:
         try:

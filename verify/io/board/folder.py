@@ -272,10 +272,9 @@ def _require_size(side: Images, frame: int, image: Image, size: Size) -> None:
     if (width, height) == size:
         return
     place = side.files[frame] if isinstance(side, PictureFiles) else f"{side.path}, image {frame}"
-    found = f"is {width} x {height} px"
     expected = f"the first left one is {size[0]} x {size[1]}"
     remedy = "Take all pictures with both cameras at one resolution."
-    raise InputError(place, found, expected, remedy)
+    raise InputError(place, f"is {width} x {height} px", expected, remedy)
 
 
 def _inputs(

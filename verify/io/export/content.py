@@ -82,7 +82,9 @@ def _of_results(folder: Path) -> ExportContent:
     if "x_encoder_mm" in frames and frames["t_s"].notna().all():
         encoder = tuple(name.replace("_", "_encoder_") for name in POSE)
         for kind, columns in ((MEASURED, POSE), (ENCODERS, encoder)):
-            poses[kind] = _pose_series(frames, columns)
+            t, values = _known_rows(frames, columns)
+            turns = Rotation.from_rotvec(np.deg2rad(values[:, 3:]))
+            poses[kind] = PoseSeries(t, values[:, :3] * 1e-3, turns.as_quat())
         count = sum(bool(re.fullmatch(r"q\d+_encoder_deg", str(name))) for name in frames)
         names = tuple(f"q{j}" for j in range(1, count + 1))
         for kind, word in ((MEASURED, "measured"), (ENCODERS, "encoder")):
@@ -98,13 +100,6 @@ def _of_results(folder: Path) -> ExportContent:
         tables=results.tables,
         summary=results.summary,
     )
-
-
-def _pose_series(frames: pd.DataFrame, columns: tuple[str, ...]) -> PoseSeries:
-    """Poses of the rows in which they are whole, as rotation vectors in degrees."""
-    t, values = _known_rows(frames, columns)
-    turns = Rotation.from_rotvec(np.deg2rad(values[:, 3:]))
-    return PoseSeries(t, values[:, :3] * 1e-3, turns.as_quat())
 
 
 def _known_rows(frames: pd.DataFrame, columns: tuple[str, ...]) -> tuple[Array, Array]:

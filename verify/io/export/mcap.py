@@ -122,8 +122,7 @@ def _pose_messages(content: ExportContent, factory: MessageFactory) -> list[Iter
             point = factory.make("Point", x=place[0], y=place[1], z=place[2])
             turn = factory.make("Quaternion", x=place[3], y=place[4], z=place[5], w=place[6])
             pose = factory.make("Pose", position=point, orientation=turn)
-            header = factory.header(time, BASE)
-            message = factory.make("PoseStamped", header=header, pose=pose)
+            message = factory.make("PoseStamped", header=factory.header(time, BASE), pose=pose)
             yield time, f"/flange/{name}", "geometry_msgs/msg/PoseStamped", message
 
     return [
@@ -135,8 +134,7 @@ def _pose_messages(content: ExportContent, factory: MessageFactory) -> list[Iter
 def _still_messages(session: Session, factory: MessageFactory) -> list[Message]:
     """Transforms and camera models that hold for the whole session."""
     frames, rig = session.frames, session.rig
-    t = float(min(frames.t_left[0], frames.t_right[0], session.encoders.t[0]))
-    time = factory.time(t)
+    time = factory.time(float(min(frames.t_left[0], frames.t_right[0], session.encoders.t[0])))
     found: list[Message] = []
     transforms = []
     if rig.registered:

@@ -207,10 +207,8 @@ def read_poses(path: Path, *, registered: bool = True) -> tuple[PosesSessionTabl
     table, warnings = read(path, PosesSessionTable)
     for key in PICTURE_KEYS:
         if getattr(table, key) is not None:
-            expected, remedy = (
-                "a session has one or the other",
-                "Leave it out, or leave out [poses].",
-            )
+            expected = "a session has one or the other"
+            remedy = "Leave it out, or leave out [poses]."
             raise key_error(path, key, "stands beside [poses]", expected, remedy)
     poses = table.poses
     if not poses.instrument.strip():
@@ -240,8 +238,7 @@ def _check_frame(path: Path, table: PosesSessionTable, *, registered: bool) -> N
                 path, key, "is given", expected, "Leave it out, or correct poses.frame."
             )
     if table.covariance is not None and frame == "rig":
-        expected = "that of rig.toml counts"
-        raise key_error(path, "covariance", "is given", expected, "Leave it out.")
+        raise key_error(path, "covariance", "is given", "that of rig.toml counts", "Leave it out.")
 
 
 def tolerance(path: Path, table: ToleranceTable | None, joints: int) -> Tolerance | None:

@@ -221,15 +221,11 @@ class JointAlarms:
         if change.rivals:
             others = " or ".join(str(j) for j in joints[1:])
             text += f"; not separable from joint {others}"
-        first = self._alarm
-        return Alarm(
-            number=next(self._numbers) if first is None else first.number,
-            kind="change",
-            began=now if first is None else first.began,
-            t=row.t if first is None else first.t,
+        return replace(
+            self._alarm or Alarm(next(self._numbers), "change", now, row.t, ""),
             text=text + ".",
             joints=joints,
             error=change.size,
             standard_uncertainty=change.standard_uncertainty,
-            revised=first is not None,
+            revised=self._alarm is not None,
         )

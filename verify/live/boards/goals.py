@@ -195,10 +195,8 @@ def _image_goal(side: str, covered: CameraCoverage) -> BoardGoal:
         where = f"{advice.ROW_NAMES[row]} {advice.COLUMN_NAMES[column]}".replace(
             "middle middle", "middle"
         )
-        done = REGIONS_PER_SIDE * REGIONS_PER_SIDE - len(bare)
-        words = (
-            f"{done} of {REGIONS_PER_SIDE * REGIONS_PER_SIDE} parts; hold the board in the {where}"
-        )
+        parts = covered.regions.size
+        words = f"{parts - len(bare)} of {parts} parts; hold the board in the {where}"
         return BoardGoal(name, False, words)
     far = int(np.argmax(covered.margins))
     if covered.margins[far] > advice.MAX_EDGE_GAP:
@@ -210,8 +208,7 @@ def _tilt_goal(axis: str, angles: Sequence[float], edges: tuple[str, str]) -> Bo
     """Judge the tilts about one axis; a positive one brings the first edge nearer."""
     name = f"tilt, {edges[0]} and {edges[1]}"
     most = [max((sign * a for a in angles), default=0.0) for sign in (1, -1)]
-    reached = max(most) >= advice.MIN_TILT and min(most) >= advice.MIN_TILT_OTHER_SIDE
-    if reached:
+    if max(most) >= advice.MIN_TILT and min(most) >= advice.MIN_TILT_OTHER_SIDE:
         return BoardGoal(name, True, f"up to {np.rad2deg(max(most)):.0f}° about the {axis} axis")
     edge = edges[int(most[1] < most[0])]
     return BoardGoal(name, False, f"tilt the board by 30° to 45°, its {edge} edge nearer")

@@ -10,7 +10,6 @@ from rich.table import Table
 from rich.text import Text
 
 from verify.core.fiducials import Board, BoardView
-from verify.core.records import Image
 from verify.live.boards.goals import BoardGoal, BoardPlacement, CameraCoverage
 from verify.live.boards.view import MAX_MOTION_PX
 from verify.live.outputs.terminal import render_devices
@@ -141,10 +140,8 @@ class BoardPageSource(SnapshotPageSource[BoardSnapshot]):
         return f"# TYPE verify_board_pairs gauge\nverify_board_pairs {pairs}\n"
 
 
-def _view_fields(image: Image, view: BoardView | None) -> dict[str, Any]:
-    height, width = image.shape[:2]
-    corners = [] if view is None else np.round(view.centre, 1).tolist()
-    return {"width": width, "height": height, "corners": corners}
+def _view_fields(view: BoardView | None) -> dict[str, Any]:
+    return {"corners": [] if view is None else np.round(view.centre, 1).tolist()}
 
 
 def _coverage(covered: CameraCoverage) -> dict[str, Any]:

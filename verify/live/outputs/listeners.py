@@ -111,8 +111,7 @@ class JsonLines(Listener):
 
     def row(self, row: JointRow, statistic: Array) -> None:
         """Write a pair."""
-        share = [round(float(s), 4) for s in statistic]
-        self._write(row_fields(row) | {"alarm_share": share})
+        self._write(row_fields(row) | {"alarm_share": [round(float(s), 4) for s in statistic]})
 
     def alarm(self, alarm: Alarm) -> None:
         """Write an alarm."""

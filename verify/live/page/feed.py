@@ -115,7 +115,7 @@ class Page:
     def _feed(self) -> None:
         """Send until stopped; a page that is lost does not stop the run."""
         try:
-            self._send("hello", _text("hello", self._source.hello()))
+            self._server.send(("hello", _text("hello", self._source.hello())))
             due = 0.0
             while not self._stop.is_set():
                 begin = time.monotonic()
@@ -131,17 +131,14 @@ class Page:
     def _send_news(self, *, full: bool) -> None:
         rows = self._source.rows()
         if rows:
-            self._send("rows", [json.dumps(row, allow_nan=False) for row in rows])
+            self._server.send(("rows", [json.dumps(row, allow_nan=False) for row in rows]))
         if full:
-            self._send("state", _text("state", self._source.state()))
-            self._send("alarms", _text("alarms", {"alarms": list(self._source.alarms())}))
-            self._send("metrics", self._source.metrics())
+            self._server.send(("state", _text("state", self._source.state())))
+            self._server.send(("alarms", _text("alarms", {"alarms": list(self._source.alarms())})))
+            self._server.send(("metrics", self._source.metrics()))
         if self.viewers:
             for side, found, jpeg in self._source.pictures():
-                self._send("picture", side, _picture_message(side, found, jpeg))
-
-    def _send(self, *message: Any) -> None:
-        self._server.send(message)
+                self._server.send(("picture", side, _picture_message(side, found, jpeg)))
 
     def _receive(self) -> None:
         """Act on the server's messages until it ends."""

@@ -12,7 +12,7 @@ from verify.core.records import Array, Image, Sighting, StereoPair
 from verify.core.rig import Rig
 from verify.live.joint_row import JointRow
 from verify.live.outputs.metrics import exposition
-from verify.live.page.scene import joint_origins, millimetres, pose_fields, small_jpeg
+from verify.live.page.scene import image_size, joint_origins, millimetres, pose_fields, small_jpeg
 from verify.live.protocols import MonitoredRobot
 from verify.live.snapshot import MAX_TEXT_LENGTH
 from verify.live.state import LiveState
@@ -158,9 +158,8 @@ def camera_poses(rig: Rig, pair: StereoPair | None) -> list[dict[str, Any]]:
 
 
 def _led_fields(image: Image, sighting: Sighting | None) -> dict[str, Any]:
-    height, width = image.shape[:2]
     leds = [] if sighting is None else list(zip(sighting.led, sighting.centre, strict=True))
     places = [
         {"led": int(led), "x": round(float(x), 2), "y": round(float(y), 2)} for led, (x, y) in leds
     ]
-    return {"width": width, "height": height, "leds": places}
+    return image_size(image) | {"leds": places}

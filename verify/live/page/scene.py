@@ -42,6 +42,11 @@ def pose_fields(a_T_b: Array) -> dict[str, Any]:
     }
 
 
+def image_size(image: Image) -> dict[str, Any]:
+    """Write the size of a picture, px, as JSON has it."""
+    return {"width": image.shape[1], "height": image.shape[0]}
+
+
 def small_jpeg(image: Image) -> bytes:
     """Scale a picture (h, w) or (h, w, 3) down, if it is large, and encode it."""
     scale = min(PICTURE_WIDTH / image.shape[1], 1.0)

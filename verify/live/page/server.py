@@ -160,8 +160,7 @@ def application(hub: ViewerHub, access: PageAccess, take_message: MessageCallbac
         return PlainTextResponse(hub.metrics, media_type="text/plain; version=0.0.4")
 
     async def live(socket: WebSocket) -> None:
-        cookie = socket.cookies.get(COOKIE)
-        if access.refusal(socket.headers, cookie, script=True) is not None:
+        if access.refusal(socket.headers, socket.cookies.get(COOKIE), script=True) is not None:
             await socket.close(POLICY_VIOLATION)
             return
         await socket.accept()

@@ -171,8 +171,7 @@ class PictureEncoder:
         """Encode a picture of this kind; a JPEG goes through as it is."""
         if self._codec is None:
             return raw or b""
-        packets = self._codec.encode(_frame(image))
-        return b"".join(bytes(packet) for packet in packets)
+        return b"".join(map(bytes, self._codec.encode(_frame(image))))
 
 
 def _frame(image: Image) -> av.VideoFrame:

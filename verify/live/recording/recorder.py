@@ -128,17 +128,9 @@ class SessionRecorder:
         """Describe the recording."""
         folder = self._folders[-1] if self._folders else None
         recording = not (self._trouble or self._closing)
-        return RecorderState(
-            recording,
-            folder,
-            tuple(self._folders),
-            self._pairs,
-            self._readings,
-            self._dropped,
-            self._late,
-            self._trouble,
-            self._sentence(folder),
-        )
+        folders, sentence = tuple(self._folders), self._sentence(folder)
+        counts = (self._pairs, self._readings, self._dropped, self._late)
+        return RecorderState(recording, folder, folders, *counts, self._trouble, sentence)
 
     def close(self) -> None:
         """Write what is under way and close the session."""

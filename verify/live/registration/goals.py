@@ -97,7 +97,7 @@ class MotionCoverage:
             return
         flange = robots.forward(self._arm, q[None])
         if len(self._q):
-            turned = _turns(self._flange[:, :3, :3], flange[0, :3, :3])
+            turned = Rotation.from_matrix(flange[0, :3, :3].T @ self._flange[:, :3, :3]).magnitude()
             shifted = np.linalg.norm(self._flange[:, :3, 3] - flange[0, :3, 3], axis=1)
             if np.any((turned < NEW_TURN) & (shifted < NEW_SHIFT)):
                 return
@@ -148,13 +148,6 @@ class MotionCoverage:
         # of several alike the one nearest to the flange, which moves least
         best = int(np.flatnonzero(across > across.max() - 0.1)[-1])
         return float(extents[0]), float(extents[1]), best + 1
-
-
-def _turns(rotations: Array, other: Array) -> Array:
-    """Angles between rotations (n, 3, 3) and another one (3, 3), (n,), rad."""
-    trace = np.einsum("nij,ij->n", rotations, other)
-    angles: Array = np.arccos(np.clip((trace - 1) / 2, -1.0, 1.0))
-    return angles
 
 
 def _principal_extents(vectors: Array) -> tuple[Array, Array]:

@@ -10,7 +10,7 @@ from rich.console import Group, RenderableType
 from rich.table import Table
 from rich.text import Text
 
-from verify.core.records import Array, Image
+from verify.core.records import Array
 from verify.live.outputs.terminal import render_devices
 from verify.live.registration.goals import RegistrationGoal
 from verify.live.snapshot import MAX_TEXT_LENGTH, PairLook, SharedSnapshot, SnapshotPageSource
@@ -138,7 +138,8 @@ class RecordingPageSource(SnapshotPageSource[RecordingSnapshot]):
     def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
         """The newest pair in which spots were looked for, if it was not given yet."""
         look = self._state.snapshot().look
-        return self.new_pictures(look, () if look is None else look.centres, _spot_fields)
+        centres = () if look is None else look.centres
+        return self.new_pictures(look, centres, lambda c: {"spots": np.round(c, 1).tolist()})
 
     def metrics(self) -> str:
         """Counts for Prometheus."""
@@ -147,8 +148,3 @@ class RecordingPageSource(SnapshotPageSource[RecordingSnapshot]):
             f"# TYPE verify_recorded_pairs gauge\nverify_recorded_pairs {now.pairs}\n"
             f"# TYPE verify_recorded_readings gauge\nverify_recorded_readings {now.readings}\n"
         )
-
-
-def _spot_fields(image: Image, centre: Array) -> dict[str, Any]:
-    height, width = image.shape[:2]
-    return {"width": width, "height": height, "spots": np.round(centre, 1).tolist()}

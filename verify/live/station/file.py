@@ -83,9 +83,8 @@ def _check_sources(path: Path, table: StationTable) -> None:
     left, right = table.left.source, table.right.source
     simulated = (left == SIM, right == SIM)
     if any(simulated) and not all(simulated):
-        expected = "both cameras are simulated, or neither"
         key = "right.source" if simulated[0] else "left.source"
-        raise key_error(path, key, 'is not "sim"', expected)
+        raise key_error(path, key, 'is not "sim"', "both cameras are simulated, or neither")
     if left == right and not any(simulated):
         raise key_error(
             path, "right.source", "is the left camera's", "each side has its own camera"
