@@ -183,11 +183,8 @@ def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
     limits = np.deg2rad(np.tile([-360.0, 360.0], (joints, 1)))
     if idle and arm is not None:  # a recorded motion may be another robot's: nothing limits that
         limits = np.column_stack([arm.lower, arm.upper])
-    return MelfaEngine(
-        MelfaArm(load(motion, joints), joints, limits, arm=arm, idle=idle),
-        ControllerOptions(),
-        seed,
-    )
+    moved = MelfaArm(load(motion, joints), joints, limits, arm=arm, idle=idle)
+    return MelfaEngine(moved, ControllerOptions(), seed)
 
 
 def _engine(

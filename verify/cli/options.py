@@ -25,9 +25,8 @@ def parse_duration(text: str | float) -> float:
     try:
         value = float(parts[1]) * _SECONDS_PER_UNIT[parts[2]]
     except (ValueError, KeyError):
-        raise InputError(
-            "--for", f'"{text}" is not a duration', "seconds, minutes or hours", "Example: 10m"
-        ) from None
+        found = f'"{text}" is not a duration'
+        raise InputError("--for", found, "seconds, minutes or hours", "Example: 10m") from None
     require_positive({"--for": value})
     return value
 

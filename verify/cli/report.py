@@ -26,18 +26,15 @@ def report(
     import reports
     from reports.results import rebuild_command
     from verify.errors import InputError
-    from verify.io.files import write_whole
+    from verify.io.files import restated, write_whole
     from verify.io.results import RESULTS, read_results
 
     results = read_results(out)
     try:
-        look = reports.look(logo=logo, owner=owner, templates=template)
-        page = reports.render_html(results, look).encode()
-        pages = reports.render_pdf(results, look)
-    except reports.ReportError as problem:
-        raise InputError(
-            problem.place, problem.found, problem.expected, problem.remedy
-        ) from problem
+        with restated(reports.ReportError):
+            look = reports.look(logo=logo, owner=owner, templates=template)
+            page = reports.render_html(results, look).encode()
+            pages = reports.render_pdf(results, look)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as problem:
         # whole files whose hashes fit, but not what a report of this kind is made of
         found = f"cannot be made into a report ({type(problem).__name__}: {problem})"

@@ -139,19 +139,15 @@ class ProgressCounter:
             sys.stderr.write(f"{self._what}: {done} of {total}{f', {note}' if note else ''}\n")
 
 
-class _LogHandler(logging.Handler):
-    """Show what the package logs on standard error; nothing with --quiet or --json."""
-
-    def emit(self, record: logging.LogRecord) -> None:
-        """Write one line."""
-        if not (terminal.quiet or terminal.as_json):
-            sys.stderr.write(f"{record.getMessage()}\n")
-
-
 def show_log() -> None:
-    """Show the package's log; not called in child processes, which know no --quiet."""
+    """Show the package's log on standard error; nothing with --quiet or --json.
+
+    Not called in child processes, which know no --quiet.
+    """
+    handler = logging.StreamHandler()
+    handler.addFilter(lambda _: not (terminal.quiet or terminal.as_json))
     log = logging.getLogger("verify")
-    log.handlers[:] = [_LogHandler()]
+    log.handlers[:] = [handler]
     log.setLevel(logging.INFO)
 
 

@@ -28,13 +28,7 @@ from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import ESTIMATE_TIMEOUT, ClockRequest, estimate_offset
 from verify.live.loop import LiveLoop, LoopComputation, LoopSettings
 from verify.live.measuring_process import MeasuringProcess
-from verify.live.outputs.listeners import (
-    AlarmCommand,
-    JsonLines,
-    ListenerThread,
-    PlainTextOutput,
-    connect_mqtt,
-)
+from verify.live.outputs import listeners as outputs
 from verify.live.outputs.metrics import MetricsServer
 from verify.live.outputs.terminal import TerminalDisplay, render_snapshot
 from verify.live.page.run import RunFacts, RunPageSource
@@ -186,18 +180,18 @@ def _listeners(station: Station, options: RunOptions, stack: ExitStack) -> list[
     listeners: list[Listener] = []
 
     def add(listener: Listener) -> None:
-        listeners.append(ListenerThread(listener, terminal.warn))
+        listeners.append(outputs.ListenerThread(listener, terminal.warn))
         stack.callback(listeners[-1].close)
 
     command = options.on_alarm if options.on_alarm is not None else station.alarm.command
     if command is not None:
-        add(AlarmCommand(command))
+        add(outputs.AlarmCommand(command))
     if station.alarm.mqtt is not None:
-        add(connect_mqtt(station.alarm.mqtt))
+        add(outputs.connect_mqtt(station.alarm.mqtt))
     if terminal.as_json:
-        add(JsonLines(lambda fields: terminal.record(fields.pop("type"), **fields)))
+        add(outputs.JsonLines(lambda fields: terminal.record(fields.pop("type"), **fields)))
     elif not terminal.draws:
-        add(PlainTextOutput(terminal.say))
+        add(outputs.PlainTextOutput(terminal.say))
     return listeners
 
 

@@ -235,9 +235,8 @@ def _corners(path: Path, table: BoardTable) -> tuple[int, int]:
     if squares is not None and squares != (columns + 1, rows + 1):
         found = f"is {_format_size(table.inner_corners)}, but squares is {_format_size(squares)}"
         expected = "inner corners are one fewer than squares each way"
-        raise key_error(
-            path, "inner_corners", found, expected, "Count again and correct one of them."
-        )
+        remedy = "Count again and correct one of them."
+        raise key_error(path, "inner_corners", found, expected, remedy)
     return columns, rows
 
 

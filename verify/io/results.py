@@ -250,12 +250,9 @@ def open_results(folder: str | Path) -> Results:
     read = read_results(Path(folder))
     kind = read.summary.get("kind", "run")
     if kind != "run":
-        raise InputError(
-            Path(folder) / RESULTS,
-            f"holds the results of another command ({kind})",
-            "results of a session are expected",
-            "Name a folder that `verify run` wrote.",
-        )
+        found = f"holds the results of another command ({kind})"
+        remedy = "Name a folder that `verify run` wrote."
+        raise InputError(Path(folder) / RESULTS, found, "results of a session are expected", remedy)
     return Results(read.summary, read.setup, read.tables, read.images)
 
 

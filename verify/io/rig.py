@@ -162,9 +162,8 @@ def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, 
     table, warnings = toml.decode(path, RigTable)
     width, height = table.image_size
     if min(width, height) < 1:
-        raise toml.key_error(
-            path, "image_size", f"is {width} x {height}", "both are at least one pixel"
-        )
+        expected = "both are at least one pixel"
+        raise toml.key_error(path, "image_size", f"is {width} x {height}", expected)
     if registered and table.robot_base is None:
         expected = "where the robot stands in the rig is needed here"
         remedy = "Register the robot first: `verify calibrate register`."

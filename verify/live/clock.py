@@ -196,13 +196,10 @@ class ClockKeeper:
                 offset, spread = self._line.at(t)
                 drift = self._line.drift
                 return LiveClock(offset, spread, "estimated", drift, segment, self._version)
-        return self._arrival_clock(doubt)
-
-    def _arrival_clock(self, doubt: float = 0.0) -> LiveClock | None:
-        """The clock that deliveries suggest, less well known where the motion contradicts it."""
         delay = self._book.least_delay()
         if delay is None:
             return None
+        # what deliveries suggest is less well known where the motion contradicts it
         width = math.hypot(max(self._book.half_width(), doubt), self._contradiction)
         return clock_from_arrivals(delay, width, self._segment)
 

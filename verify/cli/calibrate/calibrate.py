@@ -1,5 +1,6 @@
 """A rig from pictures of a board, a robot in the rig, and whether both still hold."""
 
+import time
 from pathlib import Path
 from typing import Annotated
 
@@ -17,6 +18,7 @@ calibrate = typer.Typer(
 )
 
 EXIT_CHECK_FAILED = 1
+FOLDER_FORMAT = "boards-%Y-%m-%d-%H%M%S"  # the folder of the pictures, for strftime
 
 
 @calibrate.command()
@@ -60,18 +62,14 @@ def boards(
     Example: verify calibrate boards tuesday_boards -o rig.toml
     """
     from verify.cli.calibrate.boards import board_from_options, calibrate_folder
-    from verify.cli.calibrate.live import (
-        BoardRunOptions,
-        board_of,
-        pictures_folder,
-        refuse_station,
-        take_pictures,
-    )
+    from verify.cli.calibrate.live import BoardRunOptions, board_of, refuse_station, take_pictures
     from verify.io.files import real_path
     from verify.io.results import refuse_existing, refuse_file
     from verify.live.boards.pictures import complete_pairs
 
-    station, folder = folder, pictures_folder(pictures) if live else folder
+    station = folder
+    if live:
+        folder = pictures or Path(time.strftime(FOLDER_FORMAT))
     target = report if report is not None else Path(f"{real_path(folder).name}-calibration")
     refuse_file(out, force=force)
     refuse_existing(target, force=force)

@@ -34,9 +34,8 @@ def run_check(
     rig = None if rig_path is None else io_rig.read(rig_path, registered=False)[0]
     other_rig = {} if rig_path is None else {str(rig_path): digest(rig_path)}
     if length_uncertainty_mm is not None and length_mm is None:
-        raise InputError(
-            "--length-uncertainty-mm", "is given without --length-mm", "", "Give --length-mm too."
-        )
+        found = "is given without --length-mm"
+        raise InputError("--length-uncertainty-mm", found, "", "Give --length-mm too.")
     if (source / "session.toml").exists():
         if board is not None:
             found, expected = "does not apply to a session", "its LEDs are measured"

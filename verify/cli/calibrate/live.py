@@ -1,6 +1,5 @@
 """`verify calibrate boards STATION --live`: a station's cameras take the pictures."""
 
-import time
 from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -20,7 +19,6 @@ from verify.live.outputs.terminal import TerminalDisplay
 from verify.live.station.cameras import StationCameras, open_station_cameras
 from verify.simulation.boards.cameras import BoardCameras
 
-FOLDER_FORMAT = "boards-%Y-%m-%d-%H%M%S"  # the folder of the pictures, for strftime
 FINISH_KEYS = ("q", "f")
 KEYS_HELP = "Enter: take this pair; q and Enter, or Ctrl-C: finish"
 
@@ -34,19 +32,13 @@ class BoardRunOptions:
     page: PageOptions | None
 
 
-def pictures_folder(option: Path | None) -> Path:
-    """Name the folder of the pictures: by the option, or after the time."""
-    return option if option is not None else Path(time.strftime(FOLDER_FORMAT))
-
-
 def board_of(by_option: Board | None, file: Path | None) -> Board | None:
     """Board of the options or of a board.toml, else None; InputError: both, or no such board."""
     if file is None:
         return by_option
     if by_option is not None:
-        raise InputError(
-            "--board", "is given with --corners", "only one board is used", "Leave one."
-        )
+        found = "is given with --corners"
+        raise InputError("--board", found, "only one board is used", "Leave one.")
     board, warnings = fiducials.read_board(file)
     terminal.warn(*warnings)
     return board

@@ -140,9 +140,8 @@ def register_by_poses(
     instrument = session.instrument
     if instrument is not None and instrument.poses.target is not None:
         remedy = "Leave the rows of one target, or find all with `verify identify`."
-        raise InputError(
-            session.left.path, "has the column target", "one target is registered", remedy
-        )
+        expected = "one target is registered"
+        raise InputError(session.left.path, "has the column target", expected, remedy)
     refuse_existing(out, force=force)
     with terminal.progress("poses") as progress:
         measured = session_to_poses(session, progress, registered=False)

@@ -10,6 +10,7 @@ from reports import Results
 from reports.document.formatting import decimals_of, number, with_uncertainty
 from verify.analysis.instrument import BODY_SOURCE, CALIBRATION_SOURCE
 from verify.calibration.kinematics import results
+from verify.calibration.kinematics import sessions as arm_sessions
 from verify.calibration.kinematics.chain import chain_of
 from verify.calibration.kinematics.doubts import unstated_effects
 from verify.calibration.kinematics.fit import pose_residuals
@@ -23,15 +24,6 @@ from verify.calibration.kinematics.identify import (
 from verify.calibration.kinematics.mistakes import refuse_mistaken_readings, refuse_unfit
 from verify.calibration.kinematics.placements import session_files
 from verify.calibration.kinematics.robot_file import CorrectionProvenance, encode_robot
-from verify.calibration.kinematics.sessions import (
-    CombinedPoses,
-    deflate_repetition,
-    gather_sessions,
-    require_one_arm,
-    session_to_poses,
-    split_targets,
-    tool_open,
-)
 from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
 from verify.errors import InputError
@@ -63,10 +55,10 @@ def identify_sessions(
     """
     opened = [open_session(folder) for folder in folders]
     others = [open_session(folder) for folder in judges]
-    require_one_arm([*opened, *others])
+    arm_sessions.require_one_arm([*opened, *others])
     target = out if out is not None else Path(f"{opened[0].name}-identification")
     refuse_existing(target, force=force)
-    registered = not free_base and not free_tool and not any(map(tool_open, opened))
+    registered = not free_base and not free_tool and not any(map(arm_sessions.tool_open, opened))
     gathered = _combine_poses(opened, registered=registered)
     judging = _combine_poses(others, registered=registered) if others else None
     if judging is not None and judging.poses.position_only != gathered.poses.position_only:
@@ -108,12 +100,12 @@ def identify_sessions(
     _print_summary(made, target)
 
 
-def _combine_poses(sessions: Sequence[Session], *, registered: bool) -> CombinedPoses:
+def _combine_poses(sessions: Sequence[Session], *, registered: bool) -> arm_sessions.CombinedPoses:
     measured = []
-    for session in (part for whole in sessions for part in split_targets(whole)):
+    for session in (part for whole in sessions for part in arm_sessions.split_targets(whole)):
         with terminal.progress(f"pairs of {session.name}") as progress:
-            measured.append(session_to_poses(session, progress, registered=registered))
-    gathered = gather_sessions(measured)
+            measured.append(arm_sessions.session_to_poses(session, progress, registered=registered))
+    gathered = arm_sessions.gather_sessions(measured)
     places = gathered.poses.base * (int(gathered.poses.tool.max()) + 1) + gathered.poses.tool
     count = np.bincount(places)[np.unique(places)]
     if count.min() < MIN_POSES:
@@ -128,7 +120,7 @@ def _combine_poses(sessions: Sequence[Session], *, registered: bool) -> Combined
 
 
 def _validate(
-    judging: CombinedPoses, found: IdentificationResult, options: IdentificationOptions
+    judging: arm_sessions.CombinedPoses, found: IdentificationResult, options: IdentificationOptions
 ) -> results.ValidationSessions:
     """Register other sessions anew, with the arm as its file has it and with the identified one."""
     rows, arm = judging.poses, chain_of(judging.sessions[0].session.arm)
@@ -140,19 +132,19 @@ def _validate(
 
 
 def _identify_twice(
-    gathered: CombinedPoses, options: IdentificationOptions
-) -> tuple[CombinedPoses, IdentificationResult]:
+    gathered: arm_sessions.CombinedPoses, options: IdentificationOptions
+) -> tuple[arm_sessions.CombinedPoses, IdentificationResult]:
     """Identify, and again with a lower weight for pairs that repeat each other's errors."""
     chain = chain_of(gathered.sessions[0].session.arm)
     # with both free no start is needed
     known = None if options.free_base and options.free_tool else gathered.state(chain)
     first = identify_arm(chain, gathered.poses, replace(options, level=LEVELS[0], splits=0), known)
-    fewer = deflate_repetition(gathered, first.richest)
+    fewer = arm_sessions.deflate_repetition(gathered, first.richest)
     return fewer, identify_arm(chain, fewer.poses, options, known)
 
 
 def _identification_provenance(
-    gathered: CombinedPoses,
+    gathered: arm_sessions.CombinedPoses,
     options: IdentificationOptions,
     found: IdentificationResult,
     doubts: Sequence[str],
@@ -178,7 +170,9 @@ def _identification_provenance(
 
 
 def _warnings(
-    gathered: CombinedPoses, options: IdentificationOptions, found: IdentificationResult
+    gathered: arm_sessions.CombinedPoses,
+    options: IdentificationOptions,
+    found: IdentificationResult,
 ) -> list[str]:
     warnings = [warning for one in gathered.sessions for warning in one.session.warnings]
     hidden = {

@@ -144,9 +144,8 @@ class AngleMap:
         if self.sign.shape != self.offset.shape or not np.all(np.abs(self.sign) == 1.0):
             raise InputError("encoders, sign", "is not 1 or -1 for each joint", "", "Correct it.")
         if not np.all(np.isfinite(self.offset)):
-            raise InputError(
-                "encoders, offset_deg", "holds a value that is not a number", "", "Correct it."
-            )
+            found = "holds a value that is not a number"
+            raise InputError("encoders, offset_deg", found, "", "Correct it.")
 
     @property
     def joints(self) -> int:

@@ -33,9 +33,8 @@ def load_rerun() -> ModuleType:
         import rerun
     except ImportError as error:
         expected = "Rerun's own package writes its files"
-        raise InputError(
-            "--to rrd", "rerun-sdk is not installed", expected, f"{INSTALL}."
-        ) from error
+        found = "rerun-sdk is not installed"
+        raise InputError("--to rrd", found, expected, f"{INSTALL}.") from error
     module: ModuleType = rerun
     return module
 

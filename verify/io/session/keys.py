@@ -234,9 +234,8 @@ def _check_frame(path: Path, table: PosesSessionTable, *, registered: bool) -> N
             raise key_error(path, key, "is missing", expected, remedy)
         if given and key != wanted:
             expected = f'poses in the frame "{frame}" do not ask for it'
-            raise key_error(
-                path, key, "is given", expected, "Leave it out, or correct poses.frame."
-            )
+            remedy = "Leave it out, or correct poses.frame."
+            raise key_error(path, key, "is given", expected, remedy)
     if table.covariance is not None and frame == "rig":
         raise key_error(path, "covariance", "is given", "that of rig.toml counts", "Leave it out.")
 

@@ -194,8 +194,27 @@ class JointAlarms:
         self._followed = self._begun = 0
 
     def _tell(self, row: JointRow, now: float) -> Alarm:
-        self._change = attribute_change(self._innovations, self._joints, self._begun)
-        self._alarm = self._worded(self._change, row, now)
+        """Attribute the change to a joint, and word it: a new alarm, or the one told, revised."""
+        self._change = change = attribute_change(self._innovations, self._joints, self._begun)
+        joints = tuple(j + 1 for j in (change.joint, *change.rivals))
+        size = format_error_deg(change.size, change.standard_uncertainty)
+        if self._from_start:
+            text = f"Joint {joints[0]} reads {size} off the measured angle, from the beginning"
+        else:
+            text = (
+                f"The reading of joint {joints[0]} has changed by {size} against the measured angle"
+            )
+        if change.rivals:
+            others = " or ".join(str(j) for j in joints[1:])
+            text += f"; not separable from joint {others}"
+        self._alarm = replace(
+            self._alarm or Alarm(next(self._numbers), "change", now, row.t, ""),
+            text=text + ".",
+            joints=joints,
+            error=change.size,
+            standard_uncertainty=change.standard_uncertainty,
+            revised=self._alarm is not None,
+        )
         return self._alarm
 
     def _begin_anew_after_a_break(self, row: JointRow) -> None:
@@ -208,24 +227,3 @@ class JointAlarms:
         if segment != self._segment and self._segment is not None:
             self._innovations.reset()
         self._segment, self._last = segment, row.t
-
-    def _worded(self, change: ChangeAttribution, row: JointRow, now: float) -> Alarm:
-        joints = tuple(j + 1 for j in (change.joint, *change.rivals))
-        size = format_error_deg(change.size, change.standard_uncertainty)
-        if self._from_start:
-            text = f"Joint {joints[0]} reads {size} off the measured angle, from the beginning"
-        else:
-            text = (
-                f"The reading of joint {joints[0]} has changed by {size} against the measured angle"
-            )
-        if change.rivals:
-            others = " or ".join(str(j) for j in joints[1:])
-            text += f"; not separable from joint {others}"
-        return replace(
-            self._alarm or Alarm(next(self._numbers), "change", now, row.t, ""),
-            text=text + ".",
-            joints=joints,
-            error=change.size,
-            standard_uncertainty=change.standard_uncertainty,
-            revised=self._alarm is not None,
-        )

@@ -132,9 +132,8 @@ class AlarmCommand(Listener):
         try:
             self._words = shlex.split(command)
         except ValueError as error:
-            raise InputError(
-                "--on-alarm", f"cannot be split into words: {error}", "", "Correct it."
-            ) from error
+            found = f"cannot be split into words: {error}"
+            raise InputError("--on-alarm", found, "", "Correct it.") from error
         if not self._words:
             raise InputError("--on-alarm", "is empty", "a command is expected", "Name one.")
 

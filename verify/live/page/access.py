@@ -72,9 +72,8 @@ def check_access(address: str, port: int, token: str | None) -> PageAccess:
         )  # fmt: skip
     if token is not None and len(token) < MIN_TOKEN_LENGTH:
         found = f"the token has {len(token)} characters"
-        raise InputError(
-            "--page-token", found, f"at least {MIN_TOKEN_LENGTH}", "Take a longer one."
-        )
+        expected = f"at least {MIN_TOKEN_LENGTH}"
+        raise InputError("--page-token", found, expected, "Take a longer one.")
     return PageAccess(address, port, token)
 
 

@@ -86,9 +86,8 @@ def _check_sources(path: Path, table: StationTable) -> None:
         key = "right.source" if simulated[0] else "left.source"
         raise key_error(path, key, 'is not "sim"', "both cameras are simulated, or neither")
     if left == right and not any(simulated):
-        raise key_error(
-            path, "right.source", "is the left camera's", "each side has its own camera"
-        )
+        expected = "each side has its own camera"
+        raise key_error(path, "right.source", "is the left camera's", expected)
     for key in ("rig", "marker"):
         if getattr(table, key) == SIM and not any(simulated):
             expected = 'that goes with cameras whose source is "sim" alone'
