@@ -130,11 +130,9 @@ def _with_time_noise(session: Session, readings: Readings) -> Session:
         "uncertainty), as the log shows; it is taken into account. Record the controller's own "
         "time stamps."
     )
-    return replace(
-        session,
-        encoder_time_standard_uncertainty=noise,
-        warnings=(*session.warnings, warning),
-    )
+    told = readings.time_noise <= session.encoders.late  # of the rows that repeat
+    warnings = session.warnings if told else (*session.warnings, warning)
+    return replace(session, encoder_time_standard_uncertainty=noise, warnings=warnings)
 
 
 def _spread_rivals(rivals: tuple[float, ...]) -> list[float]:

@@ -102,5 +102,6 @@ def warn_of_repeats(repeats: NDArray[np.bool_], period: float) -> Iterator[str]:
     if repeats.any():
         yield (
             f"{np.count_nonzero(repeats)} of {len(repeats)} readings repeat the one before and "
-            f"were left out: the controller renews them every {1e3 * period:.3g} ms."
+            f"were left out: the controller renews them every {1e3 * period:.3g} ms. When, is "
+            "known to a row; that is taken into account."
         )
