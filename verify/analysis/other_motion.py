@@ -93,7 +93,7 @@ def refuse_other_motion(
     if named is not None:
         found = f"{named.name} fits: {degrees(remains)} instead of {degrees(typical)}"
         raise _refusal(session, named, found)
-    for joint in _standing_joints(written, clock.offset):
+    if (joint := _standing_joint(written, clock.offset)) is not None:
         remedy = f"Check the encoder of joint {joint} and the column q{joint}_deg."
         standing = replace(written, remedy=remedy)
         raise _refusal(session, standing, f"those of joint {joint} never change while it turns")
@@ -249,13 +249,14 @@ def _is_frozen(written: Mistake, offset: float) -> bool:
     return bool(turned.max() > CLEAR_ERROR)
 
 
-def _standing_joints(written: Mistake, offset: float) -> list[int]:
-    """Joints, from 1, whose readings stand while the measured angle goes far."""
+def _standing_joint(written: Mistake, offset: float) -> int | None:
+    """The first joint, from 1, whose readings stand while the measured angle goes far."""
     angle = _joint_errors(written, offset)[1]
     if not len(angle):
-        return []
+        return None
     stands = np.ptp(written.readings.q, axis=0) < MAX_FROZEN
-    return (np.flatnonzero(stands & (np.ptp(angle, axis=0) > MAX_ERROR)) + 1).tolist()
+    stands &= np.ptp(angle, axis=0) > MAX_ERROR
+    return int(np.argmax(stands)) + 1 if stands.any() else None
 
 
 def _faults(written: Mistake) -> Iterator[Mistake]:

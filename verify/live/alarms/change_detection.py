@@ -4,7 +4,6 @@ Source: Page, Biometrika 41, 1954; average run length of Siegmund, Sequential An
 ch. 10, here without its allowance for overshoot: pairs that repeat each other have none.
 """
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -14,7 +13,6 @@ from verify.live.alarms.innovations import MAX_REPEATED, Innovation, InnovationF
 
 DIRECTIONS = np.array([[1.0], [-1.0]])
 REFERENCE = 0.5  # standard deviations of a pair: a change of twice that is found soonest
-MAX_ROUNDS = 100  # a handful suffices where false alarms are rare
 
 
 def alarm_threshold(false_alarms_per_hour: float, rate: float, joints: int) -> float:
@@ -23,11 +21,10 @@ def alarm_threshold(false_alarms_per_hour: float, rate: float, joints: int) -> f
     False alarms are of the robot as a whole, all joints, both directions; the rate is pairs a
     second.
     """
+    from scipy.optimize import brentq  # slow to load, and not every command watches
+
     pairs = 3600.0 * rate * 2 * joints / false_alarms_per_hour
-    sums, double = 2 * REFERENCE**2 * pairs, 0.0
-    for _ in range(MAX_ROUNDS):  # of expm1(double) - double = sums
-        double = math.log1p(sums + double)
-    return double / (2 * REFERENCE)
+    return float(brentq(lambda h: run_length(h) - pairs, 0.0, 200.0))
 
 
 def run_length(h: float) -> float:
