@@ -40,29 +40,32 @@ def find_candidates(
     width. Gives, (n, 4), highest contrast first: column and row of the centre, px; half the width
     at half height, px; contrast above the surroundings, DN.
     """
-    smallest, largest = diameter_px
     if windows is None:
         windows = np.array([[0, 0, image.shape[1], image.shape[0]]])
     boxes = windows.tolist()
-    area = [(x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes]
-    if image.ndim == 2 and max(area, default=0) <= MAX_SMALL_AREA:
-        found = find_blobs(image, windows, 0, *blob_arguments(largest))
-        halved: int | NDArray[np.intp] = 1
+    largest_area = max(((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes), default=0)
+    if image.ndim == 2 and largest_area <= MAX_SMALL_AREA:
+        blobs = find_blobs(image, windows, 0, *blob_arguments(diameter_px[1]))
+        found = of_diameter(blobs, diameter_px, 1)
     else:
-        factor = [2 if pixels > MAX_FULL_SIZE_AREA else 1 for pixels in area]
-        parts = [
-            find_in_large_window(image, *one, largest) for one in zip(boxes, factor, strict=True)
-        ]
+        parts = [find_in_large_window(image, box, diameter_px) for box in boxes]
         found = np.concatenate([np.empty((0, 4)), *parts])
-        halved = np.repeat(np.array(factor, np.intp), [len(part) for part in parts])
-    width = 2.0 * found[:, 2]
-    chosen = found[(width + halved >= smallest) & (width - halved <= largest)]  # to a pixel
-    return chosen[np.argsort(-chosen[:, 3], kind="stable")[:MAX_CANDIDATES]]
+    return found[np.argsort(-found[:, 3], kind="stable")[:MAX_CANDIDATES]]
 
 
-def find_in_large_window(image: Image, window: list[int], factor: int, largest: float) -> Array:
-    """Find blobs in a window of any picture, made smaller by a factor, as `find_blobs` does."""
+def of_diameter(blobs: Array, diameter_px: tuple[float, float], step: int) -> Array:
+    """Blobs (n, 4) whose full width is between two limits, to one pixel of `step` px."""
+    smallest, largest = diameter_px
+    off = np.abs(2.0 * blobs[:, 2] - (largest + smallest) / 2.0)
+    return blobs[off <= (largest - smallest) / 2.0 + step]
+
+
+def find_in_large_window(
+    image: Image, window: list[int], diameter_px: tuple[float, float]
+) -> Array:
+    """Find blobs in a window of any picture, halved if large, as `find_candidates` does."""
     x0, y0, x1, y1 = window
+    factor = 2 if (x1 - x0) * (y1 - y0) > MAX_FULL_SIZE_AREA else 1
     part = image[y0:y1, x0:x1]
     height, width = part.shape[0] // factor, part.shape[1] // factor
     if min(height, width) < MIN_WINDOW_SIDE:
@@ -76,7 +79,7 @@ def find_in_large_window(image: Image, window: list[int], factor: int, largest: 
         blue, green, red = cv2.split(part)
         part = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     part = np.ascontiguousarray(part)
-    reach, levels, shape, most = blob_arguments(largest / factor)
+    reach, levels, shape, most = blob_arguments(diameter_px[1] / factor)
     boxes = contrast_boxes(part, reach, LEVELS[-1])
     if boxes[:1].tolist() == [[0, 0, width, height]]:  # OpenCV is quicker for all of a picture
         square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
@@ -87,8 +90,9 @@ def find_in_large_window(image: Image, window: list[int], factor: int, largest: 
         found = find_blobs(part, boxes, 2 * reach, reach, levels, shape, most)
     found[:, :3] *= factor
     # a pixel of the halved picture is centred between the two it came from
-    found[:, :2] += (factor - 1) / 2 + np.array([x0, y0])
-    return found
+    found[:, 0] += x0 + (factor - 1) / 2
+    found[:, 1] += y0 + (factor - 1) / 2
+    return of_diameter(found, diameter_px, factor)
 
 
 def blob_arguments(largest: float) -> tuple[int, tuple[int, ...], Shape, int]:

@@ -124,13 +124,14 @@ def test_no_contrast_is_outside_the_boxes_that_are_searched(reach: int) -> None:
 
 def test_a_small_spot_that_fits_by_chance_is_no_noise_estimate() -> None:
     rng = np.random.default_rng(3)
-    spot = np.repeat(np.arange(5), [90, 90, 90, 90, 18])
+    count = [90, 90, 90, 90, 18]
+    spot, begin = np.repeat(np.arange(5), count), np.cumsum([0, *count])
     signal = rng.uniform(0.0, 200.0, len(spot))
     variance = np.where(spot < 4, 6.0 + 0.04 * signal, 0.5)
     line = np.array([2.25, 0.03])
     usual = np.array([1 / 2.25, 1 / 0.03])
     squares = variance * rng.standard_normal(len(spot)) ** 2
-    variance_line(squares, signal, spot, line, usual)
+    variance_line(squares, signal, begin, line, usual)
     assert line[0] == pytest.approx(6.0, rel=0.4)
 
 

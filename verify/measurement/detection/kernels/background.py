@@ -194,34 +194,36 @@ def add_rows(factors: Array, rows: Pixels, total: Array) -> None:
 
 
 @compiled_sums
-def weigh_rows(rows: Pixels, weight: Array, added: Array) -> tuple[float, float]:
-    """Add to `weight` (2, p), both over the pixels' sigmas; give its sums of squares before."""
-    first, second, scale = 0.0, 0.0, np.empty(rows.shape[1])
+def weigh_rows(rows: Pixels, weight: Array, added: Array) -> Array:
+    """Add to `weight` (2, p), both over the pixels' sigmas; give its sums of squares before, (2,).
+
+    Less its mean, as the level of the room moves nothing.
+    """
+    squares, scale = np.zeros(2), np.empty(rows.shape[1])
     for k in range(len(scale)):
         scale[k] = math.sqrt(rows[ROW_USED, k] / rows[ROW_VARIANCE, k])
-    for k in range(len(scale)):
-        one = weight[0, k] * scale[k]
-        first += one * one
-        weight[0, k] = one + added[0, k] * scale[k]
-    for k in range(len(scale)):
-        one = weight[1, k] * scale[k]
-        second += one * one
-        weight[1, k] = one + added[1, k] * scale[k]
-    return first, second
+    for i in range(2):
+        square, total = 0.0, 0.0
+        for k in range(len(scale)):
+            one = weight[i, k] * scale[k]
+            square += one * one
+            one += added[i, k] * scale[k]
+            weight[i, k] = one
+            total += one
+        squares[i] = square
+        for k in range(len(scale)):
+            weight[i, k] -= total / len(scale)
+    return squares
 
 
 @compiled_sums
 def weigh_room(room: Pixels, weight: Array) -> tuple[float, float]:
-    """Sums of p pixels (p,), DN, less their mean, with each of two weights (2, p)."""
-    total, first, second, first_all, second_all = ZERO, 0.0, 0.0, 0.0, 0.0
+    """Sums of p pixels (p,), DN, with each of two weights (2, p)."""
+    first, second = 0.0, 0.0
     for k in range(len(room)):
-        total += room[k]
         first += room[k] * weight[0, k]
         second += room[k] * weight[1, k]
-        first_all += weight[0, k]
-        second_all += weight[1, k]
-    mean = float(total / Real(len(room)))
-    return first - mean * first_all, second - mean * second_all
+    return first, second
 
 
 @compiled
@@ -311,9 +313,9 @@ def correct_for_room(
         add_rows(follow[m, :, N_RIGHT:].copy(), rows, weight)
         add_rows(factors, rows, added)
         add_rows(reach, right_of(pool, fits, n), added)
-        first, second = weigh_rows(rows, weight, added)
-        explained[m, 0] = first * noise[m] + own[m, 0, 1]
-        explained[m, 1] = second * noise[m] + own[m, 1, 2]
+        squares = weigh_rows(rows, weight, added)
+        explained[m, 0] = squares[0] * noise[m] + own[m, 0, 1]
+        explained[m, 1] = squares[1] * noise[m] + own[m, 1, 2]
         look_around(picture, lights, fits, n, weight, moved[m], dim[m])
     add_excess(moved, dim, explained, own)
     for m in range(count):

@@ -28,6 +28,7 @@ BLOCK = 16  # px, side of a block
 MAX_BOXES = 64  # boxes that are searched one by one; with more, as one
 MAX_SHARE = 0.4  # of a picture, that these boxes and what is about them may cover
 BOX_MARGIN = 2  # px about a region's box: its half height may lie below the level
+MAX_REFUSED = 64  # regions without a blob that are kept in mind in a window: each slows the search
 MIN_PIXELS = 12  # px; fewer show no shape
 OUTSIDE, INSIDE = 0, 1
 Boxes = NDArray[np.int64]
@@ -192,7 +193,8 @@ def compact_blobs(contrast: Image, levels: tuple[int, ...], shape: Shape, found:
     """
     label = np.zeros(contrast.shape, np.int32)
     stack = np.empty((contrast.size, 2), np.int32)
-    seeds = np.empty((len(found), 2), np.int32)  # a pixel of each region that a blob was found in
+    # a pixel of each region that is settled: a blob was found in it, or no lower level shows one
+    seeds, settled = np.empty((len(found) + MAX_REFUSED, 2), np.int32), 0
     highest = np.empty(len(contrast), np.uint8)
     for y in range(contrast.shape[0]):
         peak = np.uint8(0)
@@ -212,17 +214,21 @@ def compact_blobs(contrast: Image, levels: tuple[int, ...], shape: Shape, found:
                 left, top, right, bottom = flood_fill(contrast, level, y, x, label, number, stack)
                 if max(right - left, bottom - top) >= shape[0]:
                     continue
-                listed = count == len(found)  # or this is the foot of a blob of a higher level
-                for k in range(count):
-                    listed = listed or label[seeds[k, 0], seeds[k, 1]] == number
-                if listed:
+                known = count == len(found)  # or this is the foot of a region of a higher level
+                for k in range(settled):
+                    known = known or label[seeds[k, 0], seeds[k, 1]] == number
+                if known:
                     continue
                 x0, y0 = max(left - BOX_MARGIN, 0), max(top - BOX_MARGIN, 0)
                 part = contrast[y0 : bottom + BOX_MARGIN + 1, x0 : right + BOX_MARGIN + 1].copy()
-                if measure_half_height(part, shape, found[count]):
+                compact = measure_half_height(part, shape, found[count])
+                refused = 2 * level <= found[count, 3] and settled - count < MAX_REFUSED
+                if compact or refused:
+                    seeds[settled, 0], seeds[settled, 1] = y, x
+                    settled += 1
+                if compact:
                     found[count, 0] += x0
                     found[count, 1] += y0
-                    seeds[count, 0], seeds[count, 1] = y, x
                     count += 1
     return count
 
@@ -240,6 +246,7 @@ def measure_half_height(part: Image, shape: Shape, blob: Array) -> bool:
         for x in range(width):
             if part[y, x] > peak:
                 at_y, at_x, peak = y, x, int(part[y, x])
+    blob[3] = peak
     region, stack = np.zeros(part.shape, np.int32), np.empty((part.size, 2), np.int32)
     box = flood_fill(part, peak // 2, at_y, at_x, region, 1, stack)
     if max(box[2] - box[0], box[3] - box[1]) >= shape[1]:
@@ -257,7 +264,7 @@ def measure_half_height(part: Image, shape: Shape, blob: Array) -> bool:
                 area, x_sum, y_sum = area + 1, x_sum + x, y_sum + y
     if area == 0 or area == height * width:
         return False
-    blob[0], blob[1], blob[3] = x_sum / area, y_sum / area, peak
+    blob[0], blob[1] = x_sum / area, y_sum / area
     blob[2] = math.sqrt(area / math.pi)
     xx, xy, yy = 0.0, 0.0, 0.0
     for y in range(height):

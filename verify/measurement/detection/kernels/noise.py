@@ -21,7 +21,7 @@ import math
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.jit import compiled
+from verify.core.jit import compiled, compiled_sums
 from verify.core.records import Array, Image
 from verify.measurement.detection.kernels.patches import Fits, Picture, rows_of
 from verify.measurement.detection.kernels.pixels import (
@@ -46,7 +46,7 @@ from verify.measurement.detection.kernels.quality import (
 
 # levels are whole thirty-fifths, differences whole: both can be counted
 LEVEL_PARTS, LOWEST_LEVEL, N_LEVELS = 35, 6 * 255, 50 * 255 + 1  # a level in parts of one DN
-N_DIFFERENCES = 8 * 255 + 1
+N_DIFFERENCES = 1024  # the last stands for larger ones too: of a texture, not of noise
 BLOCK_PIXELS = 64  # pixels that are looked at together
 MIN_PIXELS = 32.0  # pixels: of fewer, the fit's own parameters take more than a quarter
 # Fourth difference along a line: cubic shading vanishes; white noise of variance v leaves 70 v. The
@@ -88,20 +88,22 @@ def count_stencils(rows: Image, apart: int, levels: Counts, differences: Counts)
     at.
     """
     looked, places = 0, rows.shape[1] - 4
+    row = np.empty(BLOCK_PIXELS + 4, np.int32)
     level, difference = np.empty(BLOCK_PIXELS, np.int32), np.empty(BLOCK_PIXELS, np.int32)
     clean, part = np.empty(BLOCK_PIXELS, np.bool_), np.empty(BLOCK_PIXELS, np.int32)
     for r in range(rows.shape[0]):
         for begin in range(r % apart * BLOCK_PIXELS, places, apart * BLOCK_PIXELS):
-            row, count = rows[r, begin:], min(BLOCK_PIXELS, places - begin)
+            count = min(BLOCK_PIXELS, places - begin)
             looked += count
+            for k in range(count + 4):
+                row[k] = rows[r, begin + k]
             for k in range(count):
                 a, b, c, d, e = row[k], row[k + 1], row[k + 2], row[k + 3], row[k + 4]
                 clean[k] = (min(a, b, c, d, e) > 0) & (max(a, b, c, d, e) < 255)
             for k in range(count):
-                ends, middle = np.int32(row[k]) + np.int32(row[k + 4]), np.int32(row[k + 2])
-                sides = np.int32(row[k + 1]) + np.int32(row[k + 3])
+                ends, sides, middle = row[k] + row[k + 4], row[k + 1] + row[k + 3], row[k + 2]
                 level[k] = LOWEST_LEVEL - 3 * ends + 12 * sides + 17 * middle
-                difference[k] = abs(ends - 4 * sides + 6 * middle)
+                difference[k] = min(abs(ends - 4 * sides + 6 * middle), N_DIFFERENCES - 1)
             for k in range(count):
                 above = np.float32(level[k] - FIRST_LEVEL)
                 part[k] = np.int32(above * PER_CLASS) if above >= 0 else -1
@@ -178,12 +180,9 @@ def background_noise(picture: Picture, lossy: bool, noise: Array) -> None:
     BGR the green channel stands for all. Texture only ever adds to differences, so the quietest
     class of brightness is believed; of a JPEG, which smooths what is dark, none.
     """
+    shape = picture.height, picture.width, picture.channels
     apart = max(picture.height // N_SAMPLE_ROWS, 1)
-    rows = np.empty((-(-picture.height // apart), picture.width), np.uint8)
-    for r in range(len(rows)):
-        begin = r * apart * picture.width * picture.channels + picture.channels // 2
-        for x in range(picture.width):
-            rows[r, x] = picture.values[begin + x * picture.channels]
+    rows = picture.values.reshape(shape)[::apart, :, picture.channels // 2]
     unclipped, black, dark, spread = dark_variance(rows, max(rows.size // N_SAMPLE, 1), lossy)
     # nothing unclipped, or what is not black here may be all texture
     hidden = not math.isfinite(dark) or (unclipped <= 0.5 and dark > TYPICAL_READ**2)
@@ -202,7 +201,7 @@ def refine_noise(fits: Fits, assessed: Array, noise: Array, spread: float) -> No
     regression of residual² on signal; misfitting spots left out.
     """
     shows, rank = np.empty(len(assessed), np.int64), np.empty(len(assessed))
-    count, room = 0, 0
+    count = 0
     for n in range(len(assessed)):
         rank[n] = -assessed[n, COL_PEAK] / assessed[n, COL_ELONGATION]
         if assessed[n, COL_SOUND] > 0.0 and assessed[n, COL_COUNT] > 2 * N_FITTED:
@@ -211,33 +210,29 @@ def refine_noise(fits: Fits, assessed: Array, noise: Array, spread: float) -> No
     brightest = shows[: first_by(rank, shows[:count], MAX_NOISE_SPOTS)]
     if len(brightest) == 0:
         return
-    for n in brightest:
-        room += fits.begin[n + 1] - fits.begin[n]
-    square, signal, spot = np.empty(room), np.empty(room), np.empty(room, np.int64)
-    count = 0
-    for number in range(len(brightest)):
-        n = brightest[number]
-        begin = count
-        count += gather_residuals(
-            rows_of(fits, n), fits.share[n], assessed[n, COL_COUNT], square[begin:], signal[begin:]
-        )
-        for k in range(begin, count):
-            spot[k] = number
+    square, signal = np.empty(fits.begin[-1]), np.empty(fits.begin[-1])
+    begin = np.zeros(len(brightest) + 1, np.int64)
+    for m in range(len(brightest)):
+        n, own = brightest[m], assessed[brightest[m], COL_COUNT]
+        to = square[begin[m] :], signal[begin[m] :]
+        begin[m + 1] = begin[m] + gather_residuals(rows_of(fits, n), fits.share[n], own, to)
     line, usual = np.empty(2), np.empty(2)
     line[0], line[1] = noise[0], TYPICAL_GAIN
     usual[0], usual[1] = 1.0 / (spread * noise[0]), 1.0 / (TYPICAL_SPREAD * TYPICAL_GAIN)
-    variance_line(square[:count], signal[:count], spot[:count], line, usual)
+    variance_line(square, signal, begin, line, usual)
     noise[0], noise[1] = line[0], line[1]
 
 
 @compiled
-def gather_residuals(rows: Pixels, share: Array, own: float, square: Array, signal: Array) -> int:
+def gather_residuals(rows: Pixels, share: Array, own: float, to: tuple[Array, Array]) -> int:
     """Gather squared residuals, DN², and signals, DN above black, of a spot's unclipped pixels.
 
     `rows` (25, p) of the spot; `share` (2,), of the read variance and the gain; `own`, how many of
-    its own pixels clipping leaves alone, more than N_FITTED. Gives how many are filled in.
+    its own pixels clipping leaves alone, more than N_FITTED; `to`, both (k,), filled from the first
+    on. Gives how many are filled in.
     """
-    count, paid = 0, own / (own - N_FITTED)  # the fit's parameters took from those pixels
+    (square, signal), count = to, 0
+    paid = own / (own - N_FITTED)  # the fit's parameters took from those pixels
     for k in range(rows.shape[1]):
         if rows[ROW_USED, k] > 0.0 and rows[ROW_VISIBLE, k] > MIN_NOISE_SHARE:
             off = rows[ROW_VALUE, k] - rows[ROW_MEAN, k]
@@ -250,47 +245,48 @@ def gather_residuals(rows: Pixels, share: Array, own: float, square: Array, sign
 
 
 @compiled
-def least_misfit(misfit: Array, count: Array) -> float:
+def least_misfit(misfit: Array, begin: NDArray[np.int64]) -> float:
     """Least misfit of n spots, those of few pixels left out unless there is no other."""
     least, of_many = np.inf, np.inf
     for n in range(len(misfit)):
         least = min(least, misfit[n])
-        of_many = min(of_many, misfit[n] if count[n] >= MIN_PIXELS else np.inf)
+        many = begin[n + 1] - begin[n] >= MIN_PIXELS
+        of_many = min(of_many, misfit[n] if many else np.inf)
     return of_many if of_many < np.inf else least
 
 
-@compiled
+@compiled_sums
 def variance_line(
-    residual2: Array, signal: Array, spot: NDArray[np.int64], line: Array, usual: Array
+    residual2: Array, signal: Array, begin: NDArray[np.int64], line: Array, usual: Array
 ) -> None:
     """Regress squared residuals (k,), DN², on signal (k,), DN, misfitting spots left out.
 
-    `spot` (k,): which one each pixel belongs to, from 0 without gaps; `line` (2,), changed: dark
-    variance and gain, the start; `usual` (2,): one over their standard uncertainties.
+    `begin` (n + 1,): where each spot's pixels begin; `line` (2,), changed: dark variance and gain,
+    the start; `usual` (2,): one over their standard uncertainties.
     """
-    first0, first1 = line[0], line[1]
-    spots = 0
-    for one in spot:
-        spots = max(spots, one + 1)
+    first0, first1, misfit = line[0], line[1], np.empty(len(begin) - 1)
     for _ in range(3):  # which spots are clean settles in two rounds
-        misfit, count = np.zeros(spots), np.zeros(spots)
-        for k in range(len(spot)):
-            misfit[spot[k]] += residual2[k] / (line[0] + line[1] * signal[k])
-            count[spot[k]] += 1.0
-        for n in range(spots):
-            misfit[n] /= count[n]
-        most = MAX_MISFIT_RATIO * least_misfit(misfit, count)
+        dark, gain = line[0], line[1]
+        for n in range(len(misfit)):
+            total = 0.0
+            for k in range(begin[n], begin[n + 1]):
+                total += residual2[k] / (dark + gain * signal[k])
+            misfit[n] = total / (begin[n + 1] - begin[n])
+        most = MAX_MISFIT_RATIO * least_misfit(misfit, begin)
         a, b, d = usual[0] ** 2, 0.0, usual[1] ** 2
         u, v = a * first0, d * first1
-        for k in range(len(spot)):
-            if misfit[spot[k]] > most:
+        for n in range(len(misfit)):
+            if misfit[n] > most:
                 continue
-            weight = 0.5 / (line[0] + line[1] * signal[k]) ** 2
-            a += weight
-            b += weight * signal[k]
-            d += weight * signal[k] ** 2
-            u += weight * residual2[k]
-            v += weight * signal[k] * residual2[k]
+            for k in range(begin[n], begin[n + 1]):
+                weight = 1.0 / (dark + gain * signal[k])
+                weight *= 0.5 * weight
+                tilted = weight * signal[k]
+                a += weight
+                b += tilted
+                d += tilted * signal[k]
+                u += weight * residual2[k]
+                v += tilted * residual2[k]
         determinant = a * d - b * b
         line[0] = max((d * u - b * v) / determinant, QUANTISATION)
         line[1] = min(max((a * v - b * u) / determinant, MIN_GAIN), MAX_GAIN)
