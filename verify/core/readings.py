@@ -95,7 +95,8 @@ class Readings:
         ends = np.clip([t - RATE_SPAN, t + RATE_SPAN], self.t[0], self.t[-1])
         travel = self.at(ends[1]) - self.at(ends[0])
         speed: Array = travel / np.maximum(ends[1] - ends[0], RATE_SPAN)[:, None]
-        speed[~(self._bracketed(t) | np.isin(t, self.t))] = 0.0
+        reading = self.t[np.minimum(np.searchsorted(self.t, t), len(self.t) - 1)] == t
+        speed[~(self._bracketed(t) | reading)] = 0.0
         return speed
 
     @cached_property
