@@ -30,6 +30,8 @@ from verify.measurement.detection.kernels.occlusion import (
 from verify.measurement.detection.kernels.patches import (
     MAX_APART,
     MIN_APART,
+    PATCH_MARGIN,
+    PATCH_REACH,
     Fits,
     Picture,
     cut_patches,
@@ -80,8 +82,8 @@ def measure_spots(
     `candidates` (n, 4): centre, column and row, px; half width, px; contrast, DN. `noise` (4,):
     read variance, DN², gain and black, DN, of one channel, filled in where they are `unknown`.
     `table`: of the profiles. `wanted`: least and largest diameter, px; how many at most; whether
-    the whole picture was searched, so that of many only those are fitted in which a first look sees
-    a spot; whether it was a JPEG.
+    the whole picture was searched, so that of many or large ones only those are fitted in which a
+    first look sees a spot; whether it was a JPEG.
 
     `found` (limit, 16) and (limit, 3), filled: the spots as in quality.py, by falling peak; their
     colours, DN.
@@ -89,7 +91,10 @@ def measure_spots(
     least, largest, limit, whole, lossy = wanted
     if unknown:
         background_noise(picture, lossy, noise)
-    glance = whole and len(candidates) > MAX_AT_ONCE
+    pixels = 0.0
+    for n in range(len(candidates)):
+        pixels += math.pi * (PATCH_REACH * candidates[n, 2] + PATCH_MARGIN) ** 2
+    glance = whole and pixels > MAX_AT_ONCE
     fits = fit_candidates(picture, candidates, noise, table, glance)
     if len(fits.scale) == 0:
         return 0
@@ -122,7 +127,7 @@ def measure_spots(
     return len(kept)
 
 
-MAX_AT_ONCE = 8  # candidates of a picture that are fitted without a first look at them
+MAX_AT_ONCE = 5000.0  # pixels of a picture's candidates that are fitted without a first look
 MAX_CLEAN_ELONGATION = 1.2  # of spots whose light is taken off others: glints are longer
 SEPARATION_PASSES = 4  # of spots touching at a third of their height; two suffice farther apart
 MIN_NEIGHBOUR = 0.15  # of a spot's peak, of another one's: less may be texture of the room
