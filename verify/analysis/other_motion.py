@@ -59,6 +59,7 @@ MAX_LEFT_SHARE = 0.25  # of what a fault leaves: a mistake has to explain the mo
 MAX_CARRIED = 4  # mistakes, to the joints
 MIN_PLACES = 6  # by which positions alone are judged
 MAX_FROZEN = np.deg2rad(0.01)  # by which readings of a standing log differ
+MIN_STANDING = 4  # pairs at which readings stand
 
 
 def refuse_other_motion(
@@ -77,6 +78,7 @@ def refuse_other_motion(
         return
     if _is_frozen(written, clock.offset):
         raise _refusal(session, written, "the readings never change while the flange moves")
+    _refuse_standing(session, written, clock, part=True)
     typical = _large_error(written, clock.offset)
     if typical < MAX_ERROR:
         return
@@ -93,10 +95,7 @@ def refuse_other_motion(
     if named is not None:
         found = f"{named.name} fits: {degrees(remains)} instead of {degrees(typical)}"
         raise _refusal(session, named, found)
-    if (joint := _standing_joint(written, clock.offset)) is not None:
-        remedy = f"Check the encoder of joint {joint} and the column q{joint}_deg."
-        standing = replace(written, remedy=remedy)
-        raise _refusal(session, standing, f"those of joint {joint} never change while it turns")
+    _refuse_standing(session, written, clock, part=False)
     if off > 1 and screws > MAX_STRAY:
         misfits = [screw_misfit(*mistake) for mistake in mistakes]
         best = int(np.argmin(misfits))
@@ -249,14 +248,38 @@ def _is_frozen(written: Mistake, offset: float) -> bool:
     return bool(turned.max() > CLEAR_ERROR)
 
 
-def _standing_joint(written: Mistake, offset: float) -> int | None:
-    """The first joint, from 1, whose readings stand while the measured angle goes far."""
-    angle = _joint_errors(written, offset)[1]
-    if not len(angle):
-        return None
-    stands = np.ptp(written.readings.q, axis=0) < MAX_FROZEN
-    stands &= np.ptp(angle, axis=0) > MAX_ERROR
-    return int(np.argmax(stands)) + 1 if stands.any() else None
+def _refuse_standing(
+    session: Session, written: Mistake, clock: ClockEstimate, *, part: bool
+) -> None:
+    """Refuse readings of a joint that stand while it turns, in `part` of the session or in all.
+
+    What stands is the longest run of one value: there the measured angle goes on without a leap,
+    and the joint is off by that and by little elsewhere. A base that is off is so everywhere.
+
+    Raises:
+        InputError: names the joint, and from when to when its readings stand.
+    """
+    unknown = clock.source == "none" and len(clock.curve)  # standing readings hide the clock
+    offset = clock.curve[np.argmin(clock.curve[:, 1]), 0] if unknown else clock.offset
+    error, angle = _joint_errors(written, float(offset))
+    t = written.readings.t
+    for joint, q in enumerate(written.readings.q.T if len(error) else ()):
+        runs = np.append(np.flatnonzero(np.diff(q, prepend=np.nan)), len(q))
+        first, after = runs[np.argmax(np.diff(runs)) + np.arange(2)].tolist()
+        stands = np.abs(np.sin((error[:, joint] + angle[:, joint] - q[first]) / 2)) < MAX_FROZEN / 2
+        there, rest = angle[stands, joint], error[~stands, joint]
+        if len(there) < MIN_STANDING or bool(len(rest)) != part:
+            continue
+        turn = float(np.ptp(there))
+        off = np.quantile(np.abs(rest - np.median(rest)), HIGH) if part else 0.0
+        leap = np.abs(np.diff(there)).max() if part else 0.0
+        if turn > (MAX_STRAY if part else MAX_ERROR) and max(off, leap) < turn / 3:
+            name, column = f"joint {joint + 1}", f"q{joint + 1}_deg"
+            when = f"stand still from t_s = {t[first]:.2f} to {t[after - 1]:.2f}"
+            found = f"those of {name} {when if part else 'never change'} while it turns"
+            rows = "; delete these rows to measure the rest" * part
+            remedy = f"Check the encoder of {name} and the column {column}{rows}."
+            raise _refusal(session, replace(written, remedy=remedy), f"{found} by {degrees(turn)}")
 
 
 def _faults(written: Mistake) -> Iterator[Mistake]:

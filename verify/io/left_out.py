@@ -16,6 +16,7 @@ from verify.core.records import Array
 
 MAX_SPIKE = 2  # readings in a row
 MAX_SPEED = 20.0  # rad/s; wrists of small arms turn at up to 13
+MAX_ACCELERATION = 150.0  # rad/s², of the same
 MIN_SPIKE = np.deg2rad(2.0)
 MIN_SPIKE_RATIO = 8.0  # of the typical step: random postures jump by up to four times theirs
 MAX_BEYOND = np.deg2rad(45.0)  # an encoder may be off, and its arm at the end of its travel
@@ -34,6 +35,23 @@ def _is_too_fast(t: Array, q: Array, lag: int) -> NDArray[np.bool_]:
     return np.abs(q[lag:] - q[:-lag]) > np.maximum(fastest, MIN_SPIKE_RATIO * typical)
 
 
+def _is_too_bent(t: Array, q: Array, length: int) -> NDArray[np.bool_]:
+    """Whether `length` readings are off the line through those beside, (m - length - 1, j).
+
+    All alike, by more than an arm's acceleration puts them, and than any as near are.
+    """
+    before, after, span = q[: -length - 1], q[length + 1 :], t[length + 1 :] - t[: -length - 1]
+    inner = np.arange(1, length + 1)[:, None] + np.arange(len(span))
+    share = (t[inner] - t[: -length - 1]) / span
+    off = q[inner] - before - share[:, :, None] * (after - before)
+    bend = np.abs(off).min(axis=0)
+    limit = np.maximum(MAX_ACCELERATION * span[:, None] ** 2 / 8, MIN_SPIKE)
+    limit = np.maximum(limit, MIN_SPIKE_RATIO * np.median(bend, axis=0))
+    bend *= np.ptp(off, axis=0) <= bend / 2
+    beside = np.pad(bend, ((1, 1), (0, 0)), mode="edge")
+    return np.asarray(bend > np.maximum(limit, 1.5 * np.maximum(beside[2:], beside[:-2])))
+
+
 def find_spikes(t: Array, q: Array) -> NDArray[np.bool_]:
     """Readings (m, j) that jump away and come back, while those beside them agree."""
     spikes = np.zeros(q.shape, dtype=bool)
@@ -41,6 +59,7 @@ def find_spikes(t: Array, q: Array) -> NDArray[np.bool_]:
         step = _is_too_fast(t, q, 1)
         apart = _is_too_fast(t, q, length + 1)
         away = step[:-length] & step[length:] & ~apart  # between readings i and i + length + 1
+        away |= _is_too_bent(t, q, length)
         for place in range(1, length + 1):
             spikes[place : place + len(away)] |= away
     return spikes

@@ -51,9 +51,15 @@ def stop_third(q: Array) -> Array:
     return np.where(np.arange(6) == 2, q[0], q)
 
 
+def stop_fifth_halfway(q: Array) -> Array:
+    half = len(q) // 2
+    return np.where((np.arange(6) == 4) & (np.arange(len(q)) >= half)[:, None], q[half], q)
+
+
 @pytest.mark.parametrize(
     ("mistake", "message"),
     [
+        (stop_fifth_halfway, r"joint 5 stand still from t_s = 2\.\d* to 5\.\d* while it turns by"),
         (reverse_first, r"encoders\.csv: .*joint 1 reversed fits.* column q1_deg by -1"),
         (stop_third, r"joint 3 never change while it turns.* column q3_deg"),
         pytest.param(freeze, "readings never change", marks=pytest.mark.slow),
@@ -64,6 +70,17 @@ def test_a_mistake_is_named(
 ) -> None:
     with pytest.raises(InputError, match=message):
         judge(recording, mistake(recording[0].encoders.q))
+
+
+def test_a_joint_at_rest_is_not_taken_for_a_standing_encoder() -> None:
+    """Joints 2 to 6 hold; where the base is off they seem to turn as joint 1 does."""
+    session = open_session(SAMPLE.with_name("quarter_circle_6r"))
+    track = measure_pictures(session, lambda _done, _total: None, measure).track
+    base = block_diag(rotation_exp(np.radians([1.0, 0.0, 0.0])), 1)
+    moved = replace(track, base_T_flange=base @ track.base_T_flange)
+    log = Readings(session.encoders.t, np.round(session.encoders.q, 2))
+    log.q[:100, 1:] += np.linspace(-0.1, 0, 100)[:, None]  # they came there before
+    refuse_other_motion(session, moved, log, session_clock(session, moved, log))
 
 
 def test_a_base_written_the_wrong_way_round_is_named(recording: tuple[Session, Track]) -> None:

@@ -186,8 +186,22 @@ def test_a_reading_that_no_arm_reaches_is_named_and_left_out(path: Path) -> None
     (warning,) = warnings
     assert warning == (
         "encoders.csv: 2 of 40 readings were left out, the arm cannot reach them: line 19 "
-        "(q1_deg), line 32 (q1_deg)."
+        "(q1_deg), line 32 (q1_deg), line 32 (q2_deg)."
     )
+
+
+@pytest.mark.parametrize("leap_deg", [3.0, -6.0, 40.0])
+@pytest.mark.parametrize("rows", [1, 2])
+def test_a_leap_beyond_an_arms_acceleration_is_left_out(
+    leap_deg: float, rows: int, path: Path
+) -> None:
+    t = 0.01 * np.arange(200)
+    table = pd.DataFrame({"t_s": t, "q1_deg": 40 * np.sin(3 * t), "q2_deg": 5 * t})
+    table.loc[90 : 89 + rows, "q1_deg"] += leap_deg
+    table.to_csv(path, index=False)
+    encoders, (warning,) = read_encoders(path, 2)
+    assert len(encoders) == 200 - rows
+    assert "line 92 (q1_deg)" in warning
 
 
 def test_a_belt_that_slips_and_an_angle_that_wraps_are_no_spikes(path: Path) -> None:
