@@ -32,8 +32,12 @@ def headline(results: Results) -> doc.Verdict:
     """Say what does not conform and what changed; else how far that was tested."""
     verdicts = results.summary.get("verdicts") or {}
     found, failing = records(results.table("changes")), nonconforming_sessions(results, short=True)
-    failed = int((results.summary.get("sessions") or {}).get("failed") or 0)
-    remarks = [f"{_counted(failed, 'session')} could not be measured."] if failed else []
+    held = results.summary.get("sessions") or {}
+    remarks = [
+        f"{_counted(count, 'session')} {what}."
+        for key, what in (("failed", "could not be measured"), ("copies", "left out as copies"))
+        if (count := int(held.get(key) or 0))
+    ]
     if exact := results.summary.get("uncounted"):
         remarks.append(
             f"The figures hold on the condition that {fmt.join_words(exact)} are exact: some "

@@ -182,7 +182,8 @@ def failures(results: Results) -> doc.Section | None:
         doc.Column("Why", "l", doc.field("why"), wide=True),
     )
     note = "failures.csv holds the same. They are tried again when the batch is started again."
-    shown = doc.tabulate("Sessions that could not be measured.", columns, records(table), note)
+    title = "Sessions that could not be measured, or are copies."
+    shown = doc.tabulate(title, columns, records(table), note)
     return doc.Section("failures", "Failures", (shown,))
 
 

@@ -23,6 +23,7 @@ import numpy as np
 import robots
 from robots.transforms import carry, difference, invert
 from verify.analysis.clock.estimate import ClockEstimate
+from verify.analysis.clock.late_joint import late_joint
 from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import (
@@ -79,6 +80,7 @@ def refuse_other_motion(
     if _is_frozen(written, clock.offset):
         raise _refusal(session, written, "the readings never change while the flange moves")
     _refuse_standing(session, written, clock, part=True)
+    _refuse_late(session, written, clock.offset)
     typical = _large_error(written, clock.offset)
     if typical < MAX_ERROR:
         return
@@ -280,6 +282,20 @@ def _refuse_standing(
             rows = "; delete these rows to measure the rest" * part
             remedy = f"Check the encoder of {name} and the column {column}{rows}."
             raise _refusal(session, replace(written, remedy=remedy), f"{found} by {degrees(turn)}")
+
+
+def _refuse_late(session: Session, written: Mistake, offset: float) -> None:
+    """Refuse readings of which one joint's are late against the others'.
+
+    Raises:
+        InputError: names the joint and its delay.
+    """
+    joint, late = late_joint(written.track, written.arm, written.readings, offset) or (0, 0.0)
+    if joint:
+        way, move = "late" if late > 0 else "early", f"Move the column q{joint}_deg by {-late:+.3f}"
+        remedy = f"{move} s against t_s, or record all joints at one instant."
+        found = f"those of joint {joint} are {abs(late):.3f} s {way} against the others"
+        raise _refusal(session, replace(written, remedy=remedy), found)
 
 
 def _faults(written: Mistake) -> Iterator[Mistake]:

@@ -185,16 +185,17 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
         return 1
     if "undecided" in verdicts:
         return 3
-    return EXIT_SOME_FAILED if done.failures else 0
+    return EXIT_SOME_FAILED if done.failed else 0
 
 
 def _print_summary(done: "BatchResult", out: Path, results: "Results") -> None:
     from reports.fleet.certificate import nonconforming_sessions
 
     progress = done.progress
+    terminal.warn(*(one.why for one in done.failures if one not in done.failed))
     terminal.say(
         f"{progress.measured} sessions measured, {progress.kept} kept from before, "
-        f"{len(done.failures)} failed"
+        f"{len(done.failed)} failed"
     )
     terminal.say(*(f"  does not conform: {line}" for line in nonconforming_sessions(results)))
     terminal.say(f"Report: {report_files(out, 'fleet')}")

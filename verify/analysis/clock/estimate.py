@@ -124,7 +124,7 @@ def _search(
     open_clock = _unshown_offset(track, readings, curve, arrival)
     if not len(curve):
         return open_clock
-    sample = subset(track, _spread(len(track), MAX_PAIRS_COMPARED))
+    sample = subset(track, spread(len(track), MAX_PAIRS_COMPARED))
     likely = sorted(dips(curve), key=lambda o: _penalty(track.t, readings, o, arrival))[:MAX_DIPS]
     refined = [_refine(sample, arm, readings, o, likely[:n]) for n, o in enumerate(likely)]
     starts = _merge([fit[0] for fit in refined if fit is not None])
@@ -187,7 +187,7 @@ def _difference_ends(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]
     """Pairs whose residuals are compared, and those some tenths of a second later."""
     lag = max(round(MOTION_LAG / float(np.median(np.diff(track.t)))), 1)
     lag = min(lag, len(track) - 1)
-    early = _spread(len(track) - lag, MAX_PAIRS_COMPARED)
+    early = spread(len(track) - lag, MAX_PAIRS_COMPARED)
     return early, early + lag
 
 
@@ -252,7 +252,7 @@ def _merge(offsets: list[float]) -> list[float]:
     return apart
 
 
-def _spread(count: int, most: int) -> NDArray[np.int64]:
+def spread(count: int, most: int) -> NDArray[np.int64]:
     """At most so many of `count` places, evenly."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
 

@@ -10,6 +10,7 @@ from verify.io.session.keys import Tolerance
 UNREADABLE = "unreadable"  # the system refuses a folder or a file
 REFUSED = "refused"  # the session cannot be measured: what `verify run` says of it
 KILLED = "killed"  # its worker died each time
+COPY = "copy"  # of another session of the batch: it is measured, and not counted again
 DEFECT = "defect"  # an error of ours, not of the session
 MAX_ATTEMPTS = 3  # of a task whose worker dies
 

@@ -9,7 +9,9 @@ from typing import Any
 
 from verify.core.records import Progress
 from verify.errors import one_line
+from verify.fleet.batch.finding import SESSION_FILE
 from verify.fleet.batch.records import (
+    COPY,
     KILLED,
     BatchOptions,
     SessionFailure,
@@ -64,8 +66,13 @@ class BatchResult:
     """What a batch has come to."""
 
     kept: list[tuple[str, Path]]  # measured sessions by name, and where their results are
-    failures: list[SessionFailure]  # by name
+    failures: list[SessionFailure]  # by name; with the copies, of kind COPY
     progress: BatchProgress
+
+    @property
+    def failed(self) -> list[SessionFailure]:
+        """Failures without the copies."""
+        return [failure for failure in self.failures if failure.kind != COPY]
 
 
 def measure_all(
@@ -94,8 +101,15 @@ def measure_all(
     for task, outcome in pool.run(work.waiting):
         work.take(task, outcome)
         watch(work.progress)
-    kept = [(session, work.store.place(session)) for session in sorted(work.done)]
-    return BatchResult(kept, sorted(work.progress.failures), work.progress)
+    first: dict[frozenset[str], str] = {}
+    copies = []
+    for session, inputs in sorted(work.done.items()):
+        recorded = frozenset(digest for name, digest in inputs.items() if name != SESSION_FILE)
+        if (original := first.setdefault(recorded, session)) != session:
+            why = f"{session}: holds the same recording as {original}, and is not counted again."
+            copies.append(SessionFailure(session, COPY, one_line(f"{why} Delete the copy.")))
+    kept = [(session, work.store.place(session)) for session in sorted(first.values())]
+    return BatchResult(kept, sorted([*work.progress.failures, *copies]), work.progress)
 
 
 def report_all(batch: BatchResult, pool: WorkerPool, watch: Progress) -> None:
@@ -115,7 +129,7 @@ class _TaskQueue:
     def __init__(self, store: ResultStore, options: BatchOptions, progress: BatchProgress) -> None:
         self.store, self.options, self.progress = store, options, progress
         self.waiting: deque[Task] = deque()
-        self.done: list[str] = []
+        self.done: dict[str, dict[str, str]] = {}  # inputs by session
 
     def begin(self, one: SessionLocation) -> None:
         """Take a session up: measure it, or see whether what was kept still holds."""
@@ -135,7 +149,7 @@ class _TaskQueue:
             self.store.keep(outcome, self.options)
             self.progress.measured += 1
             self.progress.pairs += outcome.pairs
-            self.done.append(found.session)
+            self.done[found.session] = outcome.inputs
         elif isinstance(task, CompareTask) and isinstance(outcome, list):
             self._compared(task, outcome)
         else:
@@ -146,7 +160,7 @@ class _TaskQueue:
     def _compared(self, task: CompareTask, changed: list[str]) -> None:
         if not changed:
             self.progress.kept += 1
-            self.done.append(task.found.session)
+            self.done[task.found.session] = task.inputs
             return
         self.progress.again.append(f"{task.found.session}: changed since: {', '.join(changed)}")
         self.waiting.append(MeasureTask(task.found, self.options))

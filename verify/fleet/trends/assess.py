@@ -12,6 +12,7 @@ import pandas as pd
 from reports import Results
 from verify.core.version import __version__
 from verify.errors import InputError
+from verify.fleet.batch.records import COPY
 from verify.fleet.trends.joints import (
     CHANGE_COLUMNS,
     MIN_SESSIONS_TO_ASSESS,
@@ -289,7 +290,8 @@ def _summary(
         "tool": {"name": "verify", "version": __version__},
         "sessions": {
             "measured": len(sessions),
-            "failed": len(failures),
+            "failed": int((failures["kind"] != COPY).sum()),
+            "copies": int((failures["kind"] == COPY).sum()),
             "undated": len(sessions) - len(dated),
             "first": _day(dated.min()) if len(dated) else None,
             "last": _day(dated.max()) if len(dated) else None,

@@ -16,7 +16,7 @@ from verify.analysis.session import analyse
 from verify.cli.options import ToleranceOptions
 from verify.fleet.batch import tasks
 from verify.fleet.batch.finding import find_sessions
-from verify.fleet.batch.records import DEFECT, KILLED, BatchOptions, Task, WorkerDied
+from verify.fleet.batch.records import COPY, DEFECT, KILLED, BatchOptions, Task, WorkerDied
 from verify.fleet.batch.run import BatchResult, measure_all
 from verify.io.results import read_results
 from verify.io.session.session import open_session
@@ -98,6 +98,19 @@ def test_a_second_run_measures_only_changed_sessions(lab: Path, tmp_path: Path) 
     redone = batch(lab, out, fourth := Inline(), other)
     assert fourth.kinds == ["MeasureTask", "MeasureTask"]
     assert all("other options" in line for line in redone.progress.again)
+
+
+def test_a_copy_is_named_and_not_counted_again(lab: Path, tmp_path: Path) -> None:
+    shutil.copytree(lab / "one", lab / "two")
+    settings = lab / "two" / "session.toml"
+    settings.write_text(settings.read_text() + "# copied\n")
+    for _ in range(2):  # measured, and kept from before
+        done = batch(lab, tmp_path / "out", Inline())
+        assert [name for name, _ in done.kept] == [f"{lab}/one"]
+        (copy,) = done.failures
+        assert copy.kind == COPY
+        assert copy.why.startswith(f"{lab}/two: holds the same recording as {lab}/one")
+        assert not done.failed
 
 
 def test_dead_workers_are_reported_and_a_program_error_does_not_stop_the_others(
