@@ -18,6 +18,13 @@ LABELS = {
 MAX_CAUSES = 3  # named in the headline; more would hide the first, and the diagnosis lists them all
 SCOPE = "This covers the poses, directions and speeds that the session shows, and no others."
 WORST_ERROR = uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", "°", k=2)
+# of sources that are no quantity to improve: what would make them smaller
+IMPROVEMENTS = {
+    "causes found": "what tells the causes found from the joints' errors (more pairs, in other "
+    "postures)",
+    "lack of fit": "what the errors follow beside the causes found",
+    "autocorrelation": "the number of pairs that do not repeat each other's errors",
+}
 SINGULAR_NAMES = ("the robot base", "the measured point")
 
 
@@ -211,10 +218,11 @@ def _largest_source(results: Results, names: list[Any]) -> str:
         return ""
     largest = rows.sort_values("standard_uncertainty_deg", ascending=False, kind="stable").iloc[0]
     amount = fmt.quantity(float(largest["standard_uncertainty_deg"]), "°")
-    return (
-        f"{str(largest['source']).replace('_', ' ')}, which alone makes {amount} "
-        f"of joint {largest['joint']}'s standard uncertainty"
-    )
+    source = str(largest["source"]).replace("_", " ")
+    joint = f"joint {largest['joint']}'s standard uncertainty"
+    if source in IMPROVEMENTS:
+        return f"{IMPROVEMENTS[source]}: {source} makes {amount} of {joint}"
+    return f"{source}, which alone makes {amount} of {joint}"
 
 
 def _no_verdict(results: Results) -> str:

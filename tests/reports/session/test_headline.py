@@ -70,6 +70,18 @@ def test_an_undecided_verdict_names_the_largest_source_to_improve() -> None:
     assert "improve first is LED body, which alone" in message.sentence
 
 
+def test_causes_found_are_no_quantity_to_improve() -> None:
+    rows = [
+        row | {"verdict": "undecided", "reason": "uncertainty_too_large"}
+        for row in made.conforming().summary["joints"]
+    ]
+    results = _with(made.conforming(), verdict="undecided", joints=rows)
+    results.tables["budget"] = results.tables["budget"].assign(source="causes found")
+    sentence = headline(results).sentence
+    assert "improve first is what tells the causes found from" in sentence
+    assert "(more pairs, in other postures): causes found makes" in sentence
+
+
 def test_a_joint_hidden_by_the_clock_requires_the_clock_offset() -> None:
     results = made.undecided()
     assert "first give the clock offset" in headline(results).sentence
