@@ -23,7 +23,7 @@ import numpy as np
 import robots
 from robots.transforms import carry, difference, invert
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.clock.late_joint import late_joint
+from verify.analysis.clock.late_joints import late_joints
 from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import (
@@ -285,16 +285,19 @@ def _refuse_standing(
 
 
 def _refuse_late(session: Session, written: Mistake, offset: float) -> None:
-    """Refuse readings of which one joint's are late against the others'.
+    """Refuse readings of which some joints' are late against the others'.
 
     Raises:
-        InputError: names the joint and its delay.
+        InputError: names the joints and their delays.
     """
-    joint, late = late_joint(written.track, written.arm, written.readings, offset) or (0, 0.0)
-    if joint:
-        way, move = "late" if late > 0 else "early", f"Move the column q{joint}_deg by {-late:+.3f}"
-        remedy = f"{move} s against t_s, or record all joints at one instant."
-        found = f"those of joint {joint} are {abs(late):.3f} s {way} against the others"
+    late = late_joints(written.track, written.arm, written.readings, offset)
+    if late:
+        named = [
+            f"joint {j} ({abs(d):.3f} s {'late' if d > 0 else 'early'})" for j, d in late.items()
+        ]
+        moves = ", ".join(f"q{j}_deg by {-d:+.3f} s" for j, d in late.items())
+        remedy = f"Move {moves} against t_s, or record all joints at one instant."
+        found = f"those of {' and '.join(named)} are out of step with the others"
         raise _refusal(session, replace(written, remedy=remedy), found)
 
 

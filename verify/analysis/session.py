@@ -101,7 +101,7 @@ def analyse(
     """
     alarms = read_alarms(session.folder / ALARMS, session.arm.dof)
     readings = Readings(session.encoders.t, session.encoders.q)
-    session = _with_time_noise(session, readings)
+    session = _with_shown_noise(session, readings)
     measured, clock = measure_session(session, readings, progress, chain or measure)
     compared, unreachable = compare_session(session, measured, readings, clock)
     tolerance = tolerance or NO_TOLERANCE
@@ -120,15 +120,22 @@ def analyse(
     return results
 
 
-def _with_time_noise(session: Session, readings: Readings) -> Session:
-    """The session with the uncertainty of its readings' stamps, where only the log shows it."""
+def _with_shown_noise(session: Session, readings: Readings) -> Session:
+    """The session with what only the log shows: its readings' step, and how its stamps scatter."""
+    taken = "as the log shows; it is taken into account"
+    if session.encoder_resolution is None and readings.step:
+        warning = (
+            f"encoders.csv: readings come in steps of {np.rad2deg(readings.step):.2g}°, {taken}. "
+            "Record more digits, or state [encoder_readings] resolution_deg."
+        )
+        warnings = (*session.warnings, warning)
+        session = replace(session, encoder_resolution=readings.step, warnings=warnings)
     noise = max(readings.time_noise, session.encoders.late)
     if session.encoder_time_standard_uncertainty is not None or not noise:
         return session
     warning = (
         f"encoders.csv: the times of the readings scatter by {1e3 * noise:.2g} ms (standard "
-        "uncertainty), as the log shows; it is taken into account. Record the controller's own "
-        "time stamps."
+        f"uncertainty), {taken}. Record the controller's own time stamps."
     )
     told = readings.time_noise <= session.encoders.late  # of the rows that repeat
     warnings = session.warnings if told else (*session.warnings, warning)

@@ -18,6 +18,9 @@ MIN_DIFFERENCES = 8  # fewer show no spread
 HOLD_TIME = 0.5  # s: at the edge of a burst at rest the arm is taken as standing still for so long
 MIN_STAMPS = 12  # readings of moving joints; fewer do not show whether joints are late together
 MIN_TOGETHER = 0.75  # of them: less is little beside the noise; half are by chance
+MIN_VALUES = 8  # of a joint: fewer may be as far apart by chance
+TOL_STEP = 1e-7  # rad: less is rounding
+MAX_STEP_ERROR = 0.05  # of a step
 STAMPS_SIGMA = 3.5  # from chance
 CHI2_MEDIAN = 0.4549  # of one degree of freedom
 MIN_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
@@ -118,6 +121,23 @@ class Readings:
                 size = np.median(np.abs(steps[whole]), axis=0)
                 smallest = np.minimum(smallest, MAD_TO_SIGMA * size / np.sqrt(variance))
         return np.where(np.isfinite(smallest), smallest, 0.0)
+
+    @cached_property
+    def step(self) -> float:
+        """Coarsest step in which a joint's readings change, rad; 0 where noise is wider than it.
+
+        All values of a joint are whole steps apart. Such readings hide their noise.
+        """
+        coarsest = 0.0
+        for q, noise in zip(self.q.T, self.noise, strict=True):
+            values = np.unique(q)
+            values = values[np.diff(values, prepend=-np.inf) > TOL_STEP]
+            if len(values) >= MIN_VALUES:
+                step = float(np.diff(values).min())
+                count = (values - values[0]) / step
+                if step > 2 * noise and np.abs(count - np.round(count)).max() < MAX_STEP_ERROR:
+                    coarsest = max(coarsest, step)
+        return coarsest
 
     @cached_property
     def time_noise(self) -> float:

@@ -13,7 +13,7 @@ from robots.transforms import rotation_exp
 from tests.support.published import write_session
 from tests.support.true_arm import measured, readings, true_arm
 from verify.analysis.clock.estimate import estimate_clock
-from verify.analysis.clock.late_joint import late_joint
+from verify.analysis.clock.late_joints import late_joints
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.measured import measure_pictures, session_clock
 from verify.analysis.other_motion import refuse_other_motion
@@ -57,17 +57,21 @@ def stop_fifth_halfway(q: Array) -> Array:
     return np.where((np.arange(6) == 4) & (np.arange(len(q)) >= half)[:, None], q[half], q)
 
 
-def delay_fourth(q: Array) -> Array:
-    """Readings of 50 Hz, those of joint 4 one row and a half late."""
-    late = (np.roll(q, 1, axis=0) + np.roll(q, 2, axis=0)) / 2
-    late[:2] = q[:2]
-    return np.where(np.arange(6) == 3, late, q)
+def delay_second_and_fourth(q: Array) -> Array:
+    """Readings of 50 Hz, those of joint 4 one row and a half late, those of joint 2 three rows."""
+    late, later = q.copy(), q.copy()
+    late[2:] = (q[1:-1] + q[:-2]) / 2
+    later[3:] = q[:-3]
+    return np.select([np.arange(6) == 3, np.arange(6) == 1], [late, later], q)
 
 
 @pytest.mark.parametrize(
     ("mistake", "message"),
     [
-        (delay_fourth, r"joint 4 are 0\.030 s late .* Move the column q4_deg by -0\.030 s"),
+        (
+            delay_second_and_fourth,
+            r"joint 2 \(0\.060 s late\) and joint 4 \(0\.030 s late\) .*, q4_deg by -0\.030 s",
+        ),
         (stop_fifth_halfway, r"joint 5 stand still from t_s = 2\.\d* to 5\.\d* while it turns by"),
         (reverse_first, r"encoders\.csv: .*joint 1 reversed fits.* column q1_deg by -1"),
         (stop_third, r"joint 3 never change while it turns.* column q3_deg"),
@@ -90,8 +94,8 @@ def test_backlash_and_another_clock_are_no_late_joint(
     offset = estimate_clock(track, session.arm, log).offset
     q = log.q.copy()
     q[:, joint] += np.deg2rad(1.0) * log.direction(log.t)[:, joint]
-    assert late_joint(track, session.arm, Readings(log.t, q), offset) is None
-    assert late_joint(track, session.arm, log, offset + 0.1) is None
+    assert not late_joints(track, session.arm, Readings(log.t, q), offset)
+    assert not late_joints(track, session.arm, log, offset + 0.1)
 
 
 def test_a_joint_at_rest_is_not_taken_for_a_standing_encoder() -> None:

@@ -89,6 +89,18 @@ def test_noise_of_single_joints_is_no_scatter_of_time_stamps() -> None:
     assert Readings(t, q).time_noise == 0.0
 
 
+def test_the_step_of_coarse_readings_is_found_and_noise_that_hides_it_counts_instead() -> None:
+    rng = np.random.default_rng(5)
+    t = np.arange(0.0, 10.0, 0.02)
+    q = np.stack([0.3 * np.sin(w * t) for w in (0.5, 1.7)], axis=1)
+    step = np.deg2rad(0.1)
+    coarse = np.round(q / step) * step
+    assert_allclose(Readings(t, coarse).step, step, rtol=1e-6)
+    assert Readings(t, q).step == 0.0
+    assert Readings(t, np.round((q + rng.normal(0, step, q.shape)) / step) * step).step == 0.0
+    assert Readings(t, np.deg2rad([0.0, 5.0, 7.5])[(t * 0.3).astype(int)][:, None]).step == 0.0
+
+
 def test_between_two_bursts_of_readings_nothing_is_known() -> None:
     t = np.concatenate([np.arange(0, 1, 0.1), np.arange(10, 11, 0.1)])
     readings = Readings(t, np.where(t < 5, 0.1, 0.7)[:, None])
