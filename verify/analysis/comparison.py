@@ -156,7 +156,7 @@ def _reading_covariance(
 
 
 def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Comparison:
-    """Take the Jacobian halfway between readings and truth, for errors (j,) of about this size.
+    """Take the Jacobian halfway between readings and truth, for such errors, (j,) or (n, j).
 
     There the first order is exact to the third: a joint that is 3° off accuses no neighbour.
     """

@@ -253,18 +253,18 @@ def _is_frozen(written: Mistake, offset: float) -> bool:
 def _refuse_standing(
     session: Session, written: Mistake, clock: ClockEstimate, *, part: bool
 ) -> None:
-    """Refuse readings of a joint that stand while it turns, in `part` of the session or in all.
+    """Refuse readings of joints that stand while they turn, in `part` of the session or in all.
 
     What stands is the longest run of one value: there the measured angle goes on without a leap,
     and the joint is off by that and by little elsewhere. A base that is off is so everywhere.
 
     Raises:
-        InputError: names the joint, and from when to when its readings stand.
+        InputError: names the joints, and from when to when their readings stand.
     """
     unknown = clock.source == "none" and len(clock.curve)  # standing readings hide the clock
     offset = clock.curve[np.argmin(clock.curve[:, 1]), 0] if unknown else clock.offset
     error, angle = _joint_errors(written, float(offset))
-    t = written.readings.t
+    t, found = written.readings.t, []
     for joint, q in enumerate(written.readings.q.T if len(error) else ()):
         runs = np.append(np.flatnonzero(np.diff(q, prepend=np.nan)), len(q))
         first, after = runs[np.argmax(np.diff(runs)) + np.arange(2)].tolist()
@@ -275,13 +275,21 @@ def _refuse_standing(
         turn = float(np.ptp(there))
         off = np.quantile(np.abs(rest - np.median(rest)), HIGH) if part else 0.0
         leap = np.abs(np.diff(there)).max() if part else 0.0
-        if turn > (MAX_STRAY if part else MAX_ERROR) and max(off, leap) < turn / 3:
-            name, column = f"joint {joint + 1}", f"q{joint + 1}_deg"
-            when = f"stand still from t_s = {t[first]:.2f} to {t[after - 1]:.2f}"
-            found = f"those of {name} {when if part else 'never change'} while it turns"
-            rows = "; delete these rows to measure the rest" * part
-            remedy = f"Check the encoder of {name} and the column {column}{rows}."
-            raise _refusal(session, replace(written, remedy=remedy), f"{found} by {degrees(turn)}")
+        if turn > (MAX_STRAY if part else MAX_ERROR) and off < turn / 3 and leap < 0.6 * turn:
+            found.append((joint + 1, turn, t[first], t[after - 1]))
+    if not found:
+        return
+    _, turn, since, until = max(found, key=lambda one: one[1])
+    together = [joint for joint, _, *ends in found if ends == [since, until]]
+    one = len(together) == 1
+    names = f"joint{'s' * (not one)} {', '.join(map(str, together))}"
+    when = f"stand still from t_s = {since:.2f} to {until:.2f}" if part else "never change"
+    what = f"those of {names} {when} while {'it turns' if one else 'they turn'} by {degrees(turn)}"
+    check = f"the encoder of {names}" if one else "how the log was written"
+    rows = "; delete these rows to measure the rest" * part
+    columns = ", ".join(f"q{joint}_deg" for joint in together)
+    remedy = f"Check {check} and the column{'s' * (not one)} {columns}{rows}."
+    raise _refusal(session, replace(written, remedy=remedy), what)
 
 
 def _refuse_late(session: Session, written: Mistake, offset: float) -> None:

@@ -78,6 +78,7 @@ __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 
 TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
+MIN_FAR = np.deg2rad(2.0)  # of an error from the typical one: a Jacobian is off by some per cent
 MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
 MIN_MISFIT_TURNED = 10.0  # of the causes: a turned camera is tried though it is none of them
 MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
@@ -237,7 +238,9 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
     if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
         first = np.nan_to_num(resolve_errors(built(compared.comparison)).mean)
         typical = np.where(known.any(axis=0), typical, first)
-    middle = relinearise(compared.comparison, session.arm, typical)
+    # a step, or readings that stand, leave some pairs far from what is typical
+    far = known & (np.abs(error - typical) > MIN_FAR)
+    middle = relinearise(compared.comparison, session.arm, np.where(far, error, typical))
 
     def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:
         causes = [] if found is None else explained_by(found, model, session.arm, session.rig)

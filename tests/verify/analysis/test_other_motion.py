@@ -57,6 +57,13 @@ def stop_fifth_halfway(q: Array) -> Array:
     return np.where((np.arange(6) == 4) & (np.arange(len(q)) >= half)[:, None], q[half], q)
 
 
+def stall(q: Array) -> Array:
+    """All joints hold for 0.4 s: the log goes on, and the arm."""
+    held = q.copy()
+    held[125:145] = q[125]
+    return held
+
+
 def delay_second_and_fourth(q: Array) -> Array:
     """Readings of 50 Hz, those of joint 4 one row and a half late, those of joint 2 three rows."""
     late, later = q.copy(), q.copy()
@@ -73,6 +80,7 @@ def delay_second_and_fourth(q: Array) -> Array:
             r"joint 2 \(0\.060 s late\) and joint 4 \(0\.030 s late\) .*, q4_deg by -0\.030 s",
         ),
         (stop_fifth_halfway, r"joint 5 stand still from t_s = 2\.\d* to 5\.\d* while it turns by"),
+        (stall, r"joints 1, .* stand still from t_s = 2\.82 to 3\.20 while they turn by"),
         (reverse_first, r"encoders\.csv: .*joint 1 reversed fits.* column q1_deg by -1"),
         (stop_third, r"joint 3 never change while it turns.* column q3_deg"),
         pytest.param(freeze, "readings never change", marks=pytest.mark.slow),
