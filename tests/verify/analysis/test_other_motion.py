@@ -14,9 +14,10 @@ from tests.support.published import write_session
 from tests.support.true_arm import measured, readings, true_arm
 from verify.analysis.clock.estimate import estimate_clock
 from verify.analysis.clock.late_joints import late_joints
-from verify.analysis.instrument import measure_poses, stated_noise
+from verify.analysis.instrument import MeasuredSession, measure_poses, stated_noise
 from verify.analysis.measured import measure_pictures, session_clock
 from verify.analysis.other_motion import refuse_other_motion
+from verify.analysis.session import compare_session, session_model
 from verify.calibration.kinematics.poses import build_poses
 from verify.core.readings import Readings
 from verify.core.records import Array
@@ -29,9 +30,14 @@ SAMPLE = Path(__file__).parents[3] / "sample_sessions" / "multi_joint_fault_6r"
 
 
 @pytest.fixture(scope="module")
-def recording() -> tuple[Session, Track]:
+def seen() -> tuple[Session, MeasuredSession]:
     session = replace(open_session(SAMPLE), clock=None)
-    return session, measure_pictures(session, lambda _done, _total: None, measure).track
+    return session, measure_pictures(session, lambda _done, _total: None, measure)
+
+
+@pytest.fixture(scope="module")
+def recording(seen: tuple[Session, MeasuredSession]) -> tuple[Session, Track]:
+    return seen[0], seen[1].track
 
 
 def judge(recording: tuple[Session, Track], q: Array) -> None:
@@ -139,6 +145,26 @@ def test_an_offset_and_a_slipped_belt_are_faults(
         q = session.encoders.q.copy()
         q[session.encoders.t >= since, 2] += np.deg2rad(size_deg)
         judge(recording, q)
+
+
+@pytest.mark.parametrize("size_deg", [5.0, pytest.param(15.0, marks=pytest.mark.slow)])
+def test_a_belt_that_slips_hides_no_clock_and_accuses_nobody_else(
+    seen: tuple[Session, MeasuredSession], size_deg: float
+) -> None:
+    session, track = seen[0], seen[1].track
+    t, q = session.encoders.t, session.encoders.q.copy()
+    plain = estimate_clock(track, session.arm, Readings(t, session.encoders.q))
+    q[len(q) // 2 :, 4] += np.deg2rad(size_deg)
+    clock = estimate_clock(track, session.arm, Readings(t, q))
+    assert clock.source == "estimated"
+    assert clock.offset == pytest.approx(plain.offset, abs=5e-4)
+    compared, _ = compare_session(session, seen[1], Readings(t, q), clock)
+    _, found, resolved = session_model(compared)
+    named = {(cause.kind, cause.joint) for cause in found.causes if cause.kind != "ambiguous"}
+    assert named == {("step", 5), ("offset", 2)}
+    assert np.rad2deg(resolved.mean[[0, 2, 3, 4, 5]]) == pytest.approx(
+        [0, 0, 0, size_deg / 2, 0], abs=0.02
+    )
 
 
 @pytest.mark.parametrize(

@@ -57,6 +57,7 @@ TOL_OFFSET = 1e-7  # s
 MAX_STEP = 0.1  # s: readings are not linear over longer times
 # An offset that the motion shows no better than this is no offset: the arm moves 0.3° at 30°/s.
 MAX_UNCERTAINTY = 0.01  # s
+PARTS, MIN_PARTS = 4, 3  # of a session, where all of it shows no offset; that agree
 # of the clock's effect must be left after joint offsets are fitted; less is rounding and noise
 MIN_VISIBLE_SHARE = 0.02
 # the same from the readings' noise alone, at rest, is 1 with a spread of a few percent
@@ -133,6 +134,8 @@ def _search(
     candidates = [_candidate(track, arm, readings, o, arrival) for o in starts]
     best, rivals = _choose(candidates)
     fine = _refine(track, arm, readings, best)
+    if fine is None or fine[1] > MAX_UNCERTAINTY:
+        fine = _refine_by_parts(track, arm, readings, best)
     if fine is None or fine[1] > MAX_UNCERTAINTY:
         return open_clock
     return ClockEstimate(*fine, "ambiguous" if rivals else "estimated", curve, rivals)
@@ -284,6 +287,21 @@ def _refine(
         if abs(step) < TOL_OFFSET:
             break
     return offset, uncertainty
+
+
+def _refine_by_parts(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float
+) -> tuple[float, float] | None:
+    """The offset from parts of a session, each by itself: a belt that slips spoils one of them."""
+    parts = np.array_split(np.arange(len(track)), PARTS)
+    fits = [_refine(subset(track, part), arm, readings, offset) for part in parts if len(part) > 2]
+    known = np.array([fit for fit in fits if fit is not None and fit[1] <= MAX_UNCERTAINTY])
+    if len(known) < MIN_PARTS:
+        return None
+    weight = known[:, 1] ** -2
+    found = float(weight @ known[:, 0] / weight.sum())
+    misfit = float(weight @ (known[:, 0] - found) ** 2) / (len(known) - 1)
+    return found, float(np.sqrt(max(misfit, 1.0) / weight.sum()))
 
 
 def _basis(columns: Array) -> Array:
