@@ -185,3 +185,24 @@ def test_what_no_identification_can_describe_is_named(
         table.assign(qx=-table["qx"]).to_csv(folder / "poses.csv", index=False)
     free = ("--base", "free", "--leds", "free", "--splits", "2")
     assert message in verify("identify", folder, *(words or free), "-o", tmp_path / "no").refusal
+
+
+@pytest.mark.parametrize("words", [(), ("--base", "free", "--leds", "free", "--splits", "2")])
+def test_a_session_that_does_not_agree_with_the_others_is_named(
+    words: tuple[str, ...], tmp_path: Path
+) -> None:
+    """Joint 4 was 1° elsewhere on one day: neither the first session nor its base is to blame."""
+    truth = true_arm("iust_6r", 3, geometry=0.0, offsets=0.0)
+    truth = replace(truth, world_T_base=np.eye(4), flange_T_target=np.eye(4))
+    folders = []
+    for day in range(3):
+        q = readings(truth.arm, 40, day)
+        poses, _ = measured(truth, q, day)
+        q = q + np.radians(1.0) * (day == 1) * np.eye(6)[3]
+        rows = build_poses(q, poses)
+        folders.append(write_session(tmp_path / f"day{day}", rows, robot="iust_6r", period=10.0))
+    said = verify("identify", *folders, *words, "-o", tmp_path / "no").refusal
+    assert f"{folders[1]}: does not agree with the other sessions: " in said
+    both = verify("identify", *folders[:2], *words, "-o", tmp_path / "no").refusal
+    assert f"does not agree with {folders[0]}: " in both or f"with {folders[1]}: " in both
+    assert "Leave one of them out" in both

@@ -7,7 +7,7 @@ no registration disturbs. After the fit, where its largest model leaves more tha
 slipped belts (`terms`) or another base and target than those held would, these are named.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,7 +38,8 @@ MIN_LEFT = 0.02  # m, mean: an arm of 1 m with 2° in a joint leaves about as mu
 MIN_FACTOR = 3.0  # of what is left as written over what a mistake leaves
 MAX_ROWS = 80  # that are registered for each mistake
 MIN_ROWS = 12  # of each session
-MAX_CARRIED = 4  # mistakes, to a fit with the offsets free
+MAX_CARRIED = 4  # mistakes, to a fit with the offsets free; sessions, to one without them
+MIN_NEARER = 1.2  # a session that is off is named, where another base fits better by less
 MIN_SHARE = 0.5  # of chi², that a scale or slip explains: parts of a real UR10's have up to 0.35
 MAX_PAIRED = 40  # poses, by which two mistakes at once are sought
 
@@ -96,15 +97,23 @@ def refuse_unfit(
     rows, parameters = take_rows(gathered.poses, some), found.richest.parameters
     start = gathered.state(chain) if held else start_state(chain, rows)
     written = fit_terms(start, rows, t, parameters)
-    size = _mm(_length(written.left, rows))
+    size, most = _mm(_length(written.left, rows)), _misfit(written, rows) / MIN_FACTOR
+    base = None
     if held:
         free = (*_placed(rows), *(p for p in parameters if not p.axis))
         other = fit_terms(start_state(chain, rows), rows, t, free)
         gain = written.chi2(rows, other.scale) - other.chi2(rows, other.scale)
         if gain > max(other.freedom, float(chi2_isf(P_FALSE, len(free) - len(parameters)))):
+            most = max(most, MIN_NEARER * _misfit(other, rows))
             fits = f"another base and target fit: {_mm(_length(other.left, rows))}"
             remedy = "Register again, or free both: --base free --leds free."
-            raise _refusal(file, f"{size}, base and target held; {fits}", remedy)
+            base = _refusal(file, f"{size}, base and target held; {fits}", remedy)
+    _refuse_disagreeing(
+        gathered, some, written.left, most,
+        lambda kept: fit_terms(start, take_rows(rows, kept), t[kept], parameters),
+    )  # fmt: skip
+    if base is not None:
+        raise base
     one = len(np.unique(rows.recording)) == 1
     explained = explain(written, start, rows, t, parameters, slips=one)
     named = _words(explained, gathered)
@@ -121,6 +130,45 @@ def refuse_unfit(
         return []
     share = f"explains {explained.share.max():.0%} of the squared residuals"
     return [f"{named} {share}: offsets and lengths may be off by more than their U."]
+
+
+def _refuse_disagreeing(
+    gathered: CombinedPoses,
+    some: NDArray[np.bool_],
+    left: Array,
+    most: float,
+    fit: Callable[[NDArray[np.bool_]], TermFit],
+) -> None:
+    """Refuse one of several sessions without which a fit to the rows kept misfits less than `most`.
+
+    `left` (n, 6): what the fit to all rows leaves, m and rad. Of two sessions both are named.
+    """
+    rows = take_rows(gathered.poses, some)
+    each = {int(k): rows.recording == k for k in np.unique(rows.recording)}
+    off = sorted(each, key=lambda k: _length(left[each[k]], rows))[-MAX_CARRIED:]
+    fits = {k: (fit(~each[k]), take_rows(rows, ~each[k])) for k in off if len(each) > 1}
+    misfits = [_misfit(*fits[k]) for k in fits]
+    if not fits or (max if len(each) == 2 else min)(misfits) > most:
+        return
+    k = off[int(np.argmin(misfits))]
+    folders = [gathered.sessions[gathered.source[some][each[i]][0]].session.folder for i in each]
+    place, rest = folders.pop(list(each).index(k)), _length(fits[k][0].left, fits[k][1])
+    others, leave = "the other sessions", "Leave it out"
+    if len(each) == 2:
+        others, leave = str(folders[0]), "Leave one of them out"
+    size = f"{_mm(_length(left, rows))} of all together, {rest * 1e3:.3g} mm without it"
+    expected = "joints' zeros, base and LEDs that stay the same in all sessions"
+    remedy = f"{leave}, or identify what was recorded before and after a change each by itself."
+    found = f"does not agree with {others}: {size}"
+    raise InputError(place, found, expected, remedy)
+
+
+def _misfit(fit: TermFit, rows: IdentificationPoses) -> float:
+    """Mean length, m, of what a fit leaves, if it had no parameters; inf where it has too many."""
+    numbers = int(rows.dimensions.sum())
+    if fit.freedom < numbers / 2:
+        return np.inf
+    return _length(fit.left, rows) * float(np.sqrt(numbers / fit.freedom))
 
 
 def _some(gathered: CombinedPoses) -> tuple[NDArray[np.bool_], Array]:
