@@ -75,9 +75,10 @@ def outcome(summary: dict[str, Any]) -> doc.Verdict:
         )
         return doc.Verdict("undecided", "The target was not found", sentence)
     if state not in OUTCOMES:
-        return doc.Verdict(
-            "undecided", f"Ended while {state}", "Its time was over, or it was ended."
-        )
+        operator = summary.get("stopped_by_operator")
+        ended = "The operator ended it." if operator else "Its time was over."
+        begun = f" It had not begun: {reason}." if state == "idle" and reason != fmt.DASH else ""
+        return doc.Verdict("undecided", f"Ended while {state}", ended + begun)
     tone, label = OUTCOMES[state]
     by = _evidence_text(summary) if state == "lifted" else ""
     return doc.Verdict(tone, label, f"{as_sentence(reason + by)}{_tool_offset_text(summary)}")

@@ -361,3 +361,14 @@ def test_the_package_lists_its_names_and_loads_no_large_library_before_they_are_
     assert {name for name in shown if name not in page} == set()
     every = set(vars(verify_package)["_MODULES"])
     assert set(verify_package.__all__) == every
+
+
+@pytest.mark.parametrize("place", ["notes.txt", "notes.txt/below", "/proc/verify-report"])
+def test_a_place_that_takes_no_results_is_refused_before_anything_is_measured(
+    place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "notes.txt").write_text("mine")
+    monkeypatch.setattr("verify.cli.measure.analyse", lambda *_, **__: pytest.fail("measured"))
+    ended = verify("run", SAMPLES / HEALTHY, "-o", tmp_path / place, "--force")
+    assert ended.refusal.startswith(f"error: {tmp_path / place}: ")
+    assert [path.name for path in tmp_path.iterdir()] == ["notes.txt"]

@@ -70,12 +70,16 @@ def joint_mistakes(readings: Readings) -> Iterator[tuple[str, str, Readings]]:
 def _column_mistakes(q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
     """Name, remedy, and what the joints' columns (m,) of readings (m, j), rad, would be without."""
     joints = range(q.shape[1])
+    # a registration that is turned about the first or the last axis shows the same
+    ends = {0: "the robot's base", len(joints) - 1: "the LEDs on the flange"}
     for j in joints:
         name, column = f"joint {j + 1}", f"q{j + 1}_deg"
         yield f"{name} reversed", f"Multiply the column {column} by -1.", {j: -q[:, j]}
         for zero in ZERO_ERRORS_DEG:
             what = f"{name} with its zero moved by {zero:+d}°"
-            yield what, f"Add {zero:+d} to the column {column}.", {j: q[:, j] + np.deg2rad(zero)}
+            turned = f", or correct the place of {ends[j]}, if that is turned" if j in ends else ""
+            remedy = f"Add {zero:+d} to the column {column}{turned}."
+            yield what, remedy, {j: q[:, j] + np.deg2rad(zero)}
         in_degrees = {j: np.rad2deg(q[:, j])}
         yield f"{name} taken as radians", f"Multiply the column {column} by 180/π.", in_degrees
         for sign, add in ((1, f"Add q{j} to"), (-1, f"Subtract q{j} from")) if j else ():
@@ -179,7 +183,7 @@ def registration_mistakes(session: Session, written: Mistake) -> Iterator[Mistak
     rig_T_flange = rig_T_base @ track.base_T_flange
     scaled = np.linalg.inv(rig_T_base) * [1.0, 1.0, 1.0, 1e3]
     scaled[3, 3] = 1.0
-    file = session.folder / ("rig.toml" if session.instrument is None else "session.toml")
+    file = session.rig_file or session.folder / "session.toml"
     stated = "Write the base in the rig's frame into [robot_base], not the rig in the base's."
     for name, remedy, base_T_rig in (
         ("the robot's base inverted", stated, rig_T_base),
@@ -239,10 +243,10 @@ def _misplaced(
     if turn + shift / LEVER <= max(MIN_TURNED, 3 * doubt * of_base):
         return None
     what = "the robot's base" if of_base else "the body on the flange"
-    holder = "session.toml" if posed else "rig.toml" if of_base else "marker.toml"
+    holder = session.rig_file if of_base or posed else session.marker_file
     return replace(
         written,
-        file=session.folder / holder,
+        file=holder or session.folder / "session.toml",
         name=f"{what} turned by {degrees(turn)} and shifted by {shift * 1e3:.0f} mm",
         remedy="Nothing can be judged by that registration: register again.",
     )
@@ -257,4 +261,5 @@ def _middle(poses: Array) -> Array:
 
 def degrees(angle: float) -> str:
     """Word an angle, rad; inf: no angle at which the arm reaches the poses."""
-    return f"{np.rad2deg(angle):.2g}°" if np.isfinite(angle) else "more than the arm can reach"
+    figure = float(f"{np.rad2deg(angle):.2g}")  # 130, not 1.3e+02
+    return f"{figure:g}°" if np.isfinite(angle) else "more than the arm can reach"

@@ -299,7 +299,7 @@ def _comparison_refusal(session: Session, track: Track, *, reached: bool) -> Inp
         )
     registration = "[poses] and [robot_base]" if posed else "[robot_base] and marker.toml"
     return InputError(
-        session.folder / ("session.toml" if posed else "rig.toml"),
+        session.rig_file or session.folder / "session.toml",
         f"{session.arm.name} can reach none of the {len(track)} measured poses",
         f"robot, {registration} must belong to this recording",
         "Check robot_base.position_mm and the robot's name.",

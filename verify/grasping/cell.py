@@ -12,6 +12,8 @@ import numpy as np
 
 from robots.transforms import rotation_exp
 from verify.core.records import Array, rigid_transform
+from verify.errors import InputError
+from verify.io.files import refused_as_input_error
 from verify.io.toml import MM, decode, key_error, not_negative
 
 Triple = tuple[float, float, float]
@@ -164,6 +166,11 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
         InputError: names the file, the key, what stands there, what should, and what to do.
     """
     path = Path(path)
+    with refused_as_input_error(path):
+        there = path.exists()
+    if not there:
+        remedy = "Write it (docs/grab.md shows one), or name another: --cell PATH."
+        raise InputError(path, "does not exist", "it describes the cell", remedy)
     table, warnings = decode(path, CellTable)
     _check_signs(path, table)
     lower, upper = (np.array(v) * MM for v in (table.workspace.lower_mm, table.workspace.upper_mm))

@@ -258,15 +258,7 @@ def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
             no permission.
     """
     out = Path(out)
-    target = real_path(out)
-    exists = _check_vacant(out, target, force)
-    # on the disk of what it becomes, so that a rename suffices: `out` may be a mount of its own
-    beside = target if exists else next(p for p in target.parents if p.exists())
-    partial = _partial_path(beside)
-    try:
-        partial.mkdir()
-    except OSError as error:
-        raise output_refusal(out, error) from error
+    partial, target, exists = make_partial(out, force=force)
     try:
         yield partial
         _put_in_place(out, partial, target, exists)
@@ -276,6 +268,24 @@ def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
         raise
     finally:
         shutil.rmtree(partial, ignore_errors=True)
+
+
+def make_partial(out: Path, *, force: bool) -> tuple[Path, Path, bool]:
+    """Make the folder to build `out` in; with it where `out` really is, and whether it exists.
+
+    Raises:
+        InputError: as `write_folder_whole`.
+    """
+    target = real_path(out)
+    exists = _check_vacant(out, target, force)
+    # on the disk of what it becomes, so that a rename suffices: `out` may be a mount of its own
+    beside = target if exists else next(p for p in target.parents if p.exists())
+    partial = _partial_path(beside)
+    try:
+        partial.mkdir()
+    except OSError as error:
+        raise output_refusal(out, error) from error
+    return partial, target, exists
 
 
 def _check_vacant(out: Path, target: Path, force: bool) -> bool:
@@ -291,7 +301,9 @@ def _check_vacant(out: Path, target: Path, force: bool) -> bool:
         raise output_refusal(out, error) from error
     if holds and not force:
         remedy = "Choose another -o or give --force."
-        raise InputError(out, "is not empty", "existing files are not overwritten", remedy)
+        raise InputError(
+            out, "exists and is not empty", "existing files are not overwritten", remedy
+        )
     return True
 
 

@@ -36,12 +36,11 @@ MAX_FILM_BYTES = 10_000_000  # of a film that is read for a report
 
 
 def refuse_existing(out: Path, *, force: bool) -> None:
-    """Raise InputError, before hours of work, if `out` is a file or, unless `force`, not empty."""
-    files.real_path(out)
-    if out.is_file() or (out.is_dir() and any(out.iterdir()) and not force):
-        found = "is a file" if out.is_file() else "exists and is not empty"
-        raise InputError(out, found, "results need a folder of their own",
-                         "Choose another with -o, or give --force.")  # fmt: skip
+    """Raise InputError, before hours of work, if the folder `out` cannot be written.
+
+    It is a file, not empty (unless `force`), or the system refuses it.
+    """
+    files.make_partial(out, force=force)[0].rmdir()
 
 
 def refuse_file(path: Path, *, force: bool) -> None:

@@ -26,6 +26,7 @@ BARE = {"kind": "grab", "robot": "an arm", "target": "blue object", "cell": "sim
         ({"execute": True, "state": "fault", "reason": "alarm"}, "nonconform", "fault"),
         ({"execute": True, "state": "holding-lost", "reason": "gone"}, "undecided", "out of sight"),
         ({"execute": True, "state": "following", "reason": ""}, "undecided", "while following"),
+        ({"state": "idle", "reason": "no pictures yet"}, "undecided", "while idle"),
         ({"execute": False, "state": "searching", "reason": ""}, "undecided", "not found"),
         ({"state": "tracking", "plan": {"branch": "b", "duration_s": 4.9}}, "none", "Planned"),
         ({"state": "tracking", "refusal": {"reason": "too wide"}}, "undecided", "Refused"),
@@ -38,6 +39,14 @@ def test_each_final_state_has_its_verdict(
     assert message.tone == tone
     assert label in message.label
     assert "None" not in message.sentence
+
+
+def test_who_ended_it_and_what_it_waited_for_are_said() -> None:
+    idle = {"execute": False, "state": "idle", "reason": "no joint angles yet"}
+    waited = "Its time was over. It had not begun: no joint angles yet."
+    assert outcome(idle).sentence == waited
+    stopped = {"execute": True, "state": "following", "stopped_by_operator": True}
+    assert outcome(stopped).sentence == "The operator ended it."
 
 
 BY_GRIPPER = "The object came along, by the gripper's status; the cameras"

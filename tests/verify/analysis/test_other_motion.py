@@ -16,6 +16,7 @@ from verify.analysis.clock.estimate import estimate_clock
 from verify.analysis.clock.late_joints import late_joints
 from verify.analysis.instrument import MeasuredSession, measure_poses, stated_noise
 from verify.analysis.measured import measure_pictures, session_clock
+from verify.analysis.mistakes import degrees
 from verify.analysis.other_motion import refuse_other_motion
 from verify.analysis.session import compare_session, session_model
 from verify.calibration.kinematics.poses import build_poses
@@ -132,6 +133,29 @@ def test_a_base_written_the_wrong_way_round_is_named(recording: tuple[Session, T
     )
     with pytest.raises(InputError, match=r"rig\.toml: .*base inverted fits"):
         judge((wrong, moved), session.encoders.q)
+
+
+def test_the_rig_that_was_given_is_blamed_and_not_the_session_s_own(
+    recording: tuple[Session, Track], tmp_path: Path
+) -> None:
+    session, track = recording
+    turned = block_diag(rotation_exp(np.radians([0, 83.0, 0])), 1)
+    wrong = replace(session, rig_file=tmp_path / "other.toml")
+    moved = replace(track, base_T_flange=turned @ track.base_T_flange)
+    with pytest.raises(InputError, match=r"other\.toml: .*base turned by 83°"):
+        judge((wrong, moved), session.encoders.q)
+
+
+def test_a_registration_that_shows_the_same_is_named_with_a_zero(
+    recording: tuple[Session, Track],
+) -> None:
+    q = recording[0].encoders.q
+    for joint, what in ((0, "robot's base"), (5, "LEDs on the flange")):
+        moved = q + np.radians(90) * np.eye(6)[joint]
+        said = rf"column q{joint + 1}_deg, or correct the place of the {what}, if that is turned"
+        with pytest.raises(InputError, match=said):
+            judge(recording, moved)
+    assert degrees(np.radians(131.0)) == "130°"
 
 
 @pytest.mark.parametrize(

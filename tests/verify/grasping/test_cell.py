@@ -86,3 +86,8 @@ def test_the_melfa_s_speeds_are_the_published_ones() -> None:
     assert_allclose(np.degrees(arm.speed), [250, 187, 250, 412, 412, 660])
     # the public URDF's figures, in rad/s
     assert_allclose(arm.speed, [4.36332, 3.26377, 4.36332, 7.19076, 7.19076, 11.5192], rtol=1e-5)
+
+
+def test_a_station_without_a_cell_is_told_how_to_name_one(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"grab\.toml: does not exist; .* --cell PATH\.$"):
+        grasping_cell.read(tmp_path / "grab.toml")

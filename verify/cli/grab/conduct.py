@@ -123,6 +123,7 @@ KEY_EVENTS = {
     "u": GraspEvent.RETREAT,
 }
 QUIT_KEY = "q"
+WAITS = "waits for pictures, joint angles, arm and gripper"
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,7 +221,7 @@ def _run(
             page.show(cycle)
         if cycle.state is not state:
             state = cycle.state
-            terminal.say(f"{cycle.t:7.2f} s  {cycle.state.value}: {cycle.reason or 'ready'}")
+            terminal.say(f"{cycle.t:7.2f} s  {cycle.state.value}: {cycle.reason or WAITS}")
             terminal.record("state", t_s=round(cycle.t, 3), state=state.value, reason=cycle.reason)
 
     def orders() -> Sequence[GraspEvent]:

@@ -267,7 +267,8 @@ def confirm_execution(robot: str) -> ExecutePermission:
     terminal.say(f"This moves a robot. Is the emergency stop at hand? Type: {robot}")
     typed = _read_line()
     if typed != robot:
-        raise InputError("confirmation", f'"{typed}" was typed', f'"{robot}" is expected')
+        remedy = "Start again; nothing has moved."
+        raise InputError("confirmation", f'"{typed}" was typed', f'"{robot}" is expected', remedy)
     return ExecutePermission(f"--execute, and typed: {typed}")
 
 

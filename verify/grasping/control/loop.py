@@ -77,6 +77,7 @@ class GraspLoop:
         self._hold_first = False  # the operator's stop came before anything had begun
         self._q: Array | None = None
         self._refused = ""  # what a device refused
+        self.awaited = ""  # why it cannot begin; empty: it can
         self._fingers: GripperStatus | None = None
 
     @property
@@ -169,16 +170,11 @@ class GraspLoop:
         if self._hands is not None:
             self.arm, self._fingers = self._hands.arm.step(), self._hands.gripper.step()
             ready = self._hands.arm.takes_orders and self._fingers.state is GripperState.READY
-        started = ready and self._inputs_fresh(now) and self.machine.tell(GraspEvent.START)
+        old = self._watchdog.old(now, self.pictures_t, self.joints_t)
+        self.awaited = ", ".join([*old, *["arm or gripper not ready"] * (not ready)])
+        started = not self.awaited and self.machine.tell(GraspEvent.START)
         if started and self._hold_first:
             self.machine.tell(GraspEvent.HOLD)
-
-    def _inputs_fresh(self, now: float) -> bool:
-        """Pictures and joint angles have come, and are fresh."""
-        if self.pictures_t is None or self.joints_t is None:
-            return False
-        watch = self._setup.cell.watch
-        return now - self.pictures_t <= watch.stale and now - self.joints_t <= watch.joints
 
     def _inputs(self) -> Observation:
         """State the watchdog's inputs of this cycle."""

@@ -90,6 +90,8 @@ def run(
             break
         source.wait()
     state, reason = machine.state, machine.reason
+    if state is GraspState.IDLE:
+        reason = loop.awaited
     count += _release(loop, source, on_cycle)
     released = machine.state is GraspState.RELEASED
     return GraspOutcome(state, reason, released, tuple(machine.log), count, stopped)

@@ -66,12 +66,8 @@ class Watchdog:
         machine = self._machine
         taken = now if inputs.pictures_t is None else inputs.pictures_t
         machine.still = self._still.see(taken, inputs.position)
-        limits = self._limits
         broken, lost = self._broken(now, inputs), self._lost(now, inputs)
-        old = [
-            *_stale_reason("pictures", now, inputs.pictures_t, limits.stale),
-            *_stale_reason("joint angles", now, inputs.joints_t, limits.joints),
-        ]
+        old = self.old(now, inputs.pictures_t, inputs.joints_t)
         for event, reason in (
             *broken,
             *((GraspEvent.STALE, reason) for reason in old),
@@ -92,6 +88,14 @@ class Watchdog:
             if self._auto:
                 machine.tell(GraspEvent.GRAB)
         return machine.state
+
+    def old(self, now: float, pictures_t: float | None, joints_t: float | None) -> list[str]:
+        """Say which inputs have not come yet, or are too old at `now`; times in s."""
+        limits = self._limits
+        return [
+            *_stale_reason("pictures", now, pictures_t, limits.stale),
+            *_stale_reason("joint angles", now, joints_t, limits.joints),
+        ]
 
     def _broken(self, now: float, inputs: Observation) -> list[tuple[GraspEvent, str]]:
         machine, longest = self._machine, self._limits.moving

@@ -78,7 +78,7 @@ def to_hsv(bgr: Image) -> Image:
         InputError: the picture is grey.
     """
     if bgr.ndim != 3:
-        remedy = "Set the cameras to colour (grey = false)."
+        remedy = "Set the cameras to colour (grey = false); simulated: `verify grab --sim`."
         raise InputError("pictures", "are grey", "a target is identified by its colour", remedy)
     return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV), dtype=np.uint8)
 

@@ -84,6 +84,9 @@ class Session(Recording):
     tolerance: Tolerance | None  # None: no verdict
     # an instrument that measured the poses in place of cameras; None: they come from the pictures
     instrument: Instrument | None = field(default=None, kw_only=True)
+    # what states base and LEDs, --rig and --marker included; None: session.toml
+    rig_file: Path | None = field(default=None, kw_only=True)
+    marker_file: Path | None = field(default=None, kw_only=True)
 
     def __repr__(self) -> str:
         seen = f"{len(self)} poses" if self.instrument else f"{len(self)} pairs"
@@ -127,7 +130,8 @@ def open_session(
     notes = (*warnings, *rig_warnings, *marker_warnings, *_warn_mismatch(folder, cameras, leds))
     parts = _read_streams(path, table, named, arm, cameras, notes)
     parts["inputs"] |= {str(other): digest(Path(other)) for other in given.values() if other}
-    return Session(**parts, marker=leds, tolerance=tolerance)
+    parts |= {"marker": leds, "rig_file": rig_path, "marker_file": marker_path}
+    return Session(**parts, tolerance=tolerance)
 
 
 def _open_poses(path: Path, rig: str | Path | None, marker: str | Path | None) -> Session:
@@ -136,7 +140,7 @@ def _open_poses(path: Path, rig: str | Path | None, marker: str | Path | None) -
     placed = None if rig is None else Path(rig)
     if placed is not None and placed.is_dir():
         placed = session_folder.find_session_file(placed)
-    return Session(**read_pose_streams(path, placed=placed))
+    return Session(**read_pose_streams(path, placed=placed), rig_file=placed)
 
 
 def open_poses(folder: str | Path) -> Session | None:

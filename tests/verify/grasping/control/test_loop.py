@@ -180,3 +180,10 @@ def test_ctrl_c_in_mid_approach_comes_to_rest_and_gives_the_controls_back() -> N
     assert ended.stopped
     assert ended.released
     assert kept_limits(grab)
+
+
+def test_a_grasp_that_never_began_says_what_it_waited_for() -> None:
+    grab = made(STANDS, execute=False, auto=False)
+    grab.loop._joints = lambda: None
+    ended = run(grab.loop, grab.source, StopConditions(0.5, 5.0), lambda _: None)
+    assert (ended.state, ended.reason) == (GraspState.IDLE, "no joint angles yet")
