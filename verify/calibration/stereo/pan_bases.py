@@ -52,7 +52,7 @@ def settle_bases(
     if found.model.bases == (BASE_FIXED, BASE_FIXED):
         return found, None, []
     found, (scatter,) = adjust_with_scatter(found, corners, [_turned(found.model.bases)])
-    refuse_wrong_readings(scatter.deviation)  # before anything is adjusted as if they were right
+    _refuse_wrong(found, scatter, corners)  # before anything is adjusted as if they were right
     kinds, sentences = _determined_bases(found)
     if kinds == found.model.bases:
         return found, scatter, sentences
@@ -62,8 +62,13 @@ def settle_bases(
     if kinds == (BASE_FIXED, BASE_FIXED):
         return found, None, sentences
     found, (scatter,) = adjust_with_scatter(found, corners, [_turned(kinds)])
-    refuse_wrong_readings(scatter.deviation)
+    _refuse_wrong(found, scatter, corners)
     return found, scatter, sentences
+
+
+def _refuse_wrong(found: Estimate, scatter: ErrorScatter, corners: par.CornerStack) -> None:
+    errors = found.state.errors[:, par.PAN_ERRORS]
+    refuse_wrong_readings(scatter.deviation, corners.pan, errors)
 
 
 def _turned(bases: tuple[str, str]) -> list[int]:
