@@ -167,10 +167,9 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
     """
     path = Path(path)
     with refused_as_input_error(path):
-        there = path.exists()
-    if not there:
-        remedy = "Write it (docs/grab.md shows one), or name another: --cell PATH."
-        raise InputError(path, "does not exist", "it describes the cell", remedy)
+        if not path.exists():
+            remedy = "Write it (docs/grab.md shows one), or name another: --cell PATH."
+            raise InputError(path, "does not exist", "it describes the cell", remedy)
     table, warnings = decode(path, CellTable)
     _check_signs(path, table)
     lower, upper = (np.array(v) * MM for v in (table.workspace.lower_mm, table.workspace.upper_mm))

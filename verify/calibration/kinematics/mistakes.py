@@ -157,18 +157,14 @@ def _refuse_disagreeing(
     if len(each) == 2:
         others, leave = str(folders[0]), "Leave one of them out"
     size = f"{_mm(_length(left, rows))} of all together, {rest * 1e3:.3g} mm without it"
-    expected = "joints' zeros, base and LEDs that stay the same in all sessions"
     remedy = f"{leave}, or identify what was recorded before and after a change each by itself."
-    found = f"does not agree with {others}: {size}"
-    raise InputError(place, found, expected, remedy)
+    raise InputError(place, f"does not agree with {others}: {size}", "", remedy)
 
 
 def _misfit(fit: TermFit, rows: IdentificationPoses) -> float:
     """Mean length, m, of what a fit leaves, if it had no parameters; inf where it has too many."""
-    numbers = int(rows.dimensions.sum())
-    if fit.freedom < numbers / 2:
-        return np.inf
-    return _length(fit.left, rows) * float(np.sqrt(numbers / fit.freedom))
+    factor = rows.dimensions.sum() / fit.freedom
+    return _length(fit.left, rows) * float(np.sqrt(factor)) if factor < 2 else np.inf
 
 
 def _some(gathered: CombinedPoses) -> tuple[NDArray[np.bool_], Array]:

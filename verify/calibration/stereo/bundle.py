@@ -82,11 +82,6 @@ def predict(state: par.BundleState, corners: par.CornerStack) -> Array:
     return pixels
 
 
-def _seen(side: int) -> Index:
-    """Shared parameters that move one camera's pixels."""
-    return np.arange(par.N_SHARED)[np.r_[par.camera_columns(side), par.BOW]]
-
-
 @dataclass(frozen=True, slots=True)
 class NormalEquations:
     """The normal equations with the boards' own unknowns eliminated."""
@@ -128,7 +123,8 @@ def normal_equations(
     pull[:, ERRORS] = -prior[ERRORS] * state.errors
     for side in range(2):
         products = _products(side, state, corners, weight)
-        mine = _seen(side)
+        # the shared parameters that move this camera's pixels
+        mine = np.arange(par.N_SHARED)[np.r_[par.camera_columns(side), par.BOW]]
         full[:, mine[:, None], mine] += products[:, :N_SEEN, :N_SEEN]
         across[:, :, mine] += products[:, LOCAL_COLUMNS, :N_SEEN]
         block += products[:, LOCAL_COLUMNS, LOCAL_COLUMNS]

@@ -21,9 +21,8 @@ MAX_NAMED_PAIRS = 8  # pairs that a message lists
 SAME_PLACE = np.deg2rad(1.0)  # boards that are turned and, from the camera, moved by less
 MAX_PAN_SCATTER = np.deg2rad(2.0)  # scatter of readings beyond which they are no readings
 MIN_READINGS = 8  # by which a scale is told from scatter
-MAX_UNEXPLAINED = 0.2  # of the squared errors, that a scale or an exchange leaves
+MAX_UNEXPLAINED = 0.2  # of the squared errors, that a scale leaves
 MIN_SLOPE = 0.02  # of errors over readings: less is a base's own
-MAX_SLOPE = 0.5  # more is no scale; over the readings' difference it is 1 where they are exchanged
 MIN_SQUARE = 1e-12  # rad²: a base that did not turn
 MORE_PICTURES = (
     "Move the board through the whole picture, near and far, tilted 20 to 40° every way."
@@ -127,41 +126,23 @@ def refuse_inconsistent(
 def refuse_wrong_readings(scatter: float, readings: Array, errors: Array) -> None:
     """Raise InputError where the bases stand `scatter` (rad, rms) too far off their readings.
 
-    And where their angles less the readings, `errors`, show these to be scaled or exchanged; both
-    (b, 2), rad.
+    Or where `errors` (b, 2), angles less readings (b, 2), rad, grow with these, which are scaled
+    then. By which factor is not said: pictures show the bases' turns against each other best.
     """
-    mistake = _reading_mistake(readings, errors)
-    if scatter > MAX_PAN_SCATTER or mistake:
-        found = f"stand {np.rad2deg(scatter):.1f}° (rms) off the pan angles given"
-        expected = mistake or f"± {np.rad2deg(MAX_PAN_SCATTER):.0f}° is the worst"
-        remedy = "Check the pan columns of frames.csv: degrees, their signs and their order."
-        raise InputError("pairs", found, expected, remedy)
-
-
-def _reading_mistake(readings: Array, errors: Array) -> str:
-    """Name what makes errors (b, 2) grow with the readings, or with their difference.
-
-    By which factor is not said: the pictures show the bases' turns against each other best.
-    """
-    turned = readings - readings.mean(axis=0)
-    own, crossed = (_slopes(errors, grown) for grown in (turned, turned[:, ::-1] - turned))
-    if crossed.min() > MAX_SLOPE:
-        return "they fit if pan_left_deg and pan_right_deg are exchanged"
-    scaled = [
-        f"pan_{side}_deg grows {'faster' if slope < 0 else 'more slowly'} than its base turns"
-        for side, slope in zip(SIDES, own.tolist(), strict=True)
-        if MIN_SLOPE < abs(slope) < MAX_SLOPE
-    ]
-    return ", ".join(scaled)
-
-
-def _slopes(errors: Array, grown: Array) -> Array:
-    """By how much each column of errors (b, 2) grows with its own of another; 0: it does not."""
-    apart = errors - errors.mean(axis=0)
-    slope = np.sum(apart * grown, axis=0) / np.maximum(np.sum(grown**2, axis=0), MIN_SQUARE)
-    left = np.sum((apart - slope * grown) ** 2, axis=0)
-    clear = len(errors) >= MIN_READINGS and left < MAX_UNEXPLAINED * np.sum(apart**2, axis=0)
-    return np.where(clear, slope, 0.0)
+    expected = f"± {np.rad2deg(MAX_PAN_SCATTER):.0f}° is the worst"
+    apart, turned = errors - errors.mean(axis=0), readings - readings.mean(axis=0)
+    slopes = np.sum(apart * turned, axis=0) / np.maximum(np.sum(turned**2, axis=0), MIN_SQUARE)
+    left = np.sum((apart - slopes * turned) ** 2, axis=0)
+    scaled = (np.abs(slopes) > MIN_SLOPE) & (left < MAX_UNEXPLAINED * np.sum(apart**2, axis=0))
+    if scatter <= MAX_PAN_SCATTER:
+        if len(readings) < MIN_READINGS or not scaled.any():
+            return
+        side = int(np.argmax(scaled))
+        how = "faster" if slopes[side] < 0 else "more slowly"
+        expected = f"pan_{SIDES[side]}_deg grows {how} than its base turns"
+    found = f"stand {np.rad2deg(scatter):.1f}° (rms) off the pan angles given"
+    remedy = "Check the pan columns of frames.csv: degrees, their signs and their order."
+    raise InputError("pairs", found, expected, remedy)
 
 
 def refuse_undetermined(found: Estimate) -> None:

@@ -161,7 +161,7 @@ def relate_cameras(
     for sense in itertools.product(*senses):
         axes = np.array([0.0, 1.0, 0.0]) * np.array(sense)[:, None]
         back = [
-            _turns(axis * (base != BASE_FIXED), angle)
+            rigid_transform(rotation_exp(angle[:, None] * axis * (base != BASE_FIXED)), np.zeros(3))
             for axis, base, angle in zip(axes, bases, pan[both].T, strict=True)
         ]
         straight, halved, *quarters = (
@@ -197,11 +197,6 @@ def _find_quarter_turns(
     gaps = np.min([_angles(relation.left_T_right[None], turned)[0] for turned in quarters], axis=0)
     agree = {i for i, gap in zip(both, gaps, strict=True) if gap < tolerance}
     return replace(relation, quarter_turned=tuple(i for i in relation.outliers if i in agree))
-
-
-def _turns(axis: Array, angle: Array) -> Array:
-    """Motions (b, 4, 4) that turn about an axis through the origin by angles (b,)."""
-    return rigid_transform(rotation_exp(angle[:, None] * axis), np.zeros(3))
 
 
 def _consensus(

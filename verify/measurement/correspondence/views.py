@@ -15,7 +15,6 @@ from verify.core.records import Array, Spots
 from verify.core.rig import Camera, Rig
 from verify.measurement.correspondence.kernels import views as kernel
 from verify.measurement.correspondence.kernels.fit import Limits, Scene
-from verify.measurement.correspondence.kernels.points import Index
 
 MIN_SKEW = 1e-3  # px: in effect simultaneous; avoids a division by zero
 MIN_DEPTH = 0.02  # m, depth below which a point cannot be imaged
@@ -71,7 +70,7 @@ def prepare_views(
         (_arrays(spots[0]), _arrays(spots[1])),
         (matrix, lens),
         (MODEL_PX**2, MERGED_PX**2, (SKEW_SHARE * skew) ** 2),
-        _light(marker.colours),
+        np.array([LED_COLOURS.get(colour or "", kernel.ANY) for colour in marker.colours]),
         min(max(map(len, spots)), MAX_SPOTS),
     )
     leds, led_play = np.array(marker.leds, order="C"), led_sigma(marker)
@@ -88,11 +87,6 @@ def _arrays(spots: Spots) -> kernel.ImageSpots:
 
 
 @lru_cache(maxsize=4)
-def _light(colours: tuple[str | None, ...]) -> Index:
-    """Give what each LED shines in, (n,)."""
-    return np.array([LED_COLOURS.get(colour or "", kernel.ANY) for colour in colours])
-
-
 @lru_cache(maxsize=4)  # two cameras are the same ones for many pairs
 def _optics(
     left: Camera, right: Camera, pans: tuple[float, float]
