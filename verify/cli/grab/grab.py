@@ -22,12 +22,10 @@ def grab(
         bool, Option("--sim", help="The simulated cell: caps on a table, arm, cameras.")
     ] = False,
     target: Annotated[
-        str | None,
-        Option(help="The object's colour: red, orange, yellow, green, cyan, blue, …"),
+        str | None, Option(help="The object's colour: red, orange, yellow, green, cyan, blue, …")
     ] = None,
     roi: Annotated[
-        str | None,
-        Option(help="The object's box in the first left picture: x,y,w,h in pixels."),
+        str | None, Option(help="The object's box in the first left picture: x,y,w,h in pixels.")
     ] = None,
     execute: Annotated[
         bool, Option("--execute", help="Move. Without it the plan is shown and drawn.")
@@ -42,19 +40,16 @@ def grab(
         bool, Option("--turning", help="--sim: the camera bases turn meanwhile.")
     ] = False,
     page: Annotated[
-        bool,
-        Option("--page", help="Serve a page: pictures, state, plan; select, grab, stop."),
+        bool, Option("--page", help="Serve a page: pictures, state, plan; select, grab, stop.")
     ] = False,
     page_port: option.PagePort = DEFAULT_PORT,
     page_address: option.PageAddress = LOOPBACK,
     page_token: option.PageToken = None,
     duration: Annotated[
-        float,
-        option.duration_option("Time limit: 60s, 10m.  [default: 60s]", show_default=False),
+        float, option.duration_option("Time limit: 60s, 10m.  [default: 60s]", show_default=False)
     ] = 60.0,
     cell: Annotated[
-        Path | None,
-        Option(help="Station: the cell's grab.toml; default: beside the station file."),
+        Path | None, Option(help="Station: the cell's grab.toml; default: beside the station file.")
     ] = None,
     gripper: Annotated[
         str | None, Option(help="Station: the gripper's port; needed with --execute.")

@@ -101,11 +101,7 @@ class Hypotheses:
 
 
 def seed_hypotheses(
-    views: SpotViews,
-    found: TriangulatedPoints,
-    graph: SeedGraph,
-    nodes: Index,
-    rig_R_flange: Array,
+    views: SpotViews, found: TriangulatedPoints, graph: SeedGraph, nodes: Index, rig_R_flange: Array
 ) -> Hypotheses:
     """Begin hypotheses from one, two or three nodes each, (h, 1), (h, 2) or (h, 3).
 

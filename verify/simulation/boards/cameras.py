@@ -156,9 +156,7 @@ class BoardCameras:
         if session is not None:
             departure = session.true_pan[0] - session.pan[0]
             boards = replace(
-                boards,
-                cameras=session.world.bench.cameras,
-                true_pan=boards.true_pan + departure,
+                boards, cameras=session.world.bench.cameras, true_pan=boards.true_pan + departure
             )
         self.scene = BoardScene(boards, SimClock(settings.speed))
 
@@ -262,10 +260,7 @@ def _board_scenario(session: session_simulate.SimulatedSession) -> BoardScenario
         boards=ScenarioBoards(pairs=40),
         bases=BoardScenarioBases(middle_deg=(middle[0], middle[1]), range_deg=PAN_TURN_DEG),
         rig=BoardRig(
-            image_size=rig.image_size,
-            baseline_mm=rig.baseline_mm,
-            left=rig.left,
-            right=rig.right,
+            image_size=rig.image_size, baseline_mm=rig.baseline_mm, left=rig.left, right=rig.right
         ),
     )
 
