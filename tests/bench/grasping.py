@@ -17,13 +17,14 @@ from itertools import combinations
 
 import numpy as np
 
+from tests.support.grasp.monitor import MonitoredRun, monitored
 from verify.core.records import Array
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.run import StopConditions, run
 from verify.grasping.control.states import GraspState
 from verify.grasping.planning.workspace import RESOLUTION
 from verify.grasping.tool_offset.offset import OffsetMeasurement
-from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
+from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, SMALL_SIZE, CellSetup, cell_setup
 
@@ -38,7 +39,7 @@ OUTSIDE = 5e-4  # m that the arm may leave its box by
 
 @dataclass(frozen=True)
 class Grasp:
-    run: CellRun
+    run: MonitoredRun
     state: GraspState
     reason: str
     held: bool  # the target is in the hand, as the world knows it
@@ -47,19 +48,20 @@ class Grasp:
 
     def keeps_limits(self, outside: float) -> bool:
         """Whether joints kept their limits and the arm left its box by `outside` m at most."""
-        watch = self.run.world.watch
+        watch = self.run.monitor.limits
         return max(watch.speed, watch.acceleration) <= 1 + ROUNDING and watch.outside <= outside
 
 
 def grasp(setup: CellSetup, scene: CellScene, *, closed: bool = True) -> Grasp:
     mode = CellMode(auto=True, closed=closed)
-    cell = cell_grab(setup, scene, right=ExecutePermission("bench"), mode=mode)
+    cell = monitored(cell_grab(setup, scene, right=ExecutePermission("bench"), mode=mode))
     works: list[float] = []
     ended = run(cell.loop, cell.source, ENDS, lambda cycle: works.append(cycle.took))
     world, plan = cell.world, cell.loop.aim.plan
     error = np.full(3, np.nan)
-    if world.closed_on is not None and world.closed_at is not None and plan is not None:
-        error = world.closed_on - world.closed_at - [0.0, 0.0, plan.margin.raised]
+    seen = cell.monitor
+    if seen.closed_on is not None and seen.closed_at is not None and plan is not None:
+        error = seen.closed_on - seen.closed_at - [0.0, 0.0, plan.margin.raised]
     held = world.held is not None and world.held[0] == 0
     return Grasp(cell, ended.state, ended.reason, held, error, np.array(works))
 
@@ -120,7 +122,7 @@ def plain(setup: CellSetup, count: int) -> None:
     print(f"false successes: {sum(not g.held for g in lifted)}")
     over = [seed for seed, g in enumerate(grasps) if not g.keeps_limits(RESOLUTION)]
     print(f"beyond a limit or the box: {over or 'none'}")
-    watches = [g.run.world.watch for g in grasps]
+    watches = [g.run.monitor.limits for g in grasps]
     speed, hard = max(w.speed for w in watches), max(w.acceleration for w in watches)
     print(f"greatest share of a joint's speed limit {speed:.3f}, of its acceleration {hard:.3f}")
     if len(errors):

@@ -13,13 +13,13 @@ from pathlib import Path
 import numpy as np
 
 import robots
+from tests.support.grasp.monitor import MonitoredRun
 from verify.core.records import Array
 from verify.grasping import cell as grasping_cell
 from verify.grasping.cell import Cell
 from verify.grasping.planning.object import GraspObject
 from verify.grasping.planning.plan import GraspPlanner, make_planner
 from verify.grasping.planning.workspace import RESOLUTION
-from verify.simulation.cell.grab import CellRun
 from verify.simulation.cell.setup import SMALL_SIZE, CellSetup, cell_setup
 
 DOCS = Path(__file__).parents[3] / "docs" / "grab.md"
@@ -104,15 +104,15 @@ def quick_cell(*, turning: bool = False) -> CellSetup:
     return replace(usual, planner=changed(usual.planner, approach=line))
 
 
-def kept_limits(grab: CellRun) -> bool:
+def kept_limits(grab: MonitoredRun) -> bool:
     """Whether the arm kept to its speeds and to the workspace."""
-    watch = grab.world.watch
+    watch = grab.monitor.limits
     return max(watch.speed, watch.acceleration) < 1 + 1e-6 and watch.outside < RESOLUTION
 
 
-def grip_error(grab: CellRun) -> float:
+def grip_error(grab: MonitoredRun) -> float:
     """Distance of the grip point from where it was to be, m, as the world knows it."""
-    world, plan = grab.world, grab.loop.aim.plan
-    assert world.closed_on is not None
-    assert world.closed_at is not None
-    return float(np.linalg.norm(world.closed_on - world.closed_at - [0, 0, plan.margin.raised]))
+    seen, plan = grab.monitor, grab.loop.aim.plan
+    assert seen.closed_on is not None
+    assert seen.closed_at is not None
+    return float(np.linalg.norm(seen.closed_on - seen.closed_at - [0, 0, plan.margin.raised]))

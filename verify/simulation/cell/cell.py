@@ -1,10 +1,7 @@
 """The simulated cell: a world with a clock of its own, seen by cameras, moved by orders."""
 
-from dataclasses import dataclass, field
-
 import numpy as np
 
-from robots.trajectory import JointLimits
 from robots.transforms import carry, invert
 from verify.core.records import Array, StereoPair, rigid_transform
 from verify.devices.protocols import EncoderReading, PanReading
@@ -20,33 +17,6 @@ N_SUBSTEPS = 4  # of the world in a camera's period
 BOARD_SIZE = (0.05, 0.22)  # m, half its width and its height
 
 
-@dataclass
-class LimitMonitor:
-    """What the world saw of the arm: the judge of limits, who knows nothing of the planner."""
-
-    limits: JointLimits
-    lower: Array  # (3,), m: the box of the grip point
-    upper: Array
-    speed: float = 0.0  # greatest share of the limit that was used
-    acceleration: float = 0.0
-    outside: float = 0.0  # m, farthest that the grip point was outside the box
-    _last: list[tuple[float, Array]] = field(default_factory=list)
-
-    def see(self, t: float, q: Array, grip: Array) -> None:
-        """Take note of joint angles (n,), rad, and the grip point (3,), m, at t, s."""
-        self._last = [*self._last[-2:], (t, q)]
-        beyond = np.maximum(self.lower - grip, grip - self.upper).max()
-        self.outside = max(self.outside, float(beyond))
-        if len(self._last) == 3:
-            (t0, q0), (t1, q1), (t2, q2) = self._last
-            fast = (q2 - q1) / (t2 - t1)
-            before = (q1 - q0) / (t1 - t0)
-            harder = (fast - before) / ((t2 - t0) / 2)
-            self.speed = max(self.speed, float(np.abs(fast / self.limits.speed).max()))
-            hard = float(np.abs(harder / self.limits.acceleration).max())
-            self.acceleration = max(self.acceleration, hard)
-
-
 class CellWorld:
     """Everything in the cell as it really is."""
 
@@ -55,14 +25,11 @@ class CellWorld:
         self.t = 0.0
         self._rng = np.random.default_rng(scene.seed)
         self._off = self._rng.normal(0.0, scene.hand_error, 3)
-        gripper, cell = setup.cell.gripper, setup.cell
+        gripper = setup.cell.gripper
         self.arm = CellArm(setup.home, scene.delay)
         self.hand = CellHand(gripper.opening)
-        self.watch = LimitMonitor(setup.planner.limits, cell.lower, cell.upper)
         self.held: tuple[int, Array] | None = None  # which cap is in the hand, grip_T_cap
         self.let_go: dict[int, Array] = {}  # where caps lie that were in the hand, base_T_cap
-        self.closed_on: Array | None = None  # (3,), m, base: the grip point when fingers closed
-        self.closed_at: Array | None = None  # (3,), m: where the target was then
         self._spans: dict[EventKind, tuple[float, float]] = {}  # s, what has happened: from, to
         self._frame = 0
         self._turned = 0.0  # rad, by as much the bases stood elsewhere in the last picture
@@ -82,12 +49,6 @@ class CellWorld:
         grip = self.grip()
         self._happen(grip)
         self._grasp(grip)
-
-    def judge(self) -> None:
-        """Look whether the arm keeps its limits; once a set point, as those are made."""
-        q = self.arm.q(self.t)
-        _, flange = joint_points(self.setup.planner.arm, q)  # limits are of the ordered angles
-        self.watch.see(self.t, q, (flange @ self.setup.cell.gripper.flange_T_grip)[:3, 3])
 
     def encoders(self) -> EncoderReading:
         """Read the joints."""
@@ -184,7 +145,6 @@ class CellWorld:
                 hand.between = 2 * cap.radius
                 if hand.holds:
                     self.held = (number, invert(grip) @ place)
-                    self.closed_on, self.closed_at = grip[:3, 3], place[:3, 3]
 
     def _between(self, grip: Array, place: Array, radius: float) -> bool:
         inside = carry(invert(grip), place[:3, 3])

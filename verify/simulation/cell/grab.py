@@ -60,7 +60,6 @@ class CellSource:
         world = self._world
         for _ in range(N_SUBSTEPS):
             world.advance(1 / RATE / N_SUBSTEPS)
-        world.judge()
         if self._mover is not None and world.happened("alarm") and world.arm.braked is None:
             self._mover.alarm(ALARM)
         if self._paced:

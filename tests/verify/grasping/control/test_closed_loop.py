@@ -7,13 +7,14 @@ import numpy as np
 import pytest
 
 from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
+from tests.support.grasp.monitor import MonitoredRun, monitored
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspState
 from verify.grasping.tool_offset.offset import FlangeMeasurement, OffsetMeasurement
 from verify.grasping.tool_offset.watch import MAX_PICTURES, FlangeWatch
 from verify.simulation.cell.cell import CellWorld
-from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
+from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene
 
 SETUP = quick_cell()
@@ -26,13 +27,13 @@ def off_by(joint: int, degrees: float) -> CellScene:
     return replace(STANDS, joint_errors=tuple((np.deg2rad(degrees) * np.eye(6)[joint]).tolist()))
 
 
-def grabbed(scene: CellScene, *, closed: bool = True) -> tuple[CellRun, GraspOutcome]:
+def grabbed(scene: CellScene, *, closed: bool = True) -> tuple[MonitoredRun, GraspOutcome]:
     mode = CellMode(auto=True, closed=closed)
-    grab = cell_grab(SETUP, scene, right=ExecutePermission("test"), mode=mode)
+    grab = monitored(cell_grab(SETUP, scene, right=ExecutePermission("test"), mode=mode))
     return grab, run(grab.loop, grab.source, ENDS, lambda _: None)
 
 
-def hand(grab: CellRun) -> OffsetMeasurement:
+def hand(grab: MonitoredRun) -> OffsetMeasurement:
     return grab.loop.aim.planned.thing.offset
 
 
@@ -45,7 +46,7 @@ def test_a_joint_that_is_off_leads_beside_the_object_until_it_is_corrected() -> 
     assert grip_error(without) > 2.3e-3
     assert grip_error(grab) < 1e-3
     assert kept_limits(grab)
-    true, plan, found = grab.world.closed_on, grab.loop.aim.plan, hand(grab).hand
+    true, plan, found = grab.monitor.closed_on, grab.loop.aim.plan, hand(grab).hand
     left = true - SETUP.planner.workspace.grip(plan.posture.q_grip)[:3, 3] - found.off
     assert left @ np.linalg.solve(found.covariance, left) < 16.3  # chi², 3 degrees, 0.1 %
 

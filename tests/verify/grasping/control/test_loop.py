@@ -7,11 +7,12 @@ import numpy as np
 import pytest
 
 from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
+from tests.support.grasp.monitor import MonitoredRun, monitored
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspEvent, GraspState
-from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
+from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, SceneEvent
 
 ENDS = StopConditions(duration=20.0, patience=1.0)
@@ -20,11 +21,11 @@ STANDS = CellScene((Cap("blue", (0.47, 0.03)), Cap("green", (0.47, -0.12))), see
 
 def made(
     scene: CellScene, *, execute: bool = True, auto: bool = True, stepped: bool = False
-) -> CellRun:
+) -> MonitoredRun:
     right = ExecutePermission("test") if execute else None
-    return cell_grab(  # grasps with a look at the hand: test_closed_loop.py
-        quick_cell(), scene, right=right, mode=CellMode(auto=auto, stepped=stepped, closed=False)
-    )
+    # grasps with a look at the hand: test_closed_loop.py
+    mode = CellMode(auto=auto, stepped=stepped, closed=False)
+    return monitored(cell_grab(quick_cell(), scene, right=right, mode=mode))
 
 
 def grabbed(
@@ -32,7 +33,7 @@ def grabbed(
     *happenings: SceneEvent,
     orders: dict[GraspState, GraspEvent] | None = None,
     stepped: bool = False,
-) -> tuple[CellRun, GraspOutcome, list[LoopCycle]]:
+) -> tuple[MonitoredRun, GraspOutcome, list[LoopCycle]]:
     """Run to the end; each order is given once, ten cycles into its state."""
     grab = made(replace(scene, happenings=happenings), stepped=stepped)
     seen: list[LoopCycle] = []

@@ -11,6 +11,7 @@ import pytest
 
 from robots.transforms import carry, invert
 from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
+from tests.support.grasp.monitor import MonitoredRun, monitored
 from tests.support.scene import off_axis
 from verify.cli.grab.station import LivePairs
 from verify.devices.protocols import CameraFrame, DeviceState, PanReading
@@ -20,7 +21,7 @@ from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspState
 from verify.grasping.planning.plan import planner_with_cameras
 from verify.live.buffers import MAX_PAN_AGE, PanBuffer
-from verify.simulation.cell.grab import CellMode, CellRun, cell_grab
+from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, PanTurn
 from verify.simulation.cell.setup import SMALL_SIZE, cell_setup
 
@@ -38,10 +39,10 @@ class Unturned(PanBuffer):
 
 def seen(
     *turns: PanTurn, bases: PanBuffer, moves: bool = False
-) -> tuple[CellRun, GraspOutcome, list[LoopCycle]]:
+) -> tuple[MonitoredRun, GraspOutcome, list[LoopCycle]]:
     right = ExecutePermission("test") if moves else None
     scene = CellScene(CAP, turns=turns, seed=1)
-    made = cell_grab(SETUP, scene, right=right, mode=CellMode(auto=True), bases=bases)
+    made = monitored(cell_grab(SETUP, scene, right=right, mode=CellMode(auto=True), bases=bases))
     cycles: list[LoopCycle] = []
     ends = ENDS if moves else StopConditions(duration=2.0, patience=2.0, planned=False)
     return made, run(made.loop, made.source, ends, cycles.append), cycles
