@@ -77,18 +77,14 @@ def error_terms(
             if cause.joint != j + 1 or cause.shape is None:
                 continue
             for shape in cause.shape.T:
-                if _is_new(shape, np.stack(parts, axis=1)):
+                told = np.stack(parts, axis=1)
+                left = shape - told @ np.linalg.lstsq(told, shape)[0]
+                if np.linalg.norm(left) > TOL_SHAPE * np.linalg.norm(shape):
                     terms.append(cause.kind)
                     parts.append(shape / np.abs(shape).max())
         names.append(tuple(terms))
         columns.append(np.stack(parts, axis=1))
     return names, columns
-
-
-def _is_new(shape: Array, terms: Array) -> bool:
-    """Whether terms (n, t) leave anything of a shape (n,)."""
-    left = shape - terms @ np.linalg.lstsq(terms, shape)[0]
-    return bool(np.linalg.norm(left) > TOL_SHAPE * np.linalg.norm(shape))
 
 
 def resolve_errors(model: JointErrorModel, causes: Sequence[Fault] = ()) -> ResolvedErrors:

@@ -111,7 +111,9 @@ def build_model(
     elif base or body:
         parts = [*([base_motion(flange)] * base), *([body_motion(flange)] * body)]
         fitted = np.concatenate([clock_columns, *parts], axis=2)
-    hidden = _zero_rounding(hidden, jacobian, white)
+    # of some joints a registration leaves nothing but rounding
+    left, whole = (np.linalg.norm(white.rows(part), axis=0) for part in (hidden, jacobian))
+    hidden = np.where(left > MIN_VISIBLE_SHARE * whole, hidden, 0.0)
     # shares are of what the pictures show, whatever the readings' noise
     pictures = whiten(comparison, comparison.covariance_measured)
     return JointErrorModel(
@@ -146,13 +148,6 @@ def clock_effect(comparison: Comparison, *, steady: bool = False) -> Array:
         varies = rate.std(axis=0) > MIN_SPEED_SIGMA * noise
         rate = np.where(varies, rate, np.where(moves, mean, 0.0))
     return -(comparison.jacobian @ rate[:, :, None])
-
-
-def _zero_rounding(hidden: Array, jacobian: Array, white: Whitener) -> Array:
-    """Zero the columns of joints of which a registration left nothing but rounding."""
-    left = np.linalg.norm(white.rows(hidden), axis=0)
-    whole = np.linalg.norm(white.rows(jacobian), axis=0)
-    return np.where(left > MIN_VISIBLE_SHARE * whole, hidden, 0.0)
 
 
 def base_motion(base_T_flange: Array) -> Array:

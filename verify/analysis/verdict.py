@@ -68,7 +68,9 @@ def _judge(
     value, doubt = float(error[worst]), float(u[worst])
     if tolerance is None:
         return Verdict(None, "no_tolerance", value, doubt, None)
-    probability = float(np.min(_within(error, u, tolerance)))
+    safe = np.where(u > 0, u, 1e-300)
+    within = norm_cdf((tolerance - error) / safe) - norm_cdf((-tolerance - error) / safe)
+    probability = float(np.min(within))
     if bool(np.any(np.abs(error) - z * u > tolerance)):
         return Verdict("nonconform", "exceeds_tolerance", value, doubt, probability)
     reason = ""
@@ -81,11 +83,6 @@ def _judge(
     if reason:
         return Verdict("undecided", reason, value, doubt, probability)
     return Verdict("conform", "within_tolerance", value, doubt, probability)
-
-
-def _within(error: Array, u: Array, tolerance: float) -> Array:
-    safe = np.where(u > 0, u, 1e-300)
-    return norm_cdf((tolerance - error) / safe) - norm_cdf((-tolerance - error) / safe)
 
 
 def agreed_verdict(verdicts: Sequence[Verdict]) -> Verdict:

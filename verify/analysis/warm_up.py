@@ -6,7 +6,7 @@ from verify.analysis.kernels import motion_misfits, motion_sizes
 from verify.core.fiducials import Marker
 from verify.core.kernels.linear_algebra import rotation_vectors
 from verify.core.readings import Readings
-from verify.core.records import Array, Image, Sighting, StereoPair
+from verify.core.records import Image, Sighting, StereoPair
 from verify.core.rig import Camera, Rig
 from verify.io.video import ffv1_intact
 from verify.measurement.chain import Detector, Setup, detect_in_turn, measure
@@ -82,15 +82,10 @@ def _camera(x: float) -> Camera:
     return Camera(matrix, np.full(5, 1e-3), place, axis, 0.0, mount)
 
 
-def _pixels(camera: Camera) -> Array:
-    """Where the LEDs are in a camera's image, (4, 2), px."""
-    points = np.column_stack([LEDS + CORNER, np.ones(len(LEDS))])
-    return camera.project((points @ camera.camera_T_rig(0.0).T)[:, :3])
-
-
 def _render(camera: Camera) -> Image:
     """Four Gaussian spots in faint noise."""
-    pixels = _pixels(camera)
+    points = np.column_stack([LEDS + CORNER, np.ones(len(LEDS))])
+    pixels = camera.project((points @ camera.camera_T_rig(0.0).T)[:, :3])
     column, row = np.meshgrid(np.arange(SIZE[0]), np.arange(SIZE[1]))
     light = np.random.default_rng(0).normal(8.0, 1.5, (SIZE[1], SIZE[0]))
     for x, y in pixels.tolist():

@@ -88,7 +88,9 @@ def _sizes(products: FaultProducts, ways: list[_FaultVariant]) -> tuple[Array, A
     fault, first, last = (np.array([way[k] for way in ways], dtype=np.int64) for k in range(3))
     gram, scale = products.gram, np.minimum(products.scale[first], products.scale[last])
     own, other, mixed = (gram[ends] for ends in ((first, first), (last, last), (first, last)))
-    left = _worst_mixture(own, other, mixed, alone=first == last) * scale
+    # of a column, or of the worst mixture of two: the smaller eigenvalue of their products
+    least = (own + other) / 2 - np.hypot((own - other) / 2, mixed)
+    left = np.sqrt(np.maximum(np.where(first == last, own, least), 0.0)) * scale
     left[~products.visible[fault]] = np.nan
     listed = (np.sqrt(products.price[fault]) + POWER_SIGMA) / left
     named, rival = np.full(len(ways), np.nan), [-1] * len(ways)
@@ -175,9 +177,3 @@ def _from_then_on(square: Array, half: Array, constant: Array) -> Array:
         discriminant = half**2 - square * constant
         crossing = (np.sqrt(np.maximum(discriminant, 0.0)) - half) / square
     return np.where(discriminant > 0, np.maximum(crossing, 0.0), 0.0)
-
-
-def _worst_mixture(one: Array, other: Array, mixed: Array, *, alone: NDArray[np.bool_]) -> Array:
-    """Length of a column, or of two columns' worst mixture, by their products."""
-    least = (one + other) / 2 - np.hypot((one - other) / 2, mixed)  # smaller eigenvalue
-    return np.sqrt(np.maximum(np.where(alone, one, least), 0.0))

@@ -27,9 +27,7 @@ from verify.core.records import Array
 MIN_PAIRS_BESIDE = 3  # before and after an instant; fewer are outliers
 RIVAL_INSTANTS = 16  # of steps that are tried in any case; the likeliest one is sought besides
 MOVING_KINDS = ("base_moved", "led_body_slipped", "camera_turned")
-MIN_WORTH = (
-    15.0  # of chi-squared beyond Schwarz's criterion, of a change sought before any other fault
-)
+MIN_WORTH = 15.0  # of chi-squared beyond Schwarz's, of a change sought before other faults
 TOL_RANK = 1e-8  # of a column's square: what others leave of it by rounding
 
 

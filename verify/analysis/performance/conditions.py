@@ -10,7 +10,6 @@ from verify.analysis.performance.entries import performance_summary, performance
 from verify.analysis.performance.poses import PoseIndices
 from verify.analysis.performance.session import Performance, performance
 from verify.core.readings import Readings
-from verify.core.records import Array
 from verify.io.session.keys import read_stretches
 from verify.io.session.session import Session
 
@@ -61,17 +60,12 @@ def _mean_positions(poses: tuple[PoseIndices, ...]) -> list[dict[str, Any]]:
     if len(poses) != POSES:
         return [{"kind": "poses", "found": len(poses), "standard": POSES}]
     places = np.array([p.commanded[:3, 3] for p in poses])
-    off, extent = _flatness(places)
-    if off <= MAX_OFF_PLANE * extent:
-        return []
-    return [{"kind": "plane", "off_plane_mm": round(off * 1e3, 3)}]
-
-
-def _flatness(places: Array) -> tuple[float, float]:
-    """Largest distance from the best plane, and the extent in it, m."""
     centred = places - places.mean(axis=0)
     _, size, axes = np.linalg.svd(centred)
-    return float(np.abs(centred @ axes[2]).max()), float(size[0])
+    off = float(np.abs(centred @ axes[2]).max())  # m, from the best plane
+    if off <= MAX_OFF_PLANE * size[0]:
+        return []
+    return [{"kind": "plane", "off_plane_mm": round(off * 1e3, 3)}]
 
 
 def _uncertain_poses(poses: tuple[PoseIndices, ...]) -> list[dict[str, Any]]:

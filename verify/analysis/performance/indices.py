@@ -61,11 +61,6 @@ def angle_repeatability(angles: Array) -> Array:
     return spread
 
 
-def mean_orientation(attained: Array) -> Array:
-    """The mean (3, 3) of orientations (n, 3, 3)."""
-    return Rotation.from_matrix(attained).mean().as_matrix()
-
-
 def barycentre_spread(barycentres: Array) -> tuple[float, tuple[int, int]]:
     """Largest distance between barycentres (h, .), in their unit (vAP), and of which two."""
     apart = np.linalg.norm(barycentres[:, None] - barycentres[None], axis=2)

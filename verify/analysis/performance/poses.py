@@ -15,7 +15,6 @@ from verify.analysis.performance.indices import (
     drift,
     length_interval,
     mean_interval,
-    mean_orientation,
     noise_length,
     orientation_deviations,
     repeatability_interval,
@@ -109,7 +108,7 @@ def assess_pose(stands: PoseVisits, noise: HoldNoise, *, oriented: bool) -> Pose
     """
     commanded = np.eye(4)
     commanded[:3, 3] = stands.read[:, :3, 3].mean(axis=0)
-    commanded[:3, :3] = mean_orientation(stands.read[:, :3, :3])
+    commanded[:3, :3] = Rotation.from_matrix(stands.read[:, :3, :3]).mean().as_matrix()
     deviations = stands.attained[:, :3, 3] - commanded[:3, 3]
     # the readings' mean stands for the command: what the arm and they do alike is no doubt of AP
     own = stands.attained[:, :3, 3] - stands.read[:, :3, 3]

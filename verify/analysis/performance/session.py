@@ -224,7 +224,10 @@ def _paths(
     found = []
     for name, runs in paths.items():
         runs = [rows[measured.whole[rows]] for rows in runs]
-        runs = _same_way(measured.comparison, [rows for rows in runs if _covers_path(t, rows)])
+        # those whose pairs follow the motion closely enough to know the path between them
+        whole = [rows for rows in runs if len(rows) >= MIN_PAIRS]
+        close = [rows for rows in whole if np.diff(t[rows]).max() <= MAX_GAP]
+        runs = _same_way(measured.comparison, close)
         if len(runs) < MIN_VISITS:
             continue
         met = crossings([_passage(measured, rows) for rows in runs])
@@ -232,11 +235,6 @@ def _paths(
             doubt = _systematic_along(measured, runs, met.t)
             found.append(assess_path(name, met, floor, doubt, oriented=measured.oriented))
     return tuple(found)
-
-
-def _covers_path(t: Array, rows: Rows) -> bool:
-    """Whether pairs follow the motion closely enough to know the path between them."""
-    return len(rows) >= MIN_PAIRS and bool(np.diff(t[rows]).max() <= MAX_GAP)
 
 
 def _same_way(comparison: Comparison, runs: Sequence[Rows]) -> list[Rows]:

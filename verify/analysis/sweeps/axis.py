@@ -125,7 +125,9 @@ def fit_circles(
 
     def step(state: AxisState) -> tuple[Array, CircleFit]:
         fitted, motion, by_state = _predict_poses(swept, terms, state)
-        white = _whitening(swept, motion, factor)
+        moved = motion * np.sqrt(swept.reading_variance)[:, None]  # the reading says where to be
+        lower = np.linalg.cholesky(swept.covariance + moved[:, :, None] * moved[:, None, :])
+        white = np.asarray(np.linalg.inv(lower * factor), dtype=np.float64)
         design = np.concatenate([by_state, -motion[:, :, None] * terms[:, None, :]], axis=2)
         rows = (white @ design).reshape(-1, design.shape[2])
         wanted = (white @ difference(swept.poses, fitted)[:, :, None]).reshape(-1)
@@ -244,13 +246,6 @@ def _predict_poses(swept: SweepData, terms: Array, state: AxisState) -> tuple[Ar
     design[:, :3, 4:7] = turn
     design[:, 3:, 7:10] = turn
     return fitted, motion, design
-
-
-def _whitening(swept: SweepData, motion: Array, factor: Array) -> Array:
-    """Whitening of the poses and of the reading that says where they should be, (n, 6, 6)."""
-    moved = motion * np.sqrt(swept.reading_variance)[:, None]
-    lower = np.linalg.cholesky(swept.covariance + moved[:, :, None] * moved[:, None, :])
-    return np.asarray(np.linalg.inv(lower * factor), dtype=np.float64)
 
 
 def _apply_step(state: AxisState, step: Array) -> AxisState:

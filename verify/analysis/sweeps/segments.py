@@ -65,7 +65,9 @@ def comparison_segments(
     of which overlaps another of its joint, each with its directions of travel (n,), +1 or -1.
     """
     whole = np.flatnonzero([known.shape[1] == 6 for known in comparison.determined])
-    band = rest_bands(comparison, resolution)
+    # what readings of a joint at rest stay within, (j,), rad
+    band = np.maximum(NOISE_FACTOR * comparison.reading_noise, MIN_REST_BAND)
+    band = np.maximum(band, REST_DIGITS * (resolution or 0.0))
     limits = SegmentLimits(band, MIN_SPAN, MIN_PAIRS, EDGE_SHARE, MARGIN_PAIRS)
     found = []
     for segment in find_segments(comparison.q[whole], limits):
@@ -117,12 +119,6 @@ def find_segments(q: Array, limits: SegmentLimits) -> list[SweepSegment]:
             rows = np.arange(*_trim_ends(q, joint, run, limits))
             found.append(SweepSegment(joint, rows, q[rows]))
     return found
-
-
-def rest_bands(comparison: Comparison, resolution: float | None) -> Array:
-    """Range that readings of a joint at rest stay within, (j,), rad."""
-    band = np.maximum(NOISE_FACTOR * comparison.reading_noise, MIN_REST_BAND)
-    return np.maximum(band, REST_DIGITS * (resolution or 0.0))
 
 
 def travel_directions(segment: SweepSegment, band: float) -> Array:

@@ -77,7 +77,8 @@ def used_spots(measurement: Measurement, rig: Rig, marker: Marker) -> SpotDraws:
     root = np.zeros((count, 2, count, 2))
     np.einsum("iaib->iab", root)[:] = np.linalg.cholesky(covariance)
     noise = root.reshape(2 * count, -1)
-    by_pose = _by_pose(pose.sensitivity[used], marker.leds[led] @ pose.rig_T_flange[:3, :3].T)
+    by_point, arm = pose.sensitivity[used], marker.leds[led] @ pose.rig_T_flange[:3, :3].T
+    by_pose = np.concatenate([by_point, np.cross(arm[:, None, :], by_point)], axis=-1)
     moved = motion_columns(by_pose, lever, pose.acceleration_prior).reshape(2 * count, -1)
     number = int(used[: len(left)].sum())
     rows = np.repeat(used, 2)
@@ -175,11 +176,6 @@ def refit_pose(start: Array, points: Array, seen: Array, views: ViewDraws, weigh
 def _kernel_camera(camera: CameraDraws) -> Drawn:
     """A camera as the compiled fit takes it."""
     return camera.focal, camera.middle, camera.lens, camera.camera_R_rig, camera.origin
-
-
-def _by_pose(by_point: Array, arm: Array) -> Array:
-    """Derivative by a translation and a rotation vector in rig axes, (..., s, 2, 6)."""
-    return np.concatenate([by_point, np.cross(arm[..., None, :], by_point)], axis=-1)
 
 
 class WorldDraws:

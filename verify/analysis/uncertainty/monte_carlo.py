@@ -87,7 +87,8 @@ def monte_carlo(
         by_reading = late @ comparison.jacobian[i].T
         straight[m] = (by_reading - twist + by_alignment) @ joints.inverse[i].T
     q, _ = robots.nearest(session.arm, poses, read)
-    bent = _wrap(read - q - joints.error[chosen, None])
+    bent = read - q - joints.error[chosen, None]
+    bent = np.arctan2(np.sin(bent), np.cos(bent))
     linear = _linear(compared)[chosen]
     return _compare_draws(chosen, bent, straight, linear, joints.coupled[chosen])
 
@@ -101,10 +102,6 @@ def _select_pairs(comparison: Comparison, joints: JointComparison, pairs: int) -
     even = usable[np.linspace(0, len(usable) - 1, min(pairs, len(usable))).round().astype(int)]
     variance = np.diagonal(joints.covariance[usable], axis1=1, axis2=2)
     return np.unique(np.concatenate([even, usable[np.argmax(variance, axis=0)]]))
-
-
-def _wrap(angle: Array) -> Array:
-    return np.arctan2(np.sin(angle), np.cos(angle))
 
 
 def _linear(compared: SessionComparison) -> Array:
