@@ -2,6 +2,7 @@
 
 import os
 import time
+from collections.abc import Callable
 from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
@@ -45,7 +46,7 @@ def record_session(
     if out is not None:
         station = replace(station, recording=_settings(out))
     terminal.warn(*station.warnings)
-    state = show.RecordingState()
+    state = show.RecordingState(show.RecordingSnapshot())
     with ExitStack() as stack:
         shown = None
         if page is not None:
@@ -59,7 +60,7 @@ def record_session(
         stack.callback(recorder.close)
         robot = RecordedRobot(station.arm, station.rig)
         loop = RecordingLoop(robot, devices, recorder, state, terminal.warn)
-        look = stack.enter_context(show_state(partial(_draw, state), shown, _Printer(state).look))
+        look = stack.enter_context(show_state(partial(_draw, state), shown, _printer(state)))
         defects = loop.run(stack.enter_context(stop_on_signal()), duration, look)
     _conclude(station, recorder.state(), state.snapshot(), defects)
 
@@ -84,20 +85,17 @@ def _draw(state: show.RecordingState, table: TerminalDisplay) -> None:
     table.draw(lambda: show.render_recording(now), at_once=now.finished)
 
 
-class _Printer:
-    """Prints the state from time to time: an object, or a line for each goal that has changed."""
+def _printer(state: show.RecordingState) -> Callable[[], None]:
+    """Make what prints now and then: an object, or a line for each goal that has changed."""
+    printed: dict[str, str] = {}  # words, by the goal's name
+    due = time.monotonic() + (0.0 if terminal.as_json else LINES_PERIOD)
 
-    def __init__(self, state: show.RecordingState) -> None:
-        self._state = state
-        self._words: dict[str, str] = {}  # as they were printed last, by the goal's name
-        self._due = time.monotonic() + (0.0 if terminal.as_json else LINES_PERIOD)
-
-    def look(self) -> None:
-        """Print, if it is time or the end."""
-        now = self._state.snapshot()
-        if not now.goals or (time.monotonic() < self._due and not now.finished):
+    def look() -> None:
+        nonlocal due
+        now = state.snapshot()
+        if not now.goals or (time.monotonic() < due and not now.finished):
             return
-        self._due = time.monotonic() + (RECORD_PERIOD if terminal.as_json else LINES_PERIOD)
+        due = time.monotonic() + (RECORD_PERIOD if terminal.as_json else LINES_PERIOD)
         if terminal.as_json:
             goals = [show.goal_fields(goal) for goal in now.goals]
             terminal.record(
@@ -105,11 +103,13 @@ class _Printer:
                 goals=goals, recording=now.recording,
             )  # fmt: skip
             return
-        news = [g for g in now.goals if now.finished or self._words.get(g.name) != g.words]
-        self._words = {goal.name: goal.words for goal in now.goals}
         terminal.say(f"{now.pairs} pairs, {now.readings} readings. {show.title(now.goals)}:")
-        for goal in news:
-            terminal.say(f"  {goal.name:<26}{show.bar(goal)}  {goal.words}")
+        for goal in now.goals:
+            if now.finished or printed.get(goal.name) != goal.words:
+                terminal.say(f"  {goal.name:<26}{show.bar(goal)}  {goal.words}")
+        printed.update((goal.name, goal.words) for goal in now.goals)
+
+    return look
 
 
 def _conclude(

@@ -91,18 +91,14 @@ class Bracketing:
     def compare(self, pairs: Sequence[BracketedPair]) -> list[tuple[JointRow, float]]:
         """Compare pairs, each by itself, in their order; each row with the pair's `since`."""
         timed = [(p.taken.measurement, p.clock) for p in pairs if p.clock is not None]
-        rows = iter(self._rows(timed))
+        there = [m.t - c.offset for m, c in timed]
+        readings = self._book.about(min(there)) if timed else None
+        rows = iter(self._comparer.rows(timed, readings, self._time_doubts(there)))
         without = self._comparer.without
         return [
             (without(p.taken.measurement) if p.clock is None else next(rows), p.since)
             for p in pairs
         ]
-
-    def _rows(self, timed: list[tuple[Measurement, LiveClock]]) -> list[JointRow]:
-        if not timed:
-            return []
-        there = [m.t - c.offset for m, c in timed]
-        return self._comparer.rows(timed, self._book.about(min(there)), self._time_doubts(there))
 
     def _time_doubts(self, there: list[float]) -> Array:
         """Standard uncertainty of the readings' times (n,), s: stated, else the driver's."""

@@ -217,7 +217,7 @@ class LiveLoop:
         nothing = (time.monotonic(), 0.0, None)
         arrived, doubt, pair = self._arrivals.pop(measurement.t, nothing)
         if pair is not None:
-            self.state.set_pictures(pair, measurement)
+            self.state.pictures = (pair, measurement)
             if self._follower is not None:
                 self._follower.look(pair, measurement, self._expected)
         taken = self._unsettled[measurement.t] = MeasuredPair(measurement, arrived, doubt)

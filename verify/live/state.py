@@ -151,10 +151,6 @@ class LiveState:
         with self._lock:
             self._devices, self._dropped, self._recording = devices, dict(dropped), recording
 
-    def set_pictures(self, pair: StereoPair, measurement: Measurement) -> None:
-        """Replace the newest pair and its measurement."""
-        self.pictures = (pair, measurement)
-
     def rows_after(self, number: int) -> list[tuple[int, JointRow]]:
         """Give the rows that came after one, with their numbers, oldest first."""
         with self._lock:

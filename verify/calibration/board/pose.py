@@ -83,23 +83,18 @@ def _start(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Array:
 
 def _fit(views: SightingStack, start: Array, reject: bool) -> Pose:
     keep = np.ones(len(views.centre), dtype=bool)
+    total = views.covariance + MODEL_ERROR_PX**2 * np.eye(2)
     while True:
         pose = _fit_pose(views, keep, start)
-        size = _corner_chi2(views, pose)
+        # chi² of each corner in its noise and what a good one may miss, (s,)
+        solved = np.linalg.solve(total, pose.residual[:, :, None])[:, :, 0]
+        size = np.sum(pose.residual * solved, axis=1)
         worst = int(np.argmax(np.where(keep, size, 0.0)))
         settled = size[worst] < MAX_CORNER_CHI2 or not keep[worst]
         if not reject or settled or (~keep).sum() >= MAX_REJECTED_SHARE * len(keep):
             return pose
         keep[worst] = False
         start = pose.rig_T_flange
-
-
-def _corner_chi2(views: SightingStack, pose: Pose) -> Array:
-    """chi² of each corner in its noise and what a good one may miss, (s,)."""
-    total = views.covariance + MODEL_ERROR_PX**2 * np.eye(2)
-    solved = np.linalg.solve(total, pose.residual[:, :, None])[:, :, 0]
-    size: Array = np.sum(pose.residual * solved, axis=1)
-    return size
 
 
 def _fit_pose(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> Pose:

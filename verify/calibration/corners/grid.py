@@ -161,11 +161,6 @@ def is_whole(grey: Image, grid_map: CornerMap, columns: int, rows: int) -> bool:
     )
 
 
-def neighbour_lines(columns: int, rows: int) -> list[Block]:
-    """The columns left and right of a grid, and the rows above and below it."""
-    return [(-1, 0, 1, rows), (columns, 0, 1, rows), (0, -1, columns, 1), (0, rows, columns, 1)]
-
-
 def has_crossings(grey: Image, grid_map: CornerMap, block: Block) -> bool:
     """Whether crossings are in every row and column of a block."""
     return alternate(*block_crossings(grey, grid_map, block))

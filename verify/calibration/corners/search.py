@@ -178,7 +178,8 @@ def grow_grid(grey: Image, grid: Array) -> Array | None:
 def add_line(grey: Image, grid: Array, grid_map: grids.CornerMap) -> Array | None:
     """Add one line of corners on the first side where the pattern continues; None: nowhere."""
     rows, columns = grid.shape[:2]
-    for side, line in enumerate(grids.neighbour_lines(columns, rows)):
+    beside = [(-1, 0, 1, rows), (columns, 0, 1, rows), (0, -1, columns, 1), (0, rows, columns, 1)]
+    for side, line in enumerate(beside):
         if not grids.has_crossings(grey, grid_map, line):
             continue
         squares = grids.block_points(line)

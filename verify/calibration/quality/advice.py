@@ -41,12 +41,6 @@ ADVICE = {
 }
 
 
-def main_advice(quality: CalibrationQuality) -> tuple[str, str]:
-    """Name what contributes most to a point's depth, and what helps against it."""
-    group = quality.contributions[0].group
-    return group, ADVICE[group]
-
-
 def calibration_doubts(
     calibration: Calibration, quality: CalibrationQuality, names: Mapping[int, str] | None = None
 ) -> tuple[str, ...]:

@@ -35,7 +35,7 @@ from scipy.spatial.transform import Rotation
 from reports import Results
 from verify.calibration.origin import DEG, MM, UM, ResultsOrigin
 from verify.calibration.quality import accuracy
-from verify.calibration.quality.advice import calibration_doubts, coverage_gaps, main_advice
+from verify.calibration.quality.advice import ADVICE, calibration_doubts, coverage_gaps
 from verify.calibration.quality.quality import (
     NOISE_GROUP,
     CalibrationQuality,
@@ -194,7 +194,7 @@ def _accuracy(calibration: Calibration, quality: CalibrationQuality) -> dict[str
             entry[f"length_{name}_random_um"] = random * UM
             entry[f"length_{name}_systematic_um"] = systematic * UM
         entries.append(entry)
-    group, help_ = main_advice(quality)
+    group = quality.contributions[0].group
     noise = next(c for c in quality.contributions if c.group == NOISE_GROUP)
     depth = float(np.hypot(noise.alone, noise.without))
     return {
@@ -202,7 +202,7 @@ def _accuracy(calibration: Calibration, quality: CalibrationQuality) -> dict[str
         "spot_px": accuracy.SPOT_SIGMA,
         "length_mm": accuracy.TEST_LENGTH * MM,
         "accuracy": entries,
-        "improve_first": {"group": group, "help": help_, "depth_mm": depth * MM},
+        "improve_first": {"group": group, "help": ADVICE[group], "depth_mm": depth * MM},
     }
 
 

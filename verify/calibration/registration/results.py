@@ -74,9 +74,7 @@ def motion_results(
     )
 
 
-def fixture_results(
-    found: FixtureRegistration, *, robot: str, origin: ResultsOrigin | None = None
-) -> Results:
+def fixture_results(found: FixtureRegistration, origin: ResultsOrigin | None = None) -> Results:
     """Lay a registration by a board on the robot's base out for the report."""
     u = np.sqrt(np.diag(found.base_covariance)) * POSE_UNITS
     difference = dict(zip(BODY, (found.pair_difference * POSE_UNITS).T, strict=True))
@@ -84,7 +82,7 @@ def fixture_results(
     summary = {
         **(origin or ResultsOrigin()).summary("registration"),
         "method": "fixture",
-        "robot": robot,
+        "robot": "a robot by a board on its base",
         "registration": found.registration,
         "pairs": {"used": len(found.frames), "left_out": {}},
         "base": _base(found.rig.rig_T_base, u, held=False),

@@ -186,8 +186,7 @@ def _log_derivative(w: Array) -> Array:
     cross, factor = cross_matrix(w), 1 / 12
     if angle >= 1e-4:
         factor = 1 / angle**2 - (1 + np.cos(angle)) / (2 * angle * np.sin(angle))
-    jacobian: Array = np.eye(3) - cross / 2 + factor * cross @ cross
-    return jacobian
+    return np.eye(3) - cross / 2 + factor * cross @ cross
 
 
 def fixed_names(model: AdjustmentModel) -> tuple[str, ...]:

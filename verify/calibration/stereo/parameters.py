@@ -110,8 +110,7 @@ def base_rotations(camera: Camera, pan: Array) -> Array:
     """Rotations (b, 3, 3), rig axes from turntable axes, at pan angles (b,), rad (Rodrigues)."""
     angle = (pan + camera.pan_zero)[:, None, None]
     across = cross_matrix(camera.pan_axis)
-    turned: Array = np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * (across @ across)
-    return turned
+    return np.eye(3) + np.sin(angle) * across + (1 - np.cos(angle)) * (across @ across)
 
 
 def step_camera(camera: Camera, step: Array) -> Camera:

@@ -154,7 +154,10 @@ def refuse_undetermined(found: Estimate) -> None:
         InputError: a focal length or principal point known worse than 10 % of the focal length,
             5 % where boards are tilted little, 1 % where all are parallel.
     """
-    spread = _normal_spread(found)
+    normals = found.state.boards[:, :3, 2]
+    mean = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
+    # of the boards' normals about their mean, rad (rms)
+    spread = float(np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2)))
     limit = max(share for least, share in MAX_FOCAL_UNCERTAINTY.items() if spread >= least)
     u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
     for index, (side, camera) in enumerate(zip(SIDES, found.state.cameras, strict=True)):
@@ -170,13 +173,6 @@ def refuse_undetermined(found: Estimate) -> None:
         posture, remedy = _posture_and_remedy(found, spread)
         found_text = f"does not show the {what} well enough ({amount}): {posture}"
         raise InputError(side, found_text, f"± {limit:.0%} would be the worst", remedy)
-
-
-def _normal_spread(found: Estimate) -> float:
-    """Spread of the boards' normals about their mean, rad (rms)."""
-    normals = found.state.boards[:, :3, 2]
-    mean = normals.mean(axis=0) / np.linalg.norm(normals.mean(axis=0))
-    return float(np.sqrt(np.mean(np.arccos(np.clip(normals @ mean, -1, 1)) ** 2)))
 
 
 def _posture_and_remedy(found: Estimate, spread: float) -> tuple[str, str]:

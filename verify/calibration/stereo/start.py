@@ -157,6 +157,8 @@ def relate_cameras(
     senses = [(1.0,) if base == BASE_FIXED else (1.0, -1.0) for base in bases]
     fixed = all(base == BASE_FIXED for base in bases)
     tolerance = MAX_RELATION_ANGLE if fixed else MAX_RELATION_ANGLE_TURNED
+    # numbers the corners from the far end: index i becomes n - 1 - i
+    half_turn = rigid_transform(np.diag([-1.0, -1.0, 1.0]), board.points[-1])
     found = []
     for sense in itertools.product(*senses):
         axes = np.array([0.0, 1.0, 0.0]) * np.array(sense)[:, None]
@@ -166,20 +168,16 @@ def relate_cameras(
         ]
         straight, halved, *quarters = (
             back[0] @ lefts @ renumbered @ rights @ back[1].transpose(0, 2, 1)
-            for renumbered in (np.eye(4), _half_turn(board), *_quarter_turns(board))
+            for renumbered in (np.eye(4), half_turn, *_quarter_turns(board))
         )
         relation, price = _consensus(straight, halved, both, axes, tolerance)
-        if board.four_fold:
-            relation = _find_quarter_turns(relation, quarters, both, tolerance)
+        if board.four_fold:  # outliers that agree once one view is numbered a quarter turn on
+            gaps = np.min([_angles(relation.left_T_right[None], q)[0] for q in quarters], axis=0)
+            agree = {i for i, gap in zip(both, gaps, strict=True) if gap < tolerance}
+            turned = tuple(i for i in relation.outliers if i in agree)
+            relation = replace(relation, quarter_turned=turned)
         found.append((relation, price))
     return min(found, key=lambda f: f[1])[0]
-
-
-def _half_turn(board: Board) -> Array:
-    """Number the corners from the far end: index i becomes n - 1 - i."""
-    turn = np.diag([-1.0, -1.0, 1.0, 1.0])
-    turn[:3, 3] = board.points[-1]
-    return turn
 
 
 def _quarter_turns(board: Board) -> tuple[Array, Array]:
@@ -188,15 +186,6 @@ def _quarter_turns(board: Board) -> tuple[Array, Array]:
     one = np.eye(4)
     one[:3] = [[0.0, -1.0, 0.0, edge], [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0]]
     return one, np.asarray(np.linalg.inv(one), dtype=np.float64)
-
-
-def _find_quarter_turns(
-    relation: CameraRelation, quarters: Sequence[Array], both: Sequence[int], tolerance: float
-) -> CameraRelation:
-    """Find the outliers that agree once one view is numbered a quarter turn on."""
-    gaps = np.min([_angles(relation.left_T_right[None], turned)[0] for turned in quarters], axis=0)
-    agree = {i for i, gap in zip(both, gaps, strict=True) if gap < tolerance}
-    return replace(relation, quarter_turned=tuple(i for i in relation.outliers if i in agree))
 
 
 def _consensus(

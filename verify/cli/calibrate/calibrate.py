@@ -9,6 +9,7 @@ from typer import Argument, Option
 
 from verify.cli import options as option
 from verify.cli.terminal import report_files, terminal
+from verify.errors import InputError
 from verify.live.page.access import DEFAULT_PORT, LOOPBACK
 
 calibrate = typer.Typer(
@@ -62,7 +63,7 @@ def boards(
     Example: verify calibrate boards tuesday_boards -o rig.toml
     """
     from verify.cli.calibrate.boards import board_from_options, calibrate_folder
-    from verify.cli.calibrate.live import BoardRunOptions, board_of, refuse_station, take_pictures
+    from verify.cli.calibrate.live import board_of, refuse_station, take_pictures
     from verify.io.files import real_path
     from verify.io.results import refuse_existing, refuse_file
     from verify.live.boards.pictures import complete_pairs
@@ -76,7 +77,7 @@ def boards(
     given = board_of(board_from_options(corners, square_mm, square_uncertainty_mm), board)
     if live:
         shown = option.PageOptions(page_port, page_address, page_token) if page else None
-        take_pictures(station, folder, BoardRunOptions(given, enough, shown))
+        take_pictures(station, folder, given, enough, shown)
     else:
         refuse_station(folder)
         used = {"--pictures": pictures is not None, "--pairs": enough is not None, "--page": page}
@@ -174,7 +175,11 @@ def register(
     refuse_file(out, force=force)
     if board_in_base is None:
         refuse_file(marker_out, force=force)
-        registration.refuse_one_file(out, marker_out)
+        if out.resolve() == marker_out.resolve():
+            expected = "rig and marker are two files"
+            raise InputError(
+                marker_out, "is named for both", expected, "Give --marker another name."
+            )
     refuse_existing(target, force=force)
     output = registration.RegistrationOutput(out, marker_out, target, force)
     if board_in_base is not None:

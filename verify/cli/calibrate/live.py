@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 
@@ -13,7 +12,7 @@ from verify.core.fiducials import Board
 from verify.errors import InputError
 from verify.io import fiducials
 from verify.live.boards.pictures import BoardPictures
-from verify.live.boards.show import BoardPageSource, BoardState, render_snapshot
+from verify.live.boards.show import BoardPageSource, BoardSnapshot, BoardState, render_snapshot
 from verify.live.boards.take import BoardCapture, BoardDevices
 from verify.live.outputs.terminal import TerminalDisplay
 from verify.live.station.cameras import StationCameras, open_station_cameras
@@ -21,15 +20,6 @@ from verify.simulation.boards.cameras import BoardCameras
 
 FINISH_KEYS = ("q", "f")
 KEYS_HELP = "Enter: take this pair; q and Enter, or Ctrl-C: finish"
-
-
-@dataclass(frozen=True, slots=True)
-class BoardRunOptions:
-    """Options of a run that takes board pictures."""
-
-    board: Board | None  # None: the simulated one
-    pairs: int | None  # after which it ends by itself
-    page: PageOptions | None
 
 
 def board_of(by_option: Board | None, file: Path | None) -> Board | None:
@@ -51,29 +41,32 @@ def refuse_station(source: Path) -> None:
         raise InputError(source, found, expected, "Add --live.")
 
 
-def take_pictures(station: Path, folder: Path, options: BoardRunOptions) -> None:
-    """Take pairs of board pictures until there are enough or the user finishes.
+def take_pictures(
+    station: Path, folder: Path, board: Board | None, enough: int | None, page: PageOptions | None
+) -> None:
+    """Take pairs of board pictures until there are `enough` or the user finishes.
 
     Of the station file only cameras and bases are read; `verify calibrate boards` reads the folder.
+    Without a board the simulated one is taken.
 
     Raises:
         InputError: the file, the board, a device or the disk; or no pair was taken.
     """
     opened = open_station_cameras(station, BoardCameras)
     terminal.warn(*opened.warnings)
-    board = options.board or opened.board
+    board = board or opened.board
     if board is None:
         remedy = "Give --board board.toml of `verify board`, or --corners and --square-mm."
         raise InputError("--board", "is missing", "which board is shown must be known", remedy)
-    state = BoardState()
+    state = BoardState(BoardSnapshot())
     with ExitStack() as stack:
         devices = _open_devices(opened, stack)
         pictures = BoardPictures(folder, board, turning=devices.pan is not None)
-        taking = BoardCapture(devices, board, pictures, options.pairs, state)
-        if options.page is not None:
+        taking = BoardCapture(devices, board, pictures, enough, state)
+        if page is not None:
             source = BoardPageSource(state, board, opened.name)
             requests = {"take": taking.ask, "finish": taking.finish}
-            stack.callback(options.page.serve(source, asked=requests).close)
+            stack.callback(page.serve(source, asked=requests).close)
         look = stack.enter_context(show_state(partial(_draw, state), None, _printer(state)))
         stop = stack.enter_context(stop_on_signal())
         _read_commands(taking)

@@ -52,13 +52,6 @@ class RegistrationOptions:
     sweeps: bool
 
 
-def refuse_one_file(out: Path, marker_out: Path) -> None:
-    """Refuse to write the marker over the rig."""
-    if out.resolve() == marker_out.resolve():
-        expected = "rig and marker are two files"
-        raise InputError(marker_out, "is named for both", expected, "Give --marker another name.")
-
-
 def register_by_fixture(
     folder: Path,
     fixture: Path,
@@ -82,8 +75,7 @@ def register_by_fixture(
     terminal.warn(*warnings)
     made = results.fixture_results(
         replace(found, warnings=warnings),
-        robot="a robot by a board on its base",
-        origin=ResultsOrigin(folder.resolve().name, inputs=opened.inputs),
+        ResultsOrigin(folder.resolve().name, inputs=opened.inputs),
     )
     with written_together(output.rig):
         io_rig.write(output.rig, found.rig)

@@ -71,7 +71,10 @@ class OpenCvSource:
             raise OSError("there is no such camera, or another program has it")
         self._backend = self._capture.getBackendName()
         self.refused = tuple(self._configure())
-        self._jpeg = JpegDecoder() if self._passes_jpeg() else None
+        # JPEGs are handed out as they come, if there are any and they are to be kept
+        jpeg = settings.format == "MJPG" and not settings.grey
+        jpeg = jpeg and bool(self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0))
+        self._jpeg = JpegDecoder() if jpeg else None
         rate = self._capture.get(cv2.CAP_PROP_FPS)
         self._period = 1.0 / (rate if rate > 0 else settings.rate or DEFAULT_RATE)
 
@@ -107,11 +110,6 @@ class OpenCvSource:
             return one_channel(data, self._settings.grey), None
         raw = data.tobytes()
         return self._jpeg.decode(raw), raw
-
-    def _passes_jpeg(self) -> bool:
-        """Have the JPEGs handed out as they come, if there are any and they are to be kept."""
-        wanted = self._settings.format == "MJPG" and not self._settings.grey
-        return wanted and bool(self._capture.set(cv2.CAP_PROP_CONVERT_RGB, 0))
 
     def _configure(self) -> list[RefusedSetting]:
         """Ask for each setting, read it back, name those that were refused.

@@ -6,7 +6,6 @@ from collections.abc import Iterator
 
 import av
 
-from verify.core.records import Image
 from verify.devices.cameras.opencv import as_image, one_channel
 from verify.devices.protocols import CameraSettings, CapturedImage, RefusedSetting
 
@@ -81,21 +80,15 @@ class StreamSource:
             raise OSError(_error_text(error)) from error
         if not frames:
             return None
-        image, raw = self._image(frames[0]), self._raw(packet)
+        assert isinstance(frames[0], av.VideoFrame)  # the stream is one of video
+        image = one_channel(as_image(frames[0]), self._settings.grey)
+        jpeg = self._stream.codec_context.name == "mjpeg" and not self._settings.grey
         t, uncertainty = self._taken(packet, arrival)
-        return CapturedImage(t, uncertainty, image, raw)
+        return CapturedImage(t, uncertainty, image, bytes(packet) if jpeg else None)
 
     def close(self) -> None:
         """Close it."""
         self._container.close()
-
-    def _image(self, frame: object) -> Image:
-        assert isinstance(frame, av.VideoFrame)  # the stream is one of video
-        return one_channel(as_image(frame), self._settings.grey)
-
-    def _raw(self, packet: "av.Packet[av.VideoStream]") -> bytes | None:
-        jpeg = self._stream.codec_context.name == "mjpeg" and not self._settings.grey
-        return bytes(packet) if jpeg else None
 
     def _taken(self, packet: "av.Packet[av.VideoStream]", arrival: float) -> tuple[float, float]:
         """When it was taken, and how well that is known: within a gap, for all one knows."""

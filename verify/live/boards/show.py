@@ -46,11 +46,7 @@ class BoardSnapshot:
     look: BoardDetection | None = None
 
 
-class BoardState(SharedSnapshot[BoardSnapshot]):
-    """Shared between the loop, which writes, and displays, which read."""
-
-    def __init__(self) -> None:
-        super().__init__(BoardSnapshot())
+BoardState = SharedSnapshot[BoardSnapshot]
 
 
 SHADES = " ░▒▓█"  # of a cell with no corner, with some, with many
@@ -132,16 +128,16 @@ class BoardPageSource(SnapshotPageSource[BoardSnapshot]):
     def pictures(self) -> Sequence[tuple[int, dict[str, Any], bytes]]:
         """The newest pair, if it was not given yet."""
         look = self._state.snapshot().look
-        return self.new_pictures(look, () if look is None else look.views, _view_fields)
+        return self.new_pictures(
+            look,
+            () if look is None else look.views,
+            lambda view: {"corners": [] if view is None else np.round(view.centre, 1).tolist()},
+        )
 
     def metrics(self) -> str:
         """How many pairs there are, for Prometheus."""
         pairs = self._state.snapshot().pairs
         return f"# TYPE verify_board_pairs gauge\nverify_board_pairs {pairs}\n"
-
-
-def _view_fields(view: BoardView | None) -> dict[str, Any]:
-    return {"corners": [] if view is None else np.round(view.centre, 1).tolist()}
 
 
 def _coverage(covered: CameraCoverage) -> dict[str, Any]:

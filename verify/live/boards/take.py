@@ -123,7 +123,8 @@ class BoardCapture:
         taken = self._taken_of(images)
         views = self._both(find_board_coarsely, images)
         self._still.add(frames.left.t, *views)
-        pan = self._pan(frames.left.t)
+        # angles of the bases, rad; None while one turns or there is no reading
+        pan = (0.0, 0.0) if self._devices.pan is None else self._pans.at(frames.left.t)
         self._looks += 1
         self._state.change(
             look=BoardDetection(self._looks, images, views), motion=self._still.motion
@@ -166,10 +167,6 @@ class BoardCapture:
         """Search both pictures at once."""
         right = self._pool.submit(find, images[1], self._board)
         return find(images[0], self._board), right.result()
-
-    def _pan(self, t: float) -> tuple[float, float] | None:
-        """Angles of the bases, rad; None while one turns or there is no reading."""
-        return (0.0, 0.0) if self._devices.pan is None else self._pans.at(t)
 
     def _judged(
         self, boards: BoardPair | None, views: Views, taken: CapturedPairs

@@ -138,7 +138,10 @@ class Page:
             self._server.send(("metrics", self._source.metrics()))
         if self.viewers:
             for side, found, jpeg in self._source.pictures():
-                self._server.send(("picture", side, _picture_message(side, found, jpeg)))
+                text = json.dumps(found, allow_nan=False).encode()
+                # the side's number, the length of what was found, that as JSON, the JPEG
+                message = bytes([side]) + len(text).to_bytes(4, "big") + text + jpeg
+                self._server.send(("picture", side, message))
 
     def _receive(self) -> None:
         """Act on the server's messages until it ends."""
@@ -162,9 +165,3 @@ class Page:
 
 def _text(kind: str, fields: dict[str, Any]) -> str:
     return json.dumps({"type": kind, **fields}, ensure_ascii=False, allow_nan=False)
-
-
-def _picture_message(side: int, found: dict[str, Any], jpeg: bytes) -> bytes:
-    """One side's picture: its number, the length of what was found, that as JSON, the JPEG."""
-    text = json.dumps(found, allow_nan=False).encode()
-    return bytes([side]) + len(text).to_bytes(4, "big") + text + jpeg

@@ -5,6 +5,7 @@ measured. The measurement waits for it a few milliseconds at most: a disk that r
 the recording, never the measurement.
 """
 
+import shutil
 import threading
 import time
 from collections import deque
@@ -266,7 +267,7 @@ class SessionRecorder:
         try:
             part = self._make(folder, self._facts, started, pair)
         except (OSError, InputError):
-            session.remove_folder(folder)
+            shutil.rmtree(folder, ignore_errors=True)
             raise
         self._folders.append(folder)
         while self._early:

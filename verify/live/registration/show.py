@@ -39,11 +39,7 @@ class RecordingSnapshot:
     look: SpotDetection | None = None
 
 
-class RecordingState(SharedSnapshot[RecordingSnapshot]):
-    """Shared between the loop, which writes, and displays, which read."""
-
-    def __init__(self) -> None:
-        super().__init__(RecordingSnapshot())
+RecordingState = SharedSnapshot[RecordingSnapshot]
 
 
 BAR_WIDTH = 20  # characters

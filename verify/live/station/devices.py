@@ -4,7 +4,6 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 
 from verify.devices.cameras.capture import is_file, open_camera
@@ -24,6 +23,7 @@ from verify.live.station.keys import (
     AngleDeviceTable,
     PanTable,
     SimulatedDevices,
+    SimulatedHardware,
     StationCameraTable,
     StationEncodersTable,
 )
@@ -61,11 +61,6 @@ TERMINATORS = {"CR": b"\r", "CR LF": b"\r\n", "NUL": b"\0", "none": b""}
 MELFA_RESOLUTION_DEG = 0.01  # JPOSF prints two decimals
 
 
-def given_keys(table: msgspec.Struct) -> set[str]:
-    """Name the keys that a table has and that are not as they are without it."""
-    return set(msgspec.to_builtins(table))
-
-
 def resolution_deg(table: StationEncodersTable) -> float | None:
     """Say to what the readings are rounded: as stated, else as the driver knows."""
     if table.resolution_deg is None and table.driver == "melfa":
@@ -93,8 +88,12 @@ def camera_settings(
     )
 
 
-def open_encoders(path: Path, table: StationEncodersTable, joints: int) -> EncoderDevice:
-    """Open the encoders that [encoders] names, not for `sim`; InputError: a key is wrong."""
+def open_encoders(
+    path: Path, table: StationEncodersTable, joints: int, sim: SimulatedHardware | None
+) -> EncoderDevice:
+    """Open the encoders that [encoders] names; InputError: a key is wrong."""
+    if sim is not None and table.driver == "sim":
+        return sim.encoders(table.rate_hz)
     angles = angle_map(path, "encoders", table, joints)
     try:
         return _make_encoders(path, table, angles, joints)

@@ -6,10 +6,12 @@ from importlib import resources
 from pathlib import Path
 from typing import TypeVar
 
+import msgspec
+
 from verify.errors import one_line
 from verify.io.session.keys import check_clock, tolerance
 from verify.io.toml import decode, did_you_mean, key_error, not_negative, one_of
-from verify.live.station.devices import ENCODER_KEYS, PAN_KEYS, given_keys
+from verify.live.station.devices import ENCODER_KEYS, PAN_KEYS
 from verify.live.station.keys import EVENT_KINDS, StationCameraTable, StationTable
 
 SIM = "sim"
@@ -138,7 +140,7 @@ def _unused_setting_warnings(path: Path, table: StationTable) -> list[str]:
     warnings = []
     for name, keys in (("encoders", ENCODER_KEYS), ("pan", PAN_KEYS)):
         part = getattr(table, name)
-        for key in sorted(given_keys(part) - set(keys[part.driver])):
+        for key in sorted(set(msgspec.to_builtins(part)) - set(keys[part.driver])):
             hint = did_you_mean(key, keys[part.driver])
             note = f'the driver "{part.driver}" has no such setting; it is ignored.{hint}'
             warnings.append(one_line(f"{path}, {name}.{key}: {note}"))

@@ -177,7 +177,7 @@ def _recording_fields(
     right = devices.camera_settings(path, table.right, size)
     # wrong settings are found now, not when the run begins: drivers open their ports later
     if table.encoders.driver != SIM:
-        devices.open_encoders(path, table.encoders, arm.dof).close()
+        devices.open_encoders(path, table.encoders, arm.dof, sim).close()
     devices.check_pan(path, table.pan)
     return {
         "path": path,
@@ -191,7 +191,7 @@ def _recording_fields(
         "files": all(c.source != SIM and is_file(c.source) for c in (table.left, table.right)),
         "warnings": warnings,
         "open_cameras": partial(devices.open_cameras, left, right, sim),
-        "open_encoders": partial(_open_encoders, path, table, arm.dof, sim),
+        "open_encoders": partial(devices.open_encoders, path, table.encoders, arm.dof, sim),
         "open_pan": partial(devices.open_pan, path, table.pan, sim),
         "facts": _session_facts(path, table, arm.dof, sim),
     }
@@ -216,14 +216,6 @@ def _simulation(path: Path, table: StationTable, simulate: Simulate) -> Simulate
     if SIM not in (table.left.source, table.encoders.driver):
         return None
     return make_simulation(path, table, simulate)
-
-
-def _open_encoders(
-    path: Path, table: StationTable, joints: int, sim: SimulatedHardware | None
-) -> EncoderDevice:
-    if sim is not None and table.encoders.driver == SIM:
-        return sim.encoders(table.encoders.rate_hz)
-    return devices.open_encoders(path, table.encoders, joints)
 
 
 def make_simulation(path: Path, table: StationTable, simulate: Callable[[SimSettings], T]) -> T:

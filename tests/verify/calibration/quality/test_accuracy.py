@@ -14,7 +14,7 @@ from verify.calibration.quality.accuracy import (
     length_uncertainty,
     uncertainty_field,
 )
-from verify.calibration.quality.advice import calibration_doubts, main_advice
+from verify.calibration.quality.advice import calibration_doubts
 from verify.calibration.quality.coverage import board_stances, view_frame
 from verify.calibration.quality.quality import NOISE_GROUP, judge_calibration
 from verify.calibration.quality.results import pan_axes_angle, stereo_geometry
@@ -194,7 +194,7 @@ def test_pan_readings_add_their_own_uncertainty_where_bases_turn() -> None:
     more = turned.systematic[2, 4] - still.systematic[2, 4]
     assert np.sqrt(more[2, 2]) > 0.005  # 0.1° at 0.9 m and 170 mm: Z² / B times the angle
     found = replace(made.calibration(), rig=loose, turning=True)
-    assert main_advice(judge_calibration(found))[0] == "pan readings"
+    assert judge_calibration(found).contributions[0].group == "pan readings"
 
 
 def test_what_is_left_were_a_group_exact_is_the_covariance_given_that_group() -> None:

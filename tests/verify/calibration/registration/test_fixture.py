@@ -59,7 +59,7 @@ def test_a_pair_in_which_the_board_had_moved_is_named_and_left_out() -> None:
     found = register_fixture(RIG, pairs, BOARD, BASE_T_BOARD, FIXED)
     assert found.frames.tolist() == [0, 1, 2, 3, 5]
     assert any("pair 4 puts the board 0.4" in w for w in found.warnings)
-    results = fixture_results(found, robot="iust_6r")  # in the file's units
+    results = fixture_results(found)  # in the file's units
     base, table = results.summary["base"], results.tables["pairs"]
     u = np.sqrt(np.diag(found.base_covariance))
     assert_allclose(base["standard_uncertainty_mm"], 1e3 * u[:3])

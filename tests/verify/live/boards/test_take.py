@@ -17,7 +17,7 @@ from tests.support.command import verify
 from tests.support.devices.chromium import Browser
 from verify.calibration.corners.find import find_board
 from verify.calibration.corners.folder import find_boards
-from verify.cli.calibrate.live import BoardRunOptions, board_of, take_pictures
+from verify.cli.calibrate.live import board_of, take_pictures
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array, StereoPair
 from verify.errors import InputError
@@ -25,7 +25,7 @@ from verify.io.board.folder import open_board_folder
 from verify.live.boards import pictures as boards_pictures
 from verify.live.boards.goals import CapturedPairs, coverage, goals
 from verify.live.boards.pictures import BoardPictures, complete_pairs
-from verify.live.boards.show import BoardPageSource, BoardState
+from verify.live.boards.show import BoardPageSource, BoardSnapshot, BoardState
 from verify.live.boards.take import BoardCapture, BoardDevices
 from verify.live.boards.view import (
     MAX_MOTION_PX,
@@ -309,7 +309,7 @@ def test_pairs_are_taken_unattended_and_are_what_a_calibration_reads(
     station: Path, tmp_path: Path
 ) -> None:
     folder = tmp_path / "taken"
-    take_pictures(station, folder, BoardRunOptions(None, 2, None))
+    take_pictures(station, folder, None, 2, None)
     opened = open_board_folder(folder)
     assert len(opened) == 2
     assert opened.image_size == (640, 360)
@@ -338,7 +338,7 @@ def taking(station: Path, folder: Path) -> Iterator[tuple[Page, BoardState, thre
     opened = open_station_cameras(station, BoardCameras)
     assert opened.board is not None
     left, right = opened.open_cameras()
-    state = BoardState()
+    state = BoardState(BoardSnapshot())
     pictures = BoardPictures(folder, opened.board, turning=False)
     devices = BoardDevices(left, right, opened.open_pan())
     run = BoardCapture(devices, opened.board, pictures, None, state)

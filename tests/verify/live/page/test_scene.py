@@ -63,7 +63,7 @@ def test_a_run_draws_them_as_they_stood_for_the_pair_on_the_page() -> None:
     assert_drawn(source.rows()[-1]["scene"]["cameras"], still)  # no pair was seen yet
     black = np.zeros((8, 8), np.uint8)
     pair = StereoPair(1, 0.0, 0.0, rig.left.pan + TURN, rig.right.pan - 2 * TURN, black, black)
-    state.set_pictures(pair, Measurement(1, 0.0, "too_few_leds", 0))
+    state.pictures = (pair, Measurement(1, 0.0, "too_few_leds", 0))
     state.row(replace(row, frame=1), np.zeros(6))
     assert_drawn(source.rows()[-1]["scene"]["cameras"], turned(rig, (TURN, -2 * TURN)))
 

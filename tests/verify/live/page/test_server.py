@@ -63,7 +63,7 @@ class Playing:
         while not self._stop.wait(1 / 30):
             frame += 1
             self.state.row(played_row(frame), np.full(6, 0.4))
-            self.state.set_pictures(*played_pictures(frame))
+            self.state.pictures = played_pictures(frame)
             lines = (DeviceStatus("left camera", True, f"reading {HOSTILE}"),)
             self.state.set_status(lines, {"no partner in time": 2}, "kept")
 
