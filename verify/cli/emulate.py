@@ -148,12 +148,12 @@ def _opcua(
     from verify.simulation.emulators.trajectory import load
 
     require_asyncua()
-    from verify.simulation.emulators.opcua import OpcUaEmulator, OpcUaOptions
+    from verify.simulation.emulators.opcua import OpcUaEmulator
 
     trajectory = load(motion, joints)
     with opening(where):
         host, port = listening_at(where)
-        return OpcUaEmulator(host, port, trajectory, joints, OpcUaOptions(rate=rate), faults)
+        return OpcUaEmulator(host, port, trajectory, joints, rate, faults)
 
 
 def _rosbridge(motion: str, joints: int, robot: str | None, rate: int) -> "RosbridgeEngine":

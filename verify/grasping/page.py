@@ -91,8 +91,8 @@ def object_fields(cycle: LoopCycle) -> dict[str, Any]:
     fields: dict[str, Any] = {"position_mm": None}
     if target is not None and np.isfinite(target.thing.covariance).all():
         thing = target.thing
-        fields["position_mm"] = _rounded(_MM * thing.position, 2)
-        fields["standard_uncertainty_mm"] = _rounded(_MM * np.sqrt(np.diag(thing.covariance)), 2)
+        fields["position_mm"] = _rounded(_MM * thing.position)
+        fields["standard_uncertainty_mm"] = _rounded(_MM * np.sqrt(np.diag(thing.covariance)))
         fields["size_mm"] = [_finite(thing.width), _finite(thing.length)]
         fields["speed_mm_s"] = round(float(np.linalg.norm(target.velocity)) * _MM, 1)
     return fields
@@ -131,8 +131,8 @@ def _ellipse(blob: Blob | None) -> dict[str, Any] | None:
     }
 
 
-def _rounded(values: Array, digits: int) -> list[float]:
-    return [round(float(value), digits) for value in values]
+def _rounded(values: Array) -> list[float]:
+    return [round(float(value), 2) for value in values]
 
 
 def _finite(length: float) -> float | None:
@@ -238,7 +238,7 @@ class GraspPageSource:
                 None if self._pictured is None else self._pictured.observation, fresh=shown.fresh
             ),
             **object_fields(cycle),
-            "q_deg": None if cycle.q is None else _rounded(np.degrees(cycle.q), 2),
+            "q_deg": None if cycle.q is None else _rounded(np.degrees(cycle.q)),
             "scene": self._scene(cycle),
             "stops": self._stops,
             "answers": self._answers,

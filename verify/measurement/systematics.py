@@ -23,7 +23,6 @@ A small rotation acts on the left, in the axes of the frame that holds it.
 
 import re
 from dataclasses import dataclass, field
-from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -163,8 +162,9 @@ def sensitivities(
     gain = (base_R_rig @ pose.gain.reshape(2, 3, -1)).reshape(6, -1)
     names = (*parameters.names, *PAN_READINGS)
     columns = -gain @ pixel_sensitivities(names, measurement, rig, marker)
-    places, axes = _base_parameters(names)
+    places = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
     if places:
+        axes = [BODY.index(names[i].partition(".")[2]) for i in places]
         columns[:, places] = _by_base(rig, pose)[:, axes]
     return columns
 
@@ -222,10 +222,3 @@ def _by_base(rig: Rig, pose: Pose) -> Array:
     change[:3, :3] = change[3:, 3:] = base_R_rig
     change[:3, 3:] = base_R_rig @ np.array([[0.0, z, -y], [-z, 0.0, x], [y, -x, 0.0]])
     return -change
-
-
-@lru_cache(maxsize=8)
-def _base_parameters(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
-    """Which parameters are the robot base's, and which of its six ways to move each is."""
-    places = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
-    return places, [BODY.index(names[i].partition(".")[2]) for i in places]

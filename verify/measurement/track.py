@@ -96,7 +96,7 @@ def _alignment_errors(measurements: list[Measurement]) -> Array:
     cubic the snap; differences over windows of pairs show each. The values stay as they are: this
     goes into the judgement, as a term that does not average out when the arm accelerates one way.
     """
-    errors = []
+    errors, count = [], len(measurements)
     for i, now in enumerate(measurements):
         if now.status != "measured" or now.pose is None:
             continue
@@ -109,20 +109,16 @@ def _alignment_errors(measurements: list[Measurement]) -> Array:
             curvature = now.pose.curvature[start : start + len(sighting)]
             start += len(sighting)
             for order, known in ((2, curvature), (3, 0.0), (4, 0.0)):
-                windows = _windows(i, order, len(measurements))
+                # of neighbours that show this derivative; they hold all that the curve went
+                # through: the pair before the one before as well
+                earliest, latest = i - min(order, 3), min(i - order + 2, count - order - 1)
+                windows = range(max(earliest, 0), latest + 1)
                 lever = sighting.lever[:, order - 2, None]
                 if windows and lever.any():
                     shown = _image_derivative(measurements, i, side, windows, order) - known
                     part += lever * np.nan_to_num(shown)
         errors.append(now.pose.gain @ left_over.reshape(-1))
     return np.array(errors).reshape(-1, 6)
-
-
-def _windows(i: int, order: int, count: int) -> range:
-    """First pairs of the windows of neighbours that show a derivative in pair i of so many."""
-    # windows hold all that the curve went through: the pair before the one before as well
-    earliest, latest = i - min(order, 3), min(i - order + 2, count - order - 1)
-    return range(max(earliest, 0), latest + 1)
 
 
 def _image_derivative(

@@ -66,7 +66,7 @@ def _server(
     kind: str, port: str, followed: Followed, faults: EmulatorFaults
 ) -> EmulatorServer | OpcUaEmulator:
     if kind == "opcua":
-        return OpcUaEmulator("127.0.0.1", 0, followed, 6, None, faults)
+        return OpcUaEmulator("127.0.0.1", 0, followed, 6, faults=faults)
     if kind == "rosbridge":
         engine: EmulatorEngine = RosbridgeEngine(followed, RosbridgeOptions(UR_JOINTS))
         return EmulatorServer(WebSocketEndpoint("127.0.0.1", 0), engine, faults, None, 0)

@@ -33,7 +33,10 @@ def cycle_row(cycle: LoopCycle, workspace: Workspace) -> dict[str, Any]:
         row |= {f"u_{axis}_mm": _MM * u for axis, u in zip("xyz", spread, strict=True)}
         row["width_mm"] = _MM * target.thing.width
     for side in ("left", "right"):
-        row |= _outline(side, None if observation is None else getattr(observation, side))
+        outline: Blob | None = None if observation is None else getattr(observation, side)
+        values = (None,) * 4 if outline is None else (*outline.centre.tolist(), *outline.box[2:])
+        whats = (f"{side}_{what}_px" for what in ("x", "y", "width", "height"))
+        row |= dict(zip(whats, values, strict=True))
     if cycle.q is not None:
         row |= _joints("q{}_deg", cycle.q)
         row |= _point("grip", workspace.grip(cycle.q)[:3, 3])
@@ -127,12 +130,6 @@ def plan_fields(plan: GraspPlan | GraspRefusal) -> dict[str, Any]:
 def _grip_position(base_T_flange: Array, workspace: Workspace) -> Array:
     """Where the grip point is, (3,), m."""
     return (base_T_flange @ workspace.cell.gripper.flange_T_grip)[:3, 3]
-
-
-def _outline(side: str, outline: Blob | None) -> dict[str, float | None]:
-    values = (None,) * 4 if outline is None else (*outline.centre.tolist(), *outline.box[2:])
-    whats = ("x", "y", "width", "height")
-    return {f"{side}_{what}_px": value for what, value in zip(whats, values, strict=True)}
 
 
 def _point(name: str, point: Array) -> dict[str, float]:

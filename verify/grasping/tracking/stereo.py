@@ -41,8 +41,7 @@ class PannedCamera:
         """Derivative of x/z, y/z by a point of the rig, (2, 3), at a point (3,) in the camera."""
         x, y, z = inside.tolist()
         flat = np.array([[1 / z, 0.0, -x / z**2], [0.0, 1 / z, -y / z**2]])
-        found: Array = flat @ self.rig_T_camera[:3, :3].T
-        return found
+        return flat @ self.rig_T_camera[:3, :3].T
 
     def picture(self, xy: Array) -> tuple[Array, Array]:
         """Pixel (2,) of x/z and y/z, and its derivative by them, (2, 2) px."""

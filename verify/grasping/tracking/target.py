@@ -58,7 +58,6 @@ class TargetObservation:
     velocity: Array  # (3,), m/s
     velocity_covariance: Array  # (3, 3), (m/s)²
     measured: Array  # (3,), m, from this pair alone; nan where it gave none
-    measured_covariance: Array  # (3, 3), m², of that: everything that varies from pair to pair
     size: Array  # (2,), m, width and height along the pictures' rows and columns
     size_standard_uncertainty: Array  # (2,), m
     epipolar: float  # the rays' mismatch in standard deviations; nan where not in both

@@ -129,7 +129,6 @@ class TargetTracker:
             velocity=velocity,
             velocity_covariance=spread,
             measured=nothing if thing is None else thing.place.point,
-            measured_covariance=square if thing is None else thing.place.covariance,
             size=np.full(2, np.nan) if target is None else target.extent,
             size_standard_uncertainty=self._size_uncertainty,
             epipolar=float("nan") if thing is None else thing.place.mismatch,

@@ -96,11 +96,6 @@ def greatest_sample(message: BagMessage, place: str) -> int:
     return int(_samples(message, place).max())
 
 
-def depth_of(greatest: int) -> int:
-    """The least number of bits that a camera delivers and that holds this sample."""
-    return next(bits for bits in DEPTHS if greatest < 2**bits)
-
-
 def decode_message(message: BagMessage, place: str, depth: int = 8) -> Image:
     """Decode a picture to (h, w) grey or (h, w, 3) BGR, 8 bits.
 

@@ -127,10 +127,8 @@ def _read_outline(bag: Bag, request: BagRequest, progress: Progress) -> BagOutli
         expected = "pairs no more than half a period apart are expected"
         raise InputError(bag.path, found, expected, "Are both cameras' clocks one?")
     first = min(int(sides[0][0]), int(sides[1][0]), min(times[joints]))
-    return BagOutline(
-        sides, pairs, names, pictures.depth_of(greatest), first // SECOND * SECOND,
-        len(times[joints]),
-    )  # fmt: skip
+    depth = next(bits for bits in pictures.DEPTHS if greatest < 2**bits)
+    return BagOutline(sides, pairs, names, depth, first // SECOND * SECOND, len(times[joints]))
 
 
 class JointNames:
@@ -203,7 +201,8 @@ def pair_stamps(left: Stamps, right: Stamps) -> NDArray[np.intp]:
     No further apart than half the shorter of the two median periods. Pictures that are not later
     than every one before are left out.
     """
-    kept = [np.flatnonzero(_rises(t)) for t in (left, right)]
+    highest = (np.maximum.accumulate(t) for t in (left, right))
+    kept = [np.flatnonzero(np.diff(t, prepend=t[0] - 1) > 0) for t in highest]
     a, b = left[kept[0]], right[kept[1]]
     if min(len(a), len(b)) < MIN_PAIRS:
         return np.zeros((0, 2), dtype=np.intp)
@@ -213,12 +212,6 @@ def pair_stamps(left: Stamps, right: Stamps) -> NDArray[np.intp]:
     mutual &= np.abs(a - b[nearest_right]) <= half
     found = np.flatnonzero(mutual)
     return np.column_stack([kept[0][found], kept[1][nearest_right[found]]])
-
-
-def _rises(times: Stamps) -> NDArray[np.bool_]:
-    """Whether each time is later than all before, (n,)."""
-    highest = np.maximum.accumulate(times)
-    return np.concatenate([[True], times[1:] > highest[:-1]])
 
 
 def _nearest(times: Stamps, others: Stamps) -> NDArray[np.intp]:

@@ -163,7 +163,10 @@ def _propose_joints(
                 ]  # fmt: skip
     angles = [
         column for column, (_, unit) in named.items()
-        if given or (unit in (DEGREES, RADIANS, "") and _may_be_reading(column.lower()))
+        if given or (
+            unit in (DEGREES, RADIANS, "")
+            and not (_NO_READING.search(column.lower()) or _UNNAMED.fullmatch(column.lower()))
+        )
     ]  # fmt: skip
     stems = {column if given else named[column][0]: column for column in angles}
     try:
@@ -176,11 +179,6 @@ def _propose_joints(
         MappedColumn(stems[name], f"q{j}", named[stems[name]][1])
         for j, name in enumerate(names, start=1)
     ]
-
-
-def _may_be_reading(name: str) -> bool:
-    """Whether a numbered column may be a joint's reading, by its name in small letters."""
-    return not (_NO_READING.search(name) or _UNNAMED.fullmatch(name))
 
 
 def _propose_pose(

@@ -130,7 +130,10 @@ class GripperHand:
         if self.fault is GripperFault.RELEASING:
             self._move(OPEN_LIMIT, np.array([RELEASE_SPEED] * 3 + [0.0]), seconds)
         elif self.stage is GripperStage.ACTIVATING:
-            self._exercise(t)
+            # it closes and opens over the whole travel
+            left = np.clip((self._ready_at - t) / self._activation, 0.0, 1.0)
+            closed = 1.0 - abs(2.0 * left - 1.0)
+            self.position[:3] = OPEN_LIMIT[:3] + closed * (CLOSED_LIMIT[:3] - OPEN_LIMIT[:3])
         elif self.stage is GripperStage.CHANGING_MODE:
             rest = self.position.copy()
             rest[3] = SCISSOR_POSITIONS[self._mode]
@@ -185,12 +188,6 @@ class GripperHand:
         # these two last until a reset
         elif self.fault not in (GripperFault.RELEASING, GripperFault.RELEASED):
             self.fault = GripperFault.NONE
-
-    def _exercise(self, t: float) -> None:
-        """Close and open over the whole travel, as the activation does."""
-        left = np.clip((self._ready_at - t) / self._activation, 0.0, 1.0)
-        closed = 1.0 - abs(2.0 * left - 1.0)
-        self.position[:3] = OPEN_LIMIT[:3] + closed * (CLOSED_LIMIT[:3] - OPEN_LIMIT[:3])
 
     def _towards_request(self, seconds: float) -> Array:
         """Move; give the axes' status: 0 moving, 2 contact while closing, 3 at the request."""

@@ -37,7 +37,6 @@ class ControllerOptions:
     end: bytes = b"\r"  # of an answer
     latency: float = 0.008  # s
     jitter: float = 0.004  # s, added, uniform
-    need_open: bool = True  # QeR6500 before OPEN
     least_pause: float = 0.0  # s: asked sooner while the arm moves, it refuses with 6130
 
 
@@ -102,7 +101,7 @@ class MelfaEngine:
         return self._refusal(data) if isinstance(data, int) else f"Qo{self._letter('K')}{data}"
 
     def _refused(self, name: str, t: float) -> int:
-        if not self._open and name != "OPEN" and self._options.need_open:
+        if not self._open and name != "OPEN":
             return 6500
         hasty = t - self._free < self._options.least_pause
         if self._options.least_pause and hasty and self.arm.moving:

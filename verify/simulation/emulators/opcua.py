@@ -9,7 +9,6 @@ import logging
 import math
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from datetime import UTC, datetime, timedelta
 from typing import Any
 
@@ -21,14 +20,6 @@ from verify.simulation.emulators.trajectory import EmulatedTrajectory
 NAMESPACE = "urn:verify:emulator"
 
 
-@dataclass(frozen=True, slots=True)
-class OpcUaOptions:
-    """What the server is like."""
-
-    rate: int = 100  # Hz at which the axes are written
-    stamped: bool = True  # each value carries the time at which it was read
-
-
 class OpcUaEmulator:
     """One server; `serve` runs it until it is told to end."""
 
@@ -38,12 +29,12 @@ class OpcUaEmulator:
         port: int,
         trajectory: EmulatedTrajectory,
         joints: int,
-        options: OpcUaOptions | None = None,
+        rate: int = 100,
         faults: EmulatorFaults | None = None,
     ) -> None:
         self._where = (host, port)
         self.trajectory, self._joints = trajectory, joints
-        self._options = OpcUaOptions() if options is None else options
+        self._rate = rate  # Hz at which the axes are written
         self.faults = EmulatorFaults() if faults is None else faults
         logging.getLogger("asyncua").setLevel(logging.CRITICAL)  # a client that leaves is no news
         self._loop = asyncio.new_event_loop()
@@ -95,15 +86,13 @@ class OpcUaEmulator:
                 await self._plug(plugged)
             if plugged and not in_span(self.faults.silence, t):
                 await self._write(t)
-            count = max(count + 1, math.ceil((now() - start) * self._options.rate))
-            await asyncio.sleep(max(start + count / self._options.rate - now(), 0.0))
+            count = max(count + 1, math.ceil((now() - start) * self._rate))
+            await asyncio.sleep(max(start + count / self._rate - now(), 0.0))
 
     async def _write(self, t: float) -> None:
-        stamp = None
-        if self._options.stamped:
-            jump = self.faults.jump
-            leap = jump[1] if jump is not None and t >= jump[0] else 0.0
-            stamp = datetime.now(UTC).replace(tzinfo=None) + timedelta(seconds=leap)
+        jump = self.faults.jump
+        leap = jump[1] if jump is not None and t >= jump[0] else 0.0
+        stamp = datetime.now(UTC).replace(tzinfo=None) + timedelta(seconds=leap)
         status = self.faults.status
         bad = status is not None and t >= status[0]
         code = ua.StatusCode(ua.StatusCodes.BadNotReadable if bad else ua.StatusCodes.Good)

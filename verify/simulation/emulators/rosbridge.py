@@ -14,6 +14,7 @@ from verify.simulation.emulators.server import TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
 
 EXTRA_JOINT = "finger_joint"  # of a gripper, whose joint shares the topic
+EPOCH = 1.7e9  # s: the stamp at the emulator's start
 
 
 class WebSocketEndpoint:
@@ -75,8 +76,6 @@ class RosbridgeOptions:
     names: tuple[str, ...]  # of the joints, in the order of the angles
     topic: str = "/joint_states"
     rate: int = 100  # Hz
-    epoch: float = 1.7e9  # s: the stamp at the emulator's start
-    stamped: bool = True  # else every stamp is 0
 
 
 class RosbridgeEngine:
@@ -134,7 +133,7 @@ class RosbridgeEngine:
         }
         names = list(joints)
         self._random.shuffle(names)
-        stamp = self._options.epoch + t + self._jump if self._options.stamped else 0.0
+        stamp = EPOCH + t + self._jump
         body = {
             "header": {
                 "stamp": {"sec": int(stamp), "nanosec": int(stamp % 1 * 1e9)},

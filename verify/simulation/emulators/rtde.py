@@ -15,6 +15,7 @@ _TYPES = {  # of the outputs that it has, with how a value is packed
 }
 PLAYING, STOPPED = 2, 1
 ERROR_LEVEL = 1  # of a text message
+UPTIME = 1000.0  # s: the time stamp at the emulator's start
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,7 +26,6 @@ class RtdeOptions:
     protocol: int = 2  # the latest that it accepts
     starts: bool = True  # takes the request to start
     drift: float = 0.0  # by which its clock is fast
-    since_boot: float = 1000.0  # s, its time stamp at the emulator's start
 
 
 class RtdeEngine:
@@ -38,7 +38,7 @@ class RtdeEngine:
         self._trajectory = trajectory
         self._options = RtdeOptions() if options is None else options
         self._protocol = self._options.protocol
-        self._clock_zero = -self._options.since_boot  # s, emulator's time at which its clock was 0
+        self._clock_zero = -UPTIME  # s, emulator's time at which its clock was 0
         self._jump = 0.0
         self._texts: list[str] = []
         self._stopped = False

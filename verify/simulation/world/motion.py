@@ -109,8 +109,7 @@ class StationaryPoses:
         i = self._station(t)
         before = self.poses[np.maximum(i - 1, 0)]
         share = minimum_jerk((np.asarray(t) - self.depart[i]) / self.move)[..., None]
-        angles: Array = before + share * (self.poses[i] - before)
-        return angles
+        return before + share * (self.poses[i] - before)
 
     def direction(self, t: Array) -> Array:
         """Give the sign of the last move that turned the joint."""

@@ -223,7 +223,10 @@ class GripperDriver:
     def _judge(self, inputs: modbus.GripperInputs) -> None:
         """Change the state by a reading."""
         if self._phase is GripperState.IDLE:
-            self._adopt(inputs)
+            ready = inputs.active and inputs.activation is modbus.ActivationStatus.READY
+            if ready and inputs.fault < modbus.MIN_LASTING_FAULT:  # it was activated before
+                self._action = replace(self._action, mode=inputs.mode)
+                self._rest(GripperState.READY)
         current = self._phase is GripperState.IDLE or self._active.written
         if self._broken(inputs) or not current:
             return  # the reading is older than the order
@@ -239,13 +242,6 @@ class GripperDriver:
             case GripperState.GRIPPED if not self._holds(inputs):
                 self._phase, self._reason = GripperState.LOST, "the gripped object is lost"
 
-    def _adopt(self, inputs: modbus.GripperInputs) -> None:
-        """Take over a gripper that was activated before."""
-        ready = inputs.active and inputs.activation is modbus.ActivationStatus.READY
-        if ready and inputs.fault < modbus.MIN_LASTING_FAULT:
-            self._action = replace(self._action, mode=inputs.mode)
-            self._rest(GripperState.READY)
-
     def _broken(self, inputs: modbus.GripperInputs) -> bool:
         """Whether a fault, or a lost activation, ends what is being done."""
         if self._phase in UNCHECKED_STATES:
@@ -259,9 +255,9 @@ class GripperDriver:
     def _follow(self, inputs: modbus.GripperInputs) -> None:
         """End the motion that was ordered, once it is over."""
         ours = inputs.go and inputs.echo == self._action.position
-        if not self._confirmed(
-            ours and not inputs.moving and modbus.FingerStatus.MOVING not in inputs.axes
-        ):
+        over = ours and not inputs.moving and modbus.FingerStatus.MOVING not in inputs.axes
+        self._active.agreed = self._active.agreed + 1 if over else 0
+        if self._active.agreed < N_CONFIRMATIONS:
             return
         stopped = sum(axis is not modbus.FingerStatus.THERE for axis in inputs.axes)
         reason = f"something stopped {stopped} of {len(inputs.axes)} fingers"
@@ -278,11 +274,6 @@ class GripperDriver:
     def _holds(self, inputs: modbus.GripperInputs) -> bool:
         """Whether something stopped as many fingers as a grip needs; the scissor axis is one."""
         return inputs.contacts >= min(self._settings.fingers_needed, len(inputs.axes))
-
-    def _confirmed(self, over: bool) -> bool:
-        """Count readings in a row that call an order carried out; whether they are enough."""
-        self._active.agreed = self._active.agreed + 1 if over else 0
-        return self._active.agreed >= N_CONFIRMATIONS
 
     def _rest(self, state: GripperState) -> None:
         self._phase, self._reason = state, ""
