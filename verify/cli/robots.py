@@ -41,7 +41,6 @@ def robots(
             arm = arms.load(arm_name)
             terminal.say(f"{arm_name:20} {arm.description}")
             terminal.record("robot", name=arm_name, description=arm.description)
-        terminal.say(f"Also, nominal, from example-robot-data: {', '.join(arms.example_names())}")
         return 0
     with restated(arms.RobotError):
         arm = arms.load(name)
