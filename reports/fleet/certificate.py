@@ -35,7 +35,10 @@ def headline(results: Results) -> doc.Verdict:
     held = results.summary.get("sessions") or {}
     remarks = [
         f"{_counted(count, 'session')} {what}."
-        for key, what in (("failed", "could not be measured"), ("copies", "left out as copies"))
+        for key, what in (
+            ("failed", "could not be measured"),
+            ("copies", "not counted: the same recording as another"),
+        )
         if (count := int(held.get(key) or 0))
     ]
     if exact := results.summary.get("uncounted"):
