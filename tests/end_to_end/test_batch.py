@@ -135,7 +135,8 @@ def test_session_reports_are_written_and_linked(lab: Path, tmp_path: Path) -> No
 def heap(lab: Path, tmp_path: Path) -> Path:
     """Sessions spoilt in every way, and two that are not."""
     heap = tmp_path / "heap"
-    for name in ("good 1", "good 2", "cut", "schema", "sparse", 'a,"b"\n<script>x</script>'):
+    shutil.copytree(lab / "02", heap / "good 2")
+    for name in ("good 1", "cut", "schema", "sparse", 'a,"b"\n<script>x</script>'):
         shutil.copytree(lab / "01", heap / name)
     video = heap / "cut" / "left.mkv"
     video.write_bytes(video.read_bytes()[: video.stat().st_size // 2])

@@ -8,6 +8,7 @@ angles of measured poses come from the inverse, the branch nearest the readings.
 
 import contextlib
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -243,6 +244,7 @@ def twist_transport(shift: Array) -> Array:
     return carry
 
 
+@lru_cache(maxsize=4)  # a search for the clock's offset asks for the same tracks
 def alignment_scale(track: Track) -> Array:
     """How far the session's real motion exceeds (or falls short of) what poses assumed, (n,).
 

@@ -119,9 +119,7 @@ def _refuse_other_places(
     Raises:
         InputError: names the mistake, or how far the base is from where it is said to be.
     """
-    from scipy.optimize import (
-        minimize_scalar,
-    )  # slow to load, and few sessions have positions alone
+    from scipy.optimize import minimize_scalar  # slow to load, and few sessions come here
 
     t = instrument.poses.t - offset
     known = written.readings.available(t)

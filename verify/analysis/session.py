@@ -1,7 +1,7 @@
 """A recorded session from pixels to results: measure, compare, estimate, present."""
 
 from collections import Counter
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import numpy as np
 import pandas as pd
@@ -326,10 +326,11 @@ def _estimate(
     used = [m for m in measured.measurements if m.status == "measured"]
     sources = budget(model, compared, means, resolved, used)
     means = replace(means, coverage_factor=sources.coverage_factor)
+    stated = {name: limit for name, limit in asdict(tolerance).items() if limit is not None}
     return SessionAnalysis(
         compared=compared,
         model=model,
-        tolerance=_merge_tolerances(session.tolerance or NO_TOLERANCE, tolerance),
+        tolerance=replace(session.tolerance or NO_TOLERANCE, **stated),
         status=_statuses(measured, compared.comparison, unreachable),
         choices=dict(Counter(m.choice for m in measured.measurements if m.choice)),
         errors=errors,
@@ -365,14 +366,6 @@ def _results(found: SessionAnalysis, measured: MeasuredSession) -> Results:
     images = {"pair": measured.preview} if measured.preview is not None else {}
     repeated, repeated_tables = session_performance(session, found.model, clock.offset)
     return Results(summarise(found) | repeated, describe(session), tables | repeated_tables, images)
-
-
-def _merge_tolerances(given: Tolerance, override: Tolerance) -> Tolerance:
-    return Tolerance(
-        given.joints if override.joints is None else override.joints,
-        given.position if override.position is None else override.position,
-        given.orientation if override.orientation is None else override.orientation,
-    )
 
 
 def _flange(model: JointErrorModel, clock_uncertainty: float | None) -> tuple[Array, Array]:

@@ -87,16 +87,6 @@ class Comparer:
         root = block_diag(covariance_root(self.systematics.covariance), pan)
         self._root = np.asarray(root, dtype=np.float64)
 
-    def row(
-        self,
-        measurement: Measurement,
-        readings: Readings | None,
-        clock: LiveClock,
-        time_doubt: float = 0.0,
-    ) -> JointRow:
-        """Compare one pair; see `rows`."""
-        return self.rows([(measurement, clock)], readings, np.array([time_doubt]))[0]
-
     def rows(
         self,
         pairs: Sequence[tuple[Measurement, LiveClock]],

@@ -13,7 +13,7 @@ from verify.core.rig import Rig
 from verify.measurement.alignment import MAX_GAP
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)
 class Track:
     """n measured pairs. Twists are (translation, rotation vector) in base axes at the flange."""
 

@@ -28,7 +28,7 @@ def test_pairs_that_one_reading_brackets_are_compared_together_as_they_would_be_
     assert [row.status for row in together] == ["measured"] * 2 + ["no_encoder"] + ["measured"] * 2
     compared = zip(pairs, together[:2] + together[3:], doubts[[0, 1, 3, 4]], strict=True)
     for (measurement, clock), row, doubt in compared:
-        alone = comparer.row(measurement, readings, clock, doubt)
+        (alone,) = comparer.rows([(measurement, clock)], readings, np.array([doubt]))
         assert row.frame == alone.frame == measurement.frame
         for name in ("measured", "encoder", "error", "uncertainty", "base_T_measured"):
             assert_allclose(getattr(row, name), getattr(alone, name), rtol=0, atol=1e-15)

@@ -53,8 +53,9 @@ MAX_SQUARED_DIFFERENCE = 100.0  # of a pair's residual: a joint that jumps has o
 JUMP_WINDOW = 3 * MOTION_LAG  # s: pairs that one jump of a joint can reach have no vote
 LOST_SHARE = 0.005  # of the pairs without a reading: a penalty of 1
 MAX_ITERATIONS = 30
-TOL_OFFSET = 1e-7  # s
+TOL_OFFSET, TOL_START = 1e-7, 1e-5  # s; of the offset, and of those that are compared before
 MAX_STEP = 0.1  # s: readings are not linear over longer times
+MAX_TRAVEL = 0.5  # s, from a dip: what it leads to farther off is another one's
 # An offset that the motion shows no better than this is no offset: the arm moves 0.3° at 30°/s.
 MAX_UNCERTAINTY = 0.01  # s
 PARTS, MIN_PARTS = 4, 3  # of a session, where all of it shows no offset; that agree
@@ -106,7 +107,8 @@ def estimate_clock(
     pairs is searched for only where none is found with most of them: few pairs fit by chance.
     """
     found = _search(track, arm, readings, arrival, MIN_OVERLAP)
-    if found.source not in ("none", "arrival"):
+    shared = readings.available(track.t - found.offset).mean()
+    if found.source not in ("none", "arrival") or (arrival and shared >= MIN_OVERLAP):
         return found
     cut = _search(track, arm, readings, arrival, LEAST_OVERLAP)
     return found if cut.source in ("none", "arrival") else cut
@@ -127,8 +129,8 @@ def _search(
         return open_clock
     sample = subset(track, spread(len(track), MAX_PAIRS_COMPARED))
     likely = sorted(dips(curve), key=lambda o: _penalty(track.t, readings, o, arrival))[:MAX_DIPS]
-    refined = [_refine(sample, arm, readings, o, likely[:n]) for n, o in enumerate(likely)]
-    starts = _merge([fit[0] for fit in refined if fit is not None])
+    fits = (_refine(sample, arm, readings, o, likely[:n], TOL_START) for n, o in enumerate(likely))
+    starts = _merge([fit[0] for fit in fits if fit is not None])
     if not starts:
         return open_clock
     candidates = [_candidate(track, arm, readings, o, arrival) for o in starts]
@@ -266,13 +268,14 @@ def _refine(
     readings: Readings,
     offset: float,
     earlier: Sequence[float] = (),
+    tolerance: float = TOL_OFFSET,
 ) -> tuple[float, float] | None:
     """Newton on the offset with a constant error of every joint fitted beside it.
 
-    None where nothing shows it, and where it passes an offset that an `earlier` search started
-    from: it would go on as that one did.
+    None where nothing shows it, where it goes far, and where it passes an offset that an `earlier`
+    search started from: it would go on as that one did. A step back is at most half the one before.
     """
-    starts = np.array(earlier)
+    starts, begin, taken, most = np.array(earlier), offset, 0.0, MAX_STEP
     for _ in range(MAX_ITERATIONS):
         comparison = compare(track, arm, readings, offset)
         if len(comparison) < 3:
@@ -281,10 +284,14 @@ def _refine(
         if solved is None:
             return None
         step, uncertainty = solved
-        before, offset = offset, offset + float(np.clip(step, -MAX_STEP, MAX_STEP))
-        if np.any((starts - before) * (starts - offset) < 0.0):
+        if step * taken < 0.0:  # readings of another motion would send it to and fro
+            most = abs(taken) / 2
+        taken = float(np.clip(step, -most, most))
+        before, offset = offset, offset + taken
+        passed = np.any((starts - before) * (starts - offset) < 0.0)
+        if passed or abs(offset - begin) > MAX_TRAVEL:
             return None
-        if abs(step) < TOL_OFFSET:
+        if abs(taken) < tolerance:
             break
     return offset, uncertainty
 

@@ -45,16 +45,10 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
 
 
 def _figures(found: RigConsistency) -> list[dict[str, Any]]:
+    figures = np.array([found.value * UNITS, found.uncertainty * UNITS, found.z])
     return [
         {"figure": name, key: value, f"standard_uncertainty_{key.rpartition('_')[2]}": u, "z": z}
-        for name, key, value, u, z in zip(
-            FIGURES,
-            NAMES,
-            (found.value * UNITS).tolist(),
-            (found.uncertainty * UNITS).tolist(),
-            found.z.tolist(),
-            strict=True,
-        )
+        for name, key, (value, u, z) in zip(FIGURES, NAMES, figures.T.tolist(), strict=True)
     ]
 
 
