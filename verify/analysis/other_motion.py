@@ -23,7 +23,6 @@ import numpy as np
 import robots
 from robots.transforms import carry, difference, invert
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.clock.late_joints import late_joints
 from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import (
@@ -38,6 +37,7 @@ from verify.analysis.mistakes import (
     scaled_joints,
     session_mistakes,
 )
+from verify.analysis.plausibility import late_joints
 from verify.analysis.relative_motion import MAX_TURN, MIN_TURN, screw_motion
 from verify.core.readings import Readings
 from verify.core.records import Array

@@ -1,7 +1,14 @@
 """Refuse readings and poses in other units, another sense or order than their file states.
 
 Radians for degrees, metres for millimetres, a column reversed: what is wrong as written and agrees
-once it is converted is refused, with the remedy.
+once it is converted is refused, with the remedy. So are columns that are late against the others,
+though they stand in one row: beside the errors of all joints, resolved by angle and direction of
+travel, each joint's own delay d_k is fitted; a common one is the clock's offset:
+
+    xi = J e(q, s) - sum over k of J_k q'_k d_k + noise
+
+Newton's steps move the readings themselves: a tenth of a second is no small step. Joints are named
+where that leaves a small share of the misfit, and most joints agree.
 """
 
 from dataclasses import replace
@@ -10,15 +17,19 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.clock.estimate import ClockEstimate
+from verify.analysis.clock.estimate import MAX_PAIRS_COMPARED, MAX_STEP, ClockEstimate, spread
+from verify.analysis.clock.search import are_visits
+from verify.analysis.comparison import compare
 from verify.analysis.instrument import measure_poses, stated_noise
+from verify.analysis.joint_errors import error_terms
+from verify.analysis.least_squares import RegressionFit, solve, whiten
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import pose_mistakes
 from verify.core.readings import Readings
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
-from verify.measurement.track import Track
+from verify.measurement.track import Track, subset
 
 FULL_TURN = 2 * np.pi
 # Two poses count as the same arm in the same place within this; a gross fault stays below it,
@@ -26,6 +37,13 @@ FULL_TURN = 2 * np.pi
 MAX_POSE_DIFFERENCE = (0.05, np.deg2rad(8.0))  # m, rad
 MAX_POINT_DIFFERENCE = 0.1  # m: of a position alone the readings' own turn moves the point, too
 MIN_AGREEING = 0.9  # of the poses: where a flange points down, half may agree by chance
+MIN_LATE = 0.005  # s; less may be an elastic gear, and moves little
+MIN_RATIO = 5.0  # of it, and of a delay, to their standard uncertainties
+MAX_LEFT_SHARE = 0.25  # of the misfit, with the joints' delays
+MIN_MISFIT = 4.0  # of the session without: below that nothing is wrong that matters
+MIN_JOINTS = 3  # whose delays are known
+MAX_STEPS = 8
+TOL_LATE = 1e-5  # s
 
 
 def refuse_radians(
@@ -94,3 +112,53 @@ def _poses_agree(
         Rotation.from_matrix(turn).magnitude() < MAX_POSE_DIFFERENCE[1]
     )
     return bool(np.mean(near) >= MIN_AGREEING)
+
+
+def late_joints(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float
+) -> dict[int, float]:
+    """Joints, from 1, whose readings are late, and by how much, s; negative: early.
+
+    Empty where no joint's are, or where the session does not say whose.
+    """
+    if are_visits(track.t) or are_visits(readings.t):
+        return {}
+    sample = subset(track, spread(len(track), MAX_PAIRS_COMPARED))
+    late, plain = np.zeros(arm.dof), np.inf
+    for step in range(MAX_STEPS):
+        moved = [readings.at(readings.t + d)[:, k] for k, d in enumerate(late.tolist())]
+        log = Readings(readings.t, np.stack(moved, axis=1))
+        fit, without = _fit_delays(sample, arm, log, offset)
+        plain = without if step == 0 else plain
+        left = fit.chi2 / max(fit.degrees_of_freedom, 1)
+        if plain < MIN_MISFIT or left > 2 * MAX_LEFT_SHARE * plain:
+            return {}
+        own = slice(0, arm.dof)
+        change = np.where(fit.estimable[own], np.clip(fit.value[own], -MAX_STEP, MAX_STEP), 0.0)
+        late = late + change
+        if np.abs(change).max() < TOL_LATE:
+            break
+    doubt = MIN_RATIO * np.sqrt(left * np.diag(fit.covariance)[own])
+    known = fit.estimable[own] & (doubt < MIN_LATE)
+    if left > MAX_LEFT_SHARE * plain or known.sum() < MIN_JOINTS:
+        return {}
+    apart = late - np.median(late[known])
+    found = np.flatnonzero(known & (np.abs(apart) > MIN_LATE))
+    return {k + 1: float(apart[k]) for k in found.tolist()} if 2 * len(found) < known.sum() else {}
+
+
+def _fit_delays(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float
+) -> tuple[RegressionFit, float]:
+    """Fit the joints' delays and errors, delays first; the misfit with one delay for all."""
+    comparison = compare(track, arm, readings, offset)
+    jacobian, white = comparison.jacobian, whiten(comparison)
+    delays = white.rows(-jacobian * comparison.rate[:, None])
+    errors = [
+        white.rows(jacobian[:, :, [j]] * terms[:, None])
+        for j, terms in enumerate(error_terms(comparison)[1] if len(comparison) else ())
+    ]
+    xi = white.rows(comparison.xi[:, :, None])[:, 0]
+    common = solve(np.concatenate([delays.sum(axis=1)[:, None], *errors], axis=1), xi)
+    fit = solve(np.concatenate([delays, *errors], axis=1), xi)
+    return fit, common.chi2 / max(common.degrees_of_freedom, 1)

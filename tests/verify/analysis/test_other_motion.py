@@ -13,11 +13,11 @@ from robots.transforms import rotation_exp
 from tests.support.published import write_session
 from tests.support.true_arm import measured, readings, true_arm
 from verify.analysis.clock.estimate import estimate_clock
-from verify.analysis.clock.late_joints import late_joints
 from verify.analysis.instrument import MeasuredSession, measure_poses, stated_noise
 from verify.analysis.measured import measure_pictures, session_clock
 from verify.analysis.mistakes import degrees
 from verify.analysis.other_motion import refuse_other_motion
+from verify.analysis.plausibility import late_joints
 from verify.analysis.session import compare_session, session_model
 from verify.calibration.kinematics.poses import build_poses
 from verify.core.readings import Readings
