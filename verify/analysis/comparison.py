@@ -254,13 +254,13 @@ def alignment_scale(track: Track) -> Array:
     neighbouring pairs the assumption stands.
     """
     scale = np.ones(len(track))
-    if len(track) < MIN_ACCELERATIONS + 2 or not track.covariance_alignment.any():
-        return scale
-    for order in np.unique(track.order).tolist():
+    enough = len(track) >= MIN_ACCELERATIONS + 2 and track.covariance_alignment.any()
+    for order in np.unique(track.order).tolist() if enough else ():
         square, chosen = _mean_square_motion(track, order), track.order == order
         if square is not None:
             assumed = np.square(MOTION_RATE ** (order - 2) * track.acceleration_prior[chosen])
             scale[chosen] = np.mean(square / assumed, axis=1)
+    scale.flags.writeable = False  # it is kept
     return scale
 
 
