@@ -8,6 +8,7 @@ import logging
 import mmap
 import os
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -66,7 +67,7 @@ class _FirstCompilation(event.Listener):
     def on_start(self, _event: object) -> None:
         """Log it, once."""
         event.unregister("numba:compile", self)  # type: ignore[no-untyped-call]
-        logging.getLogger(__name__).info(COMPILING)
+        announce_compilation()
 
     def on_end(self, _event: object) -> None:
         """Do nothing."""
@@ -90,7 +91,17 @@ def _cache_is_empty() -> bool:
 
 
 CACHE = _cache_available()
-if CACHE and _cache_is_empty():
+FIRST_USE = CACHE and _cache_is_empty()
+
+
+@cache
+def announce_compilation() -> None:
+    """Log, once, that functions are compiled, at first use; for who has a child process do it."""
+    if FIRST_USE:
+        logging.getLogger(__name__).info(COMPILING)
+
+
+if FIRST_USE:
     event.register("numba:compile", _FirstCompilation())  # type: ignore[no-untyped-call]
 event.register("numba:compiler_lock", _MemoryCheck())  # type: ignore[no-untyped-call]
 # the release for whose inside the classes below are made; any other compiles its own way

@@ -19,6 +19,7 @@ import numpy as np
 from verify.analysis.warm_up import warm_up
 from verify.core import processes
 from verify.core.fiducials import Marker
+from verify.core.jit import announce_compilation
 from verify.core.records import Array, Image, Measurement, Spots, StereoPair
 from verify.core.rig import Rig
 from verify.measurement.chain import Setup, detect_in_turn, measure
@@ -118,6 +119,7 @@ class MeasuringProcess:
         self._pictures = (processes.SharedPicture(), processes.SharedPicture())
         self._lost = False
         self._prepared: tuple[StereoPair, PairMessage] | None = None
+        announce_compilation()
         try:
             self._process.wait_until_ready()
         except BaseException:  # Ctrl-C too: it is not waited for while it loads

@@ -17,15 +17,25 @@ Worker = processes.ChildProcess[Task, Any]
 
 
 class ProcessPool:
-    """Worker processes on this machine; they start at once."""
+    """Worker processes on this machine; they start at once.
+
+    Only one does where compiled functions are not kept yet: each would compile them all.
+    """
 
     def __init__(self, workers: int) -> None:
         self._workers = workers
-        self._idle: list[Worker] = [self._start() for _ in range(workers)]
+        self._idle: list[Worker] = [self._start()]
+        from verify.core import jit  # late: meanwhile the worker loads
+
+        if not jit.FIRST_USE:
+            self._idle += [self._start() for _ in range(workers - 1)]
         self._busy: dict[Worker, Task] = {}
 
     def ready(self) -> None:
         """Wait until the first worker is ready."""
+        from verify.core.jit import announce_compilation
+
+        announce_compilation()
         with suppress(processes.ChildLostError):  # it is replaced when it gets its first task
             self._idle[-1].wait_until_ready()
 
