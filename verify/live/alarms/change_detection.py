@@ -73,6 +73,8 @@ class Cusum:
 
 # pairs by which a change may have come later than its sum left zero: noise keeps sums off zero
 ONSET_DELAYS = (0, 1, 2, 3, 5, 8, 13, 21, 34)
+MAX_MISFIT = 4.0  # chi² a direction: beyond it an offset of one joint does not explain the pairs
+MIN_OWN_SHARE = 0.75  # of that chi²: below it an error of this joint that varies does not either
 MIN_CHI2_DIFFERENCE = 15.0  # of chi²: by so much the best joint must beat a rival (docs/results.md)
 
 
@@ -85,6 +87,8 @@ class ChangeAttribution:
     standard_uncertainty: float  # rad
     rivals: tuple[int, ...]  # joints that explain nearly as much, the likeliest first
     pairs: int  # since it was there in full
+    constant: bool  # an offset of this joint explains the pairs
+    alone: bool  # an error of this joint explains most of what they are off by
 
 
 def attribute_change(innovations: InnovationFilter, joints: int, pairs: int) -> ChangeAttribution:
@@ -93,20 +97,23 @@ def attribute_change(innovations: InnovationFilter, joints: int, pairs: int) -> 
     best, late = 0, 0
     for _ in range(2):  # a second time from where the likeliest joint says that it began
         supposed = [innovations.suppose(j, pairs, late) for j in range(joints)]
-        cost = np.array([outcome[0] for outcome in supposed])
+        cost = np.array([outcome.cost for outcome in supposed])
         order = np.argsort(cost).tolist()
         best = order[0]
         if late or pairs == 1:
             break
         onsets = [n for n in ONSET_DELAYS if n < pairs]
-        costs = [innovations.suppose(best, pairs, n)[0] for n in onsets]
+        costs = [innovations.suppose(best, pairs, n).cost for n in onsets]
         late = onsets[int(np.argmin(costs))]
         if late == 0:
             break
+    found = supposed[best]
     return ChangeAttribution(
         joint=best,
-        size=supposed[best][1],
-        standard_uncertainty=supposed[best][2],
+        size=found.size,
+        standard_uncertainty=found.standard_uncertainty,
         rivals=tuple(j for j in order[1:] if cost[j] - cost[best] < MIN_CHI2_DIFFERENCE),
         pairs=pairs - late,
+        constant=found.misfit < MAX_MISFIT,
+        alone=found.misfit < MAX_MISFIT or found.own_share > MIN_OWN_SHARE,
     )

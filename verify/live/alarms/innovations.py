@@ -61,6 +61,23 @@ class Innovation:
     joints: Array  # (d, j), of an offset of each joint, a rad
 
 
+@dataclass(frozen=True, slots=True)
+class Supposition:
+    """How well pairs fit where a joint's reading is supposed to have changed by a constant."""
+
+    cost: float  # -2 log likelihood of the pairs, but for a constant
+    size: float  # rad, of the change
+    standard_uncertainty: float  # rad, if it is constant
+    misfit: float  # chi² a direction of the pairs from the change on; 1 where it explains them
+    own_share: float  # of that chi²: what another size in each pair would explain
+
+
+def project_on(residual: Array, column: Array) -> float:
+    """How far a residual goes along a column, 0 where the column is."""
+    length = math.sqrt(column @ column)
+    return float(residual @ column) / length if length > 0 else 0.0
+
+
 class InnovationFilter:
     """Filters evidence pair by pair.
 
@@ -98,20 +115,22 @@ class InnovationFilter:
         self._learn_spread(by_noise)
         return Innovation(residual, joints)
 
-    def suppose(self, joint: int, pairs: int, late: int = 0) -> tuple[float, float, float]:
+    def suppose(self, joint: int, pairs: int, late: int = 0) -> Supposition:
         """Suppose that a joint's reading changed some pairs ago, and see how well that explains.
 
         The joint is counted from 0; `pairs` are gone through again, the first `late` of them came
-        before the change. Returns -2 log likelihood of those pairs (but for a constant), the
-        change's size and its standard uncertainty, rad.
+        before the change.
         """
         kept = (self._x, self._p, self._t, self._clock)
-        cost = self._again((joint,), self._last(pairs), late)
+        cost, news = self._again((joint,), self._last(pairs), late)
         place = self._prior_width + 1 + joint
-        size, spread = float(self._x[place]), float(self._p[place, place])
         before = self._last(pairs)[0].x[place]  # of a joint that was known to be off already
+        size, spread = float(self._x[place] - before), float(self._p[place, place])
         self._x, self._p, self._t, self._clock = kept
-        return cost, size - float(before), float(np.sqrt(spread))
+        chi2 = sum(float(one.residual @ one.residual) for one in news)
+        own = sum(project_on(one.residual, one.joints[:, joint]) ** 2 for one in news)
+        directions = sum(len(one.residual) for one in news)
+        return Supposition(cost, size, math.sqrt(spread), chi2 / directions, own / chi2)
 
     def accept(self, joints: tuple[int, ...], pairs: int) -> None:
         """Take joints for known to be at fault from now on: their errors are learned.
@@ -129,21 +148,28 @@ class InnovationFilter:
     def _last(self, pairs: int) -> list[_FilterStep]:
         return list(self._past)[-pairs:] if pairs else []
 
-    def _again(self, joints: tuple[int, ...], moments: list[_FilterStep], late: int = 0) -> float:
-        """Go through pairs again with some joints' errors open from one of them on."""
+    def _again(
+        self, joints: tuple[int, ...], moments: list[_FilterStep], late: int = 0
+    ) -> tuple[float, list[Innovation]]:
+        """Go through pairs again with some joints' errors open from one of them on.
+
+        Returns -2 log likelihood (but for a constant), and what those pairs brought from then on.
+        """
         if moments:
             self._x, self._p = moments[0].x, moments[0].p.copy()
             self._t, self._clock = moments[0].before
         opened = [self._prior_width + 1 + joint for joint in joints]
         if not moments:
             self._p[opened, opened] += U_FAULTY_JOINT**2
-        cost = 0.0
+        cost, news = 0.0, []
         for number, moment in enumerate(moments):
             if number == late:
                 self._p[opened, opened] += U_FAULTY_JOINT**2
-            residual, _, _, size = self._update(moment.t, moment.evidence, moment.clock)
+            residual, columns, _, size = self._update(moment.t, moment.evidence, moment.clock)
             cost += float(residual @ residual) + size
-        return cost
+            if number >= late:
+                news.append(Innovation(residual, columns))
+        return cost, news
 
     def _update(
         self, t: float, evidence: Evidence, clock: object

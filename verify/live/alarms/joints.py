@@ -110,6 +110,7 @@ class ToleranceWatch:
 LOSS_TIMEOUT = 1.0  # s without a measured pair
 MAX_ONSET_PAIRS = 30  # pairs after which the sum of an initial fault has left zero
 REVIEW_PAIRS = (2, 5, 12, 30)  # pairs after an alarm, which may tell its rivals apart
+REPEAT_TIME = 60.0  # s for which it is not said again that no joint alone explains the readings
 MAX_PAUSE = 2.0  # s without pairs after which sums and averages begin anew
 
 
@@ -137,6 +138,8 @@ class JointAlarms:
         self._alarm: Alarm | None = None
         self._from_start = False
         self._followed = self._begun = 0
+        self._quiet_until = -math.inf
+        self._changed = False
         self._tolerance = (
             None
             if limits.tolerance is None
@@ -171,48 +174,69 @@ class JointAlarms:
         if self._change is None:
             if not self._cusum.exceeded:
                 return []
-            self._from_start = self._cusum.count - self._cusum.begun < MAX_ONSET_PAIRS
+            early = self._cusum.count - self._cusum.begun < MAX_ONSET_PAIRS
+            self._from_start = early and not self._changed
             self._begun = self._cusum.begun
-            return [self._tell(row, now)]
+            change = self._attribute()
+            if not change.alone and row.t < self._quiet_until:
+                self._accept(change)
+                return []
+            return [self._tell(change, row, now)]
         self._followed += 1
         self._begun += 1
         if self._followed not in REVIEW_PAIRS:
             return []
-        before = self._change
-        alarm = self._tell(row, now)
+        before, change = self._change, self._attribute()
+        alarm = self._tell(change, row, now)
         last = self._followed == REVIEW_PAIRS[-1]
         if last:
-            change = self._change
-            self._innovations.accept((change.joint, *change.rivals), change.pairs)
-            self._restart()
+            self._accept(change)
+            self._quiet_until = -math.inf if change.alone else row.t + REPEAT_TIME
         named_anew = alarm.joints != tuple(j + 1 for j in (before.joint, *before.rivals))
         return [alarm] if last or named_anew else []
 
+    def _attribute(self) -> ChangeAttribution:
+        self._change = attribute_change(self._innovations, self._joints, self._begun)
+        return self._change
+
+    def _accept(self, change: ChangeAttribution) -> None:
+        """Take the change for known, and look out for the next one."""
+        self._innovations.accept((change.joint, *change.rivals), change.pairs)
+        self._restart()
+        self._changed = True
+
     def _restart(self) -> None:
         self._cusum.restart()
+        self._changed = False  # since it began anew
         self._change, self._alarm = None, None
         self._followed = self._begun = 0
 
-    def _tell(self, row: JointRow, now: float) -> Alarm:
-        """Attribute the change to a joint, and word it: a new alarm, or the one told, revised."""
-        self._change = change = attribute_change(self._innovations, self._joints, self._begun)
+    def _tell(self, change: ChangeAttribution, row: JointRow, now: float) -> Alarm:
+        """Word a change: a new alarm, or the one told, revised."""
         joints = tuple(j + 1 for j in (change.joint, *change.rivals))
         size = format_error_deg(change.size, change.standard_uncertainty)
-        if self._from_start:
+        if not change.alone:
+            text = (
+                "The readings do not follow the motion in the pictures, and no joint explains it "
+                f"alone, joint {joints[0]} most: check that they are this arm's, and the clock"
+            )
+        elif not change.constant:
+            text = f"Joint {joints[0]} reads off the measured angle by an error that varies"
+        elif self._from_start:
             text = f"Joint {joints[0]} reads {size} off the measured angle, from the beginning"
         else:
             text = (
                 f"The reading of joint {joints[0]} has changed by {size} against the measured angle"
             )
-        if change.rivals:
+        if change.rivals and change.alone:
             others = " or ".join(str(j) for j in joints[1:])
             text += f"; not separable from joint {others}"
         self._alarm = replace(
             self._alarm or Alarm(next(self._numbers), "change", now, row.t, ""),
             text=text + ".",
             joints=joints,
-            error=change.size,
-            standard_uncertainty=change.standard_uncertainty,
+            error=change.size if change.constant else None,
+            standard_uncertainty=change.standard_uncertainty if change.constant else None,
             revised=self._alarm is not None,
         )
         return self._alarm

@@ -2,6 +2,7 @@
 
 import itertools
 import math
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
 
@@ -9,6 +10,7 @@ import numpy as np
 import pytest
 
 from tests.support.spot_level import RATE, row, streamed
+from verify.core.records import Array
 from verify.live.alarms.change_detection import Cusum, alarm_threshold, run_length
 from verify.live.alarms.innovations import Innovation
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
@@ -90,6 +92,31 @@ def test_a_second_jump_raises_a_second_alarm() -> None:
     assert {a.number: a.joints for a in found} == {1: (4,), 2: (4,)}
     second = [a for a in found if a.number == 2]
     assert abs(math.degrees(second[-1].error or 0.0) - 0.5) < 0.1
+
+
+def swinging(seconds: float, size: Array) -> Iterator[JointRow]:
+    """Rows of joints that read off by errors which swing within seconds."""
+    for one in made_rows(seconds, 11):
+        error = size * np.sin(2 * np.pi * one.t / 4.0 + np.arange(6))
+        xi = one.evidence.xi + one.evidence.jacobian @ error
+        yield replace(one, evidence=replace(one.evidence, xi=xi))
+
+
+def test_readings_of_another_motion_are_said_to_be_that_and_once() -> None:
+    found = alarms(list(swinging(40.0, np.full(6, np.deg2rad(15.0)))))
+    assert all("do not follow" in a.text for a in found)
+    assert {a.number for a in found} == {1}
+    assert {a.error for a in found} == {None}
+
+
+def test_an_error_that_swings_is_one_joint_s_and_no_constant() -> None:
+    size = np.deg2rad(2.0)
+    found = alarms(list(swinging(6.0, size * (np.arange(6) == 2))))
+    last = [a for a in found if a.number == 1][-1]
+    assert last.joints == (3,)
+    assert "by an error that varies" in last.text
+    assert last.error is None
+    assert not any("from the beginning" in a.text for a in found if a.number > 1)
 
 
 def test_an_error_beyond_tolerance_raises_an_alarm_until_it_ends() -> None:
