@@ -80,8 +80,19 @@ def outcome(summary: dict[str, Any]) -> doc.Verdict:
         begun = f" It had not begun: {reason}." if state == "idle" and reason != fmt.DASH else ""
         return doc.Verdict("undecided", f"Ended while {state}", ended + begun)
     tone, label = OUTCOMES[state]
+    if seen_left_behind(summary):
+        tone, label = "undecided", "The gripper holds something; the object stayed behind"
     by = _evidence_text(summary) if state == "lifted" else ""
     return doc.Verdict(tone, label, f"{as_sentence(reason + by)}{_tool_offset_text(summary)}")
+
+
+def seen_left_behind(summary: dict[str, Any]) -> bool:
+    """The hand went up and the cameras saw the object, less U, farther off than half of its way."""
+    far, up = (fmt.finite(summary.get(f"seen_{key}_mm")) for key in ("from_grip", "raised"))
+    if summary.get("state") != "lifted" or far is None or up is None:
+        return False
+    u = fmt.finite(summary.get("seen_from_grip_expanded_uncertainty_mm")) or 0.0
+    return far - u > up / 2 > 0
 
 
 def _evidence_text(summary: dict[str, Any]) -> str:
@@ -186,6 +197,8 @@ def _actions(summary: dict[str, Any]) -> list[str]:
         return ["Start it again with --execute, and the arm moves as planned."]
     if summary.get("refusal"):
         return ["Remove what the refusal names, then grab again."]
+    if seen_left_behind(summary):
+        return ["See in the film and in the cell what the fingers hold."]
     return [REMEDIES.get(str(summary.get("state")), OTHERWISE)]
 
 

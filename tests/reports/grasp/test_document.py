@@ -78,6 +78,13 @@ def test_the_verdict_names_the_evidence_for_the_lift(
     assert "– mm" not in str(facts)
 
 
+def test_an_object_that_the_cameras_see_left_behind_is_not_called_lifted() -> None:
+    verdict = outcome(SUMMARY | SEEN | {"seen_from_grip_mm": 118.0})
+    assert (verdict.tone, "stayed behind" in verdict.label) == ("undecided", True)
+    near = {"seen_from_grip_mm": 60.0, "seen_from_grip_expanded_uncertainty_mm": 20.0}
+    assert outcome(SUMMARY | SEEN | near).tone == "conform"  # its uncertainty reaches the hand
+
+
 def test_small_scores_keep_their_digits() -> None:
     parts = {"limits": 0.45, "dexterity": 0.2319, "nearness": 0.99992, "clearance": 0.001}
     plan = PLAN | {"score": 0.000104327, "parts": parts}

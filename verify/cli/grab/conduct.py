@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from reports import Results
-from reports.grasp.certificate import outcome
+from reports.grasp.certificate import outcome, seen_left_behind
 from reports.results import to_json_value
 from verify.cli.options import PageOptions
 from verify.cli.terminal import STDIN, read_lines, report_files, terminal
@@ -185,7 +185,8 @@ def conduct(stage: GraspRun, stop: StopConditions, out: Path, *, force: bool) ->
             results = page.name_target(results)
         write_report_folder(results, folder, force=True)
     _print_outcome(results, out)
-    return ended.state is GraspState.LIFTED or (not context.execute and aim.plan is not None)
+    lifted = ended.state is GraspState.LIFTED and not seen_left_behind(results.summary)
+    return lifted or (not context.execute and aim.plan is not None)
 
 
 def target_name(target: Target | None) -> str:
