@@ -8,7 +8,6 @@ import time
 
 import numpy as np
 
-from verify.analysis.uncertainty.draws import ViewDraws, camera_draws, refit_pose
 from verify.analysis.warm_up import warm_up, warm_up_comparison
 from verify.calibration.corners.find import refine_corners
 from verify.calibration.stereo.bundle import normal_equations
@@ -19,23 +18,13 @@ from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.rig import Camera
 
 SQUARE_PX = 20.0  # px
-N_SPOTS = 4  # an image
 
 
 def compile_ahead() -> None:
     """Compile what watching a robot takes, and what a first report and calibration would."""
     warm_up()
     warm_up_comparison()
-    _refit()
     _compile_calibration()
-
-
-def _refit() -> None:
-    """One drawn world of one pair, in which nothing moved."""
-    camera = camera_draws(_still_camera(), "left", {}, np.zeros(1))
-    points = np.random.default_rng(0).normal(size=(1, 2 * N_SPOTS, 3)) + 5.0
-    views = ViewDraws(camera, camera, N_SPOTS)
-    refit_pose(np.eye(4), points, np.zeros((1, 2 * N_SPOTS, 2)), views, np.eye(4 * N_SPOTS))
 
 
 def _still_camera() -> Camera:

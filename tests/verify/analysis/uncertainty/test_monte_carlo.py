@@ -53,7 +53,7 @@ def test_a_pose_fitted_in_no_drawn_world_is_the_chains_own(
         leds = led_draws(marker, {}, 1)[:, spots.led]
         off = seen.pose.rig_T_flange.copy()
         off[:3, 3] += 1e-3  # it finds its way back
-        found = refit_pose(off, leds, spots.seen[None], views, spots.weight)
+        found = refit_pose(off, leds, spots.seen[None], views, spots.gain)
         assert_allclose(found[0], seen.pose.rig_T_flange, atol=1e-8)
 
 
