@@ -101,7 +101,7 @@ def analyse(
         InputError: the session cannot be measured; nothing is returned in part.
     """
     alarms = read_alarms(session.folder / ALARMS, session.arm.dof)
-    readings = Readings(session.encoders.t, session.encoders.q)
+    readings = Readings.of_log(session.encoders.t, session.encoders.q)
     session = _with_shown_noise(session, readings)
     measured, clock = measure_session(session, readings, progress, chain or measure)
     compared, unreachable = compare_session(session, measured, readings, clock)
@@ -195,6 +195,7 @@ def compare_session(
     """
     track, systematics = measured.track, measured.systematics
     known = readings.available(track.t - clock.offset)
+    session = _with_gaps_named(session, readings, (track.t - clock.offset)[~known], len(track))
     stated = ReadingUncertainty(
         session.encoder_resolution, session.encoder_time_standard_uncertainty
     )
@@ -214,6 +215,21 @@ def compare_session(
     posed = tuple(m for m in measured.measurements if m.status == "measured" and m.pose is not None)
     compared = SessionComparison(session, track, systematics, clock, comparison, joints, posed)
     return compared, unreachable
+
+
+def _with_gaps_named(session: Session, readings: Readings, silent: Array, count: int) -> Session:
+    """The session, with a warning where some of `count` pairs, `silent` (s), lie in gaps."""
+    after = np.searchsorted(readings.t, silent)
+    after = after[(after > 0) & (after < len(readings.t))]
+    if not len(after):
+        return session
+    longest, since = np.diff(readings.t)[after - 1].max(), readings.t[after.min() - 1]
+    warning = (
+        f"encoders.csv: {len(after)} of {count} pairs have no reading and are left out: the log "
+        f"has gaps of up to {longest:.2g} s while the arm moves, the first from t_s = {since:.2f} "
+        "on. Log without gaps."
+    )
+    return replace(session, warnings=(*session.warnings, warning))
 
 
 def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:

@@ -1,6 +1,6 @@
 """A robot's joint readings as functions of time: value, speed, direction, uncertainty."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -24,6 +24,8 @@ MAX_STEP_ERROR = 0.05  # of a step
 STAMPS_SIGMA = 3.5  # from chance
 CHI2_MEDIAN = 0.4549  # of one degree of freedom
 MIN_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
+MIN_TRIED = 8  # gaps of one length; fewer do not show what is missed in them
+MISSED_SHARE = 0.99  # quantile of what is
 
 
 @dataclass(frozen=True)
@@ -36,6 +38,42 @@ class Readings:
 
     t: Array  # (m,), s, increasing
     q: Array  # (m, joints), rad
+    longest: float = MAX_GAP  # s, between readings that are interpolated
+
+    @classmethod
+    def of_log(cls, t: Array, q: Array) -> "Readings":
+        """A whole log, interpolated where the curve does not miss its motion.
+
+        Where intervals are longer than usual, rows are taken out of the log itself, more and more
+        of them, until the curve is farther from them than noise and last digit explain.
+        """
+        log, apart = cls(t, q), np.diff(t)
+        usual = float(np.median(apart)) if len(apart) else MAX_GAP
+        if not np.any(apart > 1.5 * usual):
+            return log
+        count, good = 2, 0  # intervals that become one
+        while count * usual < MAX_GAP:
+            missed = log._missed(count, 1.5 * count * usual)
+            if len(missed) < MIN_TRIED * (count - 1):
+                break
+            off = np.quantile(missed, MISSED_SHARE, axis=0)
+            if np.any(off > np.maximum(log._resolved, 2 * log.step)):
+                good = max(good, 1)
+                break
+            count, good = count + 1 + count // 4, count
+        else:
+            return log
+        return replace(log, longest=min((good + 0.5) * usual, MAX_GAP)) if good else log
+
+    def _missed(self, count: int, widest: float) -> Array:
+        """How far the curve is from the rows it leaves out, `count` - 1 after every two, rad."""
+        kept = np.arange(len(self.t)) % (count + 1) < 2
+        t = self.t[kept]
+        inside = np.diff(t, append=np.inf)[np.searchsorted(t, self.t[~kept]) - 1] <= widest
+        left_out = np.flatnonzero(~kept)[inside]
+        rows = _as_contiguous(t), _as_contiguous(self.q[kept])
+        curve = kernel.interpolate(*rows, np.inf, _as_contiguous(self.t[left_out]))
+        return np.asarray(np.abs(curve - self.q[left_out]))
 
     def available(self, t: Array) -> NDArray[np.bool_]:
         """Whether there are values at the instants t (n,): between readings, or held at rest.
@@ -61,32 +99,47 @@ class Readings:
 
     def instants(self, step: float) -> Array:
         """Instants so many s apart wherever there are readings, (g,) s."""
-        bursts = np.split(self.t, np.flatnonzero(np.diff(self.t) > MAX_GAP) + 1)
+        bursts = np.split(self.t, np.flatnonzero(np.diff(self.t) > self.longest) + 1)
         return np.concatenate([np.arange(b[0], b[-1] + step, step) for b in bursts])
 
     @cached_property
     def _without_gap(self) -> NDArray[np.bool_]:
-        """Whether the interval before each reading, and after the last, is no gap: (m + 1,)."""
-        return np.diff(self.t, prepend=-np.inf, append=np.inf) <= MAX_GAP
+        """Whether readings are known before each one, and after the last, (m + 1,).
+
+        Not in a gap that a log's arm moves in, nor, if it does there, in the interval beside one:
+        the speed at that end is not known.
+        """
+        apart = np.diff(self.t, prepend=-np.inf, append=np.inf)
+        gap: NDArray[np.bool_] = apart > self.longest
+        if self.longest < MAX_GAP:
+            moves = np.any(np.abs(np.diff(self.q, axis=0)) > self._resolved, axis=1)
+            inner = gap[1:-1] & (moves | (apart[1:-1] > MAX_GAP))
+            beside = np.convolve(inner, [1, 0, 1], "same") > 0
+            gap[1:-1] = inner | (beside & moves)
+        return ~gap
+
+    @cached_property
+    def _resolved(self) -> Array:
+        """Travel that noise and last digit do not explain, (joints,), rad."""
+        return np.asarray(np.maximum(5 * self.noise, MIN_TRAVEL))
 
     @cached_property
     def _at_rest(self) -> NDArray[np.bool_]:
         """Whether the arm stood still at a reading beside a gap, as its burst shows, (m,)."""
-        tolerance = np.maximum(5 * self.noise, MIN_TRAVEL)
-        gaps = np.flatnonzero(np.diff(self.t) > MAX_GAP)
+        gaps = np.flatnonzero(np.diff(self.t) > self.longest)
         rests: NDArray[np.bool_] = np.zeros(len(self.t), dtype=np.bool_)
         for first, last in zip([0, *(gaps + 1)], [*gaps, len(self.t) - 1], strict=True):
             burst = slice(first, last + 1)
             for edge in (first, last):
                 near = np.abs(self.t[burst] - self.t[edge]) <= HOLD_TIME
-                rests[edge] = np.all(np.abs(self.q[burst][near] - self.q[edge]) <= tolerance)
+                rests[edge] = np.all(np.abs(self.q[burst][near] - self.q[edge]) <= self._resolved)
         return rests
 
     def at(self, t: Array) -> Array:
         """Readings at the instants t (n,), rad, (n, joints); held outside a burst of readings."""
         if len(self.t) < 2:
             return np.repeat(self.q, len(t), axis=0)
-        return kernel.interpolate(*self._contiguous, MAX_GAP, _as_contiguous(t))
+        return kernel.interpolate(*self._contiguous, self.longest, _as_contiguous(t))
 
     def rate(self, t: Array) -> Array:
         """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN.
@@ -173,7 +226,7 @@ class Readings:
         """
         if len(self.t) < 2:
             return np.zeros((len(t), self.q.shape[1]))
-        return kernel.interpolation_error(*self._contiguous, MAX_GAP, _as_contiguous(t))
+        return kernel.interpolation_error(*self._contiguous, self.longest, _as_contiguous(t))
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel at the instants t (n,): +1, -1, or 0 before any; (n, joints).
@@ -187,8 +240,7 @@ class Readings:
     @cached_property
     def _directions(self) -> Array:
         """Last direction of travel after each reading, (m, joints)."""
-        thresholds = np.maximum(5 * self.noise, MIN_TRAVEL)
-        return kernel.travel_directions(self._contiguous[1], thresholds).astype(np.float64)
+        return kernel.travel_directions(self._contiguous[1], self._resolved).astype(np.float64)
 
 
 def _products_of_two(values: Array) -> Array:

@@ -1,5 +1,6 @@
 """Readings of another motion are refused, with the mistake that explains them; faults are not."""
 
+import re
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -98,6 +99,24 @@ def test_a_mistake_is_named(
 ) -> None:
     with pytest.raises(InputError, match=message):
         judge(recording, mistake(recording[0].encoders.q))
+
+
+def test_pairs_in_a_gap_of_the_log_are_left_out_and_said(
+    seen: tuple[Session, MeasuredSession],
+) -> None:
+    """A curve over half a second of motion is off by a tenth of a degree, more than its noise."""
+    session, track = seen[0], seen[1].track
+    kept = np.abs(session.encoders.t - 3.0) > 0.25
+    log = Readings.of_log(session.encoders.t[kept], session.encoders.q[kept])
+    clock = estimate_clock(track, session.arm, log)
+    compared, _ = compare_session(session, seen[1], log, clock)
+    lost = np.setdiff1d(np.arange(len(track)), compared.comparison.index)
+    assert np.abs(track.t[lost] - clock.offset - 3.0).max() < 0.28
+    assert re.search(
+        r"[78] of 60 pairs have no reading .* 0\.52 s .* 2\.74", compared.session.warnings[-1]
+    )
+    fault = np.deg2rad([0, 0.35, 0, 0, 0, 0])
+    assert np.rad2deg(np.nanmax(np.abs(compared.joints.single - fault))) < 0.1
 
 
 @pytest.mark.parametrize("joint", [0, 3])

@@ -124,6 +124,25 @@ def test_where_the_arm_moves_and_its_line_falls_silent_nothing_is_held() -> None
     assert Readings(t, brakes).available(edges).all()
 
 
+def test_a_log_is_interpolated_across_no_gap_in_which_the_curve_misses_its_motion() -> None:
+    rng = np.random.default_rng(6)
+    t = np.arange(0.0, 12.0, 0.01)
+    t = t[((t < 3) | (t > 3.5)) & ((t < 6) | (t > 6.5))]
+
+    def moving(at):
+        rest = np.clip(at, None, 5.5)  # the second gap is at rest
+        return np.stack([wave(rest), wave(rest, 0.5, 3.0)], axis=1)
+
+    log = Readings.of_log(t, moving(t) + rng.normal(0, np.deg2rad(0.01), (len(t), 2)))
+    at = np.arange(1.0, 11.0, 0.001)
+    known = log.available(at)
+    assert_allclose([at[~known].min(), at[~known].max()], [2.98, 3.52], atol=0.002)
+    assert np.count_nonzero(~known) < 545
+    assert np.abs(log.at(at[known]) - moving(at[known])).max() < np.deg2rad(0.06)
+    lossy = t[rng.random(len(t)) > 0.1]  # single rows that are missing do no harm
+    assert Readings.of_log(lossy, moving(lossy)).available(at).mean() > 0.94
+
+
 def test_the_direction_of_travel_is_kept_at_rest_and_ignores_noise() -> None:
     rng = np.random.default_rng(2)
     t = np.arange(0, 8, 0.02)
