@@ -37,7 +37,7 @@ from verify.analysis.mistakes import (
     scaled_joints,
     session_mistakes,
 )
-from verify.analysis.plausibility import late_joints
+from verify.analysis.plausibility import clock_change, late_joints
 from verify.analysis.relative_motion import MAX_TURN, MIN_TURN, screw_motion
 from verify.core.readings import Readings
 from verify.core.records import Array
@@ -291,20 +291,32 @@ def _refuse_standing(
 
 
 def _refuse_late(session: Session, written: Mistake, offset: float) -> None:
-    """Refuse readings of which some joints' are late against the others'.
+    """Refuse readings of which some joints' are late against the others', or some against the rest.
+
+    Of one joint swept after the other these may be the same.
 
     Raises:
-        InputError: names the joints and their delays.
+        InputError: names the joints and their delays, or how and when the clock was set.
     """
-    late = late_joints(written.track, written.arm, written.readings, offset)
+    log = written.track, written.arm, written.readings, offset
+    late, change = late_joints(*log), clock_change(*log)
+    found, remedies = [], []
     if late:
         named = [
             f"joint {j} ({abs(d):.3f} s {'late' if d > 0 else 'early'})" for j, d in late.items()
         ]
         moves = ", ".join(f"q{j}_deg by {-d:+.3f} s" for j, d in late.items())
-        remedy = f"Move {moves} against t_s, or record all joints at one instant."
-        found = f"those of {' and '.join(named)} are out of step with the others"
-        raise _refusal(session, replace(written, remedy=remedy), found)
+        found.append(f"those of {' and '.join(named)} are out of step with the others")
+        remedies.append(f"Move {moves} against t_s, or record all joints at one instant.")
+    if change is not None:
+        since, until, size = change
+        found.append(
+            f"their clock was set by {size:+.3f} s between t_s = {since:.2f} and {until:.2f}"
+        )
+        remedies.append(f"Add {-size:+.3f} s to t_s from there on, or judge each part by itself.")
+    if found:
+        written = replace(written, remedy=" Or: ".join(remedies))
+        raise _refusal(session, written, ", or ".join(found))
 
 
 def _faults(written: Mistake) -> Iterator[Mistake]:

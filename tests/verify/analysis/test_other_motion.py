@@ -18,12 +18,13 @@ from verify.analysis.instrument import MeasuredSession, measure_poses, stated_no
 from verify.analysis.measured import measure_pictures, session_clock
 from verify.analysis.mistakes import degrees
 from verify.analysis.other_motion import refuse_other_motion
-from verify.analysis.plausibility import late_joints
+from verify.analysis.plausibility import clock_change, late_joints
 from verify.analysis.session import compare_session, session_model
 from verify.calibration.kinematics.poses import build_poses
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
+from verify.io.session.keys import Clock
 from verify.io.session.session import Session, open_session
 from verify.measurement.chain import measure
 from verify.measurement.track import Track
@@ -117,6 +118,38 @@ def test_pairs_in_a_gap_of_the_log_are_left_out_and_said(
     )
     fault = np.deg2rad([0, 0.35, 0, 0, 0, 0])
     assert np.rad2deg(np.nanmax(np.abs(compared.joints.single - fault))) < 0.1
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("change", [0.2, -0.1, 0.008])
+def test_a_clock_that_is_set_in_the_session_is_named(
+    recording: tuple[Session, Track], change: float, known: bool
+) -> None:
+    """Stamps go on later from a row on, or, where rows are missing, earlier."""
+    session, track = recording
+    t, q = session.encoders.t, session.encoders.q
+    late = t >= 3.0
+    kept = ~late | (t + change > 3.0)
+    log = Readings.of_log((t + change * late)[kept], q[kept])
+    clock = session_clock(replace(session, clock=Clock(0.085, 1e-4) if known else None), track, log)
+    said = (
+        rf"clock was set by \{change:+.3f} s between t_s = (.*) and (.*); .* \{-change:+.3f} s to"
+    )
+    with pytest.raises(InputError, match=said) as refusal:
+        refuse_other_motion(session, track, log, clock)
+    since, until = map(float, re.findall(r"\d\.\d\d(?= and|;)", str(refusal.value)))
+    assert 2.85 < since <= 3.0 <= until < 3.3
+
+
+def test_a_clock_that_runs_fast_or_a_belt_that_slips_is_no_change_of_the_clock(
+    recording: tuple[Session, Track],
+) -> None:
+    session, track = recording
+    t, q = session.encoders.t, session.encoders.q
+    slipped = q + np.deg2rad(3.0) * np.outer(t > 3.0, np.eye(6)[4])
+    for log in (Readings(t * 1.004, q), Readings(t, slipped), Readings(t, q * 1.05)):
+        offset = estimate_clock(track, session.arm, log).offset
+        assert clock_change(track, session.arm, log, offset) is None
 
 
 @pytest.mark.parametrize("joint", [0, 3])

@@ -162,6 +162,25 @@ class _Candidate:
     square: Array  # (n,), of the whitened differences at each pair; nan without a reading
 
 
+def local_offset(
+    part: Track, arm: robots.Arm, readings: Readings, guess: float
+) -> tuple[float, float] | None:
+    """The offset that a few pairs show by themselves and its standard uncertainty, s, or None."""
+    curve = coarse_costs(part, arm, readings, guess)
+    fit = _refine(part, arm, readings, curve[np.argmin(curve[:, 1]), 0]) if len(curve) else None
+    return None if fit is None or fit[1] > MAX_UNCERTAINTY else fit
+
+
+def motion_squares(
+    track: Track, arm: robots.Arm, readings: Readings, offsets: Array
+) -> tuple[Array, Array]:
+    """Instants of pairs (n,), s, and what their motions miss by at each offset (m, n), squared."""
+    squares = np.array([_candidate(track, arm, readings, o, None).square for o in offsets.tolist()])
+    known = ~np.isnan(squares).all(axis=0)
+    squares = np.where(np.isnan(squares), np.inf, squares)[:, known]
+    return track.t[known], np.minimum(squares, MAX_SQUARED_DIFFERENCE)
+
+
 def _candidate(
     track: Track, arm: robots.Arm, readings: Readings, offset: float, arrival: ArrivalClock | None
 ) -> _Candidate:
