@@ -53,6 +53,7 @@ class Comparison:
     alignment_error: Array  # (n, 6), what alignment left, as far as the neighbours show it
     determined: tuple[Array, ...]  # n of (6, d)
     rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
+    local_noise: Array  # (n, j), rad, standard deviation of a reading about each pair
     timed: bool = True  # False: t only tells the order
 
     @property
@@ -105,7 +106,8 @@ def compare(
     measured, determined, carry = _complete_poses(
         track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)
     )
-    spread = _reading_covariance(readings, stated, index, jacobian, rate)
+    noise = readings.noise_at(there)
+    spread = _reading_covariance(noise, stated, index, jacobian, rate)
     scale = alignment_scale(track)[:, None, None]
     own = (scale * track.covariance_alignment + track.covariance_pixels)[index]
     systematic, missed = -track.systematic[index], -track.alignment_error[index]
@@ -129,18 +131,19 @@ def compare(
         alignment_error=missed,
         determined=determined,
         rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
+        local_noise=noise,
     )
 
 
 def _reading_covariance(
-    readings: Readings,
+    noise: Array,
     stated: ReadingUncertainty,
     index: NDArray[np.int64],
     jacobian: Array,
     rate: Array,
 ) -> Array:
     """Covariance of xi by the readings of some pairs of a track, (n, 6, 6)."""
-    variance = readings.noise[None] ** 2
+    variance = noise**2
     if stated.interpolation is not None:
         variance = variance + stated.interpolation[index] ** 2
     if stated.resolution is not None:

@@ -142,7 +142,7 @@ def late_joints(
     late, plain = np.zeros(arm.dof), np.inf
     for step in range(MAX_STEPS):
         moved = [readings.at(readings.t + d)[:, k] for k, d in enumerate(late.tolist())]
-        log = Readings(readings.t, np.stack(moved, axis=1))
+        log = Readings(readings.t, np.stack(moved, axis=1)) if step else readings
         fit, without = _fit_delays(sample, arm, log, offset)
         plain = without if step == 0 else plain
         left = fit.chi2 / max(fit.degrees_of_freedom, 1)

@@ -131,6 +131,16 @@ def _with_shown_noise(session: Session, readings: Readings) -> Session:
         )
         warnings = (*session.warnings, warning)
         session = replace(session, encoder_resolution=readings.step, warnings=warnings)
+    for joint in np.flatnonzero(readings.roughness.any(axis=0)).tolist():
+        rough = readings.roughness[:, joint]
+        since, until = readings.t[np.flatnonzero(rough)[[0, -1]]].tolist()
+        most, usual = np.rad2deg([rough.max(), readings.noise[joint]]).tolist()
+        warning = (
+            f"encoders.csv: readings of joint {joint + 1} scatter by {most:.2g}° between t_s = "
+            f"{since:.2f} and {until:.2f}, elsewhere by {usual:.2g}°. Pairs there count for as "
+            "much less, and the verdict rests on the others. Check its encoder."
+        )
+        session = replace(session, warnings=(*session.warnings, warning))
     noise = max(readings.time_noise, session.encoders.late)
     if session.encoder_time_standard_uncertainty is not None or not noise:
         return session

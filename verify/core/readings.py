@@ -4,6 +4,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from verify.core.kernels import readings as kernel
@@ -14,6 +15,8 @@ MAX_GAP = 0.6  # s; readings at 2 Hz still pass
 RATE_SPAN = 0.05  # s: shorter differences of readings are noise, longer ones blur the motion
 MAD_TO_SIGMA = 1.4826  # of a Gaussian
 DIFFERENCE_VARIANCES = (6.0, 20.0, 70.0)  # of white noise's second to fourth ones, over its own
+ROUGH_ROWS = 16  # of a stretch that is looked at by itself
+ROUGH_RATIO = 4.0  # of its noise to the log's; chance makes it twice
 MIN_DIFFERENCES = 8  # fewer show no spread
 HOLD_TIME = 0.5  # s: at the edge of a burst at rest the arm is taken as standing still for so long
 MIN_STAMPS = 12  # readings of moving joints; fewer do not show whether joints are late together
@@ -174,6 +177,40 @@ class Readings:
                 size = np.median(np.abs(steps[whole]), axis=0)
                 smallest = np.minimum(smallest, MAD_TO_SIGMA * size / np.sqrt(variance))
         return np.where(np.isfinite(smallest), smallest, 0.0)
+
+    def noise_at(self, t: Array) -> Array:
+        """Standard deviation of a reading about the instants t (n,), rad, (n, joints).
+
+        That of the log, or what readings scatter by in a rough stretch, where that is far more.
+        """
+        after = np.minimum(np.searchsorted(self.t, t), len(self.t) - 1)
+        return np.asarray(np.maximum(self.noise, self.roughness[after]))
+
+    @cached_property
+    def roughness(self) -> Array:
+        """What readings scatter by in rough stretches, (m, joints), rad; 0 elsewhere.
+
+        Noise is as large by third as by fourth differences; motion that is read slowly is not.
+        """
+        rough = np.zeros(self.q.shape)
+        if len(self.t) < 2 * ROUGH_ROWS:
+            return rough
+        places = sliding_window_view(np.arange(len(self.t)), ROUGH_ROWS)[:: ROUGH_ROWS // 2]
+        sizes = []
+        for order, variance in zip((3, 4), DIFFERENCE_VARIANCES[1:], strict=True):
+            whole = sliding_window_view(np.diff(self.t) <= MAX_GAP, order).all(axis=1)
+            steps = np.abs(np.diff(self.q, order, axis=0)) * whole[:, None]
+            near = np.clip(places - order // 2, 0, len(steps) - 1)
+            sizes.append(MAD_TO_SIGMA * np.median(steps[near], axis=1) / np.sqrt(variance))
+        usual = np.maximum(ROUGH_RATIO * np.maximum(self.noise, self.step), MIN_TRAVEL)
+        found = (sizes[1] > usual) & (sizes[0] < 2 * sizes[1])
+        size = np.sqrt(np.sum(sizes[1] ** 2 * found, axis=0) / np.maximum(found.sum(axis=0), 1))
+        if found.any() and self.time_noise:  # that is what all joints share, by speed
+            return rough
+        for k in np.flatnonzero(found.any(axis=1)):
+            rows = slice(max(places[k, 0] - ROUGH_ROWS // 4, 0), places[k, -1] + ROUGH_ROWS // 4)
+            rough[rows] = np.maximum(rough[rows], size * found[k])
+        return rough
 
     @cached_property
     def step(self) -> float:

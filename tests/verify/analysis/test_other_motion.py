@@ -19,7 +19,7 @@ from verify.analysis.measured import measure_pictures, session_clock
 from verify.analysis.mistakes import degrees
 from verify.analysis.other_motion import refuse_other_motion
 from verify.analysis.plausibility import clock_change, late_joints
-from verify.analysis.session import compare_session, session_model
+from verify.analysis.session import _with_shown_noise, compare_session, session_model
 from verify.calibration.kinematics.poses import build_poses
 from verify.core.readings import Readings
 from verify.core.records import Array
@@ -118,6 +118,24 @@ def test_pairs_in_a_gap_of_the_log_are_left_out_and_said(
     )
     fault = np.deg2rad([0, 0.35, 0, 0, 0, 0])
     assert np.rad2deg(np.nanmax(np.abs(compared.joints.single - fault))) < 0.1
+
+
+@pytest.mark.parametrize("joint", [2, 4])
+def test_a_second_of_noisy_readings_is_named_and_accuses_nobody(
+    seen: tuple[Session, MeasuredSession], joint: int
+) -> None:
+    session, q = seen[0], seen[0].encoders.q.copy()
+    rough = np.abs(session.encoders.t - 3.0) < 0.5
+    q[rough, joint] += np.random.default_rng(3).normal(0, np.deg2rad(1.0), np.count_nonzero(rough))
+    log = Readings.of_log(session.encoders.t, q)
+    said = _with_shown_noise(session, log).warnings[-1]
+    assert re.search(
+        rf"of joint {joint + 1} scatter by [01]\.?\d*° between t_s = 2\..* and 3\.", said
+    )
+    clock = estimate_clock(seen[1].track, session.arm, log)
+    _, found, resolved = session_model(compare_session(session, seen[1], log, clock)[0])
+    assert [(cause.kind, cause.joint) for cause in found.causes] == [("offset", 2)]
+    assert np.rad2deg(resolved.mean) == pytest.approx([0, 0.35, 0, 0, 0, 0], abs=0.01)
 
 
 @pytest.mark.parametrize("known", [True, False])

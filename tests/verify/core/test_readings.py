@@ -69,6 +69,22 @@ def test_noise_is_read_off_the_readings_and_motion_is_not_taken_for_noise() -> N
     assert_allclose(apart.noise, sigma, rtol=0.1)
 
 
+def test_a_joint_s_rough_stretch_is_found_and_no_slow_motion_or_visits_pass_for_one() -> None:
+    rng = np.random.default_rng(7)
+    t = np.arange(0.0, 8.0, 0.02)
+    q = np.stack([wave(t), wave(t, 0.5, 3.0)], axis=1) + rng.normal(0, 2e-4, (len(t), 2))
+    rough = (t > 3) & (t < 4)
+    q[rough, 1] += rng.normal(0, 0.01, np.count_nonzero(rough))
+    log = Readings(t, q)
+    assert_allclose(log.noise_at(t[rough])[:, 1], 0.01, rtol=0.3)
+    assert_allclose(log.noise_at(t), np.where(log.roughness > 0, log.roughness, log.noise))
+    assert not log.roughness[:, 0].any()
+    assert not log.roughness[(t < 2.6) | (t > 4.4)].any()
+    slowly = np.where(t[::5] < 5, t[::5], 5.0)  # read at 10 Hz; then it rests
+    assert not Readings(t[::5], np.stack([wave(slowly), wave(slowly, 0.5, 1.5)], 1)).roughness.any()
+    assert not Readings(60.0 * t, rng.normal(0, 0.3, q.shape)).roughness.any()
+
+
 @pytest.mark.parametrize("scatter", [0.0, 0.001, 0.004])
 def test_the_scatter_of_time_stamps_is_read_off_all_joints_together(scatter: float) -> None:
     t, found = np.arange(0.0, 10.0, 0.02), []

@@ -146,15 +146,14 @@ def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[
     carry = twist_transport(moved)
     turned = np.swapaxes(carry, 1, 2)
     scale = alignment_scale(track)[:, None, None]
-    noise = plain.reading_noise
     poses = PIXELS if session.instrument is None else INSTRUMENT
     found = [
         RandomSource(poses, "A", carry @ track.covariance_pixels[plain.index] @ turned),
         RandomSource(SKEW, "A", carry @ (scale * track.covariance_alignment)[plain.index] @ turned),
-        RandomSource(NOISE, "A", _propagate(plain.jacobian, noise**2)),
+        RandomSource(NOISE, "A", _propagate(plain.jacobian, plain.local_noise**2)),
     ]
     if session.encoder_resolution is not None:
-        variance = np.full(len(noise), session.encoder_resolution**2 / 12)
+        variance = np.full((1, session.arm.dof), session.encoder_resolution**2 / 12)
         found.append(RandomSource(RESOLUTION, "B", _propagate(plain.jacobian, variance)))
     if session.encoder_time_standard_uncertainty is not None:
         speed = np.einsum("nij,nj->ni", plain.jacobian, plain.rate)
@@ -166,7 +165,7 @@ def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[
 
 
 def _propagate(jacobian: Array, variance: Array) -> Array:
-    spread: Array = np.einsum("nij,j,nkj->nik", jacobian, variance, jacobian)
+    spread: Array = (jacobian * variance[:, None]) @ jacobian.swapaxes(1, 2)
     return spread
 
 
