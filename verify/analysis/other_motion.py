@@ -22,7 +22,7 @@ import numpy as np
 
 import robots
 from robots.transforms import carry, difference, invert
-from verify.analysis.clock.estimate import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate, estimate_clock, shown_offset
 from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import (
@@ -32,16 +32,16 @@ from verify.analysis.mistakes import (
     joint_mistakes,
     misplaced_base,
     misplacements,
+    refusal,
     registration_mistakes,
     sample,
     scaled_joints,
     session_mistakes,
 )
-from verify.analysis.plausibility import clock_change, late_joints
+from verify.analysis.plausibility import refuse_late
 from verify.analysis.relative_motion import MAX_TURN, MIN_TURN, screw_motion
 from verify.core.readings import Readings
 from verify.core.records import Array
-from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.track import Track
@@ -78,12 +78,14 @@ def refuse_other_motion(
     if arm.dof != 6 or len(track) < 3 or np.median(track.known_dof) < 6:
         return
     if _is_frozen(written, clock.offset):
-        raise _refusal(session, written, "the readings never change while the flange moves")
+        raise refusal(session, written, "the readings never change while the flange moves")
     _refuse_standing(session, written, clock, part=True)
-    _refuse_late(session, written, clock.offset)
+    refuse_late(session, written, clock.offset)
     typical = _large_error(written, clock.offset)
-    if typical < MAX_ERROR:
-        return
+    shown = shown_offset(track, arm, readings, clock)
+    if typical < MAX_ERROR or (shown and _large_error(written, shown) < MAX_LEFT_SHARE * typical):
+        return  # a clock that is somewhat off is a cause like others
+    _refuse_other_clock(session, written, typical)
     off, faulty, left, factor, screws = _left_by_faults(session, written, clock)
     scaled = list(scaled_joints(written, factor, MAX_GAIN))
     mistakes = [
@@ -96,7 +98,7 @@ def refuse_other_motion(
         named, remains = _best_by_joints(session, placed, left if off > 1 else typical)
     if named is not None:
         found = f"{named.name} fits: {degrees(remains)} instead of {degrees(typical)}"
-        raise _refusal(session, named, found)
+        raise refusal(session, named, found)
     _refuse_standing(session, written, clock, part=False)
     if off > 1 and screws > MAX_STRAY:
         misfits = [screw_misfit(*mistake) for mistake in mistakes]
@@ -104,11 +106,11 @@ def refuse_other_motion(
         if misfits[best] < min(MAX_STRAY, MAX_LEFT_SHARE * screws):
             named, misfit = mistakes[best][0], degrees(misfits[best])
             found = f"{named.name} fits the flange's turns to {misfit} instead of"
-            raise _refusal(session, named, f"{found} {degrees(screws)}")
+            raise refusal(session, named, f"{found} {degrees(screws)}")
     elif left < MAX_OFFSET:
         return
     found = f"joints are off by {degrees(typical)}, and no usual mistake or fault explains it"
-    raise _refusal(session, written, found)
+    raise refusal(session, written, found)
 
 
 def _refuse_other_places(
@@ -154,7 +156,7 @@ def _refuse_other_places(
             return
         name, mistake = base.name, base
     found = f"{name} fits: {least * LEVER * 1e3:.3g} mm instead of {typical * LEVER * 1e3:.3g}"
-    raise _refusal(session, mistake, found)
+    raise refusal(session, mistake, found)
 
 
 def _far(apart: Array) -> float:
@@ -287,36 +289,25 @@ def _refuse_standing(
     rows = "; delete these rows to measure the rest" * part
     columns = ", ".join(f"q{joint}_deg" for joint in together)
     remedy = f"Check {check} and the column{'s' * (not one)} {columns}{rows}."
-    raise _refusal(session, replace(written, remedy=remedy), what)
+    raise refusal(session, replace(written, remedy=remedy), what)
 
 
-def _refuse_late(session: Session, written: Mistake, offset: float) -> None:
-    """Refuse readings of which some joints' are late against the others', or some against the rest.
-
-    Of one joint swept after the other these may be the same.
+def _refuse_other_clock(session: Session, written: Mistake, typical: float) -> None:
+    """Refuse a given clock offset where another one fits, and leaves far less than `typical`, rad.
 
     Raises:
-        InputError: names the joints and their delays, or how and when the clock was set.
+        InputError: names both.
     """
-    log = written.track, written.arm, written.readings, offset
-    late, change = late_joints(*log), clock_change(*log)
-    found, remedies = [], []
-    if late:
-        named = [
-            f"joint {j} ({abs(d):.3f} s {'late' if d > 0 else 'early'})" for j, d in late.items()
-        ]
-        moves = ", ".join(f"q{j}_deg by {-d:+.3f} s" for j, d in late.items())
-        found.append(f"those of {' and '.join(named)} are out of step with the others")
-        remedies.append(f"Move {moves} against t_s, or record all joints at one instant.")
-    if change is not None:
-        since, until, size = change
-        found.append(
-            f"their clock was set by {size:+.3f} s between t_s = {since:.2f} and {until:.2f}"
-        )
-        remedies.append(f"Add {-size:+.3f} s to t_s from there on, or judge each part by itself.")
-    if found:
-        written = replace(written, remedy=" Or: ".join(remedies))
-        raise _refusal(session, written, ", or ".join(found))
+    if session.clock is None:
+        return
+    fit = estimate_clock(written.track, written.arm, written.readings)
+    left = _large_error(written, fit.offset)
+    if fit.source == "estimated" and left < MAX_LEFT_SHARE * typical:
+        found = f"their clock's offset is given as {session.clock.encoder_offset:g} s, and "
+        found += f"{fit.offset:.3f} s fits: {degrees(left)} instead of {degrees(typical)}"
+        remedy = "Correct [clock] encoder_offset_s, or leave it out."
+        toml = replace(written, file=session.folder / "session.toml", remedy=remedy)
+        raise refusal(session, toml, found)
 
 
 def _faults(written: Mistake) -> Iterator[Mistake]:
@@ -397,12 +388,3 @@ def _mistakes(session: Session, written: Mistake, *, among_all: bool) -> Iterato
     if among_all:
         yield from session_mistakes(session, written)
         yield from registration_mistakes(session, written)
-
-
-def _refusal(session: Session, mistake: Mistake, found: str) -> InputError:
-    return InputError(
-        mistake.file,
-        f"the readings are not this arm's motion: {found}",
-        f"readings of {session.arm.name} in the robot file's sense, zero and order",
-        mistake.remedy or "Check that log, robot and registration belong to this recording.",
-    )

@@ -35,7 +35,7 @@ from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.joint_errors import error_terms
 from verify.analysis.least_squares import RegressionFit, solve, whiten
 from verify.analysis.measured import session_clock
-from verify.analysis.mistakes import pose_mistakes
+from verify.analysis.mistakes import Mistake, pose_mistakes, refusal
 from verify.core.readings import Readings
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
@@ -127,6 +127,35 @@ def _poses_agree(
         Rotation.from_matrix(turn).magnitude() < MAX_POSE_DIFFERENCE[1]
     )
     return bool(np.mean(near) >= MIN_AGREEING)
+
+
+def refuse_late(session: Session, written: Mistake, offset: float) -> None:
+    """Refuse readings of which some joints' are late against the others', or some against the rest.
+
+    Of one joint swept after the other these may be the same.
+
+    Raises:
+        InputError: names the joints and their delays, or how and when the clock was set.
+    """
+    log = written.track, written.arm, written.readings, offset
+    late, change = late_joints(*log), clock_change(*log)
+    found, remedies = [], []
+    if late:
+        named = [
+            f"joint {j} ({abs(d):.3f} s {'late' if d > 0 else 'early'})" for j, d in late.items()
+        ]
+        moves = ", ".join(f"q{j}_deg by {-d:+.3f} s" for j, d in late.items())
+        found.append(f"those of {' and '.join(named)} are out of step with the others")
+        remedies.append(f"Move {moves} against t_s, or record all joints at one instant.")
+    if change is not None:
+        since, until, size = change
+        found.append(
+            f"their clock was set by {size:+.3f} s between t_s = {since:.2f} and {until:.2f}"
+        )
+        remedies.append(f"Add {-size:+.3f} s to t_s from there on, or judge each part by itself.")
+    if found:
+        written = replace(written, remedy=" Or: ".join(remedies))
+        raise refusal(session, written, ", or ".join(found))
 
 
 def late_joints(

@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pandas as pd
 
-from verify.analysis.clock.estimate import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate, shown_offset
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
     Comparison,
@@ -209,6 +209,9 @@ def compare_session(
     stated = ReadingUncertainty(
         session.encoder_resolution, session.encoder_time_standard_uncertainty
     )
+    shown = shown_offset(track, session.arm, readings, clock)
+    if shown is not None:
+        known &= readings.available(track.t - shown)
     unreachable: set[int] = set()
     for _ in range(2):  # a second time without the pairs that the arm cannot reach
         comparison = compare(track, session.arm, readings, clock.offset, stated=stated, known=known)
@@ -223,7 +226,14 @@ def compare_session(
     if not len(comparison):
         raise _comparison_refusal(session, track, reached=not unreachable)
     posed = tuple(m for m in measured.measurements if m.status == "measured" and m.pose is not None)
-    compared = SessionComparison(session, track, systematics, clock, comparison, joints, posed)
+    tangent = None
+    if shown is not None:
+        there = compare(track, session.arm, readings, shown, stated=stated, known=known)
+        there = add_pan_noise(replace(there, timed=comparison.timed), track, systematics)
+        tangent = there, clock.offset - shown
+    compared = SessionComparison(
+        session, track, systematics, clock, comparison, joints, posed, tangent
+    )
     return compared, unreachable
 
 
@@ -245,13 +255,17 @@ def _with_gaps_named(session: Session, readings: Readings, silent: Array, count:
 def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Linearise a session about the errors that are there, find their causes, resolve them.
 
-    A turned camera is found first, and the session linearised anew about its angle. Pairs that
+    A turned camera is found first, and the session linearised anew about its angle; where a given
+    clock is wrong, it is about the offset that the motion shows. Pairs that
     repeat each other's errors count for fewer. What a cause leaves in every pair from its beginning
     on repeats itself as well: so causes are found first with all that counted as noise, then again
     with what they themselves leave. A pair whose reading lies between one from before a change and
     one from after it weighs nothing.
     """
-    session, joints = compared.session, compared.joints
+    session, joints, start, late = compared.session, compared.joints, compared.comparison, 0.0
+    if compared.at_shown_clock is not None:
+        start, late = compared.at_shown_clock
+        joints = solve_joints(start, session.arm)
 
     def built(comparison: Comparison) -> JointErrorModel:
         return build_model(
@@ -262,11 +276,12 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
     error, known = np.nan_to_num(joints.error), ~np.isnan(joints.error)
     typical = error.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
-        first = np.nan_to_num(resolve_errors(built(compared.comparison)).mean)
+        first = np.nan_to_num(resolve_errors(built(start)).mean)
         typical = np.where(known.any(axis=0), typical, first)
     # a step, or readings that stand, leave some pairs far from what is typical
     far = known & (np.abs(error - typical) > MIN_FAR)
-    middle = relinearise(compared.comparison, session.arm, np.where(far, error, typical))
+    middle = relinearise(start, session.arm, np.where(far, error, typical))
+    middle = replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
 
     def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:
         causes = [] if found is None else explained_by(found, model, session.arm, session.rig)
@@ -296,7 +311,8 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
             break
         factors, across = np.minimum(left, factors), more
     # what is told of pairs is their whole error, no tangent's
-    return replace(model, comparison=replace(model.comparison, xi=plain.xi)), found, resolved
+    whole = compared.comparison.xi
+    return replace(model, comparison=replace(model.comparison, xi=whole)), found, resolved
 
 
 def zero_undetermined_columns(comparison: Comparison) -> Comparison:

@@ -120,6 +120,33 @@ def test_pairs_in_a_gap_of_the_log_are_left_out_and_said(
     assert np.rad2deg(np.nanmax(np.abs(compared.joints.single - fault))) < 0.1
 
 
+@pytest.mark.parametrize("wrong", [0.09, -0.09])
+def test_a_given_clock_that_is_wrong_is_named_and_no_link_or_base(
+    seen: tuple[Session, MeasuredSession], wrong: float
+) -> None:
+    """Joints are off by degrees, and no longer in proportion to their speeds."""
+    session = replace(seen[0], clock=Clock(0.085 + wrong, 5e-4))
+    log = Readings(session.encoders.t, session.encoders.q)
+    clock = session_clock(session, seen[1].track, log)
+    refuse_other_motion(session, seen[1].track, log, clock)
+    compared = compare_session(session, seen[1], log, clock)[0]
+    model, found, resolved = session_model(compared)
+    assert {(cause.kind, cause.joint) for cause in found.causes} == {("offset", 2), ("clock", None)}
+    named = next(cause.value for cause in found.causes if cause.kind == "clock")
+    assert named == pytest.approx(-wrong, abs=2e-3)
+    assert np.rad2deg(resolved.mean) == pytest.approx([0, 0.35, 0, 0, 0, 0], abs=0.01)
+    assert np.array_equal(model.comparison.xi, compared.comparison.xi)  # the whole error is told
+
+
+def test_a_given_clock_that_is_far_off_is_refused_with_the_one_that_fits(
+    recording: tuple[Session, Track],
+) -> None:
+    session, track = replace(recording[0], clock=Clock(1.085, 5e-4)), recording[1]
+    log = Readings(session.encoders.t, session.encoders.q)
+    with pytest.raises(InputError, match=r"session\.toml: .* given as 1\.085 s, and 0\.085 s fits"):
+        refuse_other_motion(session, track, log, session_clock(session, track, log))
+
+
 @pytest.mark.parametrize("joint", [2, 4])
 def test_a_second_of_noisy_readings_is_named_and_accuses_nobody(
     seen: tuple[Session, MeasuredSession], joint: int
