@@ -22,7 +22,7 @@ import numpy as np
 
 import robots
 from robots.transforms import carry, difference, invert
-from verify.analysis.clock.estimate import ClockEstimate, estimate_clock, shown_offset
+from verify.analysis.clock.estimate import ClockEstimate, shown_offset
 from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import (
@@ -85,7 +85,6 @@ def refuse_other_motion(
     shown = shown_offset(track, arm, readings, clock)
     if typical < MAX_ERROR or (shown and _large_error(written, shown) < MAX_LEFT_SHARE * typical):
         return  # a clock that is somewhat off is a cause like others
-    _refuse_other_clock(session, written, typical)
     off, faulty, left, factor, screws = _left_by_faults(session, written, clock)
     scaled = list(scaled_joints(written, factor, MAX_GAIN))
     mistakes = [
@@ -290,24 +289,6 @@ def _refuse_standing(
     columns = ", ".join(f"q{joint}_deg" for joint in together)
     remedy = f"Check {check} and the column{'s' * (not one)} {columns}{rows}."
     raise refusal(session, replace(written, remedy=remedy), what)
-
-
-def _refuse_other_clock(session: Session, written: Mistake, typical: float) -> None:
-    """Refuse a given clock offset where another one fits, and leaves far less than `typical`, rad.
-
-    Raises:
-        InputError: names both.
-    """
-    if session.clock is None:
-        return
-    fit = estimate_clock(written.track, written.arm, written.readings)
-    left = _large_error(written, fit.offset)
-    if fit.source == "estimated" and left < MAX_LEFT_SHARE * typical:
-        found = f"their clock's offset is given as {session.clock.encoder_offset:g} s, and "
-        found += f"{fit.offset:.3f} s fits: {degrees(left)} instead of {degrees(typical)}"
-        remedy = "Correct [clock] encoder_offset_s, or leave it out."
-        toml = replace(written, file=session.folder / "session.toml", remedy=remedy)
-        raise refusal(session, toml, found)
 
 
 def _faults(written: Mistake) -> Iterator[Mistake]:

@@ -55,9 +55,9 @@ MIN_MISFIT = 4.0  # of the session without: below that nothing is wrong that mat
 MIN_JOINTS = 3  # whose delays are known
 MAX_STEPS = 8
 TOL_LATE = 1e-5  # s
-PART_TIMES = 0.8, 4.0  # s: of parts that show each its own clock; longer ones, if the arm is slow
+PART_TIME = 0.8  # s: of parts that show each its own clock
 MIN_PART, MIN_PARTS, MAX_PARTS = 12, 3, 12  # pairs of a part; parts
-MIN_PAIRS_BESIDE = 8  # a clock's change
+MIN_BESIDE = 8  # pairs, a clock's change
 FAIR_SQUARE = 2.0  # of a motion's misfit
 
 
@@ -198,62 +198,47 @@ def clock_change(
 
     None where one offset, such as `offset`, does, or where no two parts have one each.
     """
-    if len(track) < 2 * MIN_PART or are_visits(track.t) or are_visits(readings.t):
+    n = len(track)
+    if n < 2 * MIN_PART or are_visits(track.t) or are_visits(readings.t):
         return None
-    sample = subset(track, spread(len(track), MAX_PAIRS_COMPARED))
+    sample = subset(track, spread(n, MAX_PAIRS_COMPARED))
     if _fit_delays(sample, arm, readings, offset)[1] < MIN_MISFIT:
         return None
-    tried = (_change_by_parts(track, arm, readings, offset, long) for long in PART_TIMES)
-    return next((change for change in tried if change is not None), None)
-
-
-def _change_by_parts(
-    track: Track, arm: robots.Arm, readings: Readings, offset: float, long: float
-) -> tuple[float, float, float] | None:
-    """`clock_change` by parts of a session that are so `long`, s."""
-    size, found = max(MIN_PART, int(long / float(np.median(np.diff(track.t))))), []
-    for first in spread(max(len(track) - size, 0) + 1, MAX_PARTS).tolist():
-        part = subset(track, np.arange(first, min(first + size, len(track))))
-        fit = local_offset(part, arm, readings, offset)
-        if fit is not None:
-            found.append((part.t[0], part.t[-1], *fit))
-    if len(found) < MIN_PARTS:
+    size = max(MIN_PART, n // MAX_PARTS, int(PART_TIME / float(np.median(np.diff(track.t)))))
+    firsts = spread(max(n - size, 0) + 1, MAX_PARTS).tolist()
+    parts = [subset(track, np.arange(k, min(k + size, n))) for k in firsts]
+    fits = [(part, local_offset(part, arm, readings, offset)) for part in parts]
+    found = [(part.t[0], part.t[-1], *fit) for part, fit in fits if fit is not None]
+    begin, end, own, doubt = np.array(found).reshape(-1, 4).T
+    t, squares = motion_squares(track, arm, readings, own) if found else (own, own[None])
+    at = np.arange(MIN_BESIDE, len(t) - MIN_BESIDE)
+    if len(found) < MIN_PARTS or not len(at):
         return None
-    begin, end, own, doubt = np.array(found).T
-    t, squares = motion_squares(track, arm, readings, own)
-    least, best = np.inf, None
-    sums = np.pad(np.cumsum(squares, axis=1), ((0, 0), (1, 0)))
-    at = np.arange(MIN_PAIRS_BESIDE, len(t) - MIN_PAIRS_BESIDE)
+    sums, tried = np.pad(np.cumsum(squares, axis=1), ((0, 0), (1, 0))), []
     for i, j in permutations(range(len(own)), 2):
         # motions across the change follow neither clock, and count as if they fitted fairly
         across = 1.2 * MOTION_LAG + max(own[j] - own[i], 0.0)
-        last = np.maximum(np.searchsorted(t, t[at] - across), MIN_PAIRS_BESIDE)
+        last = np.maximum(np.searchsorted(t, t[at] - across), MIN_BESIDE)
         cost = sums[i, last] + FAIR_SQUARE * (at - last) + sums[j, -1] - sums[j, at]
-        cost *= 1 + abs(own[j] - own[i])  # of changes that fit, the least
-        if len(at) and cost.min() < least:
-            k = int(np.argmin(cost))
-            least, best = float(cost[k]), (i, j, last[k], at[k])
-    if best is None:
+        k = int(np.argmin(cost))  # of changes that fit, the least
+        tried.append((cost[k] * (1 + abs(own[j] - own[i])), i, j, last[k], at[k]))
+    _, i, j, before, after = min(tried)
+    left = sums[[i, j], before], (sums[:, -1] - sums[:, after])[[j, i]]
+    poor = max(fits / others for fits, others in left) > MAX_LEFT_SHARE
+    if poor or abs(own[i] - own[j]) < MIN_LATE:
         return None
-    i, j, last, first = best
-    before, after = sums[:, last], sums[:, -1] - sums[:, first]
-    clear = max(before[i] / before[j], after[j] / after[i]) < MAX_LEFT_SHARE
     told = squares[j] - squares[i]  # little where the arm rests
-    earlier, later = np.flatnonzero(told[:last] > 4), np.flatnonzero(told[first:] < -4)
-    apart = float(own[i] - own[j])
-    if not clear or abs(apart) < MIN_LATE or not len(earlier) or not len(later):
-        return None
-    since, until = t[earlier[-1]] + 0.8 * MOTION_LAG, t[first + later[0]]
+    since = t[:before].max(where=told[:before] > 2 * FAIR_SQUARE, initial=t[0]) + 0.8 * MOTION_LAG
+    until = t[after:].min(where=told[after:] < -2 * FAIR_SQUARE, initial=t[-1])
     whole = (end <= since) | (begin >= until)  # parts; a drift would be a line through theirs
-    begin, parts, weight = begin[whole], own[whole], 1 / doubt[whole]
-    if len(begin) < MIN_PARTS:
+    if whole.sum() < MIN_PARTS:
         return None
-    line = np.polyval(np.polyfit(begin, parts, 1, w=weight), begin)
+    line = np.polyval(np.polyfit(begin[whole], own[whole], 1, w=1 / doubt[whole]), begin)
     step = np.where(begin < until, own[i], own[j])
-    by_step, by_line = (np.sum(((parts - e) * weight) ** 2) for e in (step, line))
+    by_step, by_line = (np.sum(((own - one) / doubt)[whole] ** 2) for one in (step, line))
     if by_step > MAX_LEFT_SHARE * by_line:
         return None
-    return float(since - own[i]), float(until - own[j]), apart
+    return float(since - own[i]), float(until - own[j]), float(own[i] - own[j])
 
 
 def _fit_delays(

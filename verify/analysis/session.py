@@ -36,6 +36,8 @@ from verify.analysis.measured import (
     measurement_refusal,
     session_clock,
     setup_of,
+    with_gaps_named,
+    with_shown_noise,
 )
 from verify.analysis.mistakes import refuse_exchanged_cameras
 from verify.analysis.model import (
@@ -102,7 +104,7 @@ def analyse(
     """
     alarms = read_alarms(session.folder / ALARMS, session.arm.dof)
     readings = Readings.of_log(session.encoders.t, session.encoders.q)
-    session = _with_shown_noise(session, readings)
+    session = with_shown_noise(session, readings)
     measured, clock = measure_session(session, readings, progress, chain or measure)
     compared, unreachable = compare_session(session, measured, readings, clock)
     tolerance = tolerance or NO_TOLERANCE
@@ -119,38 +121,6 @@ def analyse(
         results.tables["alarms"] = alarms
         results.summary["inputs"][ALARMS] = digest(session.folder / ALARMS)
     return results
-
-
-def _with_shown_noise(session: Session, readings: Readings) -> Session:
-    """The session with what only the log shows: its readings' step, and how its stamps scatter."""
-    taken = "as the log shows; it is taken into account"
-    if session.encoder_resolution is None and readings.step:
-        warning = (
-            f"encoders.csv: readings come in steps of {np.rad2deg(readings.step):.2g}°, {taken}. "
-            "Record more digits, or state [encoder_readings] resolution_deg."
-        )
-        warnings = (*session.warnings, warning)
-        session = replace(session, encoder_resolution=readings.step, warnings=warnings)
-    for joint in np.flatnonzero(readings.roughness.any(axis=0)).tolist():
-        rough = readings.roughness[:, joint]
-        since, until = readings.t[np.flatnonzero(rough)[[0, -1]]].tolist()
-        most, usual = np.rad2deg([rough.max(), readings.noise[joint]]).tolist()
-        warning = (
-            f"encoders.csv: readings of joint {joint + 1} scatter by {most:.2g}° between t_s = "
-            f"{since:.2f} and {until:.2f}, elsewhere by {usual:.2g}°. Pairs there count for as "
-            "much less, and the verdict rests on the others. Check its encoder."
-        )
-        session = replace(session, warnings=(*session.warnings, warning))
-    noise = max(readings.time_noise, session.encoders.late)
-    if session.encoder_time_standard_uncertainty is not None or not noise:
-        return session
-    warning = (
-        f"encoders.csv: the times of the readings scatter by {1e3 * noise:.2g} ms (standard "
-        f"uncertainty), {taken}. Record the controller's own time stamps."
-    )
-    told = readings.time_noise <= session.encoders.late  # of the rows that repeat
-    warnings = session.warnings if told else (*session.warnings, warning)
-    return replace(session, encoder_time_standard_uncertainty=noise, warnings=warnings)
 
 
 def _spread_rivals(rivals: tuple[float, ...]) -> list[float]:
@@ -205,7 +175,7 @@ def compare_session(
     """
     track, systematics = measured.track, measured.systematics
     known = readings.available(track.t - clock.offset)
-    session = _with_gaps_named(session, readings, (track.t - clock.offset)[~known], len(track))
+    session = with_gaps_named(session, readings, (track.t - clock.offset)[~known], len(track))
     stated = ReadingUncertainty(
         session.encoder_resolution, session.encoder_time_standard_uncertainty
     )
@@ -235,21 +205,6 @@ def compare_session(
         session, track, systematics, clock, comparison, joints, posed, tangent
     )
     return compared, unreachable
-
-
-def _with_gaps_named(session: Session, readings: Readings, silent: Array, count: int) -> Session:
-    """The session, with a warning where some of `count` pairs, `silent` (s), lie in gaps."""
-    after = np.searchsorted(readings.t, silent)
-    after = after[(after > 0) & (after < len(readings.t))]
-    if not len(after):
-        return session
-    longest, since = np.diff(readings.t)[after - 1].max(), readings.t[after.min() - 1]
-    warning = (
-        f"encoders.csv: {len(after)} of {count} pairs have no reading and are left out: the log "
-        f"has gaps of up to {longest:.2g} s while the arm moves, the first from t_s = {since:.2f} "
-        "on. Log without gaps."
-    )
-    return replace(session, warnings=(*session.warnings, warning))
 
 
 def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:

@@ -50,12 +50,10 @@ class Readings:
         Where intervals are longer than usual, rows are taken out of the log itself, more and more
         of them, until the curve is farther from them than noise and last digit explain.
         """
-        log, apart = cls(t, q), np.diff(t)
+        log, apart, good = cls(t, q), np.diff(t), 0
         usual = float(np.median(apart)) if len(apart) else MAX_GAP
-        if not np.any(apart > 1.5 * usual):
-            return log
-        count, good = 2, 0  # intervals that become one
-        while count * usual < MAX_GAP:
+        counts = np.unique(np.geomspace(2, max(MAX_GAP / usual, 2), 16).astype(int)).tolist()
+        for count in counts if np.any(apart > 1.5 * usual) and 2 * usual < MAX_GAP else ():
             missed = log._missed(count, 1.5 * count * usual)
             if len(missed) < MIN_TRIED * (count - 1):
                 break
@@ -63,9 +61,7 @@ class Readings:
             if np.any(off > np.maximum(log._resolved, 2 * log.step)):
                 good = max(good, 1)
                 break
-            count, good = count + 1 + count // 4, count
-        else:
-            return log
+            good = count
         return replace(log, longest=min((good + 0.5) * usual, MAX_GAP)) if good else log
 
     def _missed(self, count: int, widest: float) -> Array:
@@ -198,8 +194,8 @@ class Readings:
         places = sliding_window_view(np.arange(len(self.t)), ROUGH_ROWS)[:: ROUGH_ROWS // 2]
         sizes = []
         for order, variance in zip((3, 4), DIFFERENCE_VARIANCES[1:], strict=True):
-            whole = sliding_window_view(np.diff(self.t) <= MAX_GAP, order).all(axis=1)
-            steps = np.abs(np.diff(self.q, order, axis=0)) * whole[:, None]
+            whole = sliding_window_view(np.diff(self.t)[:, None] <= MAX_GAP, order, axis=0)
+            steps = np.abs(np.diff(self.q, order, axis=0)) * whole.all(axis=2)
             near = np.clip(places - order // 2, 0, len(steps) - 1)
             sizes.append(MAD_TO_SIGMA * np.median(steps[near], axis=1) / np.sqrt(variance))
         usual = np.maximum(ROUGH_RATIO * np.maximum(self.noise, self.step), MIN_TRAVEL)
