@@ -189,7 +189,7 @@ class Readings:
         Noise is as large by third as by fourth differences; motion that is read slowly is not.
         """
         rough = np.zeros(self.q.shape)
-        if len(self.t) < 2 * ROUGH_ROWS:
+        if len(self.t) < 8 * ROUGH_ROWS:  # too few to tell; live, there are no more
             return rough
         places = sliding_window_view(np.arange(len(self.t)), ROUGH_ROWS)[:: ROUGH_ROWS // 2]
         sizes = []
