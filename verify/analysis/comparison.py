@@ -165,7 +165,13 @@ def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Compar
     There the first order is exact to the third: a joint that is 3° off accuses no neighbour.
     """
     flange, jacobian = robots.forward_and_jacobian(arm, comparison.q - error / 2)
-    return replace(comparison, jacobian=jacobian, base_T_jacobian=flange)
+    rough = comparison.local_noise**2 - comparison.reading_noise**2  # lies along the Jacobian, too
+    along, before = (
+        (columns * rough[:, None]) @ columns.swapaxes(1, 2)
+        for columns in (jacobian, comparison.jacobian)
+    )
+    covariance = comparison.covariance + along - before
+    return replace(comparison, jacobian=jacobian, base_T_jacobian=flange, covariance=covariance)
 
 
 def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:

@@ -233,8 +233,9 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
     if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
         first = np.nan_to_num(resolve_errors(built(start)).mean)
         typical = np.where(known.any(axis=0), typical, first)
-    # a step, or readings that stand, leave some pairs far from what is typical
-    far = known & (np.abs(error - typical) > MIN_FAR)
+    # a step, readings that stand or a rough stretch leave some pairs far from what is typical
+    rough = start.local_noise > 2 * start.reading_noise
+    far = known & (rough | (np.abs(error - typical) > MIN_FAR))
     middle = relinearise(start, session.arm, np.where(far, error, typical))
     middle = replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
 
