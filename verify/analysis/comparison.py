@@ -148,7 +148,7 @@ def _reading_covariance(
         variance = variance + stated.interpolation[index] ** 2
     if stated.resolution is not None:
         variance = variance + stated.resolution**2 / 12
-    spread: Array = (jacobian * variance[:, None]) @ jacobian.swapaxes(1, 2)
+    spread = propagate(jacobian, variance)
     if stated.time is not None:
         moved = jacobian @ rate[:, :, None]
         if isinstance(stated.time, np.ndarray):
@@ -159,6 +159,11 @@ def _reading_covariance(
     return spread
 
 
+def propagate(jacobian: Array, variance: Array) -> Array:
+    """Covariance (n, 6, 6) of xi by independent joints of such variances, (n, j) or (1, j)."""
+    return np.asarray((jacobian * variance[:, None]) @ jacobian.swapaxes(1, 2))
+
+
 def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Comparison:
     """Take the Jacobian halfway between readings and truth, for such errors, (j,) or (n, j).
 
@@ -166,12 +171,13 @@ def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Compar
     """
     flange, jacobian = robots.forward_and_jacobian(arm, comparison.q - error / 2)
     rough = comparison.local_noise**2 - comparison.reading_noise**2  # lies along the Jacobian, too
-    along, before = (
-        (columns * rough[:, None]) @ columns.swapaxes(1, 2)
-        for columns in (jacobian, comparison.jacobian)
+    moved = propagate(jacobian, rough) - propagate(comparison.jacobian, rough)
+    return replace(
+        comparison,
+        jacobian=jacobian,
+        base_T_jacobian=flange,
+        covariance=comparison.covariance + moved,
     )
-    covariance = comparison.covariance + along - before
-    return replace(comparison, jacobian=jacobian, base_T_jacobian=flange, covariance=covariance)
 
 
 def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:
