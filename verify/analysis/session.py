@@ -211,16 +211,14 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
     """Linearise a session about the errors that are there, find their causes, resolve them.
 
     A turned camera is found first, and the session linearised anew about its angle; where a given
-    clock is wrong, it is about the offset that the motion shows. Pairs that
-    repeat each other's errors count for fewer. What a cause leaves in every pair from its beginning
-    on repeats itself as well: so causes are found first with all that counted as noise, then again
-    with what they themselves leave. A pair whose reading lies between one from before a change and
-    one from after it weighs nothing.
+    clock is wrong, it is about the offset that the motion shows. Pairs that repeat each other's
+    errors count for fewer. What a cause leaves in every pair from its beginning on repeats itself
+    as well: so causes are found first with all that counted as noise, then again with what they
+    themselves leave. A pair whose reading lies between one from before a change and one from after
+    it weighs nothing.
     """
-    session, joints, start, late = compared.session, compared.joints, compared.comparison, 0.0
-    if compared.at_shown_clock is not None:
-        start, late = compared.at_shown_clock
-        joints = solve_joints(start, session.arm)
+    session, (start, late) = compared.session, compared.at_shown_clock or (compared.comparison, 0.0)
+    joints = solve_joints(start, session.arm) if late else compared.joints
 
     def built(comparison: Comparison) -> JointErrorModel:
         return build_model(
