@@ -53,6 +53,7 @@ class Comparison:
     alignment_error: Array  # (n, 6), what alignment left, as far as the neighbours show it
     determined: tuple[Array, ...]  # n of (6, d)
     rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
+    local_noise: Array  # (n, j), rad, standard deviation of a reading about each pair
     timed: bool = True  # False: t only tells the order
 
     @property
@@ -105,7 +106,8 @@ def compare(
     measured, determined, carry = _complete_poses(
         track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)
     )
-    spread = _reading_covariance(readings, stated, index, jacobian, rate)
+    noise = readings.noise_at(there)
+    spread = _reading_covariance(noise, stated, index, jacobian, rate)
     scale = alignment_scale(track)[:, None, None]
     own = (scale * track.covariance_alignment + track.covariance_pixels)[index]
     systematic, missed = -track.systematic[index], -track.alignment_error[index]
@@ -129,23 +131,24 @@ def compare(
         alignment_error=missed,
         determined=determined,
         rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
+        local_noise=noise,
     )
 
 
 def _reading_covariance(
-    readings: Readings,
+    noise: Array,
     stated: ReadingUncertainty,
     index: NDArray[np.int64],
     jacobian: Array,
     rate: Array,
 ) -> Array:
     """Covariance of xi by the readings of some pairs of a track, (n, 6, 6)."""
-    variance = readings.noise[None] ** 2
+    variance = noise**2
     if stated.interpolation is not None:
         variance = variance + stated.interpolation[index] ** 2
     if stated.resolution is not None:
         variance = variance + stated.resolution**2 / 12
-    spread: Array = (jacobian * variance[:, None]) @ jacobian.swapaxes(1, 2)
+    spread = propagate(jacobian, variance)
     if stated.time is not None:
         moved = jacobian @ rate[:, :, None]
         if isinstance(stated.time, np.ndarray):
@@ -156,13 +159,25 @@ def _reading_covariance(
     return spread
 
 
+def propagate(jacobian: Array, variance: Array) -> Array:
+    """Covariance (n, 6, 6) of xi by independent joints of such variances, (n, j) or (1, j)."""
+    return np.asarray((jacobian * variance[:, None]) @ jacobian.swapaxes(1, 2))
+
+
 def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Comparison:
     """Take the Jacobian halfway between readings and truth, for such errors, (j,) or (n, j).
 
     There the first order is exact to the third: a joint that is 3° off accuses no neighbour.
     """
     flange, jacobian = robots.forward_and_jacobian(arm, comparison.q - error / 2)
-    return replace(comparison, jacobian=jacobian, base_T_jacobian=flange)
+    rough = comparison.local_noise**2 - comparison.reading_noise**2  # lies along the Jacobian, too
+    moved = propagate(jacobian, rough) - propagate(comparison.jacobian, rough)
+    return replace(
+        comparison,
+        jacobian=jacobian,
+        base_T_jacobian=flange,
+        covariance=comparison.covariance + moved,
+    )
 
 
 def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:

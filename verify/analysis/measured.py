@@ -5,6 +5,7 @@ One pair of pictures is kept with its LEDs marked, for the report.
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -247,3 +248,50 @@ def refuse_time_unit(folder: Path, t: Array, reading_t: Array) -> None:
         if 0.5 < ratio / size < 2:
             remedy = f"The times look like {unit}: divide them by {size:.0f}."
             raise InputError(*_apart(folder, t, reading_t), remedy)
+
+
+def with_shown_noise(session: Session, readings: Readings) -> Session:
+    """The session with what only the log shows: its readings' step, and how its stamps scatter."""
+    taken = "as the log shows; it is taken into account"
+    if session.encoder_resolution is None and readings.step:
+        warning = (
+            f"encoders.csv: readings come in steps of {np.rad2deg(readings.step):.2g}°, {taken}. "
+            "Record more digits, or state [encoder_readings] resolution_deg."
+        )
+        warnings = (*session.warnings, warning)
+        session = replace(session, encoder_resolution=readings.step, warnings=warnings)
+    for joint in np.flatnonzero(readings.roughness.any(axis=0)).tolist():
+        rough = readings.roughness[:, joint]
+        since, until = readings.t[np.flatnonzero(rough)[[0, -1]]].tolist()
+        most, usual = np.rad2deg([rough.max(), readings.noise[joint]]).tolist()
+        warning = (
+            f"encoders.csv: readings of joint {joint + 1} scatter by {most:.2g}° between t_s = "
+            f"{since:.2f} and {until:.2f}, elsewhere by {usual:.2g}°. Pairs there count for as "
+            "much less, and the verdict rests on the others. Check its encoder."
+        )
+        session = replace(session, warnings=(*session.warnings, warning))
+    noise = max(readings.time_noise, session.encoders.late)
+    if session.encoder_time_standard_uncertainty is not None or not noise:
+        return session
+    warning = (
+        f"encoders.csv: the times of the readings scatter by {1e3 * noise:.2g} ms (standard "
+        f"uncertainty), {taken}. Record the controller's own time stamps."
+    )
+    told = readings.time_noise <= session.encoders.late  # of the rows that repeat
+    warnings = session.warnings if told else (*session.warnings, warning)
+    return replace(session, encoder_time_standard_uncertainty=noise, warnings=warnings)
+
+
+def with_gaps_named(session: Session, readings: Readings, silent: Array, count: int) -> Session:
+    """The session, with a warning where some of `count` pairs, `silent` (s), lie in gaps."""
+    after = np.searchsorted(readings.t, silent)
+    after = after[(after > 0) & (after < len(readings.t))]
+    if not len(after):
+        return session
+    longest, since = np.diff(readings.t)[after - 1].max(), readings.t[after.min() - 1]
+    warning = (
+        f"encoders.csv: {len(after)} of {count} pairs have no reading and are left out: the log "
+        f"has gaps of up to {longest:.2g} s while the arm moves, the first from t_s = {since:.2f} "
+        "on. Log without gaps."
+    )
+    return replace(session, warnings=(*session.warnings, warning))

@@ -263,3 +263,13 @@ def degrees(angle: float) -> str:
     """Word an angle, rad; inf: no angle at which the arm reaches the poses."""
     figure = float(f"{np.rad2deg(angle):.2g}")  # 130, not 1.3e+02
     return f"{figure:g}°" if np.isfinite(angle) else "more than the arm can reach"
+
+
+def refusal(session: Session, mistake: Mistake, found: str) -> InputError:
+    """Word that readings are not the arm's motion: what was found, and what to do."""
+    return InputError(
+        mistake.file,
+        f"the readings are not this arm's motion: {found}",
+        f"readings of {session.arm.name} in the robot file's sense, zero and order",
+        mistake.remedy or "Check that log, robot and registration belong to this recording.",
+    )

@@ -48,6 +48,8 @@ class SessionComparison:
     joints: JointComparison  # measured angles of the compared pairs
     # one a row of the track, whose spots can be fitted anew; none where the poses are given
     measurements: tuple[Measurement, ...] = ()
+    # at the offset that the motion shows, and by what a given one is far from it, s
+    at_shown_clock: tuple[Comparison, float] | None = None
 
     @property
     def clock_uncertainty(self) -> float | None:

@@ -22,7 +22,7 @@ import numpy as np
 
 import robots
 from robots.transforms import carry, difference, invert
-from verify.analysis.clock.estimate import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate, shown_offset
 from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import (
@@ -32,16 +32,16 @@ from verify.analysis.mistakes import (
     joint_mistakes,
     misplaced_base,
     misplacements,
+    refusal,
     registration_mistakes,
     sample,
     scaled_joints,
     session_mistakes,
 )
-from verify.analysis.plausibility import late_joints
+from verify.analysis.plausibility import refuse_late
 from verify.analysis.relative_motion import MAX_TURN, MIN_TURN, screw_motion
 from verify.core.readings import Readings
 from verify.core.records import Array
-from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.track import Track
@@ -78,12 +78,13 @@ def refuse_other_motion(
     if arm.dof != 6 or len(track) < 3 or np.median(track.known_dof) < 6:
         return
     if _is_frozen(written, clock.offset):
-        raise _refusal(session, written, "the readings never change while the flange moves")
+        raise refusal(session, written, "the readings never change while the flange moves")
     _refuse_standing(session, written, clock, part=True)
-    _refuse_late(session, written, clock.offset)
+    refuse_late(session, written, clock.offset)
     typical = _large_error(written, clock.offset)
-    if typical < MAX_ERROR:
-        return
+    shown = shown_offset(track, arm, readings, clock)
+    if typical < MAX_ERROR or (shown and _large_error(written, shown) < MAX_LEFT_SHARE * typical):
+        return  # a clock that is somewhat off is a cause like others
     off, faulty, left, factor, screws = _left_by_faults(session, written, clock)
     scaled = list(scaled_joints(written, factor, MAX_GAIN))
     mistakes = [
@@ -96,7 +97,7 @@ def refuse_other_motion(
         named, remains = _best_by_joints(session, placed, left if off > 1 else typical)
     if named is not None:
         found = f"{named.name} fits: {degrees(remains)} instead of {degrees(typical)}"
-        raise _refusal(session, named, found)
+        raise refusal(session, named, found)
     _refuse_standing(session, written, clock, part=False)
     if off > 1 and screws > MAX_STRAY:
         misfits = [screw_misfit(*mistake) for mistake in mistakes]
@@ -104,11 +105,11 @@ def refuse_other_motion(
         if misfits[best] < min(MAX_STRAY, MAX_LEFT_SHARE * screws):
             named, misfit = mistakes[best][0], degrees(misfits[best])
             found = f"{named.name} fits the flange's turns to {misfit} instead of"
-            raise _refusal(session, named, f"{found} {degrees(screws)}")
+            raise refusal(session, named, f"{found} {degrees(screws)}")
     elif left < MAX_OFFSET:
         return
     found = f"joints are off by {degrees(typical)}, and no usual mistake or fault explains it"
-    raise _refusal(session, written, found)
+    raise refusal(session, written, found)
 
 
 def _refuse_other_places(
@@ -154,7 +155,7 @@ def _refuse_other_places(
             return
         name, mistake = base.name, base
     found = f"{name} fits: {least * LEVER * 1e3:.3g} mm instead of {typical * LEVER * 1e3:.3g}"
-    raise _refusal(session, mistake, found)
+    raise refusal(session, mistake, found)
 
 
 def _far(apart: Array) -> float:
@@ -287,24 +288,7 @@ def _refuse_standing(
     rows = "; delete these rows to measure the rest" * part
     columns = ", ".join(f"q{joint}_deg" for joint in together)
     remedy = f"Check {check} and the column{'s' * (not one)} {columns}{rows}."
-    raise _refusal(session, replace(written, remedy=remedy), what)
-
-
-def _refuse_late(session: Session, written: Mistake, offset: float) -> None:
-    """Refuse readings of which some joints' are late against the others'.
-
-    Raises:
-        InputError: names the joints and their delays.
-    """
-    late = late_joints(written.track, written.arm, written.readings, offset)
-    if late:
-        named = [
-            f"joint {j} ({abs(d):.3f} s {'late' if d > 0 else 'early'})" for j, d in late.items()
-        ]
-        moves = ", ".join(f"q{j}_deg by {-d:+.3f} s" for j, d in late.items())
-        remedy = f"Move {moves} against t_s, or record all joints at one instant."
-        found = f"those of {' and '.join(named)} are out of step with the others"
-        raise _refusal(session, replace(written, remedy=remedy), found)
+    raise refusal(session, replace(written, remedy=remedy), what)
 
 
 def _faults(written: Mistake) -> Iterator[Mistake]:
@@ -385,12 +369,3 @@ def _mistakes(session: Session, written: Mistake, *, among_all: bool) -> Iterato
     if among_all:
         yield from session_mistakes(session, written)
         yield from registration_mistakes(session, written)
-
-
-def _refusal(session: Session, mistake: Mistake, found: str) -> InputError:
-    return InputError(
-        mistake.file,
-        f"the readings are not this arm's motion: {found}",
-        f"readings of {session.arm.name} in the robot file's sense, zero and order",
-        mistake.remedy or "Check that log, robot and registration belong to this recording.",
-    )

@@ -9,22 +9,33 @@ travel, each joint's own delay d_k is fitted; a common one is the clock's offset
 
 Newton's steps move the readings themselves: a tenth of a second is no small step. Joints are named
 where that leaves a small share of the misfit, and most joints agree.
+
+A clock that is set while a log is written has one offset before and another one after. Each part of
+the session shows its own; the instant is sought at which one of them takes over from another.
 """
 
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.clock.estimate import MAX_PAIRS_COMPARED, MAX_STEP, ClockEstimate, spread
-from verify.analysis.clock.search import are_visits
+from verify.analysis.clock.estimate import (
+    MAX_PAIRS_COMPARED,
+    MAX_STEP,
+    ClockEstimate,
+    local_offset,
+    motion_squares,
+    spread,
+)
+from verify.analysis.clock.search import MOTION_LAG, are_visits
 from verify.analysis.comparison import compare
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.joint_errors import error_terms
 from verify.analysis.least_squares import RegressionFit, solve, whiten
 from verify.analysis.measured import session_clock
-from verify.analysis.mistakes import pose_mistakes
+from verify.analysis.mistakes import Mistake, pose_mistakes, refusal
 from verify.core.readings import Readings
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
@@ -44,6 +55,10 @@ MIN_MISFIT = 4.0  # of the session without: below that nothing is wrong that mat
 MIN_JOINTS = 3  # whose delays are known
 MAX_STEPS = 8
 TOL_LATE = 1e-5  # s
+PART_TIME = 0.8  # s: of parts that show each its own clock
+MIN_PART, MIN_PARTS, MAX_PARTS = 12, 3, 12  # pairs of a part; parts
+MIN_BESIDE = 8  # pairs, a clock's change
+FAIR_SQUARE = 2.0  # of a motion's misfit
 
 
 def refuse_radians(
@@ -114,6 +129,35 @@ def _poses_agree(
     return bool(np.mean(near) >= MIN_AGREEING)
 
 
+def refuse_late(session: Session, written: Mistake, offset: float) -> None:
+    """Refuse readings of which some joints' are late against the others', or some against the rest.
+
+    Of one joint swept after the other these may be the same.
+
+    Raises:
+        InputError: names the joints and their delays, or how and when the clock was set.
+    """
+    log = written.track, written.arm, written.readings, offset
+    late, change = late_joints(*log), clock_change(*log)
+    found, remedies = [], []
+    if late:
+        named = [
+            f"joint {j} ({abs(d):.3f} s {'late' if d > 0 else 'early'})" for j, d in late.items()
+        ]
+        moves = ", ".join(f"q{j}_deg by {-d:+.3f} s" for j, d in late.items())
+        found.append(f"those of {' and '.join(named)} are out of step with the others")
+        remedies.append(f"Move {moves} against t_s, or record all joints at one instant.")
+    if change is not None:
+        since, until, size = change
+        found.append(
+            f"their clock was set by {size:+.3f} s between t_s = {since:.2f} and {until:.2f}"
+        )
+        remedies.append(f"Add {-size:+.3f} s to t_s from there on, or judge each part by itself.")
+    if found:
+        written = replace(written, remedy=" Or: ".join(remedies))
+        raise refusal(session, written, ", or ".join(found))
+
+
 def late_joints(
     track: Track, arm: robots.Arm, readings: Readings, offset: float
 ) -> dict[int, float]:
@@ -127,7 +171,7 @@ def late_joints(
     late, plain = np.zeros(arm.dof), np.inf
     for step in range(MAX_STEPS):
         moved = [readings.at(readings.t + d)[:, k] for k, d in enumerate(late.tolist())]
-        log = Readings(readings.t, np.stack(moved, axis=1))
+        log = Readings(readings.t, np.stack(moved, axis=1)) if step else readings
         fit, without = _fit_delays(sample, arm, log, offset)
         plain = without if step == 0 else plain
         left = fit.chi2 / max(fit.degrees_of_freedom, 1)
@@ -145,6 +189,56 @@ def late_joints(
     apart = late - np.median(late[known])
     found = np.flatnonzero(known & (np.abs(apart) > MIN_LATE))
     return {k + 1: float(apart[k]) for k in found.tolist()} if 2 * len(found) < known.sum() else {}
+
+
+def clock_change(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float
+) -> tuple[float, float, float] | None:
+    """Between which of their stamps, s, the readings' clock was set, and by how much, s.
+
+    None where one offset, such as `offset`, does, or where no two parts have one each.
+    """
+    n = len(track)
+    if n < 2 * MIN_PART or are_visits(track.t) or are_visits(readings.t):
+        return None
+    sample = subset(track, spread(n, MAX_PAIRS_COMPARED))
+    if _fit_delays(sample, arm, readings, offset)[1] < MIN_MISFIT:
+        return None
+    size = max(MIN_PART, n // MAX_PARTS, int(PART_TIME / float(np.median(np.diff(track.t)))))
+    firsts = spread(max(n - size, 0) + 1, MAX_PARTS).tolist()
+    parts = [subset(track, np.arange(k, min(k + size, n))) for k in firsts]
+    fits = [(part, local_offset(part, arm, readings, offset)) for part in parts]
+    found = [(part.t[0], part.t[-1], *fit) for part, fit in fits if fit is not None]
+    begin, end, own, doubt = np.array(found).reshape(-1, 4).T
+    t, squares = motion_squares(track, arm, readings, own) if found else (own, own[None])
+    at = np.arange(MIN_BESIDE, len(t) - MIN_BESIDE)
+    if len(found) < MIN_PARTS or not len(at):
+        return None
+    sums, tried = np.pad(np.cumsum(squares, axis=1), ((0, 0), (1, 0))), []
+    for i, j in permutations(range(len(own)), 2):
+        # motions across the change follow neither clock, and count as if they fitted fairly
+        across = 1.2 * MOTION_LAG + max(own[j] - own[i], 0.0)
+        last = np.maximum(np.searchsorted(t, t[at] - across), MIN_BESIDE)
+        cost = sums[i, last] + FAIR_SQUARE * (at - last) + sums[j, -1] - sums[j, at]
+        k = int(np.argmin(cost))  # of changes that fit, the least
+        tried.append((cost[k] * (1 + abs(own[j] - own[i])), i, j, last[k], at[k]))
+    _, i, j, before, after = min(tried)
+    left = sums[[i, j], before], (sums[:, -1] - sums[:, after])[[j, i]]
+    poor = max(fits / others for fits, others in left) > MAX_LEFT_SHARE
+    if poor or abs(own[i] - own[j]) < MIN_LATE:
+        return None
+    told = squares[j] - squares[i]  # little where the arm rests
+    since = t[:before].max(where=told[:before] > 2 * FAIR_SQUARE, initial=t[0]) + 0.8 * MOTION_LAG
+    until = t[after:].min(where=told[after:] < -2 * FAIR_SQUARE, initial=t[-1])
+    whole = (end <= since) | (begin >= until)  # parts; a drift would be a line through theirs
+    if whole.sum() < MIN_PARTS:
+        return None
+    line = np.polyval(np.polyfit(begin[whole], own[whole], 1, w=1 / doubt[whole]), begin)
+    step = np.where(begin < until, own[i], own[j])
+    by_step, by_line = (np.sum(((own - one) / doubt)[whole] ** 2) for one in (step, line))
+    if by_step > MAX_LEFT_SHARE * by_line:
+        return None
+    return float(since - own[i]), float(until - own[j]), float(own[i] - own[j])
 
 
 def _fit_delays(

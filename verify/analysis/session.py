@@ -6,7 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pandas as pd
 
-from verify.analysis.clock.estimate import ClockEstimate
+from verify.analysis.clock.estimate import ClockEstimate, shown_offset
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
     Comparison,
@@ -36,6 +36,8 @@ from verify.analysis.measured import (
     measurement_refusal,
     session_clock,
     setup_of,
+    with_gaps_named,
+    with_shown_noise,
 )
 from verify.analysis.mistakes import refuse_exchanged_cameras
 from verify.analysis.model import (
@@ -101,8 +103,8 @@ def analyse(
         InputError: the session cannot be measured; nothing is returned in part.
     """
     alarms = read_alarms(session.folder / ALARMS, session.arm.dof)
-    readings = Readings(session.encoders.t, session.encoders.q)
-    session = _with_shown_noise(session, readings)
+    readings = Readings.of_log(session.encoders.t, session.encoders.q)
+    session = with_shown_noise(session, readings)
     measured, clock = measure_session(session, readings, progress, chain or measure)
     compared, unreachable = compare_session(session, measured, readings, clock)
     tolerance = tolerance or NO_TOLERANCE
@@ -119,28 +121,6 @@ def analyse(
         results.tables["alarms"] = alarms
         results.summary["inputs"][ALARMS] = digest(session.folder / ALARMS)
     return results
-
-
-def _with_shown_noise(session: Session, readings: Readings) -> Session:
-    """The session with what only the log shows: its readings' step, and how its stamps scatter."""
-    taken = "as the log shows; it is taken into account"
-    if session.encoder_resolution is None and readings.step:
-        warning = (
-            f"encoders.csv: readings come in steps of {np.rad2deg(readings.step):.2g}°, {taken}. "
-            "Record more digits, or state [encoder_readings] resolution_deg."
-        )
-        warnings = (*session.warnings, warning)
-        session = replace(session, encoder_resolution=readings.step, warnings=warnings)
-    noise = max(readings.time_noise, session.encoders.late)
-    if session.encoder_time_standard_uncertainty is not None or not noise:
-        return session
-    warning = (
-        f"encoders.csv: the times of the readings scatter by {1e3 * noise:.2g} ms (standard "
-        f"uncertainty), {taken}. Record the controller's own time stamps."
-    )
-    told = readings.time_noise <= session.encoders.late  # of the rows that repeat
-    warnings = session.warnings if told else (*session.warnings, warning)
-    return replace(session, encoder_time_standard_uncertainty=noise, warnings=warnings)
 
 
 def _spread_rivals(rivals: tuple[float, ...]) -> list[float]:
@@ -195,9 +175,13 @@ def compare_session(
     """
     track, systematics = measured.track, measured.systematics
     known = readings.available(track.t - clock.offset)
+    session = with_gaps_named(session, readings, (track.t - clock.offset)[~known], len(track))
     stated = ReadingUncertainty(
         session.encoder_resolution, session.encoder_time_standard_uncertainty
     )
+    shown = shown_offset(track, session.arm, readings, clock)
+    if shown is not None:
+        known &= readings.available(track.t - shown)
     unreachable: set[int] = set()
     for _ in range(2):  # a second time without the pairs that the arm cannot reach
         comparison = compare(track, session.arm, readings, clock.offset, stated=stated, known=known)
@@ -212,20 +196,29 @@ def compare_session(
     if not len(comparison):
         raise _comparison_refusal(session, track, reached=not unreachable)
     posed = tuple(m for m in measured.measurements if m.status == "measured" and m.pose is not None)
-    compared = SessionComparison(session, track, systematics, clock, comparison, joints, posed)
+    tangent = None
+    if shown is not None:
+        there = compare(track, session.arm, readings, shown, stated=stated, known=known)
+        there = add_pan_noise(replace(there, timed=comparison.timed), track, systematics)
+        tangent = there, clock.offset - shown
+    compared = SessionComparison(
+        session, track, systematics, clock, comparison, joints, posed, tangent
+    )
     return compared, unreachable
 
 
 def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Linearise a session about the errors that are there, find their causes, resolve them.
 
-    A turned camera is found first, and the session linearised anew about its angle. Pairs that
-    repeat each other's errors count for fewer. What a cause leaves in every pair from its beginning
-    on repeats itself as well: so causes are found first with all that counted as noise, then again
-    with what they themselves leave. A pair whose reading lies between one from before a change and
-    one from after it weighs nothing.
+    A turned camera is found first, and the session linearised anew about its angle; where a given
+    clock is wrong, it is about the offset that the motion shows. Pairs that repeat each other's
+    errors count for fewer. What a cause leaves in every pair from its beginning on repeats itself
+    as well: so causes are found first with all that counted as noise, then again with what they
+    themselves leave. A pair whose reading lies between one from before a change and one from after
+    it weighs nothing.
     """
-    session, joints = compared.session, compared.joints
+    session, (start, late) = compared.session, compared.at_shown_clock or (compared.comparison, 0.0)
+    joints = solve_joints(start, session.arm) if late else compared.joints
 
     def built(comparison: Comparison) -> JointErrorModel:
         return build_model(
@@ -236,11 +229,13 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
     error, known = np.nan_to_num(joints.error), ~np.isnan(joints.error)
     typical = error.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
     if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
-        first = np.nan_to_num(resolve_errors(built(compared.comparison)).mean)
+        first = np.nan_to_num(resolve_errors(built(start)).mean)
         typical = np.where(known.any(axis=0), typical, first)
-    # a step, or readings that stand, leave some pairs far from what is typical
-    far = known & (np.abs(error - typical) > MIN_FAR)
-    middle = relinearise(compared.comparison, session.arm, np.where(far, error, typical))
+    # a step, readings that stand or a rough stretch leave some pairs far from what is typical
+    rough = start.local_noise > 2 * start.reading_noise
+    far = known & (rough | (np.abs(error - typical) > MIN_FAR))
+    middle = relinearise(start, session.arm, np.where(far, error, typical))
+    middle = replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
 
     def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:
         causes = [] if found is None else explained_by(found, model, session.arm, session.rig)
@@ -270,7 +265,8 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
             break
         factors, across = np.minimum(left, factors), more
     # what is told of pairs is their whole error, no tangent's
-    return replace(model, comparison=replace(model.comparison, xi=plain.xi)), found, resolved
+    whole = compared.comparison.xi
+    return replace(model, comparison=replace(model.comparison, xi=whole)), found, resolved
 
 
 def zero_undetermined_columns(comparison: Comparison) -> Comparison:

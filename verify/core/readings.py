@@ -1,9 +1,10 @@
 """A robot's joint readings as functions of time: value, speed, direction, uncertainty."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from verify.core.kernels import readings as kernel
@@ -14,6 +15,8 @@ MAX_GAP = 0.6  # s; readings at 2 Hz still pass
 RATE_SPAN = 0.05  # s: shorter differences of readings are noise, longer ones blur the motion
 MAD_TO_SIGMA = 1.4826  # of a Gaussian
 DIFFERENCE_VARIANCES = (6.0, 20.0, 70.0)  # of white noise's second to fourth ones, over its own
+ROUGH_ROWS = 16  # of a stretch that is looked at by itself
+ROUGH_RATIO = 4.0  # of its noise to the log's; chance makes it twice
 MIN_DIFFERENCES = 8  # fewer show no spread
 HOLD_TIME = 0.5  # s: at the edge of a burst at rest the arm is taken as standing still for so long
 MIN_STAMPS = 12  # readings of moving joints; fewer do not show whether joints are late together
@@ -24,6 +27,8 @@ MAX_STEP_ERROR = 0.05  # of a step
 STAMPS_SIGMA = 3.5  # from chance
 CHI2_MEDIAN = 0.4549  # of one degree of freedom
 MIN_TRAVEL = np.deg2rad(0.02)  # the last digit or two of a common read-out
+MIN_TRIED = 8  # gaps of one length; fewer do not show what is missed in them
+MISSED_SHARE = 0.99  # quantile of what is
 
 
 @dataclass(frozen=True)
@@ -36,6 +41,38 @@ class Readings:
 
     t: Array  # (m,), s, increasing
     q: Array  # (m, joints), rad
+    longest: float = MAX_GAP  # s, between readings that are interpolated
+
+    @classmethod
+    def of_log(cls, t: Array, q: Array) -> "Readings":
+        """A whole log, interpolated where the curve does not miss its motion.
+
+        Where intervals are longer than usual, rows are taken out of the log itself, more and more
+        of them, until the curve is farther from them than noise and last digit explain.
+        """
+        log, apart, good = cls(t, q), np.diff(t), 0
+        usual = float(np.median(apart)) if len(apart) else MAX_GAP
+        counts = np.unique(np.geomspace(2, max(MAX_GAP / usual, 2), 16).astype(int)).tolist()
+        for count in counts if np.any(apart > 1.5 * usual) and 2 * usual < MAX_GAP else ():
+            missed = log._missed(count, 1.5 * count * usual)
+            if len(missed) < MIN_TRIED * (count - 1):
+                break
+            off = np.quantile(missed, MISSED_SHARE, axis=0)
+            if np.any(off > np.maximum(log._resolved, 2 * log.step)):
+                good = max(good, 1)
+                break
+            good = count
+        return replace(log, longest=min((good + 0.5) * usual, MAX_GAP)) if good else log
+
+    def _missed(self, count: int, widest: float) -> Array:
+        """How far the curve is from the rows it leaves out, `count` - 1 after every two, rad."""
+        kept = np.arange(len(self.t)) % (count + 1) < 2
+        t = self.t[kept]
+        inside = np.diff(t, append=np.inf)[np.searchsorted(t, self.t[~kept]) - 1] <= widest
+        left_out = np.flatnonzero(~kept)[inside]
+        rows = _as_contiguous(t), _as_contiguous(self.q[kept])
+        curve = kernel.interpolate(*rows, np.inf, _as_contiguous(self.t[left_out]))
+        return np.asarray(np.abs(curve - self.q[left_out]))
 
     def available(self, t: Array) -> NDArray[np.bool_]:
         """Whether there are values at the instants t (n,): between readings, or held at rest.
@@ -61,32 +98,47 @@ class Readings:
 
     def instants(self, step: float) -> Array:
         """Instants so many s apart wherever there are readings, (g,) s."""
-        bursts = np.split(self.t, np.flatnonzero(np.diff(self.t) > MAX_GAP) + 1)
+        bursts = np.split(self.t, np.flatnonzero(np.diff(self.t) > self.longest) + 1)
         return np.concatenate([np.arange(b[0], b[-1] + step, step) for b in bursts])
 
     @cached_property
     def _without_gap(self) -> NDArray[np.bool_]:
-        """Whether the interval before each reading, and after the last, is no gap: (m + 1,)."""
-        return np.diff(self.t, prepend=-np.inf, append=np.inf) <= MAX_GAP
+        """Whether readings are known before each one, and after the last, (m + 1,).
+
+        Not in a gap that a log's arm moves in, nor, if it does there, in the interval beside one:
+        the speed at that end is not known.
+        """
+        apart = np.diff(self.t, prepend=-np.inf, append=np.inf)
+        gap: NDArray[np.bool_] = apart > self.longest
+        if self.longest < MAX_GAP:
+            moves = np.any(np.abs(np.diff(self.q, axis=0)) > self._resolved, axis=1)
+            inner = gap[1:-1] & (moves | (apart[1:-1] > MAX_GAP))
+            beside = np.convolve(inner, [1, 0, 1], "same") > 0
+            gap[1:-1] = inner | (beside & moves)
+        return ~gap
+
+    @cached_property
+    def _resolved(self) -> Array:
+        """Travel that noise and last digit do not explain, (joints,), rad."""
+        return np.asarray(np.maximum(5 * self.noise, MIN_TRAVEL))
 
     @cached_property
     def _at_rest(self) -> NDArray[np.bool_]:
         """Whether the arm stood still at a reading beside a gap, as its burst shows, (m,)."""
-        tolerance = np.maximum(5 * self.noise, MIN_TRAVEL)
-        gaps = np.flatnonzero(np.diff(self.t) > MAX_GAP)
+        gaps = np.flatnonzero(np.diff(self.t) > self.longest)
         rests: NDArray[np.bool_] = np.zeros(len(self.t), dtype=np.bool_)
         for first, last in zip([0, *(gaps + 1)], [*gaps, len(self.t) - 1], strict=True):
             burst = slice(first, last + 1)
             for edge in (first, last):
                 near = np.abs(self.t[burst] - self.t[edge]) <= HOLD_TIME
-                rests[edge] = np.all(np.abs(self.q[burst][near] - self.q[edge]) <= tolerance)
+                rests[edge] = np.all(np.abs(self.q[burst][near] - self.q[edge]) <= self._resolved)
         return rests
 
     def at(self, t: Array) -> Array:
         """Readings at the instants t (n,), rad, (n, joints); held outside a burst of readings."""
         if len(self.t) < 2:
             return np.repeat(self.q, len(t), axis=0)
-        return kernel.interpolate(*self._contiguous, MAX_GAP, _as_contiguous(t))
+        return kernel.interpolate(*self._contiguous, self.longest, _as_contiguous(t))
 
     def rate(self, t: Array) -> Array:
         """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN.
@@ -121,6 +173,40 @@ class Readings:
                 size = np.median(np.abs(steps[whole]), axis=0)
                 smallest = np.minimum(smallest, MAD_TO_SIGMA * size / np.sqrt(variance))
         return np.where(np.isfinite(smallest), smallest, 0.0)
+
+    def noise_at(self, t: Array) -> Array:
+        """Standard deviation of a reading about the instants t (n,), rad, (n, joints).
+
+        That of the log, or what readings scatter by in a rough stretch, where that is far more.
+        """
+        after = np.minimum(np.searchsorted(self.t, t), len(self.t) - 1)
+        return np.asarray(np.maximum(self.noise, self.roughness[after]))
+
+    @cached_property
+    def roughness(self) -> Array:
+        """What readings scatter by in rough stretches, (m, joints), rad; 0 elsewhere.
+
+        Noise is as large by third as by fourth differences; motion that is read slowly is not.
+        """
+        rough = np.zeros(self.q.shape)
+        if len(self.t) < 8 * ROUGH_ROWS:  # too few to tell; live, there are no more
+            return rough
+        places = sliding_window_view(np.arange(len(self.t)), ROUGH_ROWS)[:: ROUGH_ROWS // 2]
+        sizes = []
+        for order, variance in zip((3, 4), DIFFERENCE_VARIANCES[1:], strict=True):
+            whole = sliding_window_view(np.diff(self.t)[:, None] <= MAX_GAP, order, axis=0)
+            steps = np.abs(np.diff(self.q, order, axis=0)) * whole.all(axis=2)
+            near = np.clip(places - order // 2, 0, len(steps) - 1)
+            sizes.append(MAD_TO_SIGMA * np.median(steps[near], axis=1) / np.sqrt(variance))
+        usual = np.maximum(ROUGH_RATIO * np.maximum(self.noise, self.step), MIN_TRAVEL)
+        found = (sizes[1] > usual) & (sizes[0] < 2 * sizes[1])
+        size = np.sqrt(np.sum(sizes[1] ** 2 * found, axis=0) / np.maximum(found.sum(axis=0), 1))
+        if found.any() and self.time_noise:  # that is what all joints share, by speed
+            return rough
+        for k in np.flatnonzero(found.any(axis=1)):
+            rows = slice(max(places[k, 0] - ROUGH_ROWS // 4, 0), places[k, -1] + ROUGH_ROWS // 4)
+            rough[rows] = np.maximum(rough[rows], size * found[k])
+        return rough
 
     @cached_property
     def step(self) -> float:
@@ -173,7 +259,7 @@ class Readings:
         """
         if len(self.t) < 2:
             return np.zeros((len(t), self.q.shape[1]))
-        return kernel.interpolation_error(*self._contiguous, MAX_GAP, _as_contiguous(t))
+        return kernel.interpolation_error(*self._contiguous, self.longest, _as_contiguous(t))
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel at the instants t (n,): +1, -1, or 0 before any; (n, joints).
@@ -187,8 +273,7 @@ class Readings:
     @cached_property
     def _directions(self) -> Array:
         """Last direction of travel after each reading, (m, joints)."""
-        thresholds = np.maximum(5 * self.noise, MIN_TRAVEL)
-        return kernel.travel_directions(self._contiguous[1], thresholds).astype(np.float64)
+        return kernel.travel_directions(self._contiguous[1], self._resolved).astype(np.float64)
 
 
 def _products_of_two(values: Array) -> Array:

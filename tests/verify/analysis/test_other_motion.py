@@ -1,5 +1,6 @@
 """Readings of another motion are refused, with the mistake that explains them; faults are not."""
 
+import re
 from collections.abc import Callable
 from contextlib import nullcontext
 from dataclasses import replace
@@ -14,15 +15,16 @@ from tests.support.published import write_session
 from tests.support.true_arm import measured, readings, true_arm
 from verify.analysis.clock.estimate import estimate_clock
 from verify.analysis.instrument import MeasuredSession, measure_poses, stated_noise
-from verify.analysis.measured import measure_pictures, session_clock
+from verify.analysis.measured import measure_pictures, session_clock, with_shown_noise
 from verify.analysis.mistakes import degrees
 from verify.analysis.other_motion import refuse_other_motion
-from verify.analysis.plausibility import late_joints
+from verify.analysis.plausibility import clock_change, late_joints
 from verify.analysis.session import compare_session, session_model
 from verify.calibration.kinematics.poses import build_poses
 from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.errors import InputError
+from verify.io.session.keys import Clock
 from verify.io.session.session import Session, open_session
 from verify.measurement.chain import measure
 from verify.measurement.track import Track
@@ -98,6 +100,92 @@ def test_a_mistake_is_named(
 ) -> None:
     with pytest.raises(InputError, match=message):
         judge(recording, mistake(recording[0].encoders.q))
+
+
+def test_pairs_in_a_gap_of_the_log_are_left_out_and_said(
+    seen: tuple[Session, MeasuredSession],
+) -> None:
+    """A curve over half a second of motion is off by a tenth of a degree, more than its noise."""
+    session, track = seen[0], seen[1].track
+    kept = np.abs(session.encoders.t - 3.0) > 0.25
+    log = Readings.of_log(session.encoders.t[kept], session.encoders.q[kept])
+    clock = estimate_clock(track, session.arm, log)
+    compared, _ = compare_session(session, seen[1], log, clock)
+    lost = np.setdiff1d(np.arange(len(track)), compared.comparison.index)
+    assert np.abs(track.t[lost] - clock.offset - 3.0).max() < 0.28
+    assert re.search(
+        r"[78] of 60 pairs have no reading .* 0\.52 s .* 2\.74", compared.session.warnings[-1]
+    )
+    fault = np.deg2rad([0, 0.35, 0, 0, 0, 0])
+    assert np.rad2deg(np.nanmax(np.abs(compared.joints.single - fault))) < 0.1
+
+
+@pytest.mark.parametrize("wrong", [0.09, -0.09])
+def test_a_given_clock_that_is_wrong_is_named_and_no_link_or_base(
+    seen: tuple[Session, MeasuredSession], wrong: float
+) -> None:
+    """Joints are off by degrees, and no longer in proportion to their speeds."""
+    session = replace(seen[0], clock=Clock(0.085 + wrong, 5e-4))
+    log = Readings(session.encoders.t, session.encoders.q)
+    clock = session_clock(session, seen[1].track, log)
+    refuse_other_motion(session, seen[1].track, log, clock)
+    compared = compare_session(session, seen[1], log, clock)[0]
+    model, found, resolved = session_model(compared)
+    assert {(cause.kind, cause.joint) for cause in found.causes} == {("offset", 2), ("clock", None)}
+    named = next(cause.value for cause in found.causes if cause.kind == "clock")
+    assert named == pytest.approx(-wrong, abs=2e-3)
+    assert np.rad2deg(resolved.mean) == pytest.approx([0, 0.35, 0, 0, 0, 0], abs=0.01)
+    assert np.array_equal(model.comparison.xi, compared.comparison.xi)  # the whole error is told
+
+
+@pytest.mark.parametrize("joint", [2, 4])
+def test_a_second_of_noisy_readings_is_named_and_accuses_nobody(
+    seen: tuple[Session, MeasuredSession], joint: int
+) -> None:
+    session, q = seen[0], seen[0].encoders.q.copy()
+    rough = np.abs(session.encoders.t - 3.0) < 0.5
+    q[rough, joint] += np.random.default_rng(3).normal(0, np.deg2rad(1.0), np.count_nonzero(rough))
+    log = Readings.of_log(session.encoders.t, q)
+    said = with_shown_noise(session, log).warnings[-1]
+    assert re.search(
+        rf"of joint {joint + 1} scatter by [01]\.?\d*° between t_s = 2\..* and 3\.", said
+    )
+    clock = estimate_clock(seen[1].track, session.arm, log)
+    _, found, resolved = session_model(compare_session(session, seen[1], log, clock)[0])
+    assert [(cause.kind, cause.joint) for cause in found.causes] == [("offset", 2)]
+    assert np.rad2deg(resolved.mean) == pytest.approx([0, 0.35, 0, 0, 0, 0], abs=0.01)
+
+
+@pytest.mark.parametrize("known", [True, False])
+@pytest.mark.parametrize("change", [0.2, -0.1, 0.008])
+def test_a_clock_that_is_set_in_the_session_is_named(
+    recording: tuple[Session, Track], change: float, known: bool
+) -> None:
+    """Stamps go on later from a row on, or, where rows are missing, earlier."""
+    session, track = recording
+    t, q = session.encoders.t, session.encoders.q
+    late = t >= 3.0
+    kept = ~late | (t + change > 3.0)
+    log = Readings.of_log((t + change * late)[kept], q[kept])
+    clock = session_clock(replace(session, clock=Clock(0.085, 1e-4) if known else None), track, log)
+    said = (
+        rf"clock was set by \{change:+.3f} s between t_s = (.*) and (.*); .* \{-change:+.3f} s to"
+    )
+    with pytest.raises(InputError, match=said) as refusal:
+        refuse_other_motion(session, track, log, clock)
+    since, until = map(float, re.findall(r"\d\.\d\d(?= and|;)", str(refusal.value)))
+    assert 2.85 < since <= 3.0 <= until < 3.3
+
+
+def test_a_clock_that_runs_fast_or_a_belt_that_slips_is_no_change_of_the_clock(
+    recording: tuple[Session, Track],
+) -> None:
+    session, track = recording
+    t, q = session.encoders.t, session.encoders.q
+    slipped = q + np.deg2rad(3.0) * np.outer(t > 3.0, np.eye(6)[4])
+    for log in (Readings(t * 1.004, q), Readings(t, slipped), Readings(t, q * 1.05)):
+        offset = estimate_clock(track, session.arm, log).offset
+        assert clock_change(track, session.arm, log, offset) is None
 
 
 @pytest.mark.parametrize("joint", [0, 3])

@@ -69,6 +69,22 @@ def test_noise_is_read_off_the_readings_and_motion_is_not_taken_for_noise() -> N
     assert_allclose(apart.noise, sigma, rtol=0.1)
 
 
+def test_a_joint_s_rough_stretch_is_found_and_no_slow_motion_or_visits_pass_for_one() -> None:
+    rng = np.random.default_rng(7)
+    t = np.arange(0.0, 8.0, 0.02)
+    q = np.stack([wave(t), wave(t, 0.5, 3.0)], axis=1) + rng.normal(0, 2e-4, (len(t), 2))
+    rough = (t > 3) & (t < 4)
+    q[rough, 1] += rng.normal(0, 0.01, np.count_nonzero(rough))
+    log = Readings(t, q)
+    assert_allclose(log.noise_at(t[rough])[:, 1], 0.01, rtol=0.3)
+    assert_allclose(log.noise_at(t), np.where(log.roughness > 0, log.roughness, log.noise))
+    assert not log.roughness[:, 0].any()
+    assert not log.roughness[(t < 2.6) | (t > 4.4)].any()
+    slowly = np.where(t[::5] < 5, t[::5], 5.0)  # read at 10 Hz; then it rests
+    assert not Readings(t[::5], np.stack([wave(slowly), wave(slowly, 0.5, 1.5)], 1)).roughness.any()
+    assert not Readings(60.0 * t, rng.normal(0, 0.3, q.shape)).roughness.any()
+
+
 @pytest.mark.parametrize("scatter", [0.0, 0.001, 0.004])
 def test_the_scatter_of_time_stamps_is_read_off_all_joints_together(scatter: float) -> None:
     t, found = np.arange(0.0, 10.0, 0.02), []
@@ -122,6 +138,25 @@ def test_where_the_arm_moves_and_its_line_falls_silent_nothing_is_held() -> None
     ]  # fmt: skip
     brakes = np.minimum(t, 0.3)[:, None]  # at rest long before the line fell silent
     assert Readings(t, brakes).available(edges).all()
+
+
+def test_a_log_is_interpolated_across_no_gap_in_which_the_curve_misses_its_motion() -> None:
+    rng = np.random.default_rng(6)
+    t = np.arange(0.0, 12.0, 0.01)
+    t = t[((t < 3) | (t > 3.5)) & ((t < 6) | (t > 6.5))]
+
+    def moving(at):
+        rest = np.clip(at, None, 5.5)  # the second gap is at rest
+        return np.stack([wave(rest), wave(rest, 0.5, 3.0)], axis=1)
+
+    log = Readings.of_log(t, moving(t) + rng.normal(0, np.deg2rad(0.01), (len(t), 2)))
+    at = np.arange(1.0, 11.0, 0.001)
+    known = log.available(at)
+    assert_allclose([at[~known].min(), at[~known].max()], [2.98, 3.52], atol=0.002)
+    assert np.count_nonzero(~known) < 545
+    assert np.abs(log.at(at[known]) - moving(at[known])).max() < np.deg2rad(0.06)
+    lossy = t[rng.random(len(t)) > 0.1]  # single rows that are missing do no harm
+    assert Readings.of_log(lossy, moving(lossy)).available(at).mean() > 0.94
 
 
 def test_the_direction_of_travel_is_kept_at_rest_and_ignores_noise() -> None:

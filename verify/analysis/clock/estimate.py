@@ -58,6 +58,7 @@ MAX_STEP = 0.1  # s: readings are not linear over longer times
 MAX_TRAVEL = 0.5  # s, from a dip: what it leads to farther off is another one's
 # An offset that the motion shows no better than this is no offset: the arm moves 0.3° at 30°/s.
 MAX_UNCERTAINTY = 0.01  # s
+MIN_APART, MIN_APART_SIGMA = 2e-3, 5.0  # s, sigmas: of a given offset; nearer, first order does
 PARTS, MIN_PARTS = 4, 3  # of a session, where all of it shows no offset; that agree
 # of the clock's effect must be left after joint offsets are fitted; less is rounding and noise
 MIN_VISIBLE_SHARE = 0.02
@@ -160,6 +161,37 @@ class _Candidate:
     penalty: float
     t: Array  # (n,), s, of the pairs
     square: Array  # (n,), of the whitened differences at each pair; nan without a reading
+
+
+def local_offset(
+    part: Track, arm: robots.Arm, readings: Readings, guess: float
+) -> tuple[float, float] | None:
+    """The offset that a few pairs show by themselves and its standard uncertainty, s, or None."""
+    curve = coarse_costs(part, arm, readings, guess)
+    fit = _refine(part, arm, readings, curve[np.argmin(curve[:, 1]), 0]) if len(curve) else None
+    return None if fit is None or fit[1] > MAX_UNCERTAINTY else fit
+
+
+def shown_offset(
+    track: Track, arm: robots.Arm, readings: Readings, given: ClockEstimate
+) -> float | None:
+    """The offset that the motion shows near a given one, s; None where it does not disagree."""
+    sample = subset(track, spread(len(track), MAX_PAIRS_COMPARED))
+    fit = None if given.source != "given" else _refine(sample, arm, readings, given.offset)
+    if fit is None or abs(fit[0] - given.offset) < max(MIN_APART, MIN_APART_SIGMA * fit[1]):
+        return None
+    squares = motion_squares(track, arm, readings, np.array([given.offset, fit[0]]))[1]
+    return fit[0] if np.diff(squares.sum(axis=1)) < 0 else None
+
+
+def motion_squares(
+    track: Track, arm: robots.Arm, readings: Readings, offsets: Array
+) -> tuple[Array, Array]:
+    """Instants of pairs (n,), s, and what their motions miss by at each offset (m, n), squared."""
+    squares = np.array([_candidate(track, arm, readings, o, None).square for o in offsets.tolist()])
+    known = ~np.isnan(squares).all(axis=0)
+    squares = np.where(np.isnan(squares), np.inf, squares)[:, known]
+    return track.t[known], np.minimum(squares, MAX_SQUARED_DIFFERENCE)
 
 
 def _candidate(

@@ -120,7 +120,7 @@ def _costs_by_motion(
         enough = known.mean(axis=1) >= overlap
         cost = np.empty(int(enough.sum()))
         nearest = np.searchsorted(grid_t, instants[enough] - COARSE_STEP / 2)
-        nearest = np.minimum(nearest, len(grid_t) - 1)[:, ends]
+        nearest = np.ascontiguousarray(np.minimum(nearest, len(grid_t) - 1)[:, ends])
         motion_misfits(nearest, known[enough], poses, (sizes, variance), MAX_SQUARED_MISFIT, cost)
         parts.append(np.stack([some[enough], cost], axis=1))
     return np.concatenate(parts)

@@ -25,7 +25,7 @@ PLACE, TURN = slice(0, 3), slice(3, 6)  # of a twist
 
 def frames_table(measurements: list[Measurement], found: SessionAnalysis) -> pd.DataFrame:
     """docs/results.md's frames.csv: one row a stereo pair, empty figures where not measured."""
-    status, comparison, joints = found.status, found.model.comparison, found.compared.joints
+    status, comparison, joints = found.status, found.compared.comparison, found.compared.joints
     table: dict[str, Any] = {
         "frame": [m.frame for m in measurements],
         "t_s": [m.t if comparison.timed else np.nan for m in measurements],

@@ -77,12 +77,11 @@ def monte_carlo(
     scale = np.sqrt(alignment_scale(track))
     poses = np.empty((len(chosen), draws, 4, 4))
     read, straight = (np.empty((len(chosen), draws, N_JOINTS)) for _ in range(2))
-    noise = comparison.reading_noise
     for m, i in enumerate(chosen.tolist()):
         row = int(comparison.index[i])
         drawn, twist = world.poses(measurements[row], track, row, float(scale[row]))
         poses[m], by_alignment = world.aligned(drawn, comparison.alignment_error[i])
-        late = world.readings(comparison.rate[i], noise)
+        late = world.readings(comparison.rate[i], comparison.local_noise[i])
         read[m] = comparison.q[i] + late
         by_reading = late @ comparison.jacobian[i].T
         straight[m] = (by_reading - twist + by_alignment) @ joints.inverse[i].T

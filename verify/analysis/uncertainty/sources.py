@@ -7,7 +7,7 @@ import numpy as np
 
 import robots
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.comparison import Comparison, alignment_scale, twist_transport
+from verify.analysis.comparison import Comparison, alignment_scale, propagate, twist_transport
 from verify.analysis.diagnosis.link_faults import rotation_twist, translation_twist
 from verify.analysis.instrument import CALIBRATION_SOURCE, instrument_sensitivities
 from verify.analysis.instrument import NOISE as INSTRUMENT_NOISE
@@ -146,16 +146,15 @@ def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[
     carry = twist_transport(moved)
     turned = np.swapaxes(carry, 1, 2)
     scale = alignment_scale(track)[:, None, None]
-    noise = plain.reading_noise
     poses = PIXELS if session.instrument is None else INSTRUMENT
     found = [
         RandomSource(poses, "A", carry @ track.covariance_pixels[plain.index] @ turned),
         RandomSource(SKEW, "A", carry @ (scale * track.covariance_alignment)[plain.index] @ turned),
-        RandomSource(NOISE, "A", _propagate(plain.jacobian, noise**2)),
+        RandomSource(NOISE, "A", propagate(plain.jacobian, plain.local_noise**2)),
     ]
     if session.encoder_resolution is not None:
-        variance = np.full(len(noise), session.encoder_resolution**2 / 12)
-        found.append(RandomSource(RESOLUTION, "B", _propagate(plain.jacobian, variance)))
+        variance = np.full((1, session.arm.dof), session.encoder_resolution**2 / 12)
+        found.append(RandomSource(RESOLUTION, "B", propagate(plain.jacobian, variance)))
     if session.encoder_time_standard_uncertainty is not None:
         speed = np.einsum("nij,nj->ni", plain.jacobian, plain.rate)
         speed = speed * session.encoder_time_standard_uncertainty
@@ -163,11 +162,6 @@ def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[
     found += [RandomSource(PAN, "B", c) for c in pan_reading_covariance(plain, compared)]
     grown = model.comparison.covariance - plain.covariance
     return [*found, RandomSource(AUTOCORRELATION, "A", grown)]
-
-
-def _propagate(jacobian: Array, variance: Array) -> Array:
-    spread: Array = np.einsum("nij,j,nkj->nik", jacobian, variance, jacobian)
-    return spread
 
 
 def pan_reading_covariance(comparison: Comparison, compared: SessionComparison) -> Iterator[Array]:

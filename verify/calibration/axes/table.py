@@ -183,7 +183,7 @@ def axes_from_sweeps(session: Session, measurements: Sequence[Measurement]) -> S
         )
     measured = [m for m in measurements if m.status == "measured" and m.pose is not None]
     measured = [m for m in measured if m.pose is not None and m.pose.known_dof == 6]
-    readings = Readings(session.encoders.t, session.encoders.q)
+    readings = Readings.of_log(session.encoders.t, session.encoders.q)
     offset = _clock(session, measured, readings) if measured else 0.0
     t = np.array([m.t for m in measured]) - offset
     frame = np.array([m.frame for m in measured], dtype=np.int64)

@@ -122,7 +122,7 @@ def session_to_poses(
     Raises:
         InputError: no pair could be measured, or none has a reading.
     """
-    readings = Readings(session.encoders.t, session.encoders.q)
+    readings = Readings.of_log(session.encoders.t, session.encoders.q)
     measured, clock = measure_session(session, readings, progress, measure, registered=registered)
     track, systematics = measured.track, measured.systematics
     compared = compare(

@@ -120,7 +120,7 @@ def _check_held(
 
 
 def _setup(recording: Recording) -> AdjustmentSetup:
-    readings, clock = Readings(recording.encoders.t, recording.encoders.q), recording.clock
+    readings, clock = Readings.of_log(recording.encoders.t, recording.encoders.q), recording.clock
     stated = None
     if clock is not None and clock.standard_uncertainty:
         stated = (clock.encoder_offset, clock.standard_uncertainty)
