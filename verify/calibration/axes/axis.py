@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robots.transforms import difference
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.sweeps import axis as sweep
 from verify.core.records import Array
@@ -32,10 +31,7 @@ class SweepAxis:
     angle: Array  # (n,), rad, turned about the axis; the mean is the encoder's
     angle_covariance: Array  # (n, n)
     angle_by_pose: Array  # (n, 6 n)
-    residual: Array  # (n, 6), m and rad, measured pose less fitted
     noise: float  # by what the poses' stated uncertainty was multiplied, >= 1
-    chi2: float
-    degrees_of_freedom: int
 
 
 def fit_axis(poses: Array, covariance: Array, q: Array) -> SweepAxis:
@@ -76,8 +72,5 @@ def fit_axis(poses: Array, covariance: Array, q: Array) -> SweepAxis:
         angle=sweep.sweep_angle(swept, terms, state),
         angle_covariance=terms @ covariance[sweep.N_FREE :, sweep.N_FREE :] @ terms.T * scatter,
         angle_by_pose=-terms @ by_pose[sweep.N_FREE :],
-        residual=difference(poses, sweep.predict_sweep(swept, terms, state)),
         noise=float(np.sqrt(scatter)),
-        chi2=chi2,
-        degrees_of_freedom=degrees,
     )

@@ -12,7 +12,7 @@ from verify.analysis.rig_check.check import drop_registration
 from verify.analysis.sweeps.segments import SweepSegment
 from verify.calibration.axes.axis import SweepAxis, fit_axis
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement, rigid_transform
+from verify.core.records import Array, Measurement
 from verify.io.session.session import Session
 from verify.measurement.systematics import sensitivities, stated_systematics
 
@@ -72,20 +72,6 @@ def tilt_between(one: AxisLine, other: AxisLine) -> Array:
     return other.direction * np.sign(one.direction @ other.direction) - one.direction
 
 
-def frame_of_lines(one: AxisLine, other: AxisLine) -> Array:
-    """A frame of two lines, (4, 4): z along one, origin on it where the common normal meets it.
-
-    x is along one × other; the lines must not be parallel.
-    """
-    x = np.cross(one.direction, other.direction)
-    x = x / np.linalg.norm(x)
-    apart = other.point - one.point
-    # one + s z1 and other + t z2 are joined by x: solve for s
-    solved = np.linalg.solve(np.stack([one.direction, -other.direction, x], axis=1), apart)
-    turn = np.stack([x, np.cross(one.direction, x), one.direction], axis=1)
-    return rigid_transform(turn, one.point + solved[0] * one.direction)
-
-
 def step_line(line: AxisLine, across: Array, step: Array) -> AxisLine:
     """A line moved by its four small parameters: direction, then point, along `across` (2, 3)."""
     direction = line.direction + step[:2] @ across
@@ -126,11 +112,6 @@ class JointSweepResult:
     def span(self) -> float:
         """From the least to the largest reading, rad."""
         return float(np.ptp(self.q[:, self.joint - 1]))
-
-    @property
-    def covariance(self) -> Array:
-        """Of the axis's four parameters, everything included, (4, 4)."""
-        return self.axis.covariance + self.by_source @ self.by_source.T
 
     @property
     def line(self) -> AxisLine:
