@@ -67,7 +67,6 @@ def detect(
         ),
         peak=rows[:, columns.COL_PEAK].copy(),
         diameter=rows[:, columns.COL_DIAMETER].copy(),
-        elongation=rows[:, columns.COL_ELONGATION].copy(),
         misfit=rows[:, columns.COL_MISFIT].copy(),
         saturated=rows[:, columns.COL_SATURATED] > 0,
         merged=rows[:, columns.COL_MERGED] > 0,
