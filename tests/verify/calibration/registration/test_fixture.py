@@ -93,7 +93,7 @@ def test_the_rig_that_is_found_survives_its_file(tmp_path: Path) -> None:
     back, _ = io_rig.read(tmp_path / "rig.toml")
     assert back.base_source == "fixture"
     assert back.absorption is None
-    assert back.registration == found.registration
+    assert back.registration == found.rig.registration
     assert_allclose(back.rig_T_base, found.rig.rig_T_base, atol=1e-9)
     again = register_fixture(back, seen, BOARD, BASE_T_BOARD, FIXED)
     assert again.rig.covariance.parameters == found.rig.covariance.parameters
