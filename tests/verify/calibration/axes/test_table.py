@@ -13,7 +13,7 @@ from robots.transforms import rotation_exp
 from tests.support.motions import HOME
 from tests.support.simulated import InMemory, in_memory, measured_at_spots, sample
 from verify.analysis.sweeps.segments import find_sweeps
-from verify.calibration.axes.axis import fit_axis
+from verify.calibration.axes.joint import fit_axis
 from verify.calibration.axes.table import SweepResult, axes_from_sweeps
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement
