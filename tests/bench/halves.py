@@ -27,7 +27,7 @@ from tests.support.boards.made_views import found_pairs
 from verify.calibration.quality.accuracy import parameter_derivatives
 from verify.calibration.stereo import bundle, gauge, refusals
 from verify.calibration.stereo.calibrate import calibrate, stack_corners
-from verify.calibration.stereo.estimate import invert
+from verify.calibration.stereo.estimate import inverse_root
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel
 from verify.calibration.stereo.parameters import PARAMETER_NAMES, BundleState
 from verify.calibration.stereo.prior import lens_rows
@@ -165,7 +165,8 @@ def chance(kit: BoardSet, pairs: Sequence[BoardPair], whole: Calibration) -> Arr
     system = bundle.normal_equations(state, corners, model, np.ones(len(corners)))
     basis = gauge.free_directions(gauge.constraints(state, model, corners.pan[0]))
     slope = parameter_derivatives(lambda other: departure(other, rig), rig, PARAMETER_NAMES)
-    gain = slope.T[: kit.count] @ basis[: len(slope)] @ invert(basis.T @ system.total @ basis)
+    root = inverse_root(basis.T @ system.total @ basis)
+    gain = slope.T[: kit.count] @ basis[: len(slope)] @ root.T @ root
     single = gain @ basis.T @ system.information[: len(pairs)] @ basis @ gain.T
     u = np.sqrt(np.diag(single.sum(axis=0)))
     values, directions = np.linalg.eigh(single / np.outer(u, u))

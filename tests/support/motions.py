@@ -53,7 +53,6 @@ def track_of(t: Array, poses: Array, place: float, turn: float) -> Track:
         base_T_flange=poses,
         covariance_pixels=np.tile(covariance, (n, 1, 1)),
         covariance_alignment=np.zeros((n, 6, 6)),
-        twist=np.zeros((n, 6)),
         acceleration_prior=np.ones((n, 2)),
         order=np.full(n, 4),
         alignment_error=np.zeros((n, 6)),

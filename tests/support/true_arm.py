@@ -105,10 +105,9 @@ def recorded(
         seen[:, :3, 3] = places
         for pose, by in zip(seen, draw.normal(0, turn, (count, 3)), strict=True):
             pose[:3, :3] = pinocchio.exp3(by) @ pose[:3, :3]
-    return build_poses(
-        np.repeat(q, each, axis=0),
-        seen,
-        np.tile(variance, (len(places), 1, 1)) if stated else None,
+    covariance = np.tile(variance, (len(places), 1, 1)) if stated else None
+    return replace(
+        build_poses(np.repeat(q, each, axis=0), seen, covariance),
         tool=np.tile(np.arange(each), count),
         block=np.repeat(np.arange(count), each),
     )

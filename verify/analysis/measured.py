@@ -63,10 +63,7 @@ def draw_pair(pair: StereoPair, measurement: Measurement, marker: Marker) -> byt
         for image, sighting in ((pair.left, measurement.left), (pair.right, measurement.right))
         if sighting is not None and len(sighting)
     ]
-    encoded, png = cv2.imencode(".png", np.concatenate(sides, axis=1), PNG_FLAGS)
-    if not encoded:
-        raise ValueError("OpenCV could not encode the preview as PNG")
-    return png.tobytes()
+    return cv2.imencode(".png", np.concatenate(sides, axis=1), PNG_FLAGS)[1].tobytes()
 
 
 def _mark_leds(image: Image, sighting: Sighting, marker: Marker) -> Image:

@@ -77,7 +77,6 @@ class Spots:
     covariance: Array  # (n, 2, 2), px²
     peak: Array  # (n,), DN above background of the fitted profile (may exceed 255 when saturated)
     diameter: Array  # (n,), px, full width at half height of the fitted profile, mean of both axes
-    elongation: Array  # (n,), long axis over short axis, >= 1
     misfit: Array  # (n,), reduced chi² of the profile fit: near 1 for one clean LED
     saturated: NDArray[np.bool_]  # (n,), some pixels are at the sensor's limit
     merged: NDArray[np.bool_]  # (n,), shape or misfit show that it is not one clean spot

@@ -23,7 +23,6 @@ class Track:
     base_T_flange: Array  # (n, 4, 4)
     covariance_pixels: Array  # (n, 6, 6), m and rad
     covariance_alignment: Array  # (n, 6, 6)
-    twist: Array  # (n, 6), m/s, rad/s, as the images show it
     acceleration_prior: Array  # (n, 2), m/s², rad/s²
     order: NDArray[np.int64]  # (n,), of the lowest derivative that alignment misses, from 2
     alignment_error: Array  # (n, 6), what the motion about a pair leaves of alignment
@@ -68,7 +67,6 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
         base_T_flange=np.array([base_T_rig @ p.rig_T_flange for p in poses]).reshape(n, 4, 4),
         covariance_pixels=_rotate_blocks(turn, [p.covariance_pixels for p in poses]),
         covariance_alignment=_rotate_blocks(turn, [p.covariance_alignment for p in poses]),
-        twist=np.array([turn @ p.twist for p in poses]).reshape(n, 6),
         acceleration_prior=np.array([p.acceleration_prior for p in poses]).reshape(n, 2),
         order=np.array([_lowest_order(m) for m in measured], dtype=np.int64),
         alignment_error=_alignment_errors(measurements) @ turn.T

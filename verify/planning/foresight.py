@@ -219,7 +219,6 @@ class _SyntheticPairs:
             covariance=np.tile(sigma**2 * np.eye(2), (n, 1, 1)),
             peak=np.full(n, PEAK_DN),
             diameter=np.full(n, 1.0),
-            elongation=np.ones(n),
             misfit=np.ones(n),
             saturated=np.zeros(n, dtype=bool),
             merged=np.zeros(n, dtype=bool),

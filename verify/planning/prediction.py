@@ -12,7 +12,6 @@ from verify.analysis.joint_errors import mean_sensitivities
 from verify.analysis.least_squares import residual_products, solve
 from verify.analysis.model import DETECTION_SIGMA, JointErrorModel, clock_effect, prior_columns
 from verify.analysis.verdict import GUARD_FACTOR
-from verify.calibration.kinematics.chain import Parameter
 from verify.calibration.kinematics.identifiability import (
     Identifiability,
     identifiability,
@@ -64,8 +63,7 @@ class ClockPrediction:
 class PredictedIdentifiability:
     """The arm's parameters that could be identified, beside what rig and marker leave open."""
 
-    parameters: tuple[Parameter, ...]  # those supported
-    standard_uncertainty: Array  # m or rad
+    standard_uncertainty: Array  # m or rad, of the supported ones
     support: Identifiability
     indexes: dict[str, float]
 
@@ -133,27 +131,20 @@ def predict_geometry(setup: PlanningSetup, model: JointErrorModel) -> PredictedI
     _, size, vt = np.linalg.svd(information[:, own], full_matrices=False)
     spread = np.linalg.norm(vt.T / size, axis=1) * tolerance
     indexes = observability_indices(information[:, own], len(model.comparison))
-    return PredictedIdentifiability(supported.supported, spread, supported, indexes)
+    return PredictedIdentifiability(spread, supported, indexes)
 
 
-@dataclass(frozen=True, slots=True)
-class UncertaintyShare:
-    """One source's part of the mean errors' standard uncertainty."""
+def uncertainty_sources(session: PredictedSession, analysis: PredictedAnalysis) -> dict[str, Array]:
+    """Split the mean errors' uncertainties by source: the squares add up where all are stated.
 
-    name: str
-    share: Array  # (j,), rad; nan where the mean is not known
-
-
-def uncertainty_sources(
-    session: PredictedSession, analysis: PredictedAnalysis
-) -> list[UncertaintyShare]:
-    """Split the mean errors' uncertainties by source: the squares add up where all are stated."""
-    found = [UncertaintyShare(RANDOM_SOURCE, analysis.means.random)]
+    Standard uncertainty (j,), rad, each; nan where the mean is not known.
+    """
+    found = {RANDOM_SOURCE: analysis.means.random}
     by_row = mean_sensitivities(session.model, analysis.resolved)
     for name, columns in _columns(session).items():
         share: Array = np.linalg.norm(by_row @ session.model.white.rows(columns), axis=1)
         if np.any(share > 0):
-            found.append(UncertaintyShare(name, share))
+            found[name] = share
     return found
 
 
@@ -198,12 +189,12 @@ def joint_levers(session: PredictedSession) -> Array:
     return np.where(levers > TOL_LEVER, levers, 0.0)
 
 
-def group_sources(sources: list[UncertaintyShare]) -> dict[str, Array]:
+def group_sources(sources: dict[str, Array]) -> dict[str, Array]:
     """Add up the sources by what is to be done about them: standard uncertainty (j,), rad, each."""
     variance: dict[str, Array] = {}
-    for one in sources:
-        group = GROUPS.get(one.name, "calibration")
-        variance[group] = variance.get(group, np.zeros(len(one.share))) + one.share**2
+    for name, share in sources.items():
+        group = GROUPS.get(name, "calibration")
+        variance[group] = variance.get(group, np.zeros(len(share))) + share**2
     return {name: np.sqrt(of) for name, of in variance.items()}
 
 

@@ -106,12 +106,12 @@ def fault_table(predicted: SessionPrediction) -> pd.DataFrame:
     return pd.DataFrame(rows, columns=names)
 
 
-def source_table(sources: list[prediction.UncertaintyShare]) -> pd.DataFrame:
+def source_table(sources: dict[str, Array]) -> pd.DataFrame:
     """Sources of each joint's uncertainty."""
     rows = [
-        (j + 1, one.name, u)
-        for one in sources
-        for j, u in enumerate(np.rad2deg(one.share).tolist())
+        (j + 1, name, u)
+        for name, share in sources.items()
+        for j, u in enumerate(np.rad2deg(share).tolist())
     ]
     return pd.DataFrame(rows, columns=["joint", "source", "standard_uncertainty_deg"])
 
@@ -206,9 +206,7 @@ def flange_entry(session: PredictedSession) -> dict[str, Any]:
 
 
 def accuracy_entries(
-    predicted: SessionPrediction,
-    sources: list[prediction.UncertaintyShare],
-    tolerance: Array | None,
+    predicted: SessionPrediction, sources: dict[str, Array], tolerance: Array | None
 ) -> list[dict[str, Any]]:
     """Each joint's lever, largest uncertainty, what its mean's comes from, and what conforms."""
     levers, parts = prediction.joint_levers(predicted.session), prediction.group_sources(sources)
@@ -309,8 +307,9 @@ def _clock(predicted: SessionPrediction) -> dict[str, Any]:
 
 
 def _geometry(found: prediction.PredictedIdentifiability) -> dict[str, Any]:
+    supported = found.support.supported
     return {
-        "supported": len(found.parameters),
+        "supported": len(supported),
         "candidates": found.support.candidates,
         "rank": found.support.rank,
         "parameters": [
@@ -319,7 +318,7 @@ def _geometry(found: prediction.PredictedIdentifiability) -> dict[str, Any]:
                 "unit": "deg" if parameter.angular else "mm",
                 "standard_uncertainty": float(u / (FROM_DEG if parameter.angular else FROM_MM)),
             }
-            for parameter, u in zip(found.parameters, found.standard_uncertainty, strict=True)
+            for parameter, u in zip(supported, found.standard_uncertainty, strict=True)
         ],
         "held": [
             {"name": held.parameter.name, "reason": "gauge" if held.redundant else "not_supported"}

@@ -120,7 +120,6 @@ def make_spots(
         covariance=np.tile(sigma**2 * np.eye(2), (n, 1, 1)),
         peak=np.full(n, 200.0),
         diameter=np.full(n, 6.0),
-        elongation=np.ones(n),
         misfit=np.ones(n),
         saturated=np.zeros(n, dtype=bool),
         merged=np.zeros(n, dtype=bool) if merged is None else merged,

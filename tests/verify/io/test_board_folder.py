@@ -48,7 +48,7 @@ def refusal(folder: Path, board: Board | None = None) -> str:
 def test_pairs_come_as_they_were_taken(folder: Path) -> None:
     (folder / "rig.toml").write_text("not even TOML: it is never read")
     boards = open_board_folder(folder)
-    assert (boards.board, boards.image_size, boards.turned) == (BOARD, (64, 48), False)
+    assert (boards.board, boards.image_size) == (BOARD, (64, 48))
     assert boards.warnings == ()
     assert set(boards.inputs) == {"board.toml", "left", "right"}
     left, right = seen(boards)
@@ -65,7 +65,6 @@ def test_pan_columns_are_read_with_times_and_without(folder: Path) -> None:
         boards = open_board_folder(folder)
         assert_allclose(boards.pan_left, np.radians([5, 10, 0]))
         assert_allclose(boards.pan_right, np.radians([-5, -5, 2.5]))
-        assert boards.turned
         assert boards.warnings == ()
         assert [pair.pan_left for pair in boards.pairs()] == boards.pan_left.tolist()
 
@@ -237,7 +236,7 @@ def test_what_is_no_picture_or_of_another_size_is_named(
 @pytest.mark.shared
 def test_the_recorded_boards_and_the_real_ones_open() -> None:
     boards = open_board_folder(require_shared() / "calibration_boards")
-    assert (len(boards), boards.image_size, boards.turned) == (20, (1280, 720), False)
+    assert (len(boards), boards.image_size, np.ptp(boards.pan_left)) == (20, (1280, 720), 0)
     assert_allclose(np.degrees(boards.pan_left), 7.5)
     real = open_board_folder(require_shared().parent / "data" / "stereo_checkerboard_opencv", BOARD)
     assert (len(real), real.name(9)) == (13, "left11.jpg and right11.jpg")

@@ -25,11 +25,6 @@ NODES, WEIGHTS = (part / 2 for part in np.polynomial.legendre.leggauss(64))  # o
 NODES = NODES + 0.5  # of (0, 1)
 
 
-def accuracy(attained: Array, commanded: Array) -> float:
-    """AP (m): distance of the attained positions' barycentre (n, 3) from the commanded one (3,)."""
-    return float(np.linalg.norm(attained.mean(axis=0) - commanded))
-
-
 def barycentre_distances(attained: Array) -> Array:
     """Distance l_j (m) of each attained position from the barycentre: (..., n, 3) to (..., n)."""
     lengths: Array = np.linalg.norm(attained - attained.mean(axis=-2, keepdims=True), axis=-1)
@@ -53,12 +48,6 @@ def orientation_deviations(attained: Array, commanded: Array) -> Array:
     the rotation vector, to the second order; unlike theirs it has no singular orientation.
     """
     return Rotation.from_matrix(attained @ commanded.T).as_rotvec()
-
-
-def angle_repeatability(angles: Array) -> Array:
-    """RP_a, RP_b, RP_c (3,), rad: three standard deviations of each angle (n, 3) about its mean."""
-    spread: Array = REPEATABILITY_SIGMAS * angles.std(axis=0, ddof=1)
-    return spread
 
 
 def barycentre_spread(barycentres: Array) -> tuple[float, tuple[int, int]]:

@@ -4,6 +4,7 @@ Degrees, and the units of docs/results.md; null for what is not known.
 """
 
 import math
+from collections.abc import Hashable
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from verify.analysis.diagnosis.causes import Cause, CauseCandidate
 from verify.analysis.diagnosis.faults import UNIT_SCALES, Fault
 from verify.analysis.sweeps.axis import UncertainValue
 from verify.analysis.sweeps.sweeps import JointSweep
-from verify.analysis.uncertainty.budget import BUDGET_COLUMNS, Budget
+from verify.analysis.uncertainty.budget import Budget
 from verify.analysis.uncertainty.monte_carlo import MAX_RATIO_ERROR, MAX_SHIFT, SEED, MonteCarlo
 from verify.core.records import Array
 from verify.core.statistics import correlation
@@ -29,8 +30,7 @@ SWEEP_COLUMNS = [
 
 def budget_entry(found: Budget) -> dict[str, Any]:
     """What summary.json says of the budget: a joint's lines, their sum, and what is not in it."""
-    columns = [found.lines[name].tolist() for name in BUDGET_COLUMNS]
-    lines = [dict(zip(BUDGET_COLUMNS, line, strict=True)) for line in zip(*columns, strict=True)]
+    lines = found.lines.to_dict("records")
     joints = [
         {
             "joint": j + 1,
@@ -52,7 +52,7 @@ def budget_entry(found: Budget) -> dict[str, Any]:
     return {"uncounted": list(found.uncounted), "unstated": unstated, "joints": joints}
 
 
-def _source_entry(line: dict[str, Any]) -> dict[str, Any]:
+def _source_entry(line: dict[Hashable, Any]) -> dict[str, Any]:
     """One line of a joint's budget."""
     return {
         "source": line["source"],

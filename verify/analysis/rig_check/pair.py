@@ -26,7 +26,6 @@ class PairEquations:
     """One pair's normal equations for the figures, and what its pixels do to them."""
 
     seen: Measurement
-    pose: Pose
     led: tuple[NDArray[np.int64], NDArray[np.int64]]  # of each spot, left and right
     pan: tuple[float, float]  # rad, as read
     information: Array  # (3, 3); 0 for a figure that the pair does not show
@@ -86,8 +85,8 @@ def _rows(pairs: Sequence[PosedPair], marker: Marker) -> list[PairEquations]:
     shown = np.diagonal(information, axis1=1, axis2=2) > 0
     value = (invert_shown(information) @ wanted[:, :, None])[:, :, 0]
     return [
-        PairEquations(seen, pose, (left.led, right.led), (left.pan, right.pan), *figured)
-        for (seen, pose, left, right), *figured in zip(
+        PairEquations(seen, (left.led, right.led), (left.pan, right.pan), *figured)
+        for (seen, _, left, right), *figured in zip(
             pairs, information, wanted, functional, np.where(shown, value, np.nan), strict=True
         )
     ]

@@ -156,11 +156,6 @@ def perpendiculars(direction: Array) -> Array:
     return np.asarray(np.linalg.svd(direction[None])[2][1:], dtype=np.float64)
 
 
-def predict_sweep(swept: SweepData, terms: Array, state: AxisState) -> Array:
-    """Poses (n, 4, 4) that the parameters give."""
-    return _predict_poses(swept, terms, state)[0]
-
-
 def fit_terms(
     swept: SweepData, direction: Array, rate: Array | None, *, circular: bool
 ) -> tuple[EncoderTerms, AxisFit]:

@@ -8,14 +8,16 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 import robots
+from verify.analysis.least_squares import autocorrelation
 from verify.analysis.rig_check.check import drop_registration
+from verify.analysis.sweeps import axis as circles
 from verify.analysis.sweeps.segments import SweepSegment
-from verify.calibration.axes.axis import SweepAxis, fit_axis
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement, rigid_transform
+from verify.core.records import Array, Measurement
 from verify.io.session.session import Session
 from verify.measurement.systematics import sensitivities, stated_systematics
 
+MIN_POSES = 6  # an axis has four unknowns, and each pair one of its own
 MAX_PARALLEL_ANGLE = np.deg2rad(5.0)  # axes nearer to parallel have no common normal to speak of
 STEP = 1e-6  # rad and m, of numerical derivatives: small against curvature, large against rounding
 MAX_PAIRS = 150  # of one sweep, evenly spread: more only cost time
@@ -72,20 +74,6 @@ def tilt_between(one: AxisLine, other: AxisLine) -> Array:
     return other.direction * np.sign(one.direction @ other.direction) - one.direction
 
 
-def frame_of_lines(one: AxisLine, other: AxisLine) -> Array:
-    """A frame of two lines, (4, 4): z along one, origin on it where the common normal meets it.
-
-    x is along one × other; the lines must not be parallel.
-    """
-    x = np.cross(one.direction, other.direction)
-    x = x / np.linalg.norm(x)
-    apart = other.point - one.point
-    # one + s z1 and other + t z2 are joined by x: solve for s
-    solved = np.linalg.solve(np.stack([one.direction, -other.direction, x], axis=1), apart)
-    turn = np.stack([x, np.cross(one.direction, x), one.direction], axis=1)
-    return rigid_transform(turn, one.point + solved[0] * one.direction)
-
-
 def step_line(line: AxisLine, across: Array, step: Array) -> AxisLine:
     """A line moved by its four small parameters: direction, then point, along `across` (2, 3)."""
     direction = line.direction + step[:2] @ across
@@ -110,6 +98,70 @@ def line_derivative(
 
 
 @dataclass(frozen=True, slots=True)
+class SweepAxis:
+    """A line in the rig, and the turn about it.
+
+    Its four parameters are small: two of the direction along `across`, and two of the point along
+    the same two directions.
+    """
+
+    direction: Array  # (3,), unit vector in the rig, along which the joint's angle grows
+    point: Array  # (3,), m, on the axis, nearest the middle of the flange's path
+    across: Array  # (2, 3), unit vectors at right angles to the direction
+    covariance: Array  # (4, 4), rad and m: direction, then point, along `across`
+    by_pose: Array  # (4, 6 n), how the measured poses move the axis
+    angle: Array  # (n,), rad, turned about the axis; the mean is the encoder's
+    angle_covariance: Array  # (n, n)
+    angle_by_pose: Array  # (n, 6 n)
+    noise: float  # by what the poses' stated uncertainty was multiplied, >= 1
+
+
+def fit_axis(poses: Array, covariance: Array, q: Array) -> SweepAxis:
+    """Find the line about which n >= 6 poses (n, 4, 4), rig_T_flange, turn.
+
+    The circle-point fit of the analysis with all points of the flange at once and one free angle a
+    pair: encoders only start it and set the angles' mean. No table of the arm enters.
+
+    The covariance (n, 6, 6) is in m and rad, its perturbation on the left in rig axes. The joint's
+    encoder q (n,), rad, starts the fit and orients the axis; its mean is the zero that the angles
+    need.
+
+    Raises:
+        ValueError: fewer than six poses.
+    """
+    n = len(poses)
+    if n < MIN_POSES:
+        raise ValueError(f"needs six poses or more, got {n}")
+    swept = circles.SweepData(poses, covariance, np.zeros((n, 6, 0)), q, np.zeros(n))
+    # a free angle a pair, less the mean of all, which the start pose holds
+    terms = np.linalg.svd(np.ones((1, n)))[2][1:].T
+    state = circles.fit_circles(swept, terms).state
+    # a point by the path's middle: far from it the direction's doubt would move the point
+    shift = state.direction @ (poses[:, :3, 3].mean(axis=0) - state.point)
+    found = circles.fit_circles(
+        swept, terms, replace(state, point=state.point + shift * state.direction)
+    )
+    state = found.state
+    degrees = 6 * n - (circles.N_FREE + n - 1)
+    chi2 = float(np.sum(found.residual**2))
+    scatter = max(1.0, chi2 / degrees) * float(np.mean(autocorrelation(found.residual)))
+    covariance = found.solved.covariance
+    gain = (covariance @ found.rows.T).reshape(-1, n, 6)
+    by_pose = np.einsum("knj,nji->kni", gain, found.white).reshape(-1, 6 * n)
+    return SweepAxis(
+        direction=state.direction,
+        point=state.point,
+        across=circles.perpendiculars(state.direction),
+        covariance=covariance[: circles.N_LINE, : circles.N_LINE] * scatter,
+        by_pose=by_pose[: circles.N_LINE],
+        angle=circles.sweep_angle(swept, terms, state),
+        angle_covariance=terms @ covariance[circles.N_FREE :, circles.N_FREE :] @ terms.T * scatter,
+        angle_by_pose=-terms @ by_pose[circles.N_FREE :],
+        noise=float(np.sqrt(scatter)),
+    )
+
+
+@dataclass(frozen=True, slots=True)
 class JointSweepResult:
     """One sweep: the joint's axis, and its turn against the encoder."""
 
@@ -126,11 +178,6 @@ class JointSweepResult:
     def span(self) -> float:
         """From the least to the largest reading, rad."""
         return float(np.ptp(self.q[:, self.joint - 1]))
-
-    @property
-    def covariance(self) -> Array:
-        """Of the axis's four parameters, everything included, (4, 4)."""
-        return self.axis.covariance + self.by_source @ self.by_source.T
 
     @property
     def line(self) -> AxisLine:

@@ -1,8 +1,7 @@
-"""Joint axes from one-joint sweeps, compared with the arm's table: twists, lengths, and the base.
+"""Joint axes from one-joint sweeps, compared with the arm's table: twists and lengths.
 
 Each sweep gives one joint's axis in the rig and its turn against its encoder, without base, LED
-positions or table; then twists and link lengths of neighbouring axes are compared with the table,
-and axes 1 and 2 give the base.
+positions or table; then twists and link lengths of neighbouring axes are compared with the table.
 """
 
 from collections.abc import Sequence
@@ -12,7 +11,6 @@ import numpy as np
 from scipy.linalg import block_diag
 
 import robots
-from robots.transforms import difference, invert
 from verify.analysis.measured import session_clock
 from verify.analysis.sweeps.segments import MAX_REST_TRAVEL, SweepSegment, find_sweeps
 from verify.calibration.axes.joint import (
@@ -22,7 +20,6 @@ from verify.calibration.axes.joint import (
     are_parallel,
     distance_between,
     fit_joint,
-    frame_of_lines,
     line_derivative,
     line_in_base,
     tilt_between,
@@ -52,15 +49,6 @@ class AxisPair:
     distance_table: float
     distance_uncertainty: float
     agrees: bool
-
-
-@dataclass(frozen=True, slots=True)
-class BaseFromAxes:
-    """The robot's base by its own first two axes."""
-
-    rig_T_base: Array  # (4, 4)
-    covariance: Array  # (6, 6), m and rad, perturbation on the left, rig axes
-    difference: Array | None  # (6,), m and rad, less the registered base; None: none registered
 
 
 def compare_with_table(
@@ -127,42 +115,12 @@ def _joint_covariance(one: JointSweepResult, other: JointSweepResult) -> Array:
     return total
 
 
-def base_from_axes(
-    arm: robots.Arm, joints: tuple[JointSweepResult, ...], registered: Array | None
-) -> BaseFromAxes | None:
-    """The base by joints 1 and 2, None unless both were swept, beside rig_T_base (4, 4) if known.
-
-    Its z is axis 1, its turn about that rests on joint 1's zero.
-    """
-    first, second = (next((j for j in joints if j.joint == n), None) for n in (1, 2))
-    if first is None or second is None:
-        return None
-    table = _in_base(arm, first, second)
-    if are_parallel(*table):
-        return None
-    frame_T_base = invert(frame_of_lines(*table))
-    lines, across = (first.line, second.line), (first.axis.across, second.axis.across)
-    base: Array = frame_of_lines(*lines) @ frame_T_base
-
-    def moved(one: AxisLine, other: AxisLine) -> Array:
-        return difference(frame_of_lines(one, other) @ frame_T_base, base)
-
-    by_lines = line_derivative(moved, lines, across)
-    return BaseFromAxes(
-        rig_T_base=base,
-        covariance=by_lines @ _joint_covariance(first, second) @ by_lines.T,
-        difference=None if registered is None else difference(base, registered),
-    )
-
-
 @dataclass(frozen=True, slots=True)
 class SweepResult:
     """What one-joint sweeps show."""
 
     joints: tuple[JointSweepResult, ...]
     pairs: tuple[AxisPair, ...]
-    base: BaseFromAxes | None  # where joints 1 and 2 were swept
-    clock_offset: float  # s, added to the readings' time
     decisions: tuple[str, ...]
     warnings: tuple[str, ...]
 
@@ -198,14 +156,10 @@ def axes_from_sweeps(session: Session, measurements: Sequence[Measurement]) -> S
         )
     joints = tuple(fit_joint(session, measured, readings, sweep) for sweep in useful)
     pairs = compare_with_table(session.arm, joints)
-    registered = session.rig.rig_T_base if session.rig.registered else None
-    base = base_from_axes(session.arm, joints, registered)
     return SweepResult(
         joints=joints,
         pairs=pairs,
-        base=base,
-        clock_offset=offset,
-        decisions=tuple(_decisions(joints, pairs, base)),
+        decisions=tuple(_decisions(joints, pairs)),
         warnings=(*notes, *small),
     )
 
@@ -231,9 +185,7 @@ def _wide_sweeps(sweeps: list[SweepSegment]) -> tuple[list[SweepSegment], list[s
     return useful, notes
 
 
-def _decisions(
-    joints: tuple[JointSweepResult, ...], pairs: tuple[AxisPair, ...], base: BaseFromAxes | None
-) -> list[str]:
+def _decisions(joints: tuple[JointSweepResult, ...], pairs: tuple[AxisPair, ...]) -> list[str]:
     words = []
     for j in joints:
         off = (j.gear - 1) / j.gear_uncertainty
@@ -249,7 +201,7 @@ def _decisions(
         words.append(f"Axes that differ from the table: {'; '.join(wrong)}.")
     elif pairs:
         words.append("All axes that were swept one after the other agree with the table.")
-    if base is not None:
+    if any(p.joints == (1, 2) and not p.parallel for p in pairs):
         q = next(j for j in joints if j.joint == 2).q[:, 0].mean()
         words.append(
             f"The base by axes 1 and 2: its turn about axis 1 rests on joint 1's encoder, at "

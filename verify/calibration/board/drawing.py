@@ -4,9 +4,8 @@ Millimetres throughout, x to the right and y down from the sheet's top left corn
 by typst; every coordinate is the layout's own.
 """
 
+import io
 import json
-import struct
-import zlib
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any, cast
@@ -14,6 +13,7 @@ from typing import Any, cast
 import cv2
 import numpy as np
 import typst
+from PIL import Image
 
 from verify.core import fiducials
 from verify.core.fiducials import Board
@@ -223,7 +223,9 @@ def png(board: Board, layout: PageLayout) -> bytes:
     scale = PX_PER_MM[layout.paper]
     drawn = _typeset(board, layout, format="png", ppi=scale * MM_PER_INCH)
     image = cv2.imdecode(np.frombuffer(drawn, dtype=np.uint8), cv2.IMREAD_GRAYSCALE)
-    return _with_resolution(cv2.imencode(".png", np.asarray(image))[1].tobytes(), 1000 * scale)
+    encoded = io.BytesIO()
+    Image.fromarray(np.asarray(image)).save(encoded, "png", dpi=(scale * MM_PER_INCH,) * 2)
+    return encoded.getvalue()
 
 
 def _typeset(board: Board, layout: PageLayout, **options: Any) -> bytes:
@@ -262,14 +264,3 @@ def _rulers(layout: PageLayout) -> tuple[list[Any], list[Any]]:
     lines += [((x, foot - at), (x - long, foot - at)) for at, long in ticks(length)]
     labels += [(x - RULER_MM + 1.8, foot - at, f"{at:g}") for at in np.arange(10, length + 1, 10)]
     return lines, [*labels, (x - 4, foot + 2.5, "0 mm")]
-
-
-def _with_resolution(encoded: bytes, per_metre: int) -> bytes:
-    """Put a pHYs chunk behind the header of a PNG.
-
-    Source: W3C, Portable Network Graphics, third edition, sections 5.3 and 11.3.4.3.
-    """
-    body = b"pHYs" + struct.pack(">IIB", per_metre, per_metre, 1)  # 1: the unit is the metre
-    chunk = struct.pack(">I", len(body) - 4) + body + struct.pack(">I", zlib.crc32(body))
-    header = 8 + 25  # bytes: signature, IHDR
-    return encoded[:header] + chunk + encoded[header:]

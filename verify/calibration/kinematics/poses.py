@@ -41,9 +41,6 @@ def build_poses(
     measured: Array,
     covariance: Array | None = None,
     *,
-    base: Rows | None = None,
-    tool: Rows | None = None,
-    block: Rows | None = None,
     nuisance: Array | None = None,
     determined: tuple[Array, ...] | None = None,
 ) -> IdentificationPoses:
@@ -51,10 +48,9 @@ def build_poses(
 
     `measured` is (n, 4, 4) or (n, 3), m, in any fixed frame, its covariance (n, 6, 6) or (n, 3, 3),
     m and rad; None: not known, and estimated from what is left, one variance for positions and one
-    for turns. `base` (n,) and `tool` (n,) number each row's placing of the robot and its mounting
-    or target, all the same where not given; rows of one `block` (n,) are held out together, each by
-    itself where not given. `nuisance` (n, 6, p) holds effects of unit variance that all rows share,
-    `determined` n functionals (6, d) of a pose that were measured, all where not given.
+    for turns. `nuisance` (n, 6, p) holds effects of unit variance that all rows share, `determined`
+    n functionals (6, d) of a pose that were measured, all where not given. Placing of the robot,
+    mounting of the target and recording are one, and each row is a block by itself.
 
     Raises:
         ValueError: shapes that do not fit together.
@@ -71,10 +67,10 @@ def build_poses(
         world_T_target=np.asarray(targets, dtype=float),
         whitener=_whitener(n, size, covariance, determined),
         stated=covariance is not None,
-        base=none if base is None else base,
-        tool=none if tool is None else tool,
+        base=none,
+        tool=none,
         recording=none,
-        block=np.arange(n) if block is None else block,
+        block=np.arange(n),
         nuisance=np.zeros((n, 6, 0)) if nuisance is None else nuisance,
         position_only=position_only,
     )

@@ -4,6 +4,7 @@ from collections.abc import Collection, Iterator, Mapping, Sequence
 
 import numpy as np
 
+from reports.document.formatting import join_words
 from verify.calibration.quality.coverage import ImageCoverage
 from verify.calibration.quality.quality import (
     NOISE_GROUP,
@@ -113,7 +114,7 @@ def _image(covered: ImageCoverage) -> Iterator[str]:
         if chosen.any():
             names = [_region(row, column) for row, column in np.argwhere(chosen).tolist()]
             yield (
-                f"{word} lies in the {_join_words(names)} of the {side} image: the lens is "
+                f"{word} lies in the {join_words(names)} of the {side} image: the lens is "
                 "extrapolated there. Hold the board there."
             )
     bare = [
@@ -123,7 +124,7 @@ def _image(covered: ImageCoverage) -> Iterator[str]:
     ]
     if bare and covered.regions.any():
         yield (
-            f"No corner comes near the {_join_words(bare)} of the {side} image: the lens "
+            f"No corner comes near the {join_words(bare)} of the {side} image: the lens "
             "distortion is extrapolated there. Let the board reach into it."
         )
     elif 0 < covered.reach < MIN_RADIUS_SHARE:
@@ -212,7 +213,3 @@ def _square(calibration: Calibration) -> Iterator[str]:
         f"{abs(found - stated) / both:.0f} times the uncertainty: the pairs contradict each "
         "other. Check that left and right were taken at one instant, and that no camera moved."
     )
-
-
-def _join_words(words: list[str]) -> str:
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"

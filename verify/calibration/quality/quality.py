@@ -252,10 +252,7 @@ def draw_rectified(rig: Rig, left: Image, right: Image, pan: Array | None = None
     both = np.concatenate([pictures[0], gap, pictures[1]], axis=1)
     for y in np.linspace(0, len(both), N_LINES + 1)[1:-1]:
         cv2.line(both, (0, round(float(y))), (both.shape[1] - 1, round(float(y))), LINE_COLOUR, 1)
-    encoded, png = cv2.imencode(".png", both)
-    if not encoded:
-        raise ValueError("OpenCV could not encode the preview as PNG")
-    return png.tobytes()
+    return cv2.imencode(".png", both)[1].tobytes()
 
 
 def _rectify(picture: Image, camera: Camera, turn: Array, new: Array) -> Image:

@@ -43,10 +43,7 @@ class FixtureRegistration:
     """The robot's place in the rig, and what it rests on."""
 
     rig: Rig  # with rig_T_base, its covariance and the registration's id
-    registration: str  # "sha256:…", over the rig that was found
-    rig_T_board: Array  # (4, 4)
-    board_covariance: Array  # (6, 6), m and rad, rig axes: corners, pan readings and rig
-    base_covariance: Array  # (6, 6), the same with the fixture's own uncertainty
+    base_covariance: Array  # (6, 6), m and rad, rig axes: corners, pan readings, rig and fixture
     frames: NDArray[np.int64]  # (n,), pairs that were used
     pair_difference: Array  # (n, 6), m and rad: each pair's board less the common one
     pair_chi2: Array  # (n,), 6 degrees of freedom: that difference in its own uncertainty
@@ -113,13 +110,10 @@ def register_fixture(
         rig, rig_T_base=base, base_source="fixture", registration=None, absorption=None,
         covariance=covariance,
     )  # fmt: skip
-    registration = f"sha256:{sha256(io_rig.encode(placed)).hexdigest()}"
+    placed = replace(placed, registration=f"sha256:{sha256(io_rig.encode(placed)).hexdigest()}")
     left = [m.pose.residual[~m.pose.rejected] for i in used if (m := seen[i]).pose]
     return FixtureRegistration(
-        rig=replace(placed, registration=registration),
-        registration=registration,
-        rig_T_board=common.pose,
-        board_covariance=common.covariance,
+        rig=placed,
         base_covariance=by_board @ common.covariance @ by_board.T + fixture,
         frames=np.array([seen[i].frame for i in used], dtype=np.int64),
         pair_difference=common.difference,

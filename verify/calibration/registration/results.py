@@ -83,7 +83,7 @@ def fixture_results(found: FixtureRegistration, origin: ResultsOrigin | None = N
         **(origin or ResultsOrigin()).summary("registration"),
         "method": "fixture",
         "robot": "a robot by a board on its base",
-        "registration": found.registration,
+        "registration": found.rig.registration,
         "pairs": {"used": len(found.frames), "left_out": {}},
         "base": _base(found.rig.rig_T_base, u, held=False),
         "leds": [],

@@ -72,14 +72,6 @@ class Estimate:
         return self.noise**2 * self.design_effect
 
 
-def invert(matrix: Array) -> Array:
-    """Invert a positive definite matrix whose rows differ in unit."""
-    size = np.sqrt(np.diag(matrix))
-    inner = np.linalg.inv(matrix / np.outer(size, size))
-    inverse: Array = (inner + inner.T) / 2 / np.outer(size, size)
-    return inverse
-
-
 def estimate_state(
     state: BundleState, corners: CornerStack, model: AdjustmentModel, used: NDArray[np.bool_]
 ) -> Estimate:
@@ -91,7 +83,7 @@ def estimate_state(
     squares = bundle.cost(state, corners, model, weight)
     finest = MIN_SCATTER_PX / float(np.median(corners.uncertainty))
     noise = max(float(np.sqrt(squares / max(degrees, 1))), finest)
-    root = _inverse_root(basis.T @ system.total @ basis)
+    root = inverse_root(basis.T @ system.total @ basis)
     share = root @ (basis.T @ system.information @ basis) @ root.T
     pull = system.gradient @ basis @ root.T / noise
     factor, factor_degrees = design_effect(share, pull)
@@ -103,7 +95,7 @@ def estimate_state(
     )
 
 
-def _inverse_root(matrix: Array) -> Array:
+def inverse_root(matrix: Array) -> Array:
     """A root R of the inverse of a positive definite matrix, R' R, whose rows differ in unit."""
     size = np.sqrt(np.diag(matrix))
     values, directions = np.linalg.eigh(matrix / np.outer(size, size))

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.linalg import block_diag
 from scipy.optimize import minimize_scalar
 
-from verify.calibration.stereo.estimate import Estimate, invert, readjust
+from verify.calibration.stereo.estimate import Estimate, inverse_root, readjust
 from verify.calibration.stereo.parameters import CornerStack
 from verify.core.records import Array
 
@@ -133,7 +133,8 @@ def _error_information(found: Estimate, columns: list[int]) -> tuple[Array, Arra
         blocks.append(inner[count:, count:] - inner[count:, :count] @ pose @ inner[:count, count:])
         pulls.append(pull[count:] - inner[count:, :count] @ pose @ pull[:count])
     through = np.concatenate(between)
-    inverse = invert(found.basis.T @ rig @ found.basis)
-    information = block_diag(*blocks) - through @ inverse @ through.T
-    pull = np.concatenate(pulls) - through @ inverse @ (found.basis.T @ rig_pull)
+    root = inverse_root(found.basis.T @ rig @ found.basis)
+    through = through @ root.T
+    information = block_diag(*blocks) - through @ through.T
+    pull = np.concatenate(pulls) - through @ (root @ found.basis.T @ rig_pull)
     return information / found.noise**2, pull / found.noise**2

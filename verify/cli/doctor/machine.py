@@ -18,6 +18,7 @@ from serial.tools import list_ports
 from verify.core.records import Image
 from verify.core.version import __version__
 from verify.errors import InputError
+from verify.io.encoding import write_video
 from verify.io.video import open_images
 from verify.live.recording.matroska import MatroskaFile, PictureEncoder, picture_format
 
@@ -120,11 +121,8 @@ def _ffv1(image: Image) -> Finding:
     """Try the codec of recordings by other programs, simulated ones included."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "video.mkv"
-        code = cv2.VideoWriter.fourcc(*"FFV1")
-        writer = cv2.VideoWriter(str(path), code, 30.0, (image.shape[1], image.shape[0]), False)
-        writer.write(image)
-        writer.release()
         try:
+            write_video(path, [image], 30.0)
             back = list(open_images(path).images())
         except InputError as error:
             return Finding("FFV1", "fails", str(error))

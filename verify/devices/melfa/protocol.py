@@ -137,7 +137,6 @@ class JointPosition:
 class RunState:
     """STATE: whether the robot's program runs."""
 
-    program: str
     running: bool
     servo_on: bool
     emergency_stop: bool
@@ -190,7 +189,7 @@ def parse_state(data: str) -> RunState | None:
     if match is None:
         return None
     run, stop = int(match[1], 16), int(match[2], 16)
-    return RunState(fields[0], bool(run & 0x40), bool(run & 0x20), bool(stop & 0x01), int(match[3]))
+    return RunState(bool(run & 0x40), bool(run & 0x20), bool(stop & 0x01), int(match[3]))
 
 
 def parse_error(data: str) -> int | None:

@@ -10,7 +10,7 @@ from typing import Any
 
 from verify.errors import InputError, one_line
 from verify.fleet.batch.records import UNREADABLE, SessionFailure, SessionLocation, printable_path
-from verify.io.files import refused_as_input_error, system_refusal
+from verify.io.files import require_folder, system_refusal
 
 EXCLUDED_FILES = ("truth.csv",)  # by a measurement: it is not fetched either
 
@@ -150,12 +150,8 @@ def find_sessions(
 
 
 def _root(text: str) -> str:
-    path = Path(text)
-    with refused_as_input_error(path):
-        if not path.is_dir():
-            found = "is a file" if path.exists() else "does not exist"
-            raise InputError(path, found, "a folder is expected", "Name the folder above.")
-    return str(path)
+    require_folder(Path(text), "a folder is expected", "Name the folder above.")
+    return str(Path(text))
 
 
 def _identity(folder: str) -> FolderIdentity:

@@ -23,7 +23,6 @@ _MAX_NAME_LETTERS = 40  # of a session's own name in its folder's
 class StoredResults:
     """Results that an earlier batch left."""
 
-    folder: Path
     inputs: dict[str, str]  # digest of all that they rest on
     options: str
 
@@ -50,7 +49,7 @@ class ResultStore:
             for name, was in entry["files"].items():
                 if hashlib.sha256(read_bytes(folder / name)).hexdigest() != was:
                     return None
-            return StoredResults(folder, dict(entry["inputs"]), str(entry["options"]))
+            return StoredResults(dict(entry["inputs"]), str(entry["options"]))
         except (InputError, ValueError, RecursionError, AttributeError, KeyError, TypeError):
             return None
 

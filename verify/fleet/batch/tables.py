@@ -4,9 +4,7 @@ Both tables have as many columns a joint as the fleet's longest arm has joints. 
 joints that an arm does not have, are null. docs/batch.md explains the columns.
 """
 
-import csv
 import hashlib
-import io
 import json
 from collections.abc import Iterable, Iterator, Sequence
 from datetime import UTC, datetime
@@ -267,11 +265,9 @@ def _read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
 
 def write_failures(folder: Path, failures: Iterable[SessionFailure]) -> None:
     """Write failures.csv alone."""
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(FAILURE_COLUMNS)
-    writer.writerows(map(_text_cell, (one.session, one.kind, one.why)) for one in failures)
-    (folder / "failures.csv").write_text(text.getvalue(), encoding="utf-8", newline="")
+    rows = [[*map(_text_cell, (one.session, one.kind, one.why))] for one in failures]
+    table = pd.DataFrame(rows, columns=FAILURE_COLUMNS)
+    table.to_csv(folder / "failures.csv", index=False, lineterminator="\n")
 
 
 def _text_cell(text: str) -> str:

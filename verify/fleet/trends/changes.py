@@ -185,7 +185,7 @@ def _candidate_gains(series: JointSeries, terms: list[TrendTerm], every: list[Tr
     """What each candidate alone would take off χ² beside the terms."""
     design = _design(series, terms)
     tried = scan(series, _months(series), design, fit(series, design))
-    return np.array([getattr(tried, term.kind)[term.place] for term in every])
+    return np.array([tried[term.kind][term.place] for term in every])
 
 
 def _change(

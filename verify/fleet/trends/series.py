@@ -145,16 +145,8 @@ def fit(series: JointSeries, design: Array) -> SeriesFit:
     return SeriesFit(coefficients, covariance, chi2, fitted, residual_weighted, shift)
 
 
-@dataclass(frozen=True, slots=True)
-class ChangeScan:
-    """What a step, or a drift, at each session alone would take off χ² beside a fit; (n,) each."""
-
-    step: Array
-    drift: Array
-
-
-def scan(series: JointSeries, months: Array, design: Array, found: SeriesFit) -> ChangeScan:
-    """Try a step and a drift at every session, in one pass of sums from the end.
+def scan(series: JointSeries, months: Array, design: Array, found: SeriesFit) -> dict[str, Array]:
+    """What a step, or a drift, at each session alone would take off χ² beside a fit; (n,) each.
 
     A step at k is 1 from session k on; a drift at k is the time since session k, from there on. All
     products of such columns with V⁻¹ are sums over the sessions from k on. `months` (n,) is the
@@ -164,10 +156,10 @@ def scan(series: JointSeries, months: Array, design: Array, found: SeriesFit) ->
     step_signal, drift_signal = _tail_sums(months, found.residual_weighted)
     step_common, drift_common = _tail_sums(months, by_weight)
     step_own, drift_own = _squares(series, months)
-    return ChangeScan(
-        step=_gain(step_signal, step_common, step_own, found),
-        drift=_gain(drift_signal, drift_common, drift_own, found),
-    )
+    return {
+        "step": _gain(step_signal, step_common, step_own, found),
+        "drift": _gain(drift_signal, drift_common, drift_own, found),
+    }
 
 
 def _tail_sums(months: Array, values: Array) -> tuple[Array, Array]:

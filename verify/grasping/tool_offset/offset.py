@@ -87,7 +87,6 @@ class _PooledPose:
     pose: Array  # base_T_flange (4, 4)
     off: Array  # (6,), m and rad: less the ordered pose
     covariance: Array  # (6, 6)
-    count: int
 
 
 def average_sights(sights: Sequence[FlangeMeasurement], ordered: Array) -> _PooledPose | str:
@@ -115,7 +114,7 @@ def average_sights(sights: Sequence[FlangeMeasurement], ordered: Array) -> _Pool
     stated = [s.systematic for s, kept in zip(good, near, strict=True) if kept]
     shared = next((s for s in stated if s is not None), np.zeros((6, 6)))
     middle = int(np.argmin(np.abs(z - mean) @ (1 / np.sqrt(np.diag(one)))))
-    return _PooledPose(poses[near][middle], mean, one + shared, len(z))
+    return _PooledPose(poses[near][middle], mean, one + shared)
 
 
 def tool_offset(

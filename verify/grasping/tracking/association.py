@@ -143,8 +143,6 @@ def _next_best_cost(cost: Array, k: int, c: int) -> float:
 def _forced_cost(cost: Array, k: int, c: int) -> float:
     """The cheapest explanation in which object k is candidate c."""
     rest = np.delete(np.delete(cost, k, axis=0), c, axis=1)
-    if not rest.shape[0]:
-        return float(cost[k, c])
     return float(cost[k, c]) + _solve(rest)[1]
 
 

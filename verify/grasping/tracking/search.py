@@ -49,11 +49,10 @@ def search_pair(now: TargetSearch, all_objects: bool) -> tuple[list[StereoObject
     """
     identity = now.identity
     ahead = identity.predicted(now.pair.t_left)
-    if ahead is None or not identity.tracked:
+    found = _search_predicted(now, ahead) if ahead is not None and identity.tracked else None
+    if found is None:
         return _search_pictures(now, None), NO_WINDOWS
-    thing, windows = _search_predicted(now, ahead)
-    if thing is None:
-        return _search_pictures(now, None), NO_WINDOWS
+    thing, windows = found
     if identity.settled and not all_objects:
         return [thing], windows
     return _search_pictures(now, thing), windows
@@ -73,7 +72,7 @@ def left_picture(now: TargetSearch, ahead: KalmanTrack) -> str:
     return ""
 
 
-def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObject | None, Windows]:
+def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObject, Windows] | None:
     """Search for the target where it is predicted."""
     target = now.identity.target
     assert target is not None
@@ -92,22 +91,22 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
             image, camshift.box_around(pixel, 0.5 * extent + sigma), region, model, extent
         )
         if blob is None or blob.similarity < MIN_SIMILARITY or blob.cut:
-            return None, NO_WINDOWS
+            return None
         share = blob.area * pixel_area(exact, depth) / target.area
         if share < MIN_VISIBLE_SHARE:
-            return None, NO_WINDOWS
+            return None
         blobs.append(blob)
         windows.append(region)
         doubts.append(association.centre_uncertainty_ratio(share) * float(extent.max()))
     thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, motion, (doubts[0], doubts[1]))
     if thing is None:
-        return None, NO_WINDOWS
+        return None
     # a finger may hide most of it from one camera alone; what is too large is not half hidden
     hidden = thing.areas.max() < association.COMPLETE_AREA_RANGE[1] * target.area
     if not is_plausible(
         thing, now.options, -math.log(MIN_VISIBLE_SHARE) if hidden else MAX_LOG_AREA_RATIO
     ):
-        return None, NO_WINDOWS
+        return None
     return thing, (windows[0], windows[1])
 
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.fiducials import Board
 from verify.core.records import Array, Image
@@ -56,21 +55,11 @@ class BoardFolder:
         return len(self.pan_left) - len(self.alone)
 
     @property
-    def turned(self) -> bool:
-        """A base was turned between pairs."""
-        return bool(np.ptp(self.pan_left) > 0 or np.ptp(self.pan_right) > 0)
-
-    @property
     def doubtful_pan(self) -> str:
         """A note that the pan angles look like radians; "" where they do not."""
         small = _small_angles((self.pan_left, self.pan_right))
         spans = [f"{name} spans {span:.2g}°" for name, span in small]
         return f"{' and '.join(spans)}, as if in radians" if spans else ""
-
-    @property
-    def frames(self) -> NDArray[np.int64]:
-        """Number of each pair, (n,), from 0."""
-        return np.arange(len(self))
 
     def name(self, frame: int) -> str:
         """Name a pair or a single picture by its files, or by its number in the videos."""

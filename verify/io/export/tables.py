@@ -27,11 +27,7 @@ def write_tum(content: ExportContent, folder: Path) -> None:
     """Write NAME.tum for each series of poses."""
     for name, series in content.poses.items():
         rows = np.column_stack([series.t, series.position, series.quaternion])
-        lines = [
-            f"{row[0]:.9f} {' '.join(f'{value:.12f}' for value in row[1:])}\n"
-            for row in rows.tolist()
-        ]
-        (folder / f"{name}.tum").write_text("".join(lines), encoding="utf-8", newline="\n")
+        np.savetxt(folder / f"{name}.tum", rows, ["%.9f"] + ["%.12f"] * 7)
 
 
 def write_csv(content: ExportContent, folder: Path) -> None:

@@ -112,7 +112,6 @@ class Correspondence:
     right_spot: NDArray[np.int64]  # (k,)
     rig_T_flange: Array | None  # (4, 4), coarse; a turn the LEDs leave open is the reference's
     choice: str  # geometry, colour, continuity, encoders; "" where nothing was identified
-    alternatives: int  # other assignments that geometry and colour explain as well
     status: str  # measured, too_few_leds, ambiguous_leds
 
     @property
@@ -148,10 +147,10 @@ def assign_leds(
     found, lone = _find(views, prediction, expected)
     if len(found) == 0:
         return _no_result("too_few_leds")
-    best, alternatives, rivals = _rank(views, found, prediction)
-    if alternatives == 0 and lone and is_single_led(found)[best]:
+    best, unique, rivals = _rank(views, found, prediction)
+    if unique and lone and is_single_led(found)[best]:
         choice = "continuity"
-    elif alternatives == 0:
+    elif unique:
         choice = "colour" if _needs_colour(views, found, best) else "geometry"
     elif not rivals.any():
         choice = "continuity"
@@ -160,9 +159,9 @@ def assign_leds(
         open_ones = np.flatnonzero(rivals | (np.arange(len(found)) == best))
         nearest = _nearest(views, found.take(open_ones), expected())
         if nearest is None:
-            return _no_result("ambiguous_leds", alternatives)
+            return _no_result("ambiguous_leds")
         best = int(open_ones[nearest])
-    return _build_result(found, best, choice, alternatives)
+    return _build_result(found, best, choice)
 
 
 def _find(
@@ -190,10 +189,10 @@ def _find(
 
 def _rank(
     views: SpotViews, found: Hypotheses, prediction: PosePrediction | None
-) -> tuple[int, int, NDArray[np.bool_]]:
-    """Find the best hypothesis, how many rivals it has, and which ones are also near (h,)."""
+) -> tuple[int, bool, NDArray[np.bool_]]:
+    """Find the best hypothesis, whether it has no rival, and which rivals are also near (h,)."""
     if len(found) == 1:
-        return 0, 0, np.zeros(1, dtype=np.bool_)
+        return 0, True, np.zeros(1, dtype=np.bool_)
     evidence = score(views, found)
     informed = evidence.copy()
     if prediction is not None:
@@ -201,7 +200,7 @@ def _rank(
         informed += np.minimum(off**2, JUMP_COST)
     best = int(np.argmin(informed))
     rivals = conflicts(found, best) & (evidence < evidence[best] + MIN_ADVANTAGE)
-    return best, int(rivals.sum()), rivals & (informed < informed[best] + MIN_ADVANTAGE)
+    return best, not rivals.any(), rivals & (informed < informed[best] + MIN_ADVANTAGE)
 
 
 def _departures(views: SpotViews, found: Hypotheses, prediction: PosePrediction) -> Array:
@@ -235,7 +234,7 @@ def _needs_colour(views: SpotViews, found: Hypotheses, best: int) -> bool:
     return bool(np.any(conflicts(pool, 0) & (evidence < evidence[0] + MIN_ADVANTAGE)))
 
 
-def _build_result(found: Hypotheses, best: int, choice: str, alternatives: int) -> Correspondence:
+def _build_result(found: Hypotheses, best: int, choice: str) -> Correspondence:
     left, right = found.spot[best]
     left_led, right_led = (left >= 0).nonzero()[0], (right >= 0).nonzero()[0]
     return Correspondence(
@@ -245,11 +244,10 @@ def _build_result(found: Hypotheses, best: int, choice: str, alternatives: int) 
         right_spot=right[right_led],
         rig_T_flange=found.rig_T_flange(best),
         choice=choice,
-        alternatives=alternatives,
         status="measured",
     )
 
 
-def _no_result(status: str, alternatives: int = 0) -> Correspondence:
+def _no_result(status: str) -> Correspondence:
     none = np.zeros(0, dtype=np.int64)
-    return Correspondence(none, none, none, none, None, "", alternatives, status)
+    return Correspondence(none, none, none, none, None, "", status)

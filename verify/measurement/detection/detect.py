@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from verify.core.records import Array, Image, Noise, Spots
 from verify.errors import InputError
-from verify.measurement.detection.candidates import DEFAULT_DIAMETER, find_candidates
+from verify.measurement.detection.candidates import DIAMETER_RANGE, find_candidates
 from verify.measurement.detection.kernels import quality as columns
 from verify.measurement.detection.kernels.patches import Picture
 from verify.measurement.detection.kernels.spots import measure_spots
@@ -26,16 +26,15 @@ def detect(
     windows: Array | None = None,
     *,
     noise: Noise | None = None,
-    diameter_px: tuple[float, float] | None = None,
     limit: int = 24,
     lossy: bool = False,
 ) -> Spots:
     """Find the LED-like spots of an image and measure their centres.
 
     `image`: (h, w) grey or (h, w, 3) BGR, uint8. `windows` (m, 4), x0, y0, x1, y1, px: search there
-    only. `noise` is of a pixel of one channel; None estimates it on this image. `diameter_px`:
-    plausible least and largest full width at half height. At most `limit` spots are returned, the
-    most LED-like ones. `lossy`: the image was a JPEG, whose errors are not white.
+    only. `noise` is of a pixel of one channel; None estimates it on this image. At most
+    `limit` spots are returned, the most LED-like ones. `lossy`: the image was a JPEG, whose errors
+    are not white.
 
     Returns:
         Spots by falling peak. Those whose shape no single LED has are flagged `merged` and their
@@ -47,13 +46,12 @@ def detect(
         InputError: not an 8-bit grey or BGR image, or windows of another shape.
     """
     check_image(image, windows)
-    diameter_px = diameter_px or DEFAULT_DIAMETER
-    candidates = find_candidates(image, clip_windows(windows, image), diameter_px)
+    candidates = find_candidates(image, clip_windows(windows, image))
     values, height, width = np.zeros(4), *image.shape[:2]
     if noise is not None:
         values[:3] = noise.read**2, noise.gain, noise.black
     rows, colour = np.empty((limit, columns.N_COLUMNS)), np.empty((limit, 3))
-    wanted = float(diameter_px[0]), float(diameter_px[1]), limit, windows is None, lossy
+    wanted = *DIAMETER_RANGE, limit, windows is None, lossy
     picture = Picture(image.reshape(-1), width, height, 1 if image.ndim == 2 else 3)
     count = measure_spots(
         picture, candidates, values, profile_table(), wanted, noise is None, (rows, colour)
@@ -67,7 +65,6 @@ def detect(
         ),
         peak=rows[:, columns.COL_PEAK].copy(),
         diameter=rows[:, columns.COL_DIAMETER].copy(),
-        elongation=rows[:, columns.COL_ELONGATION].copy(),
         misfit=rows[:, columns.COL_MISFIT].copy(),
         saturated=rows[:, columns.COL_SATURATED] > 0,
         merged=rows[:, columns.COL_MERGED] > 0,

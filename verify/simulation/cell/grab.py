@@ -105,16 +105,15 @@ def cell_grab(
     tracker = TargetTracker(setup.rig, target or ColourSelection(scene.caps[0].colour))
     world = CellWorld(setup, scene)
     cell = CellSource(world, bases, paced=mode.paced)
-    if right is None:
-        aim = Aim(setup.planner, setup.rig)
-        loop = GraspLoop(setup.planner, tracker, aim, None, cell.joints, world.now)
-        return CellRun(world, cell, loop)
-    mover, gripper = cell.devices(right)
-    arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
-    if mode.stepped:
-        arm = SteppedArm(setup.planner, mover)
-    watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker) if mode.closed else None
+    actuators = watch = None
+    if right is not None:
+        mover, gripper = cell.devices(right)
+        arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
+        if mode.stepped:
+            arm = SteppedArm(setup.planner, mover)
+        actuators = Actuators(arm, gripper)
+        if mode.closed:
+            watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker)
     aim = Aim(setup.planner, setup.rig, watch)
-    actuators = Actuators(arm, gripper)
     loop = GraspLoop(setup.planner, tracker, aim, actuators, cell.joints, world.now, auto=mode.auto)
     return CellRun(world, cell, loop)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from robots import DhArm
+from robots import DhArm, link_frames
 from robots.transforms import carry, invert
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Image
@@ -236,17 +236,11 @@ def _draw_led(picture: Image, centre: Array, radius: float) -> None:
 
 
 def joint_points(arm: DhArm, q: Array) -> tuple[Array, Array]:
-    """Points that the links go through (k, 3), m, and base_T_flange (4, 4), by the DH table.
-
-    Source: Denavit and Hartenberg, RotZ(θ) TransZ(d) TransX(a) RotX(α).
-    """
-    frame, points = np.eye(4), [np.zeros(3)]
-    for theta, d, a, alpha in zip(arm.theta(q), arm.d, arm.a, arm.alpha, strict=True):
-        c, s, ca, sa = np.cos(theta), np.sin(theta), np.cos(alpha), np.sin(alpha)
+    """Points that the links go through (k, 3), m, and base_T_flange (4, 4), by the DH table."""
+    frames = link_frames(arm, q[None])[0]
+    points = [np.zeros(3)]
+    for before, frame, d, a in zip(frames[:-1], frames[1:], arm.d, arm.a, strict=True):
         if d and a:  # a corner between the two
-            points.append(carry(frame, np.array([0.0, 0.0, d])))
-        frame = frame @ np.array(
-            [[c, -s * ca, s * sa, a * c], [s, c * ca, -c * sa, a * s], [0, sa, ca, d], [0, 0, 0, 1]]
-        )
+            points.append(carry(before, np.array([0.0, 0.0, d])))
         points.append(frame[:3, 3])
-    return np.array(points), frame
+    return np.array(points), frames[-1]

@@ -67,11 +67,6 @@ class MoveExecution:
         q = np.array([there for _, there in self._past])
         return np.array([np.interp(t, times, column) for column in q.T])
 
-    def place(self, q: Array, t: float) -> None:
-        """Stand still at q from t on."""
-        self._path = None
-        self._past = deque([(t, q)])
-
     def carry_out(self, text: str, q: Array, t: float) -> int:
         """Do one instruction from where the arm stands; give the number of the error, or 0."""
         if match := _SET.fullmatch(text):

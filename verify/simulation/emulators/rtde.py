@@ -42,6 +42,9 @@ class RtdeEngine:
         self._jump = 0.0
         self._texts: list[str] = []
         self._stopped = False
+        self._begin()
+
+    def _begin(self) -> None:
         self._buffer = b""
         self._accepted = self._streams = False
         self._outputs: list[str] = []
@@ -86,12 +89,6 @@ class RtdeEngine:
             messages.append(TimedMessage(self._next, self._sample(self._next)))
             self._next += 1.0 / self._rate
         return messages
-
-    def _begin(self) -> None:
-        self._buffer = b""
-        self._accepted = self._streams = False
-        self._outputs = []
-        self._rate, self._next = self._fastest, 0.0
 
     @property
     def _fastest(self) -> float:

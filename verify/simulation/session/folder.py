@@ -172,9 +172,7 @@ def _write_frames(session: SimulatedSession, path: Path) -> None:
 
 def write_csv(path: Path, header: str, table: Array, formats: list[str]) -> None:
     """Write a table (n, columns) below a header, each column by its %-format."""
-    row = ",".join(formats)
-    lines = [header, *(row % tuple(values) for values in table.tolist())]
-    path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+    np.savetxt(path, table, formats, delimiter=",", header=header, comments="")
 
 
 def write_pngs(folder: Path, images: Iterable[Image], done: Callable[[], object]) -> None:

@@ -1,5 +1,7 @@
 """What is identified is true, within what is stated, and no more is claimed than can be known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.stats import chi2
@@ -26,7 +28,7 @@ def identify(
     truth: TrueArm, *measurements: Array, wish: IdentificationOptions = GEOMETRY, **more: Array
 ) -> IdentificationResult:
     """Identify from readings (n, 6), what was seen at them and, if given, its covariance."""
-    return identify_arm(chain_of(truth.arm), build_poses(*measurements, **more), wish)
+    return identify_arm(chain_of(truth.arm), replace(build_poses(*measurements), **more), wish)
 
 
 def identified(

