@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from verify.analysis.kernels import motion_misfits, motion_sizes
 from verify.core.fiducials import Marker
-from verify.core.kernels.linear_algebra import rotation_vectors
+from verify.core.kernels.linear_algebra import motion_misfits, motion_sizes, rotation_vectors
 from verify.core.readings import Readings
 from verify.core.records import Image, Sighting, StereoPair
 from verify.core.rig import Camera, Rig

@@ -33,7 +33,7 @@ def tables(of: Document) -> dict[str, Table]:
 
 
 # left out of what is tested: two million letters
-LIBRARY = base64.b64encode(zlib.compress(get_plotlyjs().encode())).decode()
+LIBRARY = base64.b64encode(zlib.compress(get_plotlyjs().encode(), 4)).decode()
 EVERY: dict[str, Callable[[], Results]] = {
     **session.EVERY,
     "good": calibration.good, "doubtful": calibration.doubtful,
