@@ -17,7 +17,7 @@ PHONE = {"width": 390, "height": 844}
 DESK = {"width": 1300, "height": 900}
 MORE_PAGES = 2  # that a browser may print than the PDF has
 MAX_BYTES = 3_000_000  # of a page
-QUICK = ("good", "fleet", "grab", "plan")
+QUICK = ("good", "fleet", "grab")
 
 pytestmark = pytest.mark.browser
 

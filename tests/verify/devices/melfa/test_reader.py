@@ -45,6 +45,7 @@ def require_true(readings: list[EncoderReading], emulated: Emulated) -> None:
         assert abs(reading.t - true) < reading.half_width + 0.005  # of rounding, and the tick
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("where", PORTS)
 def test_readings_are_true_within_their_half_width(where: str) -> None:
     with running(controller(), where) as emulated:
