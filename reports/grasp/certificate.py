@@ -81,7 +81,7 @@ def outcome(summary: dict[str, Any]) -> doc.Verdict:
         return doc.Verdict("undecided", f"Ended while {state}", ended + begun)
     tone, label = OUTCOMES[state]
     if seen_left_behind(summary):
-        tone, label = "undecided", "The gripper holds something, the object stayed behind"
+        tone, label, reason = "undecided", "The object stayed behind", "something is held"
     by = _evidence_text(summary) if state == "lifted" else ""
     return doc.Verdict(tone, label, f"{as_sentence(reason + by)}{_tool_offset_text(summary)}")
 
@@ -102,7 +102,7 @@ def _evidence_text(summary: dict[str, Any]) -> str:
         return ", by the gripper's status; the cameras did not see it after the descent"
     up = fmt.quantity(summary.get("seen_raised_mm"), "mm", 3)
     return (
-        f", by the gripper's status; the cameras saw it last {far} from the grip point, "
+        f", by the gripper's status; the cameras saw the object last {far} from the grip point, "
         f"with the hand {up} up"
     )
 

@@ -82,8 +82,10 @@ def refuse_other_motion(
     _refuse_standing(session, written, clock, part=True)
     refuse_late(session, written, clock.offset)
     typical = _large_error(written, clock.offset)
+    if typical < MAX_ERROR:
+        return
     shown = shown_offset(track, arm, readings, clock)
-    if typical < MAX_ERROR or (shown and _large_error(written, shown) < MAX_LEFT_SHARE * typical):
+    if shown is not None and _large_error(written, shown) < MAX_LEFT_SHARE * typical:
         return  # a clock that is somewhat off is a cause like others
     off, faulty, left, factor, screws = _left_by_faults(session, written, clock)
     scaled = list(scaled_joints(written, factor, MAX_GAIN))

@@ -132,12 +132,18 @@ def _poses_agree(
 def refuse_late(session: Session, written: Mistake, offset: float) -> None:
     """Refuse readings of which some joints' are late against the others', or some against the rest.
 
-    Of one joint swept after the other these may be the same.
+    Of one joint swept after the other these may be the same. Single visits show neither, and where
+    one clock for all explains the session nothing is wrong.
 
     Raises:
         InputError: names the joints and their delays, or how and when the clock was set.
     """
     log = written.track, written.arm, written.readings, offset
+    if are_visits(written.track.t) or are_visits(written.readings.t):
+        return
+    sample = subset(written.track, spread(len(written.track), MAX_PAIRS_COMPARED))
+    if _fit_delays(sample, *log[1:])[1] < MIN_MISFIT:
+        return
     late, change = late_joints(*log), clock_change(*log)
     found, remedies = [], []
     if late:
@@ -165,8 +171,6 @@ def late_joints(
 
     Empty where no joint's are, or where the session does not say whose.
     """
-    if are_visits(track.t) or are_visits(readings.t):
-        return {}
     sample = subset(track, spread(len(track), MAX_PAIRS_COMPARED))
     late, plain = np.zeros(arm.dof), np.inf
     for step in range(MAX_STEPS):
@@ -175,7 +179,7 @@ def late_joints(
         fit, without = _fit_delays(sample, arm, log, offset)
         plain = without if step == 0 else plain
         left = fit.chi2 / max(fit.degrees_of_freedom, 1)
-        if plain < MIN_MISFIT or left > 2 * MAX_LEFT_SHARE * plain:
+        if left > 2 * MAX_LEFT_SHARE * plain:
             return {}
         own = slice(0, arm.dof)
         change = np.where(fit.estimable[own], np.clip(fit.value[own], -MAX_STEP, MAX_STEP), 0.0)
@@ -196,13 +200,10 @@ def clock_change(
 ) -> tuple[float, float, float] | None:
     """Between which of their stamps, s, the readings' clock was set, and by how much, s.
 
-    None where one offset, such as `offset`, does, or where no two parts have one each.
+    None where no two parts have an offset each; `offset` is where they are sought.
     """
     n = len(track)
-    if n < 2 * MIN_PART or are_visits(track.t) or are_visits(readings.t):
-        return None
-    sample = subset(track, spread(n, MAX_PAIRS_COMPARED))
-    if _fit_delays(sample, arm, readings, offset)[1] < MIN_MISFIT:
+    if n < 2 * MIN_PART:
         return None
     size = max(MIN_PART, n // MAX_PARTS, int(PART_TIME / float(np.median(np.diff(track.t)))))
     firsts = spread(max(n - size, 0) + 1, MAX_PARTS).tolist()

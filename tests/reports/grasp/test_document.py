@@ -61,8 +61,8 @@ UNSEEN = dict.fromkeys(SEEN)
 @pytest.mark.parametrize(
     ("changes", "sentence", "fact"),
     [
-        (SEEN, f"{BY_GRIPPER} saw it last {FAR} from the grip point, with the hand 120 mm up.",
-         FAR),
+        (SEEN, f"{BY_GRIPPER} saw the object last {FAR} from the grip point, "
+         "with the hand 120 mm up.", FAR),
         (UNSEEN, f"{BY_GRIPPER} did not see it after the descent.", "not seen after the descent"),
         (UNSEEN | {"state": "missed"}, None, None),
     ],
@@ -80,7 +80,10 @@ def test_the_verdict_names_the_evidence_for_the_lift(
 
 def test_an_object_that_the_cameras_see_left_behind_is_not_called_lifted() -> None:
     verdict = outcome(SUMMARY | SEEN | {"seen_from_grip_mm": 118.0})
-    assert (verdict.tone, "stayed behind" in verdict.label) == ("undecided", True)
+    assert (verdict.tone, verdict.label) == ("undecided", "The object stayed behind")
+    assert verdict.sentence.startswith(
+        "Something is held, by the gripper's status; the cameras saw"
+    )
     near = {"seen_from_grip_mm": 60.0, "seen_from_grip_expanded_uncertainty_mm": 20.0}
     assert outcome(SUMMARY | SEEN | near).tone == "conform"  # its uncertainty reaches the hand
 

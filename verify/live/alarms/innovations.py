@@ -129,8 +129,9 @@ class InnovationFilter:
         self._x, self._p, self._t, self._clock = kept
         chi2 = sum(float(one.residual @ one.residual) for one in news)
         own = sum(project_on(one.residual, one.joints[:, joint]) ** 2 for one in news)
-        directions = sum(len(one.residual) for one in news)
-        return Supposition(cost, size, math.sqrt(spread), chi2 / directions, own / chi2)
+        directions = max(sum(len(one.residual) for one in news), 1)  # none: another prior since
+        share = own / chi2 if chi2 > 0 else 1.0
+        return Supposition(cost, size, math.sqrt(spread), chi2 / directions, share)
 
     def accept(self, joints: tuple[int, ...], pairs: int) -> None:
         """Take joints for known to be at fault from now on: their errors are learned.
