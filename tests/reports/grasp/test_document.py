@@ -51,6 +51,7 @@ def test_who_ended_it_and_what_it_waited_for_are_said() -> None:
 
 BY_GRIPPER = "The object came along, by the gripper's status; the cameras"
 FAR = "16 ± 23 mm (k = 2)"
+RAISED = f"saw the object last {FAR} from the grip point, with the hand 120 mm up."
 SEEN = {
     "seen_from_grip_mm": 15.83, "seen_from_grip_expanded_uncertainty_mm": 23.13,
     "seen_raised_mm": 119.99,
@@ -61,8 +62,7 @@ UNSEEN = dict.fromkeys(SEEN)
 @pytest.mark.parametrize(
     ("changes", "sentence", "fact"),
     [
-        (SEEN, f"{BY_GRIPPER} saw the object last {FAR} from the grip point, "
-         "with the hand 120 mm up.", FAR),
+        (SEEN, f"{BY_GRIPPER} {RAISED}", FAR),
         (UNSEEN, f"{BY_GRIPPER} did not see it after the descent.", "not seen after the descent"),
         (UNSEEN | {"state": "missed"}, None, None),
     ],
