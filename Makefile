@@ -5,7 +5,6 @@ BIN := $(VENV)/bin
 RUN := $(VENV)/.run-installed
 DEV := $(VENV)/.dev-installed
 SITE := $(VENV)/.docs-installed
-COMPILED := $(VENV)/.compiled
 PIP = $(BIN)/python -m pip install -qq --no-compile --disable-pip-version-check -c .ci/constraints.txt
 
 # packages come without compiled modules; Python keeps what it compiles, also where a container forbids it
@@ -20,6 +19,7 @@ $(RUN): pyproject.toml .ci/constraints.txt
 	@$(PYTHON) -m venv $(VENV)
 	-@$(PIP) --upgrade pip  # an older one takes twice as long
 	@$(PIP) -e .
+	@command -v cc gcc clang >/dev/null || [ -n "$$CC" ] || $(PIP) -e '.[compiler]'  # of the inner loops, in C
 	@touch $@
 
 # packages that tests and checks need
@@ -34,11 +34,6 @@ $(SITE): $(RUN)
 	@$(PIP) -e '.[docs]'
 	@touch $@
 
-# compiled once, not at the first measurement
-$(COMPILED): $(RUN)
-	@echo "machine code of the inner loops, once: one to two minutes of processor time"
-	@$(BIN)/python -m verify.compile_ahead
-	@touch $@
 
 # status 1: the robot does not conform; the sample has a fault
 demo: $(RUN)
@@ -47,15 +42,15 @@ demo: $(RUN)
 	status=$$?; [ $$status -le 1 ] || exit $$status
 
 # the quick suite: every room, every command once from end to end
-test: $(DEV) $(COMPILED)
+test: $(DEV)
 	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow and not realtime and not browser"
 
 # nearly all tests: the slow, the statistical, those in real time and in a browser too
-test-all: $(DEV) $(COMPILED)
+test-all: $(DEV)
 	$(BIN)/python -m pytest -n 3 --dist worksteal -m "not long"
 
 # what the CI leaves out for its time: the wheel in a fresh environment, further drivers and reports
-test-long: $(DEV) $(COMPILED)
+test-long: $(DEV)
 	$(BIN)/python -m pytest -m long
 
 lint: $(DEV)
@@ -77,7 +72,7 @@ accept: $(DEV)
 	$(BIN)/python -m pytest tests/golden --accept
 
 # every picture of the documents, and the notebook's outputs: some minutes, and Chromium
-pictures: $(DEV) $(COMPILED)
+pictures: $(DEV)
 	$(BIN)/python -m tests.support.pictures
 
 bench: $(DEV)

@@ -21,7 +21,7 @@ ROOT = Path(__file__).parents[2]
 FILE = ROOT / "build" / "bench.json"
 PAGE = ROOT / "docs" / "performance-of-the-program.md"
 BEGIN, END = "<!-- {}: python -m tests.bench page -->", "<!-- end of {} -->"
-LIBRARIES = ("numpy", "numba", "opencv-python-headless", "scipy", "pandas", "typst")
+LIBRARIES = ("numpy", "cffi", "opencv-python-headless", "scipy", "pandas", "typst")
 
 Records = dict[str, Any]
 

@@ -18,7 +18,6 @@ from tests.bench.goals import Figure, Line
 from tests.bench.grasping import ENDS
 from tests.support.grasp.caps import BLUE, GREEN, RED, YELLOW, Cap, Path, Slab, pairs, small_rig
 from tests.support.scene import make_rig, project
-from verify.analysis.warm_up import warm_up
 from verify.core.records import Array, Image, StereoPair
 from verify.core.rig import Rig
 from verify.grasping.actuators.protocols import ExecutePermission
@@ -28,6 +27,7 @@ from verify.grasping.tracking.camshift import camshift, find_blobs
 from verify.grasping.tracking.selection import model_from_box
 from verify.grasping.tracking.target import BoxSelection, ColourSelection, TrackingOptions
 from verify.grasping.tracking.track import TargetTracker
+from verify.measurement.chain import warm_up
 from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, cell_setup

@@ -16,11 +16,11 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import cross_matrix
-from verify.core.kernels.linear_algebra import rotation_vectors
+from verify.core.kernels.entries import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
 from verify.core.records import Array
 from verify.measurement.alignment import MAX_GAP
-from verify.measurement.kernels.pose import MOTION_RATE
+from verify.measurement.kernels.entries import MOTION_RATE
 from verify.measurement.track import Track, difference_weights
 
 MIN_ACCELERATIONS = 5  # differences that make a session's mean square

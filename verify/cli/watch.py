@@ -17,7 +17,6 @@ import pandas as pd
 from rich.console import Console
 
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.warm_up import warm_up_comparison
 from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
 from verify.core.processes import ChildLostError, ChildProcess, answer_requests
@@ -103,7 +102,6 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         stack.callback(clock.stop)
         chain = _start_measuring(station)
         stack.callback(chain.close)
-        warm_up_comparison()  # the first pairs come at once, and soon would be too many
         recorder = station.open_recorder()
         stack.callback(recorder.close)
         computation = LoopComputation(

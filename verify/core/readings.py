@@ -7,7 +7,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from verify.core.kernels import readings as kernel
+from verify.core.kernels import entries as kernel
 from verify.core.records import Array
 
 # Between readings further apart than this the motion is not known: single visits, logged in bursts.

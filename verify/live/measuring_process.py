@@ -16,13 +16,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from verify.analysis.warm_up import warm_up
 from verify.core import processes
 from verify.core.fiducials import Marker
-from verify.core.jit import announce_compilation
+from verify.core.native import library_folder
 from verify.core.records import Array, Image, Measurement, Spots, StereoPair
 from verify.core.rig import Rig
-from verify.measurement.chain import Setup, detect_in_turn, measure
+from verify.measurement.chain import Setup, detect_in_turn, measure, warm_up
 from verify.measurement.detection.detect import detect
 
 if TYPE_CHECKING:  # not loaded where pairs are measured: it brings the comparison along
@@ -112,6 +111,7 @@ class MeasuringProcess:
     """
 
     def __init__(self, rig: Rig, marker: Marker, warn: Callable[[str], None]) -> None:
+        library_folder()  # or the processes would compile the inner loops
         self._rig, self._marker, self._warn = rig, marker, warn
         self._process: processes.ChildProcess[Any, Any] = processes.ChildProcess(
             _measure_pairs, rig, marker, name="measurement", nested=True
@@ -119,7 +119,6 @@ class MeasuringProcess:
         self._pictures = (processes.SharedPicture(), processes.SharedPicture())
         self._lost = False
         self._prepared: tuple[StereoPair, PairMessage] | None = None
-        announce_compilation()
         try:
             self._process.wait_until_ready()
         except BaseException:  # Ctrl-C too: it is not waited for while it loads

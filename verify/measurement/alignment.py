@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from verify.core.records import Array, Sighting, Spots
 from verify.core.rig import Camera
-from verify.measurement.kernels.alignment import SpotView, carry_to_instant
+from verify.measurement.kernels.entries import SpotView, carry_to_instant
 
 # Beyond such a gap between two pairs the motion at either is unknown: single visits, at rest.
 MAX_GAP = 1.5  # s

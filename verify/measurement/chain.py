@@ -17,8 +17,7 @@ from verify.core.rig import Camera, Rig
 from verify.measurement.alignment import MAX_GAP, RawSighting, align, raw_sighting
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
 from verify.measurement.detection.detect import detect
-from verify.measurement.kernels.alignment import led_boxes
-from verify.measurement.kernels.pose import ACCELERATION_PER_SPEED, MIN_ACCELERATION
+from verify.measurement.kernels.entries import ACCELERATION_PER_SPEED, MIN_ACCELERATION, led_boxes
 from verify.measurement.pose import fit_pose, perturb
 from verify.measurement.systematics import Systematics, spot_columns, stated_systematics
 
@@ -57,6 +56,12 @@ def detect_in_turn(
     """Find the spots of both pictures of a pair; windows (m, 4) px, None for the whole frame."""
     left = detect(pair.left, left_windows, lossy=pair.lossy[0])
     return left, detect(pair.right, right_windows, lossy=pair.lossy[1])
+
+
+def warm_up(detector: Detector = detect_in_turn) -> None:
+    """Load what measuring takes, in another process too, by a black picture."""
+    black = np.zeros((64, 64), dtype=np.uint8)
+    detector(StereoPair(0, 0.0, 0.0, 0.0, 0.0, black, black), None, None)
 
 
 def no_expected_poses(_t: float) -> Sequence[Array]:

@@ -29,8 +29,8 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array, Pose, Sighting
 from verify.core.rig import Camera, Rig
 from verify.core.statistics import chi2_bound
-from verify.measurement.kernels import pose as kernel
-from verify.measurement.kernels.pose import MOTION_RATE, SCALE
+from verify.measurement.kernels import entries as kernel
+from verify.measurement.kernels.entries import MOTION_RATE, SCALE
 
 MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 P_CONTRADICTION = 1e-7  # of the pair's chi² as a whole
@@ -152,7 +152,7 @@ def motion_columns(by_pose: Array, lever: Array, prior: tuple[float, float]) -> 
 
 @dataclass(frozen=True, slots=True)
 class _PoseFit:
-    """A fitted pose, and what `kernels.pose.fit_spots` returns beside it."""
+    """A fitted pose, and what `kernels.entries.fit_spots` returns beside it."""
 
     rows: NDArray[np.int64]  # (2 k,), which of the coordinates are those of kept spots
     rig_T_flange: Array  # (4, 4)
@@ -163,7 +163,7 @@ class _PoseFit:
     twist: Array  # (6,)
     prior: tuple[float, float]
     curvature: Array  # (s, 2), px/s²
-    figures: tuple[Array, Array, Array, float]  # of `kernels.pose.fit_covariances`
+    figures: tuple[Array, Array, Array, float]  # of `kernels.entries.fit_covariances`
 
 
 def _gauss_newton(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> _PoseFit:

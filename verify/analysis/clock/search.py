@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 import robots
 from verify.analysis.comparison import compare
 from verify.analysis.least_squares import solve, whiten
-from verify.core.kernels.linear_algebra import motion_misfits, motion_sizes
+from verify.core.kernels.entries import motion_misfits, motion_sizes
 from verify.core.readings import HOLD_TIME, MAX_GAP, Readings
 from verify.core.records import Array
 from verify.measurement.track import Track, subset

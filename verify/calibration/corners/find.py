@@ -1,6 +1,6 @@
 """Find a board in an image and measure its corners with covariance.
 
-A corner is the crossing of two blurred edges; its parameters (13, see `kernels.model`) are fitted
+A corner is the crossing of two blurred edges; its parameters (13, see kernels/model.h) are fitted
 by least squares to the pixels I(x) of a window about it:
 
     minimise   sum of (I(x) - model(p; x))²       p: place, turns and bends of both edges,
@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.calibration.corners.grid import axes, fit_map, orient_grid
-from verify.calibration.corners.kernels import fit
-from verify.calibration.corners.kernels.model import N_PARAMETERS, PAR_X, PAR_Y, STEP_TABLE
+from verify.calibration.corners.kernels import entries as kernel
+from verify.calibration.corners.kernels.entries import N_PARAMETERS, PAR_X, PAR_Y
 from verify.calibration.corners.search import (
     find_by_growing,
     find_grid,
@@ -97,7 +97,7 @@ def refine_corners(
     """Refine corners (n,) from where they were found (n, 2)."""
     squares = board.points[corner, :2] / board.square
     pixels, markers = np.array(grey, order="C"), marker_margins(board, corner)
-    fitted, results = np.zeros(len(corner), dtype=bool), np.empty((len(corner), fit.N_COLUMNS))
+    fitted, results = np.zeros(len(corner), dtype=bool), np.empty((len(corner), kernel.N_COLUMNS))
     parameters = np.empty((len(corner), N_PARAMETERS))
     centre, good = start, np.ones(len(corner), dtype=bool)
     for _ in range(N_PASSES):
@@ -107,7 +107,7 @@ def refine_corners(
         mapped = board_map(squares)
         centre = np.where(good[:, None], centre, mapped)
         at = (centre, board_map.jacobian(squares), board_map.bend(squares))
-        fit.fit_crossings(pixels, at, markers, STEP_TABLE, fitted, parameters, results)
+        kernel.fit_crossings(pixels, at, markers, fitted, parameters, results)
         good = fitted.copy()
         if good.sum() < MIN_CORNERS or is_degenerate(squares[good]):
             return None
@@ -122,9 +122,11 @@ def corner_covariances(results: Array) -> Array:
 
     Noise and its correlation are those of all corners together, enlarged for one that fits worse.
     """
-    found, expected = results[:, [fit.COL_FOUND, fit.COL_EXPECTED]].sum(axis=0)
-    variance = results[:, fit.COL_VARIANCE]
-    each = results[:, [fit.COL_XX, fit.COL_XY, fit.COL_XY, fit.COL_YY]].reshape(-1, 2, 2)
+    found, expected = results[:, [kernel.COL_FOUND, kernel.COL_EXPECTED]].sum(axis=0)
+    variance = results[:, kernel.COL_VARIANCE]
+    each = results[:, [kernel.COL_XX, kernel.COL_XY, kernel.COL_XY, kernel.COL_YY]].reshape(
+        -1, 2, 2
+    )
     noise = found / expected * np.maximum(variance, np.median(variance))
     scaled: Array = each * noise[:, None, None]
     return scaled

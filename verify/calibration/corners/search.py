@@ -189,7 +189,8 @@ def add_line(grey: Image, grid: Array, grid_map: grids.CornerMap) -> Array | Non
             continue
         step = np.linalg.norm(grid_map.jacobian(squares), axis=1)
         half = max(int(0.35 * step.min()), 2)
-        stop, rough = (cv2.TERM_CRITERIA_COUNT, 10, 0.0), places.astype(np.float32)[:, None]
+        stop = cv2.TERM_CRITERIA_COUNT, 10, 0.0
+        rough = places.astype(np.float32).reshape(-1, 1, 2)  # OpenCV refuses a stride of 0
         sharper = cv2.cornerSubPix(grey, rough, (half, half), (-1, -1), stop).reshape(-1, 2)
         if np.linalg.norm(sharper - places, axis=1).max() > half:
             sharper = places.astype(np.float32)

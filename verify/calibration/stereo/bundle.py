@@ -25,9 +25,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
-from verify.calibration.stereo import gauge, kernels
+from verify.calibration.stereo import gauge
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.gauge import AdjustmentModel
+from verify.core.native import entry
 from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera
 
@@ -39,13 +40,17 @@ FIRST_DAMPING = 1e-4  # where a step without it led astray
 Index = NDArray[np.int64]
 N_LOCAL = 6 + par.N_ERRORS  # a board's own unknowns: its pose, its errors
 ERRORS = slice(6, N_LOCAL)
-N_SEEN = kernels.COL_POSE  # shared parameters that move one camera's pixels
+COL_POSE, COL_RESIDUAL, N_COLUMNS = 25, 39, 40  # as in kernels.c
+N_SEEN = COL_POSE  # shared parameters that move one camera's pixels
 LOCAL_COLUMNS = slice(N_SEEN, N_SEEN + N_LOCAL)  # behind them
+
+_see_corners = entry("see_corners")
+_fill_columns = entry("fill_columns")
 
 
 @dataclass(frozen=True, slots=True)
 class _CameraCorners:
-    """The n corners of one camera, placed and projected; see `kernels.see_corners`."""
+    """The n corners of one camera, placed and projected; see kernels.c."""
 
     rows: Index  # (n,), among all corners
     board: Index  # (n,)
@@ -68,8 +73,9 @@ def _see(side: int, state: par.BundleState, corners: par.CornerStack) -> _Camera
         (np.array([fx, fy, cx, cy, *camera.distortion]), placed),
         (arms, points, seen), np.empty((len(rows), 2)),
     )  # fmt: skip
-    shape, boards = (corners.point[rows], at.modes), (np.ascontiguousarray(state.boards), moved)
-    kernels.see_corners(at.board, shape, boards, at.camera, side, at.places, at.pixels)
+    boards = np.ascontiguousarray(state.boards), moved
+    known = at.board, corners.point[rows], at.modes, *boards, *at.camera
+    _see_corners(len(rows), *known, side, *at.places, at.pixels)
     return at
 
 
@@ -152,16 +158,16 @@ def _products(side: int, state: par.BundleState, corners: par.CornerStack, weigh
     Columns: the camera's parameters (22), the bow (3), the board's own (14), the residual.
     """
     camera, at = state.cameras[side], _see(side, state, corners)
-    columns = np.zeros((len(at.rows), 2, kernels.N_COLUMNS))
-    columns[:, :, kernels.COL_RESIDUAL] = corners.observed[at.rows] - at.pixels
+    columns = np.zeros((len(at.rows), 2, N_COLUMNS))
+    columns[:, :, COL_RESIDUAL] = corners.observed[at.rows] - at.pixels
     root = corners.root[at.rows] * np.sqrt(weight[at.rows])[:, None, None]
-    facing = np.ascontiguousarray(state.boards), at.modes
     base = at.camera[1][:, :3, :3] @ camera.mount[:3, :3].T, camera.pan_center, camera.pan_axis
-    kernels.fill_columns(at.board, facing, base, at.camera, side, at.places, root, columns)
+    known = at.board, np.ascontiguousarray(state.boards), at.modes, *base, *at.camera
+    _fill_columns(len(at.rows), *known, side, *at.places, root, columns)
     ends = np.searchsorted(at.board, np.arange(len(state.boards) + 1)).tolist()
-    products = np.empty((len(state.boards), kernels.N_COLUMNS, kernels.N_COLUMNS))
+    products = np.empty((len(state.boards), N_COLUMNS, N_COLUMNS))
     for own, start, end in zip(products, ends[:-1], ends[1:], strict=True):
-        whitened = columns[start:end].reshape(-1, kernels.N_COLUMNS)
+        whitened = columns[start:end].reshape(-1, N_COLUMNS)
         np.matmul(whitened.T, whitened, out=own)
     return products
 

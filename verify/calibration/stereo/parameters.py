@@ -26,7 +26,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from robots.transforms import cross_matrix
-from verify.core.kernels.linear_algebra import rotation_vectors
+from verify.core.kernels.entries import rotation_vectors
 from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera
 

@@ -3,7 +3,6 @@
 from datetime import UTC, datetime
 from pathlib import Path
 
-from verify.analysis.warm_up import warm_up
 from verify.cli.grab.conduct import GraspOptions, GraspRun, conduct, target_name
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.record.record import GraspContext
@@ -11,6 +10,7 @@ from verify.io import fiducials, rig
 from verify.io.results import refuse_existing
 from verify.live.buffers import PanBuffer
 from verify.live.recording.session import SessionFacts
+from verify.measurement.chain import warm_up
 from verify.simulation.cell.cell import RATE
 from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import COLOURS, add_pan_turns, draw_scene
@@ -38,7 +38,7 @@ def grab_simulated(
     scene = draw_scene(seed, options.colour if options.colour in COLOURS else "blue")
     scene = add_pan_turns(scene) if turning else scene
     keys = options.execute and (page is not None or not options.auto)
-    warm_up()  # compiling while the arm waits would look like stale pictures
+    warm_up()  # loading while the arm waits would look like stale pictures
     cell = cell_grab(
         setup,
         scene,

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import numpy as np
 
-from verify.analysis.warm_up import warm_up
 from verify.cli.grab.conduct import GraspOptions, GraspRun, conduct, target_name
 from verify.cli.terminal import STDIN, terminal
 from verify.core.records import StereoPair
@@ -48,6 +47,7 @@ from verify.live.station import file
 from verify.live.station.devices import angle_map
 from verify.live.station.keys import StationEncodersTable, StationTable
 from verify.live.station.station import Station, open_station
+from verify.measurement.chain import warm_up
 from verify.simulation.devices.station import SimulatedStation
 
 PAN_UNKNOWN = "a camera base turns, or its angle is not known: its pictures are not used"
@@ -175,7 +175,7 @@ def grab_on_station(
     rig, turning = station.rig, station.facts.turning
     planner = planner_with_cameras(station.arm, cell, rig, turning=turning)
     tracker = None if target is None else TargetTracker(rig, target)
-    warm_up()  # compiling while the arm waits would look like stale pictures
+    warm_up()  # loading while the arm waits would look like stale pictures
     with ExitStack() as stack:
         began = time.monotonic()
 

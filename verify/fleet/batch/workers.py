@@ -11,31 +11,23 @@ from functools import partial
 from typing import Any
 
 from verify.core import processes
+from verify.core.native import library_folder
 from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied, perform
 
 Worker = processes.ChildProcess[Task, Any]
 
 
 class ProcessPool:
-    """Worker processes on this machine; they start at once.
-
-    Only one does where compiled functions are not kept yet: each would compile them all.
-    """
+    """Worker processes on this machine; they start at once."""
 
     def __init__(self, workers: int) -> None:
+        library_folder()  # or each would compile the inner loops
         self._workers = workers
-        self._idle: list[Worker] = [self._start()]
-        from verify.core import jit  # late: meanwhile the worker loads
-
-        if not jit.FIRST_USE:
-            self._idle += [self._start() for _ in range(workers - 1)]
+        self._idle: list[Worker] = [self._start() for _ in range(workers)]
         self._busy: dict[Worker, Task] = {}
 
     def ready(self) -> None:
         """Wait until the first worker is ready."""
-        from verify.core.jit import announce_compilation
-
-        announce_compilation()
         with suppress(processes.ChildLostError):  # it is replaced when it gets its first task
             self._idle[-1].wait_until_ready()
 
@@ -94,13 +86,12 @@ def _load(threads: int) -> None:
     signal.signal(signal.SIGTERM, _exit)
     import cv2
 
-    from verify.analysis.warm_up import warm_up, warm_up_comparison
     from verify.fleet.batch import tasks  # noqa: F401  its libraries are loaded with it
+    from verify.measurement.chain import warm_up
 
     cv2.setNumThreads(threads)
     with suppress(Exception):  # whatever is wrong, the first session's failure says it better
         warm_up()
-        warm_up_comparison()
 
 
 def _exit(_signal: int, _frame: object) -> None:

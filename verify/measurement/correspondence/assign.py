@@ -37,7 +37,7 @@ from verify.measurement.correspondence.hypotheses import (
     find_triangles,
     seed_hypotheses,
 )
-from verify.measurement.correspondence.kernels.points import Index
+from verify.measurement.correspondence.kernels.entries import Index
 from verify.measurement.correspondence.refinement import (
     conflicts,
     departure,

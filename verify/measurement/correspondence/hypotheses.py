@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array, rigid_transform, take_rows
-from verify.measurement.correspondence.kernels import fit, points, seeds
-from verify.measurement.correspondence.kernels.points import MAX_DEVIATION, Index
+from verify.measurement.correspondence.kernels import entries as kernels
+from verify.measurement.correspondence.kernels.entries import MAX_DEVIATION, Index
 from verify.measurement.correspondence.views import SpotViews
 
 MAX_POINTS = 120  # best rays first; keeps a scene full of lamps on one line within bounds
@@ -43,14 +43,14 @@ class SeedGraph:
 def find_points(views: SpotViews) -> TriangulatedPoints:
     """Pair left with right spots that lie on each other's epipolar line, within noise and skew."""
     return TriangulatedPoints(
-        *points.find_points(views.scene, views.mean_focal, views.skew, MAX_POINTS)
+        *kernels.find_points(views.scene, views.mean_focal, views.skew, MAX_POINTS)
     )
 
 
 def build_graph(views: SpotViews, found: TriangulatedPoints) -> SeedGraph:
     """Join points that may be LEDs at the marker's distances, within noise and skew."""
     places = found.spot, found.rig, found.covariance
-    return SeedGraph(*seeds.join_nodes(views.scene, places, views.led_play))
+    return SeedGraph(*kernels.join_nodes(views.scene, places, views.led_play))
 
 
 def find_edges(graph: SeedGraph) -> Index:
@@ -62,7 +62,7 @@ def find_edges(graph: SeedGraph) -> Index:
 
 def find_triangles(graph: SeedGraph, leds: Array) -> Index:
     """List triples of nodes every two of which agree, (t, 3), best first; slender ones left out."""
-    return seeds.list_triangles(graph.deviation, find_edges(graph), graph.led, leds, MAX_SEEDS)
+    return kernels.list_triangles(graph.deviation, find_edges(graph), graph.led, leds, MAX_SEEDS)
 
 
 FREE_SIGMAS = 10.0, 3.0  # m, rad: so large that the images alone decide the pose
@@ -72,7 +72,7 @@ FREE_SIGMAS = 10.0, 3.0  # m, rad: so large that the images alone decide the pos
 class Hypotheses:
     """Assignments of spots to LEDs, with the pose that each one means."""
 
-    state: Array  # (h, 85), pose, shift of the right image and their fit: `kernels.fit`
+    state: Array  # (h, 85), pose, shift of the right image and their fit: `kernels/fit.h`
     spot: Index  # (h, 2, n), left and right spot of each LED, -1 for none
 
     def __len__(self) -> int:
@@ -82,13 +82,13 @@ class Hypotheses:
     @property
     def chi2(self) -> Array:
         """Chi² of each, (h,), the shift's own share included; inf before the first fit."""
-        return self.state[:, fit.CHI2]
+        return self.state[:, kernels.CHI2]
 
     def rig_T_flange(self, which: int) -> Array:
         """Give the pose (4, 4) that one of them means."""
         state = self.state[which]
-        turn = state[: fit.POSITION].reshape(3, 3)
-        return rigid_transform(turn, state[fit.POSITION : fit.SHIFT])
+        turn = state[: kernels.POSITION].reshape(3, 3)
+        return rigid_transform(turn, state[kernels.POSITION : kernels.SHIFT])
 
     def take(self, chosen: NDArray[np.bool_] | Index | slice) -> "Hypotheses":
         """Keep some, by index, mask or slice."""
@@ -114,7 +114,7 @@ def seed_hypotheses(
         rotation = np.ascontiguousarray(_minimal_rotations(line, rig[:, 1] - rig[:, 0]) @ rotation)
     places, node = (found.spot, found.rig), (graph.point, graph.led)
     sigmas = (*FREE_SIGMAS, views.skew)
-    return Hypotheses(*seeds.begin_poses(places, node, nodes, views.leds, rotation, sigmas))
+    return Hypotheses(*kernels.begin_poses(places, node, nodes, views.leds, rotation, sigmas))
 
 
 def _minimal_rotations(source: Array, target: Array) -> Array:

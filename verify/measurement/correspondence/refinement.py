@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from verify.core.records import Array
 from verify.core.statistics import chi2_bound
 from verify.measurement.correspondence.hypotheses import Hypotheses
-from verify.measurement.correspondence.kernels import spots as kernel
-from verify.measurement.correspondence.kernels.spots import (
+from verify.measurement.correspondence.kernels import entries as kernel
+from verify.measurement.correspondence.kernels.entries import (
     ALIKE_CHI2,
     MERGED_COST,
     SPOT_REWARD,

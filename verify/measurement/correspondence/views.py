@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Spots
 from verify.core.rig import Camera, Rig
-from verify.measurement.correspondence.kernels import views as kernel
-from verify.measurement.correspondence.kernels.fit import Limits, Scene
+from verify.measurement.correspondence.kernels import entries as kernel
+from verify.measurement.correspondence.kernels.entries import Limits, Scene
 
 MIN_SKEW = 1e-3  # px: in effect simultaneous; avoids a division by zero
 MIN_DEPTH = 0.02  # m, depth below which a point cannot be imaged

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array, Image
-from verify.measurement.detection.kernels.candidates import (
+from verify.measurement.detection.kernels.entries import (
     MIN_WINDOW_SIDE,
     Shape,
     compact_blobs,

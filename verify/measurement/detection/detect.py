@@ -1,10 +1,10 @@
 """Detect LED spots in an image: sub-pixel centres at the Cramér-Rao bound, with covariance.
 
 Candidates are compact bright blobs (candidates.py). All else is one compiled call a picture
-(kernels/spots.py): each is fitted by a profile between a halo, a Gaussian and a blurred disc
-(kernels/fit.py, profile.py) under the image's own noise (kernels/noise.py), and assessed by the
-residuals (kernels/quality.py). A hidden sliver of the rim is corrected for (kernels/occlusion.py),
-and so is a background that bends (kernels/background.py).
+(kernels/spots.c): each is fitted by a profile between a halo, a Gaussian and a blurred disc
+(kernels/fit.c, profile.py) under the image's own noise (kernels/noise.c), and assessed by the
+residuals (kernels/quality.c). A hidden sliver of the rim is corrected for (kernels/occlusion.c),
+and so is a background that bends (kernels/background.c).
 """
 
 import math
@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 from verify.core.records import Array, Image, Noise, Spots
 from verify.errors import InputError
 from verify.measurement.detection.candidates import DIAMETER_RANGE, find_candidates
-from verify.measurement.detection.kernels import quality as columns
-from verify.measurement.detection.kernels.patches import Picture
-from verify.measurement.detection.kernels.spots import measure_spots
+from verify.measurement.detection.kernels import entries as columns
+from verify.measurement.detection.kernels.entries import Picture, measure_spots
 from verify.measurement.detection.profile import profile_table
 
 

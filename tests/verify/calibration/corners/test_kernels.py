@@ -4,17 +4,15 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from verify.calibration.corners.kernels.model import (
+from verify.calibration.corners.kernels.entries import (
     COL_COLUMN,
     COL_ROW,
     COL_VALUE,
     EDGE_SCALE,
     N_EDGE_VALUES,
-    N_KNOWN_ROWS,
     N_PARAMETERS,
     N_ROWS,
     ROW_RESIDUAL,
-    STEP_TABLE,
     fill_edges,
     predict_pixels,
     window_pixels,
@@ -32,7 +30,7 @@ MADE = np.array(
 
 def setting() -> tuple[Array, Array, Array]:
     """Pixels, edges, and parameters with the edges' directions."""
-    grey = np.random.default_rng(1).normal(120, 50, (100, 130))
+    grey = np.random.default_rng(1).integers(0, 256, (100, 130), dtype=np.uint8)
     pixels, edges = window_pixels(grey, CENTRE, JACOBIAN, NO_MARKERS), np.empty(N_EDGE_VALUES)
     fill_edges(JACOBIAN, BEND, edges)
     parameters = MADE.copy()
@@ -42,9 +40,7 @@ def setting() -> tuple[Array, Array, Array]:
 
 def rows_at(pixels: Array, edges: Array, parameters: Array) -> Array:
     rows = np.empty((N_ROWS, pixels.shape[1]))
-    predict_pixels(
-        pixels, edges, parameters, STEP_TABLE, np.empty((N_KNOWN_ROWS, pixels.shape[1])), rows
-    )
+    predict_pixels(pixels, edges, parameters, rows)
     return rows
 
 
@@ -86,5 +82,7 @@ def test_its_derivatives_are_differences_of_the_picture(parameter: int) -> None:
 
 @pytest.mark.parametrize("place", [(-500.0, 20.0), (np.nan, 20.0), (np.inf, -np.inf), (1e30, 0.0)])
 def test_a_corner_that_is_nowhere_in_the_picture_has_no_pixels(place: tuple[float, float]) -> None:
-    found = window_pixels(np.zeros((100, 130)), np.array(place), JACOBIAN, NO_MARKERS)
+    found = window_pixels(
+        np.zeros((100, 130), dtype=np.uint8), np.array(place), JACOBIAN, NO_MARKERS
+    )
     assert found.shape == (4, 0)

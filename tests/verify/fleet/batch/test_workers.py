@@ -1,6 +1,5 @@
 """Processes on this machine: tasks are done once each, and a killed one costs itself alone."""
 
-import logging
 import multiprocessing
 import os
 import signal
@@ -15,7 +14,6 @@ from pathlib import Path
 import pytest
 
 from tests.support.processes import running, wait_until
-from verify.core import jit
 from verify.fleet.batch import workers
 from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied
 from verify.fleet.batch.workers import ProcessPool
@@ -105,18 +103,15 @@ def test_a_task_whose_process_is_killed_is_tried_again_then_given_up(
     assert (tmp_path / "b").read_text() == "x" * MAX_ATTEMPTS
 
 
-@pytest.mark.slow
-def test_one_worker_compiles_for_all_and_says_so(
-    monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture
-) -> None:
-    monkeypatch.setattr(jit, "FIRST_USE", True)
-    jit.announce_compilation.cache_clear()
-    others = len(multiprocessing.active_children())
-    with caplog.at_level(logging.INFO), closing(ProcessPool(3)) as pool:
-        assert len(multiprocessing.active_children()) == others + 1
-        pool.ready()
-        assert caplog.messages == [jit.COMPILING]
-        assert sorted(n for _, n in pool.run(deque(map(Square, range(3))))) == [0, 1, 4]
+def test_inner_loops_are_compiled_before_workers_would(monkeypatch: pytest.MonkeyPatch) -> None:
+    others, during = len(multiprocessing.active_children()), []
+
+    def compiled() -> None:
+        during.append(len(multiprocessing.active_children()))
+
+    monkeypatch.setattr(workers, "library_folder", compiled)
+    with closing(ProcessPool(2)):
+        assert during == [others]
 
 
 @pytest.mark.slow

@@ -18,9 +18,7 @@ from tests.support.leds.images import (
 from verify.core.records import Array, Image, Spots
 from verify.errors import InputError
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.kernels.patches import Picture
-from verify.measurement.detection.kernels.quality import N_COLUMNS
-from verify.measurement.detection.kernels.spots import measure_spots
+from verify.measurement.detection.kernels.entries import N_COLUMNS, Picture, measure_spots
 from verify.measurement.detection.profile import profile_table
 
 DISC = Spot(210, 0.6, radius=4.2)

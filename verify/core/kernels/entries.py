@@ -1,0 +1,97 @@
+"""Entries of the compiled small linear algebra and reading interpolation."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.native import entry
+from verify.core.records import Array
+
+_factor = entry("factor")
+_solve = entry("solve")
+_solve_each = entry("solve_each")
+_invert = entry("invert")
+_rotation_vectors = entry("rotation_vectors")
+_motion_misfits = entry("motion_misfits")
+_motion_sizes = entry("motion_sizes")
+_interpolate = entry("interpolate")
+_interpolation_error = entry("interpolation_error")
+_travel_directions = entry("travel_directions")
+
+
+def factor(matrix: Array, less: float, root: Array) -> bool:
+    """Fill in the lower Cholesky factor of a matrix (n, n) with `less` taken off its diagonal.
+
+    False where that is not positive definite; the factor has NaN then.
+    """
+    return bool(_factor(len(matrix), matrix, less, root))
+
+
+def solve(root: Array, right: Array) -> None:
+    """Solve in place for a vector (n,), by the lower Cholesky factor (n, n)."""
+    _solve(len(right), root, right)
+
+
+def solve_each(root: Array, right: Array) -> None:
+    """Solve in place for the columns of (n, m) at once, by the lower Cholesky factor (n, n)."""
+    _solve_each(len(right), right.shape[1], root, right)
+
+
+def invert(root: Array, inverse: Array) -> None:
+    """Fill in the inverse (n, n) of the matrix that a lower Cholesky factor (n, n) belongs to."""
+    _invert(len(root), root, inverse)
+
+
+def rotation_vectors(turns: Array, vectors: Array) -> None:
+    """Fill in rotation vectors (n, 3), rad, of turns (n, 3, 3)."""
+    _rotation_vectors(len(vectors), np.ascontiguousarray(turns), vectors)
+
+
+def motion_misfits(
+    ends: NDArray[np.int64],
+    known: NDArray[np.bool_],
+    poses: Array,
+    measured: tuple[Array, Array],
+    most: float,
+    cost: Array,
+) -> None:
+    """Fill in `cost` (o,): mean squared misfit of the motions read to those measured, at o offsets.
+
+    `ends` (o, 2, n): which of the flange's poses read (g, 4, 4) begins and ends each of n motions;
+    `known` (o, n): those with readings. `measured`: the motions' angle and distance, and the
+    variance of each, (n, 2) both. A squared misfit counts for `most` at most.
+    """
+    figures, variance = measured
+    _motion_misfits(len(ends), len(figures), ends, known, poses, figures, variance, most, cost)
+
+
+def motion_sizes(one: Array, other: Array, figures: Array) -> None:
+    """Fill in angle (rad) and distance (m) of the motions of n pairs of poses (n, 4, 4): (n, 2)."""
+    _motion_sizes(len(figures), one, other, figures)
+
+
+def interpolate(t: Array, q: Array, longest: float, instants: Array) -> Array:
+    """Readings (n, j), rad, at instants (n,), s: cubic between four readings (Catmull-Rom).
+
+    t (m,), s, increasing, two at least; q (m, j), rad. Across a gap longer than `longest`, s, the
+    nearest reading is held.
+    """
+    values = np.empty((len(instants), q.shape[1]))
+    _interpolate(*q.shape, t, q, longest, len(instants), instants, values)
+    return values
+
+
+def interpolation_error(t: Array, q: Array, longest: float, instants: Array) -> Array:
+    """Error that `interpolate` may have at some instants, (n, j), rad; arguments are the same."""
+    values = np.empty((len(instants), q.shape[1]))
+    _interpolation_error(*q.shape, t, q, longest, len(instants), instants, values)
+    return values
+
+
+def travel_directions(q: Array, thresholds: Array) -> NDArray[np.int8]:
+    """Joints' direction of travel (m, j) after each reading: +1, -1, or 0 before any.
+
+    q (m, j), rad; beyond its threshold (j,), rad, from its extreme a joint has turned back.
+    """
+    directions = np.empty(q.shape, np.int8)
+    _travel_directions(*q.shape, q, thresholds, directions)
+    return directions

@@ -1,0 +1,267 @@
+/* Cut the pixels around candidates out of a picture, and keep what is fitted to them.
+ *
+ * The colours of a pixel are combined into one value, weighed by the spot's contrast in each, of
+ * which the noise follows.
+ */
+#include "verify/measurement/detection/kernels/patches.h"
+
+#include "verify/core/kernels/linear_algebra.h"
+#include "verify/core/kernels/scratch.h"
+
+#define N_RADII 7
+#define FIRST_LOOK_STEPS 8 /* from centre to edge of a first look: 197 pixels, whatever the size */
+#define MIN_CHANNEL_WEIGHT 0.1 /* of the strongest channel: less adds noise, not information */
+#define MIN_CONTRAST 1e-3      /* DN: something to divide by on a flat patch */
+#define N_VALUES 256
+
+/* px, of cut-outs: an LED that moves keeps its pixels' number */
+static const int64_t RADII[N_RADII] = {8, 11, 14, 18, 26, 40, 62};
+
+/* Least radius, px, that is as large as needed, or the last one. */
+static int64_t radius_of(double needed)
+{
+    int k = 0;
+    while (k < N_RADII - 1 && !((double)RADII[k] >= needed))
+        k++;
+    return RADII[k];
+}
+
+/* Half of a disc's pixels in a row of it, the middle one left out. */
+static int64_t half_row(int64_t reach, int64_t row)
+{
+    return (int64_t)sqrt((double)(reach * reach - row * row));
+}
+
+/* How many pixels a disc has. */
+static int64_t disc_size(int64_t reach)
+{
+    int64_t count = 0;
+    for (int64_t row = -reach; row <= reach; row++)
+        count += 2 * half_row(reach, row) + 1;
+    return count;
+}
+
+/* Fill in columns and rows of a disc's pixels, so far apart, px, as whole numbers. */
+static void disc_offsets(int64_t reach, double spacing, float *column, float *row)
+{
+    int64_t k = 0;
+    for (int64_t y = -reach; y <= reach; y++) {
+        int64_t half = half_row(reach, y);
+        for (int64_t x = -half; x <= half; x++, k++) {
+            column[k] = (float)rint(spacing * (double)x);
+            row[k] = (float)rint(spacing * (double)y);
+        }
+    }
+}
+
+/* Make room for spots of so many pixels, (n,). */
+static Fits empty_fits(int64_t n, const double *spots, bool first_look)
+{
+    Fits fits = {
+        .n = n,
+        .origin = TAKE(int64_t, 2 * n),
+        .scale = TAKE(double, n),
+        .share = TAKE(double, 2 * n),
+        .colour = TAKE(double, 3 * n),
+        .level = TAKE(double, n),
+        .begin = TAKE(int64_t, n + 1),
+        .prior = TAKE(double, 2 * N_PARAMETERS * n),
+        .saturated = TAKE(bool, n),
+        .settled = TAKE(bool, n),
+        .parameters = TAKE(double, N_PARAMETERS * n),
+        .information = TAKE(double, N_PARAMETERS * N_PARAMETERS * n),
+        .gradient = TAKE(double, N_PARAMETERS * n),
+        .chi2 = TAKE(double, n),
+    };
+    fits.begin[0] = 0;
+    for (int64_t k = 0; k < n; k++) {
+        double needed = PATCH_REACH * spots[4 * k + 2] + PATCH_MARGIN;
+        int64_t reach = first_look ? FIRST_LOOK_STEPS : radius_of(needed);
+        fits.begin[k + 1] = fits.begin[k] + disc_size(reach);
+    }
+    fits.pool = TAKE(float, N_ROWS * fits.begin[n]);
+    return fits;
+}
+
+/* Which of counted whole numbers has a rank, from 0. */
+static int64_t ranked(const int64_t *counts, int64_t rank)
+{
+    int64_t until = counts[0], value = 0;
+    while (until <= rank)
+        until += counts[++value];
+    return value;
+}
+
+/* Whether the channels hold one picture three times: one measurement, not three. */
+static bool is_grey(const Picture *picture, int64_t p, const int64_t *place)
+{
+    if (picture->channels == 1)
+        return true;
+    for (int64_t k = 0; k < p; k++) {
+        const uint8_t *pixel = picture->values + place[k];
+        if (pixel[0] != pixel[1] || pixel[0] != pixel[2])
+            return false;
+    }
+    return true;
+}
+
+/* Fill in where each of p pixels is in the picture, the nearest one if beyond the border; whether
+ * it is inside. */
+static void find_places(const Picture *picture, const int64_t *origin, int64_t p, float *rows,
+                        int64_t *place)
+{
+    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
+    float *valid = rows + ROW_VALID * p;
+    double x0 = (double)origin[0], y0 = (double)origin[1];
+    double width = (double)picture->width, height = (double)picture->height;
+    for (int64_t k = 0; k < p; k++) {
+        double x = x0 + column[k], y = y0 + row[k];
+        valid[k] = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height) ? 1.0f : 0.0f;
+        x = x > 0.0 ? (x < width ? x : width - 1.0) : 0.0; /* also what is no number */
+        y = y > 0.0 ? (y < height ? y : height - 1.0) : 0.0;
+        place[k] = picture->channels * (int64_t)(y * width + x);
+    }
+}
+
+/* Mean of a channel on the spot less the patch's lower third, DN; its values are counted. */
+static double channel_contrast(const uint8_t *values, int64_t p, const int64_t *place, double scale,
+                               const float *rows, int64_t *counts)
+{
+    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
+    int64_t total = 0, core = 0;
+    memset(counts, 0, sizeof(int64_t) * N_VALUES);
+    for (int64_t k = 0; k < p; k++) {
+        uint8_t value = values[place[k]];
+        bool near = (double)(column[k] * column[k] + row[k] * row[k]) <= scale * scale;
+        counts[value]++;
+        total += near ? value : 0;
+        core += near;
+    }
+    return (double)total / (double)MAX(core, 1) - (double)ranked(counts, p / 3);
+}
+
+void channel_weights(const double *colour, double *weight)
+{
+    double most = MIN_CONTRAST, total = 0.0;
+    for (int c = 0; c < 3; c++)
+        most = MAX(most, colour[c]);
+    for (int c = 0; c < 3; c++) {
+        weight[c] = MAX(colour[c], MIN_CONTRAST);
+        weight[c] = weight[c] >= MIN_CHANNEL_WEIGHT * most ? weight[c] : 0.0;
+        total += weight[c];
+    }
+    for (int c = 0; c < 3; c++)
+        weight[c] /= total;
+}
+
+/* Combine the colours of a spot's p pixels; those clipped in some only are not valid. */
+static void combine_colours(const Picture *picture, int64_t p, const int64_t *place,
+                            const double *weight, float *rows)
+{
+    float *value = rows + ROW_VALUE * p, *valid = rows + ROW_VALID * p;
+    for (int64_t k = 0; k < p; k++) {
+        const uint8_t *pixel = picture->values + place[k];
+        double total = 0.0;
+        bool clipped = false, clear = false;
+        for (int c = 0; c < 3; c++) {
+            bool counts = weight[c] > 0.0, full = pixel[c] == (uint8_t)SENSOR_LIMIT;
+            total += weight[c] * pixel[c];
+            clipped |= counts & full;
+            clear |= counts & !full;
+        }
+        value[k] = (float)total;
+        valid[k] = clipped & clear ? 0.0f : valid[k];
+    }
+}
+
+/* Entry of a rank, from 0, of (p,). */
+static double value_of_rank(const float *values, int64_t p, int64_t rank)
+{
+    Mark mark = scratch_mark();
+    double *precise = TAKE(double, p);
+    for (int64_t k = 0; k < p; k++)
+        precise[k] = values[k];
+    double found = select_rank(precise, p, rank);
+    scratch_release(mark);
+    return found;
+}
+
+/* Read a spot's pixels, colours combined; those beyond the border are not valid. */
+static void read_patch(const Picture *picture, const Fits *fits, int64_t n)
+{
+    Mark mark = scratch_mark();
+    int64_t p = pixels_of(fits, n), counts[N_VALUES];
+    int64_t *place = TAKE(int64_t, p);
+    float *rows = rows_of(fits, n), *value = rows + ROW_VALUE * p;
+    double *colour = fits->colour + 3 * n, *share = fits->share + 2 * n;
+    find_places(picture, fits->origin + 2 * n, p, rows, place);
+    int colours = is_grey(picture, p, place) ? 1 : 3;
+    for (int c = 0; c < 3; c++)
+        colour[c] = c < colours ? channel_contrast(picture->values + c, p, place, fits->scale[n],
+                                                   rows, counts)
+                                : colour[0];
+    if (colours == 1) {
+        for (int64_t k = 0; k < p; k++)
+            value[k] = picture->values[place[k]];
+        share[0] = share[1] = 1.0;
+        fits->level[n] = (double)ranked(counts, p * 3 / 10);
+    } else {
+        /* the channels' shares of the signal are the weights themselves, up to a factor */
+        double weight[3], squares = 0.0, cubes = 0.0;
+        channel_weights(colour, weight);
+        combine_colours(picture, p, place, weight, rows);
+        for (int c = 0; c < 3; c++) {
+            squares += weight[c] * weight[c];
+            cubes += weight[c] * weight[c] * weight[c];
+        }
+        share[0] = squares;
+        share[1] = cubes / squares;
+        fits->level[n] = value_of_rank(value, p, p * 3 / 10);
+    }
+    scratch_release(mark);
+}
+
+/* Mark as invalid the pixels of a patch that another spot's light reaches first.
+ *
+ * What overlaps is not told apart here. */
+static void leave_neighbours(const Fits *fits, int64_t own, const double *spots)
+{
+    int64_t p = pixels_of(fits, own);
+    float *rows = rows_of(fits, own), *valid = rows + ROW_VALID * p;
+    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
+    double x0 = (double)fits->origin[2 * own], y0 = (double)fits->origin[2 * own + 1];
+    double x = spots[4 * own], y = spots[4 * own + 1], radius = spots[4 * own + 2];
+    for (const double *other = spots; other < spots + 4 * fits->n; other += 4) {
+        double its_x = other[0], its_y = other[1], its = other[2];
+        double off = sqrt(square(its_x - x) + square(its_y - y)) / (radius + its);
+        if (!(off > MIN_APART && off < MAX_APART))
+            continue;
+        #pragma omp simd
+        for (int64_t k = 0; k < p; k++) {
+            double u = x0 + column[k], w = y0 + row[k];
+            double far = sqrt(square(u - its_x) + square(w - its_y)) / its;
+            double away = sqrt(square(u - x) + square(w - y)) / radius;
+            valid[k] = (far < PATCH_REACH) & (far < away) ? 0.0f : valid[k];
+        }
+    }
+}
+
+Fits cut_patches(const Picture *picture, int64_t n, const double *spots, bool first_look)
+{
+    Fits fits = empty_fits(n, spots, first_look);
+    for (int64_t k = 0; k < n; k++) {
+        const double *spot = spots + 4 * k;
+        double needed = PATCH_REACH * spot[2] + PATCH_MARGIN;
+        int64_t reach = first_look ? FIRST_LOOK_STEPS : radius_of(needed), p = pixels_of(&fits, k);
+        float *rows = rows_of(&fits, k);
+        for (int axis = 0; axis < 2; axis++)
+            fits.origin[2 * k + axis] = (int64_t)rint(spot[axis]);
+        fits.scale[k] = spot[2];
+        disc_offsets(reach, first_look ? needed / FIRST_LOOK_STEPS : 1.0, rows + ROW_COLUMN * p,
+                     rows + ROW_ROW * p);
+        read_patch(picture, &fits, k);
+        if (!first_look)
+            leave_neighbours(&fits, k, spots);
+    }
+    return fits;
+}

@@ -1,0 +1,61 @@
+/* Cut the pixels around candidates out of a picture, and keep what is fitted to them. */
+#ifndef VERIFY_PATCHES_H
+#define VERIFY_PATCHES_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+#include "verify/measurement/detection/kernels/pixels.h"
+
+#define PATCH_REACH 2.4  /* half-widths: a Gaussian has fallen to 1/50 there, a disc is long over */
+#define PATCH_MARGIN 2.5 /* px of floor around that */
+/* sums of half-widths between two spots, of which one's light reaches the other's pixels */
+#define MIN_APART 1.2
+#define MAX_APART 4.0
+
+/* A picture's pixels, (height, width, channels), DN. */
+typedef struct {
+    const uint8_t *values;
+    int64_t width, height, channels;
+} Picture;
+
+/* What is fitted to n spots' pixels. */
+typedef struct {
+    int64_t n;
+    int64_t *origin;     /* (n, 2), px, of each patch's centre pixel */
+    double *scale;       /* (n,), px, half-width that the fit starts from */
+    double *share;       /* (n, 2), by which combining colours changes a channel's read variance, gain */
+    double *colour;      /* (n, 3), DN, mean B, G, R above the surroundings */
+    double *level;       /* (n,), DN, that three tenths of the pixels stay below */
+    int64_t *begin;      /* (n + 1,), where each spot's pixels begin */
+    float *pool;         /* rows (25, p) of each spot's pixels, one spot behind the other */
+    double *prior;       /* (n, 2, 10), mean and inverse variance of the parameters */
+    bool *saturated;     /* (n,), whether some pixels on the spot are at the sensor's limit */
+    bool *settled;       /* (n,), whether a further step would gain nothing that counts */
+    double *parameters;  /* (n, 10), x and y in px from the patch's centre pixel */
+    double *information; /* (n, 10, 10), inverse covariance, priors included */
+    double *gradient;    /* (n, 10), of the quasi-likelihood */
+    double *chi2;        /* (n,) */
+} Fits;
+
+/* How many pixels a spot has, and their rows (25, p). */
+static inline int64_t pixels_of(const Fits *fits, int64_t n)
+{
+    return fits->begin[n + 1] - fits->begin[n];
+}
+
+static inline float *rows_of(const Fits *fits, int64_t n)
+{
+    return fits->pool + N_ROWS * fits->begin[n];
+}
+
+/* Cut out the pixels around n spots; for a first look some 200 each, spread over its size.
+ *
+ * `spots` (n, 4): centre, column and row, px; half width, px; contrast, DN. The arrays are scratch. */
+Fits cut_patches(const Picture *picture, int64_t n, const double *spots, bool first_look);
+
+/* Fill in the weight of each channel (3,): its contrast `colour` (3,), which is best for equal
+ * noise. */
+void channel_weights(const double *colour, double *weight);
+
+#endif

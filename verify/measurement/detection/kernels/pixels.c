@@ -1,0 +1,160 @@
+#include "verify/measurement/detection/kernels/pixels.h"
+
+#include <math.h>
+
+#include "verify/core/kernels/linear_algebra.h"
+#include "verify/core/kernels/scratch.h"
+
+#define CLIP_REACH 4.5f /* sigma from a limit within which clipping is computed */
+#define MIN_Z (-9.0f)   /* sigma: below, a clipped pixel shows nothing */
+#define STEPS_PER_UNIT 256 /* entries of a table of the normal law */
+#define N_ENTRIES (27 * STEPS_PER_UNIT / 2 + 2)
+/* of the profiles, as profile.py */
+#define MIN_PROFILE log(1.05)
+#define ROW_STEP ((log(32.0) - log(1.05)) / 55.0)
+#define MAX_RADIUS 8.0f
+
+static float share_below[N_ENTRIES], density_at[N_ENTRIES]; /* of a standard normal variable */
+
+__attribute__((constructor)) static void tabulate_normal_law(void)
+{
+    for (int n = 0; n < N_ENTRIES; n++) {
+        double z = (double)MIN_Z + n / (double)STEPS_PER_UNIT;
+        share_below[n] = (float)(0.5 * erfc(-z / sqrt(2.0)));
+        density_at[n] = (float)(exp(-0.5 * z * z) / sqrt(2.0 * acos(-1.0)));
+    }
+}
+
+void clip(int64_t p, float *restrict mean, float *restrict variance, float *restrict visible)
+{
+    int64_t near = 0;
+#pragma omp simd reduction(+ : near)
+    for (int64_t k = 0; k < p; k++) { /* the farther limit is always out of reach */
+        float room = MIN(SENSOR_LIMIT - mean[k], mean[k]);
+        near += (room < 0.0f) | (room * room < CLIP_REACH * CLIP_REACH * variance[k]);
+        visible[k] = 1.0f;
+    }
+    if (near == 0)
+        return;
+#pragma omp simd
+    for (int64_t k = 0; k < p; k++) {
+        float room = MIN(SENSOR_LIMIT - mean[k], mean[k]), sigma = sqrtf(variance[k]);
+        float z = MIN(MAX(room / sigma, MIN_Z), CLIP_REACH);
+        /* a Taylor series about the next entry of the table */
+        int32_t entry = (int32_t)((z - MIN_Z) * STEPS_PER_UNIT + 0.5f);
+        float node = (float)entry / STEPS_PER_UNIT + MIN_Z, off = z - node;
+        float curved = off * (node * node - 1.0f), here = density_at[entry];
+        float density = here * (1.0f + off * (0.5f * curved - node));
+        float inside = share_below[entry];
+        inside += here * off * (1.0f + off * (curved / 6.0f - 0.5f * node));
+        /* E[u^2] less E[u]^2, u the clipped room. No less than rounding: a deviation there is the
+         * model's, not the noise's. */
+        float excess = room * inside + density * sigma;
+        float clipped = variance[k] * inside + excess * (room - excess);
+        float middle = SENSOR_LIMIT - mean[k] < mean[k] ? SENSOR_LIMIT - excess : excess;
+        variance[k] = z < CLIP_REACH ? MAX(clipped, (float)QUANTISATION) : variance[k];
+        mean[k] = z < CLIP_REACH ? middle : mean[k];
+        visible[k] = z < CLIP_REACH ? inside : 1.0f;
+    }
+}
+
+double profile_line(double steepness, Table table)
+{
+    double place = (steepness - MIN_PROFILE) / ROW_STEP;
+    return MIN(MAX(place, 0.0), (double)table.n_rows - 1.001);
+}
+
+/* Fill in f, df / d(t^2) and df / d(ln steepness) from the table, to first order in t^2. */
+static void look_up(double steepness, Table table, int64_t p, const float *restrict radius2,
+                    float *restrict height, float *restrict slope, float *restrict steeper)
+{
+    double place = profile_line(steepness, table);
+    int64_t line = (int64_t)place;
+    float share = (float)(place - (double)line);
+    const float *restrict samples = table.values + 4 * table.n_samples * line;
+    int32_t last = (int32_t)table.n_samples - 1;
+#pragma omp simd
+    for (int64_t k = 0; k < p; k++) {
+        float radius = sqrtf(radius2[k]);
+        /* the last sample also where the radius is no number */
+        int32_t sample = radius < MAX_RADIUS ? (int32_t)(radius / PROFILE_RADIUS_STEP + 0.5f) : last;
+        const float *one = samples + 4 * sample;
+        /* past the table the profile stays constant */
+        float at = (float)sample * PROFILE_RADIUS_STEP;
+        float beyond = MIN(radius2[k] - at * at, 2.0f * MAX_RADIUS * PROFILE_RADIUS_STEP);
+        slope[k] = one[2] + share * one[3];
+        height[k] = one[0] + share * one[1] + slope[k] * beyond;
+        steeper[k] = one[1];
+    }
+}
+
+double weigh_pixels(const double *parameters, double scale, const double *noise, Table table,
+                    int64_t p, float *rows)
+{
+    float of[N_PARAMETERS], inverse = (float)(1.0 / scale);
+    for (int a = 0; a < N_PARAMETERS; a++)
+        of[a] = (float)parameters[a];
+    const float *restrict column = rows + ROW_COLUMN * p, *restrict row = rows + ROW_ROW * p;
+    const float *restrict value = rows + ROW_VALUE * p, *restrict valid = rows + ROW_VALID * p;
+    float *restrict u = rows + ROW_U * p, *restrict w = rows + ROW_W * p;
+    float *restrict radius2 = rows + ROW_RADIUS2 * p, *restrict slope = rows + ROW_SLOPE * p;
+    float *restrict by_x = rows + PAR_X * p, *restrict by_y = rows + PAR_Y * p;
+    float *restrict by_peak = rows + PAR_PEAK * p, *restrict by_floor = rows + PAR_FLOOR * p;
+    float *restrict by_slope_x = rows + PAR_SLOPE_X * p, *restrict by_xx = rows + PAR_XX * p;
+    float *restrict by_slope_y = rows + PAR_SLOPE_Y * p, *restrict by_xy = rows + PAR_XY * p;
+    float *restrict by_yy = rows + PAR_YY * p, *restrict by_steepness = rows + PAR_STEEPNESS * p;
+    float *restrict mean = rows + ROW_MEAN * p, *restrict variance = rows + ROW_VARIANCE * p;
+    float *restrict signal = rows + ROW_SIGNAL * p, *restrict used = rows + ROW_USED * p;
+    float *restrict visible = rows + ROW_VISIBLE * p, *restrict residual = rows + ROW_RESIDUAL * p;
+#pragma omp simd
+    for (int64_t k = 0; k < p; k++) {
+        u[k] = (column[k] - of[PAR_X]) * inverse;
+        w[k] = (row[k] - of[PAR_Y]) * inverse;
+        by_x[k] = of[PAR_XX] * u[k] + of[PAR_XY] * w[k];
+        by_y[k] = of[PAR_XY] * u[k] + of[PAR_YY] * w[k];
+        float square = by_x[k] * u[k] + by_y[k] * w[k];
+        radius2[k] = square > 0.0f ? square : 0.0f;
+    }
+    look_up(parameters[PAR_STEEPNESS], table, p, radius2, by_peak, slope, by_steepness);
+    float read = (float)noise[0], gain = (float)noise[1], black = (float)noise[2];
+#pragma omp simd
+    for (int64_t k = 0; k < p; k++) {
+        float plane = of[PAR_FLOOR] + of[PAR_SLOPE_X] * column[k] + of[PAR_SLOPE_Y] * row[k];
+        mean[k] = plane + of[PAR_PEAK] * by_peak[k];
+        signal[k] = MAX(mean[k] - black, 0.0f);
+        variance[k] = residual[k] = read + gain * signal[k];
+    }
+    clip(p, mean, variance, visible);
+    float lever = (float)(-2.0 * parameters[PAR_PEAK] / scale), left_out = 0.0f;
+    float steep = (float)(parameters[PAR_PEAK] / ROW_STEP);
+#pragma omp simd reduction(+ : left_out)
+    for (int64_t k = 0; k < p; k++) {
+        /* what lies far out and does not fit is a neighbour's; judged by the unclipped variance */
+        float off = value[k] - mean[k];
+        bool far = (off * off > OUTLIER_SIGMA * OUTLIER_SIGMA * residual[k])
+                   & (radius2[k] > NEIGHBOUR_RADIUS * NEIGHBOUR_RADIUS);
+        used[k] = far ? 0.0f : valid[k];
+        left_out += valid[k] - used[k];
+        float weight = used[k] * sqrtf(1.0f / variance[k]), change = weight * visible[k];
+        float bent = change * slope[k];
+        residual[k] = weight * off;
+        by_x[k] *= lever * bent;
+        by_y[k] *= lever * bent;
+        by_peak[k] *= change;
+        by_floor[k] = change;
+        by_slope_x[k] = change * column[k];
+        by_slope_y[k] = change * row[k];
+        bent *= of[PAR_PEAK];
+        by_xx[k] = bent * u[k] * u[k];
+        by_xy[k] = 2.0f * bent * u[k] * w[k];
+        by_yy[k] = bent * w[k] * w[k];
+        by_steepness[k] *= steep * change;
+    }
+    return (double)(OUTLIER_SIGMA * OUTLIER_SIGMA) * (double)left_out;
+}
+
+int64_t entry_clip(int64_t p, float *mean, float *variance, float *visible)
+{
+    clip(p, mean, variance, visible);
+    return 0;
+}

@@ -1,0 +1,327 @@
+/* Judge fitted spots: centre and covariance, diameter, whether a spot has the shape of one LED.
+ *
+ * With misfit m the residuals' mean square over their variance, the covariance is enlarged
+ *
+ *     by 1 + c max(m - 1 - MAX_CHI2_SIGMA sqrt(2 / freedom), 0),  of merged spots by c m,
+ *        and STRETCH_SHARE stretch x diameter added (`doubt_shapes`)
+ *
+ * with c = CORRELATED_PIXELS; in a JPEG, where the misfit of clean spots has the median M, by
+ *
+ *     s M (1 + c max(m / M - MAX_LOSSY_MISFIT, 0)),  s = LOSSY_SHARE
+ *
+ * Quantisation wipes out fine detail and so adds errors that are mostly even about a spot, or finer
+ * than what a shift of its centre changes. s is measured: simulated spots of 4 to 14 px, quality 60
+ * to 98, where +- 1.96 u so holds 94 to 97 %.
+ */
+#include "verify/measurement/detection/kernels/quality.h"
+
+#include "verify/core/kernels/linear_algebra.h"
+#include "verify/core/kernels/scratch.h"
+#include "verify/measurement/detection/kernels/fit.h"
+
+#define MAX_REDUCED_CHI2 6.0     /* reduced chi^2 of a shape that no clean LED has */
+/* rms residual over peak; both must hold: a bright LED shows any flaw */
+#define MAX_RESIDUAL_RATIO 0.035
+#define MIN_PEAK 8.0             /* sigma of the peak: chance does not reach it in a picture */
+#define MAX_SHIFT 1.5 /* half-widths: a fit that left its candidate has found something else */
+#define MAX_AXIS_RATIO 2.0 /* of the fitted profile; a blurred LED stays below, streaks do not */
+/* A shape that the profiles lack (a stalk before the LED, a reflection beside it) leaves errors
+ * larger than noise, in neighbouring pixels alike: the covariance covers them too. What is left of
+ * a clipped spot is too little to judge its shape by. */
+#define MAX_CHI2_SIGMA 3.0   /* standard deviations of a reduced chi^2 that noise alone reaches */
+#define LOSSY_SHARE 0.8      /* of a JPEG's squared errors, which move a centre */
+#define MIN_LOSSY_MISFIT 0.5 /* noise is not estimated twice too large */
+#define MAX_LOSSY_MISFIT 3.0 /* times the usual: more is a shape, not quantisation */
+/* Light beside an LED, or an edge before it, stretches it alone, and motion all. Flat LEDs seen
+ * from aside differ too, each by its angle, but are no longer than others, and the same on both
+ * sides: chi^2 of a bite seldom exceeds 10 at any angle, and seldom stays below 15 behind one. */
+#define MIN_ALIKE 3      /* spots: fewer do not show what is usual */
+#define MAX_STRETCH 0.05 /* diameters */
+#define MAX_LENGTH 1.2   /* of the longest width, over the usual one: alone */
+#define MAX_SURE_LENGTH 1.04 /* the same, of what misfits */
+#define MAX_LONGER_SIGMA 2.0 /* standard deviations of that misfit */
+#define MAX_ASYMMETRY 12.0   /* chi^2 of a bite out of a stretched spot, over the usual misfit */
+#define MIN_STRETCH_SIGMA 15.0 /* of the centre: noise stretches a spot by 2.4 to 3.4 of them */
+/* Two equal lights d apart add d^2/4 to the second moment along their line, and their middle is
+ * d/2 off: the widths give that as 0.36 stretch x diameter of Gaussians, 0.13 of discs; half an
+ * axis. */
+#define STRETCH_SHARE 0.15
+#define MIN_BORDER 1.2     /* half-widths that must be inside the image */
+#define MIN_SEPARATION 0.5 /* diameters of the smaller one: closer spots are one spot found twice */
+#define MAX_PART 0.75      /* of a disc's diameter: a smaller spot on it is a part of it */
+#define MAX_PART_PEAK 1.5  /* of a disc's peak, that a part of it may seem to have */
+
+/* Fill in the covariance of the centre, other parameters free, px^2; NaN where it is not finite. */
+static void centre_covariance(const double *information, double *row)
+{
+    bool finite = true;
+    for (int a = 0; a < N_PARAMETERS * N_PARAMETERS; a++)
+        finite = finite && isfinite(information[a]);
+    for (int k = COL_COVARIANCE_XX; k <= COL_COVARIANCE_YY; k++)
+        row[k] = NAN;
+    if (!finite)
+        return;
+    double root[N_PARAMETERS * N_PARAMETERS], unit[2][N_PARAMETERS] = {{0.0}};
+    factor(N_PARAMETERS, information, -MIN_INFORMATION, root);
+    unit[0][PAR_X] = unit[1][PAR_Y] = 1.0;
+    solve(N_PARAMETERS, root, unit[0]);
+    solve(N_PARAMETERS, root, unit[1]);
+    row[COL_COVARIANCE_XX] = unit[0][PAR_X];
+    row[COL_COVARIANCE_XY] = row[COL_COVARIANCE_YX] = unit[0][PAR_Y];
+    row[COL_COVARIANCE_YY] = unit[1][PAR_Y];
+}
+
+/* What judges a spot by its own pixels: those that clipping leaves alone; their squared residuals
+ * over the variance, summed; the same in DN^2; and how many of all are at the sensor's limit. */
+typedef struct {
+    float count, squares, square_dn, full;
+} Core;
+
+static Core core_counts(int64_t p, const float *rows)
+{
+    const float *core = rows + ROW_CORE * p, *visible = rows + ROW_VISIBLE * p;
+    const float *value = rows + ROW_VALUE * p, *mean = rows + ROW_MEAN * p;
+    const float *variance = rows + ROW_VARIANCE * p;
+    float count = 0.0f, squares = 0.0f, square_dn = 0.0f, full = 0.0f;
+#pragma omp simd reduction(+ : count, squares, square_dn, full)
+    for (int64_t k = 0; k < p; k++) {
+        float alone = visible[k] > MIN_NOISE_SHARE ? core[k] : 0.0f, off = value[k] - mean[k];
+        full += value[k] >= SENSOR_LIMIT ? core[k] : 0.0f;
+        count += alone;
+        squares += alone * off * off / variance[k];
+        square_dn += alone * off * off;
+    }
+    return (Core){count, squares, square_dn, full};
+}
+
+/* Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
+ *
+ * `rows` (25, p); `peak`, DN; `pixels`, that misfit beyond chance lifts together; `row` (16,),
+ * changed. */
+static void assess_shape(int64_t p, const float *rows, double peak, double pixels, double *row)
+{
+    Core core = core_counts(p, rows);
+    double freedom = (double)core.count - N_FITTED, paid = MAX(freedom, 1.0);
+    double misfit = freedom >= N_FITTED ? (double)core.squares / paid : 1.0;
+    double rough = sqrt((double)core.square_dn / paid);
+    bool merged = misfit > MAX_REDUCED_CHI2 &&
+                  rough > MAX_RESIDUAL_RATIO * MIN(peak, (double)SENSOR_LIMIT);
+    double beyond = misfit - 1.0 - MAX_CHI2_SIGMA * sqrt(2.0 / paid);
+    double excess = core.full == 0.0f ? MAX(beyond, 0.0) : 0.0;
+    double larger = merged ? CORRELATED_PIXELS * misfit : 1.0 + pixels * excess;
+    for (int k = COL_COVARIANCE_XX; k <= COL_COVARIANCE_YY; k++)
+        row[k] *= larger;
+    row[COL_MISFIT] = misfit;
+    row[COL_COUNT] = (double)core.count;
+    row[COL_SATURATED] = core.full > 0.0f ? 1.0 : 0.0;
+    row[COL_MERGED] = merged ? 1.0 : 0.0;
+}
+
+void assess_all(const Fits *fits, int64_t width, int64_t height, double lifted, double *assessed)
+{
+    for (int64_t n = 0; n < fits->n; n++) {
+        const double *p = fits->parameters + N_PARAMETERS * n;
+        const double *information = fits->information + N_PARAMETERS * N_PARAMETERS * n;
+        double *row = assessed + N_COLUMNS * n, scale = fits->scale[n];
+        double x = (double)fits->origin[2 * n] + p[PAR_X];
+        double y = (double)fits->origin[2 * n + 1] + p[PAR_Y];
+        double mean = (p[PAR_XX] + p[PAR_YY]) / 2.0, half = (p[PAR_XX] - p[PAR_YY]) / 2.0;
+        double split = hypot(half, p[PAR_XY]);
+        bool positive = mean > split;
+        double longer = positive ? scale / sqrt(mean - split) : scale;
+        double shorter = positive ? scale / sqrt(mean + split) : scale;
+        double turn = split > 0.0 ? -2.0 * (longer - shorter) / split : 0.0;
+        row[COL_CENTRE_X] = x;
+        row[COL_CENTRE_Y] = y;
+        row[COL_PEAK] = p[PAR_PEAK];
+        row[COL_DIAMETER] = longer + shorter;
+        row[COL_ELONGATION] = longer / shorter;
+        row[COL_STRETCH_X] = turn * half;
+        row[COL_STRETCH_Y] = turn * p[PAR_XY];
+        centre_covariance(information, row);
+        assess_shape(pixels_of(fits, n), rows_of(fits, n), p[PAR_PEAK], lifted, row);
+        double rim = MIN_BORDER * longer - 0.5;
+        double certain = information[(N_PARAMETERS + 1) * PAR_PEAK];
+        bool sound = positive && x > rim && y > rim && x < (double)width - 1.0 - rim &&
+                     y < (double)height - 1.0 - rim && p[PAR_PEAK] * sqrt(certain) > MIN_PEAK &&
+                     longer < MAX_AXIS_RATIO * shorter &&
+                     hypot(p[PAR_X], p[PAR_Y]) < MAX_SHIFT * scale + 1.0;
+        for (int a = 0; a < N_PARAMETERS; a++)
+            sound = sound && isfinite(p[a]);
+        row[COL_SOUND] = sound ? 1.0 : 0.0;
+    }
+}
+
+/* Median of n values so far apart, of those whose `wanted` (n,) is over 0; NaN of none. */
+static double median_where(int64_t n, const double *values, int64_t apart, const double *wanted)
+{
+    Mark mark = scratch_mark();
+    double *some = TAKE(double, n);
+    int64_t count = 0;
+    for (int64_t k = 0; k < n; k++)
+        if (wanted[k] > 0.0)
+            some[count++] = values[apart * k];
+    double found = count > 0 ? median(some, count) : NAN;
+    scratch_release(mark);
+    return found;
+}
+
+void widen_lossy(int64_t n, double *assessed)
+{
+    Mark mark = scratch_mark();
+    double *whole = TAKE(double, n);
+    for (int64_t k = 0; k < n; k++) {
+        const double *row = assessed + N_COLUMNS * k;
+        whole[k] = 1.0 - MAX(row[COL_SATURATED], row[COL_MERGED]);
+    }
+    double usual = median_where(n, assessed + COL_MISFIT, N_COLUMNS, whole);
+    usual = isnan(usual) ? 1.0 : MAX(usual, MIN_LOSSY_MISFIT);
+    for (int64_t k = 0; k < n; k++) {
+        double *row = assessed + N_COLUMNS * k;
+        double beyond = row[COL_MISFIT] / usual - MAX_LOSSY_MISFIT;
+        double odd = MAX(beyond, 0.0) * whole[k];
+        double scale = LOSSY_SHARE * usual * (1.0 + CORRELATED_PIXELS * odd);
+        for (int c = COL_COVARIANCE_XX; c <= COL_COVARIANCE_YY; c++)
+            row[c] *= row[COL_MERGED] > 0.0 ? 1.0 : scale;
+    }
+    scratch_release(mark);
+}
+
+/* Least stretch of a spot, px, that is doubted: beyond noise, where nothing else would show. */
+static double least_stretch(const double *row, double asymmetry)
+{
+    if (asymmetry < INFINITY)
+        return MAX_STRETCH * row[COL_DIAMETER];
+    return MIN_STRETCH_SIGMA * sqrt((row[COL_COVARIANCE_XX] + row[COL_COVARIANCE_YY]) / 2.0);
+}
+
+/* Flag those of n spots that are longer or more lopsided than usual; widen what is merged.
+ *
+ * As for `doubt_shapes`; `off` and `length` (n,), px: stretch and longest width; `clear` (n,), 1 of
+ * those that are not merged. */
+static void flag_stretched(int64_t n, double *assessed, const double *asymmetry, const double *off,
+                           const double *length, const double *clear)
+{
+    int64_t alike = 0;
+    for (int64_t k = 0; k < n; k++)
+        alike += clear[k] > 0.0;
+    /* none is longer than usual where nothing shows what that is */
+    double x = 0.0, y = 0.0, usual = INFINITY;
+    if (alike >= MIN_ALIKE) {
+        x = median_where(n, assessed + COL_STRETCH_X, N_COLUMNS, clear);
+        y = median_where(n, assessed + COL_STRETCH_Y, N_COLUMNS, clear);
+        usual = median_where(n, length, 1, clear);
+    }
+    double misfit = median_where(n, assessed + COL_MISFIT, N_COLUMNS, clear);
+    misfit = MAX(1.0, misfit); /* 1 of none */
+    for (int64_t k = 0; k < n; k++) {
+        double *row = assessed + N_COLUMNS * k;
+        double here = hypot(row[COL_STRETCH_X] - x, row[COL_STRETCH_Y] - y);
+        double stretch = MIN(off[k], here), over = row[COL_MISFIT] / misfit;
+        double chance = 1.0 + MAX_LONGER_SIGMA * sqrt(2.0 / MAX(row[COL_COUNT], 1.0));
+        double longer = length[k] / usual;
+        bool odd = asymmetry[k] > MAX_ASYMMETRY * misfit || longer > MAX_LENGTH ||
+                   (over > chance && longer > MAX_SURE_LENGTH);
+        if (odd && stretch > least_stretch(row, asymmetry[k]))
+            row[COL_MERGED] = 1.0;
+        if (row[COL_MERGED] > 0.0) {
+            double doubt = STRETCH_SHARE * stretch * row[COL_DIAMETER];
+            row[COL_COVARIANCE_XX] += doubt;
+            row[COL_COVARIANCE_YY] += doubt;
+        }
+    }
+}
+
+void doubt_shapes(int64_t n, double *assessed, const double *asymmetry)
+{
+    Mark mark = scratch_mark();
+    double *off = TAKE(double, n), *clear = TAKE(double, n), *length = TAKE(double, n);
+    bool doubtful = false;
+    for (int64_t k = 0; k < n; k++) {
+        const double *row = assessed + N_COLUMNS * k;
+        off[k] = hypot(row[COL_STRETCH_X], row[COL_STRETCH_Y]);
+        clear[k] = 1.0 - row[COL_MERGED];
+        length[k] = 2.0 * row[COL_DIAMETER] / (1.0 + 1.0 / row[COL_ELONGATION]);
+        doubtful = doubtful || clear[k] == 0.0 || off[k] > least_stretch(row, asymmetry[k]);
+    }
+    if (doubtful)
+        flag_stretched(n, assessed, asymmetry, off, length, clear);
+    scratch_release(mark);
+}
+
+int64_t first_by(const double *values, int64_t n, int64_t *index, int64_t most)
+{
+    int64_t count = 0;
+    for (int64_t k = 0; k < n; k++) {
+        int64_t one = index[k], at = MIN(count, most);
+        for (; at > 0 && values[one] < values[index[at - 1]]; at--)
+            if (at < most)
+                index[at] = index[at - 1];
+        if (at < most) {
+            index[at] = one;
+            count = MIN(count + 1, most);
+        }
+    }
+    return count;
+}
+
+static double centres_apart(const double *row, const double *other)
+{
+    return hypot(row[COL_CENTRE_X] - other[COL_CENTRE_X], row[COL_CENTRE_Y] - other[COL_CENTRE_Y]);
+}
+
+/* Whether a spot lies on the disc of another, larger one, whose shape is that of one LED.
+ *
+ * A few pixels of a disc's rim fit a small spot, with so little freedom that nothing misfits. */
+static bool is_part(const double *row, const double *other)
+{
+    return row[COL_DIAMETER] < MAX_PART * other[COL_DIAMETER] &&
+           row[COL_PEAK] < MAX_PART_PEAK * other[COL_PEAK] && /* no LED before a glow */
+           other[COL_MERGED] == 0.0 && centres_apart(row, other) < other[COL_DIAMETER] / 2.0;
+}
+
+/* Whether a spot is another one of m spots: a part of its disc, or fitting better or first. */
+static bool is_found_again(const double *assessed, int64_t m, const int64_t *spots, int64_t n)
+{
+    const double *row = assessed + N_COLUMNS * n;
+    for (int64_t at = 0; at < m; at++) {
+        int64_t k = spots[at];
+        const double *other = assessed + N_COLUMNS * k;
+        if (k == n || is_part(other, row))
+            continue;
+        bool better = other[COL_MISFIT] < row[COL_MISFIT] ||
+                      (k < n && other[COL_MISFIT] == row[COL_MISFIT]);
+        double near = MIN_SEPARATION * MIN(row[COL_DIAMETER], other[COL_DIAMETER]);
+        if (is_part(row, other) || (better && centres_apart(row, other) < near))
+            return true;
+    }
+    return false;
+}
+
+int64_t choose_spots(int64_t n, const double *assessed, double least, double largest, int64_t limit,
+                     int64_t *kept)
+{
+    Mark mark = scratch_mark();
+    int64_t *sound = TAKE(int64_t, n), count = 0, single = 0;
+    double *rank = TAKE(double, n), *height = TAKE(double, n);
+    for (int64_t k = 0; k < n; k++) {
+        const double *row = assessed + N_COLUMNS * k;
+        if (row[COL_SOUND] > 0.0 && least <= row[COL_DIAMETER] && row[COL_DIAMETER] <= largest)
+            sound[count++] = k;
+        height[k] = -row[COL_PEAK];
+        rank[k] = -row[COL_PEAK] / (1.0 + row[COL_MISFIT]) / row[COL_ELONGATION];
+    }
+    for (int64_t at = 0; at < count; at++)
+        if (!is_found_again(assessed, count, sound, sound[at]))
+            kept[single++] = sound[at];
+    count = first_by(rank, single, kept, limit);
+    first_by(height, count, kept, count);
+    scratch_release(mark);
+    return count;
+}
+
+int64_t entry_choose_spots(int64_t n, const double *assessed, double least, double largest,
+                           int64_t limit, int64_t *kept)
+{
+    GUARDED(choose_spots(n, assessed, least, largest, limit, kept));
+}

@@ -1,0 +1,241 @@
+"""Entries of the compiled alignment, pose fit and sensitivities."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from verify.core.native import entry
+from verify.core.records import Array
+
+Flags = NDArray[np.bool_]
+Index = NDArray[np.int64]
+# LED (m,), centre (m, 2) px, covariance (m, 2, 2) px², instant (m,) s of one picture's spots
+SpotView = tuple[Index, Array, Array, Array]
+SpotPlaces = tuple[Array, Array, Array, Array, Array, Array]  # as `predict_spots` takes them
+
+# As in pose.c
+LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
+SCALE = np.repeat([LEVER, 1.0], 3)  # m and rad: units in which both are alike
+ACCELERATION_PER_SPEED = 3.0  # 1/s, assumed
+MOTION_RATE = 3.0  # likewise: of jerk an acceleration, of snap a jerk, 1/s
+MIN_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and stops
+# As in sensitivities.c
+MIDDLE, FOCAL, LENS, MOTION = range(4)
+LED, SHIFT, TURN = range(3)
+
+_carry_to_instant = entry("carry_to_instant")
+_led_boxes = entry("led_boxes")
+_predict_spots = entry("predict_spots")
+_move_pose = entry("move_pose")
+_covariance_of = entry("covariance_of")
+_fit_spots = entry("fit_spots")
+_judge_fit = entry("judge_fit")
+_place_leds = entry("place_leds")
+_fill_by_camera = entry("fill_by_camera")
+_fill_by_body = entry("fill_by_body")
+
+
+def carry_to_instant(
+    now: SpotView, around: tuple[SpotView, SpotView, SpotView], t: float
+) -> tuple[int, Array, Array, Array, Array]:
+    """Carry m spots to an instant t, s, by what neighbouring pictures show of their LEDs.
+
+    LEDs that no neighbour shows move like the others, with their spread as uncertainty. `around`:
+    the spots of the pictures before, after, and before the one before, which counts only beside
+    one of the others; empty where there is none.
+
+    Gives how many LEDs a neighbour shows too, without which nothing else is of use; centre (m, 2);
+    covariance (m, 2, 2); velocity (m, 2), px/s; levers (m, 3), s², s³, s⁴.
+    """
+    m, (one, two, three) = len(now[0]), around
+    views = m, *now, len(one[0]), *one, len(two[0]), *two, len(three[0]), *three
+    place, spread = np.empty((m, 2)), np.empty((m, 2, 2))
+    velocity, lever = np.empty((m, 2)), np.empty((m, 3))
+    count = _carry_to_instant(*views, t, place, spread, velocity, lever)
+    return count, place, spread, velocity, lever
+
+
+def led_boxes(
+    camera_T_flange: Array,
+    leds: Array,
+    camera: tuple[Array, Array],
+    half: tuple[float, float, float, float],
+    size: tuple[int, int],
+) -> Array:
+    """Boxes about the LEDs in the image, (n, 4), px: x0, y0, x1, y1; those that overlap become one.
+
+    `camera_T_flange` (4, 4); `leds` (n, 3), m, flange frame; `camera`: its matrix (3, 3), px, and
+    k1, k2, p1, p2, k3; `half`: half a box: px; and at the LED's depth, m, m, and rad that the whole
+    has turned; `size`, px, width and height of the image.
+    """
+    boxes = np.empty((len(leds), 4))
+    return boxes[: _led_boxes(len(leds), camera_T_flange, leds, *camera, *half, *size, boxes)]
+
+
+def predict_spots(
+    rig_T_flange: Array,
+    points: Array,
+    camera_R_rig: Array,
+    origin: Array,
+    lens: Array,
+    focal: Array,
+    middle: Array,
+    pixels: Array,
+    by_point: Array,
+    by_pose: Array,
+) -> None:
+    """Fill in s spots' images and how they change with the point and with the pose.
+
+    `rig_T_flange` (4, 4); `points` (s, 3), m, LEDs in the flange frame; of each spot's camera
+    `camera_R_rig` (s, 3, 3), `origin` (s, 3), m, of the rig in the camera, `lens` (5, s), k1, k2,
+    p1, p2, k3, `focal` (s, 2, 2), px, and `middle` (s, 2), px, principal points. Filled: `pixels`
+    (s, 2); `by_point` (s, 2, 3), px/m, by the point in the rig; `by_pose` (s, 2, 6), by a
+    translation and a rotation vector in rig axes.
+    """
+    pose = np.ascontiguousarray(rig_T_flange)
+    places = points, camera_R_rig, origin, lens, focal, middle
+    _predict_spots(len(points), pose, *places, pixels, by_point, by_pose)
+
+
+def move_pose(pose: Array, step: Array) -> None:
+    """Move a pose (4, 4) in place by translation and rotation vector (6,)."""
+    _move_pose(pose, step)
+
+
+def covariance_of(information: Array, inverse: Array, vectors: Array, known: Flags) -> None:
+    """Fill in the covariance in the directions that an information matrix (6, 6) determines.
+
+    In 1/m² and 1/rad²; of one or two LEDs (or of LEDs on one line) it is singular: its null vectors
+    are the motions that no picture shows. Filled: `inverse` (6, 6); `vectors` (6, 6), columns,
+    directions in units of SCALE, only where one of them is not known; `known` (6,).
+    """
+    if not _covariance_of(information, inverse, vectors, known):
+        raise np.linalg.LinAlgError("not finite")
+
+
+def fit_spots(
+    places: SpotPlaces,
+    centre: Array,
+    spots: tuple[Array, Array, Array],
+    rows: Index,
+    pose: Array,
+) -> tuple[
+    tuple[Array, Array, Array],
+    tuple[Array, Array, Array],
+    Array,
+    tuple[Array, Flags],
+    Array,
+    tuple[float, float],
+    Array,
+    tuple[Array, Array, Array, float],
+]:
+    """Fit a pose (4, 4), rig_T_flange, to s spots by Gauss-Newton; it is changed.
+
+    `places`: what `predict_spots` needs after the pose; `centre` (s, 2), px, as measured; `spots`:
+    covariance (s, 2, 2) px², velocity (s, 2) px/s and the levers (s, 3) of acceleration, jerk and
+    snap, s², s³, s⁴; `rows` (2 k,), those of the spots that count.
+
+    Returns:
+        Residual (s, 2) px, and the derivatives of the spots by the point (s, 2, 3) and by the pose
+        (s, 2, 6), before the last step; covariance of the spots from the pixels and from motion
+        that is not known, and the inverse of their sum, 0 for spots that do not count, (2 s, 2 s)
+        each; the gain (6, 2 s), d pose / d spot, 0 for those; the directions of `covariance_of`,
+        (6, 6) and (6,); the twist (6,), m/s and rad/s; the acceleration assumed, a component, m/s²
+        and rad/s²; the image acceleration of that twist, corrected for, (s, 2), px/s²; the pose's
+        covariances (6, 6) by the pixels' noise and by motion that is not known, the spots'
+        uncertainty (s,), px, by both, and the residuals' chi².
+
+    Raises:
+        numpy.linalg.LinAlgError: a step is not finite.
+    """
+    n = len(centre)
+    predicted = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 6))
+    spread, gain = np.empty((3, 2 * n, 2 * n)), np.empty((6, 2 * n))
+    directions, twist, curvature = np.empty((6, 6)), np.empty(6), np.empty((n, 2))
+    known, covariances = np.empty(6, np.bool_), np.empty((2, 6, 6))
+    uncertainty, figures = np.empty(n), np.empty(3)
+    given = n, *places, centre, *spots, len(rows), rows, pose
+    motion = twist, curvature, covariances, uncertainty, figures
+    if not _fit_spots(*given, *predicted, spread, gain, directions, known, *motion):
+        raise np.linalg.LinAlgError("a step is not finite")
+    (noise, acceleration, weight), (pixels, alignment) = spread, covariances
+    linear, angular, chi2 = figures.tolist()
+    return (
+        predicted,
+        (noise, acceleration, weight),
+        gain,
+        (directions, known),
+        twist,
+        (linear, angular),
+        curvature,
+        (pixels, alignment, uncertainty, chi2),
+    )
+
+
+def judge_fit(
+    predicted: tuple[Array, Array, Array],
+    spread: tuple[Array, Array, Array],
+    gain: Array,
+    rows: Index,
+    tolerance: Array,
+    chi2: tuple[float, float],
+) -> tuple[int, float, bool]:
+    """Find the kept spot that fits worst, and say whether the kept ones agree as a whole.
+
+    `predicted`, `spread` and `gain` (6, 2 s) are those of `fit_spots`; `rows` (2 k,), those of the
+    kept spots; `tolerance` (2 s, 2 s), px²: what spots may be off beside their noise; `chi2`: that
+    of the residuals, and the greatest that noise, motion and tolerance reach.
+
+    Returns:
+        The worst spot; its residual in its own uncertainty, squared; whether they agree.
+    """
+    (residual, _, by_pose), (noise, acceleration, _), most = predicted, spread, np.empty(1)
+    fit = residual, by_pose, noise, acceleration, gain
+    found = _judge_fit(len(residual), *fit, len(rows), rows, tolerance, *chi2, most)
+    return found // 2, float(most[0]), bool(found % 2)
+
+
+def place_leds(
+    leds: Array, led: Index, rig_T_flange: Array, placed: tuple[Array, Array], left: int
+) -> tuple[Array, Array, Array]:
+    """Place spots' LEDs, (s, 3) each, m: LED from flange, rig axes; in the rig; in the camera.
+
+    `leds` (n, 3), m, flange frame; `led` (s,), of each spot; `placed`: camera_T_rig (4, 4) of the
+    left camera, whose spots are the first `left` ones, and of the right one.
+    """
+    found = np.empty((3, len(led), 3))
+    _place_leds(len(led), leds, led, rig_T_flange, *placed, left, found)
+    offset, points, inside = found
+    return offset, points, inside
+
+
+def fill_by_camera(
+    kinds: Index,
+    twists: Array,
+    camera: tuple[Array, Array],
+    spots: tuple[Array, Array, Array],
+    first: int,
+    moved: Array,
+) -> None:
+    """Fill in how one camera's parameters move its s spots.
+
+    `kinds` (k, 3): the parameter's column, what it is, which one of its kind; `twists` (k, 6), how
+    it moves the camera: translation at the rig's origin (m) and turn; `camera`: its matrix (3, 3),
+    px, and k1, k2, p1, p2, k3; `spots`: points in the camera and the same in the rig, (s, 3), m,
+    and d px / d point in the rig, (s, 2, 3); `moved` (p, n, 2), px a SI unit, zeros: those of the
+    camera's spots, from `first` on, are filled.
+    """
+    n, all_spots = len(spots[0]), moved.shape[1]
+    _fill_by_camera(len(kinds), kinds, twists, *camera, n, *spots, first, all_spots, moved)
+
+
+def fill_by_body(
+    kinds: Index, led: Index, rig_R_flange: Array, offset: Array, by_point: Array, moved: Array
+) -> None:
+    """Fill in how LEDs, and the body that holds them, move the spots.
+
+    `kinds` (k, 4): the parameter's column, what it is, its LED, its axis of the flange; `led` (s,),
+    of each spot; `rig_R_flange` (3, 3); `offset` (s, 3), m, LED from flange, rig axes; `by_point`
+    (s, 2, 3), d px / d point in the rig; `moved` (p, s, 2), px a SI unit, its columns filled.
+    """
+    turn = np.ascontiguousarray(rig_R_flange)
+    _fill_by_body(len(kinds), kinds, len(led), led, turn, offset, by_point, moved)
