@@ -12,14 +12,14 @@ unexport PYTHONDONTWRITEBYTECODE
 
 .PHONY: demo test test-all test-long lint check format samples accept pictures docs bench soak bench-coverage bench-diagnosis bench-grab fuzz clean
 
-# packages that running needs
+# packages that running needs; a C compiler for the inner loops where the machine has none
 $(RUN): pyproject.toml .ci/constraints.txt
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11) and "verify needs Python 3.11 or newer: make PYTHON=python3.12 ...")'
 	@echo "environment: $(VENV), packages that running needs"
 	@$(PYTHON) -m venv $(VENV)
 	-@$(PIP) --upgrade pip  # an older one takes twice as long
 	@$(PIP) -e .
-	@command -v cc gcc clang >/dev/null || [ -n "$$CC" ] || $(PIP) -e '.[compiler]'  # of the inner loops, in C
+	@[ -n "$$CC" ] || command -v cc >/dev/null || command -v gcc >/dev/null || command -v clang >/dev/null || $(PIP) -e '.[compiler]'
 	@touch $@
 
 # packages that tests and checks need

@@ -15,7 +15,7 @@ from reports.results import ReportError, Results, packed, read, write
 
 if TYPE_CHECKING:
     from reports.format.branding import Look
-    from reports.render import charts, draw, look, render_html, render_pdf
+    from reports.render import charts, draw, look, render_html, render_pdf, render_report
 
 __all__ = [
     "Look",
@@ -28,6 +28,7 @@ __all__ = [
     "read",
     "render_html",
     "render_pdf",
+    "render_report",
     "write",
 ]
 

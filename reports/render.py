@@ -1,6 +1,7 @@
 """Results to pages: `report.html` and `report.pdf`, in the look that the user asks for."""
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -59,6 +60,14 @@ def render_html(results: Results, look: Look = DEFAULT_BRANDING) -> str:
 def render_pdf(results: Results, look: Look = DEFAULT_BRANDING) -> bytes:
     """Render results as a PDF, the same bytes each time; raises ReportError as `render_html`."""
     return pdf.pages(_document(results), look)
+
+
+def render_report(results: Results, look: Look = DEFAULT_BRANDING) -> tuple[str, bytes]:
+    """Render results as a page and as a PDF at once, from one layout; as the two above do each."""
+    document = _document(results)
+    with ThreadPoolExecutor(1) as typesetter:  # typst and zlib let other threads run
+        pages = typesetter.submit(pdf.pages, document, look)
+        return html.page(document, look), pages.result()
 
 
 def charts(results: Results) -> dict[str, Chart | SpacePath]:

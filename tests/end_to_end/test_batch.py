@@ -12,7 +12,6 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-import reports
 from tests.support.command import ROOT, read_summary, verify
 from tests.support.fleets import record
 from tests.support.processes import TIMEOUT, running, wait_until
@@ -47,7 +46,7 @@ def out(lab: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def without_pdf(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spare the seconds that a PDF takes where it is not what the test is about."""
-    monkeypatch.setattr(reports, "render_pdf", lambda _: b"%PDF-")
+    monkeypatch.setattr("reports.format.pdf.pages", lambda *_: b"%PDF-")
 
 
 def tables(out: Path) -> dict[str, bytes]:

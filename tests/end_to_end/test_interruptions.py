@@ -97,7 +97,7 @@ def test_too_little_memory_is_said_as_such(kilobytes: int, tmp_path: Path) -> No
     assert (done.returncode, line.count("cannot allocate memory")) == (2, 1), done
 
 
-@pytest.mark.parametrize("step", ["render_html", "render_pdf", "write"])
+@pytest.mark.parametrize("step", ["format.html.page", "format.pdf.pages", "write"])
 @pytest.mark.parametrize("earlier", [False, True], ids=["new", "forced"])
 def test_an_interruption_while_writing_leaves_what_was_there(
     step: str,

@@ -15,7 +15,6 @@ import numpy as np
 import pandas as pd
 import pytest
 
-import reports
 import verify as verify_package
 from reports.document.formatting import with_uncertainty
 from tests.support.command import SAMPLES, Outcome, Run, read_summary, replayed, run, verify
@@ -103,7 +102,7 @@ def cut_short(tmp_path_factory: pytest.TempPathFactory) -> Run:
 @pytest.fixture
 def without_pdf(monkeypatch: pytest.MonkeyPatch) -> None:
     """Spare the seconds that a PDF takes where it is not what the test is about."""
-    monkeypatch.setattr(reports, "render_pdf", lambda _: b"%PDF-")
+    monkeypatch.setattr("reports.format.pdf.pages", lambda *_: b"%PDF-")
 
 
 def files(folder: Path) -> dict[str, bytes]:

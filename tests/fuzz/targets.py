@@ -312,7 +312,7 @@ def quick() -> Iterator[None]:
     """Leave out what takes long and reads nothing: PDF, processes, waits for devices."""
     with ExitStack() as stack:
         for name, instead in (
-            ("reports.render_pdf", lambda *_: b"%PDF-1.7"),
+            ("reports.format.pdf.pages", lambda *_: b"%PDF-1.7"),
             ("verify.fleet.batch.workers.ProcessPool", _PoolHere),
             ("verify.simulation.emulators.server.EmulatorServer.serve", lambda *_: None),
             ("verify.cli.doctor.devices.START_TIMEOUT", 1.0),

@@ -33,8 +33,7 @@ def report(
     try:
         with restated(reports.ReportError):
             look = reports.look(logo=logo, owner=owner, templates=template)
-            page = reports.render_html(results, look).encode()
-            pages = reports.render_pdf(results, look)
+            page, pages = reports.render_report(results, look)
     except (LookupError, TypeError, ValueError, AttributeError, ArithmeticError) as problem:
         # whole files whose hashes fit, but not what a report of this kind is made of
         found = f"cannot be made into a report ({type(problem).__name__}: {problem})"
@@ -42,7 +41,7 @@ def report(
         expected = "results as this version writes them are expected"
         raise InputError(out / RESULTS, found, expected, remedy) from problem
     name = "fleet" if results.summary.get("kind") == "fleet" else "report"
-    write_whole(out / f"{name}.html", page)
+    write_whole(out / f"{name}.html", page.encode())
     write_whole(out / f"{name}.pdf", pages)
     terminal.say(f"Report: {report_files(out, name)}")
     terminal.record("result", out=str(out))

@@ -32,6 +32,10 @@ FLAGS = (
     "-fno-math-errno", "-fno-trapping-math", "-fno-semantic-interposition",
 )  # fmt: skip
 PACKAGE = Path(__file__).parents[1]
+FOLDERS = (
+    "core/kernels", "measurement/kernels", "measurement/detection/kernels",
+    "measurement/correspondence/kernels", "calibration/corners/kernels", "calibration/stereo",
+)  # fmt: skip
 LIBRARY = "kernels.dll" if sys.platform == "win32" else "kernels.so"
 INTERFACE = "interface.py"  # what cffi makes of the entries' declarations, beside the library
 ENTRY = r"^int64_t entry_\w+\([^)]*\)"  # a declaration
@@ -42,11 +46,7 @@ TYPES = {"float64": "double", "float32": "float", "bool": "_Bool"} | {
 
 def sources(package: Path = PACKAGE) -> list[Path]:
     """Files of C in the package, headers too, sorted."""
-    found = []
-    for folder, inner, files in os.walk(package):
-        inner[:] = [name for name in inner if name != "__pycache__"]  # thousands of cached files
-        found += [Path(folder) / name for name in files if name.endswith((".c", ".h"))]
-    return sorted(found)
+    return sorted(p for folder in FOLDERS for p in (package / folder).glob("*.[ch]"))
 
 
 @cache

@@ -30,7 +30,7 @@ import numpy as np
 
 from verify.core.records import Image
 
-START_TIMEOUT = 60.0  # s until a child process is ready, or computes on: it may have to compile
+START_TIMEOUT = 60.0  # s until a child process is ready, or computes on
 START_INTERVAL, START_SHARE = 1.0, 0.01  # s between such messages; of a processor, used meanwhile
 JOIN_TIMEOUT = 1.0  # s for a child process to end by itself before it is terminated
 # kinds of messages from a child process

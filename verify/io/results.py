@@ -89,9 +89,10 @@ def write_report_folder(
 
 
 def write_reports(results: reports.Results, folder: Path, name: str = "report") -> None:
-    """Write NAME.html and NAME.pdf, one after the other: together they would need more memory."""
-    (folder / f"{name}.html").write_text(reports.render_html(results), encoding="utf-8")
-    (folder / f"{name}.pdf").write_bytes(reports.render_pdf(results))
+    """Write NAME.html and NAME.pdf."""
+    page, pages = reports.render_report(results)
+    (folder / f"{name}.html").write_text(page, encoding="utf-8")
+    (folder / f"{name}.pdf").write_bytes(pages)
 
 
 def read_results(out: Path) -> reports.Results:

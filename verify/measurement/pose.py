@@ -41,50 +41,42 @@ MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accuse
 
 @dataclass(frozen=True, slots=True)
 class SightingStack:
-    """The sightings of both cameras: s spots, left ones first, each with its camera's figures."""
+    """The sightings of both cameras: s spots, left ones first."""
 
     points: Array  # (s, 3), m, LEDs in the flange frame
     centre: Array  # (s, 2), px
     covariance: Array  # (s, 2, 2), px²
     velocity: Array  # (s, 2), px/s
     lever: Array  # (s, 3), s², s³, s⁴
-    camera_R_rig: Array  # (s, 3, 3)
-    origin: Array  # (s, 3), m, of the rig in the camera
-    lens: Array  # (5, s), k1, k2, p1, p2, k3
-    focal: Array  # (s, 2, 2), px, of the camera's matrix
-    middle: Array  # (s, 2), px, principal point
+    cameras: Array  # (2, 23), left and right, as `kernels.entries.predict_spots` has them
+    left: int  # spots of the left camera
 
     @property
-    def places(self) -> tuple[Array, Array, Array, Array, Array, Array]:
+    def places(self) -> tuple[Array, Array, int]:
         """Arguments of a prediction beside the pose."""
-        return self.points, self.camera_R_rig, self.origin, self.lens, self.focal, self.middle
+        return self.points, self.cameras, self.left
 
 
 def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) -> SightingStack:
     """Stack both cameras' sightings of points (n, 3), m, in the flange frame."""
-    placed = _camera_rows(rig.left, rig.right, (left.pan, right.pan), (len(left), len(right)))
     return SightingStack(
         np.ascontiguousarray(points[np.concatenate([left.led, right.led])]),
         np.concatenate([left.centre, right.centre]),
         np.concatenate([left.covariance, right.covariance]),
         np.concatenate([left.velocity, right.velocity]),
         np.concatenate([left.lever, right.lever]),
-        *placed,
+        _camera_rows(rig.left, rig.right, left.pan, right.pan),
+        len(left),
     )
 
 
 @lru_cache(maxsize=16)
-def _camera_rows(
-    left: Camera, right: Camera, pans: tuple[float, float], counts: tuple[int, int]
-) -> tuple[Array, Array, Array, Array, Array]:
-    """Each spot's camera, as `SightingStack` lists it; kept, as a pair is fitted more than once."""
-    side, cameras = np.repeat((0, 1), counts), (left, right)
-    placed = np.array([camera.camera_T_rig(a) for camera, a in zip(cameras, pans, strict=True)])
-    lens = np.array([camera.distortion for camera in cameras])[side].T
-    matrix = np.array([camera.matrix[:2] for camera in cameras])[side]
-    rows = placed[side, :3, :3], placed[side, :3, 3], lens, matrix[:, :, :2], matrix[:, :, 2]
-    r, origin, lens, focal, middle = map(np.ascontiguousarray, rows)
-    return r, origin, lens, focal, middle
+def _camera_rows(left: Camera, right: Camera, pan_left: float, pan_right: float) -> Array:
+    """Both cameras, as `SightingStack` has them; kept, as a pair is fitted more than once."""
+    placed = (left, left.camera_T_rig(pan_left)), (right, right.camera_T_rig(pan_right))
+    return np.array(
+        [[*pose[:3].flat, *one.distortion, *one.matrix[:2].flat] for one, pose in placed]
+    )
 
 
 # d spots by what is stated of rig and marker, columns of unit variance (2 s, p), at a pose (4, 4)
@@ -131,11 +123,7 @@ def predict(views: SightingStack, rig_T_flange: Array) -> tuple[Array, Array, Ar
     By the point in the rig (s, 2, 3), px/m; and by the pose (s, 2, 6), a translation and a rotation
     vector in rig axes.
     """
-    count = len(views.points)
-    pixels, by_point = np.empty((count, 2)), np.empty((count, 2, 3))
-    by_pose = np.empty((count, 2, 6))
-    kernel.predict_spots(rig_T_flange, *views.places, pixels, by_point, by_pose)
-    return pixels, by_point, by_pose
+    return kernel.predict_spots(rig_T_flange, *views.places)
 
 
 def motion_columns(by_pose: Array, lever: Array, prior: tuple[float, float]) -> Array:
@@ -157,7 +145,7 @@ class _PoseFit:
     rows: NDArray[np.int64]  # (2 k,), which of the coordinates are those of kept spots
     rig_T_flange: Array  # (4, 4)
     predicted: tuple[Array, Array, Array]  # residual, derivatives by the point and by the pose
-    spread: tuple[Array, Array, Array]  # covariance from pixels, from alignment, and their weight
+    spread: Array  # (2, 2 s, 2 s), covariance from pixels and from alignment
     gain: Array  # (6, 2 s), 0 for spots that are not kept
     directions: tuple[Array, NDArray[np.bool_]]  # of the pose, and whether spots determine them
     twist: Array  # (6,)

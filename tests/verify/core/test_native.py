@@ -96,6 +96,10 @@ def test_entries_take_nothing_but_what_they_are_declared_for() -> None:
             vectors(1, wrong, np.empty(3))
 
 
+def test_every_source_is_compiled() -> None:
+    assert set(native.sources()) == set(PACKAGE.rglob("*.[ch]"))
+
+
 def test_every_entry_has_a_door_and_every_door_an_entry() -> None:
     declared = {
         name
@@ -116,7 +120,7 @@ def door_of(source: Path) -> ModuleType:
     return import_module(".".join(door.relative_to(ROOT).with_suffix("").parts))
 
 
-def test_constants_that_python_and_c_share_are_equal(tmp_path: Path) -> None:
+def test_no_source_has_a_warning_and_constants_that_python_shares_are_equal(tmp_path: Path) -> None:
     shared = 0
     for source in native.sources():
         words = set(
@@ -130,9 +134,8 @@ def test_constants_that_python_and_c_share_are_equal(tmp_path: Path) -> None:
         ]
         unit = tmp_path / "unit.c"
         unit.write_text("\n".join([f'#include "{source}"', *checks, ""]))
-        subprocess.run(
-            [*native.compiler(), *FLAGS, f"-I{ROOT}", "-fsyntax-only", str(unit)], check=True
-        )
+        strict = f"-I{ROOT}", "-Wall", "-Wextra", "-Werror", "-fsyntax-only"
+        subprocess.run([*native.compiler(), *FLAGS, *strict, str(unit)], check=True)
         shared += len(checks)
     assert shared > 50
 

@@ -13,27 +13,14 @@
  */
 #include <stdint.h>
 
+#include "verify/core/kernels/camera.h"
 #include "verify/core/kernels/linear_algebra.h"
 
 enum { COL_FOCAL = 0, COL_PRINCIPAL = 2, COL_LENS = 4, COL_CENTER = 9, COL_AXIS = 12, COL_ZERO = 15,
        COL_TURN = 16, COL_OFFSET = 19, COL_BOW = 22, COL_POSE = 25, COL_PAN = 31, COL_MOTION = 33,
        COL_BEND = 36, COL_RESIDUAL = 39, N_COLUMNS = 40 };
 
-enum { FX, FY, CX, CY, K1, K2, P1, P2, K3 }; /* of a lens (9,) */
-
-/* A corner's place at depth 1, x and y, and where the lens shows it, u and v. */
-typedef struct {
-    double x, y, r2, across, radial, u, v;
-} Ray;
-
-static Ray bend_ray(double x, double y, const double *lens)
-{
-    double r2 = x * x + y * y, across = 2.0 * x * y;
-    double radial = 1.0 + r2 * (lens[K1] + r2 * (lens[K2] + r2 * lens[K3]));
-    double u = x * radial + lens[P1] * across + lens[P2] * (r2 + 2.0 * x * x);
-    double v = y * radial + lens[P1] * (r2 + 2.0 * y * y) + lens[P2] * across;
-    return (Ray){x, y, r2, across, radial, u, v};
-}
+enum { FX, FY, CX, CY, LENS }; /* of a camera (9,) */
 
 /* Place the corners and project them.
  *
@@ -59,35 +46,32 @@ int64_t entry_see_corners(int64_t n, const int64_t *board, const double *flat, c
         }
         copy(seen + 3 * k, from, 3);
         double depth = from[2] > 0.0 ? from[2] : NAN;
-        Ray ray = bend_ray(from[0] / depth, from[1] / depth, lens);
-        pixels[2 * k] = lens[FX] * ray.u + lens[CX];
-        pixels[2 * k + 1] = lens[FY] * ray.v + lens[CY];
+        Bent ray = bend(lens + LENS, from[0] / depth, from[1] / depth);
+        pixels[2 * k] = lens[FX] * ray.x + lens[CX];
+        pixels[2 * k + 1] = lens[FY] * ray.y + lens[CY];
     }
     return 0;
 }
 
-/* Fill in a row's derivatives by the lens, where its weights are `one` of u and `two` of v; and by
- * the corner's place in the camera's axes (3,). */
-static void fill_lens(Ray ray, double depth, double one, double two, const double *lens,
-                      double *restrict inside, double *restrict c)
+/* Fill in two rows' derivatives by the lens, and by the corner's place in the camera's axes (2, 3),
+ * where `root` (2, 2) weighs the two coordinates. */
+static void fill_lens(const double *from, const double *root, const double *lens, double *inside,
+                      double *restrict rows)
 {
-    double x = ray.x, y = ray.y, r2 = ray.r2, fx = one * lens[FX], fy = two * lens[FY];
-    double slope = 2.0 * (lens[K1] + r2 * (2.0 * lens[K2] + r2 * 3.0 * lens[K3]));
-    double mixed = x * y * slope + 2.0 * (lens[P1] * x + lens[P2] * y);
-    double by_x = ray.radial + x * x * slope + 2.0 * lens[P1] * y + 6.0 * lens[P2] * x;
-    double by_y = ray.radial + y * y * slope + 6.0 * lens[P1] * y + 2.0 * lens[P2] * x;
-    c[COL_FOCAL] = one * ray.u;
-    c[COL_FOCAL + 1] = two * ray.v;
-    c[COL_PRINCIPAL] = one;
-    c[COL_PRINCIPAL + 1] = two;
-    c[COL_LENS] = (fx * x + fy * y) * r2;
-    c[COL_LENS + 1] = (fx * x + fy * y) * r2 * r2;
-    c[COL_LENS + 2] = fx * ray.across + fy * (r2 + 2.0 * y * y);
-    c[COL_LENS + 3] = fx * (r2 + 2.0 * x * x) + fy * ray.across;
-    c[COL_LENS + 4] = (fx * x + fy * y) * r2 * r2 * r2;
-    inside[0] = (fx * by_x + fy * mixed) / depth;
-    inside[1] = (fx * mixed + fy * by_y) / depth;
-    inside[2] = -(inside[0] * x + inside[1] * y);
+    double x = from[0] / from[2], y = from[1] / from[2], by_lens[5][2];
+    Bent ray = bend(lens + LENS, x, y);
+    differentiate_lens(x, y, by_lens);
+    for (int row = 0; row < 2; row++, root += 2, inside += 3) {
+        double *c = rows + row * N_COLUMNS, fx = root[0] * lens[FX], fy = root[1] * lens[FY];
+        c[COL_FOCAL] = root[0] * ray.x;
+        c[COL_FOCAL + 1] = root[1] * ray.y;
+        copy(c + COL_PRINCIPAL, root, 2);
+        for (int i = 0; i < 5; i++)
+            c[COL_LENS + i] = fx * by_lens[i][0] + fy * by_lens[i][1];
+        inside[0] = (fx * ray.xx + fy * ray.xy) / from[2];
+        inside[1] = (fx * ray.xy + fy * ray.yy) / from[2];
+        inside[2] = -(inside[0] * x + inside[1] * y);
+    }
 }
 
 /* Fill in a row's derivatives by all that moves camera or board, from those by the corner's place
@@ -130,15 +114,14 @@ int64_t entry_fill_columns(int64_t n, const int64_t *board, const double *poses,
     for (int64_t k = 0; k < n; k++) {
         const double *from = seen + 3 * k, *camera = placed + 16 * board[k];
         const double *pose = poses + 16 * board[k];
-        Ray ray = bend_ray(from[0] / from[2], from[1] / from[2], lens);
-        double *rows = columns + 2 * N_COLUMNS * k;
+        double *rows = columns + 2 * N_COLUMNS * k, inside[6];
         double off_x = rows[COL_RESIDUAL], off_y = rows[N_COLUMNS + COL_RESIDUAL];
+        fill_lens(from, root + 4 * k, lens, inside, rows);
         for (int row = 0; row < 2; row++) {
-            double *c = rows + row * N_COLUMNS, inside[3], by_point[3], height = 0.0;
+            double *c = rows + row * N_COLUMNS, by_point[3], height = 0.0;
             const double *weight = root + 4 * k + 2 * row;
-            fill_lens(ray, from[2], weight[0], weight[1], lens, inside, c);
             for (int i = 0; i < 3; i++) {
-                by_point[i] = dot(inside, camera + 4 * i);
+                by_point[i] = dot(inside + 3 * row, camera + 4 * i);
                 height += by_point[i] * pose[4 * i + 2];
             }
             fill_motions(by_point, points + 3 * k, arms + 3 * k, camera, turned + 9 * board[k],

@@ -54,6 +54,24 @@ static inline void copy(double *target, const double *source, int64_t n)
     memcpy(target, source, sizeof(double) * (size_t)n);
 }
 
+static inline void clear(double *values, int64_t n)
+{
+    memset(values, 0, sizeof(double) * (size_t)n);
+}
+
+/* Fill in a point (3,) as a pose places it, by its first three rows (3, 4). */
+static inline void place_point(const double *pose, const double *point, double *placed)
+{
+    for (int i = 0; i < 3; i++)
+        placed[i] = dot(pose + 4 * i, point) + pose[4 * i + 3];
+}
+
+/* Squared length of (x, y) in its covariance xx, xy, yy. */
+static inline double chi2_of(double x, double y, double xx, double xy, double yy)
+{
+    return (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy);
+}
+
 /* Rotate the first three columns and rows of a matrix in place by a rotation vector (3,); `width` is
  * its number of columns, 3 or 4. */
 static inline void rotate(double *axes, int width, const double *vector)

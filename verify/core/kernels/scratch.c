@@ -9,7 +9,7 @@
 
 struct Arena {
     Arena *next;
-    char *block[N_BLOCKS], *raw[N_BLOCKS];
+    char *block[N_BLOCKS]; /* kept until the process ends */
     Mark mark;
     jmp_buf failure;
 };
@@ -71,7 +71,6 @@ void *scratch_take(size_t bytes)
         char *raw = malloc(((size_t)FIRST_BLOCK << at->block) + ALIGNMENT);
         if (raw == NULL)
             longjmp(current->failure, 1);
-        current->raw[at->block] = raw;
         current->block[at->block] = raw + (ALIGNMENT - (uintptr_t)raw % ALIGNMENT);
     }
     void *taken = current->block[at->block] + at->used;

@@ -10,9 +10,9 @@ Flags = NDArray[np.bool_]
 Index = NDArray[np.int64]
 # LED (m,), centre (m, 2) px, covariance (m, 2, 2) px², instant (m,) s of one picture's spots
 SpotView = tuple[Index, Array, Array, Array]
-SpotPlaces = tuple[Array, Array, Array, Array, Array, Array]  # as `predict_spots` takes them
+SpotPlaces = tuple[Array, Array, int]  # as `predict_spots` takes them
 
-# As in pose.c
+# As in directions.h and pose.c
 LEVER = 0.1  # m, the size of a marker: makes metres and radians comparable
 SCALE = np.repeat([LEVER, 1.0], 3)  # m and rad: units in which both are alike
 ACCELERATION_PER_SPEED = 3.0  # 1/s, assumed
@@ -72,28 +72,19 @@ def led_boxes(
 
 
 def predict_spots(
-    rig_T_flange: Array,
-    points: Array,
-    camera_R_rig: Array,
-    origin: Array,
-    lens: Array,
-    focal: Array,
-    middle: Array,
-    pixels: Array,
-    by_point: Array,
-    by_pose: Array,
-) -> None:
-    """Fill in s spots' images and how they change with the point and with the pose.
+    rig_T_flange: Array, points: Array, cameras: Array, left: int
+) -> tuple[Array, Array, Array]:
+    """Predict s spots' images (s, 2), px, and how they change with the point and with the pose.
 
-    `rig_T_flange` (4, 4); `points` (s, 3), m, LEDs in the flange frame; of each spot's camera
-    `camera_R_rig` (s, 3, 3), `origin` (s, 3), m, of the rig in the camera, `lens` (5, s), k1, k2,
-    p1, p2, k3, `focal` (s, 2, 2), px, and `middle` (s, 2), px, principal points. Filled: `pixels`
-    (s, 2); `by_point` (s, 2, 3), px/m, by the point in the rig; `by_pose` (s, 2, 6), by a
+    `rig_T_flange` (4, 4); `points` (s, 3), m, LEDs in the flange frame, of which the left camera
+    sees the first `left` ones; `cameras` (2, 23), of each camera_T_rig (3, 4), k1, k2, p1, p2, k3,
+    and the matrix (2, 3), px. By the point in the rig (s, 2, 3), px/m; by the pose (s, 2, 6), a
     translation and a rotation vector in rig axes.
     """
-    pose = np.ascontiguousarray(rig_T_flange)
-    places = points, camera_R_rig, origin, lens, focal, middle
-    _predict_spots(len(points), pose, *places, pixels, by_point, by_pose)
+    n = len(points)
+    predicted = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 6))
+    _predict_spots(n, left, np.ascontiguousarray(rig_T_flange), points, cameras, *predicted)
+    return predicted
 
 
 def move_pose(pose: Array, step: Array) -> None:
@@ -120,7 +111,7 @@ def fit_spots(
     pose: Array,
 ) -> tuple[
     tuple[Array, Array, Array],
-    tuple[Array, Array, Array],
+    Array,
     Array,
     tuple[Array, Flags],
     Array,
@@ -137,31 +128,32 @@ def fit_spots(
     Returns:
         Residual (s, 2) px, and the derivatives of the spots by the point (s, 2, 3) and by the pose
         (s, 2, 6), before the last step; covariance of the spots from the pixels and from motion
-        that is not known, and the inverse of their sum, 0 for spots that do not count, (2 s, 2 s)
-        each; the gain (6, 2 s), d pose / d spot, 0 for those; the directions of `covariance_of`,
-        (6, 6) and (6,); the twist (6,), m/s and rad/s; the acceleration assumed, a component, m/s²
-        and rad/s²; the image acceleration of that twist, corrected for, (s, 2), px/s²; the pose's
-        covariances (6, 6) by the pixels' noise and by motion that is not known, the spots'
-        uncertainty (s,), px, by both, and the residuals' chi².
+        that is not known, (2, 2 s, 2 s); the gain (6, 2 s), d pose / d spot, 0 for spots that do
+        not count; the directions of `covariance_of`, (6, 6) and (6,); the twist (6,), m/s and
+        rad/s; the acceleration assumed, a component, m/s² and rad/s²; the image acceleration of
+        that twist, corrected for, (s, 2), px/s²; the pose's covariances (6, 6) by the pixels' noise
+        and by motion that is not known, the spots' uncertainty (s,), px, by both, and the
+        residuals' chi².
 
     Raises:
         numpy.linalg.LinAlgError: a step is not finite.
     """
     n = len(centre)
     predicted = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 6))
-    spread, gain = np.empty((3, 2 * n, 2 * n)), np.empty((6, 2 * n))
+    spread, gain = np.empty((2, 2 * n, 2 * n)), np.empty((6, 2 * n))
     directions, twist, curvature = np.empty((6, 6)), np.empty(6), np.empty((n, 2))
     known, covariances = np.empty(6, np.bool_), np.empty((2, 6, 6))
     uncertainty, figures = np.empty(n), np.empty(3)
-    given = n, *places, centre, *spots, len(rows), rows, pose
+    points, cameras, left = places
+    given = n, left, points, cameras, centre, *spots, len(rows), rows, pose
     motion = twist, curvature, covariances, uncertainty, figures
     if not _fit_spots(*given, *predicted, spread, gain, directions, known, *motion):
         raise np.linalg.LinAlgError("a step is not finite")
-    (noise, acceleration, weight), (pixels, alignment) = spread, covariances
+    pixels, alignment = covariances
     linear, angular, chi2 = figures.tolist()
     return (
         predicted,
-        (noise, acceleration, weight),
+        spread,
         gain,
         (directions, known),
         twist,
@@ -173,7 +165,7 @@ def fit_spots(
 
 def judge_fit(
     predicted: tuple[Array, Array, Array],
-    spread: tuple[Array, Array, Array],
+    spread: Array,
     gain: Array,
     rows: Index,
     tolerance: Array,
@@ -188,8 +180,8 @@ def judge_fit(
     Returns:
         The worst spot; its residual in its own uncertainty, squared; whether they agree.
     """
-    (residual, _, by_pose), (noise, acceleration, _), most = predicted, spread, np.empty(1)
-    fit = residual, by_pose, noise, acceleration, gain
+    (residual, _, by_pose), most = predicted, np.empty(1)
+    fit = residual, by_pose, spread, gain
     found = _judge_fit(len(residual), *fit, len(rows), rows, tolerance, *chi2, most)
     return found // 2, float(most[0]), bool(found % 2)
 

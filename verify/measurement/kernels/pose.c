@@ -7,18 +7,12 @@
  *
  * restricted to the directions that the spots determine.
  */
+#include "verify/core/kernels/camera.h"
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
+#include "verify/measurement/kernels/directions.h"
 
-#define N_FREE 6
-#define LEVER 0.1 /* m, the size of a marker: makes metres and radians comparable */
-/* LEDs nearly on a line: a turn less certain than this is no measurement, and too large for the
- * linearisation that its uncertainty rests on. */
-#define MAX_UNCERTAINTY 0.1 /* rad, or 10 mm at the marker's size */
-#define MIN_INFORMATION 1e-10 /* of a direction, relative to the best: rounding, not measurement */
 #define MAX_ITERATIONS 25
-#define MAX_SWEEPS 50 /* of Jacobi's rotations; eight do */
-#define NEGLIGIBLE 1e-17 /* off the diagonal, of the largest entry */
 /* Acceleration assumed a speed, 1/s: arms move in sines near 0.5 Hz (2 pi f = 3) or in ramps of a
  * third of a second. The session's own motion corrects it afterwards (comparison.py). */
 #define ACCELERATION_PER_SPEED 3.0
@@ -31,22 +25,22 @@
 #define CLEAN_PX 0.1 /* px, standard uncertainty up to which the velocities of spots count alike */
 #define MIN_VARIANCE 1e-6 /* px^2: against 0/0 where nothing else checks a spot */
 
-/* m and rad: units in which both are alike */
-static const double SCALE[N_FREE] = {LEVER, LEVER, LEVER, 1.0, 1.0, 1.0};
+enum { BENDING = 12, MATRIX = 17, N_CAMERA = 23 }; /* where a camera's figures stand in its row */
 
-typedef struct { /* n spots */
-    int64_t n;
+typedef struct { /* n spots, n_left of the left camera first */
+    int64_t n, n_left;
     const double *points; /* (n, 3), m, LEDs in the flange frame */
-    const double *camera_R_rig; /* (n, 3, 3), of each spot's camera */
-    const double *origin; /* (n, 3), m, of the rig in the camera */
-    const double *lens; /* (5, n), k1, k2, p1, p2, k3 */
-    const double *focal; /* (n, 2, 2), px */
-    const double *middle; /* (n, 2), px, principal points */
+    const double *cameras; /* (2, 23): camera_T_rig (3, 4), lens (5,), matrix (2, 3), px */
     const double *centre; /* (n, 2), px, as measured; not for a prediction, nor what follows */
     const double *covariance; /* (n, 2, 2), px^2 */
     const double *velocity; /* (n, 2), px/s */
     const double *lever; /* (n, 3), s^2, s^3, s^4, of acceleration, jerk and snap */
 } Spots;
+
+typedef struct { /* coordinates of the spots that count, of n */
+    int64_t n, count;
+    const int64_t *rows; /* (count,) */
+} Kept;
 
 typedef struct { /* a pose's fit to n spots */
     double *residual; /* (n, 2), px, before the last step, as are the derivatives */
@@ -54,64 +48,49 @@ typedef struct { /* a pose's fit to n spots */
     double *by_pose; /* (n, 2, 6), by a translation and a rotation vector in rig axes */
     double *noise; /* (2 n, 2 n), px^2, covariance of the spots from the pixels */
     double *acceleration; /* (2 n, 2 n), from motion that is not known */
-    double *weight; /* (2 n, 2 n), inverse of their sum: that of the kept spots, 0 for others */
     double *gain; /* (6, 2 n), d pose / d spot, 0 for spots that do not count */
     double *directions; /* (6, 6), of `covariance_of` */
     bool *known; /* (6,) */
     double *twist; /* (6,), m/s and rad/s */
     double *curvature; /* (n, 2), px/s^2, image acceleration of the twist, corrected for */
-    double *pixels; /* (6, 6), covariance of the pose by the pixels' noise */
-    double *alignment; /* (6, 6), by motion that is not known */
+    double *covariances; /* (2, 6, 6), of the pose by noise and by acceleration */
     double *uncertainty; /* (n,), px, of a spot in a coordinate, by both */
     double *figures; /* acceleration assumed, a component, m/s^2 and rad/s^2; chi^2 of residuals */
 } Fit;
 
-static void clear(double *values, int64_t n)
+static double sum_products(int64_t n, const double *restrict a, const double *restrict b)
 {
-    memset(values, 0, sizeof(double) * (size_t)n);
-}
-
-static void add_times(int64_t n, double factor, const double *restrict row, double *restrict sum)
-{
-#pragma omp simd
+    double sum = 0.0;
+#pragma omp simd reduction(+ : sum)
     for (int64_t i = 0; i < n; i++)
-        sum[i] += factor * row[i];
+        sum += a[i] * b[i];
+    return sum;
 }
 
 /* Fill in the spots' images (n, 2) at a pose (4, 4), and how they change with point and pose. */
 static void predict_spots(const double *pose, const Spots *at, double *pixels, double *by_point,
                           double *by_pose)
 {
-    int64_t n = at->n;
-    for (int64_t s = 0; s < n; s++) {
-        const double *point = at->points + 3 * s, *turn = at->camera_R_rig + 9 * s;
-        const double *origin = at->origin + 3 * s, *lens = at->lens + s;
-        double a = dot(pose, point), b = dot(pose + 4, point), c = dot(pose + 8, point);
-        double placed[3] = {a + pose[3], b + pose[7], c + pose[11]};
-        double depth = dot(turn + 6, placed) + origin[2];
-        double x = (dot(turn, placed) + origin[0]) / depth;
-        double y = (dot(turn + 3, placed) + origin[1]) / depth;
-        double k1 = lens[0], k2 = lens[n], p1 = lens[2 * n], p2 = lens[3 * n], k3 = lens[4 * n];
-        double r2 = x * x + y * y, higher = r2 * k3 + k2;
-        double radial = 1.0 + r2 * (k1 + r2 * higher);
-        double slope = 2.0 * (k1 + r2 * (higher + higher + r2 * k3)); /* 2 d radial / d r2 */
-        double straight = radial + 2.0 * (p1 * y + p2 * x);
-        double distorted_x = x * straight + p2 * r2, distorted_y = y * straight + p1 * r2;
-        double xx = straight + x * x * slope + 4.0 * p2 * x;
-        double xy = x * y * slope + 2.0 * (p1 * x + p2 * y);
-        double yy = straight + y * y * slope + 4.0 * p1 * y;
-        for (int i = 0; i < 2; i++) {
-            int64_t row = 2 * s + i;
-            double f = at->focal[2 * row], g = at->focal[2 * row + 1];
-            pixels[row] = f * distorted_x + g * distorted_y + at->middle[row];
-            double by_x = (f * xx + g * xy) / depth, by_y = (f * xy + g * yy) / depth;
+    for (int64_t s = 0; s < at->n; s++) {
+        const double *camera = at->cameras + N_CAMERA * (s >= at->n_left);
+        double placed[3], arm[3], inside[3];
+        place_point(pose, at->points + 3 * s, placed);
+        for (int i = 0; i < 3; i++)
+            arm[i] = placed[i] - pose[4 * i + 3];
+        place_point(camera, placed, inside);
+        double depth = inside[2], x = inside[0] / depth, y = inside[1] / depth;
+        Bent bent = bend(camera + BENDING, x, y);
+        for (int64_t row = 2 * s; row < 2 * s + 2; row++) {
+            const double *matrix = camera + MATRIX + 3 * (row % 2);
+            double *slope = by_point + 3 * row;
+            double by_x = (matrix[0] * bent.xx + matrix[1] * bent.xy) / depth;
+            double by_y = (matrix[0] * bent.xy + matrix[1] * bent.yy) / depth;
             double by_depth = -(by_x * x + by_y * y);
-            double d = by_x * turn[0] + by_y * turn[3] + by_depth * turn[6];
-            double e = by_x * turn[1] + by_y * turn[4] + by_depth * turn[7];
-            double h = by_x * turn[2] + by_y * turn[5] + by_depth * turn[8];
-            double all[N_FREE] = {d, e, h, h * b - e * c, d * c - h * a, e * a - d * b};
-            copy(by_point + 3 * row, all, 3);
-            copy(by_pose + N_FREE * row, all, N_FREE);
+            pixels[row] = matrix[0] * bent.x + matrix[1] * bent.y + matrix[2];
+            for (int i = 0; i < 3; i++)
+                slope[i] = by_x * camera[i] + by_y * camera[4 + i] + by_depth * camera[8 + i];
+            copy(by_pose + N_FREE * row, slope, 3);
+            cross(arm, slope, by_pose + N_FREE * row + 3);
         }
     }
 }
@@ -124,143 +103,56 @@ static void move_pose(double *pose, const double *step)
         pose[4 * j + 3] += step[j];
 }
 
-/* Add the image acceleration of the spots (n, 2), px/s^2, at a pose under a steady twist (6,).
+/* Fill in the image acceleration of the spots at a pose under a steady twist.
  *
  * LEDs that turn about the flange, and points that come nearer, do not cross the image at a steady
  * rate even then. It points one way, so it would not average out. */
-static void image_acceleration(const Spots *spots, const double *pose, const double *twist,
-                               double *second)
+static void image_acceleration(const Spots *spots, const double *pose, const Fit *fit)
 {
     Mark mark = scratch_mark();
     int64_t n = spots->n;
     double *pixels = TAKE(double, 2 * n), *by_point = TAKE(double, 6 * n);
     double *by_pose = TAKE(double, 2 * N_FREE * n);
+    clear(fit->curvature, 2 * n);
     for (int h = -1; h <= 1; h++) {
-        double moved[16], step[N_FREE];
+        double moved[16], step[N_FREE], share = (h ? 1.0 : -2.0) / square(TIME_STEP);
         copy(moved, pose, 16);
         for (int i = 0; i < N_FREE; i++)
-            step[i] = twist[i] * (h * TIME_STEP);
+            step[i] = fit->twist[i] * (h * TIME_STEP);
         move_pose(moved, step);
         predict_spots(moved, spots, pixels, by_point, by_pose);
-        add_times(2 * n, (h ? 1.0 : -2.0) / square(TIME_STEP), pixels, second);
+        for (int64_t i = 0; i < 2 * n; i++)
+            fit->curvature[i] += share * pixels[i];
     }
     scratch_release(mark);
 }
 
-/* Fill in eigenvectors, as columns (6, 6), of a symmetric matrix (6, 6), whose diagonal becomes the
- * eigenvalues, in any order.
- *
- * Source: Jacobi's rotations, row by row. */
-static void find_directions(double *matrix, double *vectors)
-{
-    double largest = 0.0;
-    for (int i = 0; i < N_FREE * N_FREE; i++) {
-        vectors[i] = i % (N_FREE + 1) ? 0.0 : 1.0;
-        largest = MAX(largest, fabs(matrix[i]));
-    }
-    bool rotated = true;
-    for (int sweep = 0; sweep < MAX_SWEEPS && rotated; sweep++) {
-        rotated = false;
-        for (int p = 0; p < N_FREE; p++) {
-            for (int q = p + 1; q < N_FREE; q++) {
-                double off = matrix[p * N_FREE + q];
-                if (!(fabs(off) > NEGLIGIBLE * largest))
-                    continue;
-                rotated = true;
-                double half = (matrix[q * N_FREE + q] - matrix[p * N_FREE + p]) / (2.0 * off);
-                double t = copysign(1.0, half) / (fabs(half) + sqrt(half * half + 1.0));
-                double cosine = 1.0 / sqrt(t * t + 1.0), sine = t * cosine;
-                for (int k = 0; k < N_FREE; k++) {
-                    double *a = matrix + k * N_FREE, *v = vectors + k * N_FREE, held = a[p];
-                    a[p] = cosine * held - sine * a[q];
-                    a[q] = sine * held + cosine * a[q];
-                    held = v[p];
-                    v[p] = cosine * held - sine * v[q];
-                    v[q] = sine * held + cosine * v[q];
-                }
-                for (int k = 0; k < N_FREE; k++) {
-                    double *a = matrix + k, held = a[p * N_FREE];
-                    a[p * N_FREE] = cosine * held - sine * a[q * N_FREE];
-                    a[q * N_FREE] = sine * held + cosine * a[q * N_FREE];
-                }
-            }
-        }
-    }
-}
-
-/* Fill in the covariance (6, 6) in the directions that an information matrix (6, 6), 1/m^2 and
- * 1/rad^2, determines: that of one or two LEDs (or of LEDs on one line) is singular; its null
- * vectors are the motions that no picture shows. Filled too: `vectors` (6, 6), columns, directions
- * in units of SCALE, in any order, only where one of them is not known; `known` (6,). False where
- * the matrix is not finite. */
-static bool covariance_of(const double *information, double *inverse, double *vectors, bool *known)
-{
-    double scaled[N_FREE * N_FREE], root[N_FREE * N_FREE], trace = 0.0;
-    for (int i = 0; i < N_FREE; i++) {
-        for (int j = 0; j < N_FREE; j++)
-            scaled[i * N_FREE + j] = information[i * N_FREE + j] * SCALE[i] * SCALE[j];
-        trace += scaled[i * N_FREE + i];
-        known[i] = true;
-    }
-    double least = 1.0 / square(MAX_UNCERTAINTY);
-    /* no eigenvalue is so small: the usual case, decided without the eigenvalues */
-    if (factor(N_FREE, scaled, MAX(MIN_INFORMATION * trace, least), root)) {
-        factor(N_FREE, scaled, 0.0, root);
-        invert(N_FREE, root, inverse);
-    } else {
-        for (int i = 0; i < N_FREE * N_FREE; i++)
-            if (!isfinite(scaled[i]))
-                return false;
-        find_directions(scaled, vectors);
-        clear(inverse, N_FREE * N_FREE);
-        double best = 0.0;
-        for (int k = 0; k < N_FREE; k++)
-            best = MAX(best, scaled[k * N_FREE + k]);
-        for (int k = 0; k < N_FREE; k++) {
-            double value = scaled[k * N_FREE + k];
-            known[k] = value > MAX(MIN_INFORMATION * best, least);
-            for (int i = 0; known[k] && i < N_FREE; i++)
-                for (int j = 0; j < N_FREE; j++)
-                    inverse[i * N_FREE + j] +=
-                        vectors[i * N_FREE + k] * vectors[j * N_FREE + k] / value;
-        }
-    }
-    for (int i = 0; i < N_FREE; i++)
-        for (int j = 0; j < N_FREE; j++)
-            inverse[i * N_FREE + j] *= SCALE[i] * SCALE[j];
-    return true;
-}
-
-/* Fill in how the flange moves, `twist` (6,), from the spots' velocities, and the acceleration
- * that this suggests, a component, m/s^2 and rad/s^2.
- *
- * Clean spots count alike, doubtful ones hardly; of the coordinates, those of kept spots,
- * `rows`. */
-static void twist_from_velocities(const Spots *spots, const double *design, int64_t count,
-                                  const int64_t *rows, double *twist, double *prior)
+/* Fill in how the flange moves, from the velocities of the kept spots, and the acceleration that
+ * this suggests. Clean spots count alike, doubtful ones hardly. */
+static void twist_from_velocities(const Spots *spots, Kept kept, const Fit *fit)
 {
     double information[N_FREE * N_FREE] = {0.0}, root[N_FREE * N_FREE], trace = 0.0;
+    double *twist = fit->twist, *prior = fit->figures;
     bool moving = false;
     prior[0] = MIN_LINEAR;
     prior[1] = MIN_ANGULAR;
     clear(twist, N_FREE);
-    for (int64_t i = 0; i < count; i++)
-        moving = moving || spots->velocity[rows[i]] != 0.0;
-    if (!moving)
-        return;
-    for (int64_t r = 0; r < count; r++) {
-        int64_t row = rows[r];
-        const double *by_pose = design + N_FREE * row;
-        double variance = spots->covariance[2 * row + row % 2];
+    for (int64_t r = 0; r < kept.count; r++) {
+        int64_t row = kept.rows[r];
+        double variance = spots->covariance[2 * row + row % 2], scaled[N_FREE];
         double share = square(CLEAN_PX) / (square(CLEAN_PX) + variance);
+        moving = moving || spots->velocity[row] != 0.0;
+        for (int i = 0; i < N_FREE; i++)
+            scaled[i] = fit->by_pose[N_FREE * row + i] * SCALE[i];
         for (int i = 0; i < N_FREE; i++) {
-            double scaled = share * by_pose[i] * SCALE[i];
-            twist[i] += scaled * spots->velocity[row];
+            twist[i] += share * scaled[i] * spots->velocity[row];
+            trace += share * square(scaled[i]);
             for (int j = 0; j < N_FREE; j++)
-                information[i * N_FREE + j] += scaled * by_pose[j] * SCALE[j];
-            trace += scaled * by_pose[i] * SCALE[i];
+                information[i * N_FREE + j] += share * scaled[i] * scaled[j];
         }
     }
+    if (!moving)
+        return;
     factor(N_FREE, information, -RIDGE * trace / N_FREE, root);
     solve(N_FREE, root, twist);
     for (int i = 0; i < N_FREE; i++)
@@ -271,84 +163,56 @@ static void twist_from_velocities(const Spots *spots, const double *design, int6
     }
 }
 
-/* Fill in the inverse (n, n) of a covariance by its lower Cholesky factor (n, n): the half below
- * the diagonal, which is then mirrored. A third of `invert`'s work. */
-static void invert_covariance(int64_t n, const double *root, double *inverse)
+/* Fill in the covariance of the spots by its sources. */
+static void spot_covariance(const Spots *spots, const Fit *fit)
 {
-    clear(inverse, n * n);
-    for (int64_t i = 0; i < n; i++) {
-        double *row = inverse + n * i;
-        row[i] = 1.0;
-        for (int64_t k = 0; k < i; k++)
-            add_times(k + 1, -root[n * i + k], inverse + n * k, row);
-        for (int64_t c = 0; c <= i; c++)
-            row[c] /= root[n * i + i];
-    }
-    for (int64_t i = n - 1; i >= 0; i--) {
-        double *row = inverse + n * i;
-        for (int64_t k = i + 1; k < n; k++)
-            add_times(i + 1, -root[n * k + i], inverse + n * k, row);
-        for (int64_t c = 0; c <= i; c++) {
-            row[c] /= root[n * i + i];
-            inverse[n * c + i] = row[c];
-        }
-    }
-}
-
-/* Fill in the covariance of the spots by its sources, and its inverse. */
-static void spot_covariance(const Spots *spots, int64_t count, const int64_t *rows, const Fit *fit)
-{
-    Mark mark = scratch_mark();
     int64_t n = 2 * spots->n;
-    double *moved = TAKE(double, N_FREE * n), *levers = TAKE(double, 3 * spots->n);
-    double *kept = TAKE(double, count * count), *root = TAKE(double, count * count);
+    double linear = square(fit->figures[0]), angular = square(fit->figures[1]);
+    double rate = square(MOTION_RATE);
     clear(fit->noise, n * n);
-    clear(fit->weight, n * n);
     for (int64_t i = 0; i < n; i++) {
+        const double *a = fit->by_pose + N_FREE * i, *lever = spots->lever + i / 2 * 3;
         copy(fit->noise + n * i + i / 2 * 2, spots->covariance + 2 * i, 2);
-        for (int k = 0; k < N_FREE; k++)
-            moved[N_FREE * i + k] = fit->figures[k / 3] * fit->by_pose[N_FREE * i + k];
-    }
-    for (int64_t s = 0; s < spots->n; s++) {
-        levers[3 * s] = spots->lever[3 * s];
-        levers[3 * s + 1] = spots->lever[3 * s + 1] * MOTION_RATE;
-        levers[3 * s + 2] = spots->lever[3 * s + 2] * square(MOTION_RATE);
-    }
-    for (int64_t i = 0; i < n; i++) {
         for (int64_t j = 0; j <= i; j++) {
-            const double *a = moved + N_FREE * i, *b = moved + N_FREE * j;
-            double shared = dot(a, b) + dot(a + 3, b + 3);
-            shared *= dot(levers + 3 * (i / 2), levers + 3 * (j / 2));
+            const double *b = fit->by_pose + N_FREE * j, *other = spots->lever + j / 2 * 3;
+            double levers = lever[1] * other[1] + rate * lever[2] * other[2];
+            double shared = linear * dot(a, b) + angular * dot(a + 3, b + 3);
+            shared *= lever[0] * other[0] + rate * levers;
             fit->acceleration[n * i + j] = fit->acceleration[n * j + i] = shared;
         }
     }
-    for (int64_t i = 0; i < count; i++) {
-        for (int64_t j = 0; j < count; j++) {
-            int64_t at = n * rows[i] + rows[j];
-            kept[count * i + j] = fit->noise[at] + fit->acceleration[at];
-        }
+    for (int64_t s = 0; s < spots->n; s++) {
+        int64_t a = 2 * s * (n + 1), b = a + n + 1;
+        double variance = fit->noise[a] + fit->acceleration[a];
+        variance += fit->noise[b] + fit->acceleration[b];
+        fit->uncertainty[s] = sqrt(variance / 2.0);
     }
-    factor((int)count, kept, 0.0, root);
-    invert_covariance(count, root, kept);
-    for (int64_t i = 0; i < count; i++)
-        for (int64_t j = 0; j < count; j++)
-            fit->weight[n * rows[i] + rows[j]] = kept[count * i + j];
-    scratch_release(mark);
 }
 
-/* Fill in what n coordinates weigh in the pose (6, n), and its information (6, 6). */
-static void pose_information(int64_t n, const Fit *fit, double *weighted, double *information)
+/* Fill in the covariance of the kept coordinates (count, count); `tolerance` (n, n), px^2: what
+ * spots may be off beside their noise, none where NULL. */
+static void kept_covariance(Kept kept, const Fit *fit, const double *tolerance, double *total)
 {
-    clear(weighted, N_FREE * n);
-    clear(information, N_FREE * N_FREE);
-    for (int64_t row = 0; row < n; row++)
-        for (int i = 0; i < N_FREE; i++)
-            add_times(n, fit->by_pose[N_FREE * row + i], fit->weight + n * row, weighted + n * i);
-    for (int i = 0; i < N_FREE; i++)
-        for (int64_t column = 0; column < n; column++)
-            for (int j = 0; j < N_FREE; j++)
-                information[N_FREE * i + j] +=
-                    weighted[n * i + column] * fit->by_pose[N_FREE * column + j];
+    for (int64_t i = 0; i < kept.count; i++) {
+        for (int64_t j = 0; j < kept.count; j++) {
+            int64_t at = kept.n * kept.rows[i] + kept.rows[j];
+            total[kept.count * i + j] =
+                fit->noise[at] + fit->acceleration[at] + (tolerance ? tolerance[at] : 0.0);
+        }
+    }
+}
+
+/* chi^2 of the kept residuals, by their covariance's lower Cholesky factor. */
+static double residual_chi2(Kept kept, const Fit *fit, const double *root)
+{
+    Mark mark = scratch_mark();
+    double *off = TAKE(double, kept.count), *solved = TAKE(double, kept.count);
+    for (int64_t i = 0; i < kept.count; i++)
+        off[i] = solved[i] = fit->residual[kept.rows[i]];
+    solve((int)kept.count, root, solved);
+    double chi2 = sum_products(kept.count, off, solved);
+    scratch_release(mark);
+    return chi2;
 }
 
 /* Fill in the covariance of the pose (6, 6) by that of n coordinates (n, n). */
@@ -357,171 +221,147 @@ static void pose_covariance(int64_t n, const double *gain, const double *source,
     Mark mark = scratch_mark();
     double *half = TAKE(double, n);
     for (int i = 0; i < N_FREE; i++) {
-        clear(half, n);
         for (int64_t row = 0; row < n; row++)
-            add_times(n, gain[n * i + row], source + n * row, half);
-        for (int j = 0; j < N_FREE; j++) {
-            double sum = 0.0;
-#pragma omp simd reduction(+ : sum)
-            for (int64_t column = 0; column < n; column++)
-                sum += half[column] * gain[n * j + column];
-            covariance[N_FREE * i + j] = sum;
-        }
+            half[row] = sum_products(n, source + n * row, gain + n * i);
+        for (int j = 0; j < N_FREE; j++)
+            covariance[N_FREE * i + j] = sum_products(n, half, gain + n * j);
     }
     scratch_release(mark);
 }
 
-/* Fill in the pose's covariances, the spots' uncertainty, and the residuals' chi^2. */
-static void fit_covariances(int64_t n, const Fit *fit)
+/* Find the next step (6,) by the kept residuals, whose covariance has the factor `root`; fill in
+ * the covariance (6, 6) of the pose and the kept spots' weights in it (count, 6): C^-1 D. False
+ * where it is not finite. */
+static bool find_step(Kept kept, const Fit *fit, const double *root, double *inverse,
+                      double *weighted, double *step)
 {
-    double chi2 = 0.0;
-    pose_covariance(n, fit->gain, fit->noise, fit->pixels);
-    pose_covariance(n, fit->gain, fit->acceleration, fit->alignment);
-    for (int64_t row = 0; row < n; row++) {
-        double sum = 0.0;
-#pragma omp simd reduction(+ : sum)
-        for (int64_t column = 0; column < n; column++)
-            sum += fit->weight[n * row + column] * fit->residual[column];
-        chi2 += fit->residual[row] * sum;
+    double information[N_FREE * N_FREE] = {0.0}, pull[N_FREE] = {0.0};
+    for (int64_t r = 0; r < kept.count; r++)
+        copy(weighted + N_FREE * r, fit->by_pose + N_FREE * kept.rows[r], N_FREE);
+    solve_each((int)kept.count, N_FREE, root, weighted);
+    for (int64_t r = 0; r < kept.count; r++) {
+        const double *design = fit->by_pose + N_FREE * kept.rows[r];
+        for (int i = 0; i < N_FREE; i++) {
+            double weight = weighted[N_FREE * r + i];
+            pull[i] += weight * fit->residual[kept.rows[r]];
+            for (int j = 0; j < N_FREE; j++)
+                information[N_FREE * i + j] += weight * design[j];
+        }
     }
-    for (int64_t s = 0; s < n / 2; s++) {
-        int64_t a = 2 * s * (n + 1), b = a + n + 1;
-        double variance = fit->noise[a] + fit->acceleration[a];
-        variance += fit->noise[b] + fit->acceleration[b];
-        fit->uncertainty[s] = sqrt(variance / 2.0);
-    }
-    fit->figures[2] = chi2;
+    bool finite = covariance_of(information, inverse, fit->directions, fit->known);
+    for (int i = 0; finite && i < N_FREE; i++)
+        step[i] = sum_products(N_FREE, inverse + N_FREE * i, pull);
+    return finite;
 }
 
-/* Fit a pose (4, 4), rig_T_flange, to spots by Gauss-Newton; it is changed. `rows` (count,): the
- * coordinates of spots that count. False where a step is not finite. */
-static bool fit_spots(const Spots *spots, int64_t count, const int64_t *rows, double *pose,
-                      const Fit *fit)
+/* Fit a pose (4, 4), rig_T_flange, to spots by Gauss-Newton; it is changed. False where a step is
+ * not finite. */
+static bool fit_spots(const Spots *spots, Kept kept, double *pose, const Fit *fit)
 {
     Mark mark = scratch_mark();
-    int64_t n = 2 * spots->n;
-    double *weighted = TAKE(double, N_FREE * n), step[N_FREE];
-    double information[N_FREE * N_FREE], inverse[N_FREE * N_FREE];
+    int64_t n = kept.n, size = kept.count * kept.count;
+    double *total = TAKE(double, size), *root = TAKE(double, size);
+    double *weighted = TAKE(double, N_FREE * kept.count);
+    double inverse[N_FREE * N_FREE], step[N_FREE], largest = INFINITY;
     bool straight = false, finite = true;
     for (int64_t s = 0; s < spots->n; s++)
         straight = straight || spots->lever[3 * s] != 0.0;
     clear(fit->curvature, n);
-    for (int iteration = 0; iteration < MAX_ITERATIONS; iteration++) {
+    for (int round = 0; round < MAX_ITERATIONS && finite && !(largest < TOL_STEP); round++) {
         predict_spots(pose, spots, fit->residual, fit->by_point, fit->by_pose);
         /* velocities and their lever change nothing measurable in later rounds */
-        if (iteration == 0 || (iteration == 1 && straight)) {
-            twist_from_velocities(spots, fit->by_pose, count, rows, fit->twist, fit->figures);
-            spot_covariance(spots, count, rows, fit);
-            if (straight) {
-                clear(fit->curvature, n);
-                image_acceleration(spots, pose, fit->twist, fit->curvature);
-            }
+        if (round == 0 || (round == 1 && straight)) {
+            twist_from_velocities(spots, kept, fit);
+            spot_covariance(spots, fit);
+            kept_covariance(kept, fit, NULL, total);
+            factor((int)kept.count, total, 0.0, root);
+            if (straight)
+                image_acceleration(spots, pose, fit);
         }
-        for (int64_t i = 0; i < n; i++) {
-            double measured = spots->centre[i] - spots->lever[3 * (i / 2)] * fit->curvature[i];
-            fit->residual[i] = measured - fit->residual[i];
-        }
-        pose_information(n, fit, weighted, information);
-        finite = covariance_of(information, inverse, fit->directions, fit->known);
-        if (!finite)
-            break;
-        double largest = 0.0;
-        clear(fit->gain, N_FREE * n);
-        for (int i = 0; i < N_FREE; i++) {
-            double *gain = fit->gain + n * i, sum = 0.0;
-            for (int j = 0; j < N_FREE; j++)
-                add_times(n, inverse[N_FREE * i + j], weighted + n * j, gain);
-#pragma omp simd reduction(+ : sum)
-            for (int64_t column = 0; column < n; column++)
-                sum += gain[column] * fit->residual[column];
-            step[i] = sum;
-            largest = MAX(largest, fabs(sum));
-        }
-        move_pose(pose, step);
-        if (largest < TOL_STEP)
-            break;
+        for (int64_t i = 0; i < n; i++)
+            fit->residual[i] = spots->centre[i] - spots->lever[3 * (i / 2)] * fit->curvature[i]
+                - fit->residual[i];
+        finite = find_step(kept, fit, root, inverse, weighted, step);
+        largest = 0.0;
+        for (int i = 0; finite && i < N_FREE; i++)
+            largest = MAX(largest, fabs(step[i]));
+        if (finite)
+            move_pose(pose, step);
     }
-    if (finite)
-        fit_covariances(n, fit);
+    clear(fit->gain, N_FREE * n);
+    for (int64_t r = 0; finite && r < kept.count; r++)
+        for (int i = 0; i < N_FREE; i++)
+            fit->gain[n * i + kept.rows[r]] =
+                sum_products(N_FREE, inverse + N_FREE * i, weighted + N_FREE * r);
+    pose_covariance(n, fit->gain, fit->noise, fit->covariances);
+    pose_covariance(n, fit->gain, fit->acceleration, fit->covariances + N_FREE * N_FREE);
+    fit->figures[2] = residual_chi2(kept, fit, root);
     scratch_release(mark);
     return finite;
 }
 
-/* Squared residual of a spot in its own uncertainty; `first` of the kept coordinates is its x.
- * `total` (count, count), px^2: covariance of the kept coordinates, whose residuals are `off`. */
-static double spot_chi2(int64_t first, int64_t count, const int64_t *rows, int64_t n,
-                        const double *by_pose, const double *gain, const double *total,
-                        const double *off)
+/* Squared residual of a spot in its own uncertainty; `first` of the kept coordinates is its x, and
+ * `total` (count, count), px^2, their covariance. */
+static double spot_chi2(int64_t first, Kept kept, const Fit *fit, const double *total)
 {
     Mark mark = scratch_mark();
-    double *hat = TAKE(double, 2 * count), *half = TAKE(double, 2 * count), block[4] = {0.0};
-    clear(half, 2 * count);
+    int64_t count = kept.count;
+    double *hat = TAKE(double, 2 * count); /* d residual / d spots, (2, count) */
+    double xx = MIN_VARIANCE, xy = 0.0, yy = MIN_VARIANCE;
     for (int axis = 0; axis < 2; axis++) {
-        const double *design = by_pose + N_FREE * rows[first + axis];
+        const double *design = fit->by_pose + N_FREE * kept.rows[first + axis];
         double *own = hat + count * axis;
-        for (int64_t i = 0; i < count; i++) {
-            own[i] = i == first + axis ? 1.0 : 0.0;
-            for (int k = 0; k < N_FREE; k++)
-                own[i] -= design[k] * gain[n * k + rows[i]];
-        }
-        for (int64_t i = 0; i < count; i++)
-            add_times(count, own[i], total + count * i, half + count * axis);
+        clear(own, count);
+        own[first + axis] = 1.0;
+        for (int k = 0; k < N_FREE; k++)
+            for (int64_t i = 0; i < count; i++)
+                own[i] -= design[k] * fit->gain[kept.n * k + kept.rows[i]];
     }
-    for (int64_t i = 0; i < count; i++)
-        for (int k = 0; k < 4; k++)
-            block[k] += half[count * (k / 2) + i] * hat[count * (k % 2) + i];
+    for (int64_t i = 0; i < count; i++) {
+        double x = sum_products(count, total + count * i, hat);
+        double y = sum_products(count, total + count * i, hat + count);
+        xx += x * hat[i];
+        xy += x * hat[count + i];
+        yy += y * hat[count + i];
+    }
     scratch_release(mark);
-    double a = block[0] + MIN_VARIANCE, d = block[3] + MIN_VARIANCE;
-    double x = off[first], y = off[first + 1], across = (block[1] + block[2]) * x * y;
-    return (d * x * x - across + a * y * y) / (a * d - block[1] * block[2]);
+    const double *off = fit->residual + kept.rows[first];
+    return chi2_of(off[0], off[1], xx, xy, yy);
 }
 
 /* Find the kept spot that fits worst, and say whether the kept ones agree as a whole: twice the
  * spot, and one more if they do.
  *
- * `tolerance` (2 n, 2 n), px^2: what spots may be off beside their noise; `own`, chi^2 of the
- * residuals; `most_chi2`, the greatest that noise, motion and tolerance reach. `most`: the worst
- * spot's residual in its own uncertainty, squared. */
-static int64_t judge_fit(int64_t n, int64_t count, const int64_t *rows, const Fit *fit,
-                         const double *tolerance, double own, double most_chi2, double *most)
+ * `own`, chi^2 of the residuals; `most_chi2`, the greatest that noise, motion and tolerance reach.
+ * `most`: the worst spot's residual in its own uncertainty, squared. */
+static int64_t judge_fit(Kept kept, const Fit *fit, const double *tolerance, double own,
+                         double most_chi2, double *most)
 {
     Mark mark = scratch_mark();
-    double *total = TAKE(double, count * count), *root = TAKE(double, count * count);
-    double *off = TAKE(double, count), *solved = TAKE(double, count);
-    int64_t worst = 0;
-    for (int64_t i = 0; i < count; i++) {
-        off[i] = fit->residual[rows[i]];
-        for (int64_t j = 0; j < count; j++) {
-            int64_t at = n * rows[i] + rows[j];
-            total[count * i + j] = fit->noise[at] + fit->acceleration[at] + tolerance[at];
-        }
-    }
+    int64_t size = kept.count * kept.count, worst = 0;
+    double *total = TAKE(double, size), *root = TAKE(double, size);
+    kept_covariance(kept, fit, tolerance, total);
     *most = -INFINITY;
-    for (int64_t first = 0; first + 1 < count; first += 2) {
-        double size = spot_chi2(first, count, rows, n, fit->by_pose, fit->gain, total, off);
-        if (size > *most) {
-            worst = rows[first] / 2;
-            *most = size;
+    for (int64_t first = 0; first + 1 < kept.count; first += 2) {
+        double chi2 = spot_chi2(first, kept, fit, total);
+        if (chi2 > *most) {
+            worst = kept.rows[first] / 2;
+            *most = chi2;
         }
     }
     if (!(own < most_chi2)) {
-        copy(solved, off, count);
-        factor((int)count, total, 0.0, root);
-        solve((int)count, root, solved);
-        own = 0.0;
-        for (int64_t i = 0; i < count; i++)
-            own += off[i] * solved[i];
+        factor((int)kept.count, total, 0.0, root);
+        own = residual_chi2(kept, fit, root);
     }
     scratch_release(mark);
     return 2 * worst + (own < most_chi2);
 }
 
-int64_t entry_predict_spots(int64_t n, const double *pose, const double *points,
-                            const double *camera_R_rig, const double *origin, const double *lens,
-                            const double *focal, const double *middle, double *pixels,
-                            double *by_point, double *by_pose)
+int64_t entry_predict_spots(int64_t n, int64_t n_left, const double *pose, const double *points,
+                            const double *cameras, double *pixels, double *by_point,
+                            double *by_pose)
 {
-    Spots spots = {n, points, camera_R_rig, origin, lens, focal, middle, NULL, NULL, NULL, NULL};
+    Spots spots = {.n = n, .n_left = n_left, .points = points, .cameras = cameras};
     predict_spots(pose, &spots, pixels, by_point, by_pose);
     return 0;
 }
@@ -532,37 +372,26 @@ int64_t entry_move_pose(double *pose, const double *step)
     return 0;
 }
 
-int64_t entry_covariance_of(const double *information, double *inverse, double *vectors,
-                            bool *known)
+/* Arguments as in `Spots` and `Fit`; `spread` (2, 2 n, 2 n): noise, acceleration. */
+int64_t entry_fit_spots(int64_t n, int64_t n_left, const double *points, const double *cameras,
+                        const double *centre, const double *covariance, const double *velocity,
+                        const double *lever, int64_t count, const int64_t *rows, double *pose,
+                        double *residual, double *by_point, double *by_pose, double *spread,
+                        double *gain, double *directions, bool *known, double *twist,
+                        double *curvature, double *covariances, double *uncertainty,
+                        double *figures)
 {
-    return covariance_of(information, inverse, vectors, known);
+    Spots spots = {n, n_left, points, cameras, centre, covariance, velocity, lever};
+    Fit fit = {residual, by_point, by_pose, spread, spread + 4 * n * n, gain, directions, known,
+               twist, curvature, covariances, uncertainty, figures};
+    GUARDED(fit_spots(&spots, (Kept){2 * n, count, rows}, pose, &fit));
 }
 
-/* Arguments as in `Spots` and `Fit`; `spread`: noise, acceleration, weight; `covariances`: pixels,
- * alignment. */
-int64_t entry_fit_spots(int64_t n, const double *points, const double *camera_R_rig,
-                        const double *origin, const double *lens, const double *focal,
-                        const double *middle, const double *centre, const double *covariance,
-                        const double *velocity, const double *lever, int64_t count,
-                        const int64_t *rows, double *pose, double *residual, double *by_point,
-                        double *by_pose, double *spread, double *gain, double *directions,
-                        bool *known, double *twist, double *curvature, double *covariances,
-                        double *uncertainty, double *figures)
+int64_t entry_judge_fit(int64_t n, double *residual, double *by_pose, double *spread, double *gain,
+                        int64_t count, const int64_t *rows, const double *tolerance, double own,
+                        double most_chi2, double *most)
 {
-    int64_t size = 4 * n * n;
-    Spots spots = {n, points, camera_R_rig, origin, lens, focal, middle, centre, covariance,
-                   velocity, lever};
-    Fit fit = {residual, by_point, by_pose, spread, spread + size, spread + 2 * size, gain,
-               directions, known, twist, curvature, covariances, covariances + N_FREE * N_FREE,
-               uncertainty, figures};
-    GUARDED(fit_spots(&spots, count, rows, pose, &fit));
-}
-
-int64_t entry_judge_fit(int64_t n, double *residual, double *by_pose, double *noise,
-                        double *acceleration, double *gain, int64_t count, const int64_t *rows,
-                        const double *tolerance, double own, double most_chi2, double *most)
-{
-    Fit fit = {.residual = residual, .by_pose = by_pose, .noise = noise,
-               .acceleration = acceleration, .gain = gain};
-    GUARDED(judge_fit(2 * n, count, rows, &fit, tolerance, own, most_chi2, most));
+    Fit fit = {.residual = residual, .by_pose = by_pose, .noise = spread,
+               .acceleration = spread + 4 * n * n, .gain = gain};
+    GUARDED(judge_fit((Kept){2 * n, count, rows}, &fit, tolerance, own, most_chi2, most));
 }

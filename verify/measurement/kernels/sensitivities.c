@@ -4,6 +4,7 @@
  * derivative by the point, by -(g . t + w . (x x g)); lens and focal length move it by their own
  * derivative.
  */
+#include "verify/core/kernels/camera.h"
 #include "verify/core/kernels/linear_algebra.h"
 
 enum { MIDDLE, FOCAL, LENS, MOTION };
@@ -18,29 +19,12 @@ int64_t entry_place_leds(int64_t n, const double *leds, const int64_t *led,
 {
     for (int64_t s = 0; s < n; s++) {
         double *offset = placed + 3 * s, *point = offset + 3 * n, *inside = point + 3 * n;
-        const double *camera = s < n_left ? left : right;
-        for (int i = 0; i < 3; i++) {
-            offset[i] = dot(rig_T_flange + 4 * i, leds + 3 * led[s]);
-            point[i] = offset[i] + rig_T_flange[4 * i + 3];
-        }
+        place_point(rig_T_flange, leds + 3 * led[s], point);
         for (int i = 0; i < 3; i++)
-            inside[i] = dot(camera + 4 * i, point) + camera[4 * i + 3];
+            offset[i] = point[i] - rig_T_flange[4 * i + 3];
+        place_point(s < n_left ? left : right, point, inside);
     }
     return 0;
-}
-
-/* Fill in the derivatives (5, 2) of a distorted point (x, y) by k1, k2, p1, p2, k3. */
-static void lens_derivatives(double x, double y, double lenses[5][2])
-{
-    double r2 = x * x + y * y, twice = 2.0 * x * y, unit[2] = {x, y};
-    for (int i = 0; i < 2; i++) {
-        lenses[0][i] = r2 * unit[i];
-        lenses[1][i] = r2 * r2 * unit[i];
-        lenses[4][i] = r2 * r2 * r2 * unit[i];
-    }
-    lenses[2][0] = lenses[3][1] = twice;
-    lenses[2][1] = r2 + 2.0 * y * y;
-    lenses[3][0] = r2 + 2.0 * x * x;
 }
 
 /* Fill in how one camera's parameters move its spots.
@@ -58,26 +42,21 @@ int64_t entry_fill_by_camera(int64_t k, const int64_t *kinds, const double *twis
     for (int64_t s = 0; s < n; s++) {
         const double *point = points + 3 * s;
         double x = inside[3 * s] / inside[3 * s + 2], y = inside[3 * s + 1] / inside[3 * s + 2];
-        double lenses[5][2], ideal[2] = {x, y};
-        lens_derivatives(x, y, lenses);
-        for (int i = 0; i < 2; i++)
-            for (int c = 0; c < 5; c++)
-                ideal[i] += lens[c] * lenses[c][i];
+        double by_lens[5][2], about[3];
+        Bent ray = bend(lens, x, y);
+        differentiate_lens(x, y, by_lens);
         for (int64_t p = 0; p < k; p++) {
             int64_t kind = kinds[3 * p + 1], which = kinds[3 * p + 2];
             double *to = moved + 2 * (kinds[3 * p] * all + first + s);
-            if (kind == MIDDLE) {
+            if (kind == MIDDLE)
                 to[which] = 1.0;
-            } else if (kind == FOCAL) {
-                to[which] = ideal[which];
-            } else if (kind == LENS) {
-                for (int axis = 0; axis < 2; axis++)
-                    for (int i = 0; i < 2; i++)
-                        to[axis] += matrix[3 * axis + i] * lenses[which][i];
-            } else {
-                for (int axis = 0; axis < 2; axis++) {
-                    const double *slope = by_point + 6 * s + 3 * axis;
-                    double about[3];
+            if (kind == FOCAL)
+                to[which] = which ? ray.y : ray.x;
+            for (int axis = 0; axis < 2; axis++) {
+                const double *slope = by_point + 6 * s + 3 * axis, *row = matrix + 3 * axis;
+                if (kind == LENS) {
+                    to[axis] = row[0] * by_lens[which][0] + row[1] * by_lens[which][1];
+                } else if (kind == MOTION) {
                     cross(point, slope, about);
                     to[axis] = -(dot(slope, twists + 6 * p) + dot(twists + 6 * p + 3, about));
                 }

@@ -41,36 +41,30 @@ static Expected take_expected(int64_t n)
     return (Expected){stride, TAKE(double, N_ROWS * stride), TAKE(double, N_ROWS * N_ROWS)};
 }
 
-/* Products of two rows from `a` on with four from `b` on: what is loaded is used several times. */
-static void multiply_rows(int64_t n, Expected at, int a, int b)
-{
-    const double *x = at.rows + a * at.stride, *y = x + at.stride, *one = at.rows + b * at.stride;
-    const double *two = one + at.stride, *three = two + at.stride, *four = three + at.stride;
-    double x1 = 0.0, x2 = 0.0, x3 = 0.0, x4 = 0.0, y1 = 0.0, y2 = 0.0, y3 = 0.0, y4 = 0.0;
-#pragma omp simd reduction(+ : x1, x2, x3, x4, y1, y2, y3, y4)
-    for (int64_t k = 0; k < n; k++) {
-        x1 += x[k] * one[k];
-        x2 += x[k] * two[k];
-        x3 += x[k] * three[k];
-        x4 += x[k] * four[k];
-        y1 += y[k] * one[k];
-        y2 += y[k] * two[k];
-        y3 += y[k] * three[k];
-        y4 += y[k] * four[k];
-    }
-    double found[2][4] = {{x1, x2, x3, x4}, {y1, y2, y3, y4}};
-    for (int i = a; i < a + 2; i++)
-        for (int j = b; j < b + 4; j++)
-            at.products[i * N_ROWS + j] = at.products[j * N_ROWS + i] = found[i - a][j - b];
-}
-
+/* Expect the pixels; four products of rows at once: what is loaded is used several times. */
 static void expect(CornerPixels pixels, const double *edges, const double *p, Table table,
                    Expected at)
 {
     predict_pixels(pixels, edges, p, table, at.stride, at.rows);
-    for (int a = 0; a < N_ROWS; a += 2)
-        for (int b = a - 2; b > -4; b -= 4)
-            multiply_rows(pixels.count, at, a, MAX(b, 0));
+    for (int a = 0; a < N_ROWS; a++) {
+        for (int first = 0; first <= a; first += 4) {
+            int b = MIN(first, N_ROWS - 4);
+            const double *x = at.rows + a * at.stride, *one = at.rows + b * at.stride;
+            const double *two = one + at.stride, *three = two + at.stride;
+            const double *four = three + at.stride;
+            double x1 = 0.0, x2 = 0.0, x3 = 0.0, x4 = 0.0;
+#pragma omp simd reduction(+ : x1, x2, x3, x4)
+            for (int64_t k = 0; k < pixels.count; k++) {
+                x1 += x[k] * one[k];
+                x2 += x[k] * two[k];
+                x3 += x[k] * three[k];
+                x4 += x[k] * four[k];
+            }
+            double sum[4] = {x1, x2, x3, x4};
+            for (int j = 0; j < 4; j++)
+                at.products[a * N_ROWS + b + j] = at.products[(b + j) * N_ROWS + a] = sum[j];
+        }
+    }
 }
 
 /* Whether a step moves the place by next to nothing, and gains next to nothing. */
@@ -83,19 +77,15 @@ static bool is_small(const double *step, const double *products)
         && gain < TOL_GAIN * products[SQUARES];
 }
 
-/* Solve for a damped step (13,); false where the system is singular. */
-static bool find_step(const double *products, double damping, double *step)
+/* Factor the damped information (13, 13); false where it is singular. */
+static bool factor_information(const double *products, double damping, double *root)
 {
-    double damped[N_PARAMETERS * N_PARAMETERS], root[N_PARAMETERS * N_PARAMETERS];
+    double damped[N_PARAMETERS * N_PARAMETERS];
     for (int a = 0; a < N_PARAMETERS; a++) {
         copy(damped + a * N_PARAMETERS, products + a * N_ROWS, N_PARAMETERS);
         damped[a * N_PARAMETERS + a] *= 1.0 + damping;
     }
-    copy(step, products + ROW_RESIDUAL * N_ROWS, N_PARAMETERS);
-    if (!factor(N_PARAMETERS, damped, 0.0, root))
-        return false;
-    solve(N_PARAMETERS, root, step);
-    return true;
+    return factor(N_PARAMETERS, damped, 0.0, root);
 }
 
 /* Find the parameters by Gauss-Newton with Levenberg's damping: p (13,) holds the start, and the
@@ -103,11 +93,14 @@ static bool find_step(const double *products, double damping, double *step)
 static bool converge(CornerPixels pixels, const double *edges, Table table, double *p,
                      Expected *best, Expected *tried)
 {
-    double step[N_PARAMETERS], trial[N_PARAMETERS], damping = 1e-3;
+    double step[N_PARAMETERS], trial[N_PARAMETERS], root[N_PARAMETERS * N_PARAMETERS];
+    double damping = 1e-3;
     expect(pixels, edges, p, table, *best);
     for (int n = 0; n < MAX_ITERATIONS; n++) {
-        if (!find_step(best->products, damping, step))
+        if (!factor_information(best->products, damping, root))
             return false;
+        copy(step, best->products + ROW_RESIDUAL * N_ROWS, N_PARAMETERS);
+        solve(N_PARAMETERS, root, step);
         for (int a = 0; a < N_PARAMETERS; a++)
             trial[a] = p[a] + step[a];
         if (is_small(step, best->products) && damping < 1.0) {
@@ -163,8 +156,8 @@ static void sum_cells(CornerPixels pixels, Expected at, const double *inverse, d
     double taken[CELLS][2][N_ROWS] = {0}; /* by the fit, and the scores behind */
     Mark mark = scratch_mark();
     double *restrict by_x = TAKE(double, n), *restrict by_y = TAKE(double, n);
-    memset(by_x, 0, sizeof(double) * (size_t)n); /* d centre / d pixel */
-    memset(by_y, 0, sizeof(double) * (size_t)n);
+    clear(by_x, n); /* d centre / d pixel */
+    clear(by_y, n);
     for (int a = 0; a < N_PARAMETERS; a++) {
         const double *row = at.rows + a * at.stride;
 #pragma omp simd
@@ -204,11 +197,9 @@ static void sum_cells(CornerPixels pixels, Expected at, const double *inverse, d
  * 1986, with the expectation of the meat taken exactly.) */
 static bool centre_covariance(CornerPixels pixels, Expected at, double *result)
 {
-    double information[N_PARAMETERS * N_PARAMETERS], root[N_PARAMETERS * N_PARAMETERS];
-    double inverse[N_PARAMETERS * N_PARAMETERS], spent, scattered;
-    for (int a = 0; a < N_PARAMETERS; a++)
-        copy(information + a * N_PARAMETERS, at.products + a * N_ROWS, N_PARAMETERS);
-    if (!factor(N_PARAMETERS, information, 0.0, root))
+    double root[N_PARAMETERS * N_PARAMETERS], inverse[N_PARAMETERS * N_PARAMETERS];
+    double spent, scattered;
+    if (!factor_information(at.products, 0.0, root))
         return false;
     invert(N_PARAMETERS, root, inverse);
     sum_cells(pixels, at, inverse, &spent, &scattered);
@@ -231,17 +222,15 @@ static bool fit_crossing(CornerPixels pixels, const double *jacobian, const doub
         return false;
     Expected at = take_expected(pixels.count), tried = take_expected(pixels.count);
     bool *stray = TAKE(bool, pixels.count);
-    if (!converge(pixels, edges, table, p, &at, &tried))
-        return false;
-    for (int n = 0; n < N_REJECTIONS; n++) {
-        if (!mark_strays(pixels.count, p, at, stray))
+    for (int n = 0;; n++) {
+        if (!converge(pixels, edges, table, p, &at, &tried))
+            return false;
+        if (n == N_REJECTIONS || !mark_strays(pixels.count, p, at, stray))
             break;
         CornerPixels own = keep_clear(pixels, stray);
         if ((double)own.count < MAX(MIN_PIXELS, MIN_OWN_SHARE * (double)pixels.count))
             return false; /* most of it is something else */
         pixels = own;
-        if (!converge(pixels, edges, table, p, &at, &tried))
-            return false;
     }
     double determinant = jacobian[0] * jacobian[3] - jacobian[1] * jacobian[2];
     double u = (p[PAR_X] * jacobian[3] - p[PAR_Y] * jacobian[1]) / determinant;

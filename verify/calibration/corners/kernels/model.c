@@ -142,7 +142,7 @@ void start_values(CornerPixels pixels, const double *edges, const double *blurs,
     }
     high /= MAX(highs, 1.0);
     low /= MAX(lows, 1.0);
-    memset(p, 0, sizeof(double) * N_PARAMETERS);
+    clear(p, N_PARAMETERS);
     p[PAR_TURN_1] = edges[EDGE_START_1];
     p[PAR_TURN_2] = edges[EDGE_START_2];
     p[PAR_SHADE] = (high + low) / 2.0;

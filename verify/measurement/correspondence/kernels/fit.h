@@ -18,7 +18,9 @@
 enum { POSITION = 9, SHIFT = 12, HOLD = 14, CHI2 = 20, COVARIANCE = 21,
        N_STATE = COVARIANCE + N_FREE * N_FREE };
 
-/* Cameras, spots and marker; s spots an image, NaN where there is none, n LEDs. */
+/* Cameras, spots and marker; s spots an image, NaN where there is none, n LEDs. What follows them is
+ * for fits alone: m, depth below which nothing is imaged; m px, an LED's play times the focal
+ * length; 1/px^2, inverse variance of the shift. */
 typedef struct {
     const double *camera_R_rig, *center, *focal; /* (2, 3, 3); (2, 3) m; (2, 2) px */
     int64_t n_spots;
@@ -26,25 +28,20 @@ typedef struct {
     const bool *merged, *allowed;      /* (2, s); (2, n, s), this spot may be that LED */
     int64_t n_leds;
     const double *leds; /* (n, 3) m, flange frame */
+    double nearest, play, shift_weight;
 } Scene;
 
-/* The scene of an entry, made of its arguments of these names. */
-#define SCENE                                                                              \
-    (&(Scene){camera_R_rig, center, focal, n_spots, pixels, covariance, merged, allowed,   \
-              n_leds, leds})
-
-typedef struct {
-    double nearest;      /* m: depth below which nothing is imaged */
-    double play;         /* m px: an LED's play times the focal length */
-    double shift_weight; /* 1/px^2: inverse variance of the shift */
-} Limits;
+/* The scene of an entry, made of its arguments of these names, and of three limits. */
+#define SCENE(nearest, play, shift_weight)                                                      \
+    (&(Scene){camera_R_rig, center, focal, n_spots, pixels, covariance, merged, allowed,        \
+              n_leds, leds, nearest, play, shift_weight})
 
 /* Predict one LED's image in one camera, left or right, without the shift; gives the depth, m.
  *
  * `state`: rotation (3, 3), rig_R_flange, and position (3,), m. Filled: `pixel` (2,), and of
  * `derivative` (2, 8) the first six columns, by position and rotation vector. */
-double predict_image(const Scene *scene, int side, int64_t led, const double *state, double nearest,
-                     double *pixel, double *derivative);
+double predict_image(const Scene *scene, int side, int64_t led, const double *state, double *pixel,
+                     double *derivative);
 
 /* Fill in what a hypothesis (85,) has beside its pose before its first fit. `sigmas` (3,): standard
  * deviations by which steps keep the pose, m and rad, and of the shift, px. */
@@ -54,7 +51,6 @@ void begin_fit(double *state, const double *sigmas);
  *
  * Of `state` (count, 85) all but what keeps the pose is changed; chi^2 includes the shift's share.
  * `chosen` (count, 2, n): spots, -1 for none. 0 `steps` compute covariance and chi^2 alone. */
-void fit_all(const Scene *scene, Limits limits, int64_t count, double *state, const int64_t *chosen,
-             int steps);
+void fit_all(const Scene *scene, int64_t count, double *state, const int64_t *chosen, int steps);
 
 #endif

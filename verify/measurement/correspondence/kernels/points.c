@@ -162,5 +162,5 @@ int64_t entry_find_points(
     int64_t n_leds, const double *leds, double mean_focal, double skew, int64_t most,
     int64_t *spot, double *rig, double *spread)
 {
-    GUARDED(find_points(SCENE, mean_focal, skew, most, spot, rig, spread));
+    GUARDED(find_points(SCENE(0.0, 0.0, 0.0), mean_focal, skew, most, spot, rig, spread));
 }

@@ -194,7 +194,8 @@ int64_t entry_join_nodes(
     int64_t n_leds, const double *leds, int64_t count, const int64_t *spot, const double *rig,
     const double *spread, double play, int64_t *point, int64_t *led, double *deviation)
 {
-    GUARDED(join_nodes(SCENE, &(Points){count, spot, rig, spread}, play, point, led, deviation));
+    Points points = {count, spot, rig, spread};
+    GUARDED(join_nodes(SCENE(0.0, 0.0, 0.0), &points, play, point, led, deviation));
 }
 
 int64_t entry_list_triangles(int64_t nodes, const double *deviation, int64_t n_edges,

@@ -3,6 +3,7 @@
  * A spot's ideal pixel is its own, the lens undone by Newton's method, from the principal point. It
  * may be an LED unless their colours clearly differ.
  */
+#include "verify/core/kernels/camera.h"
 #include "verify/core/kernels/linear_algebra.h"
 
 /* channels of a colour, and LEDs that shine in them; LEDs without a hue, and those that may have
@@ -26,26 +27,18 @@ typedef struct {
  * `rig.undistort`. */
 static void undistort(const double *lens, double *point)
 {
-    double k1 = lens[0], k2 = lens[1], p1 = lens[2], p2 = lens[3], k3 = lens[4];
-    double x = point[0], y = point[1], a = x, b = y;
+    double x = point[0], y = point[1];
     for (int n = 0; n < MAX_STEPS; n++) {
-        double r2 = a * a + b * b, higher = r2 * k3 + k2;
-        double slope = 2.0 * (k1 + r2 * (higher + higher + r2 * k3)); /* d radial / d r2, times 2 */
-        double straight = 1.0 + r2 * (k1 + r2 * higher) + 2.0 * (p1 * b + p2 * a);
-        double off_x = a * straight + p2 * r2 - x, off_y = b * straight + p1 * r2 - y;
-        double xx = straight + a * a * slope + 4.0 * p2 * a;
-        double xy = a * b * slope + 2.0 * (p1 * a + p2 * b);
-        double yy = straight + b * b * slope + 4.0 * p1 * b;
-        double determinant = xx * yy - xy * xy;
-        double step_x = (off_x * yy - off_y * xy) / determinant;
-        double step_y = (off_y * xx - off_x * xy) / determinant;
-        a -= step_x;
-        b -= step_y;
+        Bent ray = bend(lens, point[0], point[1]);
+        double off_x = ray.x - x, off_y = ray.y - y;
+        double determinant = ray.xx * ray.yy - ray.xy * ray.xy;
+        double step_x = (off_x * ray.yy - off_y * ray.xy) / determinant;
+        double step_y = (off_y * ray.xx - off_x * ray.xy) / determinant;
+        point[0] -= step_x;
+        point[1] -= step_y;
         if (!(fabs(step_x) > TOL_STEP || fabs(step_y) > TOL_STEP))
             break;
     }
-    point[0] = a;
-    point[1] = b;
 }
 
 static bool is_grey(int64_t count, const double *colour)

@@ -32,7 +32,7 @@
 
 #define N_SQUARE (N_PARAMETERS * N_PARAMETERS)
 
-/* Scalar products of a row (p,) with two or four others. */
+/* Scalar products of a row (p,) with four others, in either precision. */
 static void products_precise(int64_t p, const float *restrict row, const float *restrict others,
                              double *product)
 {
@@ -71,43 +71,6 @@ void multiply_rows(int64_t m, int64_t n, int64_t p, const float *rows, const flo
                                                            products + a * n + b);
 }
 
-/* Products of every row (11, p) with every other, (12, 12), of which the last row and column mean
- * nothing; a spot has a twelfth row, its pixels' values. Two rows by two at once. */
-static void sum_products(int64_t p, const float *rows, bool precise, double *products)
-{
-    enum { N = N_WHITENED + 1 };
-    for (int a = 0; a < N; a += 2) {
-        for (int b = 0; b <= a; b += 2) {
-            const float *restrict first = rows + a * p, *restrict other = rows + b * p;
-            double sums[4];
-            if (precise) {
-                double one = 0.0, right = 0.0, below = 0.0, both = 0.0;
-#pragma omp simd reduction(+ : one, right, below, both)
-                for (int64_t k = 0; k < p; k++) {
-                    one += (double)first[k] * (double)other[k];
-                    right += (double)first[k] * (double)other[p + k];
-                    below += (double)first[p + k] * (double)other[k];
-                    both += (double)first[p + k] * (double)other[p + k];
-                }
-                sums[0] = one, sums[1] = right, sums[2] = below, sums[3] = both;
-            } else {
-                float one = 0.0f, right = 0.0f, below = 0.0f, both = 0.0f;
-#pragma omp simd reduction(+ : one, right, below, both)
-                for (int64_t k = 0; k < p; k++) {
-                    one += first[k] * other[k];
-                    right += first[k] * other[p + k];
-                    below += first[p + k] * other[k];
-                    both += first[p + k] * other[p + k];
-                }
-                sums[0] = one, sums[1] = right, sums[2] = below, sums[3] = both;
-            }
-            for (int i = 0; i < 2; i++)
-                for (int j = 0; j < 2; j++)
-                    products[(a + i) * N + b + j] = products[(b + j) * N + a + i] = sums[2 * i + j];
-        }
-    }
-}
-
 /* Sum the pixels up; `prior` (2, 10). Gives chi^2.
  *
  * `left_out`: what the pixels left out add to it; `saturated`: its parameters are so alike then that
@@ -116,9 +79,9 @@ static double normal_equations(const double *parameters, int64_t p, const float 
                                double left_out, bool saturated, const double *prior,
                                double *information, double *gradient)
 {
-    enum { N = N_WHITENED + 1 };
-    double products[N * N];
-    sum_products(p, rows, saturated, products);
+    enum { N = N_WHITENED + 1 }; /* a multiple of four; the row behind, of values, means nothing */
+    double products[N_WHITENED * N];
+    multiply_rows(N_WHITENED, N, p, rows, rows, saturated, products);
     double chi2 = products[ROW_RESIDUAL * N + ROW_RESIDUAL] + left_out;
     for (int a = 0; a < N_PARAMETERS; a++) {
         double off = prior[a] - parameters[a], weight = prior[N_PARAMETERS + a];

@@ -18,6 +18,8 @@
  */
 #include "verify/measurement/detection/kernels/noise.h"
 
+#include <stdlib.h>
+
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
 #include "verify/measurement/detection/kernels/quality.h"
@@ -27,7 +29,7 @@
 #define LOWEST_LEVEL (6 * 255)
 #define N_LEVELS (50 * 255 + 1)
 #define N_DIFFERENCES 1024 /* the last stands for larger ones too: of a texture, not of noise */
-#define BLOCK_PIXELS 64    /* pixels that are looked at together */
+#define BLOCK_PIXELS 64    /* pixels in a row that are looked at, or left out, together */
 #define MIN_PIXELS 32      /* pixels: of fewer, the fit's own parameters take more than a quarter */
 /* Fourth difference along a line: cubic shading vanishes; white noise of variance v leaves 70 v.
  * The level beside it is a local cubic's, which has no bias. */
@@ -52,6 +54,10 @@
 #define TEXTURE_SHARE 0.1    /* relative: what unseen texture may add to the dark variance */
 #define TYPICAL_SPREAD 1.0   /* relative, how far a sensor may be from typical */
 #define MAX_NOISE_SPOTS 8    /* whose residuals show the noise, brightest first: then come glints */
+#define CORE_AREA 1.77       /* of a spot's core over its square diameter, as in fit.c */
+/* Share of its core that clipping must leave: a spot farther over the limit shows its core's shape so
+ * little that what does not fit there would pass for gain. */
+#define MIN_CLEAR 0.33
 #define MAX_MISFIT_RATIO 1.7 /* times the best misfit: more is a shape that the profiles lack */
 
 /* Rows of pixels of one channel, DN; steps to the next row and the next pixel. */
@@ -66,33 +72,17 @@ typedef struct {
     double dark, spread, unclipped, black;
 } Background;
 
-/* Count a block's levels and differences, as `count_stencils` does; `row` (count + 4,), DN. */
-static void count_block(const int16_t *row, int64_t count, int32_t *levels, int32_t *differences)
+/* Count the level and the difference of five neighbours, `step` apart, unless one is clipped. */
+static void count_stencil(const uint8_t *at, int64_t step, int32_t *levels, int32_t *differences)
 {
-    int16_t level[BLOCK_PIXELS], difference[BLOCK_PIXELS];
-    uint16_t part[BLOCK_PIXELS];
-    bool clean[BLOCK_PIXELS];
-    for (int64_t k = 0; k < count; k++) {
-        bool inside = true;
-        for (int64_t i = k; i < k + 5; i++)
-            inside &= (row[i] > 0) & (row[i] < 255);
-        clean[k] = inside;
-    }
-    for (int64_t k = 0; k < count; k++) {
-        int16_t ends = row[k] + row[k + 4], sides = row[k + 1] + row[k + 3], middle = row[k + 2];
-        int16_t size = ends - 4 * sides + 6 * middle;
-        size = size < 0 ? -size : size;
-        level[k] = LOWEST_LEVEL - 3 * ends + 12 * sides + 17 * middle;
-        difference[k] = MIN(size, N_DIFFERENCES - 1);
-        /* what is below the first class wraps to far above the last one */
-        part[k] = (uint16_t)(level[k] - FIRST_LEVEL) / CLASS_PARTS;
-    }
-    for (int64_t k = 0; k < count; k++)
-        if (clean[k]) {
-            levels[level[k]]++;
-            if (part[k] < N_CLASSES)
-                differences[part[k] * N_DIFFERENCES + difference[k]]++;
-        }
+    int a = at[0], b = at[step], c = at[2 * step], d = at[3 * step], e = at[4 * step];
+    if (MIN(MIN(MIN(a, b), MIN(c, d)), e) == 0 || MAX(MAX(MAX(a, b), MAX(c, d)), e) == 255)
+        return;
+    int level = LOWEST_LEVEL - 3 * (a + e) + 12 * (b + d) + 17 * c;
+    int difference = abs(a + e - 4 * (b + d) + 6 * c), part = (level - FIRST_LEVEL) / CLASS_PARTS;
+    levels[level]++;
+    if (level >= FIRST_LEVEL && part < N_CLASSES)
+        differences[part * N_DIFFERENCES + MIN(difference, N_DIFFERENCES - 1)]++;
 }
 
 /* Count levels and fourth differences of five neighbours in a row, wherever nothing is clipped.
@@ -103,36 +93,27 @@ static void count_block(const int16_t *row, int64_t count, int32_t *levels, int3
 static int64_t count_stencils(const Sample *sample, int64_t apart, int32_t *levels,
                               int32_t *differences)
 {
-    int64_t looked = 0, places = sample->width - 4, step = sample->step;
-    int16_t row[BLOCK_PIXELS + 4];
+    int64_t looked = 0, places = sample->width - 4;
     for (int64_t r = 0; r < sample->count; r++)
         for (int64_t begin = r % apart * BLOCK_PIXELS; begin < places;
              begin += apart * BLOCK_PIXELS) {
-            int64_t count = MIN(BLOCK_PIXELS, places - begin);
-            const uint8_t *values = sample->values + r * sample->row_step + begin * step;
-            for (int64_t k = 0; k < count + 4; k++)
-                row[k] = values[k * step];
-            count_block(row, count, levels, differences);
-            looked += count;
+            int64_t end = MIN(begin + BLOCK_PIXELS, places);
+            for (int64_t k = begin; k < end; k++)
+                count_stencil(sample->values + r * sample->row_step + k * sample->step,
+                              sample->step, levels, differences);
+            looked += end - begin;
         }
     return looked;
 }
 
-/* A quantile of n counted whole numbers, from 0 on, interpolated as numpy does; `number`, one at
- * least: how many there are in all. A `share` of 0.5 is the median. */
-static double counts_quantile(int64_t n, const int32_t *counts, int64_t number, double share)
+/* A quantile of counted whole numbers, from 0 on, interpolated as numpy does; `number`, one at
+ * least: how many there are in all. */
+static double counts_quantile(const int32_t *counts, int64_t number, double share)
 {
-    double place = share * (double)(number - 1);
-    int64_t low = (int64_t)place, high = MIN(low + 1, number - 1);
-    int64_t until = 0, first = -1, second = -1;
-    for (int64_t value = 0; value < n && second < 0; value++) {
-        until += counts[value];
-        if (first < 0 && until > low)
-            first = value;
-        if (until > high)
-            second = value;
-    }
-    return (double)first + (double)(second - first) * (place - (double)low);
+    double place = share * (double)(number - 1), low = floor(place);
+    double first = (double)ranked(counts, (int64_t)low);
+    double second = (double)ranked(counts, MIN((int64_t)low + 1, number - 1));
+    return first + (second - first) * (place - low);
 }
 
 /* Let a class of brightness say what the dark variance is, if this is less, its uncertainty
@@ -148,7 +129,7 @@ static void judge_class(int part, const int32_t *levels, const int32_t *differen
     }
     if (members < MIN_STENCILS)
         return;
-    double middle = counts_quantile(N_DIFFERENCES, differences, members, 0.5);
+    double middle = counts_quantile(differences, members, 0.5);
     int64_t most = (int64_t)(TRIM_SIGMA * MAX(middle / MAD_OVER_SIGMA, 1.0));
     for (int64_t size = 0; size < MIN(most + 1, N_DIFFERENCES); size++) {
         squares += differences[size] * size * size;
@@ -184,7 +165,7 @@ static Background dark_variance(const Sample *sample, int64_t apart, bool lossy)
         clean += levels[level];
     background.unclipped = (double)clean / (double)MAX(looked, 1);
     if (2 * clean > looked) {
-        double level = counts_quantile(N_LEVELS, levels, clean, BLACK_SHARE);
+        double level = counts_quantile(levels, clean, BLACK_SHARE);
         background.black = (level - LOWEST_LEVEL) / LEVEL_PARTS;
     }
     for (int part = 0; part < (lossy ? 0 : N_CLASSES); part++)
@@ -307,7 +288,8 @@ void refine_noise(const Fits *fits, const double *assessed, double *noise, doubl
     for (int64_t k = 0; k < n; k++) {
         const double *row = assessed + N_COLUMNS * k;
         rank[k] = -row[COL_PEAK] / row[COL_ELONGATION];
-        if (row[COL_SOUND] > 0.0 && row[COL_COUNT] > 2 * N_FITTED)
+        double core = CORE_AREA * square(row[COL_DIAMETER]);
+        if (row[COL_SOUND] > 0.0 && row[COL_COUNT] > MAX(2.0 * N_FITTED, MIN_CLEAR * core))
             shows[count++] = k;
     }
     count = first_by(rank, count, shows, MAX_NOISE_SPOTS);

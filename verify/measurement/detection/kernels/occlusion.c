@@ -44,128 +44,67 @@
  * like one seen at an angle: a bite's chi^2 is 3 to 12, as it is by chance. */
 #define MIN_STEEPNESS 0.39
 #define MIN_LEFT 0.05 /* share of a bite's information that the fit's own parameters must leave */
-#define ROW_BITE 12   /* of the sums, behind those of the whitened rows, four at once */
-#define N_SUMS 13
 #define BLOCK 128     /* pixels that are summed in single precision */
+#define POWER 32      /* of a series, that is an exponential: a power of two */
+#define N_TERMS 7     /* of it: good to rounding up to 11, its largest argument */
 
-/* Cosines of the directions; their sines are those of a quarter turn before. */
-static const double COSINES[N_DIRECTIONS] = {
-    1.0, 0.9659258262890683, 0.8660254037844387, 0.7071067811865476, 0.5, 0.25881904510252076,
-    0.0, -0.25881904510252076, -0.5, -0.7071067811865476, -0.8660254037844387, -0.9659258262890683,
-    -1.0, -0.9659258262890683, -0.8660254037844387, -0.7071067811865476, -0.5, -0.25881904510252076,
-    0.0, 0.25881904510252076, 0.5, 0.7071067811865476, 0.8660254037844387, 0.9659258262890683,
-};
+/* Products with each bite: of the whitened rows, and its own square. */
+enum { ROW_BITE = N_WHITENED, N_SUMS };
 
-/* Fill in by how much p pixels sink by a bite on their side, per depth and over each one's sigma,
- * before it falls off, and their direction (u, w) from the centre. `peak`, DN; `rows` (25, p). */
-static void sink_pixels(double peak, int64_t p, const float *rows, float *restrict depth,
-                        float *restrict u, float *restrict w)
-{
-    const float *from_x = rows + ROW_U * p, *from_y = rows + ROW_W * p;
-    const float *slope = rows + ROW_SLOPE * p, *radius2 = rows + ROW_RADIUS2 * p;
-    const float *visible = rows + ROW_VISIBLE * p, *used = rows + ROW_USED * p;
-    const float *variance = rows + ROW_VARIANCE * p;
-    float twice = (float)(2.0 * peak * exp(-1.0 / square(OCCLUSION_WIDTH)));
-#pragma omp simd
-    for (int64_t k = 0; k < p; k++) {
-        /* a smaller radius is a larger t: d(t^2) = 2 t^2 times the relative depth */
-        depth[k] = slope[k] * twice * radius2[k] * visible[k] * sqrtf(used[k] / variance[k]);
-        float far2 = from_x[k] * from_x[k] + from_y[k] * from_y[k];
-        float scale = 1.0f / sqrtf(MAX(far2, MIN_RADIUS2));
-        u[k] = from_x[k] * scale;
-        w[k] = from_y[k] * scale;
-    }
-}
-
-/* Fill in how much a pixel sinks by a bite in each direction, which falls off on both sides as von
- * Mises' bump, a Gaussian round a circle; add its squares to `whole`. All (24,).
+/* Fill in how much pixel k of p sinks by a bite in each direction, `sunk` (24,), per depth and over
+ * its sigma; a bite falls off on both sides as von Mises' bump, a Gaussian round a circle.
  *
- * The exponential is a series' 32nd power, good to rounding up to 11, its largest argument at a
- * width of 0.3 rad: plain arithmetic, which the processor does for several directions at once. */
-static inline void sink_pixel(float depth, float u, float w, const float *restrict along,
-                              const float *restrict across, float *restrict sunk,
-                              float *restrict whole)
+ * `twice`, DN: the peak times the bump's constant factor; `along` and `across` (24,): directions
+ * over the bump's squared width and POWER. The exponential is a series, which the processor does
+ * for several directions at once: with expf, a picture takes 8 % longer. */
+static inline void sink_pixel(float twice, int64_t p, const float *rows, int64_t k,
+                              const float *restrict along, const float *restrict across,
+                              float *restrict sunk)
 {
+    float u = rows[ROW_U * p + k], w = rows[ROW_W * p + k];
+    float scale = 1.0f / sqrtf(MAX(u * u + w * w, MIN_RADIUS2));
+    /* a smaller radius is a larger t: d(t^2) = 2 t^2 times the relative depth */
+    float depth = twice * rows[ROW_SLOPE * p + k] * rows[ROW_RADIUS2 * p + k] *
+                  rows[ROW_VISIBLE * p + k] *
+                  sqrtf(rows[ROW_USED * p + k] / rows[ROW_VARIANCE * p + k]);
     for (int side = 0; side < N_DIRECTIONS; side++) {
-        float z = along[side] * u + across[side] * w;
-        float power = 1.0f / 720.0f + z * (1.0f / 5040.0f);
-        power = 1.0f / 24.0f + z * (1.0f / 120.0f + z * power);
-        power = 1.0f + z * (1.0f + z * (1.0f / 2.0f + z * (1.0f / 6.0f + z * power)));
-        power *= power;
-        power *= power;
-        power *= power;
-        power *= power;
-        sunk[side] = depth * power * power;
-        whole[side] += sunk[side] * sunk[side];
+        float z = scale * (along[side] * u + across[side] * w), bump = 1.0f;
+        for (int term = N_TERMS; term > 0; term--)
+            bump = 1.0f + z * (1.0f / (float)term) * bump;
+        for (int power = 1; power < POWER; power *= 2)
+            bump *= bump;
+        sunk[side] = depth * bump;
     }
 }
 
-/* Add the products of four rows of m pixels, p apart, with `sunk` (m, 24) to `sums` (4, 24). */
-static void add_products(int64_t p, const float *rows, int64_t m, const float *restrict sunk,
-                         float (*restrict sums)[N_DIRECTIONS])
-{
-    float sum[4][N_DIRECTIONS];
-    memcpy(sum, sums, sizeof sum);
-    for (int64_t k = 0; k < m; k++) {
-        float first = rows[k], second = rows[p + k], third = rows[2 * p + k];
-        float fourth = rows[3 * p + k];
-        for (int side = 0; side < N_DIRECTIONS; side++) {
-            float bite = sunk[N_DIRECTIONS * k + side];
-            sum[0][side] += first * bite;
-            sum[1][side] += second * bite;
-            sum[2][side] += third * bite;
-            sum[3][side] += fourth * bite;
-        }
-    }
-    memcpy(sums, sum, sizeof sum);
-}
-
-/* Add sums of single precision to those of double, and begin them anew. */
-static void carry(float (*sums)[N_DIRECTIONS], double (*totals)[N_DIRECTIONS])
-{
-    for (int a = 0; a < N_SUMS; a++)
-        for (int side = 0; side < N_DIRECTIONS; side++)
-            totals[a][side] += (double)sums[a][side];
-    memset(sums, 0, sizeof(float) * N_SUMS * N_DIRECTIONS);
-}
-
-/* Fill in `totals` (13, 24): products with every bite of the whitened rows, of a row more that
- * means nothing, and of the bite itself. `peak`, DN; `rows` (25, p). */
+/* Fill in `totals` (12, 24) of the pixels on the rim and inside. `peak`, DN; `rows` (25, p). */
 static void sum_bites(double peak, int64_t p, const float *rows, double (*totals)[N_DIRECTIONS])
 {
-    Mark mark = scratch_mark();
-    float *depth = TAKE(float, p), *u = TAKE(float, p), *w = TAKE(float, p);
-    float sunk[BLOCK * N_DIRECTIONS], along[N_DIRECTIONS], across[N_DIRECTIONS];
-    float sums[N_SUMS][N_DIRECTIONS] = {{0.0f}};
-    const double sharp = 1.0 / (32.0 * OCCLUSION_WIDTH * OCCLUSION_WIDTH);
-    const float *radius2 = rows + ROW_RADIUS2 * p;
-    int64_t count = 0;
+    float sums[N_SUMS][N_DIRECTIONS] = {{0.0f}}, sunk[N_DIRECTIONS];
+    float along[N_DIRECTIONS], across[N_DIRECTIONS];
+    float twice = (float)(2.0 * peak * exp(-1.0 / square(OCCLUSION_WIDTH)));
+    double sharp = 1.0 / (POWER * square(OCCLUSION_WIDTH));
     for (int side = 0; side < N_DIRECTIONS; side++) {
-        along[side] = (float)(COSINES[side] * sharp);
-        across[side] = (float)(COSINES[(side + 18) % N_DIRECTIONS] * sharp);
+        along[side] = (float)(sharp * cos(2.0 * PI * side / N_DIRECTIONS));
+        across[side] = (float)(sharp * sin(2.0 * PI * side / N_DIRECTIONS));
     }
-    sink_pixels(peak, p, rows, depth, u, w);
     memset(totals, 0, sizeof(double) * N_SUMS * N_DIRECTIONS);
-    for (int64_t begin = 0, end; begin < p; begin = end) { /* runs of pixels near enough */
-        for (end = begin; end < p && end - begin < BLOCK && radius2[end] < RIM_RADIUS2;)
-            end++;
-        if (end == begin) {
-            end++;
-            continue;
+    for (int64_t k = 0, count = 0; k < p; k++) {
+        if (rows[ROW_RADIUS2 * p + k] < RIM_RADIUS2) {
+            sink_pixel(twice, p, rows, k, along, across, sunk);
+            for (int a = 0; a < N_SUMS; a++)
+                for (int side = 0; side < N_DIRECTIONS; side++)
+                    sums[a][side] += sunk[side] * (a == ROW_BITE ? sunk[side] : rows[a * p + k]);
+            count++;
         }
-        for (int64_t k = begin; k < end; k++)
-            sink_pixel(depth[k], u[k], w[k], along, across, sunk + N_DIRECTIONS * (k - begin),
-                       sums[ROW_BITE]);
-        for (int a = 0; a < ROW_BITE; a += 4)
-            add_products(p, rows + a * p + begin, end - begin, sunk, sums + a);
-        count += end - begin;
-        if (count >= BLOCK) {
-            carry(sums, totals);
+        if (count == BLOCK || k == p - 1) {
+            for (int a = 0; a < N_SUMS; a++)
+                for (int side = 0; side < N_DIRECTIONS; side++)
+                    totals[a][side] += (double)sums[a][side];
+            memset(sums, 0, sizeof sums);
             count = 0;
         }
     }
-    carry(sums, totals);
-    scratch_release(mark);
 }
 
 /* Score bites in each direction by the residuals of a fit.
@@ -287,8 +226,7 @@ void score_spots(const Fits *fits, int64_t m, const int64_t *kept, const double 
         score_bites(fits, kept[n], worth, bites);
         for (int side = 0; side < N_DIRECTIONS; side++) {
             double chi2 = worth * square(bites[0][side]) / bites[1][side];
-            if (bites[0][side] > 0.0)
-                asymmetry[n] = MAX(asymmetry[n], chi2);
+            asymmetry[n] = MAX(asymmetry[n], bites[0][side] > 0.0 ? chi2 : 0.0);
         }
         if (fits->parameters[N_PARAMETERS * kept[n] + PAR_STEEPNESS] < MIN_STEEPNESS)
             asymmetry[n] = INFINITY;
@@ -311,22 +249,22 @@ void correct_for_bites(int64_t m, const double *score, const double *assessed, d
     occlusion_probability(m, evidence, probability);
     for (int64_t n = 0; n < m; n++) {
         const double *pull = score + (4 * n + 2) * N_DIRECTIONS;
-        double shift[2] = {0.0, 0.0}, spread[2][2] = {{0.0, 0.0}, {0.0, 0.0}};
-        bool none = assessed[N_COLUMNS * n + COL_MERGED] > 0.0;
-        for (int side = 0; side < N_DIRECTIONS && !none; side++) {
+        double *moment = moments + 6 * n, shift[2] = {0.0, 0.0};
+        if (assessed[N_COLUMNS * n + COL_MERGED] > 0.0)
+            continue;
+        for (int side = 0; side < N_DIRECTIONS; side++) {
             int64_t at = n * N_DIRECTIONS + side;
+            double to[2] = {pull[side], pull[N_DIRECTIONS + side]};
             for (int i = 0; i < 2; i++) {
-                double here = pull[i * N_DIRECTIONS + side];
-                shift[i] += probability[at] * depth[at] * here;
+                shift[i] += probability[at] * depth[at] * to[i];
                 for (int j = 0; j < 2; j++)
-                    spread[i][j] += probability[at] * mean_square[at] * here *
-                                    pull[j * N_DIRECTIONS + side];
+                    moment[3 * i + 1 + j] += probability[at] * mean_square[at] * to[i] * to[j];
             }
         }
         for (int i = 0; i < 2; i++) {
-            moments[6 * n + 3 * i] += shift[i];
+            moment[3 * i] += shift[i];
             for (int j = 0; j < 2; j++)
-                moments[6 * n + 3 * i + 1 + j] += spread[i][j] - shift[i] * shift[j];
+                moment[3 * i + 1 + j] -= shift[i] * shift[j];
         }
     }
     scratch_release(mark);

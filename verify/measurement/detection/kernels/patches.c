@@ -17,13 +17,19 @@
 /* px, of cut-outs: an LED that moves keeps its pixels' number */
 static const int64_t RADII[N_RADII] = {8, 11, 14, 18, 26, 40, 62};
 
-/* Least radius, px, that is as large as needed, or the last one. */
-static int64_t radius_of(double needed)
+/* How far a spot's pixels may be from its centre, px. */
+static double needed_reach(const double *spot)
+{
+    return PATCH_REACH * spot[2] + PATCH_MARGIN;
+}
+
+/* Radius of a spot's pixels, in steps between them: the least that is enough, or the last. */
+static int64_t radius_of(const double *spot, bool first_look)
 {
     int k = 0;
-    while (k < N_RADII - 1 && !((double)RADII[k] >= needed))
+    while (k < N_RADII - 1 && !((double)RADII[k] >= needed_reach(spot)))
         k++;
-    return RADII[k];
+    return first_look ? FIRST_LOOK_STEPS : RADII[k];
 }
 
 /* Half of a disc's pixels in a row of it, the middle one left out. */
@@ -74,17 +80,13 @@ static Fits empty_fits(int64_t n, const double *spots, bool first_look)
         .chi2 = TAKE(double, n),
     };
     fits.begin[0] = 0;
-    for (int64_t k = 0; k < n; k++) {
-        double needed = PATCH_REACH * spots[4 * k + 2] + PATCH_MARGIN;
-        int64_t reach = first_look ? FIRST_LOOK_STEPS : radius_of(needed);
-        fits.begin[k + 1] = fits.begin[k] + disc_size(reach);
-    }
+    for (int64_t k = 0; k < n; k++)
+        fits.begin[k + 1] = fits.begin[k] + disc_size(radius_of(spots + 4 * k, first_look));
     fits.pool = TAKE(float, N_ROWS * fits.begin[n]);
     return fits;
 }
 
-/* Which of counted whole numbers has a rank, from 0. */
-static int64_t ranked(const int64_t *counts, int64_t rank)
+int64_t ranked(const int32_t *counts, int64_t rank)
 {
     int64_t until = counts[0], value = 0;
     while (until <= rank)
@@ -125,11 +127,11 @@ static void find_places(const Picture *picture, const int64_t *origin, int64_t p
 
 /* Mean of a channel on the spot less the patch's lower third, DN; its values are counted. */
 static double channel_contrast(const uint8_t *values, int64_t p, const int64_t *place, double scale,
-                               const float *rows, int64_t *counts)
+                               const float *rows, int32_t *counts)
 {
     const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
     int64_t total = 0, core = 0;
-    memset(counts, 0, sizeof(int64_t) * N_VALUES);
+    memset(counts, 0, sizeof(int32_t) * N_VALUES);
     for (int64_t k = 0; k < p; k++) {
         uint8_t value = values[place[k]];
         bool near = (double)(column[k] * column[k] + row[k] * row[k]) <= scale * scale;
@@ -155,7 +157,7 @@ void channel_weights(const double *colour, double *weight)
 }
 
 /* Combine the colours of a spot's p pixels; those clipped in some only are not valid. */
-static void combine_colours(const Picture *picture, int64_t p, const int64_t *place,
+static void combine_colours(const Picture *picture, int colours, int64_t p, const int64_t *place,
                             const double *weight, float *rows)
 {
     float *value = rows + ROW_VALUE * p, *valid = rows + ROW_VALID * p;
@@ -163,7 +165,7 @@ static void combine_colours(const Picture *picture, int64_t p, const int64_t *pl
         const uint8_t *pixel = picture->values + place[k];
         double total = 0.0;
         bool clipped = false, clear = false;
-        for (int c = 0; c < 3; c++) {
+        for (int c = 0; c < colours; c++) {
             bool counts = weight[c] > 0.0, full = pixel[c] == (uint8_t)SENSOR_LIMIT;
             total += weight[c] * pixel[c];
             clipped |= counts & full;
@@ -190,34 +192,28 @@ static double value_of_rank(const float *values, int64_t p, int64_t rank)
 static void read_patch(const Picture *picture, const Fits *fits, int64_t n)
 {
     Mark mark = scratch_mark();
-    int64_t p = pixels_of(fits, n), counts[N_VALUES];
-    int64_t *place = TAKE(int64_t, p);
-    float *rows = rows_of(fits, n), *value = rows + ROW_VALUE * p;
-    double *colour = fits->colour + 3 * n, *share = fits->share + 2 * n;
+    int64_t p = pixels_of(fits, n), *place = TAKE(int64_t, p), low = p * 3 / 10;
+    int32_t counts[N_VALUES];
+    float *rows = rows_of(fits, n);
+    double *colour = fits->colour + 3 * n, weight[3] = {1.0}, squares = 0.0, cubes = 0.0;
     find_places(picture, fits->origin + 2 * n, p, rows, place);
     int colours = is_grey(picture, p, place) ? 1 : 3;
     for (int c = 0; c < 3; c++)
         colour[c] = c < colours ? channel_contrast(picture->values + c, p, place, fits->scale[n],
                                                    rows, counts)
                                 : colour[0];
-    if (colours == 1) {
-        for (int64_t k = 0; k < p; k++)
-            value[k] = picture->values[place[k]];
-        share[0] = share[1] = 1.0;
-        fits->level[n] = (double)ranked(counts, p * 3 / 10);
-    } else {
-        /* the channels' shares of the signal are the weights themselves, up to a factor */
-        double weight[3], squares = 0.0, cubes = 0.0;
+    if (colours > 1)
         channel_weights(colour, weight);
-        combine_colours(picture, p, place, weight, rows);
-        for (int c = 0; c < 3; c++) {
-            squares += weight[c] * weight[c];
-            cubes += weight[c] * weight[c] * weight[c];
-        }
-        share[0] = squares;
-        share[1] = cubes / squares;
-        fits->level[n] = value_of_rank(value, p, p * 3 / 10);
+    combine_colours(picture, colours, p, place, weight, rows);
+    /* the channels' shares of the signal are the weights themselves, up to a factor */
+    for (int c = 0; c < 3; c++) {
+        squares += weight[c] * weight[c];
+        cubes += weight[c] * weight[c] * weight[c];
     }
+    fits->share[2 * n] = squares;
+    fits->share[2 * n + 1] = cubes / squares;
+    fits->level[n] = colours > 1 ? value_of_rank(rows + ROW_VALUE * p, p, low)
+                                 : (double)ranked(counts, low);
     scratch_release(mark);
 }
 
@@ -251,14 +247,14 @@ Fits cut_patches(const Picture *picture, int64_t n, const double *spots, bool fi
     Fits fits = empty_fits(n, spots, first_look);
     for (int64_t k = 0; k < n; k++) {
         const double *spot = spots + 4 * k;
-        double needed = PATCH_REACH * spot[2] + PATCH_MARGIN;
-        int64_t reach = first_look ? FIRST_LOOK_STEPS : radius_of(needed), p = pixels_of(&fits, k);
+        int64_t p = pixels_of(&fits, k);
         float *rows = rows_of(&fits, k);
         for (int axis = 0; axis < 2; axis++)
             fits.origin[2 * k + axis] = (int64_t)rint(spot[axis]);
         fits.scale[k] = spot[2];
-        disc_offsets(reach, first_look ? needed / FIRST_LOOK_STEPS : 1.0, rows + ROW_COLUMN * p,
-                     rows + ROW_ROW * p);
+        disc_offsets(radius_of(spot, first_look),
+                     first_look ? needed_reach(spot) / FIRST_LOOK_STEPS : 1.0,
+                     rows + ROW_COLUMN * p, rows + ROW_ROW * p);
         read_patch(picture, &fits, k);
         if (!first_look)
             leave_neighbours(&fits, k, spots);

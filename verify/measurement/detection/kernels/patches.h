@@ -58,4 +58,7 @@ Fits cut_patches(const Picture *picture, int64_t n, const double *spots, bool fi
  * noise. */
 void channel_weights(const double *colour, double *weight);
 
+/* Which of counted whole numbers, from 0 on, has a rank, from 0. */
+int64_t ranked(const int32_t *counts, int64_t rank);
+
 #endif

@@ -51,33 +51,33 @@
 #define MAX_PART 0.75      /* of a disc's diameter: a smaller spot on it is a part of it */
 #define MAX_PART_PEAK 1.5  /* of a disc's peak, that a part of it may seem to have */
 
+static bool all_finite(int64_t n, const double *values)
+{
+    bool finite = true;
+    for (int64_t k = 0; k < n; k++)
+        finite = finite && isfinite(values[k]);
+    return finite;
+}
+
 /* Fill in the covariance of the centre, other parameters free, px^2; NaN where it is not finite. */
 static void centre_covariance(const double *information, double *row)
 {
-    bool finite = true;
-    for (int a = 0; a < N_PARAMETERS * N_PARAMETERS; a++)
-        finite = finite && isfinite(information[a]);
-    for (int k = COL_COVARIANCE_XX; k <= COL_COVARIANCE_YY; k++)
-        row[k] = NAN;
-    if (!finite)
-        return;
-    double root[N_PARAMETERS * N_PARAMETERS], unit[2][N_PARAMETERS] = {{0.0}};
+    double root[N_PARAMETERS * N_PARAMETERS], right[2][N_PARAMETERS] = {{0.0}};
+    double unit = all_finite(N_PARAMETERS * N_PARAMETERS, information) ? 1.0 : NAN;
     factor(N_PARAMETERS, information, -MIN_INFORMATION, root);
-    unit[0][PAR_X] = unit[1][PAR_Y] = 1.0;
-    solve(N_PARAMETERS, root, unit[0]);
-    solve(N_PARAMETERS, root, unit[1]);
-    row[COL_COVARIANCE_XX] = unit[0][PAR_X];
-    row[COL_COVARIANCE_XY] = row[COL_COVARIANCE_YX] = unit[0][PAR_Y];
-    row[COL_COVARIANCE_YY] = unit[1][PAR_Y];
+    right[0][PAR_X] = right[1][PAR_Y] = unit;
+    solve(N_PARAMETERS, root, right[0]);
+    solve(N_PARAMETERS, root, right[1]);
+    row[COL_COVARIANCE_XX] = right[0][PAR_X];
+    row[COL_COVARIANCE_XY] = row[COL_COVARIANCE_YX] = right[0][PAR_Y];
+    row[COL_COVARIANCE_YY] = right[1][PAR_Y];
 }
 
-/* What judges a spot by its own pixels: those that clipping leaves alone; their squared residuals
- * over the variance, summed; the same in DN^2; and how many of all are at the sensor's limit. */
-typedef struct {
-    float count, squares, square_dn, full;
-} Core;
-
-static Core core_counts(int64_t p, const float *rows)
+/* Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
+ *
+ * `rows` (25, p); `peak`, DN; `pixels`, that misfit beyond chance lifts together; `row` (16,),
+ * changed. A spot is judged by those of its own pixels that clipping leaves alone. */
+static void assess_shape(int64_t p, const float *rows, double peak, double pixels, double *row)
 {
     const float *core = rows + ROW_CORE * p, *visible = rows + ROW_VISIBLE * p;
     const float *value = rows + ROW_VALUE * p, *mean = rows + ROW_MEAN * p;
@@ -91,29 +91,19 @@ static Core core_counts(int64_t p, const float *rows)
         squares += alone * off * off / variance[k];
         square_dn += alone * off * off;
     }
-    return (Core){count, squares, square_dn, full};
-}
-
-/* Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
- *
- * `rows` (25, p); `peak`, DN; `pixels`, that misfit beyond chance lifts together; `row` (16,),
- * changed. */
-static void assess_shape(int64_t p, const float *rows, double peak, double pixels, double *row)
-{
-    Core core = core_counts(p, rows);
-    double freedom = (double)core.count - N_FITTED, paid = MAX(freedom, 1.0);
-    double misfit = freedom >= N_FITTED ? (double)core.squares / paid : 1.0;
-    double rough = sqrt((double)core.square_dn / paid);
+    double freedom = (double)count - N_FITTED, paid = MAX(freedom, 1.0);
+    double misfit = freedom >= N_FITTED ? (double)squares / paid : 1.0;
+    double rough = sqrt((double)square_dn / paid);
     bool merged = misfit > MAX_REDUCED_CHI2 &&
                   rough > MAX_RESIDUAL_RATIO * MIN(peak, (double)SENSOR_LIMIT);
     double beyond = misfit - 1.0 - MAX_CHI2_SIGMA * sqrt(2.0 / paid);
-    double excess = core.full == 0.0f ? MAX(beyond, 0.0) : 0.0;
+    double excess = full == 0.0f ? MAX(beyond, 0.0) : 0.0;
     double larger = merged ? CORRELATED_PIXELS * misfit : 1.0 + pixels * excess;
     for (int k = COL_COVARIANCE_XX; k <= COL_COVARIANCE_YY; k++)
         row[k] *= larger;
     row[COL_MISFIT] = misfit;
-    row[COL_COUNT] = (double)core.count;
-    row[COL_SATURATED] = core.full > 0.0f ? 1.0 : 0.0;
+    row[COL_COUNT] = (double)count;
+    row[COL_SATURATED] = full > 0.0f ? 1.0 : 0.0;
     row[COL_MERGED] = merged ? 1.0 : 0.0;
 }
 
@@ -145,22 +135,25 @@ void assess_all(const Fits *fits, int64_t width, int64_t height, double lifted, 
         bool sound = positive && x > rim && y > rim && x < (double)width - 1.0 - rim &&
                      y < (double)height - 1.0 - rim && p[PAR_PEAK] * sqrt(certain) > MIN_PEAK &&
                      longer < MAX_AXIS_RATIO * shorter &&
-                     hypot(p[PAR_X], p[PAR_Y]) < MAX_SHIFT * scale + 1.0;
-        for (int a = 0; a < N_PARAMETERS; a++)
-            sound = sound && isfinite(p[a]);
+                     hypot(p[PAR_X], p[PAR_Y]) < MAX_SHIFT * scale + 1.0 &&
+                     all_finite(N_PARAMETERS, p);
         row[COL_SOUND] = sound ? 1.0 : 0.0;
     }
 }
 
-/* Median of n values so far apart, of those whose `wanted` (n,) is over 0; NaN of none. */
-static double median_where(int64_t n, const double *values, int64_t apart, const double *wanted)
+/* Median of n spots' values, so far apart, of those that are not merged, nor at the sensor's limit
+ * unless wanted; NaN of none. */
+static double median_clear(int64_t n, const double *assessed, bool saturated, const double *values,
+                           int64_t apart)
 {
     Mark mark = scratch_mark();
     double *some = TAKE(double, n);
     int64_t count = 0;
-    for (int64_t k = 0; k < n; k++)
-        if (wanted[k] > 0.0)
+    for (int64_t k = 0; k < n; k++) {
+        const double *row = assessed + N_COLUMNS * k;
+        if (row[COL_MERGED] == 0.0 && (saturated || row[COL_SATURATED] == 0.0))
             some[count++] = values[apart * k];
+    }
     double found = count > 0 ? median(some, count) : NAN;
     scratch_release(mark);
     return found;
@@ -168,23 +161,16 @@ static double median_where(int64_t n, const double *values, int64_t apart, const
 
 void widen_lossy(int64_t n, double *assessed)
 {
-    Mark mark = scratch_mark();
-    double *whole = TAKE(double, n);
-    for (int64_t k = 0; k < n; k++) {
-        const double *row = assessed + N_COLUMNS * k;
-        whole[k] = 1.0 - MAX(row[COL_SATURATED], row[COL_MERGED]);
-    }
-    double usual = median_where(n, assessed + COL_MISFIT, N_COLUMNS, whole);
+    double usual = median_clear(n, assessed, false, assessed + COL_MISFIT, N_COLUMNS);
     usual = isnan(usual) ? 1.0 : MAX(usual, MIN_LOSSY_MISFIT);
     for (int64_t k = 0; k < n; k++) {
         double *row = assessed + N_COLUMNS * k;
         double beyond = row[COL_MISFIT] / usual - MAX_LOSSY_MISFIT;
-        double odd = MAX(beyond, 0.0) * whole[k];
+        double odd = MAX(beyond, 0.0) * (1.0 - row[COL_SATURATED]);
         double scale = LOSSY_SHARE * usual * (1.0 + CORRELATED_PIXELS * odd);
         for (int c = COL_COVARIANCE_XX; c <= COL_COVARIANCE_YY; c++)
             row[c] *= row[COL_MERGED] > 0.0 ? 1.0 : scale;
     }
-    scratch_release(mark);
 }
 
 /* Least stretch of a spot, px, that is doubted: beyond noise, where nothing else would show. */
@@ -195,33 +181,32 @@ static double least_stretch(const double *row, double asymmetry)
     return MIN_STRETCH_SIGMA * sqrt((row[COL_COVARIANCE_XX] + row[COL_COVARIANCE_YY]) / 2.0);
 }
 
-/* Flag those of n spots that are longer or more lopsided than usual; widen what is merged.
- *
- * As for `doubt_shapes`; `off` and `length` (n,), px: stretch and longest width; `clear` (n,), 1 of
- * those that are not merged. */
-static void flag_stretched(int64_t n, double *assessed, const double *asymmetry, const double *off,
-                           const double *length, const double *clear)
+void doubt_shapes(int64_t n, double *assessed, const double *asymmetry)
 {
+    Mark mark = scratch_mark();
+    double *length = TAKE(double, n), x = 0.0, y = 0.0;
+    double usual = INFINITY; /* none is longer, where nothing shows what is usual */
     int64_t alike = 0;
-    for (int64_t k = 0; k < n; k++)
-        alike += clear[k] > 0.0;
-    /* none is longer than usual where nothing shows what that is */
-    double x = 0.0, y = 0.0, usual = INFINITY;
-    if (alike >= MIN_ALIKE) {
-        x = median_where(n, assessed + COL_STRETCH_X, N_COLUMNS, clear);
-        y = median_where(n, assessed + COL_STRETCH_Y, N_COLUMNS, clear);
-        usual = median_where(n, length, 1, clear);
+    for (int64_t k = 0; k < n; k++) {
+        const double *row = assessed + N_COLUMNS * k;
+        length[k] = 2.0 * row[COL_DIAMETER] / (1.0 + 1.0 / row[COL_ELONGATION]);
+        alike += row[COL_MERGED] == 0.0;
     }
-    double misfit = median_where(n, assessed + COL_MISFIT, N_COLUMNS, clear);
+    if (alike >= MIN_ALIKE) {
+        x = median_clear(n, assessed, true, assessed + COL_STRETCH_X, N_COLUMNS);
+        y = median_clear(n, assessed, true, assessed + COL_STRETCH_Y, N_COLUMNS);
+        usual = median_clear(n, assessed, true, length, 1);
+    }
+    double misfit = median_clear(n, assessed, true, assessed + COL_MISFIT, N_COLUMNS);
     misfit = MAX(1.0, misfit); /* 1 of none */
     for (int64_t k = 0; k < n; k++) {
         double *row = assessed + N_COLUMNS * k;
+        double off = hypot(row[COL_STRETCH_X], row[COL_STRETCH_Y]);
         double here = hypot(row[COL_STRETCH_X] - x, row[COL_STRETCH_Y] - y);
-        double stretch = MIN(off[k], here), over = row[COL_MISFIT] / misfit;
+        double stretch = MIN(off, here), longer = length[k] / usual;
         double chance = 1.0 + MAX_LONGER_SIGMA * sqrt(2.0 / MAX(row[COL_COUNT], 1.0));
-        double longer = length[k] / usual;
         bool odd = asymmetry[k] > MAX_ASYMMETRY * misfit || longer > MAX_LENGTH ||
-                   (over > chance && longer > MAX_SURE_LENGTH);
+                   (row[COL_MISFIT] / misfit > chance && longer > MAX_SURE_LENGTH);
         if (odd && stretch > least_stretch(row, asymmetry[k]))
             row[COL_MERGED] = 1.0;
         if (row[COL_MERGED] > 0.0) {
@@ -230,39 +215,18 @@ static void flag_stretched(int64_t n, double *assessed, const double *asymmetry,
             row[COL_COVARIANCE_YY] += doubt;
         }
     }
-}
-
-void doubt_shapes(int64_t n, double *assessed, const double *asymmetry)
-{
-    Mark mark = scratch_mark();
-    double *off = TAKE(double, n), *clear = TAKE(double, n), *length = TAKE(double, n);
-    bool doubtful = false;
-    for (int64_t k = 0; k < n; k++) {
-        const double *row = assessed + N_COLUMNS * k;
-        off[k] = hypot(row[COL_STRETCH_X], row[COL_STRETCH_Y]);
-        clear[k] = 1.0 - row[COL_MERGED];
-        length[k] = 2.0 * row[COL_DIAMETER] / (1.0 + 1.0 / row[COL_ELONGATION]);
-        doubtful = doubtful || clear[k] == 0.0 || off[k] > least_stretch(row, asymmetry[k]);
-    }
-    if (doubtful)
-        flag_stretched(n, assessed, asymmetry, off, length, clear);
     scratch_release(mark);
 }
 
 int64_t first_by(const double *values, int64_t n, int64_t *index, int64_t most)
 {
-    int64_t count = 0;
     for (int64_t k = 0; k < n; k++) {
-        int64_t one = index[k], at = MIN(count, most);
+        int64_t one = index[k], at = k;
         for (; at > 0 && values[one] < values[index[at - 1]]; at--)
-            if (at < most)
-                index[at] = index[at - 1];
-        if (at < most) {
-            index[at] = one;
-            count = MIN(count + 1, most);
-        }
+            index[at] = index[at - 1];
+        index[at] = one;
     }
-    return count;
+    return MIN(n, most);
 }
 
 static double centres_apart(const double *row, const double *other)
