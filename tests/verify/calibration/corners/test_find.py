@@ -148,6 +148,18 @@ def test_a_covered_corner_is_left_out_and_colour_does_not_matter() -> None:
     assert len(view) >= 62
 
 
+def test_a_board_of_which_a_middle_part_is_covered_is_found_beside_it() -> None:
+    squares = np.indices((6, 9)).sum(axis=0) % 2
+    light = 40 + 160 * np.pad(np.kron(squares, np.ones((30, 30))), 40, constant_values=1.0)
+    light[150:210, 200:260] = 90.0
+    view = found(np.asarray(cv2.GaussianBlur(light, (0, 0), 1.0), np.uint8), Board(8, 5, 0.040))
+    row, column = np.divmod([view.corner, 39 - view.corner], 8)  # it looks the same upside down
+    places = 69.5 + 30.0 * np.stack([column, row], axis=2)
+    assert len(view) >= 36
+    off = min(np.abs(view.centre - places), key=np.max)
+    assert np.count_nonzero((off < 0.02).all(axis=1)) >= 34  # what covers it shifts those beside
+
+
 @pytest.mark.parametrize(
     ("stated", "there"), [((10, 8), (9, 7)), ((8, 7), (9, 7)), ((9, 8), (9, 7))]
 )
