@@ -82,7 +82,9 @@ _kept: list[tempfile.TemporaryDirectory[str]] = []  # until the process ends
 def _folders() -> list[Path]:
     """Where the library may be kept, the best place first."""
     users = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "verify"
-    states = [(str(p), p.stat().st_mtime_ns, p.stat().st_size) for p in sources()]
+    entries = (entry for folder in FOLDERS for entry in os.scandir(PACKAGE / folder))
+    own = sorted((e.path, e.stat()) for e in entries if e.name.endswith((".c", ".h")))
+    states = [(path, state.st_mtime_ns, state.st_size) for path, state in own]
     key = states, FLAGS, os.environ.get("CC"), _processor()
     name = f"kernels-{hashlib.sha256(repr(key).encode()).hexdigest()[:12]}"
     beside = [PACKAGE / "__pycache__" / name] if os.access(PACKAGE, os.W_OK) else []

@@ -72,8 +72,8 @@ static inline double chi2_of(double x, double y, double xx, double xy, double yy
     return (yy * x * x - 2.0 * xy * x * y + xx * y * y) / (xx * yy - xy * xy);
 }
 
-/* Rotate the first three columns and rows of a matrix in place by a rotation vector (3,); `width` is
- * its number of columns, 3 or 4. */
+/* Rotate the first three columns and rows of a matrix in place by a rotation vector (3,); `width`
+ * is its number of columns, 3 or 4. */
 static inline void rotate(double *axes, int width, const double *vector)
 {
     double x = vector[0], y = vector[1], z = vector[2], angle = sqrt(dot(vector, vector));

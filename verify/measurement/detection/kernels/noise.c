@@ -18,7 +18,6 @@
  */
 #include "verify/measurement/detection/kernels/noise.h"
 
-#include <stdlib.h>
 
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
@@ -72,17 +71,33 @@ typedef struct {
     double dark, spread, unclipped, black;
 } Background;
 
-/* Count the level and the difference of five neighbours, `step` apart, unless one is clipped. */
-static void count_stencil(const uint8_t *at, int64_t step, int32_t *levels, int32_t *differences)
+/* Count a block's levels and differences, as `count_stencils` does; `row` (count + 4,), DN. */
+static void count_block(const int16_t *row, int64_t count, int32_t *levels, int32_t *differences)
 {
-    int a = at[0], b = at[step], c = at[2 * step], d = at[3 * step], e = at[4 * step];
-    if (MIN(MIN(MIN(a, b), MIN(c, d)), e) == 0 || MAX(MAX(MAX(a, b), MAX(c, d)), e) == 255)
-        return;
-    int level = LOWEST_LEVEL - 3 * (a + e) + 12 * (b + d) + 17 * c;
-    int difference = abs(a + e - 4 * (b + d) + 6 * c), part = (level - FIRST_LEVEL) / CLASS_PARTS;
-    levels[level]++;
-    if (level >= FIRST_LEVEL && part < N_CLASSES)
-        differences[part * N_DIFFERENCES + MIN(difference, N_DIFFERENCES - 1)]++;
+    int16_t level[BLOCK_PIXELS], difference[BLOCK_PIXELS];
+    uint16_t part[BLOCK_PIXELS];
+    bool clean[BLOCK_PIXELS];
+    for (int64_t k = 0; k < count; k++) {
+        bool inside = true;
+        for (int64_t i = k; i < k + 5; i++)
+            inside &= (row[i] > 0) & (row[i] < 255);
+        clean[k] = inside;
+    }
+    for (int64_t k = 0; k < count; k++) {
+        int16_t ends = row[k] + row[k + 4], sides = row[k + 1] + row[k + 3], middle = row[k + 2];
+        int16_t size = ends - 4 * sides + 6 * middle;
+        size = size < 0 ? -size : size;
+        level[k] = LOWEST_LEVEL - 3 * ends + 12 * sides + 17 * middle;
+        difference[k] = MIN(size, N_DIFFERENCES - 1);
+        /* what is below the first class wraps to far above the last one */
+        part[k] = (uint16_t)(level[k] - FIRST_LEVEL) / CLASS_PARTS;
+    }
+    for (int64_t k = 0; k < count; k++)
+        if (clean[k]) {
+            levels[level[k]]++;
+            if (part[k] < N_CLASSES)
+                differences[part[k] * N_DIFFERENCES + difference[k]]++;
+        }
 }
 
 /* Count levels and fourth differences of five neighbours in a row, wherever nothing is clipped.
@@ -93,15 +108,17 @@ static void count_stencil(const uint8_t *at, int64_t step, int32_t *levels, int3
 static int64_t count_stencils(const Sample *sample, int64_t apart, int32_t *levels,
                               int32_t *differences)
 {
-    int64_t looked = 0, places = sample->width - 4;
+    int64_t looked = 0, places = sample->width - 4, step = sample->step;
+    int16_t row[BLOCK_PIXELS + 4];
     for (int64_t r = 0; r < sample->count; r++)
         for (int64_t begin = r % apart * BLOCK_PIXELS; begin < places;
              begin += apart * BLOCK_PIXELS) {
-            int64_t end = MIN(begin + BLOCK_PIXELS, places);
-            for (int64_t k = begin; k < end; k++)
-                count_stencil(sample->values + r * sample->row_step + k * sample->step,
-                              sample->step, levels, differences);
-            looked += end - begin;
+            int64_t count = MIN(BLOCK_PIXELS, places - begin);
+            const uint8_t *values = sample->values + r * sample->row_step + begin * step;
+            for (int64_t k = 0; k < count + 4; k++)
+                row[k] = values[k * step];
+            count_block(row, count, levels, differences);
+            looked += count;
         }
     return looked;
 }
