@@ -15,7 +15,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from pathlib import Path
@@ -38,7 +38,7 @@ FOLDERS = (
 )  # fmt: skip
 LIBRARY = "kernels.dll" if sys.platform == "win32" else "kernels.so"
 INTERFACE = "interface.py"  # what cffi makes of the entries' declarations, beside the library
-ENTRY = r"^int64_t entry_\w+\([^)]*\)"  # a declaration
+ENTRY = r"^int64_t entry_(\w+)\([^)]*\)"  # a declaration
 TYPES = {"float64": "double", "float32": "float", "bool": "_Bool"} | {
     whole: f"{whole}_t" for whole in ("int64", "int32", "uint8", "int8")
 }
@@ -140,14 +140,24 @@ def build(folder: Path, flags: tuple[str, ...] = FLAGS) -> None:
 
 
 def _write_interface(units: list[Path], folder: Path) -> None:
-    """Write the module that tells cffi the entries, as the sources declare them."""
+    """Write the module that tells cffi the entries, and what each of them only reads."""
     import cffi  # it loads a parser of C, which nothing but this needs
 
-    declared = [x for unit in units for x in re.findall(ENTRY, unit.read_text(), re.MULTILINE)]
+    found = (re.finditer(ENTRY, unit.read_text(), re.MULTILINE) for unit in units)
+    declared = {one[1]: one[0] for matches in found for one in matches}
     maker = cffi.FFI()
-    maker.cdef("\n".join(f"{one};" for one in declared))
+    maker.cdef("\n".join(f"{one};" for one in declared.values()))
     maker.set_source(Path(INTERFACE).stem, None)
     maker.compile(str(folder))
+    with (folder / INTERFACE).open("a", encoding="utf-8") as module:
+        module.write(f"inputs = { {name: _inputs(one) for name, one in declared.items()} }\n")
+
+
+def _inputs(declaration: str) -> dict[int, str]:
+    """Which arguments are arrays that are only read, and of what kind, by numpy's name."""
+    kinds = {name: kind for kind, name in TYPES.items()} | {"bool": "bool"}
+    found = (re.match(r"\s*const (\w+) \*", one) for one in declaration.split("(")[1].split(","))
+    return {n: kinds[one[1]] for n, one in enumerate(found) if one}
 
 
 def _run(command: list[str]) -> None:
@@ -166,43 +176,60 @@ def _run(command: list[str]) -> None:
 
 
 def load(folder: Path) -> tuple[Any, Any]:
-    """Load the library that a folder holds: cffi's interface, and the library."""
+    """Load the library that a folder holds: the module of its interface, and the library."""
     spec = importlib.util.spec_from_file_location("verify_kernels", folder / INTERFACE)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    return module.ffi, module.ffi.dlopen(str(folder / LIBRARY))
+    return module, module.ffi.dlopen(str(folder / LIBRARY))
 
 
 @cache
-def library() -> tuple[Any, Any, dict[Any, Any]]:
-    """Cffi's interface, the library, and cffi's type of an array by numpy's letter."""
+def _library() -> tuple[Any, Any, Callable[[Sequence[Any]], list[Any]]]:
+    """The interface, the library, and what makes values what entries take."""
     interface, functions = load(library_folder())
-    types = {np.dtype(kind).char: interface.typeof(f"{name}[]") for kind, name in TYPES.items()}
-    return interface, functions, types
+    pointer, kinds = interface.ffi.from_buffer, TYPES.items()
+    types = {np.dtype(kind).char: interface.ffi.typeof(f"{name}[]") for kind, name in kinds}
+
+    def arguments(values: Sequence[Any]) -> list[Any]:
+        return [pointer(types[v.dtype.char], v) if isinstance(v, np.ndarray) else v for v in values]
+
+    return interface, functions, arguments
 
 
 def entry(name: str) -> Callable[..., int]:
     """A compiled entry, `entry_<name>` in C; it runs without the interpreter's lock.
 
     Returns:
-        What calls it, with numbers and contiguous arrays as it is declared, and gives its result,
-        an integer. It raises TypeError or ValueError for other arrays, MemoryError where the result
-        is negative.
+        What calls it, with numbers and arrays as it is declared, and gives its result, an integer.
+        An array that is only read, `const`, may be of any layout, and of a kind whose numbers the
+        declared one holds; what is filled in has to be as declared and contiguous. It raises
+        TypeError, KeyError or ValueError for others, MemoryError where the result is negative.
     """
     bound: list[Any] = []
 
     def call(*values: Any) -> int:
         if not bound:
-            interface, functions, types = library()
-            bound[:] = getattr(functions, f"entry_{name}"), interface.from_buffer, types
-        function, pointer, types = bound
-        result: int = function(
-            *[pointer(types[v.dtype.char], v) if isinstance(v, np.ndarray) else v for v in values]
-        )
+            interface, functions, arguments = _library()
+            bound[:] = getattr(functions, f"entry_{name}"), interface.inputs[name], arguments
+        function, inputs, arguments = bound
+        try:
+            result: int = function(*arguments(values))
+        except (KeyError, TypeError, ValueError):  # before it ran
+            result = function(*arguments(_copied(values, inputs)))
         if result < 0:
             raise MemoryError
         return result
 
     return call
+
+
+def _copied(values: Sequence[Any], inputs: dict[int, str]) -> list[Any]:
+    """Copy arrays that are only read to what is declared."""
+    return [
+        v.astype(inputs[n], order="C", casting="same_kind")
+        if n in inputs and isinstance(v, np.ndarray)
+        else v
+        for n, v in enumerate(values)
+    ]

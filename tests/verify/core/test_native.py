@@ -9,9 +9,12 @@ import sys
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from verify.core import native
 from verify.core.native import FLAGS, INTERFACE, LIBRARY, PACKAGE, entry
@@ -89,11 +92,23 @@ def test_without_a_compiler_one_line_says_what_to_do(
     assert list(tmp_path.iterdir()) == []
 
 
-def test_entries_take_nothing_but_what_they_are_declared_for() -> None:
-    vectors = entry("rotation_vectors")
-    for wrong in (np.eye(3, dtype=np.float32), np.asfortranarray(np.arange(9.0).reshape(3, 3))):
-        with pytest.raises((TypeError, ValueError)):
-            vectors(1, wrong, np.empty(3))
+def strided(array: NDArray[Any]) -> NDArray[Any]:
+    """The same numbers, not one behind the other."""
+    return np.repeat(array, 2, axis=-1)[..., ::2]
+
+
+def test_what_an_entry_reads_may_be_of_any_layout_and_what_it_fills_may_not() -> None:
+    turns = Rotation.from_rotvec([[0.1, -0.2, 0.3], [0.4, 0.0, -0.5]]).as_matrix()
+    vectors, found = entry("rotation_vectors"), np.empty((2, 3))
+    for kind in (strided(turns), np.asfortranarray(turns), turns.astype(np.float32)):
+        found[:] = np.nan
+        vectors(2, kind, found)
+        np.testing.assert_allclose(found, [[0.1, -0.2, 0.3], [0.4, 0.0, -0.5]], atol=1e-6)
+    for wrong in (strided(found), found.astype(np.float32), found.astype(np.complex128)):
+        with pytest.raises((KeyError, TypeError, ValueError)):
+            vectors(2, turns, wrong)
+    with pytest.raises(TypeError):
+        vectors(2, turns.astype(np.complex128), found)
 
 
 def test_every_source_is_compiled() -> None:
@@ -140,30 +155,83 @@ def test_no_source_has_a_warning_and_constants_that_python_shares_are_equal(tmp_
     assert shared > 50
 
 
-@pytest.mark.long
-def test_a_session_is_measured_within_its_own_memory(tmp_path: Path) -> None:
+def run_watched(folder: Path, code: str, *words: str) -> subprocess.CompletedProcess[str]:
+    """Run Python with a library whose memory and arithmetic the compiler watches: 99 at a fault."""
     compiler = shutil.which("gcc")
     if compiler is None:
-        pytest.skip("gcc's library that watches memory")
-    watched = [
+        pytest.skip("no gcc, whose libraries watch memory; .ci/run installs it")
+    native.build(folder, (*FLAGS, "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover"))
+    watching = [
         subprocess.check_output([compiler, f"-print-file-name={name}"], text=True).strip()
         for name in ("libasan.so", "libstdc++.so")  # what throws has to be there before
     ]
-    watch = "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover"
-    native.build(tmp_path, (*FLAGS, *watch))
-    command = (
-        "run",
-        str(ROOT / "sample_sessions" / "multi_joint_fault_6r"),
-        "-o",
-        str(tmp_path / "r"),
-    )
-    done = subprocess.run(
-        [sys.executable, "-c", MEASURE_WATCHED, str(tmp_path), *command],
-        env=os.environ | {"LD_PRELOAD": " ".join(watched), "ASAN_OPTIONS": "detect_leaks=0"},
+    watched = {
+        "LD_PRELOAD": " ".join(watching),
+        "ASAN_OPTIONS": "detect_leaks=0:exitcode=99",
+        "UBSAN_OPTIONS": "exitcode=99",
+    }
+    return subprocess.run(
+        [sys.executable, "-c", code, str(folder), *words], env=os.environ | watched,
         capture_output=True, text=True, check=False,
     )  # fmt: skip
-    assert done.returncode in (0, 1), done.stderr[-3000:]
-    assert "Sanitizer" not in done.stderr
+
+
+@pytest.fixture
+def with_gcc(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", "gcc")
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("with_gcc")
+def test_a_session_is_measured_within_its_own_memory(tmp_path: Path) -> None:
+    words = "run", str(ROOT / "sample_sessions" / "multi_joint_fault_6r"), "-o", str(tmp_path / "r")
+    done = run_watched(tmp_path, MEASURE_WATCHED, *words)
+    assert done.returncode == 1, done.stderr[-3000:]  # joints are outside the tolerance
+    assert (tmp_path / "r" / "summary.json").exists()
+
+
+FAULTS = """
+#include "verify/core/kernels/scratch.h"
+
+static int64_t use(int64_t n)
+{
+    Mark mark = scratch_mark();
+    int64_t *first = TAKE(int64_t, n), *second = TAKE(int64_t, n);
+    for (int64_t k = 0; k < n; k++)
+        first[k] = second[k] = k;
+    int64_t *last = n > 3 ? first + n : first + n - 1;  /* behind the end */
+    *last = second[0];
+    int64_t sum = first[0] + second[n - 1] + (n == 3 ? INT64_MAX : 0);  /* too large */
+    scratch_release(mark);
+    return sum > 0;
+}
+
+int64_t entry_use(int64_t n)
+{
+    GUARDED(use(n));
+}
+"""
+USE_WATCHED = """
+import sys
+from pathlib import Path
+from verify.core import native
+native.library_folder = lambda: Path(sys.argv[1])
+native.entry("use")(int(sys.argv[2]))
+"""
+
+
+@pytest.mark.slow
+@pytest.mark.usefixtures("with_gcc")
+@pytest.mark.parametrize(("size", "status"), [(2, 0), (3, 99), (4, 99)])
+def test_such_a_library_finds_a_fault(
+    size: int, status: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "use.c").write_text(FAULTS)
+    kernels = PACKAGE / "core" / "kernels"
+    own = [tmp_path / "use.c", kernels / "scratch.c"]
+    monkeypatch.setattr(native, "sources", lambda: own)
+    done = run_watched(tmp_path, USE_WATCHED, str(size))
+    assert done.returncode == status, done.stderr[-3000:]
 
 
 def test_compiling_is_announced(caplog: pytest.LogCaptureFixture, tmp_path: Path) -> None:

@@ -3,6 +3,16 @@
 #include <stdatomic.h>
 #include <stdlib.h>
 
+/* Where the compiler watches memory, arrays have a gap behind them that no one may touch. */
+#ifdef __SANITIZE_ADDRESS__
+#include <sanitizer/asan_interface.h>
+#define GAP 64 /* bytes */
+#else
+#define ASAN_POISON_MEMORY_REGION(begin, bytes) ((void)0)
+#define ASAN_UNPOISON_MEMORY_REGION(begin, bytes) ((void)0)
+#define GAP 0
+#endif
+
 #define N_BLOCKS 32             /* each twice as large as the one before */
 #define FIRST_BLOCK (1u << 20)  /* bytes */
 #define ALIGNMENT 64            /* bytes: the widest vectors */
@@ -61,7 +71,7 @@ jmp_buf *arena_failure(Arena *arena)
 void *scratch_take(size_t bytes)
 {
     Mark *at = &current->mark;
-    size_t needed = (bytes + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
+    size_t needed = (bytes + GAP + ALIGNMENT - 1) / ALIGNMENT * ALIGNMENT;
     while (at->used + needed > (size_t)FIRST_BLOCK << at->block)
         if (++at->block == N_BLOCKS)
             longjmp(current->failure, 1);
@@ -73,7 +83,9 @@ void *scratch_take(size_t bytes)
             longjmp(current->failure, 1);
         current->block[at->block] = raw + (ALIGNMENT - (uintptr_t)raw % ALIGNMENT);
     }
-    void *taken = current->block[at->block] + at->used;
+    char *taken = current->block[at->block] + at->used;
+    ASAN_UNPOISON_MEMORY_REGION(taken, bytes);
+    ASAN_POISON_MEMORY_REGION(taken + bytes, needed - bytes);
     at->used += needed;
     return taken;
 }
