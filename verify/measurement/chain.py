@@ -324,6 +324,7 @@ def _predict(memory: Measurement | None, t: float) -> PosePrediction | None:
         rig_T_flange=perturb(pose.rig_T_flange, pose.twist * interval),
         position_uncertainty=linear * interval**2 + 1e-3,
         rotation_uncertainty=angular * interval**2 + 0.01,
+        choice=memory.choice,
     )
 
 

@@ -37,7 +37,7 @@ from verify.measurement.correspondence.hypotheses import (
     find_triangles,
     seed_hypotheses,
 )
-from verify.measurement.correspondence.kernels.entries import Index
+from verify.measurement.correspondence.kernels.entries import N_STATE, Index
 from verify.measurement.correspondence.refinement import (
     conflicts,
     departure,
@@ -55,6 +55,7 @@ MAX_DEPARTURE = 2.0  # standard deviations to how far a prediction may be off
 JUMP_COST = 50.0  # what a pose far from the prediction costs: two LED images and a half
 MAX_REFERENCE_DEPARTURE = 3.0  # departures beyond which a reference does not bear on a pose
 MIN_MARGIN = 1.0  # by how many departures the nearest must be nearer than the next
+MIN_TRACKED = 3  # LEDs: any two lamps could be two LEDs
 ENCODERS_POSITION = 0.07  # m, how far a faulty arm and a clock not yet known may be believed to err
 ENCODERS_ROTATION = 0.2  # rad, of the same; marker symmetries lie above 1 rad
 
@@ -92,6 +93,7 @@ class PosePrediction:
     rig_T_flange: Array  # (4, 4), at this pair's left instant
     position_uncertainty: float  # m, how far it may be off
     rotation_uncertainty: float  # rad
+    choice: str = ""  # of the pair before, as `Correspondence.choice`
 
     @property
     def sigmas(self) -> tuple[float, float]:
@@ -144,6 +146,8 @@ def assign_leds(
     if len(spots[0]) == 0 or len(spots[1]) == 0:
         return _no_result("too_few_leds")
     views = prepare_views(spots, rig, pans, marker, motion_tolerance_px)
+    if prediction is not None and (tracked := _track(views, prediction)) is not None:
+        return _build_result(tracked, 0, prediction.choice)
     found, lone = _find(views, prediction, expected)
     if len(found) == 0:
         return _no_result("too_few_leds")
@@ -162,6 +166,23 @@ def assign_leds(
             return _no_result("ambiguous_leds")
         best = int(open_ones[nearest])
     return _build_result(found, best, choice)
+
+
+def _track(views: SpotViews, prediction: PosePrediction) -> Hypotheses | None:
+    """Follow a prediction without a search; None where one could find another assignment.
+
+    Not where the pair before had no rival, each spot is one LED, and chi² is less than the
+    advantage that another assignment, of chi² 0 at best, would need over this one.
+    """
+    leds = len(views.leds)
+    if prediction.choice not in ("geometry", "colour") or leds < MIN_TRACKED:
+        return None
+    if views.pixels.shape[1] != leds or np.isnan(views.pixels).any() or views.merged.any():
+        return None
+    none = Hypotheses(np.empty((0, N_STATE)), np.empty((0, 2, leds), np.int64))
+    found = follow_prediction(views, none, prediction.rig_T_flange, *prediction.sigmas)
+    whole = len(found) == 1 and (found.spot >= 0).all() and found.chi2.item() < MIN_ADVANTAGE
+    return found if whole else None
 
 
 def _find(

@@ -3,6 +3,7 @@
 import time
 from collections import Counter
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -28,7 +29,8 @@ from tests.support.leds.scene import (
 )
 from tests.support.scene import project
 from verify.core.records import Array
-from verify.measurement.correspondence.assign import PosePrediction
+from verify.measurement.correspondence import assign
+from verify.measurement.correspondence.assign import Hypotheses, PosePrediction
 
 SEES = 0.005  # m, the least difference between two triangles of LEDs that counts as asymmetric
 
@@ -345,3 +347,35 @@ def test_a_scene_full_of_lamps_on_one_line_takes_bounded_time() -> None:
     replace(scene, spots=(lamps[0], lamps[1])).identify(expected=(scene.rig_T_flange,))
     took = time.process_time() - begin
     assert took < 1.0  # s, several times what it takes on one slow core
+
+
+def test_where_nothing_is_open_the_prediction_alone_gives_what_the_search_gives(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    search, searched = assign.search_assignments, []
+
+    def counted(*views: Any, **options: Any) -> Hypotheses:
+        searched.append(trial)
+        return search(*views, **options)
+
+    monkeypatch.setattr(assign, "search_assignments", counted)
+    clear = set()
+    for trial in range(120):
+        rng = np.random.default_rng(40_000 + trial)
+        count, clutter = 3 + trial % 3, trial % 2 * int(rng.integers(1, 4))
+        scene = make_scene(
+            rng, random_leds(rng, count, SEES), clutter=clutter, skew_px=rng.uniform(0, 1.5)
+        )
+        past = PosePrediction(near(scene.rig_T_flange, rng, 0.004, 0.04), 0.005, 0.05)
+        own = scene.identify(past)
+        if own.choice != "geometry":
+            continue
+        searched.clear()
+        found = scene.identify(replace(past, choice="geometry"))
+        if not searched:
+            clear.add(trial)
+            assert clutter == 0
+        for name in ("left_led", "left_spot", "right_led", "right_spot", "rig_T_flange"):
+            assert_array_equal(getattr(found, name), getattr(own, name))
+        assert (found.choice, found.status) == ("geometry", "measured")
+    assert len(clear) > 40

@@ -32,43 +32,59 @@
 
 #define N_SQUARE (N_PARAMETERS * N_PARAMETERS)
 
-/* Scalar products of a row (p,) with four others, in either precision. */
-static void products_precise(int64_t p, const float *restrict row, const float *restrict others,
-                             double *product)
+/* Scalar products of two rows (2, p) with four others (4, p), to (2, n) of `product`, in either
+ * precision. */
+static void products_precise(int64_t n, int64_t p, const float *restrict rows,
+                             const float *restrict others, double *product)
 {
-    double first = 0.0, second = 0.0, third = 0.0, fourth = 0.0;
+    for (int one = 0; one < 2; one++, rows += p, product += n) {
+        double first = 0.0, second = 0.0, third = 0.0, fourth = 0.0;
 #pragma omp simd reduction(+ : first, second, third, fourth)
-    for (int64_t k = 0; k < p; k++) {
-        double own = row[k];
-        first += own * (double)others[k];
-        second += own * (double)others[p + k];
-        third += own * (double)others[2 * p + k];
-        fourth += own * (double)others[3 * p + k];
+        for (int64_t k = 0; k < p; k++) {
+            double own = rows[k];
+            first += own * (double)others[k];
+            second += own * (double)others[p + k];
+            third += own * (double)others[2 * p + k];
+            fourth += own * (double)others[3 * p + k];
+        }
+        product[0] = first, product[1] = second, product[2] = third, product[3] = fourth;
     }
-    product[0] = first, product[1] = second, product[2] = third, product[3] = fourth;
 }
 
-static void products_single(int64_t p, const float *restrict row, const float *restrict others,
-                            double *product)
+static void products_single(int64_t n, int64_t p, const float *restrict rows,
+                            const float *restrict others, double *product)
 {
     float first = 0.0f, second = 0.0f, third = 0.0f, fourth = 0.0f;
-#pragma omp simd reduction(+ : first, second, third, fourth)
+    float next_first = 0.0f, next_second = 0.0f, next_third = 0.0f, next_fourth = 0.0f;
+#pragma omp simd reduction(+ : first, second, third, fourth, next_first, next_second, next_third, \
+                               next_fourth)
     for (int64_t k = 0; k < p; k++) {
-        first += row[k] * others[k];
-        second += row[k] * others[p + k];
-        third += row[k] * others[2 * p + k];
-        fourth += row[k] * others[3 * p + k];
+        float own = rows[k], next = rows[p + k];
+        first += own * others[k];
+        second += own * others[p + k];
+        third += own * others[2 * p + k];
+        fourth += own * others[3 * p + k];
+        next_first += next * others[k];
+        next_second += next * others[p + k];
+        next_third += next * others[2 * p + k];
+        next_fourth += next * others[3 * p + k];
     }
     product[0] = first, product[1] = second, product[2] = third, product[3] = fourth;
+    product += n;
+    product[0] = next_first, product[1] = next_second;
+    product[2] = next_third, product[3] = next_fourth;
 }
 
 void multiply_rows(int64_t m, int64_t n, int64_t p, const float *rows, const float *others,
                    bool precise, double *products)
 {
-    for (int64_t a = 0; a < m; a++)
-        for (int64_t b = 0; b < n; b += 4)
-            (precise ? products_precise : products_single)(p, rows + a * p, others + b * p,
+    for (int64_t a = 0; a < m; a += 2)
+        for (int64_t b = rows == others ? a / 4 * 4 : 0; b < n; b += 4)
+            (precise ? products_precise : products_single)(n, p, rows + a * p, others + b * p,
                                                            products + a * n + b);
+    for (int64_t a = 4; rows == others && a < m; a++)
+        for (int64_t b = 0; b < a / 4 * 4; b++)
+            products[a * n + b] = products[b * n + a];
 }
 
 /* Sum the pixels up; `prior` (2, 10). Gives chi^2.
@@ -80,8 +96,8 @@ static double normal_equations(const double *parameters, int64_t p, const float 
                                double *information, double *gradient)
 {
     enum { N = N_WHITENED + 1 }; /* a multiple of four; the row behind, of values, means nothing */
-    double products[N_WHITENED * N];
-    multiply_rows(N_WHITENED, N, p, rows, rows, saturated, products);
+    double products[N * N];
+    multiply_rows(N, N, p, rows, rows, saturated, products);
     double chi2 = products[ROW_RESIDUAL * N + ROW_RESIDUAL] + left_out;
     for (int a = 0; a < N_PARAMETERS; a++) {
         double off = prior[a] - parameters[a], weight = prior[N_PARAMETERS + a];

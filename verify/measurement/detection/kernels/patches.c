@@ -110,18 +110,17 @@ static bool is_grey(const Picture *picture, int64_t p, const int64_t *place)
 /* Fill in where each of p pixels is in the picture, the nearest one if beyond the border; whether
  * it is inside. */
 static void find_places(const Picture *picture, const int64_t *origin, int64_t p, float *rows,
-                        int64_t *place)
+                        int64_t *restrict place)
 {
-    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
-    float *valid = rows + ROW_VALID * p;
-    double x0 = (double)origin[0], y0 = (double)origin[1];
-    double width = (double)picture->width, height = (double)picture->height;
+    const float *restrict column = rows + ROW_COLUMN * p, *restrict row = rows + ROW_ROW * p;
+    float *restrict valid = rows + ROW_VALID * p;
+    int64_t x0 = origin[0], y0 = origin[1], right = picture->width - 1, bottom = picture->height - 1;
+#pragma omp simd
     for (int64_t k = 0; k < p; k++) {
-        double x = x0 + column[k], y = y0 + row[k];
-        valid[k] = (x >= 0.0) & (x < width) & (y >= 0.0) & (y < height) ? 1.0f : 0.0f;
-        x = x > 0.0 ? (x < width ? x : width - 1.0) : 0.0; /* also what is no number */
-        y = y > 0.0 ? (y < height ? y : height - 1.0) : 0.0;
-        place[k] = picture->channels * (int64_t)(y * width + x);
+        int64_t x = x0 + (int32_t)column[k], y = y0 + (int32_t)row[k];
+        int64_t inner_x = MAX(MIN(x, right), 0), inner_y = MAX(MIN(y, bottom), 0);
+        valid[k] = (x == inner_x) & (y == inner_y) ? 1.0f : 0.0f;
+        place[k] = picture->channels * (inner_y * picture->width + inner_x);
     }
 }
 

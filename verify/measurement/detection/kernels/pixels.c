@@ -30,29 +30,32 @@ void clip(int64_t p, float *restrict mean, float *restrict variance, float *rest
     int64_t near = 0;
 #pragma omp simd reduction(+ : near)
     for (int64_t k = 0; k < p; k++) { /* the farther limit is always out of reach */
-        float room = MIN(SENSOR_LIMIT - mean[k], mean[k]);
-        near += (room < 0.0f) | (room * room < CLIP_REACH * CLIP_REACH * variance[k]);
-        visible[k] = 1.0f;
+        float room = MIN(SENSOR_LIMIT - mean[k], mean[k]), z = room / sqrtf(variance[k]);
+        near += z < CLIP_REACH;
+        visible[k] = z > MIN_Z ? MIN(z, CLIP_REACH) : MIN_Z;
     }
-    if (near == 0)
+    if (near == 0) {
+        for (int64_t k = 0; k < p; k++)
+            visible[k] = 1.0f;
         return;
+    }
 #pragma omp simd
     for (int64_t k = 0; k < p; k++) {
-        float room = MIN(SENSOR_LIMIT - mean[k], mean[k]), sigma = sqrtf(variance[k]);
-        float z = MIN(MAX(room / sigma, MIN_Z), CLIP_REACH);
+        float top = SENSOR_LIMIT - mean[k], room = MIN(top, mean[k]), z = visible[k];
         /* a Taylor series about the next entry of the table */
         int32_t entry = (int32_t)((z - MIN_Z) * STEPS_PER_UNIT + 0.5f);
         float node = (float)entry / STEPS_PER_UNIT + MIN_Z, off = z - node;
         float curved = off * (node * node - 1.0f), here = density_at[entry];
         float density = here * (1.0f + off * (0.5f * curved - node));
         float inside = share_below[entry];
-        inside += here * off * (1.0f + off * (curved / 6.0f - 0.5f * node));
+        inside += here * off * (1.0f + off * (curved * (1.0f / 6.0f) - 0.5f * node));
         /* E[u^2] less E[u]^2, u the clipped room. No less than rounding: a deviation there is the
          * model's, not the noise's. */
-        float excess = room * inside + density * sigma;
+        float excess = room * inside + density * sqrtf(variance[k]);
         float clipped = variance[k] * inside + excess * (room - excess);
-        float middle = SENSOR_LIMIT - mean[k] < mean[k] ? SENSOR_LIMIT - excess : excess;
-        variance[k] = z < CLIP_REACH ? MAX(clipped, (float)QUANTISATION) : variance[k];
+        float middle = top < mean[k] ? SENSOR_LIMIT - excess : excess;
+        clipped = MAX(clipped, (float)QUANTISATION);
+        variance[k] = z < CLIP_REACH ? clipped : variance[k];
         mean[k] = z < CLIP_REACH ? middle : mean[k];
         visible[k] = z < CLIP_REACH ? inside : 1.0f;
     }
@@ -72,19 +75,17 @@ static void look_up(double steepness, Table table, int64_t p, const float *restr
     int64_t line = (int64_t)place;
     float share = (float)(place - (double)line);
     const float *restrict samples = table.values + 4 * table.n_samples * line;
-    int32_t last = (int32_t)table.n_samples - 1;
+    float end = (float)(table.n_samples - 1);
 #pragma omp simd
     for (int64_t k = 0; k < p; k++) {
-        float radius = sqrtf(radius2[k]);
-        /* the last sample also where the radius is no number */
-        int32_t sample = radius < MAX_RADIUS ? (int32_t)(radius / PROFILE_RADIUS_STEP + 0.5f) : last;
-        const float *one = samples + 4 * sample;
+        float nearest = sqrtf(radius2[k]) / PROFILE_RADIUS_STEP + 0.5f;
+        int32_t sample = (int32_t)MIN(nearest, end), first = 4 * sample;
         /* past the table the profile stays constant */
         float at = (float)sample * PROFILE_RADIUS_STEP;
         float beyond = MIN(radius2[k] - at * at, 2.0f * MAX_RADIUS * PROFILE_RADIUS_STEP);
-        slope[k] = one[2] + share * one[3];
-        height[k] = one[0] + share * one[1] + slope[k] * beyond;
-        steeper[k] = one[1];
+        slope[k] = samples[first + 2] + share * samples[first + 3];
+        height[k] = samples[first] + share * samples[first + 1] + slope[k] * beyond;
+        steeper[k] = samples[first + 1];
     }
 }
 
