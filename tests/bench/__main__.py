@@ -8,6 +8,7 @@ missed, or a benchmark failed.
 """
 
 import json
+import os
 import subprocess
 import sys
 from importlib import import_module
@@ -34,6 +35,7 @@ def main(words: list[str]) -> int:
     if "-o" in words[:-1]:
         at = words.index("-o")
         path, words = Path(words[at + 1]), words[:at] + words[at + 2 :]
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command itself does
     unknown = sorted(set(words) - set(NAMES))
     if unknown:
         print(f"no benchmark is called {', '.join(unknown)}; there are {', '.join(NAMES)}")

@@ -12,6 +12,7 @@ from tests.support.devices.bench import running
 from tests.support.devices.camera_server import CameraServer
 from tests.support.recorded import MARKER, RIG
 from verify.cli.doctor import machine
+from verify.core import native
 from verify.live.station import file
 from verify.simulation.emulators.encoders import LabencEngine, LabencOptions
 from verify.simulation.emulators.trajectory import load
@@ -40,9 +41,25 @@ def test_a_machine_is_checked(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -
         f"recording {kind}" for kind in ("grey pictures", "colour pictures", "JPEGs as they come")
     ]
     assert {found[what]["outcome"] for what in (*recorded, "FFV1")} == {"works"}
+    assert found["inner loops"]["outcome"] == "works"
     assert str(tmp_path) in found["disk"]["text"]
     assert {"serial ports", "cameras"} <= found.keys()
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_machine_without_a_compiler_is_told_what_to_do(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    def refused(*_arrays: object) -> None:
+        native.compiler()
+
+    monkeypatch.setenv("PATH", str(tmp_path))
+    monkeypatch.setenv("CC", "")
+    monkeypatch.setattr("importlib.util.find_spec", lambda _name: None)
+    monkeypatch.setattr(machine, "rotation_vectors", refused)
+    status, found = examined()
+    assert (status, found["inner loops"]["outcome"]) == (1, "fails")
+    assert "the Python package ziglang" in found["inner loops"]["text"]
 
 
 def test_a_simulated_station_works(tmp_path: Path) -> None:

@@ -6,9 +6,10 @@ from numpy.testing import assert_allclose
 from scipy.linalg import null_space
 from scipy.spatial.transform import Rotation
 
-from verify.core.kernels.entries import factor, invert, rotation_vectors, solve, solve_each
+from tests.support.kernels import covariance_of, factor, invert, solve, solve_each
+from verify.core.kernels.entries import rotation_vectors
 from verify.core.records import Array
-from verify.measurement.kernels.entries import LEVER, covariance_of, move_pose
+from verify.measurement.kernels.entries import LEVER, move_pose
 
 UNITS = np.repeat([LEVER, 1.0], 3)
 

@@ -16,6 +16,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from tests.support import kernels
 from verify.core import native
 from verify.core.native import FLAGS, INTERFACE, LIBRARY, PACKAGE, entry
 from verify.errors import InputError
@@ -123,7 +124,7 @@ def test_every_entry_has_a_door_and_every_door_an_entry() -> None:
     }
     doors = {
         name
-        for source in PACKAGE.rglob("*.py")
+        for source in (*PACKAGE.rglob("*.py"), ROOT / "tests" / "support" / "kernels.py")
         for name in re.findall(r'\bentry\("(\w+)"\)', source.read_text())
     }
     assert declared == doors
@@ -131,7 +132,9 @@ def test_every_entry_has_a_door_and_every_door_an_entry() -> None:
 
 def door_of(source: Path) -> ModuleType:
     """The module that calls what a source compiles."""
-    door = source.parent / ("entries.py" if source.parent.name == "kernels" else "bundle.py")
+    beside = source.parent
+    own = beside / "entries.py", beside.parent / "find.py", beside / "bundle.py"
+    door = next(path for path in own if path.exists())
     return import_module(".".join(door.relative_to(ROOT).with_suffix("").parts))
 
 
@@ -141,7 +144,8 @@ def test_no_source_has_a_warning_and_constants_that_python_shares_are_equal(tmp_
         words = set(
             re.findall(r"\b[A-Z]\w+\b", re.sub(r"/\*.*?\*/", "", source.read_text(), flags=re.S))
         )
-        numbers = {k: v for k, v in vars(door_of(source)).items() if isinstance(v, int | float)}
+        constants = vars(kernels) | vars(door_of(source))
+        numbers = {k: v for k, v in constants.items() if isinstance(v, int | float)}
         checks = [
             f'_Static_assert(({n}) - ({numbers[n]}) < 1e-7, "{n}");\n'
             f'_Static_assert(({n}) - ({numbers[n]}) > -1e-7, "{n}");'

@@ -14,10 +14,9 @@ scatters) are estimated from the residuals of all corners of a view.
 import cv2
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from verify.calibration.corners.grid import axes, fit_map, orient_grid
-from verify.calibration.corners.kernels import entries as kernel
-from verify.calibration.corners.kernels.entries import N_PARAMETERS, PAR_X, PAR_Y
 from verify.calibration.corners.search import (
     find_by_growing,
     find_grid,
@@ -26,12 +25,27 @@ from verify.calibration.corners.search import (
     undo_scale,
 )
 from verify.core.fiducials import Board, BoardView, charuco_board
+from verify.core.native import entry
 from verify.core.records import Array, Image
 
 MIN_CORNERS = 4  # corners that fix a homography
 N_PASSES = 2  # the second with the plane and lens that the first found
 MAX_MAP_ERROR = 0.1  # px by which plane and lens of a pass may miss any corner where it is the last
 MIN_CORNER_SHARE = 0.75  # of a plain board's corners: the others may be covered or in glare
+
+PAR_X, PAR_Y = range(2)
+N_PARAMETERS = 13
+# columns of a result: covariance of its centre where the residuals' variance is one, that
+# variance (DN²), and the scatter of the centre's scores from cell to cell, found and expected
+COL_XX, COL_XY, COL_YY, COL_VARIANCE, COL_FOUND, COL_EXPECTED = range(6)
+N_COLUMNS = 6
+# of the table of the normal distribution F; between its steps a series is off by 1e-15, F' by 1e-12
+TABLE_STEP, TABLE_END = 1 / 64, 8.5
+_N_STEPS = round(TABLE_END / TABLE_STEP)
+_NODES = np.arange(-_N_STEPS, _N_STEPS + 1) * TABLE_STEP
+STEP_TABLE = np.stack([ndtr(_NODES), np.exp(-_NODES * _NODES / 2) / np.sqrt(2 * np.pi)])
+
+_fit_crossings = entry("fit_crossings")
 
 
 def find_board(image: Image, board: Board) -> BoardView | None:
@@ -97,7 +111,7 @@ def refine_corners(
     """Refine corners (n,) from where they were found (n, 2)."""
     squares = board.points[corner, :2] / board.square
     pixels, markers = np.array(grey, order="C"), marker_margins(board, corner)
-    fitted, results = np.zeros(len(corner), dtype=bool), np.empty((len(corner), kernel.N_COLUMNS))
+    fitted, results = np.zeros(len(corner), dtype=bool), np.empty((len(corner), N_COLUMNS))
     parameters = np.empty((len(corner), N_PARAMETERS))
     centre, good = start, np.ones(len(corner), dtype=bool)
     for _ in range(N_PASSES):
@@ -107,7 +121,7 @@ def refine_corners(
         mapped = board_map(squares)
         centre = np.where(good[:, None], centre, mapped)
         at = (centre, board_map.jacobian(squares), board_map.bend(squares))
-        kernel.fit_crossings(pixels, at, markers, fitted, parameters, results)
+        _fit(pixels, at, markers, fitted, parameters, results)
         good = fitted.copy()
         if good.sum() < MIN_CORNERS or is_degenerate(squares[good]):
             return None
@@ -122,11 +136,9 @@ def corner_covariances(results: Array) -> Array:
 
     Noise and its correlation are those of all corners together, enlarged for one that fits worse.
     """
-    found, expected = results[:, [kernel.COL_FOUND, kernel.COL_EXPECTED]].sum(axis=0)
-    variance = results[:, kernel.COL_VARIANCE]
-    each = results[:, [kernel.COL_XX, kernel.COL_XY, kernel.COL_XY, kernel.COL_YY]].reshape(
-        -1, 2, 2
-    )
+    found, expected = results[:, [COL_FOUND, COL_EXPECTED]].sum(axis=0)
+    variance = results[:, COL_VARIANCE]
+    each = results[:, [COL_XX, COL_XY, COL_XY, COL_YY]].reshape(-1, 2, 2)
     noise = found / expected * np.maximum(variance, np.median(variance))
     scaled: Array = each * noise[:, None, None]
     return scaled
@@ -160,3 +172,26 @@ def find_charuco(grey: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
 def is_degenerate(points: Array) -> bool:
     """Whether points (n, 2) leave a homography open: fewer than two rows or columns of them."""
     return min(len(np.unique(points[:, k].round(9))) for k in (0, 1)) < 2
+
+
+def _fit(
+    grey: Image,
+    at: tuple[Array, Array, Array],
+    markers: Array,
+    fitted: NDArray[np.bool_],
+    parameters: Array,
+    results: Array,
+) -> None:
+    """Fit the corners of a view (h, w), DN, all of whose pixels weigh the same.
+
+    `at`: expected centres (n, 2), px, good to a tenth of a square; d px / d squares (n, 2, 2),
+    columns along the board's x and y; d² px / d squares² (n, 2, 2), likewise. `markers` (n, 2):
+    squares between a marker and its square's edge; sign of u · v (from the corner, board's axes)
+    where the white squares are, 0 where none has a marker. Parameters (n, 13), see model.h, and
+    results (n, 6) are filled where there is a crossing, and `fitted` (n,) says where; where it is
+    true beforehand the parameters are of an earlier fit, whose centre is the expected one.
+    """
+    places = (np.ascontiguousarray(values) for values in at)
+    height, width = grey.shape
+    corners = len(fitted), *places, markers, STEP_TABLE.shape[1], STEP_TABLE
+    _fit_crossings(height, width, grey, *corners, fitted, parameters, results)

@@ -1,4 +1,4 @@
-"""Say what works on this machine: versions, codecs, disk, ports, cameras; and of a station."""
+"""Say what works on this machine: inner loops, codecs, disk, ports, cameras; and of a station."""
 
 from pathlib import Path
 from typing import Annotated
@@ -27,7 +27,7 @@ def doctor(
     from verify.simulation.devices.station import SimulatedStation
 
     opened = None if station is None else open_station(station, SimulatedStation)
-    findings = [*machine.check_versions(), *machine.check_codecs()]
+    findings = [*machine.check_versions(), machine.check_inner_loops(), *machine.check_codecs()]
     if opened is None:
         findings += [machine.check_disk(Path())]
         findings += [*machine.check_serial_ports(), *machine.check_video_devices()]

@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 from serial.tools import list_ports
 
+from verify.core.kernels.entries import rotation_vectors
+from verify.core.native import library_folder
 from verify.core.records import Image
 from verify.core.version import __version__
 from verify.errors import InputError
@@ -45,6 +47,18 @@ def check_versions() -> list[Finding]:
     text = [f"{name} {metadata.version(name)}" for name in PACKAGES]
     python = f"Python {platform.python_version()} on {platform.system()} {platform.machine()}"
     return [Finding("versions", "works", f"verify {__version__}, {python}, {', '.join(text)}")]
+
+
+def check_inner_loops() -> Finding:
+    """Compile the inner loops where they are not yet, and try one."""
+    name, vector = "inner loops", np.empty((1, 3))
+    try:
+        rotation_vectors(np.diag([1.0, -1.0, -1.0])[None], vector)
+    except (InputError, OSError) as error:
+        return Finding(name, "fails", str(error))
+    if not np.isclose(vector[0, 0], np.pi):
+        return Finding(name, "fails", f"half a turn is {np.degrees(vector[0, 0]):.6g}°")
+    return Finding(name, "works", f"compiled, in {library_folder()}")
 
 
 def check_codecs() -> list[Finding]:

@@ -6,39 +6,12 @@ from numpy.typing import NDArray
 from verify.core.native import entry
 from verify.core.records import Array
 
-_factor = entry("factor")
-_solve = entry("solve")
-_solve_each = entry("solve_each")
-_invert = entry("invert")
 _rotation_vectors = entry("rotation_vectors")
 _motion_misfits = entry("motion_misfits")
 _motion_sizes = entry("motion_sizes")
 _interpolate = entry("interpolate")
 _interpolation_error = entry("interpolation_error")
 _travel_directions = entry("travel_directions")
-
-
-def factor(matrix: Array, less: float, root: Array) -> bool:
-    """Fill in the lower Cholesky factor of a matrix (n, n) with `less` taken off its diagonal.
-
-    False where that is not positive definite; the factor has NaN then.
-    """
-    return bool(_factor(len(matrix), matrix, less, root))
-
-
-def solve(root: Array, right: Array) -> None:
-    """Solve in place for a vector (n,), by the lower Cholesky factor (n, n)."""
-    _solve(len(right), root, right)
-
-
-def solve_each(root: Array, right: Array) -> None:
-    """Solve in place for the columns of (n, m) at once, by the lower Cholesky factor (n, n)."""
-    _solve_each(len(right), right.shape[1], root, right)
-
-
-def invert(root: Array, inverse: Array) -> None:
-    """Fill in the inverse (n, n) of the matrix that a lower Cholesky factor (n, n) belongs to."""
-    _invert(len(root), root, inverse)
 
 
 def rotation_vectors(turns: Array, vectors: Array) -> None:

@@ -26,7 +26,6 @@ _carry_to_instant = entry("carry_to_instant")
 _led_boxes = entry("led_boxes")
 _predict_spots = entry("predict_spots")
 _move_pose = entry("move_pose")
-_covariance_of = entry("covariance_of")
 _fit_spots = entry("fit_spots")
 _judge_fit = entry("judge_fit")
 _place_leds = entry("place_leds")
@@ -90,17 +89,6 @@ def predict_spots(
 def move_pose(pose: Array, step: Array) -> None:
     """Move a pose (4, 4) in place by translation and rotation vector (6,)."""
     _move_pose(pose, step)
-
-
-def covariance_of(information: Array, inverse: Array, vectors: Array, known: Flags) -> None:
-    """Fill in the covariance in the directions that an information matrix (6, 6) determines.
-
-    In 1/m² and 1/rad²; of one or two LEDs (or of LEDs on one line) it is singular: its null vectors
-    are the motions that no picture shows. Filled: `inverse` (6, 6); `vectors` (6, 6), columns,
-    directions in units of SCALE, only where one of them is not known; `known` (6,).
-    """
-    if not _covariance_of(information, inverse, vectors, known):
-        raise np.linalg.LinAlgError("not finite")
 
 
 def fit_spots(

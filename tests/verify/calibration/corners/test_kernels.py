@@ -4,21 +4,21 @@ import numpy as np
 import pytest
 from scipy.special import ndtr
 
-from verify.calibration.corners.kernels.entries import (
+from tests.support.kernels import (
     COL_COLUMN,
     COL_ROW,
     COL_VALUE,
     EDGE_SCALE,
     N_EDGE_VALUES,
-    N_PARAMETERS,
-    N_ROWS,
-    ROW_RESIDUAL,
     fill_edges,
     predict_pixels,
     window_pixels,
 )
+from verify.calibration.corners.find import N_PARAMETERS
 from verify.core.records import Array
 
+ROW_RESIDUAL = N_PARAMETERS  # the row behind the derivatives
+N_ROWS = N_PARAMETERS + 1
 JACOBIAN = np.array([[38.0, 6.0], [-9.0, 33.0]])  # px / square
 BEND = np.array([[0.8, -0.5], [0.3, 1.1]])  # px / square²
 CENTRE = np.array([61.3, 47.8])

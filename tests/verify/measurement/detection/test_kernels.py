@@ -11,9 +11,23 @@ from scipy.integrate import quad
 from scipy.signal import savgol_filter
 from scipy.stats import norm
 
+from tests.support.kernels import (
+    CLASS_PARTS,
+    FIRST_LEVEL,
+    LEVEL_PARTS,
+    LOWEST_LEVEL,
+    N_CLASSES,
+    N_DIFFERENCES,
+    N_LEVELS,
+    choose_spots,
+    clip,
+    count_stencils,
+    flood_fill,
+    top_hat,
+    variance_line,
+)
 from verify.core.records import Image
 from verify.measurement.detection.kernels.entries import (
-    CLASS_PARTS,
     COL_CENTRE_X,
     COL_DIAMETER,
     COL_ELONGATION,
@@ -21,21 +35,9 @@ from verify.measurement.detection.kernels.entries import (
     COL_MISFIT,
     COL_PEAK,
     COL_SOUND,
-    FIRST_LEVEL,
-    LEVEL_PARTS,
-    LOWEST_LEVEL,
-    N_CLASSES,
     N_COLUMNS,
-    N_DIFFERENCES,
-    N_LEVELS,
-    choose_spots,
-    clip,
     contrast_boxes,
-    count_stencils,
     find_blobs,
-    flood_fill,
-    top_hat,
-    variance_line,
 )
 
 

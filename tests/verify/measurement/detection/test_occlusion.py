@@ -6,10 +6,10 @@ import pytest
 from scipy.integrate import quad
 from scipy.stats import norm
 
+from tests.support.kernels import PRIOR_DEPTH, depth_posterior
 from tests.support.leds.images import REACH, Sensor, Spot, centre_bound, scattered
 from verify.core.records import Array, Image, Spots
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.kernels.entries import PRIOR_DEPTH, depth_posterior
 
 BLUR, RADIUS, PEAK, FLOOR = 0.6, 4.2, 210.0, 6.0
 FINE = 8  # sub-pixels a side

@@ -1,6 +1,5 @@
 """Entries of the compiled loops over pixels: candidates, noise, spots of a picture."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,7 +9,6 @@ from verify.core.native import entry
 from verify.core.records import Array, Image
 
 Pixels = NDArray[np.float32]
-Counts = NDArray[np.int32]
 
 # Columns of an assessed spot, as in quality.h
 COL_CENTRE_X, COL_CENTRE_Y = range(2)
@@ -19,25 +17,15 @@ COL_PEAK, COL_DIAMETER, COL_ELONGATION, COL_MISFIT = range(6, 10)
 COL_SATURATED, COL_MERGED, COL_SOUND, COL_COUNT = range(10, 14)
 COL_STRETCH_X, COL_STRETCH_Y = range(14, 16)
 N_COLUMNS = 16
-PRIOR_DEPTH = 0.05  # half-widths, scale of the bites that occlusion.c expects
 MIN_WINDOW_SIDE = 3  # px, side of a window: smaller ones show no blob
 MAX_BOXES = 64  # boxes that are searched one by one; with more, as one
 
 Boxes = NDArray[np.int64]
 Shape = tuple[float, float, float, float]
 
-# levels are whole thirty-fifths, differences whole: both can be counted
-LEVEL_PARTS, LOWEST_LEVEL, N_LEVELS = 35, 6 * 255, 50 * 255 + 1  # a level in parts of one DN
-N_DIFFERENCES = 1024  # the last stands for larger ones too: of a texture, not of noise
-MIN_ABOVE_BLACK, CLASS_WIDTH = 5, 12  # DN, of classes of brightness: the first begins there; width
-N_CLASSES = math.ceil((256 - MIN_ABOVE_BLACK) / CLASS_WIDTH)
-FIRST_LEVEL, CLASS_PARTS = LOWEST_LEVEL + LEVEL_PARTS * MIN_ABOVE_BLACK, LEVEL_PARTS * CLASS_WIDTH
-
 _contrast_boxes = entry("contrast_boxes")
 _find_blobs = entry("find_blobs")
 _compact_blobs = entry("compact_blobs")
-_top_hat = entry("top_hat")
-_flood_fill = entry("flood_fill")
 
 
 def contrast_boxes(image: Image, reach: int, level: int) -> Boxes:
@@ -86,58 +74,8 @@ def compact_blobs(contrast: Image, levels: tuple[int, ...], shape: Shape, found:
     return _compact_blobs(*contrast.shape, contrast, len(steps), steps, *shape, len(found), found)
 
 
-def top_hat(image: Image, window: tuple[int, int, int, int], margin: int, reach: int) -> Image:
-    """Contrast in a window (h, w): the image less its opening by a square of 2 reach + 1 px.
-
-    `window`: x0, y0, x1, y1, px, upper bounds exclusive, inside the image. A `margin` about it
-    counts: 0, or 2 reach. Borders hold nothing.
-    """
-    x0, y0, x1, y1 = window
-    contrast = np.empty((y1 - y0, x1 - x0), np.uint8)
-    _top_hat(*image.shape, image, *window, margin, reach, contrast)
-    return contrast
-
-
-def flood_fill(
-    contrast: Image, level: int, y: int, x: int, label: NDArray[np.int32], number: int
-) -> tuple[int, ...]:
-    """Label what is above a level and connected with a pixel, also by corners; give its box."""
-    box = np.empty(4, np.int64)
-    _flood_fill(*contrast.shape, contrast, level, y, x, label, number, box)
-    return tuple(box.tolist())
-
-
-_count_stencils = entry("count_stencils")
-_variance_line = entry("variance_line")
-
-
-def count_stencils(rows: Image, apart: int, levels: Counts, differences: Counts) -> int:
-    """Count levels and fourth differences of five neighbours in a row, wherever nothing is clipped.
-
-    `rows` (r, w), DN, of which one block of 64 pixels in each `apart` is looked at. Filled:
-    `levels` (N_LEVELS,), of the local cubic's value, in parts; `differences` (N_CLASSES,
-    N_DIFFERENCES), of their size, DN, by classes of brightness. Gives how many pixels were looked
-    at.
-    """
-    return _count_stencils(*rows.shape, rows, apart, levels, differences)
-
-
-def variance_line(
-    residual2: Array, signal: Array, begin: NDArray[np.int64], line: Array, usual: Array
-) -> None:
-    """Regress squared residuals (k,), DN², on signal (k,), DN, misfitting spots left out.
-
-    `begin` (n + 1,): where each spot's pixels begin; `line` (2,), changed: dark variance and gain,
-    the start; `usual` (2,): one over their standard uncertainties.
-    """
-    _variance_line(len(begin) - 1, residual2, signal, begin, line, usual)
-
-
 # ---- a picture's spots
 _measure_spots = entry("measure_spots")
-_choose_spots = entry("choose_spots")
-_clip = entry("clip")
-_depth_posterior = entry("depth_posterior")
 
 
 class Picture(NamedTuple):
@@ -173,32 +111,3 @@ def measure_spots(
         *picture, len(candidates), candidates, noise, *table.shape[:2], table, *wanted, unknown,
         *found,
     )  # fmt: skip
-
-
-def choose_spots(assessed: Array, least: float, largest: float, limit: int) -> NDArray[np.int64]:
-    """Choose the most LED-like of n spots (n, 16), no more than the limit, by falling peak.
-
-    `least` and `largest` diameter, px.
-    """
-    kept = np.empty(len(assessed), np.int64)
-    return kept[: _choose_spots(len(assessed), assessed, least, largest, limit, kept)]
-
-
-def clip(mean: Pixels, variance: Pixels, visible: Pixels) -> None:
-    """Clip p normal variables to the sensor's range.
-
-    `mean` (p,), mu, DN, and `variance` (p,), DN², are those of the clipped variables afterwards;
-    `visible` (p,) is filled with d mean / d mu.
-    """
-    _clip(len(mean), mean, variance, visible)
-
-
-def depth_posterior(gradient: float, information: float) -> tuple[float, float, float]:
-    """Log-evidence for a bite over none, mean and mean square of its depth, half-widths.
-
-    `gradient` and `information`: of the depth, as in occlusion.c.
-    """
-    found = np.empty(3)
-    _depth_posterior(gradient, information, found)
-    evidence, mean, square = found.tolist()
-    return evidence, mean, square
