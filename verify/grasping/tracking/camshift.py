@@ -115,35 +115,39 @@ def target_mask(weights: Image, window: Box) -> NDArray[np.uint8] | None:
     closed = cv2.morphologyEx(likely, cv2.MORPH_CLOSE, CLOSING_KERNEL)
     pieces = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
     large = [piece for piece in pieces if _count_pixels(piece) >= MIN_PIXELS]
-    main = _main_piece(large, weights.shape, window)
-    if main is None:
+    filled = [_fill(np.zeros_like(weights), [piece]) for piece in large]
+    held = [_held_pixels(mask, window) for mask in filled]
+    most = max(held, default=(0, 0))
+    if most[1] == 0:
         return None
-    bx, by, bw, bh = cv2.boundingRect(main)
+    main = held.index(most)
+    bx, by, bw, bh = cv2.boundingRect(large[main])
     boxes = (cv2.boundingRect(piece) for piece in pieces)
     middles = ((x + w / 2 - bx, y + h / 2 - by) for x, y, w, h in boxes)
-    held = [p for p, (x, y) in zip(pieces, middles, strict=True) if 0 <= x < bw and 0 <= y < bh]
-    mask = np.zeros_like(weights)
-    return np.asarray(cv2.drawContours(mask, held, -1, 255, cv2.FILLED), dtype=np.uint8)
+    beside = [
+        piece
+        for piece, (x, y) in zip(pieces, middles, strict=True)
+        if piece is not large[main] and 0 <= x < bw and 0 <= y < bh
+    ]
+    return _fill(filled[main], beside) if beside else filled[main]
+
+
+def _fill(mask: NDArray[np.uint8], pieces: list[Any]) -> NDArray[np.uint8]:
+    """Set a mask's pixels inside outlines (n, 1, 2), px, to 255."""
+    return np.asarray(cv2.drawContours(mask, pieces, -1, 255, cv2.FILLED), dtype=np.uint8)
+
+
+def _held_pixels(mask: NDArray[np.uint8], window: Box) -> tuple[int, int]:
+    """Count a mask's pixels in a window's middle, and in all of it."""
+    x, y, width, height = window
+    part = mask[y : y + height, x : x + width]
+    middle = part[height // 4 : height - height // 4, width // 4 : width - width // 4]
+    return cv2.countNonZero(middle), cv2.countNonZero(part)
 
 
 def _count_pixels(outline: Any) -> float:
     """Pixels of a piece by its outline (n, 1, 2), px, itself and its holes included."""
     return cv2.contourArea(outline) + len(outline) / 2 + 1
-
-
-def _main_piece(pieces: list[Any], shape: tuple[int, ...], window: Box) -> Any:
-    """The outline of most pixels in the middle of a window, or in all of it; None for none."""
-    x, y, width, height = window
-
-    def held(piece: Any) -> tuple[int, int]:
-        mask = cv2.drawContours(np.zeros(shape, dtype=np.uint8), [piece], -1, 1, cv2.FILLED)
-        part = mask[y : y + height, x : x + width]
-        middle = part[height // 4 : height - height // 4, width // 4 : width - width // 4]
-        return cv2.countNonZero(middle), cv2.countNonZero(part)
-
-    counts = [held(piece) for piece in pieces]
-    most = max(counts, default=(0, 0))
-    return pieces[counts.index(most)] if most[1] else None
 
 
 def _limit_to_extent(

@@ -31,8 +31,8 @@
 #define MAX_STEPS_FIRST_LOOK 6 /* what has not taken shape by then is no spot */
 #define TOL_FIRST_LOOK 1.0     /* of chi^2 in a first look: the place is good to a sigma */
 
-/* Fill in products (m, n) of rows (m, p) with others (n, p); n is a multiple of four. Sums of single
- * precision, or of double. */
+/* Fill in products (m, n) of rows (m, p) with others (n, p), in single precision or in double; m is
+ * even, n a multiple of four. Rows with themselves take half the time. */
 void multiply_rows(int64_t m, int64_t n, int64_t p, const float *rows, const float *others,
                    bool precise, double *products);
 
