@@ -161,13 +161,10 @@ def test_no_source_has_a_warning_and_constants_that_python_shares_are_equal(tmp_
 
 def run_watched(folder: Path, code: str, *words: str) -> subprocess.CompletedProcess[str]:
     """Run Python with a library whose memory and arithmetic the compiler watches: 99 at a fault."""
-    compiler = shutil.which("gcc")
-    if compiler is None:
-        pytest.skip("no gcc, whose libraries watch memory; .ci/run installs it")
     native.build(folder, (*FLAGS, "-g", "-fsanitize=address,undefined", "-fno-sanitize-recover"))
     watching = [
-        subprocess.check_output([compiler, f"-print-file-name={name}"], text=True).strip()
-        for name in ("libasan.so", "libstdc++.so")  # what throws has to be there before
+        subprocess.check_output(["gcc", f"-print-file-name={name}"], text=True).strip()
+        for name in ("libasan.so", "libstdc++.so.6")  # what throws has to be there before
     ]
     watched = {
         "LD_PRELOAD": " ".join(watching),
@@ -182,6 +179,9 @@ def run_watched(folder: Path, code: str, *words: str) -> subprocess.CompletedPro
 
 @pytest.fixture
 def with_gcc(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The compiler whose libraries watch memory; .ci/run installs it, or ends."""
+    if shutil.which("gcc") is None:
+        pytest.skip("needs gcc")
     monkeypatch.setenv("CC", "gcc")
 
 

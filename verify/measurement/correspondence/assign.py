@@ -169,9 +169,9 @@ def assign_leds(
 
 
 def _track(views: SpotViews, prediction: PosePrediction) -> Hypotheses | None:
-    """Follow a prediction without a search; None where one could find another assignment.
+    """Follow a prediction without a search; None where a search might find another assignment.
 
-    Not where the pair before had no rival, each spot is one LED, and chi² is less than the
+    It cannot where the pair before had no rival, each spot is one LED, and chi² is less than the
     advantage that another assignment, of chi² 0 at best, would need over this one.
     """
     leds = len(views.leds)
