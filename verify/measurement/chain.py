@@ -43,7 +43,7 @@ def led_windows(
     off = 2 * prediction.position_uncertainty, 2 * prediction.rotation_uncertainty
     return led_boxes(
         camera.camera_T_rig(pan) @ prediction.rig_T_flange,
-        np.ascontiguousarray(marker.leds),
+        marker.leds,
         (camera.matrix, camera.distortion),
         (MARGIN_PX, marker.led_diameter, *off),
         (image.shape[1], image.shape[0]),

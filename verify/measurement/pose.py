@@ -60,7 +60,7 @@ class SightingStack:
 def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) -> SightingStack:
     """Stack both cameras' sightings of points (n, 3), m, in the flange frame."""
     return SightingStack(
-        np.ascontiguousarray(points[np.concatenate([left.led, right.led])]),
+        points[np.concatenate([left.led, right.led])],
         np.concatenate([left.centre, right.centre]),
         np.concatenate([left.covariance, right.covariance]),
         np.concatenate([left.velocity, right.velocity]),

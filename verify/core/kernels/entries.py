@@ -16,7 +16,7 @@ _travel_directions = entry("travel_directions")
 
 def rotation_vectors(turns: Array, vectors: Array) -> None:
     """Fill in rotation vectors (n, 3), rad, of turns (n, 3, 3)."""
-    _rotation_vectors(len(vectors), np.ascontiguousarray(turns), vectors)
+    _rotation_vectors(len(vectors), turns, vectors)
 
 
 def motion_misfits(

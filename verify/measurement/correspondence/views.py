@@ -86,7 +86,6 @@ def _arrays(spots: Spots) -> kernel.ImageSpots:
     )  # fmt: skip
 
 
-@lru_cache(maxsize=4)
 @lru_cache(maxsize=4)  # two cameras are the same ones for many pairs
 def _optics(
     left: Camera, right: Camera, pans: tuple[float, float]
@@ -95,7 +94,7 @@ def _optics(
     matrix, lens = np.array([left.matrix, right.matrix]), [left.distortion, right.distortion]
     placed = np.array([left.rig_T_camera(pans[0]), right.rig_T_camera(pans[1])])
     turns = np.ascontiguousarray(np.swapaxes(placed[:, :3, :3], 1, 2))
-    focal = matrix[:, [0, 1], [0, 1]]
+    focal = np.ascontiguousarray(matrix[:, [0, 1], [0, 1]])
     return matrix, np.array(lens), focal, float(focal.mean()), turns, placed[:, :3, 3].copy()
 
 

@@ -82,7 +82,7 @@ def predict_spots(
     """
     n = len(points)
     predicted = np.empty((n, 2)), np.empty((n, 2, 3)), np.empty((n, 2, 6))
-    _predict_spots(n, left, np.ascontiguousarray(rig_T_flange), points, cameras, *predicted)
+    _predict_spots(n, left, rig_T_flange, points, cameras, *predicted)
     return predicted
 
 

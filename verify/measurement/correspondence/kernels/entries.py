@@ -41,7 +41,6 @@ _prepare_images = entry("prepare_images")
 def _numbers(scene: Scene) -> tuple[Any, ...]:
     """Give a scene as entries take it."""
     camera_R_rig, center, focal, pixels, covariance, merged, allowed, leds = scene
-    focal = np.ascontiguousarray(focal)
     spots = pixels.shape[1], pixels, covariance, merged, allowed
     return camera_R_rig, center, focal, *spots, len(leds), leds
 

@@ -53,7 +53,6 @@ def find_blobs(
     background only: 0, or 2 `reach`. `reach`, px: what has brightness at that distance all around
     is background. `levels` and `shape` as for `compact_blobs`. At most `most` are listed.
     """
-    image, windows = np.ascontiguousarray(image), np.ascontiguousarray(windows)
     found, steps = np.empty((most, 4)), np.array(levels, np.int64)
     count = _find_blobs(
         *image.shape, image, len(windows), windows, margin, reach, len(steps), steps, *shape,
