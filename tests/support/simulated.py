@@ -6,6 +6,7 @@ Small scenarios that several tests start from.
 from collections.abc import Generator, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import msgspec
@@ -81,8 +82,8 @@ def in_memory(scenario: Scenario) -> InMemory:
         encoders=EncoderSeries(played.encoder_t, np.asarray(played.encoder_q)),
         inputs={},
         warnings=(),
-        left=None,  # type: ignore[arg-type]  # never opened: pairs() renders instead
-        right=None,  # type: ignore[arg-type]
+        left=SimpleNamespace(path=nowhere / "left.mkv"),  # type: ignore[arg-type]  # never opened:
+        right=SimpleNamespace(path=nowhere / "right.mkv"),  # type: ignore[arg-type]  # rendered
         simulated=played,
     )
 

@@ -4,7 +4,8 @@ Candidates are compact bright blobs (candidates.py). All else is one compiled ca
 (kernels/spots.c): each is fitted by a profile between a halo, a Gaussian and a blurred disc
 (kernels/fit.c, profile.py) under the image's own noise (kernels/noise.c), and assessed by the
 residuals (kernels/quality.c). A hidden sliver of the rim is corrected for (kernels/occlusion.c),
-and so is a background that bends (kernels/background.c).
+and so is a background that bends (kernels/background.c); what finer texture may do is measured
+beside the spots (kernels/surroundings.c).
 """
 
 import math

@@ -97,6 +97,60 @@ def test_four_leds_a_frame_suffice_to_know_their_uncertainty(floor: float | Arra
     assert np.mean(normal) == pytest.approx(1.0, abs=0.15)  # 480 errors: 6.5 % is one sigma
 
 
+def before_texture(
+    leds: list[Spot],
+    grain: float,
+    depth: float,
+    rng: np.random.Generator,
+    quality: int | None = None,
+) -> tuple[Array, Array]:
+    """Errors (n, 2), px, of LEDs before a room, and over their uncertainties; NaN where merged.
+
+    Texture of the room: its grain, px, and standard deviation, DN, about 50 DN. `quality`: of the
+    JPEG that the picture is.
+    """
+    room = gaussian_filter(rng.normal(size=(360, 640)), grain / 2, mode="wrap")
+    centres = scattered(2, len(leds) // 2, rng, pitch=110.0)
+    image = picture(leds, centres, Sensor(), rng, floor=50 + depth * room / room.std())
+    spots = detect(through_jpeg(image, quality) if quality else image, lossy=quality is not None)
+    nearest, error = matched(spots, centres)
+    error[spots.merged[nearest] | (np.abs(error).max(axis=1) > 5)] = np.nan  # or not found
+    return error, error / np.sqrt(np.diagonal(spots.covariance[nearest], axis1=1, axis2=2))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("grain", "depth", "quality"),
+    [(12, 15, None), (6, 15, None), (12, 4, None), (24, 4, None), (12, 4, 90), (12, 4, 75)],
+)
+def test_small_and_large_leds_before_texture_scatter_as_claimed(
+    grain: int, depth: int, quality: int | None
+) -> None:
+    rng, normal = np.random.default_rng(31), []
+    for _ in range(200):
+        peak = rng.uniform(100, 300)
+        sizes = [*rng.uniform(2, 3.5, 2), *rng.uniform(4.5, 6, 2)]
+        leds = [Spot(peak, rng.uniform(0.5, 1.0), radius) for radius in sizes]
+        normal.append(before_texture(leds, grain, depth, rng, quality)[1])
+    small, large = np.split(np.array(normal), 2, axis=1)
+    for z in (small, large):  # 800 coordinates, two a spot alike: 1 % is one sigma
+        within = np.mean(np.abs(z[np.isfinite(z)]) < 1.96)
+        assert within == pytest.approx(0.95, abs=0.03)
+
+
+def test_a_saturated_disc_before_texture_is_not_taken_for_a_part_of_it() -> None:
+    rng, errors, normal = np.random.default_rng(7), [], []
+    for _ in range(60):
+        leds = [Spot(rng.uniform(230, 300), 0.7, rng.uniform(4.5, 6)) for _ in range(8)]
+        error, z = before_texture(leds, 12, 15, rng)
+        errors.append(error)
+        normal.append(z)
+    # of a tenth, texture chooses the shape of the top: they are said to be merged
+    assert np.mean(np.isfinite(errors)) > 0.85
+    assert np.nanmax(np.abs(errors)) < 0.7  # a part of a disc is half its radius off
+    assert np.nanmax(np.abs(normal)) < 7
+
+
 def test_windows_find_the_same_spots_as_the_whole_image() -> None:
     rng = np.random.default_rng(3)
     centres = scattered(2, 2, rng, pitch=150.0)

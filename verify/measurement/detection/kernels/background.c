@@ -17,10 +17,8 @@
  *     pull    -A^-1 D'B, the rows of x and y                                          px/DN
  *
  * s is averaged over AMPLITUDES by their evidence, the sum of (h c - ln |1 + s^2 S|) / 2. What is
- * finer than that is measured: the correction and the fit together are linear in the pixels, so the
- * same weights on N_AROUND patches of the room beside each spot show how far it would move a
- * centre. Their median square over what noise and curvature explain, of all spots of a picture,
- * adds the excess; a spot's own mean square does where it is MAX_OWN times that.
+ * finer than that is measured (surroundings.h): the correction and the fit together are linear in
+ * the pixels, so the same weights on patches of the room show how far it would move a centre.
  * Where the room is below black there is nothing of it.
  */
 #include "verify/measurement/detection/kernels/background.h"
@@ -34,13 +32,6 @@
 #define N_RIGHT (N_TERMS + 1) /* residuals and terms; a multiple of four */
 #define MIN_VISIBLE 0.5f /* share of the noise about a spot that clipping must leave: above black */
 #define N_AMPLITUDES 9
-#define N_AROUND 8      /* patches of the room about each spot, two radii away */
-#define MIN_AROUND 12   /* responses, two a patch, of all spots of a picture: fewer show nothing */
-#define MIN_TEXTURE 6.0 /* of that median over what is explained, where patches have dim lights */
-#define MAX_DIM 0.5     /* of a spot's peak: a light that is less may be texture of the room */
-#define MAX_OWN 3.0     /* of the picture's: a spot's own surroundings move it more than chance */
-#define EIGHTH_TURN 0.7853981633974483 /* rad */
-#define MEDIAN_CHI2 0.4549 /* of chi^2 with one degree of freedom */
 
 /* DN, beside none at all */
 static const double AMPLITUDES[N_AMPLITUDES] = {0.1, 0.2, 0.4, 0.8, 1.6, 3.2, 6.4, 12.8, 25.6};
@@ -53,10 +44,7 @@ typedef struct {
     double follow[N_PARAMETERS][N_RIGHT + 2];
     /* at each amplitude, (S + s^-2)^-1 times h and the pull */
     double solved[N_AMPLITUDES][N_TERMS][3];
-    double own[2][3];          /* shift, px, and covariance, px^2 */
-    double moved[N_AROUND][2]; /* px, by patches beside it; NaN where there is none */
-    bool dim[N_AROUND];        /* which of them a dim light reaches */
-    double explained[2];       /* px^2, of their squares */
+    double own[2][3]; /* shift, px, and covariance, px^2 */
 } Room;
 
 /* Mean variance, DN^2, of a spot's pixels that show the room alone; 0 if it is below black. */
@@ -103,9 +91,9 @@ static void fill_right(const double *centre, int64_t p, const float *rows, float
 /* Fill in what a spot's curvature is at each amplitude, and add to their evidence (9,).
  *
  * `left` (8, 8), r and B with themselves, the spot's parameters following: h and S are in it.
- * False, and nothing added, where rounding leaves no S: of a spot far over the limit, which hardly
- * determines its own parameters. */
-static bool solve_amplitudes(double (*left)[N_RIGHT], Room *room, double *evidence)
+ * Nothing is added, and no curvature found, where rounding leaves no S: of a spot far over the limit,
+ * which hardly determines its own parameters. */
+static void solve_amplitudes(double (*left)[N_RIGHT], Room *room, double *evidence)
 {
     double inner[N_TERMS][N_TERMS], root[N_TERMS][N_TERMS], known[N_TERMS][3];
     double gain[N_AMPLITUDES] = {0.0};
@@ -117,8 +105,10 @@ static bool solve_amplitudes(double (*left)[N_RIGHT], Room *room, double *eviden
     }
     for (int k = 0; k < N_AMPLITUDES; k++) {
         double (*solved)[3] = room->solved[k], volume = 1.0;
-        if (!factor(N_TERMS, inner[0], -1.0 / square(AMPLITUDES[k]), root[0]))
-            return false;
+        if (!factor(N_TERMS, inner[0], -1.0 / square(AMPLITUDES[k]), root[0])) {
+            memset(room->solved, 0, sizeof(room->solved));
+            return;
+        }
         copy(solved[0], known[0], 3 * N_TERMS);
         solve_each(N_TERMS, 3, root[0], solved[0]);
         for (int c = 0; c < N_TERMS; c++) {
@@ -129,13 +119,11 @@ static bool solve_amplitudes(double (*left)[N_RIGHT], Room *room, double *eviden
     }
     for (int k = 0; k < N_AMPLITUDES; k++)
         evidence[k] += gain[k];
-    return true;
 }
 
 /* Sum up what a spot shows of the room, and how likely curvature makes it: to `evidence` (9,), the
- * log-likelihood ratio of curvature of each amplitude to none, is added. False as of
- * `solve_amplitudes`. */
-static bool sum_curvature(const Fits *fits, int64_t n, Room *room, double *evidence)
+ * log-likelihood ratio of curvature of each amplitude to none, is added. */
+static void sum_curvature(const Fits *fits, int64_t n, Room *room, double *evidence)
 {
     double root[N_PARAMETERS * N_PARAMETERS], products[N_PARAMETERS][N_RIGHT];
     double left[N_RIGHT][N_RIGHT];
@@ -155,7 +143,7 @@ static bool sum_curvature(const Fits *fits, int64_t n, Room *room, double *evide
         for (int b = 0; b < N_RIGHT; b++)
             for (int c = 0; c < N_RIGHT; c++)
                 left[b][c] -= products[a][b] * room->follow[a][c];
-    return solve_amplitudes(left, room, evidence);
+    solve_amplitudes(left, room, evidence);
 }
 
 /* Fill in the probability of each amplitude by its evidence; the rest is that of none. */
@@ -219,13 +207,14 @@ static void add_rows(int m, double (*factors)[2], int64_t p, const float *rows,
     }
 }
 
-/* Fill in by how much each pixel moves the centre, px/DN, `weight` (2, p), and what explains that.
+/* Fill in by how much each pixel moves the centre, and what noise and curvature explain of the
+ * squares of that.
  *
- * `factors` (10, 2) and `reach` (8, 2) as by `average_correction`. Less their mean, as the level of
- * the room moves nothing. */
-static void find_weights(Room *room, int64_t p, const float *rows, double (*factors)[2],
-                         double (*reach)[2], double *weight)
+ * `factors` (10, 2) and `reach` (8, 2) as by `average_correction`. */
+static void find_weights(const Room *room, int64_t p, const float *rows, double (*factors)[2],
+                         double (*reach)[2], Response *response)
 {
+    double *weight = response->weight;
     const float *used = rows + ROW_USED * p, *variance = rows + ROW_VARIANCE * p;
     double direct[N_PARAMETERS][2];
     for (int a = 0; a < N_PARAMETERS; a++)
@@ -237,167 +226,20 @@ static void find_weights(Room *room, int64_t p, const float *rows, double (*fact
 #pragma omp simd reduction(+ : squares)
         for (int64_t k = 0; k < p; k++)
             squares += square(weight[i * p + k]) * (double)(used[k] / variance[k]);
-        room->explained[i] = squares * room->noise + room->own[i][1 + i];
+        response->explained[i] = squares * room->noise + room->own[i][1 + i];
     }
     add_rows(N_PARAMETERS, factors, p, rows, weight);
     add_rows(N_RIGHT, reach, p, room->right, weight);
-    for (int i = 0; i < 2; i++) {
-        double total = 0.0;
-#pragma omp simd reduction(+ : total)
-        for (int64_t k = 0; k < p; k++) {
-            weight[i * p + k] *= (double)sqrtf(used[k] / variance[k]);
-            total += weight[i * p + k];
-        }
+    for (int i = 0; i < 2; i++)
+#pragma omp simd
         for (int64_t k = 0; k < p; k++)
-            weight[i * p + k] -= total / (double)p;
-    }
+            weight[i * p + k] *= (double)sqrtf(used[k] / variance[k]);
 }
 
-/* Copy the bytes of a patch (p, channels) about a pixel (x, y): a disc, row by row. */
-static void read_patch(const Picture *picture, int64_t x, int64_t y, int64_t p, const float *rows,
-                       uint8_t *bytes)
+/* Find the curvature of the room at each amplitude, and how likely that is; see `sum_curvature`. */
+static void find_curvature(const Fits *fits, int64_t m, const int64_t *kept, const double *assessed,
+                           Room *rooms, double *evidence)
 {
-    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
-    for (int64_t begin = 0, n; begin < p; begin += n) {
-        int64_t left = (int64_t)column[begin], line = y + (int64_t)row[begin];
-        n = 1 - 2 * left;
-        memcpy(bytes + picture->channels * begin,
-               picture->values + picture->channels * (picture->width * line + x + left),
-               (size_t)(picture->channels * n));
-    }
-}
-
-/* Sum of n bytes, each times its weight. */
-static double weigh(int64_t n, const uint8_t *bytes, const double *weight)
-{
-    double sum = 0.0;
-#pragma omp simd reduction(+ : sum)
-    for (int64_t k = 0; k < n; k++)
-        sum += (double)bytes[k] * weight[k];
-    return sum;
-}
-
-/* Whether a patch about a pixel (x, y) is inside the picture, and reached by no light but such as
- * are dim beside the spot; `dim`, filled: whether by one of those.
- *
- * `lights` (l, 4): place and half width, px, and contrast, DN, of all; `bright`, DN. */
-static bool is_clear(const Picture *picture, int64_t l, const double *lights, int64_t x, int64_t y,
-                     int64_t radius, double bright, bool *dim)
-{
-    *dim = false;
-    if (x < radius || x >= picture->width - radius || y < radius || y >= picture->height - radius)
-        return false;
-    for (int64_t k = 0; k < l; k++) {
-        const double *light = lights + 4 * k;
-        double reach = (double)radius + PATCH_REACH * light[2];
-        if (square((double)x - light[0]) + square((double)y - light[1]) <= square(reach)) {
-            *dim = true;
-            if (!(light[3] < bright))
-                return false;
-        }
-    }
-    return true;
-}
-
-/* Say what patches of the room beside a spot would move its centre by.
- *
- * `lights` (l, 4) as for `is_clear`; `weight` (2, p), of the pixels. */
-static void look_around(const Picture *picture, int64_t l, const double *lights, const Fits *fits,
-                        int64_t n, const double *weight, Room *room)
-{
-    Mark mark = scratch_mark();
-    const float *rows = rows_of(fits, n);
-    int64_t p = pixels_of(fits, n), depth = picture->channels, size = depth * p;
-    int64_t radius = -(int64_t)rows[ROW_ROW * p]; /* the topmost pixel comes first */
-    double peak = fits->parameters[N_PARAMETERS * n + PAR_PEAK];
-    double bright = MAX_DIM * MIN(peak, (double)SENSOR_LIMIT), channel[3] = {1.0};
-    double *spread = TAKE(double, 2 * size);
-    uint8_t *bytes = TAKE(uint8_t, size);
-    if (depth > 1)
-        channel_weights(fits->colour + 3 * n, channel);
-    for (int64_t k = 0; k < 2 * p; k++)
-        for (int64_t c = 0; c < depth; c++)
-            spread[depth * k + c] = channel[c] * weight[k];
-    for (int side = 0; side < N_AROUND; side++) {
-        double turn = side * EIGHTH_TURN, away = 2.0 * (double)radius;
-        int64_t x = fits->origin[2 * n] + (int64_t)floor(away * cos(turn) + 0.5);
-        int64_t y = fits->origin[2 * n + 1] + (int64_t)floor(away * sin(turn) + 0.5);
-        bool clear = is_clear(picture, l, lights, x, y, radius, bright, room->dim + side);
-        if (clear)
-            read_patch(picture, x, y, p, rows, bytes);
-        for (int i = 0; i < 2; i++)
-            room->moved[side][i] = clear ? weigh(size, bytes, spread + i * size) : NAN;
-    }
-    scratch_release(mark);
-}
-
-/* Correct a spot by the shares (9,) of the amplitudes, and look around it. */
-static void correct_spot(const Picture *picture, int64_t l, const double *lights, const Fits *fits,
-                         int64_t n, const double *share, Room *room)
-{
-    Mark mark = scratch_mark();
-    int64_t p = pixels_of(fits, n);
-    double *weight = TAKE(double, 2 * p), reach[N_RIGHT][2], factors[N_PARAMETERS][2];
-    average_correction(room, share, reach, factors);
-    find_weights(room, p, rows_of(fits, n), factors, reach, weight);
-    look_around(picture, l, lights, fits, n, weight, room);
-    scratch_release(mark);
-}
-
-/* List the squares of what patches move over what is explained, and fill in their mean of each of m
- * spots; those that a dim light reaches only if wanted. Gives how many. */
-static int64_t list_ratios(int64_t m, const Room *rooms, bool dim, double *ratio, double *mean)
-{
-    int64_t count = 0;
-    for (int64_t n = 0; n < m; n++) {
-        const Room *room = rooms + n;
-        int64_t before = count;
-        mean[n] = 0.0;
-        for (int at = 0; at < 2 * N_AROUND; at++) {
-            int side = at / 2, i = at % 2;
-            double one = square(room->moved[side][i]) / room->explained[i];
-            if (room->explained[i] > 0.0 && one >= 0.0 && (dim || !room->dim[side])) {
-                ratio[count++] = one;
-                mean[n] += one;
-            }
-        }
-        mean[n] /= (double)MAX(count - before, 1);
-    }
-    return count;
-}
-
-/* Widen the covariances of m spots by what the room beside them moves beyond what is explained.
- *
- * Patches that a dim light reaches are texture where it leaves too few others: what is left beside
- * dim lights says it less well. */
-static void add_excess(int64_t m, Room *rooms)
-{
-    Mark mark = scratch_mark();
-    double *ratio = TAKE(double, 2 * N_AROUND * m), *mean = TAKE(double, m);
-    int64_t count = list_ratios(m, rooms, false, ratio, mean);
-    bool textured = count < MIN_AROUND;
-    if (textured)
-        count = list_ratios(m, rooms, true, ratio, mean);
-    if (count >= MIN_AROUND) {
-        double least = textured ? MIN_TEXTURE : 1.0, most = textured ? INFINITY : MAX_OWN;
-        double usual = median(ratio, count) / MEDIAN_CHI2;
-        usual = usual > least ? usual : 1.0;
-        for (int64_t n = 0; n < m; n++) {
-            double excess = (mean[n] > most * usual ? mean[n] : usual) - 1.0;
-            for (int i = 0; i < 2; i++)
-                rooms[n].own[i][1 + i] += excess * rooms[n].explained[i];
-        }
-    }
-    scratch_release(mark);
-}
-
-void correct_for_room(const Picture *picture, int64_t l, const double *lights, const Fits *fits,
-                      int64_t m, const int64_t *kept, const double *assessed, double *moments)
-{
-    Mark mark = scratch_mark();
-    Room *rooms = TAKE(Room, m);
-    double evidence[N_AMPLITUDES] = {0.0}, share[N_AMPLITUDES];
-    memset(rooms, 0, sizeof(Room) * (size_t)m);
     for (int64_t k = 0; k < m; k++) {
         Room *room = rooms + k;
         int64_t n = kept[k], p = pixels_of(fits, n);
@@ -406,17 +248,38 @@ void correct_for_room(const Picture *picture, int64_t l, const double *lights, c
         if (room->noise > 0.0) {
             room->right = TAKE(float, N_RIGHT * p);
             fill_right(fits->parameters + N_PARAMETERS * n, p, rows_of(fits, n), room->right);
-            if (!sum_curvature(fits, n, room, evidence))
-                room->noise = 0.0;
+            sum_curvature(fits, n, room, evidence);
         }
     }
+}
+
+void correct_for_room(const Surroundings *around, const Fits *fits, int64_t m, const int64_t *kept,
+                      const double *assessed, double *moments)
+{
+    Mark mark = scratch_mark();
+    Room *rooms = TAKE(Room, m);
+    Response *responses = TAKE(Response, m);
+    double evidence[N_AMPLITUDES] = {0.0}, share[N_AMPLITUDES], *excess = TAKE(double, m);
+    memset(rooms, 0, sizeof(Room) * (size_t)m);
+    memset(responses, 0, sizeof(Response) * (size_t)m);
+    find_curvature(fits, m, kept, assessed, rooms, evidence);
     share_out(evidence, share);
+    for (int64_t k = 0; k < m; k++) {
+        double reach[N_RIGHT][2], factors[N_PARAMETERS][2];
+        Response *response = responses + k;
+        int64_t p = pixels_of(fits, kept[k]);
+        if (rooms[k].noise == 0.0)
+            continue;
+        response->weight = TAKE(double, 2 * p);
+        average_correction(rooms + k, share, reach, factors);
+        find_weights(rooms + k, p, rows_of(fits, kept[k]), factors, reach, response);
+    }
+    find_excess(around, fits, m, kept, responses, excess);
     for (int64_t k = 0; k < m; k++)
-        if (rooms[k].noise > 0.0)
-            correct_spot(picture, l, lights, fits, kept[k], share, rooms + k);
-    add_excess(m, rooms);
-    for (int64_t k = 0; k < m; k++)
-        for (int at = 0; at < 6; at++)
-            moments[6 * k + at] += rooms[k].own[at / 3][at % 3];
+        for (int i = 0; i < 2; i++) {
+            rooms[k].own[i][1 + i] += excess[k] * responses[k].explained[i];
+            for (int at = 0; at < 3; at++)
+                moments[6 * k + 3 * i + at] += rooms[k].own[i][at];
+        }
     scratch_release(mark);
 }

@@ -2,12 +2,11 @@
 #ifndef VERIFY_BACKGROUND_H
 #define VERIFY_BACKGROUND_H
 
-#include "verify/measurement/detection/kernels/patches.h"
+#include "verify/measurement/detection/kernels/surroundings.h"
 
-/* `lights` (l, 4): place and half width, px, and contrast, DN, of all lights; `kept` (m,), of the
- * fits; `assessed` (m, 16), theirs. To `moments` (m, 2, 3), shift, px, and covariance, px^2, is
- * added. */
-void correct_for_room(const Picture *picture, int64_t l, const double *lights, const Fits *fits,
-                      int64_t m, const int64_t *kept, const double *assessed, double *moments);
+/* `kept` (m,), of the fits; `assessed` (m, 16), theirs. To `moments` (m, 2, 3), shift, px, and
+ * covariance, px^2, is added. */
+void correct_for_room(const Surroundings *around, const Fits *fits, int64_t m, const int64_t *kept,
+                      const double *assessed, double *moments);
 
 #endif

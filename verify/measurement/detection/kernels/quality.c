@@ -9,6 +9,8 @@
  *
  *     s M (1 + c max(m / M - MAX_LOSSY_MISFIT, 0)),  s = LOSSY_SHARE
  *
+ * of clipped ones by s max(M, m / MAX_CLIPPED_MISFIT).
+ *
  * Quantisation wipes out fine detail and so adds errors that are mostly even about a spot, or finer
  * than what a shift of its centre changes. s is measured: simulated spots of 4 to 14 px, quality 60
  * to 98, where +- 1.96 u so holds 94 to 97 %.
@@ -20,6 +22,10 @@
 #include "verify/measurement/detection/kernels/fit.h"
 
 #define MAX_REDUCED_CHI2 6.0     /* reduced chi^2 of a shape that no clean LED has */
+/* the same, over a patch, and of the limit, of a top that clipping hides: both, and texture about the
+ * spot may have chosen its shape */
+#define MAX_HIDDEN_CHI2 2.5
+#define MAX_HIDDEN_PEAK 3.0
 /* rms residual over peak; both must hold: a bright LED shows any flaw */
 #define MAX_RESIDUAL_RATIO 0.035
 #define MIN_PEAK 8.0             /* sigma of the peak: chance does not reach it in a picture */
@@ -32,6 +38,7 @@
 #define LOSSY_SHARE 0.8      /* of a JPEG's squared errors, which move a centre */
 #define MIN_LOSSY_MISFIT 0.5 /* noise is not estimated twice too large */
 #define MAX_LOSSY_MISFIT 3.0 /* times the usual: more is a shape, not quantisation */
+#define MAX_CLIPPED_MISFIT 2.0 /* of a clipped spot in a JPEG: more widens it by itself */
 /* Light beside an LED, or an edge before it, stretches it alone, and motion all. Flat LEDs seen
  * from aside differ too, each by its angle, but are no longer than others, and the same on both
  * sides: chi^2 of a bite seldom exceeds 10 at any angle, and seldom stays below 15 behind one. */
@@ -75,27 +82,32 @@ static void centre_covariance(const double *information, double *row)
 
 /* Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
  *
- * `rows` (25, p); `peak`, DN; `pixels`, that misfit beyond chance lifts together; `row` (16,),
- * changed. A spot is judged by those of its own pixels that clipping leaves alone. */
-static void assess_shape(int64_t p, const float *rows, double peak, double pixels, double *row)
+ * `pixels`, that misfit beyond chance lifts together; `row` (16,), changed. A spot is judged by those
+ * of its own pixels that clipping leaves alone; where they are too few, by all of its patch. */
+static void assess_shape(const Fits *fits, int64_t n, double pixels, double *row)
 {
+    int64_t p = pixels_of(fits, n);
+    const float *rows = rows_of(fits, n), *valid = rows + ROW_VALID * p;
     const float *core = rows + ROW_CORE * p, *visible = rows + ROW_VISIBLE * p;
     const float *value = rows + ROW_VALUE * p, *mean = rows + ROW_MEAN * p;
     const float *variance = rows + ROW_VARIANCE * p;
-    float count = 0.0f, squares = 0.0f, square_dn = 0.0f, full = 0.0f;
-#pragma omp simd reduction(+ : count, squares, square_dn, full)
+    float count = 0.0f, squares = 0.0f, square_dn = 0.0f, full = 0.0f, clear = 0.0f;
+#pragma omp simd reduction(+ : count, squares, square_dn, full, clear)
     for (int64_t k = 0; k < p; k++) {
         float alone = visible[k] > MIN_NOISE_SHARE ? core[k] : 0.0f, off = value[k] - mean[k];
+        clear += visible[k] > MIN_NOISE_SHARE ? valid[k] : 0.0f;
         full += value[k] >= SENSOR_LIMIT ? core[k] : 0.0f;
         count += alone;
         squares += alone * off * off / variance[k];
         square_dn += alone * off * off;
     }
     double freedom = (double)count - N_FITTED, paid = MAX(freedom, 1.0);
-    double misfit = freedom >= N_FITTED ? (double)squares / paid : 1.0;
-    double rough = sqrt((double)square_dn / paid);
-    bool merged = misfit > MAX_REDUCED_CHI2 &&
-                  rough > MAX_RESIDUAL_RATIO * MIN(peak, (double)SENSOR_LIMIT);
+    double misfit = freedom >= N_FITTED ? (double)squares / paid : fits->chi2[n] / MAX(clear, 1.0);
+    double rough = sqrt((double)square_dn / paid), peak = fits->parameters[N_PARAMETERS * n + PAR_PEAK];
+    double limit = (double)SENSOR_LIMIT;
+    bool merged = freedom < N_FITTED
+                      ? misfit > MAX_HIDDEN_CHI2 && peak > MAX_HIDDEN_PEAK * limit
+                      : misfit > MAX_REDUCED_CHI2 && rough > MAX_RESIDUAL_RATIO * MIN(peak, limit);
     double beyond = misfit - 1.0 - MAX_CHI2_SIGMA * sqrt(2.0 / paid);
     double excess = full == 0.0f ? MAX(beyond, 0.0) : 0.0;
     double larger = merged ? CORRELATED_PIXELS * misfit : 1.0 + pixels * excess;
@@ -129,7 +141,7 @@ void assess_all(const Fits *fits, int64_t width, int64_t height, double lifted, 
         row[COL_STRETCH_X] = turn * half;
         row[COL_STRETCH_Y] = turn * p[PAR_XY];
         centre_covariance(information, row);
-        assess_shape(pixels_of(fits, n), rows_of(fits, n), p[PAR_PEAK], lifted, row);
+        assess_shape(fits, n, lifted, row);
         double rim = MIN_BORDER * longer - 0.5;
         double certain = information[(N_PARAMETERS + 1) * PAR_PEAK];
         bool sound = positive && x > rim && y > rim && x < (double)width - 1.0 - rim &&
@@ -167,7 +179,8 @@ void widen_lossy(int64_t n, double *assessed)
         double *row = assessed + N_COLUMNS * k;
         double beyond = row[COL_MISFIT] / usual - MAX_LOSSY_MISFIT;
         double odd = MAX(beyond, 0.0) * (1.0 - row[COL_SATURATED]);
-        double scale = LOSSY_SHARE * usual * (1.0 + CORRELATED_PIXELS * odd);
+        double clipped = row[COL_SATURATED] * row[COL_MISFIT] / MAX_CLIPPED_MISFIT;
+        double scale = LOSSY_SHARE * MAX(usual, clipped) * (1.0 + CORRELATED_PIXELS * odd);
         for (int c = COL_COVARIANCE_XX; c <= COL_COVARIANCE_YY; c++)
             row[c] *= row[COL_MERGED] > 0.0 ? 1.0 : scale;
     }

@@ -17,6 +17,7 @@
 #define SEPARATION_PASSES 4 /* of spots touching at a third of their height; two suffice farther apart */
 #define MIN_NEIGHBOUR 0.15 /* of a spot's peak, of another one's: less may be texture of the room */
 #define MIN_LIGHT 0.5 /* DN of a neighbour: less is not worth taking off, least of all below black */
+#define LOSSY_NOISE 0.5 /* of an even room's noise, as far as it moves centres, a JPEG leaves */
 #define TINY 1e-9     /* of an inverse square of a half-width, where a fit has none */
 
 /* What is wanted of a picture. */
@@ -174,7 +175,8 @@ static int64_t finish_spots(const Picture *picture, int64_t n, const double *can
     score_spots(fits, count, kept, rows, score, asymmetry);
     doubt_shapes(count, rows, asymmetry);
     correct_for_bites(count, score, rows, moments);
-    correct_for_room(picture, n, candidates, fits, count, kept, rows, moments);
+    Surroundings around = {picture, n, candidates, wanted->lossy ? LOSSY_NOISE : 1.0};
+    correct_for_room(&around, fits, count, kept, rows, moments);
     for (int64_t m = 0; m < count; m++) {
         double *row = rows + N_COLUMNS * m;
         for (int i = 0; i < 2; i++) {
