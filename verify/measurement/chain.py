@@ -28,6 +28,7 @@ UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 # A hundred times the usual: the motion between the instants is so large that the pose is a guess,
 # whatever uncertainty the acceleration's prior lends it.
 MAX_REPROJECTION_PX = 2.0
+MAX_VAGUE_PX = 2.0  # standard uncertainty of a spot that helps to find LEDs anywhere
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 Detector = Callable[[StereoPair, Array | None, Array | None], tuple[Spots, Spots]]
 
@@ -179,11 +180,18 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: Measurement | None) -> _A
             return assigned
     spots = setup.detect(pair, None, None)
     # with an LED missing the prediction may follow a reflection: pictures that show the whole
-    # marker elsewhere overrule it
-    fresh = _assign(pair, spots, setup, memory, None, whole_frame=True)
+    # marker elsewhere overrule it, but not with spots so vague that they fit wherever an LED may be
+    sure = _sure(spots[0]), _sure(spots[1])
+    fresh = _assign(pair, sure, setup, memory, None, whole_frame=True)
     if prediction is None or _shows_all_leds(fresh, setup):
         return fresh
     return _assign(pair, spots, setup, memory, prediction, whole_frame=True)
+
+
+def _sure(spots: Spots) -> Spots:
+    """Leave out the spots whose place is hardly known."""
+    variance = spots.covariance[:, [0, 1], [0, 1]].max(axis=1, initial=0.0)
+    return take_rows(spots, np.flatnonzero(variance <= MAX_VAGUE_PX**2))
 
 
 def _shows_all_leds(assigned: _AssignedPair, setup: Setup) -> bool:

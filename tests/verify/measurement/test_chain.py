@@ -14,9 +14,9 @@ from tests.support.leds.truth import true_spots
 from tests.support.simulated import HOME_DEG, in_memory, marker_of, scene
 from tests.support.spot_level import SpotRun, facing_rig, picture, without_pictures
 from verify.analysis.session import analyse
-from verify.core.records import Array, Measurement
+from verify.core.records import Array, Measurement, Spots, StereoPair, take_rows
 from verify.measurement import chain
-from verify.measurement.chain import Setup, measure
+from verify.measurement.chain import Setup, detect_in_turn, measure
 from verify.simulation.scenario import (
     Distractor,
     Mirror,
@@ -226,6 +226,44 @@ def test_returning_leds_win_over_their_reflection() -> None:
         occlusion=[Occlusion(led=name, first=4, last=5) for name in "ABCD"],
     )
     assert_sound(session, [m for m in measurements if m.frame not in (4, 5)])
+
+
+def with_blobs(
+    pair: StereoPair, left_windows: Array | None, right_windows: Array | None
+) -> tuple[Spots, Spots]:
+    """Find the spots, and in whole pictures blobs of a room whose places are hardly known."""
+    rng, found = np.random.default_rng(pair.frame), []
+    for spots in detect_in_turn(pair, left_windows, right_windows):
+        count = 20 if left_windows is None else 0
+        blobs = take_rows(spots, np.zeros(count, dtype=np.int64))
+        blobs = replace(
+            blobs,
+            centre=rng.uniform([0, 0], [1280, 720], (count, 2)),
+            covariance=np.tile(36.0 * np.eye(2), (count, 1, 1)),
+            peak=np.full(count, 50.0),
+            diameter=np.full(count, 20.0),
+        )
+        both = {
+            f.name: np.concatenate([getattr(spots, f.name), getattr(blobs, f.name)])
+            for f in fields(spots)
+            if f.name != "noise"
+        }
+        found.append(replace(spots, **both))
+    return found[0], found[1]
+
+
+def test_an_led_that_one_camera_does_not_see_is_not_replaced_by_a_vague_blob() -> None:
+    session = simulate_session(
+        scene(
+            marker=marker_of("ABC"),
+            recording=ScenarioRecording(pairs=12, rate_hz=10.0),
+            occlusion=[Occlusion(led="C", first=3, last=10, camera="left")],
+        )
+    )
+    setup = Setup(session.rig, session.marker, detect=with_blobs)
+    measurements = list(measure(session.pairs(), setup))
+    assert [m.status for m in measurements] == ["measured"] * 12
+    assert np.abs(wrong(session, measurements)[:, :3]).max() < 1e-3
 
 
 def joint_columns(frames: pd.DataFrame) -> tuple[Array, Array]:
