@@ -181,7 +181,7 @@ def run_watched(folder: Path, code: str, *words: str) -> subprocess.CompletedPro
 def with_gcc(monkeypatch: pytest.MonkeyPatch) -> None:
     """The compiler whose libraries watch memory; .ci/run installs it, or ends."""
     if shutil.which("gcc") is None:
-        pytest.skip("needs gcc")
+        pytest.skip("needs gcc, whose libraries watch memory and arithmetic")
     monkeypatch.setenv("CC", "gcc")
 
 

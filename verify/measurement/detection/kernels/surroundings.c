@@ -29,7 +29,7 @@ static void leave_planes(int64_t p, const float *rows, double *weight)
         weight[k] -= total + right * (double)column[k] + down * (double)row[k];
 }
 
-/* Fill in by how much each byte of a spot's pixels moves its centre, px/DN, (2, p, channels). */
+/* Take planes off a spot's weights (2, p), and fill in those of its bytes (2, p, channels), px/DN. */
 static void spread_weights(const Fits *fits, int64_t n, int64_t channels, double *weight,
                            double *spread)
 {
@@ -134,11 +134,12 @@ static int64_t list_ratios(const Response *response, int sides, bool dim, double
     return count;
 }
 
-/* How much more than explained a spot's own patches move it on average; 0 without any. */
-static double own_ratio(const Response *response, bool dim)
+/* How much more than explained the patches beside a spot itself, those that no light reaches, move it
+ * on average; 0 without any. */
+static double own_ratio(const Response *response)
 {
     double ratio[2 * N_AROUND], total = 0.0;
-    int64_t count = list_ratios(response, N_AROUND, dim, ratio);
+    int64_t count = list_ratios(response, N_AROUND, false, ratio);
     for (int64_t k = 0; k < count; k++)
         total += ratio[k];
     return count > 0 ? total / (double)count : 0.0;
@@ -156,7 +157,7 @@ static double room_ratio(const Response *response, double picture)
     if (dim)
         count = list_ratios(response, N_BESIDE, true, ratio);
     double usual = count < MIN_AROUND ? picture : median(ratio, count) / MEDIAN_CHI2;
-    double own = dim ? 0.0 : own_ratio(response, false);
+    double own = dim ? 0.0 : own_ratio(response);
     return own > MAX_OWN * MAX(usual, 1.0) ? own : usual;
 }
 
