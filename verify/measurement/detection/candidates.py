@@ -4,18 +4,19 @@ A blob stands above its own surroundings (top hat) at one of a few levels of con
 """
 
 import math
+from functools import cache
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.records import Array, Image
 from verify.measurement.detection.kernels.entries import (
     MIN_WINDOW_SIDE,
-    Shape,
+    BlobSearch,
     compact_blobs,
     contrast_boxes,
     find_blobs,
+    search_windows,
 )
 
 LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright blob must not hide a dim neighbour
@@ -30,32 +31,36 @@ MAX_BLOBS = 1024  # blobs listed in one window, those of higher levels first
 MAX_CANDIDATES = 64  # blobs fitted, best contrast first: bounds the time in a cluttered room
 
 
-def find_candidates(image: Image, windows: NDArray[np.int64] | None) -> Array:
+def find_candidates(image: Image, windows: Array | None) -> Array:
     """List compact bright blobs of an image, inside the windows only if there are any.
 
     (h, w) grey or (h, w, 3) BGR is searched by its brightest channel. `windows` (m, 4): x0, y0, x1,
-    y1, inside the image, upper bounds exclusive; None is all. Gives, (n, 4), highest contrast
-    first: column and row of the centre, px; half the width at half height, px; contrast above the
-    surroundings, DN.
+    y1, px, cut at the image's border; None is all. Gives, (n, 4), highest contrast first: column
+    and row of the centre, px; half the width at half height, px; contrast above the surroundings,
+    DN.
     """
-    if windows is None:
-        windows = np.array([[0, 0, image.shape[1], image.shape[0]]])
-    boxes = windows.tolist()
-    largest_area = max(((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes), default=0)
+    height, width = image.shape[:2]
+    boxes = [[0.0, 0.0, width, height]] if windows is None else windows.tolist()
+    largest_area = max(((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes), default=0.0)
     if image.ndim == 2 and largest_area <= MAX_SMALL_AREA:
-        blobs = find_blobs(image, windows, 0, *blob_arguments(1))
-        found = of_diameter(blobs, 1)
-    else:
-        parts = [find_in_large_window(image, box) for box in boxes]
-        found = np.concatenate([np.empty((0, 4)), *parts])
+        return search_windows(
+            image, np.array(boxes).reshape(-1, 4), blob_search(1), widths(1), MAX_CANDIDATES
+        )
+    parts = [find_in_large_window(image, cut_window(box, width, height)) for box in boxes]
+    found = np.concatenate([np.empty((0, 4)), *parts])
     return found[np.argsort(-found[:, 3], kind="stable")[:MAX_CANDIDATES]]
 
 
-def of_diameter(blobs: Array, step: int) -> Array:
-    """Blobs (n, 4) whose full width is within DIAMETER_RANGE, to one pixel of `step` px."""
+def cut_window(window: list[float], width: int, height: int) -> list[int]:
+    """A window in whole pixels, inside an image."""
+    x0, y0, x1, y1 = np.clip(window, 0.0, [width, height, width, height]).tolist()
+    return [int(x0), int(y0), math.ceil(x1), math.ceil(y1)]
+
+
+def widths(step: int) -> tuple[float, float]:
+    """Least and largest full width of a blob, px, to one pixel of `step` px."""
     smallest, largest = DIAMETER_RANGE
-    off = np.abs(2.0 * blobs[:, 2] - (largest + smallest) / 2.0)
-    return blobs[off <= (largest - smallest) / 2.0 + step]
+    return smallest - step, largest + step
 
 
 def find_in_large_window(image: Image, window: list[int]) -> Array:
@@ -75,25 +80,28 @@ def find_in_large_window(image: Image, window: list[int]) -> Array:
         blue, green, red = cv2.split(part)
         part = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     part = np.ascontiguousarray(part)
-    reach, levels, shape, most = blob_arguments(factor)
+    search, (least, largest) = blob_search(factor), widths(factor)
+    reach, levels, shape, most = search
     boxes = contrast_boxes(part, reach, LEVELS[-1])
     if boxes[:1].tolist() == [[0, 0, width, height]]:  # OpenCV is quicker for all of a picture
         square = np.ones((2 * reach + 1, 2 * reach + 1), np.uint8)
         contrast = np.asarray(cv2.morphologyEx(part, cv2.MORPH_TOPHAT, square), np.uint8)
-        found = np.empty((most, 4))
-        found = found[: compact_blobs(contrast, levels, shape, found)]
+        found = compact_blobs(contrast, levels, shape, most)
     else:
-        found = find_blobs(part, boxes, 2 * reach, reach, levels, shape, most)
+        found = find_blobs(part, boxes, 2 * reach, search)
     found[:, :3] *= factor
     # a pixel of the halved picture is centred between the two it came from
     found[:, 0] += x0 + (factor - 1) / 2
     found[:, 1] += y0 + (factor - 1) / 2
-    return of_diameter(found, factor)
+    width_px = 2.0 * found[:, 2]
+    return found[(least <= width_px) & (width_px <= largest)]
 
 
-def blob_arguments(factor: int) -> tuple[int, tuple[int, ...], Shape, int]:
-    """Last arguments of `find_blobs` in a picture that is smaller by a factor."""
+@cache
+def blob_search(factor: int) -> BlobSearch:
+    """What blobs are searched by in a picture that is smaller by a factor."""
     largest = DIAMETER_RANGE[1] / factor
     reach = int(BACKGROUND_FACTOR * largest) // 2
     longest = largest * math.sqrt(MAX_AXIS_RATIO / MIN_FILL) + 1.0
-    return reach, LEVELS, (4.0 * reach + 2.0, longest, MAX_AXIS_RATIO, MIN_FILL), MAX_BLOBS
+    shape = 4.0 * reach + 2.0, longest, MAX_AXIS_RATIO, MIN_FILL
+    return BlobSearch(reach, np.array(LEVELS, np.int64), shape, MAX_BLOBS)

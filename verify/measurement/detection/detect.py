@@ -11,7 +11,6 @@ beside the spots (kernels/surroundings.c).
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.records import Array, Image, Noise, Spots
 from verify.errors import InputError
@@ -46,13 +45,13 @@ def detect(
         InputError: not an 8-bit grey or BGR image, or windows of another shape.
     """
     check_image(image, windows)
-    candidates = find_candidates(image, clip_windows(windows, image))
+    candidates = find_candidates(image, windows)
     values, height, width = np.zeros(4), *image.shape[:2]
     if noise is not None:
         values[:3] = noise.read**2, noise.gain, noise.black
     rows, colour = np.empty((limit, columns.N_COLUMNS)), np.empty((limit, 3))
     wanted = *DIAMETER_RANGE, limit, windows is None, lossy
-    picture = Picture(image.reshape(-1), width, height, 1 if image.ndim == 2 else 3)
+    picture = Picture(image, width, height, 1 if image.ndim == 2 else 3)
     count = measure_spots(
         picture, candidates, values, profile_table(), wanted, noise is None, (rows, colour)
     )
@@ -87,12 +86,3 @@ def check_image(image: Image, windows: Array | None) -> None:
         raise InputError(
             "windows", f"their shape is {np.shape(windows)}", "one row x0, y0, x1, y1 a window"
         )
-
-
-def clip_windows(windows: Array | None, image: Image) -> NDArray[np.int64] | None:
-    """Windows in whole pixels, cut at the image's border."""
-    if windows is None:
-        return None
-    height, width = image.shape[:2]
-    cut = np.minimum(np.maximum(windows, 0.0), (width, height, width, height))
-    return np.concatenate([cut[:, :2], np.ceil(cut[:, 2:])], axis=1).astype(np.int64)

@@ -36,6 +36,7 @@ from verify.measurement.detection.kernels.entries import (
     COL_PEAK,
     COL_SOUND,
     N_COLUMNS,
+    BlobSearch,
     contrast_boxes,
     find_blobs,
 )
@@ -68,11 +69,13 @@ def test_a_blob_is_found_once_at_its_highest_level_and_where_it_is_in_the_pictur
         column, row = np.meshgrid(np.arange(90) - x, np.arange(60) - y)
         picture += np.asarray(peak * np.exp(-(column**2 + row**2) / 18), np.uint8)
     windows = np.array([[10, 15, 80, 55], [5, 5, 7, 50]])
-    blobs = find_blobs(picture, windows, 0, 30, (160, 80, 40, 18), (99.0, 99.0, 2.5, 0.6), 9)
+    levels = np.array([160, 80, 40, 18])
+    search = BlobSearch(30, levels, (99.0, 99.0, 2.5, 0.6), 9)
+    blobs = find_blobs(picture, windows, 0, search)
     np.testing.assert_allclose(blobs[:, :2], [[20, 30], [60, 25]], atol=0.1)
     np.testing.assert_array_equal(blobs[:, 3], [220, 50])
     # of more than are listed, the brightest
-    blobs = find_blobs(picture, windows, 0, 30, (160, 80, 40, 18), (99.0, 99.0, 2.5, 0.6), 1)
+    blobs = find_blobs(picture, windows, 0, search._replace(most=1))
     np.testing.assert_array_equal(blobs[:, 3], [220])
 
 

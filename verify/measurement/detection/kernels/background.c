@@ -42,16 +42,16 @@ typedef struct {
     float *right; /* (8, p), its residuals, and the derivatives by the curvature's terms */
     /* how the parameters follow r and B, and the columns of x and y of A^-1 */
     double follow[N_PARAMETERS][N_RIGHT + 2];
-    /* at each amplitude, (S + s^-2)^-1 times h and the pull */
-    double solved[N_AMPLITUDES][N_TERMS][3];
+    /* (S + s^-2)^-1 times h and the pull's two rows, at each amplitude */
+    double solved[3][N_TERMS][N_AMPLITUDES];
     double own[2][3]; /* shift, px, and covariance, px^2 */
 } Room;
 
 /* Mean variance, DN^2, of a spot's pixels that show the room alone; 0 if it is below black. */
 static double surroundings_noise(int64_t p, const float *rows)
 {
-    const float *used = rows + ROW_USED * p, *radius2 = rows + ROW_RADIUS2 * p;
-    const float *shown = rows + ROW_VISIBLE * p, *spread = rows + ROW_VARIANCE * p;
+    const float *used = rows + ROW_USED * pitch(p), *radius2 = rows + ROW_RADIUS2 * pitch(p);
+    const float *shown = rows + ROW_VISIBLE * pitch(p), *spread = rows + ROW_VARIANCE * pitch(p);
     float visible = 0.0f, variance = 0.0f, count = 0.0f;
 #pragma omp simd reduction(+ : visible, variance, count)
     for (int64_t k = 0; k < p; k++) {
@@ -69,22 +69,64 @@ static double surroundings_noise(int64_t p, const float *rows)
  * `centre` (2,): the spot's parameters x and y. */
 static void fill_right(const double *centre, int64_t p, const float *rows, float *restrict right)
 {
-    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
-    const float *floor_change = rows + PAR_FLOOR * p;
+    const float *column = rows + ROW_COLUMN * pitch(p), *row = rows + ROW_ROW * pitch(p);
+    const float *floor_change = rows + PAR_FLOOR * pitch(p);
     /* the topmost pixel comes first */
     float scale = 1.0f / -row[0], x = (float)centre[0], y = (float)centre[1];
-    memcpy(right, rows + ROW_RESIDUAL * p, sizeof(float) * (size_t)p);
+    memcpy(right, rows + ROW_RESIDUAL * pitch(p), sizeof(float) * (size_t)p);
 #pragma omp simd
     for (int64_t k = 0; k < p; k++) {
         float u = (column[k] - x) * scale, w = (row[k] - y) * scale;
         float uu = floor_change[k] * u * u, ww = floor_change[k] * w * w;
-        right[p + k] = uu;
-        right[2 * p + k] = floor_change[k] * u * w;
-        right[3 * p + k] = ww;
-        right[4 * p + k] = uu * u;
-        right[5 * p + k] = uu * w;
-        right[6 * p + k] = ww * u;
-        right[7 * p + k] = ww * w;
+        right[pitch(p) + k] = uu;
+        right[2 * pitch(p) + k] = floor_change[k] * u * w;
+        right[3 * pitch(p) + k] = ww;
+        right[4 * pitch(p) + k] = uu * u;
+        right[5 * pitch(p) + k] = uu * w;
+        right[6 * pitch(p) + k] = ww * u;
+        right[7 * pitch(p) + k] = ww * w;
+    }
+}
+
+/* Fill in the lower Cholesky factor of S + s^-2 at each amplitude, the diagonal's inverses instead of
+ * the diagonal; `inner` (8, 8), S from its second row and column on. False where one is not positive
+ * definite. */
+static bool factor_amplitudes(double (*inner)[N_RIGHT], double (*root)[N_TERMS][N_AMPLITUDES])
+{
+    bool definite = true;
+    for (int i = 0; i < N_TERMS; i++) {
+        for (int j = 0; j <= i; j++) {
+            double *rest = root[i][j], *pivot = root[j][j];
+            for (int k = 0; k < N_AMPLITUDES; k++)
+                rest[k] = inner[i + 1][j + 1] + (i == j ? 1.0 / square(AMPLITUDES[k]) : 0.0);
+            for (int c = 0; c < j; c++)
+                for (int k = 0; k < N_AMPLITUDES; k++)
+                    rest[k] -= root[i][c][k] * root[j][c][k];
+            for (int k = 0; k < N_AMPLITUDES; k++) {
+                definite &= i > j || rest[k] > 0.0;
+                rest[k] = i > j ? rest[k] * pivot[k] : 1.0 / sqrt(rest[k]);
+            }
+        }
+    }
+    return definite;
+}
+
+/* Solve in place for one column (7,) at each amplitude, by their factors. */
+static void solve_column(double (*root)[N_TERMS][N_AMPLITUDES], double (*column)[N_AMPLITUDES])
+{
+    for (int i = 0; i < N_TERMS; i++) {
+        for (int c = 0; c < i; c++)
+            for (int k = 0; k < N_AMPLITUDES; k++)
+                column[i][k] -= root[i][c][k] * column[c][k];
+        for (int k = 0; k < N_AMPLITUDES; k++)
+            column[i][k] *= root[i][i][k];
+    }
+    for (int i = N_TERMS - 1; i >= 0; i--) {
+        for (int c = i + 1; c < N_TERMS; c++)
+            for (int k = 0; k < N_AMPLITUDES; k++)
+                column[i][k] -= root[c][i][k] * column[c][k];
+        for (int k = 0; k < N_AMPLITUDES; k++)
+            column[i][k] *= root[i][i][k];
     }
 }
 
@@ -95,30 +137,29 @@ static void fill_right(const double *centre, int64_t p, const float *rows, float
  * which hardly determines its own parameters. */
 static void solve_amplitudes(double (*left)[N_RIGHT], Room *room, double *evidence)
 {
-    double inner[N_TERMS][N_TERMS], root[N_TERMS][N_TERMS], known[N_TERMS][3];
-    double gain[N_AMPLITUDES] = {0.0};
-    for (int i = 0; i < N_TERMS; i++) {
-        copy(inner[i], left[i + 1] + 1, N_TERMS);
-        known[i][0] = left[i + 1][0];
-        known[i][1] = -room->follow[PAR_X][i + 1];
-        known[i][2] = -room->follow[PAR_Y][i + 1];
-    }
+    double root[N_TERMS][N_TERMS][N_AMPLITUDES], gain[N_AMPLITUDES], volume[N_AMPLITUDES];
+    memset(room->solved, 0, sizeof(room->solved));
+    if (!factor_amplitudes(left, root))
+        return;
+    for (int c = 0; c < N_TERMS; c++)
+        for (int k = 0; k < N_AMPLITUDES; k++) {
+            room->solved[0][c][k] = left[c + 1][0];
+            room->solved[1][c][k] = -room->follow[PAR_X][c + 1];
+            room->solved[2][c][k] = -room->follow[PAR_Y][c + 1];
+        }
+    for (int i = 0; i < 3; i++)
+        solve_column(root, room->solved[i]);
     for (int k = 0; k < N_AMPLITUDES; k++) {
-        double (*solved)[3] = room->solved[k], volume = 1.0;
-        if (!factor(N_TERMS, inner[0], -1.0 / square(AMPLITUDES[k]), root[0])) {
-            memset(room->solved, 0, sizeof(room->solved));
-            return;
-        }
-        copy(solved[0], known[0], 3 * N_TERMS);
-        solve_each(N_TERMS, 3, root[0], solved[0]);
-        for (int c = 0; c < N_TERMS; c++) {
-            gain[k] += 0.5 * solved[c][0] * known[c][0];
-            volume *= AMPLITUDES[k] * root[c][c];
-        }
-        gain[k] -= log(volume);
+        gain[k] = 0.0;
+        volume[k] = 1.0;
     }
+    for (int c = 0; c < N_TERMS; c++)
+        for (int k = 0; k < N_AMPLITUDES; k++) {
+            gain[k] += 0.5 * room->solved[0][c][k] * left[c + 1][0];
+            volume[k] *= root[c][c][k] / AMPLITUDES[k];
+        }
     for (int k = 0; k < N_AMPLITUDES; k++)
-        evidence[k] += gain[k];
+        evidence[k] += gain[k] + log(volume[k]);
 }
 
 /* Sum up what a spot shows of the room, and how likely curvature makes it: to `evidence` (9,), the
@@ -166,21 +207,20 @@ static void share_out(const double *evidence, double *share)
 static void average_correction(Room *room, const double *share, double (*reach)[2],
                                double (*factors)[2])
 {
-    double (*own)[3] = room->own;
+    double (*own)[3] = room->own, moved[2][N_AMPLITUDES] = {{0.0}};
     memset(reach, 0, sizeof(double) * N_RIGHT * 2);
-    for (int k = 0; k < N_AMPLITUDES; k++) {
-        double moved[2] = {0.0, 0.0};
-        for (int i = 0; i < 2; i++) {
-            for (int c = 0; c < N_TERMS; c++) {
-                moved[i] -= room->solved[k][c][0] * room->follow[i][c + 1];
-                reach[c + 1][i] += share[k] * room->solved[k][c][1 + i];
+    for (int i = 0; i < 2; i++)
+        for (int c = 0; c < N_TERMS; c++)
+            for (int k = 0; k < N_AMPLITUDES; k++) {
+                moved[i][k] -= room->solved[0][c][k] * room->follow[i][c + 1];
+                reach[c + 1][i] += share[k] * room->solved[1 + i][c][k];
             }
-            own[i][0] += share[k] * moved[i];
-        }
-        for (int i = 0; i < 2; i++)
+    for (int k = 0; k < N_AMPLITUDES; k++)
+        for (int i = 0; i < 2; i++) {
+            own[i][0] += share[k] * moved[i][k];
             for (int j = 0; j < 2; j++)
-                own[i][1 + j] += share[k] * moved[i] * moved[j];
-    }
+                own[i][1 + j] += share[k] * moved[i][k] * moved[j][k];
+        }
     for (int i = 0; i < 2; i++) {
         for (int a = 0; a < N_PARAMETERS; a++) {
             factors[a][i] = 0.0;
@@ -192,48 +232,38 @@ static void average_correction(Room *room, const double *share, double (*reach)[
     }
 }
 
-/* Add m rows (m, p), each times its two factors (m, 2), to both of `total` (2, p).
- *
- * In double precision: of a spot far over the limit they nearly cancel. */
-static void add_rows(int m, double (*factors)[2], int64_t p, const float *rows,
-                     double *restrict total)
-{
-    for (int a = 0; a < m; a++) {
-#pragma omp simd
-        for (int64_t k = 0; k < p; k++) {
-            total[k] += factors[a][0] * (double)rows[a * p + k];
-            total[p + k] += factors[a][1] * (double)rows[a * p + k];
-        }
-    }
-}
-
 /* Fill in by how much each pixel moves the centre, and what noise and curvature explain of the
  * squares of that.
  *
- * `factors` (10, 2) and `reach` (8, 2) as by `average_correction`. */
-static void find_weights(const Room *room, int64_t p, const float *rows, double (*factors)[2],
-                         double (*reach)[2], Response *response)
+ * `factors` (10, 2) and `reach` (8, 2) as by `average_correction`. In double precision: of a spot far
+ * over the limit the terms nearly cancel. */
+static void find_weights(const Room *room, int64_t p, const float *restrict rows,
+                         double (*factors)[2], double (*reach)[2], Response *response)
 {
-    double *weight = response->weight;
-    const float *used = rows + ROW_USED * p, *variance = rows + ROW_VARIANCE * p;
-    double direct[N_PARAMETERS][2];
-    for (int a = 0; a < N_PARAMETERS; a++)
-        copy(direct[a], room->follow[a] + N_RIGHT, 2);
-    memset(weight, 0, sizeof(double) * (size_t)(2 * p));
-    add_rows(N_PARAMETERS, direct, p, rows, weight);
+    const float *restrict right = room->right, *restrict used = rows + ROW_USED * pitch(p);
+    const float *restrict variance = rows + ROW_VARIANCE * pitch(p);
     for (int i = 0; i < 2; i++) {
-        double squares = 0.0;
+        float *restrict weight = response->weight + i * pitch(p);
+        double fit[N_PARAMETERS], more[N_PARAMETERS], squares = 0.0;
+        for (int a = 0; a < N_PARAMETERS; a++) {
+            fit[a] = room->follow[a][N_RIGHT + i];
+            more[a] = factors[a][i];
+        }
 #pragma omp simd reduction(+ : squares)
-        for (int64_t k = 0; k < p; k++)
-            squares += square(weight[i * p + k]) * (double)(used[k] / variance[k]);
+        for (int64_t k = 0; k < p; k++) {
+            double by_fit = 0.0, corrected = 0.0;
+            float share = used[k] / variance[k];
+            for (int a = 0; a < N_PARAMETERS; a++) {
+                by_fit += fit[a] * (double)rows[a * pitch(p) + k];
+                corrected += more[a] * (double)rows[a * pitch(p) + k];
+            }
+            for (int c = 0; c < N_RIGHT; c++)
+                corrected += reach[c][i] * (double)right[c * pitch(p) + k];
+            squares += by_fit * by_fit * (double)share;
+            weight[k] = (float)((by_fit + corrected) * (double)sqrtf(share));
+        }
         response->explained[i] = squares * room->noise + room->own[i][1 + i];
     }
-    add_rows(N_PARAMETERS, factors, p, rows, weight);
-    add_rows(N_RIGHT, reach, p, room->right, weight);
-    for (int i = 0; i < 2; i++)
-#pragma omp simd
-        for (int64_t k = 0; k < p; k++)
-            weight[i * p + k] *= (double)sqrtf(used[k] / variance[k]);
 }
 
 /* Find the curvature of the room at each amplitude, and how likely that is; see `sum_curvature`. */
@@ -246,7 +276,7 @@ static void find_curvature(const Fits *fits, int64_t m, const int64_t *kept, con
         if (assessed[N_COLUMNS * k + COL_MERGED] == 0.0)
             room->noise = surroundings_noise(p, rows_of(fits, n));
         if (room->noise > 0.0) {
-            room->right = TAKE(float, N_RIGHT * p);
+            room->right = TAKE(float, N_RIGHT * pitch(p));
             fill_right(fits->parameters + N_PARAMETERS * n, p, rows_of(fits, n), room->right);
             sum_curvature(fits, n, room, evidence);
         }
@@ -270,7 +300,7 @@ void correct_for_room(const Surroundings *around, const Fits *fits, int64_t m, c
         int64_t p = pixels_of(fits, kept[k]);
         if (rooms[k].noise == 0.0)
             continue;
-        response->weight = TAKE(double, 2 * p);
+        response->weight = TAKE(float, 2 * pitch(p));
         average_correction(rooms + k, share, reach, factors);
         find_weights(rooms + k, p, rows_of(fits, kept[k]), factors, reach, response);
     }

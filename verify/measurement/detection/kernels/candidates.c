@@ -9,6 +9,7 @@
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
 #include "verify/measurement/detection/kernels/contrast.h"
+#include "verify/measurement/detection/kernels/quality.h"
 
 #define MIN_WINDOW_SIDE 3 /* px, side of a window: smaller ones show no blob */
 #define SPAN 32           /* px, passed over at a level that their greatest is below */
@@ -214,7 +215,52 @@ static int64_t find_blobs(Grid image, int64_t n, const int64_t *windows, int64_t
     return count;
 }
 
+/* Whole pixels of windows (n, 4), upper bounds up, inside an image. */
+static int64_t *cut_windows(Grid image, int64_t n, const double *windows)
+{
+    double most[4] = {(double)image.width, (double)image.height};
+    int64_t *bounds = TAKE(int64_t, 4 * n);
+    for (int64_t k = 0; k < 4 * n; k++) {
+        double inside = MIN(MAX(windows[k], 0.0), most[k % 2]);
+        bounds[k] = (int64_t)(k % 4 < 2 ? inside : ceil(inside));
+    }
+    return bounds;
+}
+
+/* List candidates in small windows of a grey picture, (most, 4), and count them: blobs of full widths
+ * from `least` to `largest`, px, the highest contrast first. */
+static int64_t search_windows(Grid image, int64_t n, const double *windows, int64_t reach,
+                              int64_t n_levels, const int64_t *levels, Shape shape, double least,
+                              double largest, int64_t listed, int64_t most, double *found)
+{
+    double *blobs = TAKE(double, 4 * listed), *rank = TAKE(double, listed);
+    int64_t *order = TAKE(int64_t, listed), count = 0;
+    int64_t all = find_blobs(image, n, cut_windows(image, n, windows), 0, reach, n_levels, levels,
+                             shape, listed, blobs);
+    for (int64_t k = 0; k < all; k++) {
+        double width = 2.0 * blobs[4 * k + 2];
+        rank[k] = -blobs[4 * k + 3];
+        if (least <= width && width <= largest)
+            order[count++] = k;
+    }
+    count = first_by(rank, count, order, most);
+    for (int64_t k = 0; k < count; k++)
+        copy(found + 4 * k, blobs + 4 * order[k], 4);
+    return count;
+}
+
 /* Entries: images (h, w); shape as `Shape`. */
+
+int64_t entry_search_windows(int64_t h, int64_t w, const uint8_t *image, int64_t n,
+                             const double *windows, int64_t reach, int64_t n_levels,
+                             const int64_t *levels, double side, double half_side,
+                             double axis_ratio, double fill, double least, double largest,
+                             int64_t listed, int64_t most, double *found)
+{
+    Shape shape = {side, half_side, axis_ratio, fill};
+    GUARDED(search_windows((Grid){image, h, w}, n, windows, reach, n_levels, levels, shape, least,
+                           largest, listed, most, found));
+}
 
 int64_t entry_find_blobs(int64_t h, int64_t w, const uint8_t *image, int64_t n,
                          const int64_t *windows, int64_t margin, int64_t reach, int64_t n_levels,

@@ -24,6 +24,7 @@ Boxes = NDArray[np.int64]
 Shape = tuple[float, float, float, float]
 
 _contrast_boxes = entry("contrast_boxes")
+_search_windows = entry("search_windows")
 _find_blobs = entry("find_blobs")
 _compact_blobs = entry("compact_blobs")
 
@@ -38,39 +39,62 @@ def contrast_boxes(image: Image, reach: int, level: int) -> Boxes:
     return boxes[: _contrast_boxes(*image.shape, image, reach, level, boxes)]
 
 
+class BlobSearch(NamedTuple):
+    """What blobs are searched by."""
+
+    reach: int  # px: what has brightness at that distance all around is background
+    levels: NDArray[np.int64]  # DN of contrast, falling
+    shape: Shape  # as for `compact_blobs`
+    most: int  # blobs listed
+
+
+def search_windows(
+    image: Image, windows: Array, search: BlobSearch, diameters: tuple[float, float], most: int
+) -> Array:
+    """List candidates in windows of a grey picture, (m, 4), the highest contrast first.
+
+    `image` (h, w). `windows` (n, 4): x0, y0, x1, y1, px, cut at the border. `diameters`: least and
+    largest full width, px. At most `most` are listed; columns as by `compact_blobs`.
+    """
+    found = np.empty((most, 4))
+    reach, levels, shape, listed = search
+    count = _search_windows(
+        *image.shape, image, len(windows), windows, reach, len(levels), levels, *shape, *diameters,
+        listed, most, found,
+    )  # fmt: skip
+    return found[:count]
+
+
 def find_blobs(
     image: Image,
     windows: Boxes,
     margin: int,
-    reach: int,
-    levels: tuple[int, ...],
-    shape: Shape,
-    most: int,
+    search: BlobSearch,
 ) -> Array:
     """List compact bright blobs in windows of a grey picture, (m, 4), as `compact_blobs` does.
 
     `windows` (n, 4): x0, y0, x1, y1, upper bounds exclusive; a `margin`, px, about them is
-    background only: 0, or 2 `reach`. `reach`, px: what has brightness at that distance all around
-    is background. `levels` and `shape` as for `compact_blobs`. At most `most` are listed.
+    background only: 0, or twice the reach.
     """
-    found, steps = np.empty((most, 4)), np.array(levels, np.int64)
+    reach, levels, shape, most = search
+    found = np.empty((most, 4))
     count = _find_blobs(
-        *image.shape, image, len(windows), windows, margin, reach, len(steps), steps, *shape,
+        *image.shape, image, len(windows), windows, margin, reach, len(levels), levels, *shape,
         most, found,
     )  # fmt: skip
     return found[:count]
 
 
-def compact_blobs(contrast: Image, levels: tuple[int, ...], shape: Shape, found: Array) -> int:
-    """List compact blobs by their contrast, and count them; a bright one's foot is no further one.
+def compact_blobs(contrast: Image, levels: NDArray[np.int64], shape: Shape, most: int) -> Array:
+    """List compact blobs by their contrast, at most so many; a bright one's foot is no further one.
 
     `contrast` (h, w), DN above the surroundings; `levels`, DN, falling; `shape`: longest side of a
     blob's box, px, at a level and at half height; longest axis ratio; least area over its
-    ellipse's. `found` (m, 4) is filled from the first row with as many as it holds: column and row
-    of the centre, px; half width, px; height, DN.
+    ellipse's. Columns: column and row of the centre, px; half width, px; height, DN.
     """
-    steps = np.array(levels, np.int64)
-    return _compact_blobs(*contrast.shape, contrast, len(steps), steps, *shape, len(found), found)
+    found = np.empty((most, 4))
+    count = _compact_blobs(*contrast.shape, contrast, len(levels), levels, *shape, most, found)
+    return found[:count]
 
 
 # ---- a picture's spots
@@ -80,7 +104,7 @@ _measure_spots = entry("measure_spots")
 class Picture(NamedTuple):
     """A picture's pixels, one behind the other."""
 
-    values: Image  # (h w c,), DN
+    values: Image  # (h, w) or (h, w, c), DN
     width: int
     height: int
     channels: int

@@ -37,15 +37,15 @@
 static void products_precise(int64_t n, int64_t p, const float *restrict rows,
                              const float *restrict others, double *product)
 {
-    for (int one = 0; one < 2; one++, rows += p, product += n) {
+    for (int one = 0; one < 2; one++, rows += pitch(p), product += n) {
         double first = 0.0, second = 0.0, third = 0.0, fourth = 0.0;
 #pragma omp simd reduction(+ : first, second, third, fourth)
         for (int64_t k = 0; k < p; k++) {
             double own = rows[k];
             first += own * (double)others[k];
-            second += own * (double)others[p + k];
-            third += own * (double)others[2 * p + k];
-            fourth += own * (double)others[3 * p + k];
+            second += own * (double)others[pitch(p) + k];
+            third += own * (double)others[2 * pitch(p) + k];
+            fourth += own * (double)others[3 * pitch(p) + k];
         }
         product[0] = first, product[1] = second, product[2] = third, product[3] = fourth;
     }
@@ -59,15 +59,15 @@ static void products_single(int64_t n, int64_t p, const float *restrict rows,
 #pragma omp simd reduction(+ : first, second, third, fourth, next_first, next_second, next_third, \
                                next_fourth)
     for (int64_t k = 0; k < p; k++) {
-        float own = rows[k], next = rows[p + k];
+        float own = rows[k], next = rows[pitch(p) + k];
         first += own * others[k];
-        second += own * others[p + k];
-        third += own * others[2 * p + k];
-        fourth += own * others[3 * p + k];
+        second += own * others[pitch(p) + k];
+        third += own * others[2 * pitch(p) + k];
+        fourth += own * others[3 * pitch(p) + k];
         next_first += next * others[k];
-        next_second += next * others[p + k];
-        next_third += next * others[2 * p + k];
-        next_fourth += next * others[3 * p + k];
+        next_second += next * others[pitch(p) + k];
+        next_third += next * others[2 * pitch(p) + k];
+        next_fourth += next * others[3 * pitch(p) + k];
     }
     product[0] = first, product[1] = second, product[2] = third, product[3] = fourth;
     product += n;
@@ -80,7 +80,7 @@ void multiply_rows(int64_t m, int64_t n, int64_t p, const float *rows, const flo
 {
     for (int64_t a = 0; a < m; a += 2)
         for (int64_t b = rows == others ? a / 4 * 4 : 0; b < n; b += 4)
-            (precise ? products_precise : products_single)(n, p, rows + a * p, others + b * p,
+            (precise ? products_precise : products_single)(n, p, rows + a * pitch(p), others + b * pitch(p),
                                                            products + a * n + b);
     for (int64_t a = 4; rows == others && a < m; a++)
         for (int64_t b = 0; b < a / 4 * 4; b++)
@@ -155,14 +155,14 @@ static void update_means(const double *step, int64_t p, float *rows)
     float of[N_PARAMETERS];
     for (int a = 0; a < N_PARAMETERS; a++)
         of[a] = (float)step[a];
-    const float *restrict by = rows, *restrict variance = rows + ROW_VARIANCE * p;
-    float *restrict mean = rows + ROW_MEAN * p;
+    const float *restrict by = rows, *restrict variance = rows + ROW_VARIANCE * pitch(p);
+    float *restrict mean = rows + ROW_MEAN * pitch(p);
 #pragma omp simd
     for (int64_t k = 0; k < p; k++) {
-        float moved = of[0] * by[k] + of[1] * by[p + k] + of[2] * by[2 * p + k]
-                      + of[3] * by[3 * p + k] + of[4] * by[4 * p + k] + of[5] * by[5 * p + k]
-                      + of[6] * by[6 * p + k] + of[7] * by[7 * p + k] + of[8] * by[8 * p + k]
-                      + of[9] * by[9 * p + k];
+        float moved = of[0] * by[k] + of[1] * by[pitch(p) + k] + of[2] * by[2 * pitch(p) + k]
+                      + of[3] * by[3 * pitch(p) + k] + of[4] * by[4 * pitch(p) + k] + of[5] * by[5 * pitch(p) + k]
+                      + of[6] * by[6 * pitch(p) + k] + of[7] * by[7 * pitch(p) + k] + of[8] * by[8 * pitch(p) + k]
+                      + of[9] * by[9 * pitch(p) + k];
         mean[k] += moved * sqrtf(variance[k]);
     }
 }
@@ -170,9 +170,9 @@ static void update_means(const double *step, int64_t p, float *rows)
 /* Mark the pixels that are the spot's own: its core, and for the smallest a few about it. */
 static void mark_core(const double *parameters, int64_t p, float *rows)
 {
-    const float *restrict column = rows + ROW_COLUMN * p, *restrict row = rows + ROW_ROW * p;
-    const float *restrict radius2 = rows + ROW_RADIUS2 * p, *restrict valid = rows + ROW_VALID * p;
-    float *restrict core = rows + ROW_CORE * p;
+    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict radius2 = rows + ROW_RADIUS2 * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
+    float *restrict core = rows + ROW_CORE * pitch(p);
     float x = (float)parameters[PAR_X], y = (float)parameters[PAR_Y];
 #pragma omp simd
     for (int64_t k = 0; k < p; k++) {
@@ -186,8 +186,8 @@ static void mark_core(const double *parameters, int64_t p, float *rows)
 static double chi_squared(const double *parameters, int64_t p, const float *rows,
                           const float *restrict variance, const double *prior)
 {
-    const float *restrict value = rows + ROW_VALUE * p, *restrict mean = rows + ROW_MEAN * p;
-    const float *restrict radius2 = rows + ROW_RADIUS2 * p, *restrict valid = rows + ROW_VALID * p;
+    const float *restrict value = rows + ROW_VALUE * pitch(p), *restrict mean = rows + ROW_MEAN * pitch(p);
+    const float *restrict radius2 = rows + ROW_RADIUS2 * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
     float total = 0.0f, most = OUTLIER_SIGMA * OUTLIER_SIGMA;
 #pragma omp simd reduction(+ : total)
     for (int64_t k = 0; k < p; k++) {
@@ -216,7 +216,7 @@ void fit_spot(Fits *fits, int64_t n, const double *noise, Table table, int steps
     double out = weigh_pixels(best, scale, own, table, p, rows), damping = FIRST_DAMPING;
     double chi2 = normal_equations(best, p, rows, out, full, prior, information, gradient);
     double accepted = chi2;
-    memcpy(variance, rows + ROW_VARIANCE * p, variances);
+    memcpy(variance, rows + ROW_VARIANCE * pitch(p), variances);
     fits->settled[n] = false;
     for (int taken = 0; taken < steps; taken++) {
         double gained = find_step(best, information, gradient, damping, step, &shortened);
@@ -243,7 +243,7 @@ void fit_spot(Fits *fits, int64_t n, const double *noise, Table table, int steps
         copy(best, tried, N_PARAMETERS);
         copy(information, tried_information, N_SQUARE);
         copy(gradient, tried_gradient, N_PARAMETERS);
-        memcpy(variance, rows + ROW_VARIANCE * p, variances);
+        memcpy(variance, rows + ROW_VARIANCE * pitch(p), variances);
         chi2 = accepted = trial;
         damping /= 10.0;
     }
@@ -266,7 +266,7 @@ void fit_from_start(Fits *fits, int64_t n, const double *noise, Table table)
     double *steep = fits->parameters + N_PARAMETERS * n, flat[N_PARAMETERS];
     double information[N_SQUARE], gradient[N_PARAMETERS], chi2 = fits->chi2[n];
     float *rows = rows_of(fits, n);
-    size_t size = sizeof(float) * (size_t)(N_ROWS * pixels_of(fits, n));
+    size_t size = sizeof(float) * (size_t)(N_ROWS * pitch(pixels_of(fits, n)));
     float *held = scratch_take(size);
     memcpy(held, rows, size);
     copy(flat, steep, N_PARAMETERS);
@@ -290,8 +290,8 @@ void fit_from_start(Fits *fits, int64_t n, const double *noise, Table table)
 /* Hold the slopes (10,) as firmly as the pixels about the spot have none; give its top, DN. */
 static double floor_priors(int64_t p, const float *rows, double scale, double floor, double *weight)
 {
-    const float *restrict column = rows + ROW_COLUMN * p, *restrict row = rows + ROW_ROW * p;
-    const float *restrict value = rows + ROW_VALUE * p, *restrict valid = rows + ROW_VALID * p;
+    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict value = rows + ROW_VALUE * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
     float core = (float)square(0.5 * scale + 0.5), ring = (float)square(2.3 * scale + 1.0);
     float total = 0.0f, count = 0.0f, level = (float)floor;
     float lean_x = 0.0f, lean_y = 0.0f, lever_x = 0.0f, lever_y = 0.0f;
@@ -331,8 +331,8 @@ static double floor_below_black(int64_t p, const float *value, double read)
 static void start_values(int64_t p, const float *rows, double scale, double floor, double top,
                          double *start)
 {
-    const float *restrict column = rows + ROW_COLUMN * p, *restrict row = rows + ROW_ROW * p;
-    const float *restrict value = rows + ROW_VALUE * p;
+    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict value = rows + ROW_VALUE * pitch(p);
     float height = (float)(top - floor), near = (float)square(2.2 * scale);
     float foot = (float)floor + 0.25f * height, half = 0.5f * height;
     float wide = 0.0f, narrow = 0.0f, light = 0.0f, right = 0.0f, down = 0.0f;
@@ -360,8 +360,8 @@ static void start_values(int64_t p, const float *rows, double scale, double floo
 void expect_spot(Fits *fits, int64_t n, double read)
 {
     int64_t p = pixels_of(fits, n);
-    const float *rows = rows_of(fits, n), *value = rows + ROW_VALUE * p;
-    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
+    const float *rows = rows_of(fits, n), *value = rows + ROW_VALUE * pitch(p);
+    const float *column = rows + ROW_COLUMN * pitch(p), *row = rows + ROW_ROW * pitch(p);
     double *mean = fits->prior + 2 * N_PARAMETERS * n, *weight = mean + N_PARAMETERS;
     double *start = fits->parameters + N_PARAMETERS * n;
     double scale = fits->scale[n], floor = fits->level[n];

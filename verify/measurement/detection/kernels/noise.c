@@ -217,10 +217,10 @@ static int64_t gather_residuals(const Fits *fits, int64_t n, double own, double 
                                 double *signal)
 {
     int64_t p = pixels_of(fits, n), count = 0;
-    const float *rows = rows_of(fits, n), *used = rows + ROW_USED * p;
-    const float *visible = rows + ROW_VISIBLE * p, *value = rows + ROW_VALUE * p;
-    const float *mean = rows + ROW_MEAN * p, *above = rows + ROW_SIGNAL * p;
-    const float *core = rows + ROW_CORE * p;
+    const float *rows = rows_of(fits, n), *used = rows + ROW_USED * pitch(p);
+    const float *visible = rows + ROW_VISIBLE * pitch(p), *value = rows + ROW_VALUE * pitch(p);
+    const float *mean = rows + ROW_MEAN * pitch(p), *above = rows + ROW_SIGNAL * pitch(p);
+    const float *core = rows + ROW_CORE * pitch(p);
     const double *share = fits->share + 2 * n;
     double paid = own / (own - N_FITTED); /* the fit's parameters took from those pixels */
     for (int64_t k = 0; k < p; k++)

@@ -61,12 +61,12 @@ static inline void sink_pixel(float twice, int64_t p, const float *rows, int64_t
                               const float *restrict along, const float *restrict across,
                               float *restrict sunk)
 {
-    float u = rows[ROW_U * p + k], w = rows[ROW_W * p + k];
+    float u = rows[ROW_U * pitch(p) + k], w = rows[ROW_W * pitch(p) + k];
     float scale = 1.0f / sqrtf(MAX(u * u + w * w, MIN_RADIUS2));
     /* a smaller radius is a larger t: d(t^2) = 2 t^2 times the relative depth */
-    float depth = twice * rows[ROW_SLOPE * p + k] * rows[ROW_RADIUS2 * p + k] *
-                  rows[ROW_VISIBLE * p + k] *
-                  sqrtf(rows[ROW_USED * p + k] / rows[ROW_VARIANCE * p + k]);
+    float depth = twice * rows[ROW_SLOPE * pitch(p) + k] * rows[ROW_RADIUS2 * pitch(p) + k] *
+                  rows[ROW_VISIBLE * pitch(p) + k] *
+                  sqrtf(rows[ROW_USED * pitch(p) + k] / rows[ROW_VARIANCE * pitch(p) + k]);
     for (int side = 0; side < N_DIRECTIONS; side++) {
         float z = scale * (along[side] * u + across[side] * w), bump = 1.0f;
         for (int term = N_TERMS; term > 0; term--)
@@ -90,11 +90,11 @@ static void sum_bites(double peak, int64_t p, const float *rows, double (*totals
     }
     memset(totals, 0, sizeof(double) * N_SUMS * N_DIRECTIONS);
     for (int64_t k = 0, count = 0; k < p; k++) {
-        if (rows[ROW_RADIUS2 * p + k] < RIM_RADIUS2) {
+        if (rows[ROW_RADIUS2 * pitch(p) + k] < RIM_RADIUS2) {
             sink_pixel(twice, p, rows, k, along, across, sunk);
             for (int a = 0; a < N_SUMS; a++)
                 for (int side = 0; side < N_DIRECTIONS; side++)
-                    sums[a][side] += sunk[side] * (a == ROW_BITE ? sunk[side] : rows[a * p + k]);
+                    sums[a][side] += sunk[side] * (a == ROW_BITE ? sunk[side] : rows[a * pitch(p) + k]);
             count++;
         }
         if (count == BLOCK || k == p - 1) {

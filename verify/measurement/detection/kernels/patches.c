@@ -67,9 +67,11 @@ static Fits empty_fits(int64_t n, const double *spots, bool first_look)
         .n = n,
         .origin = TAKE(int64_t, 2 * n),
         .scale = TAKE(double, n),
+        .weight = TAKE(double, 3 * n),
         .share = TAKE(double, 2 * n),
         .colour = TAKE(double, 3 * n),
         .level = TAKE(double, n),
+        .pixels = TAKE(int64_t, n),
         .begin = TAKE(int64_t, n + 1),
         .prior = TAKE(double, 2 * N_PARAMETERS * n),
         .saturated = TAKE(bool, n),
@@ -80,8 +82,10 @@ static Fits empty_fits(int64_t n, const double *spots, bool first_look)
         .chi2 = TAKE(double, n),
     };
     fits.begin[0] = 0;
-    for (int64_t k = 0; k < n; k++)
-        fits.begin[k + 1] = fits.begin[k] + disc_size(radius_of(spots + 4 * k, first_look));
+    for (int64_t k = 0; k < n; k++) {
+        fits.pixels[k] = disc_size(radius_of(spots + 4 * k, first_look));
+        fits.begin[k + 1] = fits.begin[k] + pitch(fits.pixels[k]);
+    }
     fits.pool = TAKE(float, N_ROWS * fits.begin[n]);
     return fits;
 }
@@ -94,26 +98,13 @@ int64_t ranked(const int32_t *counts, int64_t rank)
     return value;
 }
 
-/* Whether the channels hold one picture three times: one measurement, not three. */
-static bool is_grey(const Picture *picture, int64_t p, const int64_t *place)
-{
-    if (picture->channels == 1)
-        return true;
-    for (int64_t k = 0; k < p; k++) {
-        const uint8_t *pixel = picture->values + place[k];
-        if (pixel[0] != pixel[1] || pixel[0] != pixel[2])
-            return false;
-    }
-    return true;
-}
-
 /* Fill in where each of p pixels is in the picture, the nearest one if beyond the border; whether
  * it is inside. */
 static void find_places(const Picture *picture, const int64_t *origin, int64_t p, float *rows,
                         int64_t *restrict place)
 {
-    const float *restrict column = rows + ROW_COLUMN * p, *restrict row = rows + ROW_ROW * p;
-    float *restrict valid = rows + ROW_VALID * p;
+    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    float *restrict valid = rows + ROW_VALID * pitch(p);
     int64_t x0 = origin[0], y0 = origin[1], right = picture->width - 1, bottom = picture->height - 1;
 #pragma omp simd
     for (int64_t k = 0; k < p; k++) {
@@ -124,24 +115,36 @@ static void find_places(const Picture *picture, const int64_t *origin, int64_t p
     }
 }
 
-/* Mean of a channel on the spot less the patch's lower third, DN; its values are counted. */
-static double channel_contrast(const uint8_t *values, int64_t p, const int64_t *place, double scale,
-                               const float *rows, int32_t *counts)
+/* Read a channel at p places; its values are counted. */
+static void read_channel(const uint8_t *values, int64_t p, const int64_t *restrict place,
+                         uint8_t *restrict read, int32_t *restrict counts)
 {
-    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
-    int64_t total = 0, core = 0;
     memset(counts, 0, sizeof(int32_t) * N_VALUES);
     for (int64_t k = 0; k < p; k++) {
-        uint8_t value = values[place[k]];
-        bool near = (double)(column[k] * column[k] + row[k] * row[k]) <= scale * scale;
-        counts[value]++;
-        total += near ? value : 0;
+        read[k] = values[place[k]];
+        counts[read[k]]++;
+    }
+}
+
+/* Mean of a channel's values (p,) on the spot less the patch's lower third, DN. */
+static double channel_contrast(int64_t p, const uint8_t *restrict read, double scale,
+                               const float *rows, const int32_t *counts)
+{
+    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    int32_t total = 0, core = 0;
+    float near2 = (float)(scale * scale);
+#pragma omp simd reduction(+ : total, core)
+    for (int64_t k = 0; k < p; k++) {
+        int32_t near = column[k] * column[k] + row[k] * row[k] <= near2;
+        total += near * read[k];
         core += near;
     }
     return (double)total / (double)MAX(core, 1) - (double)ranked(counts, p / 3);
 }
 
-void channel_weights(const double *colour, double *weight)
+/* Fill in the weight of each channel (3,): its contrast `colour` (3,), which is best for equal
+ * noise. */
+static void channel_weights(const double *colour, double *weight)
 {
     double most = MIN_CONTRAST, total = 0.0;
     for (int c = 0; c < 3; c++)
@@ -155,22 +158,22 @@ void channel_weights(const double *colour, double *weight)
         weight[c] /= total;
 }
 
-/* Combine the colours of a spot's p pixels; those clipped in some only are not valid. */
-static void combine_colours(const Picture *picture, int colours, int64_t p, const int64_t *place,
-                            const double *weight, float *rows)
+/* Combine the channels (3, p) of a spot's pixels; those clipped in some only are not valid. */
+static void combine_colours(int64_t p, const uint8_t *restrict read, const double *weight,
+                            float *rows)
 {
-    float *value = rows + ROW_VALUE * p, *valid = rows + ROW_VALID * p;
+    float *restrict value = rows + ROW_VALUE * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
+    float blue = (float)weight[0], green = (float)weight[1], red = (float)weight[2];
+#pragma omp simd
+    for (int64_t k = 0; k < p; k++)
+        value[k] = blue * read[k] + green * read[p + k] + red * read[2 * p + k];
     for (int64_t k = 0; k < p; k++) {
-        const uint8_t *pixel = picture->values + place[k];
-        double total = 0.0;
         bool clipped = false, clear = false;
-        for (int c = 0; c < colours; c++) {
-            bool counts = weight[c] > 0.0, full = pixel[c] == (uint8_t)SENSOR_LIMIT;
-            total += weight[c] * pixel[c];
+        for (int c = 0; c < 3; c++) {
+            bool counts = weight[c] > 0.0, full = read[c * p + k] == (uint8_t)SENSOR_LIMIT;
             clipped |= counts & full;
             clear |= counts & !full;
         }
-        value[k] = (float)total;
         valid[k] = clipped & clear ? 0.0f : valid[k];
     }
 }
@@ -192,18 +195,32 @@ static void read_patch(const Picture *picture, const Fits *fits, int64_t n)
 {
     Mark mark = scratch_mark();
     int64_t p = pixels_of(fits, n), *place = TAKE(int64_t, p), low = p * 3 / 10;
-    int32_t counts[N_VALUES];
-    float *rows = rows_of(fits, n);
-    double *colour = fits->colour + 3 * n, weight[3] = {1.0}, squares = 0.0, cubes = 0.0;
+    int64_t channels = picture->channels;
+    int32_t counts[3][N_VALUES];
+    uint8_t *read = TAKE(uint8_t, channels * p);
+    float *rows = rows_of(fits, n), *value = rows + ROW_VALUE * pitch(p);
+    double *colour = fits->colour + 3 * n, *weight = fits->weight + 3 * n;
+    double squares = 0.0, cubes = 0.0;
     find_places(picture, fits->origin + 2 * n, p, rows, place);
-    int colours = is_grey(picture, p, place) ? 1 : 3;
-    for (int c = 0; c < 3; c++)
-        colour[c] = c < colours ? channel_contrast(picture->values + c, p, place, fits->scale[n],
-                                                   rows, counts)
-                                : colour[0];
-    if (colours > 1)
+    for (int64_t c = 0; c < channels; c++)
+        read_channel(picture->values + c, p, place, read + c * p, counts[c]);
+    /* channels that hold one picture three times are one measurement, not three */
+    bool grey = channels == 1 || (memcmp(read, read + p, (size_t)p) == 0 &&
+                                  memcmp(read, read + 2 * p, (size_t)p) == 0);
+    for (int c = 0; c < 3; c++) {
+        colour[c] = c > 0 && grey ? colour[0] : channel_contrast(p, read + c * p, fits->scale[n],
+                                                                 rows, counts[c]);
+        weight[c] = c == 0 ? 1.0 : 0.0;
+    }
+    if (grey) {
+        for (int64_t k = 0; k < p; k++)
+            value[k] = (float)read[k];
+        fits->level[n] = (double)ranked(counts[0], low);
+    } else {
         channel_weights(colour, weight);
-    combine_colours(picture, colours, p, place, weight, rows);
+        combine_colours(p, read, weight, rows);
+        fits->level[n] = value_of_rank(value, p, low);
+    }
     /* the channels' shares of the signal are the weights themselves, up to a factor */
     for (int c = 0; c < 3; c++) {
         squares += weight[c] * weight[c];
@@ -211,8 +228,6 @@ static void read_patch(const Picture *picture, const Fits *fits, int64_t n)
     }
     fits->share[2 * n] = squares;
     fits->share[2 * n + 1] = cubes / squares;
-    fits->level[n] = colours > 1 ? value_of_rank(rows + ROW_VALUE * p, p, low)
-                                 : (double)ranked(counts, low);
     scratch_release(mark);
 }
 
@@ -222,8 +237,8 @@ static void read_patch(const Picture *picture, const Fits *fits, int64_t n)
 static void leave_neighbours(const Fits *fits, int64_t own, const double *spots)
 {
     int64_t p = pixels_of(fits, own);
-    float *rows = rows_of(fits, own), *valid = rows + ROW_VALID * p;
-    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
+    float *rows = rows_of(fits, own), *valid = rows + ROW_VALID * pitch(p);
+    const float *column = rows + ROW_COLUMN * pitch(p), *row = rows + ROW_ROW * pitch(p);
     double x0 = (double)fits->origin[2 * own], y0 = (double)fits->origin[2 * own + 1];
     double x = spots[4 * own], y = spots[4 * own + 1], radius = spots[4 * own + 2];
     for (const double *other = spots; other < spots + 4 * fits->n; other += 4) {
@@ -253,7 +268,7 @@ Fits cut_patches(const Picture *picture, int64_t n, const double *spots, bool fi
         fits.scale[k] = spot[2];
         disc_offsets(radius_of(spot, first_look),
                      first_look ? needed_reach(spot) / FIRST_LOOK_STEPS : 1.0,
-                     rows + ROW_COLUMN * p, rows + ROW_ROW * p);
+                     rows + ROW_COLUMN * pitch(p), rows + ROW_ROW * pitch(p));
         read_patch(picture, &fits, k);
         if (!first_look)
             leave_neighbours(&fits, k, spots);

@@ -24,10 +24,12 @@ typedef struct {
     int64_t n;
     int64_t *origin;     /* (n, 2), px, of each patch's centre pixel */
     double *scale;       /* (n,), px, half-width that the fit starts from */
+    double *weight;      /* (n, 3), of the channels, by which they are combined; (1, 0, 0) of one */
     double *share;       /* (n, 2), by which combining colours changes a channel's read variance, gain */
     double *colour;      /* (n, 3), DN, mean B, G, R above the surroundings */
     double *level;       /* (n,), DN, that three tenths of the pixels stay below */
-    int64_t *begin;      /* (n + 1,), where each spot's pixels begin */
+    int64_t *pixels;     /* (n,), how many each spot has */
+    int64_t *begin;      /* (n + 1,), where each spot's begin in an array of them all, rows padded */
     float *pool;         /* rows (25, p) of each spot's pixels, one spot behind the other */
     double *prior;       /* (n, 2, 10), mean and inverse variance of the parameters */
     bool *saturated;     /* (n,), whether some pixels on the spot are at the sensor's limit */
@@ -41,7 +43,7 @@ typedef struct {
 /* How many pixels a spot has, and their rows (25, p). */
 static inline int64_t pixels_of(const Fits *fits, int64_t n)
 {
-    return fits->begin[n + 1] - fits->begin[n];
+    return fits->pixels[n];
 }
 
 static inline float *rows_of(const Fits *fits, int64_t n)
@@ -53,10 +55,6 @@ static inline float *rows_of(const Fits *fits, int64_t n)
  *
  * `spots` (n, 4): centre, column and row, px; half width, px; contrast, DN. The arrays are scratch. */
 Fits cut_patches(const Picture *picture, int64_t n, const double *spots, bool first_look);
-
-/* Fill in the weight of each channel (3,): its contrast `colour` (3,), which is best for equal
- * noise. */
-void channel_weights(const double *colour, double *weight);
 
 /* Which of counted whole numbers, from 0 on, has a rank, from 0. */
 int64_t ranked(const int32_t *counts, int64_t rank);

@@ -95,18 +95,18 @@ double weigh_pixels(const double *parameters, double scale, const double *noise,
     float of[N_PARAMETERS], inverse = (float)(1.0 / scale);
     for (int a = 0; a < N_PARAMETERS; a++)
         of[a] = (float)parameters[a];
-    const float *restrict column = rows + ROW_COLUMN * p, *restrict row = rows + ROW_ROW * p;
-    const float *restrict value = rows + ROW_VALUE * p, *restrict valid = rows + ROW_VALID * p;
-    float *restrict u = rows + ROW_U * p, *restrict w = rows + ROW_W * p;
-    float *restrict radius2 = rows + ROW_RADIUS2 * p, *restrict slope = rows + ROW_SLOPE * p;
-    float *restrict by_x = rows + PAR_X * p, *restrict by_y = rows + PAR_Y * p;
-    float *restrict by_peak = rows + PAR_PEAK * p, *restrict by_floor = rows + PAR_FLOOR * p;
-    float *restrict by_slope_x = rows + PAR_SLOPE_X * p, *restrict by_xx = rows + PAR_XX * p;
-    float *restrict by_slope_y = rows + PAR_SLOPE_Y * p, *restrict by_xy = rows + PAR_XY * p;
-    float *restrict by_yy = rows + PAR_YY * p, *restrict by_steepness = rows + PAR_STEEPNESS * p;
-    float *restrict mean = rows + ROW_MEAN * p, *restrict variance = rows + ROW_VARIANCE * p;
-    float *restrict signal = rows + ROW_SIGNAL * p, *restrict used = rows + ROW_USED * p;
-    float *restrict visible = rows + ROW_VISIBLE * p, *restrict residual = rows + ROW_RESIDUAL * p;
+    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict value = rows + ROW_VALUE * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
+    float *restrict u = rows + ROW_U * pitch(p), *restrict w = rows + ROW_W * pitch(p);
+    float *restrict radius2 = rows + ROW_RADIUS2 * pitch(p), *restrict slope = rows + ROW_SLOPE * pitch(p);
+    float *restrict by_x = rows + PAR_X * pitch(p), *restrict by_y = rows + PAR_Y * pitch(p);
+    float *restrict by_peak = rows + PAR_PEAK * pitch(p), *restrict by_floor = rows + PAR_FLOOR * pitch(p);
+    float *restrict by_slope_x = rows + PAR_SLOPE_X * pitch(p), *restrict by_xx = rows + PAR_XX * pitch(p);
+    float *restrict by_slope_y = rows + PAR_SLOPE_Y * pitch(p), *restrict by_xy = rows + PAR_XY * pitch(p);
+    float *restrict by_yy = rows + PAR_YY * pitch(p), *restrict by_steepness = rows + PAR_STEEPNESS * pitch(p);
+    float *restrict mean = rows + ROW_MEAN * pitch(p), *restrict variance = rows + ROW_VARIANCE * pitch(p);
+    float *restrict signal = rows + ROW_SIGNAL * pitch(p), *restrict used = rows + ROW_USED * pitch(p);
+    float *restrict visible = rows + ROW_VISIBLE * pitch(p), *restrict residual = rows + ROW_RESIDUAL * pitch(p);
 #pragma omp simd
     for (int64_t k = 0; k < p; k++) {
         u[k] = (column[k] - of[PAR_X]) * inverse;

@@ -23,6 +23,15 @@ enum { ROW_RESIDUAL = N_PARAMETERS, N_WHITENED, ROW_VALUE = N_WHITENED, ROW_VALI
        ROW_MEAN, ROW_VARIANCE, ROW_SIGNAL, ROW_USED, ROW_VISIBLE, ROW_U, ROW_W, ROW_RADIUS2, ROW_SLOPE,
        ROW_CORE, N_ROWS };
 
+#define VECTOR 8 /* floats: rows begin where the processor's vectors do, as half of its reads else cross
+                  * two lines of memory */
+
+/* From one row of p pixels to the next one, and so between all of p floats. */
+static inline int64_t pitch(int64_t p)
+{
+    return (p + VECTOR - 1) / VECTOR * VECTOR;
+}
+
 #define NEIGHBOUR_RADIUS 1.7f /* half-widths; beyond, what does not fit is a neighbour, left out */
 #define OUTLIER_SIGMA 5.0f    /* sigma, of a pixel there */
 #define SENSOR_LIMIT 255.0f   /* DN */

@@ -87,10 +87,10 @@ static void centre_covariance(const double *information, double *row)
 static void assess_shape(const Fits *fits, int64_t n, double pixels, double *row)
 {
     int64_t p = pixels_of(fits, n);
-    const float *rows = rows_of(fits, n), *valid = rows + ROW_VALID * p;
-    const float *core = rows + ROW_CORE * p, *visible = rows + ROW_VISIBLE * p;
-    const float *value = rows + ROW_VALUE * p, *mean = rows + ROW_MEAN * p;
-    const float *variance = rows + ROW_VARIANCE * p;
+    const float *rows = rows_of(fits, n), *valid = rows + ROW_VALID * pitch(p);
+    const float *core = rows + ROW_CORE * pitch(p), *visible = rows + ROW_VISIBLE * pitch(p);
+    const float *value = rows + ROW_VALUE * pitch(p), *mean = rows + ROW_MEAN * pitch(p);
+    const float *variance = rows + ROW_VARIANCE * pitch(p);
     float count = 0.0f, squares = 0.0f, square_dn = 0.0f, full = 0.0f, clear = 0.0f;
 #pragma omp simd reduction(+ : count, squares, square_dn, full, clear)
     for (int64_t k = 0; k < p; k++) {

@@ -96,8 +96,8 @@ static bool find_neighbours(const Fits *fits, const double *assessed, bool *near
 static bool take_light(const Fits *fits, int64_t n, int64_t other, const double *shape, Table table)
 {
     int64_t p = pixels_of(fits, n), last = table.n_samples - 1;
-    float *rows = rows_of(fits, n), *value = rows + ROW_VALUE * p;
-    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
+    float *rows = rows_of(fits, n), *value = rows + ROW_VALUE * pitch(p);
+    const float *column = rows + ROW_COLUMN * pitch(p), *row = rows + ROW_ROW * pitch(p);
     double scale = fits->scale[other];
     double x = (double)(fits->origin[2 * other] - fits->origin[2 * n]) + shape[PAR_X];
     double y = (double)(fits->origin[2 * other + 1] - fits->origin[2 * n + 1]) + shape[PAR_Y];
@@ -132,15 +132,15 @@ static bool separate_neighbours(Fits *fits, const double *assessed, const double
     bool *near = TAKE(bool, count * count), found = find_neighbours(fits, assessed, near);
     float *read = TAKE(float, fits->begin[count]);
     double *shape = TAKE(double, N_PARAMETERS * count);
-    for (int64_t n = 0; n < count; n++)
-        memcpy(read + fits->begin[n], rows_of(fits, n) + ROW_VALUE * pixels_of(fits, n),
+    for (int64_t n = 0; found && n < count; n++)
+        memcpy(read + fits->begin[n], rows_of(fits, n) + ROW_VALUE * pitch(pixels_of(fits, n)),
                sizeof(float) * (size_t)pixels_of(fits, n));
     for (int pass = 0; pass < (found ? SEPARATION_PASSES : 0); pass++) {
         copy(shape, fits->parameters, N_PARAMETERS * count);
         for (int64_t n = 0; n < count; n++) {
             int64_t p = pixels_of(fits, n);
             bool taken = false;
-            memcpy(rows_of(fits, n) + ROW_VALUE * p, read + fits->begin[n], sizeof(float) * (size_t)p);
+            memcpy(rows_of(fits, n) + ROW_VALUE * pitch(p), read + fits->begin[n], sizeof(float) * (size_t)p);
             for (int64_t k = 0; k < count; k++)
                 if (near[n * count + k])
                     taken = take_light(fits, n, k, shape + N_PARAMETERS * k, table) || taken;

@@ -4,79 +4,83 @@
 
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
+#include "verify/measurement/detection/kernels/fit.h"
 
 #define MIN_AROUND 12 /* responses, two a patch: fewer show nothing */
 #define MAX_DIM 0.5   /* of a spot's peak: a light that is less may be texture of the room */
 #define MAX_OWN 3.0   /* of the usual: a spot's own surroundings move it more than chance */
-#define EIGHTH_TURN 0.7853981633974483 /* rad */
 #define MEDIAN_CHI2 0.4549 /* of chi^2 with one degree of freedom */
+#define DIAGONAL 0.7071067811865476
+
+/* From a spot to the patches about it. */
+static const double DIRECTIONS[N_AROUND][2] = {
+    {1.0, 0.0}, {DIAGONAL, DIAGONAL}, {0.0, 1.0}, {-DIAGONAL, DIAGONAL},
+    {-1.0, 0.0}, {-DIAGONAL, -DIAGONAL}, {0.0, -1.0}, {DIAGONAL, -DIAGONAL},
+};
+
+/* Patches of the room about a spot, the last ones that were read. */
+typedef struct {
+    int64_t spot, p;       /* number of the spot, of the fits; pixels of each patch */
+    double weight[3];      /* of the channels */
+    float *values;         /* (8, p), DN; 0 where a patch is not inside the picture */
+    bool inside[N_AROUND]; /* which of them are */
+} Patches;
 
 /* Take mean and slopes off the weights (p,) of a disc's pixels: planes move nothing then. */
-static void leave_planes(int64_t p, const float *rows, double *weight)
+static void leave_planes(int64_t p, const float *rows, float *restrict weight)
 {
-    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
-    double total = 0.0, right = 0.0, down = 0.0, lever = 0.0;
+    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    float total = 0.0f, right = 0.0f, down = 0.0f, lever = 0.0f;
 #pragma omp simd reduction(+ : total, right, down, lever)
     for (int64_t k = 0; k < p; k++) {
         total += weight[k];
-        right += weight[k] * (double)column[k];
-        down += weight[k] * (double)row[k];
-        lever += (double)(column[k] * column[k]); /* along both axes alike */
+        right += weight[k] * column[k];
+        down += weight[k] * row[k];
+        lever += column[k] * column[k]; /* along both axes alike */
     }
-    total /= (double)p, right /= lever, down /= lever;
+    total /= (float)p, right /= lever, down /= lever;
 #pragma omp simd
     for (int64_t k = 0; k < p; k++)
-        weight[k] -= total + right * (double)column[k] + down * (double)row[k];
+        weight[k] -= total + right * column[k] + down * row[k];
 }
 
-/* Take planes off a spot's weights (2, p), and fill in those of its bytes (2, p, channels), px/DN. */
-static void spread_weights(const Fits *fits, int64_t n, int64_t channels, double *weight,
-                           double *spread)
-{
-    int64_t p = pixels_of(fits, n);
-    double channel[3] = {1.0};
-    if (channels > 1)
-        channel_weights(fits->colour + 3 * n, channel);
-    for (int i = 0; i < 2; i++)
-        leave_planes(p, rows_of(fits, n), weight + i * p);
-    for (int64_t k = 0; k < 2 * p; k++)
-        for (int64_t c = 0; c < channels; c++)
-            spread[channels * k + c] = channel[c] * weight[k];
-}
-
-/* Copy the bytes of a patch (p, channels) about a pixel (x, y): a disc, row by row. */
+/* Read a patch (p,) about a pixel (x, y), DN, colours combined as the spot's: a disc, row by row.
+ *
+ * `weight` (3,): of each of the picture's channels; `bytes` (channels, p), scratch. */
 static void read_patch(const Picture *picture, int64_t x, int64_t y, int64_t p, const float *rows,
-                       uint8_t *bytes)
+                       const double *weight, uint8_t *restrict bytes, float *restrict value)
 {
-    const float *column = rows + ROW_COLUMN * p, *row = rows + ROW_ROW * p;
+    const float *column = rows + ROW_COLUMN * pitch(p), *row = rows + ROW_ROW * pitch(p);
+    int64_t channels = picture->channels;
     for (int64_t begin = 0, n; begin < p; begin += n) {
         int64_t left = (int64_t)column[begin], line = y + (int64_t)row[begin];
         n = 1 - 2 * left;
-        memcpy(bytes + picture->channels * begin,
-               picture->values + picture->channels * (picture->width * line + x + left),
-               (size_t)(picture->channels * n));
+        memcpy(bytes + channels * begin,
+               picture->values + channels * (picture->width * line + x + left),
+               (size_t)(channels * n));
     }
+    if (channels == 1) {
+        for (int64_t k = 0; k < p; k++)
+            value[k] = (float)bytes[k];
+        return;
+    }
+    float blue = (float)weight[0], green = (float)weight[1], red = (float)weight[2];
+    for (int64_t k = 0; k < p; k++)
+        value[k] = blue * bytes[3 * k] + green * bytes[3 * k + 1] + red * bytes[3 * k + 2];
 }
 
-/* Sum of n bytes, each times its weight. */
-static double weigh(int64_t n, const uint8_t *bytes, const double *weight)
+/* Whether a patch about a pixel (x, y) is inside a picture. */
+static bool is_inside(const Picture *picture, int64_t x, int64_t y, int64_t radius)
 {
-    double sum = 0.0;
-#pragma omp simd reduction(+ : sum)
-    for (int64_t k = 0; k < n; k++)
-        sum += (double)bytes[k] * weight[k];
-    return sum;
+    return x >= radius && x < picture->width - radius && y >= radius && y < picture->height - radius;
 }
 
-/* Whether a patch about a pixel (x, y) is inside the picture, and reached by no light but such as
- * are dim, below `bright`, DN; `dim`, filled: whether by one of those. */
+/* Whether no light reaches a patch about a pixel (x, y) but such as are dim, below `bright`, DN;
+ * `dim`, filled: whether one of those does. */
 static bool is_clear(const Surroundings *around, int64_t x, int64_t y, int64_t radius, double bright,
                      bool *dim)
 {
-    const Picture *picture = around->picture;
     *dim = false;
-    if (x < radius || x >= picture->width - radius || y < radius || y >= picture->height - radius)
-        return false;
     for (int64_t k = 0; k < around->n; k++) {
         const double *light = around->lights + 4 * k;
         double reach = (double)radius + PATCH_REACH * light[2];
@@ -89,35 +93,63 @@ static bool is_clear(const Surroundings *around, int64_t x, int64_t y, int64_t r
     return true;
 }
 
-/* Say what patches of the room beside so many spots would move the centre of spot n by. */
-static void look_around(const Surroundings *around, const Fits *fits, int64_t n, int64_t spots,
-                        const int64_t *beside, Response *response)
+/* Radius of a spot's pixels, px. */
+static int64_t radius_of(const Fits *fits, int64_t n)
 {
+    return -(int64_t)rows_of(fits, n)[ROW_ROW * pitch(pixels_of(fits, n))]; /* the topmost comes first */
+}
+
+/* Pixel at the centre of a patch about a spot, `away` px from it. */
+static void patch_centre(const Fits *fits, int64_t spot, double away, int at, int64_t *centre)
+{
+    for (int axis = 0; axis < 2; axis++)
+        centre[axis] = fits->origin[2 * spot + axis]
+                       + (int64_t)floor(away * DIRECTIONS[at][axis] + 0.5);
+}
+
+/* Read the patches about a spot, as large as those of spot n and with its colours, unless they were
+ * the last ones read there. */
+static void read_patches(const Picture *picture, const Fits *fits, int64_t n, int64_t spot,
+                         Patches *patches)
+{
+    int64_t p = pixels_of(fits, n), radius = radius_of(fits, n), centre[2];
+    const double *weight = fits->weight + 3 * n;
+    if (patches->spot == spot && patches->p == p &&
+        memcmp(patches->weight, weight, sizeof patches->weight) == 0)
+        return;
     Mark mark = scratch_mark();
-    const Picture *picture = around->picture;
-    const float *rows = rows_of(fits, n);
-    int64_t p = pixels_of(fits, n), size = picture->channels * p;
-    int64_t radius = -(int64_t)rows[ROW_ROW * p]; /* the topmost pixel comes first */
-    double peak = fits->parameters[N_PARAMETERS * n + PAR_PEAK];
-    double bright = MAX_DIM * MIN(peak, (double)SENSOR_LIMIT), away = 2.0 * (double)radius;
-    double *spread = TAKE(double, 2 * size);
-    uint8_t *bytes = TAKE(uint8_t, size);
-    spread_weights(fits, n, picture->channels, response->weight, spread);
-    for (int at = 0; at < N_BESIDE; at++) {
-        double turn = (at % N_AROUND) * EIGHTH_TURN;
-        bool clear = at / N_AROUND < spots;
-        if (clear) {
-            const int64_t *origin = fits->origin + 2 * beside[at / N_AROUND];
-            int64_t x = origin[0] + (int64_t)floor(away * cos(turn) + 0.5);
-            int64_t y = origin[1] + (int64_t)floor(away * sin(turn) + 0.5);
-            clear = is_clear(around, x, y, radius, bright, response->dim + at);
-            if (clear)
-                read_patch(picture, x, y, p, rows, bytes);
-        }
-        for (int i = 0; i < 2; i++)
-            response->moved[at][i] = clear ? weigh(size, bytes, spread + i * size) : NAN;
+    uint8_t *bytes = TAKE(uint8_t, picture->channels * p);
+    patches->spot = spot;
+    patches->p = p;
+    copy(patches->weight, weight, 3);
+    for (int at = 0; at < N_AROUND; at++) {
+        float *value = patches->values + at * pitch(p);
+        patch_centre(fits, spot, 2.0 * (double)radius, at, centre);
+        patches->inside[at] = is_inside(picture, centre[0], centre[1], radius);
+        if (patches->inside[at])
+            read_patch(picture, centre[0], centre[1], p, rows_of(fits, n), weight, bytes, value);
+        else
+            memset(value, 0, sizeof(float) * (size_t)p);
     }
     scratch_release(mark);
+}
+
+/* Say what the patches about a spot would move the centre of spot n by; `place`, of that spot among
+ * those beside. */
+static void weigh_patches(const Surroundings *around, const Fits *fits, int64_t n, int64_t place,
+                          const Patches *patches, Response *response)
+{
+    int64_t radius = radius_of(fits, n), centre[2];
+    double peak = fits->parameters[N_PARAMETERS * n + PAR_PEAK], moved[2][N_AROUND];
+    double bright = MAX_DIM * MIN(peak, (double)SENSOR_LIMIT);
+    multiply_rows(2, N_AROUND, patches->p, response->weight, patches->values, false, moved[0]);
+    for (int at = 0; at < N_AROUND; at++) {
+        bool *dim = response->dim + N_AROUND * place + at;
+        double *found = response->moved[N_AROUND * place + at];
+        patch_centre(fits, patches->spot, 2.0 * (double)radius, at, centre);
+        if (patches->inside[at] && is_clear(around, centre[0], centre[1], radius, bright, dim))
+            found[0] = moved[0][at], found[1] = moved[1][at];
+    }
 }
 
 /* List the squares of what patches move a spot over what is explained; those that a dim light
@@ -161,17 +193,37 @@ static double room_ratio(const Response *response, double picture)
     return own > MAX_OWN * MAX(usual, 1.0) ? own : usual;
 }
 
+/* Say what patches beside spot k of those kept, and beside some others, would move its centre by. */
+static void look_around(const Surroundings *around, const Fits *fits, int64_t m, const int64_t *kept,
+                        int64_t k, Patches *beside, Response *response)
+{
+    int64_t n = kept[k], p = pixels_of(fits, n);
+    for (int i = 0; i < 2; i++)
+        leave_planes(p, rows_of(fits, n), response->weight + i * pitch(p));
+    for (int64_t place = 0; place < MIN(m, N_PLACES); place++) {
+        int64_t other = (k + place) % m;
+        Patches *patches = beside + other % N_PLACES;
+        read_patches(around->picture, fits, n, kept[other], patches);
+        weigh_patches(around, fits, n, place, patches, response);
+    }
+}
+
 void find_excess(const Surroundings *around, const Fits *fits, int64_t m, const int64_t *kept,
                  Response *responses, double *excess)
 {
     Mark mark = scratch_mark();
     double *pool = TAKE(double, 2 * N_BESIDE * m);
-    int64_t beside[N_PLACES], count = 0, spots = MIN(m, N_PLACES);
+    int64_t count = 0, largest = 0;
+    Patches beside[N_PLACES];
+    for (int64_t k = 0; k < m; k++)
+        largest = MAX(largest, pixels_of(fits, kept[k]));
+    for (int place = 0; place < N_PLACES; place++)
+        beside[place] = (Patches){.spot = -1, .values = TAKE(float, N_AROUND * pitch(largest))};
     for (int64_t k = 0; k < m; k++) {
-        for (int64_t place = 0; place < spots; place++)
-            beside[place] = kept[(k + place) % m];
+        for (int at = 0; at < N_BESIDE; at++)
+            responses[k].moved[at][0] = responses[k].moved[at][1] = NAN;
         if (responses[k].weight != NULL)
-            look_around(around, fits, kept[k], spots, beside, responses + k);
+            look_around(around, fits, m, kept, k, beside, responses + k);
         count += list_ratios(responses + k, N_BESIDE, true, pool + count);
     }
     double ratio = count < MIN_AROUND ? around->noise_left : median(pool, count) / MEDIAN_CHI2;

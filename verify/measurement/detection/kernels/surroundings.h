@@ -26,7 +26,7 @@ typedef struct {
 
 /* What the room would do to a spot's centre. */
 typedef struct {
-    double *weight;      /* (2, p), px/DN, by how much each pixel moves it; NULL of one left alone */
+    float *weight;       /* (2, p), px/DN, by how much each pixel moves it; NULL of one left alone */
     double explained[2]; /* px^2, of the squares of that, by noise and curvature */
     double moved[N_BESIDE][2]; /* px, by patches of the room; NaN where there is none */
     bool dim[N_BESIDE];        /* which of them a dim light reaches */
