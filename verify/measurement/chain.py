@@ -28,7 +28,9 @@ UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 # A hundred times the usual: the motion between the instants is so large that the pose is a guess,
 # whatever uncertainty the acceleration's prior lends it.
 MAX_REPROJECTION_PX = 2.0
-MAX_VAGUE_PX = 2.0  # standard uncertainty of a spot that helps to find LEDs anywhere
+# Standard uncertainty of a spot that may be an LED: texture of a room gives blobs of 1 to 4 px,
+# which fit wherever an LED may be, one of which half is hidden up to 1.3 px.
+MAX_VAGUE_PX = 1.4
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 Detector = Callable[[StereoPair, Array | None, Array | None], tuple[Spots, Spots]]
 
@@ -174,24 +176,31 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: Measurement | None) -> _A
         rig, marker = setup.rig, setup.marker
         left = led_windows(marker, rig.left, pair.pan_left, prediction, pair.left)
         right = led_windows(marker, rig.right, pair.pan_right, prediction, pair.right)
-        spots = setup.detect(pair, left, right)
+        spots = _detect(pair, setup, left, right)
         assigned = _assign(pair, spots, setup, memory, prediction, whole_frame=False)
         if _shows_all_leds(assigned, setup):
             return assigned
-    spots = setup.detect(pair, None, None)
+    spots = _detect(pair, setup, None, None)
     # with an LED missing the prediction may follow a reflection: pictures that show the whole
-    # marker elsewhere overrule it, but not with spots so vague that they fit wherever an LED may be
-    sure = _sure(spots[0]), _sure(spots[1])
-    fresh = _assign(pair, sure, setup, memory, None, whole_frame=True)
+    # marker elsewhere overrule it
+    fresh = _assign(pair, spots, setup, memory, None, whole_frame=True)
     if prediction is None or _shows_all_leds(fresh, setup):
         return fresh
     return _assign(pair, spots, setup, memory, prediction, whole_frame=True)
 
 
+def _detect(
+    pair: StereoPair, setup: Setup, left: Array | None, right: Array | None
+) -> tuple[Spots, Spots]:
+    """Find the spots of both pictures whose place is known; windows (m, 4) px, None for all."""
+    spots = setup.detect(pair, left, right)
+    return _sure(spots[0]), _sure(spots[1])
+
+
 def _sure(spots: Spots) -> Spots:
     """Leave out the spots whose place is hardly known."""
-    variance = spots.covariance[:, [0, 1], [0, 1]].max(axis=1, initial=0.0)
-    return take_rows(spots, np.flatnonzero(variance <= MAX_VAGUE_PX**2))
+    sure = (spots.covariance <= MAX_VAGUE_PX**2).all(axis=(1, 2))  # a variance is the largest entry
+    return spots if sure.all() else take_rows(spots, np.flatnonzero(sure))
 
 
 def _shows_all_leds(assigned: _AssignedPair, setup: Setup) -> bool:

@@ -231,17 +231,21 @@ def test_returning_leds_win_over_their_reflection() -> None:
 def with_blobs(
     pair: StereoPair, left_windows: Array | None, right_windows: Array | None
 ) -> tuple[Spots, Spots]:
-    """Find the spots, and in whole pictures blobs of a room whose places are hardly known."""
+    """Find the spots, and blobs of a room whose places are hardly known: 20 in a whole picture,
+    three in a window."""
     rng, found = np.random.default_rng(pair.frame), []
-    for spots in detect_in_turn(pair, left_windows, right_windows):
-        count = 20 if left_windows is None else 0
-        blobs = take_rows(spots, np.zeros(count, dtype=np.int64))
+    windows = left_windows, right_windows
+    for spots, searched in zip(detect_in_turn(pair, *windows), windows, strict=True):
+        whole = searched is None
+        boxes = np.array([[0, 0, 1280, 720]]) if searched is None else searched
+        boxes = np.repeat(boxes, 20 if whole else 3, axis=0)
+        blobs = take_rows(spots, np.zeros(len(boxes), dtype=np.int64))
         blobs = replace(
             blobs,
-            centre=rng.uniform([0, 0], [1280, 720], (count, 2)),
-            covariance=np.tile(36.0 * np.eye(2), (count, 1, 1)),
-            peak=np.full(count, 50.0),
-            diameter=np.full(count, 20.0),
+            centre=rng.uniform(boxes[:, :2], boxes[:, 2:]),
+            covariance=np.tile((6.0 if whole else 2.5) ** 2 * np.eye(2), (len(boxes), 1, 1)),
+            peak=np.full(len(boxes), 50.0),
+            diameter=np.full(len(boxes), 20.0),
         )
         both = {
             f.name: np.concatenate([getattr(spots, f.name), getattr(blobs, f.name)])
