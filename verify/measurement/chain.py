@@ -28,8 +28,8 @@ UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 # A hundred times the usual: the motion between the instants is so large that the pose is a guess,
 # whatever uncertainty the acceleration's prior lends it.
 MAX_REPROJECTION_PX = 2.0
-# Standard uncertainty of a spot that may be an LED: texture of a room gives blobs of 1 to 4 px,
-# which fit wherever an LED may be, one of which half is hidden up to 1.3 px.
+# Standard uncertainty of a spot that may be an LED. Texture of a room gives blobs of 1 to 4 px,
+# which fit wherever an LED may be; a limit of 1 px loses LEDs of which half is hidden.
 MAX_VAGUE_PX = 1.4
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 Detector = Callable[[StereoPair, Array | None, Array | None], tuple[Spots, Spots]]

@@ -218,7 +218,7 @@ static int64_t find_blobs(Grid image, int64_t n, const int64_t *windows, int64_t
 /* Whole pixels of windows (n, 4), upper bounds up, inside an image. */
 static int64_t *cut_windows(Grid image, int64_t n, const double *windows)
 {
-    double most[4] = {(double)image.width, (double)image.height};
+    double most[2] = {(double)image.width, (double)image.height};
     int64_t *bounds = TAKE(int64_t, 4 * n);
     for (int64_t k = 0; k < 4 * n; k++) {
         double inside = MIN(MAX(windows[k], 0.0), most[k % 2]);

@@ -96,7 +96,8 @@ static bool is_clear(const Surroundings *around, int64_t x, int64_t y, int64_t r
 /* Radius of a spot's pixels, px. */
 static int64_t radius_of(const Fits *fits, int64_t n)
 {
-    return -(int64_t)rows_of(fits, n)[ROW_ROW * pitch(pixels_of(fits, n))]; /* the topmost comes first */
+    const float *row = rows_of(fits, n) + ROW_ROW * pitch(pixels_of(fits, n));
+    return -(int64_t)row[0]; /* the topmost pixel comes first */
 }
 
 /* Pixel at the centre of a patch about a spot, `away` px from it. */
