@@ -40,6 +40,17 @@ double median(const double *values, int64_t n)
     return (select_rank(values, n, n / 2 - 1) + select_rank(values, n, n / 2)) / 2.0;
 }
 
+int64_t first_by(const double *values, int64_t n, int64_t *index, int64_t most)
+{
+    for (int64_t k = 0; k < n; k++) {
+        int64_t one = index[k], at = k;
+        for (; at > 0 && values[one] < values[index[at - 1]]; at--)
+            index[at] = index[at - 1];
+        index[at] = one;
+    }
+    return MIN(n, most);
+}
+
 /* Angle (rad) and distance (m) of the motion between two poses (4, 4). */
 static void motion_between(const double *one, const double *other, double *angle, double *away)
 {

@@ -1,4 +1,4 @@
-/* Small vectors and matrices: products, Cholesky's factor, medians, motions.
+/* Small vectors and matrices: products, Cholesky's factor, medians, order, motions.
  *
  * With A = L L', `factor` fills in L, `solve` A^-1 b and `invert` A^-1. Matrices are row by row.
  */
@@ -157,5 +157,9 @@ static inline void invert(int n, const double *root, double *inverse)
 /* The entry of a rank, from 0, of (n,) in any order; and the median, as numpy's. */
 double select_rank(const double *values, int64_t n, int64_t rank);
 double median(const double *values, int64_t n);
+
+/* Put the `most` of n indices whose values are least first, in order; ties as they come. Gives
+ * their number. */
+int64_t first_by(const double *values, int64_t n, int64_t *index, int64_t most);
 
 #endif

@@ -40,12 +40,12 @@ def find_candidates(image: Image, windows: Array | None) -> Array:
     DN.
     """
     height, width = image.shape[:2]
-    boxes = [[0.0, 0.0, width, height]] if windows is None else windows.tolist()
+    if windows is None:
+        windows = np.array([[0.0, 0.0, width, height]])
+    boxes = windows.tolist()
     largest_area = max(((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes), default=0.0)
     if image.ndim == 2 and largest_area <= MAX_SMALL_AREA:
-        return search_windows(
-            image, np.array(boxes).reshape(-1, 4), blob_search(1), widths(1), MAX_CANDIDATES
-        )
+        return search_windows(image, windows, blob_search(1), widths(1), MAX_CANDIDATES)
     parts = [find_in_large_window(image, cut_window(box, width, height)) for box in boxes]
     found = np.concatenate([np.empty((0, 4)), *parts])
     return found[np.argsort(-found[:, 3], kind="stable")[:MAX_CANDIDATES]]

@@ -42,8 +42,8 @@ typedef struct {
     float *right; /* (8, p), its residuals, and the derivatives by the curvature's terms */
     /* how the parameters follow r and B, and the columns of x and y of A^-1 */
     double follow[N_PARAMETERS][N_RIGHT + 2];
-    /* (S + s^-2)^-1 times h and the pull's two rows, at each amplitude */
-    double solved[3][N_TERMS][N_AMPLITUDES];
+    /* at each amplitude, (S + s^-2)^-1 times h and the pull */
+    double solved[N_AMPLITUDES][N_TERMS][3];
     double own[2][3]; /* shift, px, and covariance, px^2 */
 } Room;
 
@@ -88,48 +88,6 @@ static void fill_right(const double *centre, int64_t p, const float *rows, float
     }
 }
 
-/* Fill in the lower Cholesky factor of S + s^-2 at each amplitude, the diagonal's inverses instead of
- * the diagonal; `inner` (8, 8), S from its second row and column on. False where one is not positive
- * definite. */
-static bool factor_amplitudes(double (*inner)[N_RIGHT], double (*root)[N_TERMS][N_AMPLITUDES])
-{
-    bool definite = true;
-    for (int i = 0; i < N_TERMS; i++) {
-        for (int j = 0; j <= i; j++) {
-            double *rest = root[i][j], *pivot = root[j][j];
-            for (int k = 0; k < N_AMPLITUDES; k++)
-                rest[k] = inner[i + 1][j + 1] + (i == j ? 1.0 / square(AMPLITUDES[k]) : 0.0);
-            for (int c = 0; c < j; c++)
-                for (int k = 0; k < N_AMPLITUDES; k++)
-                    rest[k] -= root[i][c][k] * root[j][c][k];
-            for (int k = 0; k < N_AMPLITUDES; k++) {
-                definite &= i > j || rest[k] > 0.0;
-                rest[k] = i > j ? rest[k] * pivot[k] : 1.0 / sqrt(rest[k]);
-            }
-        }
-    }
-    return definite;
-}
-
-/* Solve in place for one column (7,) at each amplitude, by their factors. */
-static void solve_column(double (*root)[N_TERMS][N_AMPLITUDES], double (*column)[N_AMPLITUDES])
-{
-    for (int i = 0; i < N_TERMS; i++) {
-        for (int c = 0; c < i; c++)
-            for (int k = 0; k < N_AMPLITUDES; k++)
-                column[i][k] -= root[i][c][k] * column[c][k];
-        for (int k = 0; k < N_AMPLITUDES; k++)
-            column[i][k] *= root[i][i][k];
-    }
-    for (int i = N_TERMS - 1; i >= 0; i--) {
-        for (int c = i + 1; c < N_TERMS; c++)
-            for (int k = 0; k < N_AMPLITUDES; k++)
-                column[i][k] -= root[c][i][k] * column[c][k];
-        for (int k = 0; k < N_AMPLITUDES; k++)
-            column[i][k] *= root[i][i][k];
-    }
-}
-
 /* Fill in what a spot's curvature is at each amplitude, and add to their evidence (9,).
  *
  * `left` (8, 8), r and B with themselves, the spot's parameters following: h and S are in it.
@@ -137,29 +95,30 @@ static void solve_column(double (*root)[N_TERMS][N_AMPLITUDES], double (*column)
  * which hardly determines its own parameters. */
 static void solve_amplitudes(double (*left)[N_RIGHT], Room *room, double *evidence)
 {
-    double root[N_TERMS][N_TERMS][N_AMPLITUDES], gain[N_AMPLITUDES], volume[N_AMPLITUDES];
-    memset(room->solved, 0, sizeof(room->solved));
-    if (!factor_amplitudes(left, root))
-        return;
-    for (int c = 0; c < N_TERMS; c++)
-        for (int k = 0; k < N_AMPLITUDES; k++) {
-            room->solved[0][c][k] = left[c + 1][0];
-            room->solved[1][c][k] = -room->follow[PAR_X][c + 1];
-            room->solved[2][c][k] = -room->follow[PAR_Y][c + 1];
-        }
-    for (int i = 0; i < 3; i++)
-        solve_column(root, room->solved[i]);
-    for (int k = 0; k < N_AMPLITUDES; k++) {
-        gain[k] = 0.0;
-        volume[k] = 1.0;
+    double inner[N_TERMS][N_TERMS], root[N_TERMS][N_TERMS], known[N_TERMS][3];
+    double gain[N_AMPLITUDES] = {0.0};
+    for (int i = 0; i < N_TERMS; i++) {
+        copy(inner[i], left[i + 1] + 1, N_TERMS);
+        known[i][0] = left[i + 1][0];
+        known[i][1] = -room->follow[PAR_X][i + 1];
+        known[i][2] = -room->follow[PAR_Y][i + 1];
     }
-    for (int c = 0; c < N_TERMS; c++)
-        for (int k = 0; k < N_AMPLITUDES; k++) {
-            gain[k] += 0.5 * room->solved[0][c][k] * left[c + 1][0];
-            volume[k] *= root[c][c][k] / AMPLITUDES[k];
+    for (int k = 0; k < N_AMPLITUDES; k++) {
+        double (*solved)[3] = room->solved[k], volume = 1.0;
+        if (!factor(N_TERMS, inner[0], -1.0 / square(AMPLITUDES[k]), root[0])) {
+            memset(room->solved, 0, sizeof(room->solved));
+            return;
         }
+        copy(solved[0], known[0], 3 * N_TERMS);
+        solve_each(N_TERMS, 3, root[0], solved[0]);
+        for (int c = 0; c < N_TERMS; c++) {
+            gain[k] += 0.5 * solved[c][0] * known[c][0];
+            volume *= AMPLITUDES[k] * root[c][c];
+        }
+        gain[k] -= log(volume);
+    }
     for (int k = 0; k < N_AMPLITUDES; k++)
-        evidence[k] += gain[k] + log(volume[k]);
+        evidence[k] += gain[k];
 }
 
 /* Sum up what a spot shows of the room, and how likely curvature makes it: to `evidence` (9,), the
@@ -207,20 +166,21 @@ static void share_out(const double *evidence, double *share)
 static void average_correction(Room *room, const double *share, double (*reach)[2],
                                double (*factors)[2])
 {
-    double (*own)[3] = room->own, moved[2][N_AMPLITUDES] = {{0.0}};
+    double (*own)[3] = room->own;
     memset(reach, 0, sizeof(double) * N_RIGHT * 2);
-    for (int i = 0; i < 2; i++)
-        for (int c = 0; c < N_TERMS; c++)
-            for (int k = 0; k < N_AMPLITUDES; k++) {
-                moved[i][k] -= room->solved[0][c][k] * room->follow[i][c + 1];
-                reach[c + 1][i] += share[k] * room->solved[1 + i][c][k];
-            }
-    for (int k = 0; k < N_AMPLITUDES; k++)
+    for (int k = 0; k < N_AMPLITUDES; k++) {
+        double moved[2] = {0.0, 0.0};
         for (int i = 0; i < 2; i++) {
-            own[i][0] += share[k] * moved[i][k];
-            for (int j = 0; j < 2; j++)
-                own[i][1 + j] += share[k] * moved[i][k] * moved[j][k];
+            for (int c = 0; c < N_TERMS; c++) {
+                moved[i] -= room->solved[k][c][0] * room->follow[i][c + 1];
+                reach[c + 1][i] += share[k] * room->solved[k][c][1 + i];
+            }
+            own[i][0] += share[k] * moved[i];
         }
+        for (int i = 0; i < 2; i++)
+            for (int j = 0; j < 2; j++)
+                own[i][1 + j] += share[k] * moved[i] * moved[j];
+    }
     for (int i = 0; i < 2; i++) {
         for (int a = 0; a < N_PARAMETERS; a++) {
             factors[a][i] = 0.0;

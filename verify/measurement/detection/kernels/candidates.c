@@ -9,7 +9,6 @@
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
 #include "verify/measurement/detection/kernels/contrast.h"
-#include "verify/measurement/detection/kernels/quality.h"
 
 #define MIN_WINDOW_SIDE 3 /* px, side of a window: smaller ones show no blob */
 #define SPAN 32           /* px, passed over at a level that their greatest is below */

@@ -80,7 +80,8 @@ void multiply_rows(int64_t m, int64_t n, int64_t p, const float *rows, const flo
 {
     for (int64_t a = 0; a < m; a += 2)
         for (int64_t b = rows == others ? a / 4 * 4 : 0; b < n; b += 4)
-            (precise ? products_precise : products_single)(n, p, rows + a * pitch(p), others + b * pitch(p),
+            (precise ? products_precise : products_single)(n, p, rows + a * pitch(p),
+                                                           others + b * pitch(p),
                                                            products + a * n + b);
     for (int64_t a = 4; rows == others && a < m; a++)
         for (int64_t b = 0; b < a / 4 * 4; b++)
@@ -159,10 +160,9 @@ static void update_means(const double *step, int64_t p, float *rows)
     float *restrict mean = rows + ROW_MEAN * pitch(p);
 #pragma omp simd
     for (int64_t k = 0; k < p; k++) {
-        float moved = of[0] * by[k] + of[1] * by[pitch(p) + k] + of[2] * by[2 * pitch(p) + k]
-                      + of[3] * by[3 * pitch(p) + k] + of[4] * by[4 * pitch(p) + k] + of[5] * by[5 * pitch(p) + k]
-                      + of[6] * by[6 * pitch(p) + k] + of[7] * by[7 * pitch(p) + k] + of[8] * by[8 * pitch(p) + k]
-                      + of[9] * by[9 * pitch(p) + k];
+        float moved = 0.0f;
+        for (int a = 0; a < N_PARAMETERS; a++)
+            moved += of[a] * by[a * pitch(p) + k];
         mean[k] += moved * sqrtf(variance[k]);
     }
 }
@@ -170,8 +170,10 @@ static void update_means(const double *step, int64_t p, float *rows)
 /* Mark the pixels that are the spot's own: its core, and for the smallest a few about it. */
 static void mark_core(const double *parameters, int64_t p, float *rows)
 {
-    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
-    const float *restrict radius2 = rows + ROW_RADIUS2 * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
+    const float *restrict column = rows + ROW_COLUMN * pitch(p);
+    const float *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict radius2 = rows + ROW_RADIUS2 * pitch(p);
+    const float *restrict valid = rows + ROW_VALID * pitch(p);
     float *restrict core = rows + ROW_CORE * pitch(p);
     float x = (float)parameters[PAR_X], y = (float)parameters[PAR_Y];
 #pragma omp simd
@@ -186,8 +188,10 @@ static void mark_core(const double *parameters, int64_t p, float *rows)
 static double chi_squared(const double *parameters, int64_t p, const float *rows,
                           const float *restrict variance, const double *prior)
 {
-    const float *restrict value = rows + ROW_VALUE * pitch(p), *restrict mean = rows + ROW_MEAN * pitch(p);
-    const float *restrict radius2 = rows + ROW_RADIUS2 * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
+    const float *restrict value = rows + ROW_VALUE * pitch(p);
+    const float *restrict mean = rows + ROW_MEAN * pitch(p);
+    const float *restrict radius2 = rows + ROW_RADIUS2 * pitch(p);
+    const float *restrict valid = rows + ROW_VALID * pitch(p);
     float total = 0.0f, most = OUTLIER_SIGMA * OUTLIER_SIGMA;
 #pragma omp simd reduction(+ : total)
     for (int64_t k = 0; k < p; k++) {
@@ -290,8 +294,10 @@ void fit_from_start(Fits *fits, int64_t n, const double *noise, Table table)
 /* Hold the slopes (10,) as firmly as the pixels about the spot have none; give its top, DN. */
 static double floor_priors(int64_t p, const float *rows, double scale, double floor, double *weight)
 {
-    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
-    const float *restrict value = rows + ROW_VALUE * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
+    const float *restrict column = rows + ROW_COLUMN * pitch(p);
+    const float *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict value = rows + ROW_VALUE * pitch(p);
+    const float *restrict valid = rows + ROW_VALID * pitch(p);
     float core = (float)square(0.5 * scale + 0.5), ring = (float)square(2.3 * scale + 1.0);
     float total = 0.0f, count = 0.0f, level = (float)floor;
     float lean_x = 0.0f, lean_y = 0.0f, lever_x = 0.0f, lever_y = 0.0f;
@@ -331,7 +337,8 @@ static double floor_below_black(int64_t p, const float *value, double read)
 static void start_values(int64_t p, const float *rows, double scale, double floor, double top,
                          double *start)
 {
-    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict column = rows + ROW_COLUMN * pitch(p);
+    const float *restrict row = rows + ROW_ROW * pitch(p);
     const float *restrict value = rows + ROW_VALUE * pitch(p);
     float height = (float)(top - floor), near = (float)square(2.2 * scale);
     float foot = (float)floor + 0.25f * height, half = 0.5f * height;

@@ -103,7 +103,8 @@ int64_t ranked(const int32_t *counts, int64_t rank)
 static void find_places(const Picture *picture, const int64_t *origin, int64_t p, float *rows,
                         int64_t *restrict place)
 {
-    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict column = rows + ROW_COLUMN * pitch(p);
+    const float *restrict row = rows + ROW_ROW * pitch(p);
     float *restrict valid = rows + ROW_VALID * pitch(p);
     int64_t x0 = origin[0], y0 = origin[1], right = picture->width - 1, bottom = picture->height - 1;
 #pragma omp simd
@@ -130,7 +131,8 @@ static void read_channel(const uint8_t *values, int64_t p, const int64_t *restri
 static double channel_contrast(int64_t p, const uint8_t *restrict read, double scale,
                                const float *rows, const int32_t *counts)
 {
-    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict column = rows + ROW_COLUMN * pitch(p);
+    const float *restrict row = rows + ROW_ROW * pitch(p);
     int32_t total = 0, core = 0;
     float near2 = (float)(scale * scale);
 #pragma omp simd reduction(+ : total, core)
@@ -162,7 +164,8 @@ static void channel_weights(const double *colour, double *weight)
 static void combine_colours(int64_t p, const uint8_t *restrict read, const double *weight,
                             float *rows)
 {
-    float *restrict value = rows + ROW_VALUE * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
+    float *restrict value = rows + ROW_VALUE * pitch(p);
+    float *restrict valid = rows + ROW_VALID * pitch(p);
     float blue = (float)weight[0], green = (float)weight[1], red = (float)weight[2];
 #pragma omp simd
     for (int64_t k = 0; k < p; k++)

@@ -95,18 +95,28 @@ double weigh_pixels(const double *parameters, double scale, const double *noise,
     float of[N_PARAMETERS], inverse = (float)(1.0 / scale);
     for (int a = 0; a < N_PARAMETERS; a++)
         of[a] = (float)parameters[a];
-    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
-    const float *restrict value = rows + ROW_VALUE * pitch(p), *restrict valid = rows + ROW_VALID * pitch(p);
+    const float *restrict column = rows + ROW_COLUMN * pitch(p);
+    const float *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict value = rows + ROW_VALUE * pitch(p);
+    const float *restrict valid = rows + ROW_VALID * pitch(p);
     float *restrict u = rows + ROW_U * pitch(p), *restrict w = rows + ROW_W * pitch(p);
-    float *restrict radius2 = rows + ROW_RADIUS2 * pitch(p), *restrict slope = rows + ROW_SLOPE * pitch(p);
+    float *restrict radius2 = rows + ROW_RADIUS2 * pitch(p);
+    float *restrict slope = rows + ROW_SLOPE * pitch(p);
     float *restrict by_x = rows + PAR_X * pitch(p), *restrict by_y = rows + PAR_Y * pitch(p);
-    float *restrict by_peak = rows + PAR_PEAK * pitch(p), *restrict by_floor = rows + PAR_FLOOR * pitch(p);
-    float *restrict by_slope_x = rows + PAR_SLOPE_X * pitch(p), *restrict by_xx = rows + PAR_XX * pitch(p);
-    float *restrict by_slope_y = rows + PAR_SLOPE_Y * pitch(p), *restrict by_xy = rows + PAR_XY * pitch(p);
-    float *restrict by_yy = rows + PAR_YY * pitch(p), *restrict by_steepness = rows + PAR_STEEPNESS * pitch(p);
-    float *restrict mean = rows + ROW_MEAN * pitch(p), *restrict variance = rows + ROW_VARIANCE * pitch(p);
-    float *restrict signal = rows + ROW_SIGNAL * pitch(p), *restrict used = rows + ROW_USED * pitch(p);
-    float *restrict visible = rows + ROW_VISIBLE * pitch(p), *restrict residual = rows + ROW_RESIDUAL * pitch(p);
+    float *restrict by_peak = rows + PAR_PEAK * pitch(p);
+    float *restrict by_floor = rows + PAR_FLOOR * pitch(p);
+    float *restrict by_slope_x = rows + PAR_SLOPE_X * pitch(p);
+    float *restrict by_xx = rows + PAR_XX * pitch(p);
+    float *restrict by_slope_y = rows + PAR_SLOPE_Y * pitch(p);
+    float *restrict by_xy = rows + PAR_XY * pitch(p);
+    float *restrict by_yy = rows + PAR_YY * pitch(p);
+    float *restrict by_steepness = rows + PAR_STEEPNESS * pitch(p);
+    float *restrict mean = rows + ROW_MEAN * pitch(p);
+    float *restrict variance = rows + ROW_VARIANCE * pitch(p);
+    float *restrict signal = rows + ROW_SIGNAL * pitch(p);
+    float *restrict used = rows + ROW_USED * pitch(p);
+    float *restrict visible = rows + ROW_VISIBLE * pitch(p);
+    float *restrict residual = rows + ROW_RESIDUAL * pitch(p);
 #pragma omp simd
     for (int64_t k = 0; k < p; k++) {
         u[k] = (column[k] - of[PAR_X]) * inverse;

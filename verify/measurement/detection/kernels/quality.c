@@ -231,17 +231,6 @@ void doubt_shapes(int64_t n, double *assessed, const double *asymmetry)
     scratch_release(mark);
 }
 
-int64_t first_by(const double *values, int64_t n, int64_t *index, int64_t most)
-{
-    for (int64_t k = 0; k < n; k++) {
-        int64_t one = index[k], at = k;
-        for (; at > 0 && values[one] < values[index[at - 1]]; at--)
-            index[at] = index[at - 1];
-        index[at] = one;
-    }
-    return MIN(n, most);
-}
-
 static double centres_apart(const double *row, const double *other)
 {
     return hypot(row[COL_CENTRE_X] - other[COL_CENTRE_X], row[COL_CENTRE_Y] - other[COL_CENTRE_Y]);

@@ -29,10 +29,6 @@ void widen_lossy(int64_t n, double *assessed);
  * chi^2 of a bite out of each, for noise as stated; inf where none would show. */
 void doubt_shapes(int64_t n, double *assessed, const double *asymmetry);
 
-/* Put the `most` of n indices whose values are least first, in order; ties as they come. Gives
- * their number. */
-int64_t first_by(const double *values, int64_t n, int64_t *index, int64_t most);
-
 /* Choose the most LED-like of n spots (n, 16), no more than the limit, by falling peak; `kept` (n,)
  * is filled with as many as it gives. Diameters, px. */
 int64_t choose_spots(int64_t n, const double *assessed, double least, double largest, int64_t limit,

@@ -140,7 +140,8 @@ static bool separate_neighbours(Fits *fits, const double *assessed, const double
         for (int64_t n = 0; n < count; n++) {
             int64_t p = pixels_of(fits, n);
             bool taken = false;
-            memcpy(rows_of(fits, n) + ROW_VALUE * pitch(p), read + fits->begin[n], sizeof(float) * (size_t)p);
+            memcpy(rows_of(fits, n) + ROW_VALUE * pitch(p), read + fits->begin[n],
+                   sizeof(float) * (size_t)p);
             for (int64_t k = 0; k < count; k++)
                 if (near[n * count + k])
                     taken = take_light(fits, n, k, shape + N_PARAMETERS * k, table) || taken;

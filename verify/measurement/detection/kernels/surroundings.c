@@ -24,12 +24,14 @@ typedef struct {
     double weight[3];      /* of the channels */
     float *values;         /* (8, p), DN; 0 where a patch is not inside the picture */
     bool inside[N_AROUND]; /* which of them are */
+    int64_t centre[N_AROUND][2]; /* px, their centre pixels */
 } Patches;
 
 /* Take mean and slopes off the weights (p,) of a disc's pixels: planes move nothing then. */
 static void leave_planes(int64_t p, const float *rows, float *restrict weight)
 {
-    const float *restrict column = rows + ROW_COLUMN * pitch(p), *restrict row = rows + ROW_ROW * pitch(p);
+    const float *restrict column = rows + ROW_COLUMN * pitch(p);
+    const float *restrict row = rows + ROW_ROW * pitch(p);
     float total = 0.0f, right = 0.0f, down = 0.0f, lever = 0.0f;
 #pragma omp simd reduction(+ : total, right, down, lever)
     for (int64_t k = 0; k < p; k++) {
@@ -93,19 +95,11 @@ static bool is_clear(const Surroundings *around, int64_t x, int64_t y, int64_t r
     return true;
 }
 
-/* Radius of a spot's pixels, px. */
-static int64_t radius_of(const Fits *fits, int64_t n)
+/* Radius of the patch of a spot, px. */
+static int64_t patch_radius(const Fits *fits, int64_t n)
 {
     const float *row = rows_of(fits, n) + ROW_ROW * pitch(pixels_of(fits, n));
     return -(int64_t)row[0]; /* the topmost pixel comes first */
-}
-
-/* Pixel at the centre of a patch about a spot, `away` px from it. */
-static void patch_centre(const Fits *fits, int64_t spot, double away, int at, int64_t *centre)
-{
-    for (int axis = 0; axis < 2; axis++)
-        centre[axis] = fits->origin[2 * spot + axis]
-                       + (int64_t)floor(away * DIRECTIONS[at][axis] + 0.5);
 }
 
 /* Read the patches about a spot, as large as those of spot n and with its colours, unless they were
@@ -113,7 +107,7 @@ static void patch_centre(const Fits *fits, int64_t spot, double away, int at, in
 static void read_patches(const Picture *picture, const Fits *fits, int64_t n, int64_t spot,
                          Patches *patches)
 {
-    int64_t p = pixels_of(fits, n), radius = radius_of(fits, n), centre[2];
+    int64_t p = pixels_of(fits, n), radius = patch_radius(fits, n);
     const double *weight = fits->weight + 3 * n;
     if (patches->spot == spot && patches->p == p &&
         memcmp(patches->weight, weight, sizeof patches->weight) == 0)
@@ -125,7 +119,10 @@ static void read_patches(const Picture *picture, const Fits *fits, int64_t n, in
     copy(patches->weight, weight, 3);
     for (int at = 0; at < N_AROUND; at++) {
         float *value = patches->values + at * pitch(p);
-        patch_centre(fits, spot, 2.0 * (double)radius, at, centre);
+        int64_t *centre = patches->centre[at];
+        for (int axis = 0; axis < 2; axis++)
+            centre[axis] = fits->origin[2 * spot + axis]
+                           + (int64_t)floor(2.0 * (double)radius * DIRECTIONS[at][axis] + 0.5);
         patches->inside[at] = is_inside(picture, centre[0], centre[1], radius);
         if (patches->inside[at])
             read_patch(picture, centre[0], centre[1], p, rows_of(fits, n), weight, bytes, value);
@@ -140,14 +137,14 @@ static void read_patches(const Picture *picture, const Fits *fits, int64_t n, in
 static void weigh_patches(const Surroundings *around, const Fits *fits, int64_t n, int64_t place,
                           const Patches *patches, Response *response)
 {
-    int64_t radius = radius_of(fits, n), centre[2];
+    int64_t radius = patch_radius(fits, n);
     double peak = fits->parameters[N_PARAMETERS * n + PAR_PEAK], moved[2][N_AROUND];
     double bright = MAX_DIM * MIN(peak, (double)SENSOR_LIMIT);
     multiply_rows(2, N_AROUND, patches->p, response->weight, patches->values, false, moved[0]);
     for (int at = 0; at < N_AROUND; at++) {
         bool *dim = response->dim + N_AROUND * place + at;
         double *found = response->moved[N_AROUND * place + at];
-        patch_centre(fits, patches->spot, 2.0 * (double)radius, at, centre);
+        const int64_t *centre = patches->centre[at];
         if (patches->inside[at] && is_clear(around, centre[0], centre[1], radius, bright, dim))
             found[0] = moved[0][at], found[1] = moved[1][at];
     }
