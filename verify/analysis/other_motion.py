@@ -22,7 +22,7 @@ import numpy as np
 
 import robots
 from robots.transforms import carry, difference, invert
-from verify.analysis.clock.estimate import ClockEstimate, shown_offset
+from verify.analysis.clock.estimate import ClockEstimate, estimate_clock, shown_offset
 from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import (
@@ -42,6 +42,7 @@ from verify.analysis.plausibility import refuse_late
 from verify.analysis.relative_motion import MAX_TURN, MIN_TURN, screw_motion
 from verify.core.readings import Readings
 from verify.core.records import Array
+from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.track import Track
@@ -87,6 +88,7 @@ def refuse_other_motion(
     shown = shown_offset(track, arm, readings, clock)
     if shown is not None and _large_error(written, shown) < MAX_LEFT_SHARE * typical:
         return  # a clock that is somewhat off is a cause like others
+    _refuse_given_clock(session, written, typical)
     off, faulty, left, factor, screws = _left_by_faults(session, written, clock)
     scaled = list(scaled_joints(written, factor, MAX_GAIN))
     mistakes = [
@@ -112,6 +114,29 @@ def refuse_other_motion(
         return
     found = f"joints are off by {degrees(typical)}, and no usual mistake or fault explains it"
     raise refusal(session, written, found)
+
+
+def _refuse_given_clock(session: Session, written: Mistake, typical: float) -> None:
+    """Refuse a given clock offset far from the one by which the motion fits.
+
+    `typical`, rad: what joints are off by with the given one.
+
+    Raises:
+        InputError: names the offset that fits.
+    """
+    given = session.clock
+    if given is None:
+        return
+    shown = estimate_clock(written.track, written.arm, written.readings)
+    remains = _large_error(written, shown.offset)
+    if shown.source == "estimated" and remains < MAX_LEFT_SHARE * typical:
+        raise InputError(
+            session.folder / "session.toml",
+            f"[clock] encoder_offset_s = {given.encoder_offset:g} puts joints off by "
+            f"{degrees(typical)}; {shown.offset:.3f} s fits the motion, to {degrees(remains)}",
+            "what is added to the readings' t_s to get the pictures' clock",
+            f"Write encoder_offset_s = {shown.offset:.3f}, or leave [clock] out.",
+        )
 
 
 def _refuse_other_places(

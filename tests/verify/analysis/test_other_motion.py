@@ -138,6 +138,22 @@ def test_a_given_clock_that_is_wrong_is_named_and_no_link_or_base(
     assert np.array_equal(model.comparison.xi, compared.comparison.xi)  # the whole error is told
 
 
+@pytest.mark.parametrize("given", [1.0, -1.5, 7.5])
+@pytest.mark.parametrize("slip_deg", [0, 8])
+def test_a_given_clock_that_is_far_off_is_refused_with_the_one_that_fits(
+    seen: tuple[Session, MeasuredSession], given: float, slip_deg: float
+) -> None:
+    """Without any clock the same session is measured."""
+    session, track = replace(seen[0], clock=Clock(given)), seen[1].track
+    log = Readings(session.encoders.t, session.encoders.q + np.deg2rad([0, slip_deg, 0, 0, 0, 0]))
+    fits = rf"encoder_offset_s = {given:g} puts joints off by .*; 0\.08[56] s fits"
+    with pytest.raises(InputError, match=fits) as refused:
+        refuse_other_motion(session, track, log, session_clock(session, track, log))
+    assert "Write encoder_offset_s = 0.08" in str(refused.value)
+    free = replace(session, clock=None)
+    refuse_other_motion(free, track, log, session_clock(free, track, log))
+
+
 @pytest.mark.parametrize("joint", [2, 4])
 def test_a_second_of_noisy_readings_is_named_and_accuses_nobody(
     seen: tuple[Session, MeasuredSession], joint: int
