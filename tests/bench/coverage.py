@@ -18,7 +18,7 @@ import os
 import sys
 from collections.abc import Generator, Sequence
 from dataclasses import dataclass, fields, replace
-from functools import partial
+from functools import cached_property, partial
 
 import msgspec
 import numpy as np
@@ -33,11 +33,13 @@ from tests.support.leds.truth import led_images
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
-from verify.core.records import Array, Image, Sighting, StereoPair
+from verify.core.records import Array, Sighting, StereoPair
 from verify.core.rig import Camera
 from verify.measurement.alignment import RawSighting
 from verify.measurement.chain import Setup, measure
 from verify.simulation.scenario import Occlusion, Scenario
+from verify.simulation.world.led_render import Renderer
+from verify.simulation.world.motion import RandomStream, generator
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 100
@@ -124,20 +126,30 @@ def drawn_kind(rng: np.random.Generator, arm: str) -> tuple[Scenario, dict[str, 
     }  # fmt: skip
 
 
-def before_a_room(pairs: list[StereoPair], room: str, rng: np.random.Generator) -> list[StereoPair]:
-    """Pairs before a bright room: texture of a grain (px) and standard deviation (DN)."""
+@dataclass(frozen=True)
+class Room(Renderer):
+    """A camera before a bright room: texture that is smooth over a grain, with noise as on LEDs."""
+
+    grain_px: float
+
+    @cached_property
+    def _room(self) -> Array:
+        rng, (width, height) = generator(self.seed, RandomStream.ROOM, self.side), self.image_size
+        field = rng.standard_normal((height, 2 * width))  # for turning bases to look round
+        field = gaussian_filter(field, self.grain_px / 2, mode="wrap")
+        room = self.table.background_dn + self.table.texture_dn * field / field.std()
+        return np.asarray(np.maximum(room, 0.0), np.float32)
+
+
+def before_a_room(session: InMemory, room: str) -> InMemory:
+    """A session before a room: texture of a grain (px) and standard deviation (DN)."""
     grain, depth = (float(word.split()[0]) for word in room.split(","))
-
-    def texture(image: Image) -> Array:
-        field = gaussian_filter(rng.normal(size=image.shape[:2]), grain / 2, mode="wrap")
-        added: Array = ROOM_DN + depth * field / field.std()
-        return added if image.ndim == 2 else added[..., None]
-
-    def lit(image: Image, added: Array) -> Image:
-        return np.clip(np.rint(image + added), 0, 255).astype(np.uint8)
-
-    left, right = texture(pairs[0].left), texture(pairs[0].right)
-    return [replace(p, left=lit(p.left, left), right=lit(p.right, right)) for p in pairs]
+    played, look = session.simulated, {"background_dn": ROOM_DN, "texture_dn": depth}
+    left, right = (
+        Room(msgspec.structs.replace(one.table, **look), one.image_size, one.seed, one.side, grain)
+        for one in played.renderers
+    )
+    return replace(session, simulated=replace(played, renderers=(left, right)))
 
 
 def session_of_a_kind(only: dict[str, str], seed: int) -> Outcome:
@@ -147,9 +159,9 @@ def session_of_a_kind(only: dict[str, str], seed: int) -> Outcome:
     drawn = (drawn_kind(rng, arm) for _ in range(MAX_DRAWS))
     scenario, classes = next(kind for kind in drawn if only.items() <= kind[1].items())
     plain = in_memory(scenario)
-    pairs = list(plain.pairs())
     if classes["room"] != "dark":
-        pairs = before_a_room(pairs, classes["room"], rng)
+        plain = before_a_room(plain, classes["room"])
+    pairs = list(plain.pairs())
     if classes["codec"] == "MJPEG":
         pairs = [
             replace(

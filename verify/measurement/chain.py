@@ -31,6 +31,9 @@ MAX_REPROJECTION_PX = 2.0
 # Standard uncertainty of a spot that may be an LED. Texture of a room gives blobs of 1 to 4 px,
 # which fit wherever an LED may be; a limit of 1 px loses LEDs of which half is hidden.
 MAX_VAGUE_PX = 1.4
+# Of the dimmest LED's peak when last seen: the room's texture is dimmer, half an LED is not.
+MIN_PEAK_SHARE = 0.3
+SENSOR_LIMIT_DN = 255.0  # beyond it a peak is extrapolated
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 Detector = Callable[[StereoPair, Array | None, Array | None], tuple[Spots, Spots]]
 
@@ -115,6 +118,15 @@ Neighbours = tuple[_AssignedPair | None, _AssignedPair | None, _AssignedPair | N
 
 
 @dataclass(frozen=True, slots=True)
+class _Memory:
+    """What a pair is predicted from."""
+
+    measurement: Measurement  # of the pair before
+    pose: Pose
+    peaks: Array  # (2, n), DN, of each LED in either picture when last seen; nan: not yet
+
+
+@dataclass(frozen=True, slots=True)
 class _CausalPair:
     """A pair measured by the one before it; the next one's prediction and motion rest on it."""
 
@@ -122,12 +134,7 @@ class _CausalPair:
     kept: _AssignedPair  # without the spots that its pose rejects
     around: Neighbours
     measurement: Measurement
-
-    @property
-    def memory(self) -> Measurement | None:
-        """What the next pair is predicted from."""
-        pose = self.measurement.pose
-        return self.measurement if pose is not None and pose.consistent else None
+    memory: _Memory | None  # what the next pair is predicted from; None: nothing good
 
 
 def measure(
@@ -145,20 +152,20 @@ def measure(
     for pair in pairs:
         found = _find_leds(pair, setup, now.memory if now is not None else None)
         if held is not None:
-            now, held = _measure_causally(held, (None, found, None), setup), None
+            now, held = _measure_causally(held, (None, found, None), setup, None), None
             if causal:
                 yield now.measurement
         then = now
         if then is None or _beyond_gap(found, then.kept):
             now, held = None, found
         else:
-            now = _measure_causally(found, (then.kept, None, then.around[0]), setup)
+            now = _measure_causally(found, (then.kept, None, then.around[0]), setup, then.memory)
             if causal:
                 yield now.measurement
         if then is not None:
             yield _settle(then, now, setup)
     if held is not None:
-        now = _measure_causally(held, (None, None, None), setup)
+        now = _measure_causally(held, (None, None, None), setup, None)
         if causal:
             yield now.measurement
     if now is not None:
@@ -169,18 +176,19 @@ def _beyond_gap(one: _AssignedPair, other: _AssignedPair) -> bool:
     return abs(one.pair_t - other.pair_t) > MAX_GAP
 
 
-def _find_leds(pair: StereoPair, setup: Setup, memory: Measurement | None) -> _AssignedPair:
+def _find_leds(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _AssignedPair:
     """Find the spots and assign them to LEDs; in the whole frame where prediction fails."""
-    prediction = _predict(memory, pair.t_left)
-    if prediction is not None:
+    prediction, least = _predict(memory, pair.t_left), np.zeros(2)
+    if prediction is not None and memory is not None:
+        least = MIN_PEAK_SHARE * memory.peaks.min(axis=1)
         rig, marker = setup.rig, setup.marker
         left = led_windows(marker, rig.left, pair.pan_left, prediction, pair.left)
         right = led_windows(marker, rig.right, pair.pan_right, prediction, pair.right)
-        spots = _detect(pair, setup, left, right)
+        spots = _detect(pair, setup, (left, right), least)
         assigned = _assign(pair, spots, setup, memory, prediction, whole_frame=False)
         if _shows_all_leds(assigned, setup):
             return assigned
-    spots = _detect(pair, setup, None, None)
+    spots = _detect(pair, setup, (None, None), least)
     # with an LED missing the prediction may follow a reflection: pictures that show the whole
     # marker elsewhere overrule it
     fresh = _assign(pair, spots, setup, memory, None, whole_frame=True)
@@ -190,16 +198,21 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: Measurement | None) -> _A
 
 
 def _detect(
-    pair: StereoPair, setup: Setup, left: Array | None, right: Array | None
+    pair: StereoPair, setup: Setup, windows: tuple[Array | None, Array | None], least: Array
 ) -> tuple[Spots, Spots]:
-    """Find the spots of both pictures whose place is known; windows (m, 4) px, None for all."""
-    spots = setup.detect(pair, left, right)
-    return _sure(spots[0]), _sure(spots[1])
+    """Find the spots of both pictures that may be LEDs.
+
+    `windows` (m, 4) px, None for the whole frame; `least` (2,), DN, peak of an LED in either
+    picture, nan where it is not known.
+    """
+    left, right = setup.detect(pair, *windows)
+    return _likely(left, least[0]), _likely(right, least[1])
 
 
-def _sure(spots: Spots) -> Spots:
-    """Leave out the spots whose place is hardly known."""
+def _likely(spots: Spots, least: float) -> Spots:
+    """Leave out the spots whose place is hardly known, and those far dimmer than any LED."""
     sure = (spots.covariance <= MAX_VAGUE_PX**2).all(axis=(1, 2))  # a variance is the largest entry
+    sure &= ~(spots.peak < least)
     return spots if sure.all() else take_rows(spots, np.flatnonzero(sure))
 
 
@@ -214,7 +227,7 @@ def _assign(
     pair: StereoPair,
     spots: tuple[Spots, Spots],
     setup: Setup,
-    memory: Measurement | None,
+    memory: _Memory | None,
     prediction: PosePrediction | None,
     *,
     whole_frame: bool,
@@ -232,10 +245,10 @@ def _assign(
     return _AssignedPair(pair.t_left, pair.frame, correspondence, (left, right), whole_frame)
 
 
-def _motion_px(pair: StereoPair, setup: Setup, memory: Measurement | None) -> float:
+def _motion_px(pair: StereoPair, setup: Setup, memory: _Memory | None) -> float:
     """How far the LEDs may move between the two exposures of a pair."""
     skew = abs(pair.t_right - pair.t_left)
-    if memory is None or memory.pose is None or pair.t_left - memory.t > MAX_GAP:
+    if memory is None or pair.t_left - memory.measurement.t > MAX_GAP:
         return MIN_MOTION_PX + skew * UNKNOWN_SPEED_PX
     twist, pose = memory.pose.twist, memory.pose.rig_T_flange
     speed = _norm(twist[:3]) + setup.reach * _norm(twist[3:])
@@ -263,11 +276,19 @@ def _raw_sighting(
     return raw_sighting(spots[side], led, index, camera, instant, depth)
 
 
-def _measure_causally(assigned: _AssignedPair, around: Neighbours, setup: Setup) -> _CausalPair:
+def _measure_causally(
+    assigned: _AssignedPair, around: Neighbours, setup: Setup, memory: _Memory | None
+) -> _CausalPair:
     """Measure a pair by the one before; the first of a burst by the one after."""
     measurement = _fit(assigned, (*around[:2], None), setup, settled=False)
-    kept = assigned if measurement.pose is None else _without_rejected(assigned, measurement.pose)
-    return _CausalPair(assigned, kept, around, measurement)
+    pose = measurement.pose
+    kept = assigned if pose is None else _without_rejected(assigned, pose)
+    if pose is None or not pose.consistent:
+        return _CausalPair(assigned, kept, around, measurement, None)
+    peaks = np.full((2, len(setup.marker)), np.nan) if memory is None else memory.peaks.copy()
+    for side, raw in enumerate(kept.sides):
+        peaks[side, raw.sighting.led] = np.minimum(raw.sighting.peak, SENSOR_LIMIT_DN)
+    return _CausalPair(assigned, kept, around, measurement, _Memory(measurement, pose, peaks))
 
 
 def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measurement:
@@ -324,11 +345,11 @@ def _without_rejected(assigned: _AssignedPair, pose: Pose) -> _AssignedPair:
     return replace(assigned, sides=(left, right))
 
 
-def _predict(memory: Measurement | None, t: float) -> PosePrediction | None:
+def _predict(memory: _Memory | None, t: float) -> PosePrediction | None:
     """Predict the flange's pose from the last pose and its twist; None after a gap."""
-    if memory is None or memory.pose is None:
+    if memory is None:
         return None
-    interval, pose = t - memory.t, memory.pose
+    interval, pose = t - memory.measurement.t, memory.pose
     if interval > MAX_GAP:
         return None
     linear, angular = (
@@ -341,7 +362,7 @@ def _predict(memory: Measurement | None, t: float) -> PosePrediction | None:
         rig_T_flange=perturb(pose.rig_T_flange, pose.twist * interval),
         position_uncertainty=linear * interval**2 + 1e-3,
         rotation_uncertainty=angular * interval**2 + 0.01,
-        choice=memory.choice,
+        choice=memory.measurement.choice,
     )
 
 

@@ -1,7 +1,7 @@
 """The chain from rendered pixels to poses, against the simulator's truth and its own optics."""
 
 from dataclasses import fields, is_dataclass, replace
-from functools import cache
+from functools import cache, partial
 from typing import Any
 
 import numpy as np
@@ -229,22 +229,26 @@ def test_returning_leds_win_over_their_reflection() -> None:
 
 
 def with_blobs(
-    pair: StereoPair, left_windows: Array | None, right_windows: Array | None
+    u_px: float,
+    peak_dn: float,
+    pair: StereoPair,
+    left_windows: Array | None,
+    right_windows: Array | None,
 ) -> tuple[Spots, Spots]:
-    """Find the spots, and blobs of a room whose places are hardly known: 20 in a whole picture,
-    three in a window."""
+    """Find the spots, and blobs of a room: 20 in a whole picture, twelve in a window, where their
+    uncertainty is `u_px`."""
     rng, found = np.random.default_rng(pair.frame), []
     windows = left_windows, right_windows
     for spots, searched in zip(detect_in_turn(pair, *windows), windows, strict=True):
         whole = searched is None
         boxes = np.array([[0, 0, 1280, 720]]) if searched is None else searched
-        boxes = np.repeat(boxes, 20 if whole else 3, axis=0)
+        boxes = np.repeat(boxes, 20 if whole else 12, axis=0)
         blobs = take_rows(spots, np.zeros(len(boxes), dtype=np.int64))
         blobs = replace(
             blobs,
             centre=rng.uniform(boxes[:, :2], boxes[:, 2:]),
-            covariance=np.tile((6.0 if whole else 2.5) ** 2 * np.eye(2), (len(boxes), 1, 1)),
-            peak=np.full(len(boxes), 50.0),
+            covariance=np.tile((6.0 if whole else u_px) ** 2 * np.eye(2), (len(boxes), 1, 1)),
+            peak=np.full(len(boxes), peak_dn),
             diameter=np.full(len(boxes), 20.0),
         )
         both = {
@@ -256,7 +260,10 @@ def with_blobs(
     return found[0], found[1]
 
 
-def test_an_led_that_one_camera_does_not_see_is_not_replaced_by_a_vague_blob() -> None:
+@pytest.mark.parametrize(("u_px", "peak_dn"), [(2.5, 50.0), (0.5, 25.0)], ids=["vague", "dim"])
+def test_an_led_that_one_camera_does_not_see_is_not_replaced_by_a_blob(
+    u_px: float, peak_dn: float
+) -> None:
     session = simulate_session(
         scene(
             marker=marker_of("ABC"),
@@ -264,7 +271,8 @@ def test_an_led_that_one_camera_does_not_see_is_not_replaced_by_a_vague_blob() -
             occlusion=[Occlusion(led="C", first=3, last=10, camera="left")],
         )
     )
-    setup = Setup(session.rig, session.marker, detect=with_blobs)
+    blobs = partial(with_blobs, u_px, peak_dn)
+    setup = Setup(session.rig, session.marker, detect=blobs)
     measurements = list(measure(session.pairs(), setup))
     assert [m.status for m in measurements] == ["measured"] * 12
     assert np.abs(wrong(session, measurements)[:, :3]).max() < 1e-3

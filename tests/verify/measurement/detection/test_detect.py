@@ -151,6 +151,20 @@ def test_a_saturated_disc_before_texture_is_not_taken_for_a_part_of_it() -> None
     assert np.nanmax(np.abs(normal)) < 7
 
 
+def test_texture_beside_a_disc_gives_no_spot_on_its_rim() -> None:
+    rng, off = np.random.default_rng(7), []
+    for _ in range(60):
+        leds = [Spot(rng.uniform(250, 400), 0.7, rng.uniform(6, 7.5)) for _ in range(8)]
+        room = gaussian_filter(rng.normal(size=(360, 640)), 6, mode="wrap")
+        centres = scattered(2, 4, rng, pitch=110.0)
+        image = picture(leds, centres, Sensor(), rng, floor=50 + 15 * room / room.std())
+        spots = detect(image, np.hstack([centres - 37, centres + 37]))
+        apart = np.linalg.norm(spots.centre[:, None] - centres, axis=2).min(axis=1)
+        off += apart[(apart < 9) & ~spots.merged].tolist()
+    assert len(off) > 300
+    assert max(off) < 0.7  # px; a rim is 6 from the centre
+
+
 def test_windows_find_the_same_spots_as_the_whole_image() -> None:
     rng = np.random.default_rng(3)
     centres = scattered(2, 2, rng, pitch=150.0)

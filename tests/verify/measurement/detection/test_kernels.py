@@ -79,6 +79,20 @@ def test_a_blob_is_found_once_at_its_highest_level_and_where_it_is_in_the_pictur
     np.testing.assert_array_equal(blobs[:, 3], [220])
 
 
+def test_a_dim_blob_beside_a_bright_one_is_measured_by_its_own_pixels() -> None:
+    """Parts of the bright one are within its box, and the margin about that."""
+    column, row = np.meshgrid(np.arange(60), np.arange(40))
+    picture = np.zeros((40, 60), np.uint8)
+    picture[np.hypot(column - 20, row - 20) < 7] = 230
+    dim = (np.hypot(column - 31, row - 27) < 5) & (picture == 0)
+    picture[dim & (np.hypot(column - 20, row - 20) > 8.5)] = 60
+    search = BlobSearch(30, np.array([160, 80, 40, 18]), (99.0, 99.0, 2.5, 0.6), 9)
+    blobs = find_blobs(picture, np.array([[0, 0, 60, 40]]), 0, search)
+    places = [(np.mean(x), np.mean(y)) for y, x in map(np.nonzero, (picture == 230, picture == 60))]
+    np.testing.assert_allclose(blobs[:, :2], places, atol=1e-9)
+    np.testing.assert_array_equal(blobs[:, 3], [230, 60])
+
+
 @pytest.mark.parametrize("width", [5, 67, 68, 69, 300])
 @pytest.mark.parametrize("mean", [0.0, 1.5, 100.0, 254.0])
 def test_levels_and_differences_are_those_of_unclipped_neighbours(width: int, mean: float) -> None:

@@ -127,6 +127,23 @@ static bool has_seed(const Search *search)
     return found;
 }
 
+/* Cut the last region, above a level, out of its box, scratch; what else is above it there is another
+ * one's light, and left out. */
+static Grid cut_region(const Search *search, int64_t level, Box box)
+{
+    int64_t height = box.bottom - box.top, width = box.right - box.left;
+    uint8_t *values = TAKE(uint8_t, height * width);
+    for (int64_t y = 0; y < height; y++) {
+        int64_t row = (box.top + y) * search->contrast.width + box.left;
+        for (int64_t x = 0; x < width; x++) {
+            uint8_t value = search->contrast.values[row + x];
+            bool other = value > level && search->label[row + x] != search->number;
+            values[y * width + x] = other ? 0 : value;
+        }
+    }
+    return (Grid){values, height, width};
+}
+
 /* Look for a blob in the region of a pixel above a level, and list it. */
 static void search_region(Search *search, int64_t level, int64_t place)
 {
@@ -138,7 +155,7 @@ static void search_region(Search *search, int64_t level, int64_t place)
     Mark mark = scratch_mark();
     double *blob = search->found + 4 * search->count;
     box = widen(box, BOX_MARGIN, search->contrast);
-    bool compact = measure_half_height(cut_out(search->contrast, box), &search->shape, blob);
+    bool compact = measure_half_height(cut_region(search, level, box), &search->shape, blob);
     scratch_release(mark);
     bool refused = 2.0 * (double)level <= blob[3] &&
                    search->settled - search->count < MAX_REFUSED;
