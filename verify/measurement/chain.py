@@ -33,6 +33,7 @@ MAX_REPROJECTION_PX = 2.0
 MAX_VAGUE_PX = 1.4
 # Of the dimmest LED's peak when last seen: the room's texture is dimmer, half an LED is not.
 MIN_PEAK_SHARE = 0.3
+PEAK_FADING = 0.95  # a pair, of an LED that is not seen: it may turn away meanwhile
 SENSOR_LIMIT_DN = 255.0  # beyond it a peak is extrapolated
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 Detector = Callable[[StereoPair, Array | None, Array | None], tuple[Spots, Spots]]
@@ -123,7 +124,7 @@ class _Memory:
 
     measurement: Measurement  # of the pair before
     pose: Pose
-    peaks: Array  # (2, n), DN, of each LED in either picture when last seen; nan: not yet
+    peaks: Array  # (2, n), DN, of each LED in either picture when last seen, faded; nan: not yet
 
 
 @dataclass(frozen=True, slots=True)
@@ -285,7 +286,8 @@ def _measure_causally(
     kept = assigned if pose is None else _without_rejected(assigned, pose)
     if pose is None or not pose.consistent:
         return _CausalPair(assigned, kept, around, measurement, None)
-    peaks = np.full((2, len(setup.marker)), np.nan) if memory is None else memory.peaks.copy()
+    never = np.full((2, len(setup.marker)), np.nan)
+    peaks = never if memory is None else PEAK_FADING * memory.peaks
     for side, raw in enumerate(kept.sides):
         peaks[side, raw.sighting.led] = np.minimum(raw.sighting.peak, SENSOR_LIMIT_DN)
     return _CausalPair(assigned, kept, around, measurement, _Memory(measurement, pose, peaks))
