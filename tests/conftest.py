@@ -2,9 +2,14 @@ import os
 from collections.abc import Generator
 
 import pytest
+from hypothesis import settings
 
 # as the command line does, before numpy is first imported: small matrices want one thread
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
+# a machine may be busy for a moment: no test is timed
+settings.register_profile("untimed", deadline=None)
+settings.load_profile("untimed")
 
 README = "tests/end_to_end/test_documentation.py::test_the_readme"
 TUTORIAL = "tests/end_to_end/test_documentation.py::test_the_tutorial"

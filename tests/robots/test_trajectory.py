@@ -53,7 +53,7 @@ def assert_within_limits(trajectory: Trajectory, limits: JointLimits = LIMITS) -
     return used
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(postures, postures)
 def test_from_posture_to_posture_within_limits_and_as_fast_as_one_joint_allows(
     start: Array, end: Array
@@ -165,7 +165,7 @@ def test_a_hold_stops_on_the_path_within_limits_and_at_once_and_goes_back_along_
 wild = st.integers(0, 2**32 - 1).map(np.random.default_rng)
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(wild)
 def test_no_goal_leads_out_of_the_limits_and_a_hold_comes_to_rest(
     random: np.random.Generator,

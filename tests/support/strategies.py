@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 finite = st.floats(-10, 10, allow_subnormal=False)
 positive = st.floats(1e-6, 0.9)
 texts = st.text("aß 'o\"\\\n\t\x00\x1b\x7f#=[]{}😀", max_size=8)  # what TOML must escape, and more
-every_disk = settings(max_examples=50, deadline=None)  # each example waits for the disk
+every_disk = settings(max_examples=50)  # each example waits for the disk
 
 
 def assert_same(a: object, b: object) -> None:

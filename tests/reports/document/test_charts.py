@@ -33,7 +33,7 @@ def test_a_point_without_neighbours_is_not_lost() -> None:
     assert_allclose(y[isolated_points(x, y)], [1, 3])
 
 
-@settings(deadline=None, max_examples=25)  # a shared machine has slow moments
+@settings(max_examples=25)
 @given(
     st.integers(0, 2**32 - 1),
     st.integers(MAX_LINE_POINTS + 1, 3 * MAX_LINE_POINTS),

@@ -82,7 +82,7 @@ def test_frames_have_the_rigs_pan_where_the_file_gives_none(path: Path) -> None:
     assert_allclose(frames.pan_right, [np.pi / 2, np.pi / 4])
 
 
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 @given(
     steps=st.lists(st.floats(1e-6, 1e6), min_size=1, max_size=20),
     angle=st.floats(-1e6, 1e6, allow_subnormal=False),

@@ -42,7 +42,7 @@ def test_a_hand_points_along_the_direction_turned_about_it(direction: Array, tur
     assert np.cos(back - turn) == pytest.approx(1)
 
 
-@settings(max_examples=8, deadline=None)
+@settings(max_examples=8)
 @given(st.integers(0, 2**32 - 1), directions)
 def test_along_a_line_the_flange_stays_on_it_and_the_branch_the_same(
     seed: int, direction: Array
