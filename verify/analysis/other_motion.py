@@ -5,10 +5,11 @@ faults of encoders may do is taken from the errors, joint by joint:
 
     error = offset + step (t > t0) + gain · angle        |offset| <= MAX_OFFSET, |gain| <= MAX_GAIN
 
-A mistake that people make (a joint's sign, zero, unit, two joints exchanged, another base or arm)
-is named where it leaves far less. Without one, the log is refused where one joint stays off as no
-encoder is; or two do, and the screw motions from pair to pair disagree as well, which no
-registration disturbs. Mistakes are ranked by
+A given clock by which joints are off, where another offset fits, is named first. A mistake that
+people make (a joint's sign, zero, unit, two joints exchanged, another base or arm) is named where
+it leaves far less. Without one, the log is refused where one joint stays off as no encoder is; or
+two do, and the screw motions from pair to pair disagree as well, which no registration disturbs.
+Mistakes are ranked by
 
     median over pairs of |translation| / LEVER + |rotation|      flange as read to as measured
 
