@@ -133,15 +133,17 @@ static inline void solve_each(int n, int m, const double *root, double *right)
         for (int k = 0; k < i; k++)
             for (int c = 0; c < m; c++)
                 right[i * m + c] -= root[i * n + k] * right[k * m + c];
+        double inverse = 1.0 / root[i * n + i];
         for (int c = 0; c < m; c++)
-            right[i * m + c] /= root[i * n + i];
+            right[i * m + c] *= inverse;
     }
     for (int i = n - 1; i >= 0; i--) {
         for (int k = i + 1; k < n; k++)
             for (int c = 0; c < m; c++)
                 right[i * m + c] -= root[k * n + i] * right[k * m + c];
+        double inverse = 1.0 / root[i * n + i];
         for (int c = 0; c < m; c++)
-            right[i * m + c] /= root[i * n + i];
+            right[i * m + c] *= inverse;
     }
 }
 

@@ -202,28 +202,36 @@ static void find_weights(const Room *room, int64_t p, const float *restrict rows
 {
     const float *restrict right = room->right, *restrict used = rows + ROW_USED * pitch(p);
     const float *restrict variance = rows + ROW_VARIANCE * pitch(p);
-    for (int i = 0; i < 2; i++) {
-        float *restrict weight = response->weight + i * pitch(p);
-        double fit[N_PARAMETERS], more[N_PARAMETERS], squares = 0.0;
+    float *restrict weight = response->weight;
+    double fit[N_PARAMETERS][2], whole[N_PARAMETERS][2], squares_x = 0.0, squares_y = 0.0;
+    for (int a = 0; a < N_PARAMETERS; a++)
+        for (int i = 0; i < 2; i++) {
+            fit[a][i] = room->follow[a][N_RIGHT + i];
+            whole[a][i] = fit[a][i] + factors[a][i];
+        }
+#pragma omp simd reduction(+ : squares_x, squares_y)
+    for (int64_t k = 0; k < p; k++) {
+        double fit_x = 0.0, fit_y = 0.0, whole_x = 0.0, whole_y = 0.0;
+        float share = used[k] / variance[k], root = sqrtf(share);
         for (int a = 0; a < N_PARAMETERS; a++) {
-            fit[a] = room->follow[a][N_RIGHT + i];
-            more[a] = factors[a][i];
+            double change = (double)rows[a * pitch(p) + k];
+            fit_x += fit[a][0] * change;
+            fit_y += fit[a][1] * change;
+            whole_x += whole[a][0] * change;
+            whole_y += whole[a][1] * change;
         }
-#pragma omp simd reduction(+ : squares)
-        for (int64_t k = 0; k < p; k++) {
-            double by_fit = 0.0, corrected = 0.0;
-            float share = used[k] / variance[k];
-            for (int a = 0; a < N_PARAMETERS; a++) {
-                by_fit += fit[a] * (double)rows[a * pitch(p) + k];
-                corrected += more[a] * (double)rows[a * pitch(p) + k];
-            }
-            for (int c = 0; c < N_RIGHT; c++)
-                corrected += reach[c][i] * (double)right[c * pitch(p) + k];
-            squares += by_fit * by_fit * (double)share;
-            weight[k] = (float)((by_fit + corrected) * (double)sqrtf(share));
+        for (int c = 0; c < N_RIGHT; c++) {
+            double change = (double)right[c * pitch(p) + k];
+            whole_x += reach[c][0] * change;
+            whole_y += reach[c][1] * change;
         }
-        response->explained[i] = squares * room->noise + room->own[i][1 + i];
+        squares_x += fit_x * fit_x * (double)share;
+        squares_y += fit_y * fit_y * (double)share;
+        weight[k] = (float)(whole_x * (double)root);
+        weight[pitch(p) + k] = (float)(whole_y * (double)root);
     }
+    response->explained[0] = squares_x * room->noise + room->own[0][1];
+    response->explained[1] = squares_y * room->noise + room->own[1][2];
 }
 
 /* Find the curvature of the room at each amplitude, and how likely that is; see `sum_curvature`. */
