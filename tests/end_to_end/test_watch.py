@@ -101,7 +101,8 @@ def test_live_figures_are_those_of_the_recording(tmp_path: Path) -> None:
     recorded = frames.set_index("frame")[names]
     assert len(live) > 50
     for frame, angles in live.items():
-        np.testing.assert_array_equal(recorded.loc[frame].to_numpy(), angles)
+        # degrees: numpy and math round differently on processors with AVX-512
+        np.testing.assert_allclose(recorded.loc[frame].to_numpy(), angles, rtol=0, atol=1e-11)
 
 
 @pytest.mark.realtime

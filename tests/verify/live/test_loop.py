@@ -201,6 +201,10 @@ def test_a_step_or_thread_that_fails_raises_an_alarm_and_is_named_at_the_end(apa
     assert not lines["measurement"].well
 
 
+# rad: with AVX-512 numpy rounds functions of an array otherwise than math those of one number
+ROUNDING = 1e-13
+
+
 def stage(**wrong: object) -> Stage:
     rig, marker = facing_rig()
     return Stage(SpotRun(rig, marker), **wrong)  # type: ignore[arg-type]  # fields of Stage
@@ -213,7 +217,7 @@ def again(recorder: Memory, run: SpotRun) -> list[Measurement]:
 
 
 @pytest.mark.realtime
-def test_settled_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -> None:
+def test_settled_joint_angles_equal_the_recorded_session_s_but_for_rounding() -> None:
     played = stage()
     _, recorder, heard = watched(4.0, played)
     from verify.analysis.comparison import compare, solve_joints
@@ -239,7 +243,7 @@ def test_settled_joint_angles_equal_the_recorded_session_s_to_the_last_digit() -
     found = dict(zip(track.t[comparison.index].tolist(), joints.q, strict=True))
     for row in live:
         if row.t in found:
-            np.testing.assert_array_equal(row.measured, found[row.t])
+            np.testing.assert_allclose(row.measured, found[row.t], rtol=0, atol=ROUNDING)
 
 
 @pytest.mark.realtime

@@ -1,7 +1,7 @@
 """Write one session folder, whole after every pair.
 
 Angles in frames.csv and encoders.csv have nine decimals of a degree. The live measurement uses the
-written values too, so that live results and those from the recording agree to the last digit.
+written values too, so that live results and those from the recording agree but for rounding.
 """
 
 import errno

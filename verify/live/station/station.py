@@ -272,7 +272,7 @@ def _round_trip(
 ) -> T:
     """Give what a recording's file will say: numbers are rounded there, in the 15th digit.
 
-    What is measured live must be measured again from the recording, to the last digit.
+    What is measured live must be measured again from the recording, but for rounding.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "written.toml"
