@@ -16,6 +16,7 @@ import pytest
 from tests.bench.kills import MOST, kill
 from tests.support.command import SAMPLES, verify
 from tests.support.devices.emulated_station import emulator, start_beside
+from tests.support.rounding import ROUNDING_DEG
 from tests.support.small_disk import mounted
 from tests.support.watched import Run, listen
 from verify.cli.measure import measure_and_report_all
@@ -101,8 +102,9 @@ def test_live_figures_are_those_of_the_recording(tmp_path: Path) -> None:
     recorded = frames.set_index("frame")[names]
     assert len(live) > 50
     for frame, angles in live.items():
-        # degrees: numpy and math round differently on processors with AVX-512
-        np.testing.assert_allclose(recorded.loc[frame].to_numpy(), angles, rtol=0, atol=1e-11)
+        np.testing.assert_allclose(
+            recorded.loc[frame].to_numpy(), angles, rtol=0, atol=ROUNDING_DEG
+        )
 
 
 @pytest.mark.realtime

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 from rich.console import Console
 
+from tests.support.rounding import ROUNDING_RAD
 from tests.support.spot_level import READ_EVERY, SpotRun, facing_rig, picture, without_pictures
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, StereoPair
@@ -201,10 +202,6 @@ def test_a_step_or_thread_that_fails_raises_an_alarm_and_is_named_at_the_end(apa
     assert not lines["measurement"].well
 
 
-# rad: with AVX-512 numpy rounds functions of an array otherwise than math those of one number
-ROUNDING = 1e-13
-
-
 def stage(**wrong: object) -> Stage:
     rig, marker = facing_rig()
     return Stage(SpotRun(rig, marker), **wrong)  # type: ignore[arg-type]  # fields of Stage
@@ -243,7 +240,7 @@ def test_settled_joint_angles_equal_the_recorded_session_s_but_for_rounding() ->
     found = dict(zip(track.t[comparison.index].tolist(), joints.q, strict=True))
     for row in live:
         if row.t in found:
-            np.testing.assert_allclose(row.measured, found[row.t], rtol=0, atol=ROUNDING)
+            np.testing.assert_allclose(row.measured, found[row.t], rtol=0, atol=ROUNDING_RAD)
 
 
 @pytest.mark.realtime
