@@ -194,6 +194,6 @@ def test_the_command_serves_it_and_names_in_the_report_what_was_selected(tmp_pat
             latest(line, lambda row: row["answer"].startswith("selection left 600,300,60,90"))
         command.send_signal(signal.SIGINT)
         said = [json.loads(row) for row in command.stdout.read().splitlines()]
-    assert command.returncode == 1
+    assert command.returncode == 130
     assert said[-1]["summary"]["target"] == "object selected on the page"
     assert re.search("Searching|searching", (tmp_path / "out" / "report.html").read_text())

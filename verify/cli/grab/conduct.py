@@ -171,13 +171,14 @@ def conduct(stage: GraspRun, stop: StopConditions, out: Path, *, force: bool) ->
 
     Raises:
         InputError: the folder cannot be written, or the pictures teach no colour.
+        KeyboardInterrupt: a signal ended the grasp before that; all is written.
     """
     context, aim = stage.context, stage.loop.aim
     with write_folder_whole(out, force) as folder:
         record = GraspRecord(folder, stage.facts, stage.planner.workspace, context, stage.rate)
         try:
             with _serve_page(stage, stop.duration) as page:
-                ended = _run(stage, stop, record, page)
+                ended, interrupted = _run(stage, stop, record, page)
         finally:
             record.close()
         results = record.results(ended, aim)
@@ -186,7 +187,10 @@ def conduct(stage: GraspRun, stop: StopConditions, out: Path, *, force: bool) ->
         write_report_folder(results, folder, force=True)
     _print_outcome(results, out)
     lifted = ended.state is GraspState.LIFTED and not seen_left_behind(results.summary)
-    return lifted or (not context.execute and aim.plan is not None)
+    good = lifted or (not context.execute and aim.plan is not None)
+    if interrupted and not good:
+        raise KeyboardInterrupt
+    return good
 
 
 def target_name(target: Target | None) -> str:
@@ -211,7 +215,8 @@ def _serve_page(stage: GraspRun, duration: float) -> AbstractContextManager[Gras
 
 def _run(
     stage: GraspRun, conditions: StopConditions, record: GraspRecord, page: GraspPage | None
-) -> GraspOutcome:
+) -> tuple[GraspOutcome, bool]:
+    """Grasp; also whether a signal ended it."""
     state: GraspState | None = None
     keys = OperatorKeys(STDIN) if stage.keys else None
 
@@ -241,7 +246,7 @@ def _run(
         )
     if page is not None:
         page.end(ended)
-    return ended
+    return ended, stop.is_set()
 
 
 class OperatorKeys:

@@ -75,7 +75,7 @@ def grab(
     None of this replaces the emergency stop, the page's stop button included.
 
     Exit status 0: lifted, or planned where nothing may move; 1: it ended in another state, which is
-    named, or the cameras saw the object left behind; 2: could not run.
+    named, or the cameras saw the object left behind; 2: could not run; 130: Ctrl-C ended it before.
 
     Example: verify grab --sim --execute --auto
     """
