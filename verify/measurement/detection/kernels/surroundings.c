@@ -9,7 +9,10 @@
 #define MIN_AROUND 12 /* responses, two a patch: fewer show nothing */
 #define MAX_DIM 0.5   /* of a spot's peak: a light that is less may be texture of the room */
 #define MAX_OWN 3.0   /* of the usual: a spot's own surroundings move it more than chance */
-#define MEDIAN_CHI2 0.4549 /* of chi^2 with one degree of freedom */
+/* Of chi^2 with one degree of freedom, the part of the mean that the lowest three quarters make up, and
+ * the efficiency of a variance by them against one by all. */
+#define LOWER_PART 0.27638
+#define EFFICIENCY 0.5627
 #define DIAGONAL 0.7071067811865476
 
 /* From a spot to the patches about it. */
@@ -164,6 +167,15 @@ static int64_t list_ratios(const Response *response, int sides, bool dim, double
     return count;
 }
 
+/* Variance that squares (n,) show; up to a quarter may be of patches with something bright. */
+static double trimmed_mean(const double *ratio, int64_t n)
+{
+    double most = select_rank(ratio, n, 3 * n / 4), total = 0.0;
+    for (int64_t k = 0; k < n; k++)
+        total += ratio[k] < most ? ratio[k] : 0.0;
+    return total / (LOWER_PART * (double)n);
+}
+
 /* How much more than explained the patches beside a spot itself, those that no light reaches, move it
  * on average; 0 without any. */
 static double own_ratio(const Response *response)
@@ -175,20 +187,24 @@ static double own_ratio(const Response *response)
     return count > 0 ? total / (double)count : 0.0;
 }
 
-/* How much more than explained the room moves a spot; `picture`, all spots of the picture.
+/* How much more than explained and than noise, `left`, the room moves a spot; `picture`, all spots of
+ * the picture.
  *
  * Patches that a dim light reaches are texture where it leaves too few others: what is left beside
- * dim lights says it less well. Where both are too few, the whole picture tells. */
-static double room_ratio(const Response *response, double picture)
+ * dim lights says it less well. Where both are too few, the whole picture tells. What few patches
+ * show may by chance be too little: the mean of what it may be counts (JCGM 101:2008, 6.4.9). */
+static double room_excess(const Response *response, double picture, double left)
 {
     double ratio[2 * N_BESIDE];
     int64_t count = list_ratios(response, N_BESIDE, false, ratio);
     bool dim = count < MIN_AROUND;
     if (dim)
         count = list_ratios(response, N_BESIDE, true, ratio);
-    double usual = count < MIN_AROUND ? picture : median(ratio, count) / MEDIAN_CHI2;
-    double own = dim ? 0.0 : own_ratio(response);
-    return own > MAX_OWN * MAX(usual, 1.0) ? own : usual;
+    double usual = count < MIN_AROUND ? picture : trimmed_mean(ratio, count);
+    double own = dim ? 0.0 : own_ratio(response), freedom = EFFICIENCY * MAX(count, MIN_AROUND);
+    if (own > MAX_OWN * MAX(usual, 1.0))
+        return own - left;
+    return MAX(usual - left, 0.0) * freedom / (freedom - 2.0);
 }
 
 /* Say what patches beside spot k of those kept, and beside some others, would move its centre by. */
@@ -224,8 +240,8 @@ void find_excess(const Surroundings *around, const Fits *fits, int64_t m, const 
             look_around(around, fits, m, kept, k, beside, responses + k);
         count += list_ratios(responses + k, N_BESIDE, true, pool + count);
     }
-    double ratio = count < MIN_AROUND ? around->noise_left : median(pool, count) / MEDIAN_CHI2;
+    double ratio = count < MIN_AROUND ? around->noise_left : trimmed_mean(pool, count);
     for (int64_t k = 0; k < m; k++)
-        excess[k] = MAX(room_ratio(responses + k, ratio) - around->noise_left, 0.0);
+        excess[k] = room_excess(responses + k, ratio, around->noise_left);
     scratch_release(mark);
 }

@@ -3,9 +3,9 @@
  * A spot's weights, on the pixels of such a patch, give the shift of its centre by that room. Their
  * planes are left out: the spot's own plane is among its parameters, held by its own surroundings.
  * Spots differ in size, and with it in what texture of one grain does to them, so each spot's weights
- * are laid on the patches beside its neighbours too. The median square of these responses over what
- * noise and curvature explain is the spot's excess; its own patches' mean square is where that is
- * MAX_OWN times as much.
+ * are laid on the patches beside its neighbours too. The mean square of these responses, of the lower
+ * three quarters, over what noise and curvature explain is the spot's excess; its own patches' mean
+ * square is where that is MAX_OWN times as much.
  */
 #ifndef VERIFY_SURROUNDINGS_H
 #define VERIFY_SURROUNDINGS_H
