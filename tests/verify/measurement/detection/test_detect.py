@@ -165,6 +165,21 @@ def test_texture_beside_a_disc_gives_no_spot_on_its_rim() -> None:
     assert max(off) < 0.7  # px; a rim is 6 from the centre
 
 
+def test_a_room_that_slopes_across_a_spot_alone_moves_it_little() -> None:
+    """Of a wave 20.3 px long, what is 12 px around a spot on it has no slope along the wave."""
+    rng, errors = np.random.default_rng(4), []
+    row, column = np.mgrid[:360, :640].astype(float)
+    for _ in range(5):
+        centres, room = scattered(3, 5, rng, pitch=110.0), np.full((360, 640), 50.0)
+        for x, y in centres:
+            near = np.hypot(column - x, row - y) < 45
+            wave = 3 * np.sin(2 * np.pi * (column - x) / 20.3) + 0.6 * (row - y)
+            room += near * wave
+        spots = detect(picture([Spot(180, 0.6, 4.2)] * 15, centres, Sensor(), rng, floor=room))
+        errors.append(matched(spots, centres)[1])
+    assert np.abs(np.mean(np.concatenate(errors), axis=0)).max() < 0.025  # px
+
+
 def test_windows_find_the_same_spots_as_the_whole_image() -> None:
     rng = np.random.default_rng(3)
     centres = scattered(2, 2, rng, pitch=150.0)

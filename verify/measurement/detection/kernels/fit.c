@@ -314,9 +314,11 @@ static double floor_priors(int64_t p, const float *rows, double scale, double fl
         lever_x += outer * x * x;
         lever_y += outer * y * y;
     }
-    /* A slope costs the centre information, so it is let in as far as the surroundings have one. */
-    weight[PAR_SLOPE_X] = 1.0 / (square((double)(lean_x / MAX(lever_x, 1.0f))) + 1e-8);
-    weight[PAR_SLOPE_Y] = 1.0 / (square((double)(lean_y / MAX(lever_y, 1.0f))) + 1e-8);
+    /* A slope costs the centre information, so it is let in as far as the surroundings have one along
+     * either axis: along one alone they may have none by chance. */
+    double slope_x = (double)(lean_x / MAX(lever_x, 1.0f));
+    double slope_y = (double)(lean_y / MAX(lever_y, 1.0f));
+    weight[PAR_SLOPE_X] = weight[PAR_SLOPE_Y] = 2.0 / (square(slope_x) + square(slope_y) + 1e-8);
     return (double)(total / MAX(count, 1.0f));
 }
 
