@@ -222,6 +222,21 @@ def test_spots_cut_by_the_border_are_not_returned() -> None:
     assert np.abs(spots.centre[0] - centres[2]).max() < 0.1
 
 
+@pytest.mark.parametrize("level", [40, 80, 160])
+def test_a_disc_as_bright_as_a_level_of_the_search_is_found_whole(level: int) -> None:
+    """Noise tears its top at that level; in a window, which is not searched at half size."""
+    rng = np.random.default_rng(21)
+    for peak in level + np.arange(-6.0, 7.0, 2.0):
+        centres = scattered(2, 3, rng)
+        image = picture([Spot(peak, 0.6, radius=9.0)] * 6, centres, Sensor(), rng, floor=2.0)
+        spots = detect(image, np.hstack([centres - 32, centres + 32]))
+        nearest, error = matched(spots, centres)
+        u = np.sqrt(np.diagonal(spots.covariance[nearest], axis1=1, axis2=2))
+        assert np.all(np.abs(error) < 5 * u)
+        assert u.max() < 0.1
+        assert spots.diameter[nearest] == pytest.approx(np.full(6, 18.0), abs=1.0)
+
+
 def test_noise_streaks_and_windows_of_light_are_not_leds() -> None:
     rng, light = np.random.default_rng(7), np.full((360, 640), 100.0)
     assert len(detect(Sensor(read=3.0).expose(light, rng))) == 0

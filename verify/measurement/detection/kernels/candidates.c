@@ -14,6 +14,9 @@
 #define SPAN 32           /* px, passed over at a level that their greatest is below */
 #define MAX_REFUSED 64    /* regions without a blob, kept in mind in a window: each slows it */
 #define MIN_PIXELS 12     /* px; fewer show no shape */
+/* DN above a level, of a peak: nearer, noise tears the top of a disc to pieces, each of which would be
+ * a blob. A lower level shows the whole. */
+#define MIN_ABOVE_LEVEL 16
 #define PI 3.14159265358979323846
 
 /* Longest side of a blob's box, px, at a level and at half height; longest axis ratio; least area
@@ -22,11 +25,12 @@ typedef struct {
     double side, half_side, axis_ratio, fill;
 } Shape;
 
-/* Search for blobs: what is labelled with the number of its region; a pixel's place in each region
+/* Search for blobs: the lowest level, DN; what is labelled with the number of its region; a pixel's place in each region
  * that is settled, as a blob was found in it, or no lower one shows one; blobs found (most, 4). */
 typedef struct {
     Grid contrast;
     Shape shape;
+    int64_t lowest;
     int32_t *label, number;
     int64_t *seeds, settled, count, most;
     double *found;
@@ -97,11 +101,18 @@ static bool measure_region(Grid part, int64_t half, const int32_t *region, const
                                 area >= shape->fill * PI * longer * shorter);
 }
 
+/* Whether a box reaches the border of the picture that holds it. */
+static bool reaches_border(Box box, Grid picture)
+{
+    return box.left == 0 || box.top == 0 || box.right == picture.width ||
+           box.bottom == picture.height;
+}
+
 /* Measure the brightest blob of a picture at half its height; false: none, or not compact.
  *
- * `part`, DN above the surroundings; `blob` (4,), filled: centre's column and row, px; half width,
- * px; height, DN. */
-static bool measure_half_height(Grid part, const Shape *shape, double *blob)
+ * `part`, DN above the surroundings; a blob not above `above`, DN, has to end in it; `blob` (4,),
+ * filled: centre's column and row, px; half width, px; height, DN. */
+static bool measure_half_height(Grid part, int64_t above, const Shape *shape, double *blob)
 {
     int64_t size = part.height * part.width, peak = greatest(size, part.values);
     int64_t half = peak / 2, place = 0;
@@ -110,7 +121,8 @@ static bool measure_half_height(Grid part, const Shape *shape, double *blob)
     int32_t *region = no_labels(part);
     Box box = flood_fill(part, half, place, true, region, 1);
     blob[3] = (double)peak;
-    if (is_too_long(box, shape->half_side))
+    bool torn = peak < above && reaches_border(box, part);
+    if (torn || is_too_long(box, shape->half_side))
         return false;
     bool alone = true; /* else a hole of the region may hold the others */
     for (int64_t i = 0; i < size; i++)
@@ -155,7 +167,9 @@ static void search_region(Search *search, int64_t level, int64_t place)
     Mark mark = scratch_mark();
     double *blob = search->found + 4 * search->count;
     box = widen(box, BOX_MARGIN, search->contrast);
-    bool compact = measure_half_height(cut_region(search, level, box), &search->shape, blob);
+    int64_t above = level > search->lowest ? level + MIN_ABOVE_LEVEL : 0;
+    bool compact = measure_half_height(cut_region(search, level, box), above, &search->shape,
+                                       blob);
     scratch_release(mark);
     bool refused = 2.0 * (double)level <= blob[3] &&
                    search->settled - search->count < MAX_REFUSED;
@@ -188,6 +202,7 @@ static int64_t compact_blobs(Grid contrast, int64_t n_levels, const int64_t *lev
     Search search = {
         .contrast = contrast,
         .shape = shape,
+        .lowest = levels[n_levels - 1],
         .label = no_labels(contrast),
         .seeds = TAKE(int64_t, most + MAX_REFUSED),
         .most = most,
