@@ -101,6 +101,7 @@ class _AssignedPair:
     found: PairSpots
     correspondence: Correspondence
     sides: tuple[RawSighting, RawSighting]  # left and right
+    prediction: PosePrediction | None
 
 
 # the pairs before and after, and the one before the former
@@ -214,7 +215,8 @@ def _assign(
         motion_tolerance_px=_motion_px(pair, setup, memory),
     )
     left, right = (_raw_sighting(pair, found.spots, setup, correspondence, side) for side in (0, 1))
-    return _AssignedPair(pair.t_left, pair.frame, found, correspondence, (left, right))
+    sides = left, right
+    return _AssignedPair(pair.t_left, pair.frame, found, correspondence, sides, prediction)
 
 
 def _motion_px(pair: StereoPair, setup: Setup, memory: _Memory | None) -> float:
@@ -298,8 +300,11 @@ def _fit(
     if left is None or right is None:
         return replace(measurement, status="unaligned")
     columns = partial(spot_columns, setup.parameters, setup.rig, setup.marker, left, right)
+    where = assigned.prediction
+    expected = None if where is None else (where.rig_T_flange, where.rotation_uncertainty)
+    views = left, right, setup.rig, setup.marker
     try:
-        pose = fit_pose(left, right, setup.rig, setup.marker, found.rig_T_flange, columns)
+        pose = fit_pose(*views, found.rig_T_flange, columns, expected=expected)
     except np.linalg.LinAlgError:  # spots that contradict each other so much that no step is finite
         return replace(measurement, status="outlier")
     good = pose.consistent and not pose.reprojection_rms_px > MAX_REPROJECTION_PX
@@ -330,12 +335,13 @@ def _predict(memory: _Memory | None, t: float) -> PosePrediction | None:
         ACCELERATION_PER_SPEED * _norm(part) + rough
         for part, rough in zip((pose.twist[:3], pose.twist[3:]), MIN_ACCELERATION, strict=True)
     )
+    variance = pose.covariance.diagonal()
     # the twist is that of half a pair ago, so the error is acceleration over interval², not half;
-    # 1 mm and 0.01 rad for pairs taken while starting to move
+    # 1 mm and 0.01 rad for pairs taken while starting to move; two deviations of the pose itself
     return PosePrediction(
         rig_T_flange=perturb(pose.rig_T_flange, pose.twist * interval),
-        position_uncertainty=linear * interval**2 + 1e-3,
-        rotation_uncertainty=angular * interval**2 + 0.01,
+        position_uncertainty=linear * interval**2 + 1e-3 + 2 * math.sqrt(variance[:3].sum()),
+        rotation_uncertainty=angular * interval**2 + 0.01 + 2 * math.sqrt(variance[3:].sum()),
         choice=memory.measurement.choice,
     )
 

@@ -18,6 +18,7 @@ diag(sigma²)) they are marginalised, which correlates the spots' errors. An LED
 counts. Spots that contradict the others are rejected one by one.
 """
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
@@ -25,17 +26,20 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from robots.transforms import difference
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Pose, Sighting
 from verify.core.rig import Camera, Rig
 from verify.core.statistics import chi2_bound
 from verify.measurement.kernels import entries as kernel
 from verify.measurement.kernels.entries import MOTION_RATE, SCALE
+from verify.measurement.second_pose import second_start
 
 MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 P_CONTRADICTION = 1e-7  # of the pair's chi² as a whole
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
 IDENTITY = np.eye(6)
+MIN_SHARE = 0.025  # of the likelihood of two poses: an interval of 95 % need not hold one of less
 MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
 
 
@@ -43,6 +47,7 @@ MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accuse
 class SightingStack:
     """The sightings of both cameras: s spots, left ones first."""
 
+    led: NDArray[np.int64]  # (s,)
     points: Array  # (s, 3), m, LEDs in the flange frame
     centre: Array  # (s, 2), px
     covariance: Array  # (s, 2, 2), px²
@@ -59,8 +64,10 @@ class SightingStack:
 
 def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) -> SightingStack:
     """Stack both cameras' sightings of points (n, 3), m, in the flange frame."""
+    led = np.concatenate([left.led, right.led])
     return SightingStack(
-        points[np.concatenate([left.led, right.led])],
+        led,
+        points[led],
         np.concatenate([left.centre, right.centre]),
         np.concatenate([left.covariance, right.covariance]),
         np.concatenate([left.velocity, right.velocity]),
@@ -91,20 +98,24 @@ def fit_pose(
     marker: Marker,
     start: Array,
     parameter_columns: ParameterColumns | None = None,
+    *,
+    expected: tuple[Array, float] | None = None,
 ) -> Pose:
     """Find the pose under which both images, aligned to the same instant, are most likely.
 
     From `start`, rig_T_flange (4, 4): directions that the LEDs do not determine keep its value.
     `parameter_columns` gives the stated uncertainty of rig and marker as columns of the spots,
     which must not make an outlier of a good spot; called where a spot looks like one. None: a rough
-    bound alone. Spots that no pose explains with the rest are rejected.
+    bound alone. Spots that no pose explains with the rest are rejected. Where two LEDs are in both
+    images and others in one, two poses may explain them: `expected`, a pose (4, 4) and the standard
+    uncertainty of its turn, rad, helps to choose, and what stays open widens the covariance.
     """
     views = stack_sightings(left, right, rig, marker.leds)
     keep = np.ones(len(views.centre), dtype=np.bool_)
     sigmas = marker.centre_shift_standard_uncertainty or 0, marker.led_standard_uncertainty or 0
     tolerance = _tolerance(rig.left, rig.right, (len(left), len(right)), sigmas)
     while True:
-        fit = _gauss_newton(views, keep, start)
+        fit, doubt = _likelier_fit(views, keep, start, marker.leds, expected)
         worst, size, sound = _judge(fit, tolerance)
         if not sound and parameter_columns is not None:
             columns = parameter_columns(fit.rig_T_flange, fit.predicted[1])
@@ -113,7 +124,7 @@ def fit_pose(
         kept = int(np.count_nonzero(keep))
         last = kept <= MIN_SPOTS or len(keep) - kept >= len(keep) // 3
         if last or size < MAX_SPOT_CHI2:
-            return _pose(fit, keep, sound)
+            return _pose(fit, keep, sound, doubt)
         keep[worst] = False
 
 
@@ -161,6 +172,50 @@ def _gauss_newton(views: SightingStack, keep: NDArray[np.bool_], start: Array) -
     return _PoseFit(rows, pose, *kernel.fit_spots(views.places, views.centre, spots, rows, pose))
 
 
+def _likelier_fit(
+    views: SightingStack,
+    keep: NDArray[np.bool_],
+    start: Array,
+    leds: Array,
+    expected: tuple[Array, float] | None,
+) -> tuple[_PoseFit, Array]:
+    """Fit from a start, or from the second pose that explains the spots if that is likelier.
+
+    Gives too what a choice between both adds to the pose's covariance, (6, 6).
+    """
+    fit, nothing = _gauss_newton(views, keep, start), np.zeros((6, 6))
+    whole = len(keep) == 2 * views.left == 2 * len(leds) and np.count_nonzero(keep) == len(keep)
+    if whole:
+        return fit, nothing
+    left, right = np.split(views.led, [views.left])
+    seen = left[keep[: views.left]].tolist(), right[keep[views.left :]].tolist()
+    second = second_start(fit.rig_T_flange, seen, leds, views.cameras)
+    if second is None:
+        return fit, nothing
+    try:
+        rival = _gauss_newton(views, keep, second)
+    except np.linalg.LinAlgError:
+        return fit, nothing
+    more = _unlikelihood(rival, expected) - _unlikelihood(fit, expected)
+    if more < 0:
+        fit, rival, more = rival, fit, -more
+    share = 1 - 1 / (1 + math.exp(-more / 2))
+    if share < MIN_SHARE:
+        return fit, nothing
+    apart = difference(rival.rig_T_flange, fit.rig_T_flange)
+    return fit, share * np.outer(apart, apart)
+
+
+def _unlikelihood(fit: _PoseFit, expected: tuple[Array, float] | None) -> float:
+    """Twice the negative log likelihood of a fit, but for a constant."""
+    chi2 = fit.figures[3]
+    if expected is None:
+        return chi2
+    pose, sigma = expected
+    turn = np.linalg.norm(difference(fit.rig_T_flange, pose)[3:])
+    return chi2 + float(turn / sigma) ** 2
+
+
 def perturb(pose: Array, step: Array) -> Array:
     """Move a pose by a translation and a small rotation vector, both in the outer frame's axes."""
     moved = np.array(pose, dtype=float, order="C")
@@ -202,13 +257,13 @@ def _judge(fit: _PoseFit, tolerance: Array) -> tuple[int, float, bool]:
     return worst, size, agree and size < MAX_SPOT_CHI2
 
 
-def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool) -> Pose:
+def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool, doubt: Array) -> Pose:
     residual, by_point, _ = fit.predicted
     pixels, alignment, uncertainty, chi2 = fit.figures
     determined = _determined_functionals(fit)
     return Pose(
         rig_T_flange=fit.rig_T_flange,
-        covariance_pixels=pixels,
+        covariance_pixels=pixels + doubt,
         covariance_alignment=alignment,
         twist=fit.twist,
         acceleration_prior=fit.prior,

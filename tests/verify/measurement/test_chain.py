@@ -370,7 +370,7 @@ def test_pictures_that_were_not_taken_together_are_an_outlier(late: float) -> No
 def test_spots_whose_fit_takes_no_finite_step_are_an_outlier(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    def diverge(*_: object) -> None:
+    def diverge(*_: object, **__: object) -> None:
         raise np.linalg.LinAlgError
 
     rig, marker = facing_rig()
