@@ -335,13 +335,13 @@ def _predict(memory: _Memory | None, t: float) -> PosePrediction | None:
         ACCELERATION_PER_SPEED * _norm(part) + rough
         for part, rough in zip((pose.twist[:3], pose.twist[3:]), MIN_ACCELERATION, strict=True)
     )
-    variance = pose.covariance.diagonal().tolist()
+    variance = pose.covariance.diagonal()
     # the twist is that of half a pair ago, so the error is acceleration over interval², not half;
     # 1 mm and 0.01 rad for pairs taken while starting to move; two deviations of the pose itself
     return PosePrediction(
         rig_T_flange=perturb(pose.rig_T_flange, pose.twist * interval),
-        position_uncertainty=linear * interval**2 + 1e-3 + 2 * math.sqrt(sum(variance[:3])),
-        rotation_uncertainty=angular * interval**2 + 0.01 + 2 * math.sqrt(sum(variance[3:])),
+        position_uncertainty=linear * interval**2 + 1e-3 + 2 * math.sqrt(variance[:3].sum()),
+        rotation_uncertainty=angular * interval**2 + 0.01 + 2 * math.sqrt(variance[3:].sum()),
         choice=memory.measurement.choice,
     )
 

@@ -15,10 +15,7 @@ and h_ik alignment's levers of acceleration, jerk and snap, s², s³, s⁴. Para
 The acceleration a_1, (6,) m/s² and rad/s², is unknown between two pairs, the jerk a_2 among three,
 the snap a_3 among four. They are common to all spots of the rigid body: with priors N(0,
 diag(sigma²)) they are marginalised, which correlates the spots' errors. An LED in one image alone
-counts. Spots that contradict the others are rejected one by one. With n degrees of freedom left,
-where rig and marker do not explain the residuals, the variance by the pixels is enlarged
-
-    by 1 + max(chi² - n - 3 sqrt(2 n), 0) / n
+counts. Spots that contradict the others are rejected one by one.
 """
 
 import math
@@ -42,7 +39,6 @@ MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false reje
 P_CONTRADICTION = 1e-7  # of the pair's chi² as a whole
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
 IDENTITY = np.eye(6)
-MAX_CHI2_SIGMA = 3.0  # standard deviations of a pair's chi², which chance reaches
 MIN_SHARE = 0.025  # of the likelihood of two poses: an interval of 95 % need not hold one of less
 MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
 
@@ -118,17 +114,17 @@ def fit_pose(
     keep = np.ones(len(views.centre), dtype=np.bool_)
     sigmas = marker.centre_shift_standard_uncertainty or 0, marker.led_standard_uncertainty or 0
     tolerance = _tolerance(rig.left, rig.right, (len(left), len(right)), sigmas)
-    stated: Array | None = None  # px², what the columns explain
     while True:
         fit, doubt = _likelier_fit(views, keep, start, marker.leds, expected)
-        worst, size, sound = _judge(fit, tolerance if stated is None else tolerance + stated)
-        if not sound and stated is None and parameter_columns is not None:
-            stated = _stated_covariance(fit, parameter_columns)
-            worst, size, sound = _judge(fit, tolerance + stated)
+        worst, size, sound = _judge(fit, tolerance)
+        if not sound and parameter_columns is not None:
+            columns = parameter_columns(fit.rig_T_flange, fit.predicted[1])
+            tolerance, parameter_columns = tolerance + columns @ columns.T, None
+            worst, size, sound = _judge(fit, tolerance)
         kept = int(np.count_nonzero(keep))
         last = kept <= MIN_SPOTS or len(keep) - kept >= len(keep) // 3
         if last or size < MAX_SPOT_CHI2:
-            return _pose(fit, keep, sound, doubt, _misfit(fit, stated, parameter_columns))
+            return _pose(fit, keep, sound, doubt)
         keep[worst] = False
 
 
@@ -182,30 +178,30 @@ def _likelier_fit(
     start: Array,
     leds: Array,
     expected: tuple[Array, float] | None,
-) -> tuple[_PoseFit, Array | None]:
+) -> tuple[_PoseFit, Array]:
     """Fit from a start, or from the second pose that explains the spots if that is likelier.
 
-    Gives too what a choice between both adds to the pose's covariance, (6, 6); None where there is
-    none.
+    Gives too what a choice between both adds to the pose's covariance, (6, 6).
     """
-    fit = _gauss_newton(views, keep, start)
-    if len(fit.rows) == 4 * views.left == 4 * len(leds):  # both images show all
-        return fit, None
+    fit, nothing = _gauss_newton(views, keep, start), np.zeros((6, 6))
+    whole = len(keep) == 2 * views.left == 2 * len(leds) and np.count_nonzero(keep) == len(keep)
+    if whole:
+        return fit, nothing
     left, right = np.split(views.led, [views.left])
     seen = left[keep[: views.left]].tolist(), right[keep[views.left :]].tolist()
     second = second_start(fit.rig_T_flange, seen, leds, views.cameras)
     if second is None:
-        return fit, None
+        return fit, nothing
     try:
         rival = _gauss_newton(views, keep, second)
     except np.linalg.LinAlgError:
-        return fit, None
+        return fit, nothing
     more = _unlikelihood(rival, expected) - _unlikelihood(fit, expected)
     if more < 0:
         fit, rival, more = rival, fit, -more
     share = 1 - 1 / (1 + math.exp(-more / 2))
     if share < MIN_SHARE:
-        return fit, None
+        return fit, nothing
     apart = difference(rival.rig_T_flange, fit.rig_T_flange)
     return fit, share * np.outer(apart, apart)
 
@@ -255,51 +251,19 @@ def _judge(fit: _PoseFit, tolerance: Array) -> tuple[int, float, bool]:
     freedom = len(fit.rows) - int(np.count_nonzero(fit.directions[1]))
     bound = chi2_bound(P_CONTRADICTION, freedom) if freedom > 0 else np.inf
     chi2 = fit.figures[3], bound
-    worst, size, agree, _ = kernel.judge_fit(
+    worst, size, agree = kernel.judge_fit(
         fit.predicted, fit.spread, fit.gain, fit.rows, tolerance, chi2
     )
     return worst, size, agree and size < MAX_SPOT_CHI2
 
 
-def _stated_covariance(fit: _PoseFit, parameter_columns: ParameterColumns) -> Array:
-    """Covariance of the spots by the stated uncertainties, (2 s, 2 s), px²."""
-    columns = parameter_columns(fit.rig_T_flange, fit.predicted[1])
-    covariance: Array = columns @ columns.T
-    return covariance
-
-
-def _misfit(
-    fit: _PoseFit, stated: Array | None, parameter_columns: ParameterColumns | None
-) -> float:
-    """By how much the residuals' chi² enlarges the pose's variance: what chance does not explain.
-
-    Neither does what is stated of rig and marker, which has its own part in the uncertainty.
-    """
-    chi2, freedom = fit.figures[3], len(fit.rows) - int(np.count_nonzero(fit.directions[1]))
-    most = freedom + MAX_CHI2_SIGMA * math.sqrt(2 * freedom)
-    if freedom <= 0 or chi2 <= most:
-        return 1.0
-    if stated is None and parameter_columns is not None:
-        stated = _stated_covariance(fit, parameter_columns)
-    if stated is not None:
-        given = fit.predicted, fit.spread, fit.gain, fit.rows, stated
-        *_, chi2 = kernel.judge_fit(*given, (chi2, most))
-    return 1.0 + max(chi2 - most, 0.0) / freedom
-
-
-def _pose(
-    fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool, doubt: Array | None, misfit: float
-) -> Pose:
+def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool, doubt: Array) -> Pose:
     residual, by_point, _ = fit.predicted
     pixels, alignment, uncertainty, chi2 = fit.figures
     determined = _determined_functionals(fit)
-    if misfit > 1:
-        pixels = misfit * pixels
-    if doubt is not None:
-        pixels = pixels + doubt
     return Pose(
         rig_T_flange=fit.rig_T_flange,
-        covariance_pixels=pixels,
+        covariance_pixels=pixels + doubt,
         covariance_alignment=alignment,
         twist=fit.twist,
         acceleration_prior=fit.prior,

@@ -158,7 +158,7 @@ def judge_fit(
     rows: Index,
     tolerance: Array,
     chi2: tuple[float, float],
-) -> tuple[int, float, bool, float]:
+) -> tuple[int, float, bool]:
     """Find the kept spot that fits worst, and say whether the kept ones agree as a whole.
 
     `predicted`, `spread` and `gain` (6, 2 s) are those of `fit_spots`; `rows` (2 k,), those of the
@@ -166,14 +166,12 @@ def judge_fit(
     of the residuals, and the greatest that noise, motion and tolerance reach.
 
     Returns:
-        The worst spot; its residual in its own uncertainty, squared; whether they agree; chi² of
-        the residuals, under the tolerance where it is beyond that greatest.
+        The worst spot; its residual in its own uncertainty, squared; whether they agree.
     """
-    (residual, _, by_pose), shown = predicted, np.empty(2)
+    (residual, _, by_pose), most = predicted, np.empty(1)
     fit = residual, by_pose, spread, gain
-    found = _judge_fit(len(residual), *fit, len(rows), rows, tolerance, *chi2, shown)
-    size, own = shown.tolist()
-    return found // 2, size, bool(found % 2), own
+    found = _judge_fit(len(residual), *fit, len(rows), rows, tolerance, *chi2, most)
+    return found // 2, float(most[0]), bool(found % 2)
 
 
 def place_leds(

@@ -333,28 +333,26 @@ static double spot_chi2(int64_t first, Kept kept, const Fit *fit, const double *
  * spot, and one more if they do.
  *
  * `own`, chi^2 of the residuals; `most_chi2`, the greatest that noise, motion and tolerance reach.
- * `shown` (2,): the worst spot's residual in its own uncertainty, squared; chi^2 of all residuals,
- * under the tolerance where it is beyond `most_chi2`. */
+ * `most`: the worst spot's residual in its own uncertainty, squared. */
 static int64_t judge_fit(Kept kept, const Fit *fit, const double *tolerance, double own,
-                         double most_chi2, double *shown)
+                         double most_chi2, double *most)
 {
     Mark mark = scratch_mark();
     int64_t size = kept.count * kept.count, worst = 0;
     double *total = TAKE(double, size), *root = TAKE(double, size);
     kept_covariance(kept, fit, tolerance, total);
-    shown[0] = -INFINITY;
+    *most = -INFINITY;
     for (int64_t first = 0; first + 1 < kept.count; first += 2) {
         double chi2 = spot_chi2(first, kept, fit, total);
-        if (chi2 > shown[0]) {
+        if (chi2 > *most) {
             worst = kept.rows[first] / 2;
-            shown[0] = chi2;
+            *most = chi2;
         }
     }
     if (!(own < most_chi2)) {
         factor((int)kept.count, total, 0.0, root);
         own = residual_chi2(kept, fit, root);
     }
-    shown[1] = own;
     scratch_release(mark);
     return 2 * worst + (own < most_chi2);
 }
@@ -391,9 +389,9 @@ int64_t entry_fit_spots(int64_t n, int64_t n_left, const double *points, const d
 
 int64_t entry_judge_fit(int64_t n, double *residual, double *by_pose, double *spread, double *gain,
                         int64_t count, const int64_t *rows, const double *tolerance, double own,
-                        double most_chi2, double *shown)
+                        double most_chi2, double *most)
 {
     Fit fit = {.residual = residual, .by_pose = by_pose, .noise = spread,
                .acceleration = spread + 4 * n * n, .gain = gain};
-    GUARDED(judge_fit((Kept){2 * n, count, rows}, &fit, tolerance, own, most_chi2, shown));
+    GUARDED(judge_fit((Kept){2 * n, count, rows}, &fit, tolerance, own, most_chi2, most));
 }
