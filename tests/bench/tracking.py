@@ -27,7 +27,7 @@ from verify.grasping.tracking.camshift import camshift, find_blobs
 from verify.grasping.tracking.selection import model_from_box
 from verify.grasping.tracking.target import BoxSelection, ColourSelection, TrackingOptions
 from verify.grasping.tracking.track import TargetTracker
-from verify.measurement.detection.pair import warm_up
+from verify.measurement.chain import warm_up
 from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import draw_scene
 from verify.simulation.cell.setup import FULL_SIZE, cell_setup

@@ -25,8 +25,8 @@ from verify.live.buffers import ReadingBuffer
 from verify.live.clock import ESTIMATE_PERIOD, ClockKeeper, Estimator, LiveClock, estimate_offset
 from verify.live.joint_row import Evidence, JointRow
 from verify.live.protocols import Alarm, MonitoredRobot
+from verify.measurement import chain
 from verify.measurement.chain import Setup, measure
-from verify.measurement.detection import pair as pictures
 
 SIGMA = 0.05  # px: what a webcam's spot is known to
 SWING = np.deg2rad([5.0, 4.0, 5.0, 8.0, 8.0, 12.0])
@@ -52,7 +52,7 @@ def picture(spots: Array) -> Image:
 LEVELS = cycle(range(7))  # an odd number: of both cameras in turn
 
 
-def seen_spots(image: Image, _windows: Array | None = None, **_: object) -> Spots:
+def seen_spots(image: Image, _windows: Array | None = None, **_: bool) -> Spots:
     """Stand in for detection."""
     centre: Array = image.spots  # type: ignore[attr-defined]
     return make_spots(centre, np.full((len(centre), 3), 200.0), sigma=SIGMA)
@@ -62,7 +62,7 @@ def seen_spots(image: Image, _windows: Array | None = None, **_: object) -> Spot
 def without_pictures() -> Iterator[None]:
     """Let the chain take the pictures' spots as they are."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(pictures, "detect", seen_spots)
+        patch.setattr(chain, "detect", seen_spots)
         yield
 
 

@@ -19,11 +19,10 @@ import numpy as np
 from verify.core import processes
 from verify.core.fiducials import Marker
 from verify.core.native import library_folder
-from verify.core.records import Array, Image, Measurement, Noise, Spots, StereoPair
+from verify.core.records import Array, Image, Measurement, Spots, StereoPair
 from verify.core.rig import Rig
-from verify.measurement.chain import Setup, measure
+from verify.measurement.chain import Setup, detect_in_turn, measure, warm_up
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.pair import PairNoise, Windows, detect_in_turn, warm_up
 
 if TYPE_CHECKING:  # not loaded where pairs are measured: it brings the comparison along
     from verify.live.protocols import ExpectedPoses
@@ -33,8 +32,8 @@ MEASUREMENT_TIMEOUT = 2.0  # s a pair, twenty times what a whole frame takes
 JOIN_TIMEOUT = 2.0  # s
 NO_PICTURE: Image = np.zeros((0, 0), dtype=np.uint8)
 
-# shared memory, shape, windows, noise, lossy
-DetectionRequest = tuple[str, tuple[int, ...], Array | None, Noise | None, bool]
+# shared memory, shape, windows, lossy
+DetectionRequest = tuple[str, tuple[int, ...], Array | None, bool]
 # a pair without its pictures, and where those are
 PairMessage = tuple[StereoPair, processes.Place, processes.Place]
 
@@ -62,15 +61,17 @@ class ParallelDetector:
         self._picture = processes.SharedPicture()
         self._lock = threading.Lock()
 
-    def __call__(self, pair: StereoPair, windows: Windows, noise: PairNoise) -> tuple[Spots, Spots]:
-        """Find the spots of a pair."""
+    def __call__(
+        self, pair: StereoPair, left_windows: Array | None, right_windows: Array | None
+    ) -> tuple[Spots, Spots]:
+        """Find the spots of a pair; windows (m, 4) px, where to search; None: everywhere."""
         process = self._process
         if process is None:
-            return detect_in_turn(pair, windows, noise)
+            return detect_in_turn(pair, left_windows, right_windows)
         right = processes.location_of(pair.right) or self._picture.put(pair.right)
         try:
-            process.begin((*right, windows[1], noise[1], pair.lossy[1]))
-            spots = detect(pair.left, windows[0], noise=noise[0], lossy=pair.lossy[0])
+            process.begin((*right, right_windows, pair.lossy[1]))
+            spots = detect(pair.left, left_windows, lossy=pair.lossy[0])
             return spots, process.finish(DETECTION_TIMEOUT)
         except processes.ChildLateError as error:
             if not self._warned:
@@ -79,7 +80,7 @@ class ParallelDetector:
         except processes.ChildLostError as error:
             self._warn(f"pictures are searched one at a time from now on: {error}")
             self.close()
-        return detect_in_turn(pair, windows, noise)
+        return detect_in_turn(pair, left_windows, right_windows)
 
     def close(self) -> None:
         """End the second process."""
@@ -91,8 +92,8 @@ class ParallelDetector:
 
 
 def _detect_shared_picture(request: DetectionRequest) -> Spots:
-    name, shape, windows, noise, lossy = request
-    return detect(processes.picture_at(name, shape), windows, noise=noise, lossy=lossy)
+    name, shape, windows, lossy = request
+    return detect(processes.picture_at(name, shape), windows, lossy=lossy)
 
 
 class MeasuringProcess:

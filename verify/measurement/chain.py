@@ -16,14 +16,7 @@ from verify.core.records import Array, Image, Measurement, Pose, Spots, StereoPa
 from verify.core.rig import Camera, Rig
 from verify.measurement.alignment import MAX_GAP, RawSighting, align, raw_sighting
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
-from verify.measurement.detection.pair import (
-    EVERYWHERE,
-    CameraNoise,
-    Detector,
-    PairSpots,
-    detect_in_turn,
-    find_spots,
-)
+from verify.measurement.detection.detect import detect
 from verify.measurement.kernels.entries import ACCELERATION_PER_SPEED, MIN_ACCELERATION, led_boxes
 from verify.measurement.pose import fit_pose, perturb
 from verify.measurement.systematics import Systematics, spot_columns, stated_systematics
@@ -35,11 +28,15 @@ UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 # A hundred times the usual: the motion between the instants is so large that the pose is a guess,
 # whatever uncertainty the acceleration's prior lends it.
 MAX_REPROJECTION_PX = 2.0
+# Standard uncertainty of a spot that may be an LED. Texture of a room gives blobs of 1 to 4 px,
+# which fit wherever an LED may be; a limit of 1 px loses LEDs of which half is hidden.
+MAX_VAGUE_PX = 1.4
 # Of the dimmest LED's peak when last seen: the room's texture is dimmer, half an LED is not.
 MIN_PEAK_SHARE = 0.3
 PEAK_FADING = 0.95  # a pair, of an LED that is not seen: it may turn away meanwhile
 SENSOR_LIMIT_DN = 255.0  # beyond it a peak is extrapolated
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
+Detector = Callable[[StereoPair, Array | None, Array | None], tuple[Spots, Spots]]
 
 
 def led_windows(
@@ -58,6 +55,20 @@ def led_windows(
         (MARGIN_PX, marker.led_diameter, *off),
         (image.shape[1], image.shape[0]),
     )
+
+
+def detect_in_turn(
+    pair: StereoPair, left_windows: Array | None, right_windows: Array | None
+) -> tuple[Spots, Spots]:
+    """Find the spots of both pictures of a pair; windows (m, 4) px, None for the whole frame."""
+    left = detect(pair.left, left_windows, lossy=pair.lossy[0])
+    return left, detect(pair.right, right_windows, lossy=pair.lossy[1])
+
+
+def warm_up(detector: Detector = detect_in_turn) -> None:
+    """Load what measuring takes, in another process too, by a black picture."""
+    black = np.zeros((64, 64), dtype=np.uint8)
+    detector(StereoPair(0, 0.0, 0.0, 0.0, 0.0, black, black), None, None)
 
 
 def no_expected_poses(_t: float) -> Sequence[Array]:
@@ -98,9 +109,9 @@ class _AssignedPair:
 
     pair_t: float
     frame: int
-    found: PairSpots
     correspondence: Correspondence
     sides: tuple[RawSighting, RawSighting]  # left and right
+    whole_frame: bool
     prediction: PosePrediction | None
 
 
@@ -115,7 +126,6 @@ class _Memory:
     measurement: Measurement  # of the pair before
     pose: Pose
     peaks: Array  # (2, n), DN, of each LED in either picture when last seen, faded; nan: not yet
-    noise: tuple[CameraNoise, CameraNoise]
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,24 +181,41 @@ def _beyond_gap(one: _AssignedPair, other: _AssignedPair) -> bool:
 def _find_leds(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _AssignedPair:
     """Find the spots and assign them to LEDs; in the whole frame where prediction fails."""
     prediction, least = _predict(memory, pair.t_left), np.zeros(2)
-    noise = memory.noise if memory is not None else (CameraNoise(), CameraNoise())
     if prediction is not None and memory is not None:
         least = MIN_PEAK_SHARE * memory.peaks.min(axis=1)
         rig, marker = setup.rig, setup.marker
         left = led_windows(marker, rig.left, pair.pan_left, prediction, pair.left)
         right = led_windows(marker, rig.right, pair.pan_right, prediction, pair.right)
-        found = find_spots(pair, setup.detect, (left, right), least, noise)
-        assigned = _assign(pair, found, setup, memory, prediction)
+        spots = _detect(pair, setup, (left, right), least)
+        assigned = _assign(pair, spots, setup, memory, prediction, whole_frame=False)
         if _shows_all_leds(assigned, setup):
             return assigned
-        noise = found.noise
-    found = find_spots(pair, setup.detect, EVERYWHERE, least, noise)
+    spots = _detect(pair, setup, (None, None), least)
     # with an LED missing the prediction may follow a reflection: pictures that show the whole
     # marker elsewhere overrule it
-    fresh = _assign(pair, found, setup, memory, None)
+    fresh = _assign(pair, spots, setup, memory, None, whole_frame=True)
     if prediction is None or _shows_all_leds(fresh, setup):
         return fresh
-    return _assign(pair, found, setup, memory, prediction)
+    return _assign(pair, spots, setup, memory, prediction, whole_frame=True)
+
+
+def _detect(
+    pair: StereoPair, setup: Setup, windows: tuple[Array | None, Array | None], least: Array
+) -> tuple[Spots, Spots]:
+    """Find the spots of both pictures that may be LEDs.
+
+    `windows` (m, 4) px, None for the whole frame; `least` (2,), DN, peak of an LED in either
+    picture, nan where it is not known.
+    """
+    left, right = setup.detect(pair, *windows)
+    return _likely(left, least[0]), _likely(right, least[1])
+
+
+def _likely(spots: Spots, least: float) -> Spots:
+    """Leave out the spots whose place is hardly known, and those far dimmer than any LED."""
+    sure = (spots.covariance <= MAX_VAGUE_PX**2).all(axis=(1, 2))  # a variance is the largest entry
+    sure &= ~(spots.peak < least)
+    return spots if sure.all() else take_rows(spots, np.flatnonzero(sure))
 
 
 def _shows_all_leds(assigned: _AssignedPair, setup: Setup) -> bool:
@@ -200,13 +227,15 @@ def _shows_all_leds(assigned: _AssignedPair, setup: Setup) -> bool:
 
 def _assign(
     pair: StereoPair,
-    found: PairSpots,
+    spots: tuple[Spots, Spots],
     setup: Setup,
     memory: _Memory | None,
     prediction: PosePrediction | None,
+    *,
+    whole_frame: bool,
 ) -> _AssignedPair:
     correspondence = assign_leds(
-        found.spots,
+        spots,
         setup.rig,
         (pair.pan_left, pair.pan_right),
         setup.marker,
@@ -214,9 +243,9 @@ def _assign(
         expected=partial(setup.expected, pair.t_left),
         motion_tolerance_px=_motion_px(pair, setup, memory),
     )
-    left, right = (_raw_sighting(pair, found.spots, setup, correspondence, side) for side in (0, 1))
+    left, right = (_raw_sighting(pair, spots, setup, correspondence, side) for side in (0, 1))
     sides = left, right
-    return _AssignedPair(pair.t_left, pair.frame, found, correspondence, sides, prediction)
+    return _AssignedPair(pair.t_left, pair.frame, correspondence, sides, whole_frame, prediction)
 
 
 def _motion_px(pair: StereoPair, setup: Setup, memory: _Memory | None) -> float:
@@ -263,8 +292,7 @@ def _measure_causally(
     peaks = never if memory is None else PEAK_FADING * memory.peaks
     for side, raw in enumerate(kept.sides):
         peaks[side, raw.sighting.led] = np.minimum(raw.sighting.peak, SENSOR_LIMIT_DN)
-    memory = _Memory(measurement, pose, peaks, assigned.found.noise)
-    return _CausalPair(assigned, kept, around, measurement, memory)
+    return _CausalPair(assigned, kept, around, measurement, _Memory(measurement, pose, peaks))
 
 
 def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measurement:
@@ -285,7 +313,7 @@ def _fit(
     leds = len({*found.left_led.tolist(), *found.right_led.tolist()})
     measurement = Measurement(
         assigned.frame, assigned.pair_t, found.status, leds, choice=found.choice,
-        whole_frame=assigned.found.whole_frame, settled=settled,
+        whole_frame=assigned.whole_frame, settled=settled,
     )  # fmt: skip
     if found.status != "measured" or found.rig_T_flange is None:
         return measurement
@@ -335,13 +363,13 @@ def _predict(memory: _Memory | None, t: float) -> PosePrediction | None:
         ACCELERATION_PER_SPEED * _norm(part) + rough
         for part, rough in zip((pose.twist[:3], pose.twist[3:]), MIN_ACCELERATION, strict=True)
     )
-    variance = pose.covariance.diagonal()
     # the twist is that of half a pair ago, so the error is acceleration over interval², not half;
     # 1 mm and 0.01 rad for pairs taken while starting to move; two deviations of the pose itself
+    variance = pose.covariance.diagonal().tolist()
     return PosePrediction(
         rig_T_flange=perturb(pose.rig_T_flange, pose.twist * interval),
-        position_uncertainty=linear * interval**2 + 1e-3 + 2 * math.sqrt(variance[:3].sum()),
-        rotation_uncertainty=angular * interval**2 + 0.01 + 2 * math.sqrt(variance[3:].sum()),
+        position_uncertainty=linear * interval**2 + 1e-3 + 2 * math.sqrt(sum(variance[:3])),
+        rotation_uncertainty=angular * interval**2 + 0.01 + 2 * math.sqrt(sum(variance[3:])),
         choice=memory.measurement.choice,
     )
 

@@ -19,12 +19,13 @@ counts. Spots that contradict the others are rejected one by one.
 """
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from robots.transforms import difference
 from verify.core.fiducials import Marker
@@ -33,12 +34,12 @@ from verify.core.rig import Camera, Rig
 from verify.core.statistics import chi2_bound
 from verify.measurement.kernels import entries as kernel
 from verify.measurement.kernels.entries import MOTION_RATE, SCALE
-from verify.measurement.second_pose import second_start
 
 MAX_SPOT_CHI2 = 20.0  # chi² of one spot, 2 degrees of freedom: 5e-5 false rejections
 P_CONTRADICTION = 1e-7  # of the pair's chi² as a whole
 MODEL_ERROR_PX = 0.03  # shape of a real LED, lens model: what noise alone does not explain
 IDENTITY = np.eye(6)
+MIN_ACROSS = 1e-6  # m and 1: an LED on the line, or a ray along it, shows no turn
 MIN_SHARE = 0.025  # of the likelihood of two poses: an interval of 95 % need not hold one of less
 MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accused
 
@@ -204,6 +205,40 @@ def _likelier_fit(
         return fit, nothing
     apart = difference(rival.rig_T_flange, fit.rig_T_flange)
     return fit, share * np.outer(apart, apart)
+
+
+def second_start(
+    pose: Array, leds: tuple[Sequence[int], Sequence[int]], points: Array, cameras: Array
+) -> Array | None:
+    """Turn a pose to where LEDs in one image alone are explained a second time; None: nowhere.
+
+    Two LEDs in both images leave a turn open, about the line through them. An LED in one image is
+    at r from its circle's centre, and on a ray of direction u across the line, which meets the
+    circle again at r - 2 (r . u) u: exactly, where the ray lies in the circle's plane.
+
+    `pose` (4, 4), rig_T_flange; `leds`, those seen by the left camera and by the right one;
+    `points` (n, 3), m, of all LEDs in the flange; `cameras` (2, 23), as
+    `kernels.entries.predict_spots` has them. A start for a fit, not a value.
+    """
+    left, right = (set(some) for some in leds)
+    both, alone = left & right, sorted(left ^ right)
+    if len(both) != 2 or not alone:
+        return None
+    first, second, lone = (pose[:3, :3] @ points[i] + pose[:3, 3] for i in (*both, alone[0]))
+    placed = cameras[int(alone[0] in right), :12].reshape(3, 4)
+    eye = -placed[:, :3].T @ placed[:, 3]
+    line = (second - first) / np.linalg.norm(second - first)
+    arm, ray = (v - line * (line @ v) for v in (lone - first, lone - eye))
+    if np.linalg.norm(arm) < MIN_ACROSS or np.linalg.norm(ray) < MIN_ACROSS:
+        return None
+    ray /= np.linalg.norm(ray)
+    again = arm - 2 * (arm @ ray) * ray
+    angle = math.atan2(line @ np.cross(arm, again), arm @ again)
+    turn = Rotation.from_rotvec(line * angle).as_matrix()
+    moved = pose.copy()
+    moved[:3, :3] = turn @ pose[:3, :3]
+    moved[:3, 3] = first + turn @ (pose[:3, 3] - first)
+    return moved
 
 
 def _unlikelihood(fit: _PoseFit, expected: tuple[Array, float] | None) -> float:

@@ -34,7 +34,6 @@ from verify.live.protocols import Alarm, LiveDevices, MonitoredRobot
 from verify.live.state import DeviceStatus, LiveState
 from verify.measurement.chain import Setup, measure
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.pair import EVERYWHERE, NOT_KNOWN
 
 RATE = 10.0  # pairs a second: a machine that does other things keeps up
 WAIT = 0.02  # s
@@ -335,7 +334,7 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
     pair = StereoPair(0, 0.0, 0.0, 0.0, 0.0, *pictures)
     detector = ParallelDetector(message.append)
     for where in (None, windows):
-        found = detector(pair, (where, where), NOT_KNOWN)
+        found = detector(pair, where, where)
         for image, spots in zip(pictures, found, strict=True):
             expected = detect(image, where)
             np.testing.assert_array_equal(spots.centre, expected.centre)
@@ -343,13 +342,13 @@ def test_a_second_process_finds_the_same_spots_and_its_loss_costs_none() -> None
     process = detector._process
     os.kill(process._process.pid, signal.SIGSTOP)
     for _ in range(3):  # waited for once
-        assert len(detector(pair, EVERYWHERE, NOT_KNOWN)[1]) == 1
+        assert len(detector(pair, None, None)[1]) == 1
     assert len(message) == 1
     assert "now and then: no answer within 1 s" in message[0]
     assert detector._process is process
     process._process.kill()
     process._process.join()
-    found = detector(pair, EVERYWHERE, NOT_KNOWN)
+    found = detector(pair, None, None)
     assert len(found[1]) == 1
     assert len(message) == 2
     assert "from now on" in message[1]

@@ -16,8 +16,7 @@ from tests.support.spot_level import SpotRun, facing_rig, picture, without_pictu
 from verify.analysis.session import analyse
 from verify.core.records import Array, Measurement, Spots, StereoPair, take_rows
 from verify.measurement import chain
-from verify.measurement.chain import Setup, measure
-from verify.measurement.detection.pair import PairNoise, Windows, detect_in_turn
+from verify.measurement.chain import Setup, detect_in_turn, measure
 from verify.simulation.scenario import (
     Distractor,
     Mirror,
@@ -233,13 +232,14 @@ def with_blobs(
     u_px: float,
     peak_dn: float,
     pair: StereoPair,
-    windows: Windows,
-    noise: PairNoise,
+    left_windows: Array | None,
+    right_windows: Array | None,
 ) -> tuple[Spots, Spots]:
     """Find the spots, and blobs of a room: 20 in a whole picture, twelve in a window, where their
     uncertainty is `u_px`."""
     rng, found = np.random.default_rng(pair.frame), []
-    for spots, searched in zip(detect_in_turn(pair, windows, noise), windows, strict=True):
+    windows = left_windows, right_windows
+    for spots, searched in zip(detect_in_turn(pair, *windows), windows, strict=True):
         whole = searched is None
         boxes = np.array([[0, 0, 1280, 720]]) if searched is None else searched
         boxes = np.repeat(boxes, 20 if whole else 12, axis=0)

@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 from robots.transforms import difference
 from tests.support.scene import facing, make_marker, make_rig, project, sight
 from verify.core.records import Array
-from verify.measurement.pose import fit_pose, stack_sightings
-from verify.measurement.second_pose import second_start
+from verify.measurement.pose import fit_pose, second_start, stack_sightings
 
 SIGMA = 0.05  # px
 SEEN = [0, 1, 2], [0, 1]

@@ -16,7 +16,7 @@ from verify.analysis.least_squares import autocorrelation
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, StereoPair, rigid_transform
 from verify.core.rig import Rig
-from verify.measurement.detection.pair import detect_in_turn
+from verify.measurement.chain import detect_in_turn
 from verify.measurement.pose import MODEL_ERROR_PX
 from verify.measurement.systematics import PAN_READINGS, Systematics, pixel_sensitivities
 from verify.measurement.triangulation import triangulate
@@ -146,7 +146,7 @@ class BarTracker:
 
     def _locate(self, pair: StereoPair) -> Array | None:
         """Triangulate the two brightest spots of either image, (2, 3); None: not visible."""
-        left, right = detect_in_turn(pair)
+        left, right = detect_in_turn(pair, None, None)
         if min(len(left), len(right)) < 2:
             return None
         ways = []

@@ -20,8 +20,7 @@ from verify.core.records import Array, Progress, Spots, take_rows
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io.session.session import Recording
-from verify.measurement.chain import MIN_DEPTH, MIN_MOTION_PX, UNKNOWN_SPEED_PX
-from verify.measurement.detection.pair import detect_in_turn
+from verify.measurement.chain import MIN_DEPTH, MIN_MOTION_PX, UNKNOWN_SPEED_PX, detect_in_turn
 from verify.measurement.triangulation import fit_rigid, rays, triangulate
 
 MAX_LEDS = 6  # that correspondence can assign
@@ -77,7 +76,7 @@ def find_spots(recording: Recording, progress: Progress) -> list[PairSpots]:
     pairs = []
     for pair in recording.pairs():
         t, pan = (pair.t_left, pair.t_right), (pair.pan_left, pair.pan_right)
-        spots, height = detect_in_turn(pair), pair.left.shape[0]
+        spots, height = detect_in_turn(pair, None, None), pair.left.shape[0]
         pairs.append(PairSpots(pair.frame, t, pan, spots, height))
         progress(len(pairs), len(recording))
     return pairs

@@ -10,7 +10,7 @@ from verify.io import fiducials, rig
 from verify.io.results import refuse_existing
 from verify.live.buffers import PanBuffer
 from verify.live.recording.session import SessionFacts
-from verify.measurement.detection.pair import warm_up
+from verify.measurement.chain import warm_up
 from verify.simulation.cell.cell import RATE
 from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import COLOURS, add_pan_turns, draw_scene

@@ -47,7 +47,7 @@ from verify.live.station import file
 from verify.live.station.devices import angle_map
 from verify.live.station.keys import StationEncodersTable, StationTable
 from verify.live.station.station import Station, open_station
-from verify.measurement.detection.pair import warm_up
+from verify.measurement.chain import warm_up
 from verify.simulation.devices.station import SimulatedStation
 
 PAN_UNKNOWN = "a camera base turns, or its angle is not known: its pictures are not used"

@@ -87,7 +87,7 @@ def _load(threads: int) -> None:
     import cv2
 
     from verify.fleet.batch import tasks  # noqa: F401  its libraries are loaded with it
-    from verify.measurement.detection.pair import warm_up
+    from verify.measurement.chain import warm_up
 
     cv2.setNumThreads(threads)
     with suppress(Exception):  # whatever is wrong, the first session's failure says it better

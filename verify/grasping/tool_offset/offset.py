@@ -30,8 +30,8 @@ from verify.core.records import Array, Image, Measurement, Sighting, Spots, Ster
 from verify.core.rig import Camera, Rig
 from verify.core.statistics import chi2_ppf
 from verify.grasping.cell import Cell
+from verify.measurement.chain import detect_in_turn
 from verify.measurement.correspondence.assign import PosePrediction, assign_leds
-from verify.measurement.detection.pair import detect_in_turn
 from verify.measurement.pose import fit_pose
 from verify.measurement.systematics import spot_columns, stated_systematics
 
@@ -161,11 +161,11 @@ def measure_resting_flange(
     "measured", "too_few_leds", "ambiguous_leds" or "outlier".
     """
     pans = pair.pan_left, pair.pan_right
-    windows = (
+    spots = detect_in_turn(
+        pair,
         _search_window(ordered, marker, rig.left, pans[0], pair.left),
         _search_window(ordered, marker, rig.right, pans[1], pair.right),
     )
-    spots = detect_in_turn(pair, windows)
     near = PosePrediction(ordered, SEARCH_RADIUS, MAX_ROTATION)
     found = assign_leds(spots, rig, pans, marker, prediction=near)
     n_leds = len({*found.left_led.tolist(), *found.right_led.tolist()})

@@ -21,8 +21,7 @@ from verify.live.recording.recorder import SessionRecorder
 from verify.live.registration.goals import MIN_LEDS, MotionCoverage, leds_seen
 from verify.live.registration.show import RecordingState, SpotDetection
 from verify.live.state import SILENCE_TIMEOUT, DeviceStatus, device_status
-from verify.measurement.detection.pair import detect_in_turn
-from verify.measurement.detection.pair import warm_up as warm_up_detection
+from verify.measurement import chain
 
 DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
 DETECTION_PERIOD = 0.2  # s from one pair in which spots are looked for to the next
@@ -47,7 +46,7 @@ class RecordedRobot:
 
 def warm_up(arm: robots.Arm) -> None:
     """Load what looks for spots and counts postures: loading it later would hold all threads up."""
-    warm_up_detection()
+    chain.warm_up()
     coverage = MotionCoverage(arm)
     for q in np.linspace(arm.lower, arm.upper, 3):
         coverage.moved(q)
@@ -147,7 +146,7 @@ class RecordingLoop:
         if pair is None or pair.frame == self._looked:
             return
         self._looked = pair.frame
-        spots = detect_in_turn(pair)
+        spots = chain.detect_in_turn(pair, None, None)
         found = PairSpots(
             frame=pair.frame,
             t=(pair.t_left, pair.t_right),
