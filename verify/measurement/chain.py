@@ -112,7 +112,7 @@ class _AssignedPair:
     correspondence: Correspondence
     sides: tuple[RawSighting, RawSighting]  # left and right
     whole_frame: bool
-    prediction: PosePrediction | None
+    prediction: PosePrediction | None  # of all six degrees of freedom
 
 
 # the pairs before and after, and the one before the former
@@ -244,8 +244,10 @@ def _assign(
         motion_tolerance_px=_motion_px(pair, setup, memory),
     )
     left, right = (_raw_sighting(pair, spots, setup, correspondence, side) for side in (0, 1))
+    turned = memory is not None and memory.pose.known_dof == 6  # else its turn was a guess
+    expected = prediction if turned else None
     sides = left, right
-    return _AssignedPair(pair.t_left, pair.frame, correspondence, sides, whole_frame, prediction)
+    return _AssignedPair(pair.t_left, pair.frame, correspondence, sides, whole_frame, expected)
 
 
 def _motion_px(pair: StereoPair, setup: Setup, memory: _Memory | None) -> float:

@@ -179,30 +179,29 @@ def _likelier_fit(
     start: Array,
     leds: Array,
     expected: tuple[Array, float] | None,
-) -> tuple[_PoseFit, Array]:
+) -> tuple[_PoseFit, Array | None]:
     """Fit from a start, or from the second pose that explains the spots if that is likelier.
 
-    Gives too what a choice between both adds to the pose's covariance, (6, 6).
+    Gives too what a choice between both adds to the pose's covariance, (6, 6); None: no choice.
     """
-    fit, nothing = _gauss_newton(views, keep, start), np.zeros((6, 6))
-    whole = len(keep) == 2 * views.left == 2 * len(leds) and np.count_nonzero(keep) == len(keep)
-    if whole:
-        return fit, nothing
+    fit = _gauss_newton(views, keep, start)
+    if len(fit.rows) == 4 * views.left == 4 * len(leds):  # both images show the whole marker
+        return fit, None
     left, right = np.split(views.led, [views.left])
     seen = left[keep[: views.left]].tolist(), right[keep[views.left :]].tolist()
     second = second_start(fit.rig_T_flange, seen, leds, views.cameras)
     if second is None:
-        return fit, nothing
+        return fit, None
     try:
         rival = _gauss_newton(views, keep, second)
     except np.linalg.LinAlgError:
-        return fit, nothing
+        return fit, None
     more = _unlikelihood(rival, expected) - _unlikelihood(fit, expected)
     if more < 0:
         fit, rival, more = rival, fit, -more
     share = 1 - 1 / (1 + math.exp(-more / 2))
     if share < MIN_SHARE:
-        return fit, nothing
+        return fit, None
     apart = difference(rival.rig_T_flange, fit.rig_T_flange)
     return fit, share * np.outer(apart, apart)
 
@@ -292,13 +291,13 @@ def _judge(fit: _PoseFit, tolerance: Array) -> tuple[int, float, bool]:
     return worst, size, agree and size < MAX_SPOT_CHI2
 
 
-def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool, doubt: Array) -> Pose:
+def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool, doubt: Array | None) -> Pose:
     residual, by_point, _ = fit.predicted
     pixels, alignment, uncertainty, chi2 = fit.figures
     determined = _determined_functionals(fit)
     return Pose(
         rig_T_flange=fit.rig_T_flange,
-        covariance_pixels=pixels + doubt,
+        covariance_pixels=pixels if doubt is None else pixels + doubt,
         covariance_alignment=alignment,
         twist=fit.twist,
         acceleration_prior=fit.prior,

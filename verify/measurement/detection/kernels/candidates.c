@@ -25,8 +25,9 @@ typedef struct {
     double side, half_side, axis_ratio, fill;
 } Shape;
 
-/* Search for blobs: the lowest level, DN; what is labelled with the number of its region; a pixel's place in each region
- * that is settled, as a blob was found in it, or no lower one shows one; blobs found (most, 4). */
+/* Search for blobs: the lowest level, DN; what is labelled with the number of its region; a pixel's
+ * place in each region that is settled, as a blob was found in it, or no lower one shows one; blobs
+ * found (most, 4). */
 typedef struct {
     Grid contrast;
     Shape shape;
