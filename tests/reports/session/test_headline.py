@@ -76,8 +76,8 @@ def test_causes_found_are_no_quantity_to_improve() -> None:
         for row in made.conforming().summary["joints"]
     ]
     results = _with(made.conforming(), verdict="undecided", joints=rows)
-    results.tables["budget"] = results.tables["budget"].assign(source="causes found")
-    sentence = headline(results).sentence
+    budget = results.tables["budget"].assign(source="causes found")
+    sentence = headline(replace(results, tables=results.tables | {"budget": budget})).sentence
     assert "improve first is what tells the causes found from" in sentence
     assert "(more pairs, in other postures): causes found makes" in sentence
 
