@@ -38,6 +38,7 @@ class RawSighting:
     sighting: Sighting
     taken: Array  # (m,), s, the instant of each spot (differs by row with a rolling shutter)
     depth: Array  # (m,), m, rough distance along the optical axis
+    width: Array  # (m,), px, full width at half height; nan where it may not be the LED's alone
 
 
 def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array:
@@ -61,7 +62,8 @@ def raw_sighting(
     (t, pan, height), centre = instant, spots.centre[index]
     still = np.zeros((len(index), 2)), np.zeros((len(index), 3))  # velocity and lever
     sighting = Sighting(led, centre, spots.covariance[index], t, pan, spots.peak[index], *still)
-    return RawSighting(sighting, spot_instants(t, centre, camera, height), depth)
+    width = np.where(spots.merged[index], np.nan, spots.diameter[index])
+    return RawSighting(sighting, spot_instants(t, centre, camera, height), depth, width)
 
 
 def align(

@@ -15,6 +15,7 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array, Image, Measurement, Pose, Spots, StereoPair, take_rows
 from verify.core.rig import Camera, Rig
 from verify.measurement.alignment import MAX_GAP, RawSighting, align, raw_sighting
+from verify.measurement.appearance import Appearance, likely_spots
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
 from verify.measurement.detection.detect import detect
 from verify.measurement.kernels.entries import ACCELERATION_PER_SPEED, MIN_ACCELERATION, led_boxes
@@ -28,13 +29,6 @@ UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 # A hundred times the usual: the motion between the instants is so large that the pose is a guess,
 # whatever uncertainty the acceleration's prior lends it.
 MAX_REPROJECTION_PX = 2.0
-# Standard uncertainty of a spot that may be an LED. Texture of a room gives blobs of 1 to 4 px,
-# which fit wherever an LED may be; a limit of 1 px loses LEDs of which half is hidden.
-MAX_VAGUE_PX = 1.4
-# Of the dimmest LED's peak when last seen: the room's texture is dimmer, half an LED is not.
-MIN_PEAK_SHARE = 0.3
-PEAK_FADING = 0.95  # a pair, of an LED that is not seen: it may turn away meanwhile
-SENSOR_LIMIT_DN = 255.0  # beyond it a peak is extrapolated
 MIN_DEPTH = 0.1  # m: nearer than any camera of this kind can focus
 Detector = Callable[[StereoPair, Array | None, Array | None], tuple[Spots, Spots]]
 
@@ -125,7 +119,7 @@ class _Memory:
 
     measurement: Measurement  # of the pair before
     pose: Pose
-    peaks: Array  # (2, n), DN, of each LED in either picture when last seen, faded; nan: not yet
+    appearance: Appearance
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +176,7 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _Assig
     """Find the spots and assign them to LEDs; in the whole frame where prediction fails."""
     prediction, least = _predict(memory, pair.t_left), np.zeros(2)
     if prediction is not None and memory is not None:
-        least = MIN_PEAK_SHARE * memory.peaks.min(axis=1)
+        least = memory.appearance.least_peaks
         rig, marker = setup.rig, setup.marker
         left = led_windows(marker, rig.left, pair.pan_left, prediction, pair.left)
         right = led_windows(marker, rig.right, pair.pan_right, prediction, pair.right)
@@ -208,14 +202,7 @@ def _detect(
     picture, nan where it is not known.
     """
     left, right = setup.detect(pair, *windows)
-    return _likely(left, least[0]), _likely(right, least[1])
-
-
-def _likely(spots: Spots, least: float) -> Spots:
-    """Leave out the spots whose place is hardly known, and those far dimmer than any LED."""
-    sure = (spots.covariance <= MAX_VAGUE_PX**2).all(axis=(1, 2))  # a variance is the largest entry
-    sure &= ~(spots.peak < least)
-    return spots if sure.all() else take_rows(spots, np.flatnonzero(sure))
+    return likely_spots(left, least[0]), likely_spots(right, least[1])
 
 
 def _shows_all_leds(assigned: _AssignedPair, setup: Setup) -> bool:
@@ -244,6 +231,9 @@ def _assign(
         motion_tolerance_px=_motion_px(pair, setup, memory),
     )
     left, right = (_raw_sighting(pair, spots, setup, correspondence, side) for side in (0, 1))
+    if memory is not None:
+        left = memory.appearance.widen_hidden(0, left)
+        right = memory.appearance.widen_hidden(1, right)
     turned = memory is not None and memory.pose.known_dof == 6  # else its turn was a guess
     expected = prediction if turned else None
     sides = left, right
@@ -290,11 +280,9 @@ def _measure_causally(
     kept = assigned if pose is None else _without_rejected(assigned, pose)
     if pose is None or not pose.consistent:
         return _CausalPair(assigned, kept, around, measurement, None)
-    never = np.full((2, len(setup.marker)), np.nan)
-    peaks = never if memory is None else PEAK_FADING * memory.peaks
-    for side, raw in enumerate(kept.sides):
-        peaks[side, raw.sighting.led] = np.minimum(raw.sighting.peak, SENSOR_LIMIT_DN)
-    return _CausalPair(assigned, kept, around, measurement, _Memory(measurement, pose, peaks))
+    before = Appearance.unknown(len(setup.marker)) if memory is None else memory.appearance
+    memory = _Memory(measurement, pose, before.after(kept.sides))
+    return _CausalPair(assigned, kept, around, measurement, memory)
 
 
 def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measurement:

@@ -11,6 +11,7 @@ from verify.measurement.alignment import RawSighting, align, spot_instants
 
 CAMERA = make_rig().left
 SIGMA = 0.02  # px
+WIDTH = np.full(3, 4.0)  # px
 
 
 def raw(
@@ -18,7 +19,7 @@ def raw(
 ) -> RawSighting:
     m = len(centre)
     seen = sighting(leds or list(range(m)), centre, SIGMA, t, pan)
-    return RawSighting(seen, np.full(m, t), np.full(m, depth))
+    return RawSighting(seen, np.full(m, t), np.full(m, depth), np.full(m, 4.0))
 
 
 def carried(
@@ -115,8 +116,8 @@ def test_with_a_rolling_shutter_each_spot_has_the_instant_of_its_row() -> None:
     camera: Camera = replace(CAMERA, line_time=2e-5)
     instants = spot_instants(1.0, START, camera, 720)
     assert_allclose(instants, 1.0 + (START[:, 1] - 359.5) * 2e-5)
-    now = RawSighting(raw(START, 1.0).sighting, instants, np.full(3, 0.6))
+    now = RawSighting(raw(START, 1.0).sighting, instants, np.full(3, 0.6), WIDTH)
     earlier = START - SPEED * 0.067
-    before = RawSighting(raw(earlier, 0.933).sighting, instants - 0.067, np.full(3, 0.6))
+    before = RawSighting(raw(earlier, 0.933).sighting, instants - 0.067, np.full(3, 0.6), WIDTH)
     aligned = carried(now, before)
     assert_allclose(aligned.centre, START - SPEED * (instants - 1.0)[:, None], atol=1e-9)

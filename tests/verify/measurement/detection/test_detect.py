@@ -327,6 +327,21 @@ def test_out_of_focus_an_edge_shows_in_the_covariance_though_not_in_the_shape(
     assert np.mean(flagged) < 0.02
 
 
+def test_texture_beside_a_small_led_does_not_cost_it_its_pixels() -> None:
+    """The room's bright places are found as dim lights, which reach the LED's patch."""
+    rng, spot, off = np.random.default_rng(23), Spot(200, 0.6, radius=2.2), []
+    for _ in range(40):
+        room = gaussian_filter(rng.normal(size=(360, 640)), 6.0, mode="wrap")
+        centres = scattered(2, 2, rng, pitch=140.0)
+        image = picture([spot] * 4, centres, Sensor(), rng, floor=50 + 15 * room / room.std())
+        spots = detect(image, np.hstack([centres - 30, centres + 30]))
+        _, error = matched(spots, centres)
+        off += error[np.abs(error).max(axis=1) < 0.5].tolist()
+    assert len(off) > 150  # of 160
+    rms = np.sqrt(np.mean(np.square(off)))
+    assert rms < 1.8 * centre_bound(spot, 50.0, Sensor())  # of an even room
+
+
 def test_texture_full_of_dim_lights_widens_the_covariance() -> None:
     """Left out as lights, these are all that shows how far the room moves a centre."""
     rng, squared = np.random.default_rng(18), []

@@ -1,0 +1,80 @@
+"""Tell which spots may be LEDs, and which of these are whole, by each LED's last appearance.
+
+What is far dimmer than any LED is none. An LED that has become smaller while the others have not
+is hidden in part: of a small one before a textured room, half a disc looks like a narrower spot,
+and its centre is off by about as much as its width has lost,
+
+    hidden by h along one side: centre moved by h / 2, mean width less by h / 2
+
+Widths are compared as far as they have changed alike: an arm that slows down leaves shorter trails.
+Each LED is remembered for either picture, as its brightness and width fade.
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from verify.core.records import Array, Spots, take_rows
+from verify.measurement.alignment import RawSighting
+
+# Standard uncertainty of a spot that may be an LED. Texture of a room gives blobs of 1 to 4 px,
+# which fit wherever an LED may be; a limit of 1 px loses LEDs of which half is hidden.
+MAX_VAGUE_PX = 1.4
+# Of the dimmest LED's peak when last seen: the room's texture is dimmer, half an LED is not.
+MIN_PEAK_SHARE = 0.3
+PEAK_FADING = 0.95  # a pair, of an LED that is not seen: it may turn away meanwhile
+SENSOR_LIMIT_DN = 255.0  # beyond it a peak is extrapolated
+# Of an LED's width when last seen, as far as all have changed. Of whole LEDs one in a thousand is
+# below, before strong texture one in a hundred; of half ones nearly all are.
+MIN_WIDTH_SHARE = 0.87
+WIDTH_FADING = 0.99  # a pair: a third of a second behind a stalk is remembered
+
+
+def likely_spots(spots: Spots, least: float) -> Spots:
+    """Leave out the spots whose place is hardly known, and those far dimmer than any LED.
+
+    `least`, DN: an LED's least peak; nan: not known.
+    """
+    sure = (spots.covariance <= MAX_VAGUE_PX**2).all(axis=(1, 2))  # a variance is the largest entry
+    sure &= ~(spots.peak < least)
+    return spots if sure.all() else take_rows(spots, np.flatnonzero(sure))
+
+
+@dataclass(frozen=True, slots=True)
+class Appearance:
+    """Of n LEDs in the left picture and the right one; nan: not seen yet."""
+
+    peak: Array  # (2, n), DN, faded since
+    width: Array  # (2, n), px, full width at half height, faded since
+
+    @classmethod
+    def unknown(cls, leds: int) -> "Appearance":
+        """Of LEDs that were never seen."""
+        return cls(np.full((2, leds), np.nan), np.full((2, leds), np.nan))
+
+    @property
+    def least_peaks(self) -> Array:
+        """Peak of what may be an LED in either picture, (2,), DN; nan: not known."""
+        return np.asarray(MIN_PEAK_SHARE * self.peak.min(axis=1))
+
+    def after(self, sides: Iterable[RawSighting]) -> "Appearance":
+        """The appearance once a pair's LEDs are seen, those of the left picture and the right."""
+        peak, width = PEAK_FADING * self.peak, WIDTH_FADING * self.width
+        for side, raw in enumerate(sides):
+            led = raw.sighting.led
+            peak[side, led] = np.minimum(raw.sighting.peak, SENSOR_LIMIT_DN)
+            width[side, led] = np.fmax(width[side, led], raw.width)
+        return Appearance(peak, width)
+
+    def widen_hidden(self, side: int, raw: RawSighting) -> RawSighting:
+        """Widen the covariance of LEDs that have become smaller by how far they may be off."""
+        before = self.width[side, raw.sighting.led]
+        share = raw.width / before
+        usual = min(float(np.fmax.reduce(share, initial=0.0)), 1.0)
+        hidden = share < MIN_WIDTH_SHARE * usual
+        if not np.count_nonzero(hidden):
+            return raw
+        moved = np.where(hidden, usual * before - raw.width, 0.0)
+        covariance = raw.sighting.covariance + np.square(moved)[:, None, None] * np.eye(2)
+        return replace(raw, sighting=replace(raw.sighting, covariance=covariance))
