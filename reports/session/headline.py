@@ -16,6 +16,7 @@ LABELS = {
     "none": "No verdict",
 }
 MAX_CAUSES = 3  # named in the headline; more would hide the first, and the diagnosis lists them all
+MAX_LOST_SHARE = 0.1  # of the pairs, above which the headline says so
 SCOPE = "This covers the poses, directions and speeds that the session shows, and no others."
 WORST_ERROR = uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", "°", k=2)
 # of sources that are no quantity to improve: what would make them smaller
@@ -60,21 +61,24 @@ def _conform(results: Results) -> str:
     each = [fmt.finite(joint.get("conformance_probability")) for joint in chosen]
     least = min((p for p in each if p is not None), default=None)
     bound = tolerance_text(results.summary, chosen)
-    sentence = f"every joint's error stays within {bound} at every pose of this session"
+    lost = _lost_pairs(results.summary)
+    where = "at every pose that was measured" if lost else "at every pose of this session"
+    sentence = f"every joint's error stays within {bound} {where}"
     if least is not None:
         level = min(int(least * 1000) / 10, 99.9)  # rounded down: never claim more than was found
         sentence += f", each with a probability of at least {fmt.number(level, 1)} %"
-    return f"{sentence}; nothing needs to be done."
+    found = results.summary.get("diagnosis")
+    return f"{sentence}." if lost or found else f"{sentence}; nothing needs to be done."
 
 
 def _nonconform(results: Results) -> str:
     summary = results.summary
     failing = with_verdict(summary, "nonconform")
-    guilty = {joint.get("joint") for joint in failing}
+    guilty = {joint.get("joint") for joint in failing} | {None}
     causes = [
         entry
         for entry in (summary.get("diagnosis") or [])
-        if entry.get("kind") != "ambiguous" and entry.get("joint") in guilty | {None}
+        if entry.get("kind") != "ambiguous" and (not failing or entry.get("joint") in guilty)
     ]
     if causes:
         return "; ".join(session_causes.finding(entry) for entry in causes[:MAX_CAUSES]) + "."
@@ -86,6 +90,20 @@ def _nonconform(results: Results) -> str:
             f"{what}; the data do not say whether by {rivals}: {session_causes.remedy(unclear[0])}."
         )
     return f"{what}, and no single cause accounts for it: look at the errors over time below."
+
+
+def _lost_pairs(summary: dict[str, Any]) -> str:
+    """Say how many pairs are not counted, and why, where they are many; empty: they are few."""
+    pairs = summary.get("pairs") or {}
+    recorded, measured = (fmt.finite(pairs.get(key)) for key in ("recorded", "measured"))
+    if recorded is None or measured is None or measured >= (1 - MAX_LOST_SHARE) * recorded:
+        return ""
+    rejected = (pairs.get("rejected") or {}).items()
+    why = fmt.join_words([f"{count} {str(status).replace('_', ' ')}" for status, count in rejected])
+    return (
+        f"{recorded - measured:.0f} of {recorded:.0f} pairs are not counted ({why}); nothing is "
+        "said of their poses."
+    )
 
 
 def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:
@@ -244,7 +262,8 @@ def _no_verdict(results: Results) -> str:
 
 
 def _remarks(results: Results, tone: str) -> list[str]:
-    summary, remarks = results.summary, []
+    summary = results.summary
+    remarks = list(filter(None, [_lost_pairs(summary)]))
     if tone == "nonconform":
         failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
         if failing:

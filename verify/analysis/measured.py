@@ -39,6 +39,7 @@ from verify.measurement.track import Track, collect_track
 WIDTH, HEIGHT = 720, 450  # px of one picture in the report
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # a second
 MIN_STEP_RATIO = 5.0  # from reading to reading, over that of the pairs: nobody logs so little
+MAX_UNREAD_SHARE = 0.1  # of the pairs, before and after the readings
 MIN_MOTION = np.deg2rad(0.3)  # of a joint, beyond which the clock's offset matters
 MARGIN = 0.35  # of the LEDs' extent, left around them
 MIN_SIDE = 160  # px of the original: less shows nothing but squares
@@ -280,15 +281,23 @@ def with_shown_noise(session: Session, readings: Readings) -> Session:
 
 
 def with_gaps_named(session: Session, readings: Readings, silent: Array, count: int) -> Session:
-    """The session, with a warning where some of `count` pairs, `silent` (s), lie in gaps."""
-    after = np.searchsorted(readings.t, silent)
-    after = after[(after > 0) & (after < len(readings.t))]
-    if not len(after):
-        return session
-    longest, since = np.diff(readings.t)[after - 1].max(), readings.t[after.min() - 1]
-    warning = (
-        f"encoders.csv: {len(after)} of {count} pairs have no reading and are left out: the log "
-        f"has gaps of up to {longest:.2g} s while the arm moves, the first from t_s = {since:.2f} "
-        "on. Log without gaps."
-    )
-    return replace(session, warnings=(*session.warnings, warning))
+    """The session, with a warning where many of `count` pairs, `silent` (s), have no reading.
+
+    Any in gaps, and more than MAX_UNREAD_SHARE before the first reading or after the last one.
+    """
+    after, warnings = np.searchsorted(readings.t, silent), []
+    inside = after[(after > 0) & (after < len(readings.t))]
+    if len(after) - len(inside) > MAX_UNREAD_SHARE * count:
+        warnings.append(
+            f"encoders.csv: {len(after) - len(inside)} of {count} pairs lie before its first "
+            "reading or after its last one, and are left out: nothing is said of their poses. Log "
+            "as long as the pictures are taken."
+        )
+    if len(inside):
+        longest, since = np.diff(readings.t)[inside - 1].max(), readings.t[inside.min() - 1]
+        warnings.append(
+            f"encoders.csv: {len(inside)} of {count} pairs have no reading and are left out: the "
+            f"log has gaps of up to {longest:.2g} s while the arm moves, the first from t_s = "
+            f"{since:.2f} on. Log without gaps."
+        )
+    return replace(session, warnings=(*session.warnings, *warnings))

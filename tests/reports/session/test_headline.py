@@ -51,6 +51,25 @@ def test_conformity_is_stated_with_its_probability_rounded_down() -> None:
     assert "no others" in " ".join(message.remarks)
 
 
+def test_where_many_pairs_are_lost_no_pose_of_theirs_is_said_to_conform() -> None:
+    lost = {"recorded": 60, "measured": 40, "rejected": {"no_encoder": 16, "outlier": 4}}
+    message = headline(_with(made.conforming(), pairs=lost))
+    assert "at every pose that was measured" in message.sentence
+    assert "nothing needs to be done" not in message.sentence
+    assert "20 of 60 pairs are not counted (16 no encoder and 4 outlier)" in message.remarks[0]
+
+
+def test_a_cause_that_is_found_is_something_to_do_and_the_headline_of_a_pose_that_fails() -> None:
+    message = headline(_with(made.conforming(), diagnosis=[OFFSET]))
+    assert "nothing needs to be done" not in message.sentence
+    rows = [row | {"verdict": "conform"} for row in made.conforming().summary["joints"]]
+    position = {"verdict": "nonconform", "tolerance_mm": 1.0}
+    failing = _with(made.conforming(), verdict="nonconform", joints=rows, position=position,
+                    diagnosis=[OFFSET])  # fmt: skip
+    assert "no single cause" not in headline(failing).sentence
+    assert "oint 2" in headline(failing).sentence
+
+
 def test_undecided_never_reads_as_conforming() -> None:
     message = headline(made.undecided())
     text = " ".join((message.label, message.sentence, *message.remarks))

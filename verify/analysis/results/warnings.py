@@ -14,7 +14,15 @@ from verify.io.session.session import Session
 from verify.measurement.systematics import Systematics
 
 POSE_DOF = 6  # degrees of freedom of a pose
-MAX_LOST_SHARE = 0.5  # of the pairs, above which pictures and calibration hardly belong together
+MAX_LOST_SHARE = 0.1  # of the pairs: fewer may be hidden LEDs
+MIN_LASTING = 0.8  # of the pairs from the first lost one on, where something has moved then
+CONTRADICTING = ("outlier", "ambiguous_leds", "unaligned")
+CONTRADICTION_ADVICE = (
+    "The pictures contradict rig.toml and marker.toml there: errors and causes found in the other "
+    "pairs may come from that and not from the robot. Check that both files belong to the "
+    "pictures, the lenses, line_time_s and the cameras' times, and that no camera or LED has moved."
+)
+HIDDEN_ADVICE = "Check that the LEDs are lit and in view of both cameras, as long as the arm moves."
 MAX_RIVALS_NAMED = 4  # of a periodic motion's clock offsets; the list goes on for ever
 
 
@@ -45,14 +53,8 @@ def _input_warnings(
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the verdict holds "
             "on that condition."
         )
-    lost = Counter(m.status for m in measurements if m.status != "measured")
-    if session.instrument is None and lost.total() > MAX_LOST_SHARE * len(measurements):
-        reasons = ", ".join(f"{count} {status}" for status, count in lost.most_common())
-        yield (
-            f"Only {len(measurements) - lost.total()} of {len(measurements)} pairs were measured "
-            f"({reasons}). Check the times of the pictures, and that rig.toml and marker.toml "
-            "belong to them."
-        )
+    if session.instrument is None:
+        yield from filter(None, [lost_pairs_warning(measurements)])
     unseen = _unused_leds(session, measurements)
     if unseen:
         yield (
@@ -64,6 +66,21 @@ def _input_warnings(
             "rig.toml [covariance]: not counted, as the names are not known here: "
             f"{', '.join(systematics.unknown)}."
         )
+
+
+def lost_pairs_warning(measurements: list[Measurement]) -> str | None:
+    """Say that many pairs were not measured, why, from when on, and what that may mean."""
+    lost = [i for i, m in enumerate(measurements) if m.status != "measured"]
+    count = len(measurements)
+    if len(lost) <= MAX_LOST_SHARE * count:
+        return None
+    reasons = Counter(measurements[i].status for i in lost)
+    named = ", ".join(f"{number} {status}" for status, number in reasons.most_common())
+    lasting = lost[0] > 0 and len(lost) > MIN_LASTING * (count - lost[0])
+    since = f"; nearly all lost from t_left_s = {measurements[lost[0]].t:.2f} on" * lasting
+    contradicting = sum(reasons[status] for status in CONTRADICTING)
+    advice = HIDDEN_ADVICE if 2 * contradicting < len(lost) else CONTRADICTION_ADVICE
+    return f"Only {count - len(lost)} of {count} pairs were measured ({named}){since}. {advice}"
 
 
 def rig_moved(
