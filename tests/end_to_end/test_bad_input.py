@@ -136,6 +136,21 @@ def test_an_output_folder_that_exists_is_refused_before_any_work(
     assert [p.name for p in out.iterdir()] == ["precious.txt"]
 
 
+@pytest.mark.parametrize("read", ["session", "other"])
+@pytest.mark.parametrize(
+    "command", [("run",), ("calibrate", "check"), ("identify",), ("batch",)], ids=" ".join
+)
+def test_results_do_not_go_into_a_session(
+    command: tuple[str, ...], read: str, session: Path, tmp_path: Path
+) -> None:
+    shutil.copytree(session, tmp_path / "other")
+    before = {path: path.read_bytes() for path in session.iterdir()}
+    force = ["--force"] * (command != ("batch",))
+    refusal = verify(*command, tmp_path / read, "-o", session, *force).refusal
+    assert f"{session}: is a session" in refusal
+    assert {path: path.read_bytes() for path in session.iterdir()} == before
+
+
 @pytest.mark.parametrize(
     ("words", "named"),
     [

@@ -246,6 +246,27 @@ def test_options_of_the_other_way_of_registering_are_refused(pictures: Path) -> 
     assert "--corners" in verify("calibrate", *words).refusal
 
 
+@pytest.mark.parametrize(
+    ("rig", "marker"),
+    [("frames.csv", "m.toml"), ("session.toml", "m.toml"), ("rig.toml", "encoders.csv")],
+)
+def test_a_rig_or_marker_does_not_replace_what_was_recorded(
+    rig: str, marker: str, tmp_path: Path
+) -> None:
+    session = shutil.copytree(SAMPLES / "multi_joint_rv_3sd", tmp_path / "session")
+    before = {path: path.read_bytes() for path in session.iterdir()}
+    out = ("-o", session / rig, "--marker", session / marker, "--report", tmp_path / "report")
+    message = verify("calibrate", "register", session, *out, "--force")
+    assert f"would change {session}, which is read" in message.refusal
+    assert {path: path.read_bytes() for path in session.iterdir()} == before
+
+
+def test_a_rig_does_not_replace_a_picture_of_the_board(pictures: Path) -> None:
+    picture = next(pictures.glob("left/*"))
+    message = verify("calibrate", "boards", pictures, "-o", picture, "--force")
+    assert f"would change {pictures}, which is read" in message.refusal
+
+
 @pytest.mark.slow
 @pytest.mark.shared
 def test_the_recorded_boards_calibrate_as_typed(tmp_path: Path) -> None:

@@ -151,7 +151,8 @@ def require_apart(out: Path, source: Path, written: Collection[str] = ()) -> Non
     replaced = there.parent == target and there.name in written
     if replaced or there in (target, *target.parents):
         found = f"would change {source}, which is read"
-        raise InputError(out, found, "a result stands apart from its source", "Choose another -o.")
+        expected = "a result stands apart from its source"
+        raise InputError(out, found, expected, "Choose another place.")
 
 
 def read_bytes(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> bytes:
@@ -286,6 +287,11 @@ def make_partial(out: Path, *, force: bool) -> tuple[Path, Path, bool]:
     except OSError as error:
         raise output_refusal(out, error) from error
     return partial, target, exists
+
+
+def require_vacant(out: Path, *, force: bool) -> None:
+    """Refuse, by an InputError as `write_folder_whole`'s, a folder that could not be written."""
+    make_partial(out, force=force)[0].rmdir()
 
 
 def _check_vacant(out: Path, target: Path, force: bool) -> bool:

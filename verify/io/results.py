@@ -7,6 +7,7 @@ the figures are those of `reports`, which is loaded when one of them is first as
 import errno
 import json
 import os
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from html import escape
 from pathlib import Path, PurePath
@@ -19,6 +20,7 @@ from reports.results import to_json_value
 from verify.errors import InputError
 from verify.io import files
 from verify.io.series import ALARMS
+from verify.io.session.folder import SESSION_FILE
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -26,6 +28,7 @@ if TYPE_CHECKING:
     from reports.document.blocks import Verdict
 
 RESULTS = "results"
+RECORDED_TABLES = (SESSION_FILE, "board.toml")  # of a session, of pictures of a board
 JOINT_COLUMNS = (  # of a joint's entry in summary.json, in the order of `joints`
     "mean_error_deg", "expanded_uncertainty_deg", "coverage_factor", "worst_error_deg",
     "worst_error_standard_uncertainty_deg", "tolerance_deg", "conformance_probability", "verdict",
@@ -36,17 +39,29 @@ MAX_FILM_BYTES = 10_000_000  # of a film that is read for a report
 
 
 def refuse_existing(out: Path, *, force: bool) -> None:
-    """Raise InputError, before hours of work, if the folder `out` cannot be written.
+    """Raise InputError, before hours of work, if results cannot be written to the folder `out`.
 
-    It is a file, not empty (unless `force`), or the system refuses it.
+    It is a file, a session, not empty (unless `force`), or the system refuses it.
     """
-    files.make_partial(out, force=force)[0].rmdir()
+    refuse_session(out)
+    files.require_vacant(out, force=force)
 
 
-def refuse_file(path: Path, *, force: bool) -> None:
+def refuse_session(out: Path) -> None:
+    """Raise InputError if the folder `out` is a session, whose files results would replace."""
+    with files.refused_as_input_error(out):
+        there = (out / SESSION_FILE).exists()
+    if there:
+        expected = "results stand apart from recordings"
+        found = f"is a session, with a {SESSION_FILE}"
+        raise InputError(out, found, expected, "Choose another -o.")
+
+
+def refuse_file(path: Path, *, force: bool, read: Iterable[Path | None] = ()) -> None:
     """Raise InputError, before hours of work, if `path` cannot be written or, unless `force`, is.
 
-    Its folder is missing, or it is a folder itself.
+    Its folder is missing, it is a folder itself, or one of the files and folders that are `read`.
+    A rig or marker inside such a folder may be replaced.
     """
     if not path.parent.is_dir():
         raise files.output_refusal(path, OSError(errno.ENOENT, os.strerror(errno.ENOENT)))
@@ -57,6 +72,10 @@ def refuse_file(path: Path, *, force: bool) -> None:
     if there and not force:
         remedy = "Choose another name, or give --force."
         raise InputError(path, "exists", "existing files are not overwritten", remedy)
+    setup = path.suffix == ".toml" and path.name not in RECORDED_TABLES
+    for source in filter(None, read if there else ()):
+        if not (setup and source.is_dir()):
+            files.require_apart(path, source)
 
 
 def write_report_folder(

@@ -72,7 +72,7 @@ def boards(
     if live:
         folder = pictures or Path(time.strftime(FOLDER_FORMAT))
     target = report if report is not None else Path(f"{real_path(folder).name}-calibration")
-    refuse_file(out, force=force)
+    refuse_file(out, force=force, read=(station, folder, board))
     refuse_existing(target, force=force)
     given = board_of(board_from_options(corners, square_mm, square_uncertainty_mm), board)
     if live:
@@ -172,9 +172,9 @@ def register(
         option.refuse_options(useless, f"does not apply when {way}", "", "Leave it out.")
     marker_out = marker if marker is not None else Path("marker.toml")
     out = out if out is not None else Path("rig.toml")
-    refuse_file(out, force=force)
+    refuse_file(out, force=force, read=(session, known_marker, board_in_base))
     if board_in_base is None:
-        refuse_file(marker_out, force=force)
+        refuse_file(marker_out, force=force, read=(session, rig))
         if out.resolve() == marker_out.resolve():
             expected = "rig and marker are two files"
             raise InputError(

@@ -24,8 +24,13 @@ from verify.io import fiducials
 from verify.io import fixture as io_fixture
 from verify.io import rig as io_rig
 from verify.io.board.folder import open_board_folder
-from verify.io.files import write_folder_whole, written_together
-from verify.io.results import refuse_existing, write_report_folder
+from verify.io.files import (
+    require_apart,
+    require_vacant,
+    write_folder_whole,
+    written_together,
+)
+from verify.io.results import write_report_folder
 from verify.io.session.folder import SESSION_FILE
 from verify.io.session.session import Recording, Session, open_recording
 from verify.measurement.chain import Setup, measure
@@ -134,7 +139,8 @@ def register_by_poses(
         remedy = "Leave the rows of one target, or find all with `verify identify`."
         expected = "one target is registered"
         raise InputError(session.left.path, "has the column target", expected, remedy)
-    refuse_existing(out, force=force)
+    require_apart(out, session.folder)
+    require_vacant(out, force=force)
     with terminal.progress("poses") as progress:
         measured = session_to_poses(session, progress, registered=False)
     gathered = gather_sessions([measured])
