@@ -206,6 +206,16 @@ def test_wrong_usage_takes_one_line(
     assert done.refusal == done.err.strip()
 
 
+@pytest.mark.parametrize("name", ["sessions", "fleet.pdf"])
+def test_what_stands_in_the_way_of_a_result_is_named_first(
+    name: str, lab: Path, tmp_path: Path
+) -> None:
+    obstacle = tmp_path / name
+    obstacle.mkdir() if "." in name else obstacle.touch()
+    assert verify("batch", lab, "-o", tmp_path).refusal.startswith(f"error: {obstacle}: is a ")
+    assert list(tmp_path.iterdir()) == [obstacle]
+
+
 @pytest.fixture
 def start(tmp_path: Path) -> Iterator[Start]:
     """Start a Python module as by hand; all are ended after the test."""

@@ -362,6 +362,18 @@ def test_the_package_lists_its_names_and_loads_no_large_library_before_they_are_
     assert set(verify_package.__all__) == every
 
 
+@pytest.mark.parametrize("name", ["results", "summary.json"])
+def test_what_stands_in_the_way_of_a_result_is_named_before_anything_is_measured(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    obstacle = tmp_path / name
+    obstacle.mkdir() if "." in name else obstacle.write_text("mine")
+    monkeypatch.setattr("verify.cli.measure.analyse", lambda *_, **__: pytest.fail("measured"))
+    ended = verify("run", SAMPLES / HEALTHY, "-o", tmp_path, "--force")
+    assert ended.refusal.startswith(f"error: {obstacle}: is a ")
+    assert list(tmp_path.iterdir()) == [obstacle]
+
+
 @pytest.mark.parametrize("place", ["notes.txt", "notes.txt/below", "/proc/verify-report"])
 def test_a_place_that_takes_no_results_is_refused_before_anything_is_measured(
     place: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

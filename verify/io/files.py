@@ -11,7 +11,7 @@ import re
 import secrets
 import shutil
 import socket
-from collections.abc import Collection, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -322,6 +322,7 @@ def _put_in_place(out: Path, partial: Path, target: Path, exists: bool) -> None:
             target.parent.mkdir(parents=True, exist_ok=True)
             partial.rename(target)
         else:
+            refuse_obstacles(target, [file.relative_to(partial) for file in files])
             for file in files:
                 place = target / file.relative_to(partial)
                 place.parent.mkdir(parents=True, exist_ok=True)
@@ -329,6 +330,21 @@ def _put_in_place(out: Path, partial: Path, target: Path, exists: bool) -> None:
         _fsync(target)
     except OSError as error:
         raise output_refusal(error.filename2 or out, error) from error
+
+
+def refuse_obstacles(folder: Path, made: Iterable[str | Path]) -> None:
+    """Refuse, by an InputError, what stands where files are to be `made` in a folder.
+
+    A folder of the name of a file, or a file of the name of a folder.
+    """
+    remedy = "Move it away or choose another -o."
+    for name in map(Path, made):
+        with refused_as_input_error(folder / name):
+            if (folder / name).is_dir():
+                raise InputError(folder / name, "is a folder", "a file goes there", remedy)
+            for above in (folder / parent for parent in name.parents):
+                if os.path.lexists(above) and not above.is_dir():
+                    raise InputError(above, "is a file", "a folder goes there", remedy)
 
 
 def _fsync(path: Path) -> None:

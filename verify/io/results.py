@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 import pandas as pd
 
 import reports
-from reports.results import to_json_value
+from reports.results import MANIFEST, to_json_value
 from verify.errors import InputError
 from verify.io import files
 from verify.io.series import ALARMS
@@ -28,6 +28,9 @@ if TYPE_CHECKING:
     from reports.document.blocks import Verdict
 
 RESULTS = "results"
+REPORT_FILES = (
+    f"{RESULTS}/{MANIFEST}", "report.html", "report.pdf", "summary.json", "frames.csv", ALARMS,
+)  # fmt: skip
 RECORDED_TABLES = (SESSION_FILE, "board.toml")  # of a session, of pictures of a board
 JOINT_COLUMNS = (  # of a joint's entry in summary.json, in the order of `joints`
     "mean_error_deg", "expanded_uncertainty_deg", "coverage_factor", "worst_error_deg",
@@ -41,10 +44,12 @@ MAX_FILM_BYTES = 10_000_000  # of a film that is read for a report
 def refuse_existing(out: Path, *, force: bool) -> None:
     """Raise InputError, before hours of work, if results cannot be written to the folder `out`.
 
-    It is a file, a session, not empty (unless `force`), or the system refuses it.
+    It is a file, a session, not empty (unless `force`), holds a folder of the name of a file of a
+    report or the other way round, or the system refuses it.
     """
     refuse_session(out)
     files.require_vacant(out, force=force)
+    files.refuse_obstacles(out, REPORT_FILES)
 
 
 def refuse_session(out: Path) -> None:

@@ -226,6 +226,25 @@ def test_a_folder_filled_by_another_run_is_not_overwritten(tmp_path: Path) -> No
     assert names(tmp_path) == ["report", "report/summary.json"]
 
 
+@pytest.mark.parametrize("obstacle", ["b", "results"])
+def test_nothing_is_replaced_where_something_stands_in_the_way(
+    obstacle: str, tmp_path: Path
+) -> None:
+    (tmp_path / "a").write_text("old")
+    (tmp_path / obstacle).mkdir() if obstacle == "b" else (tmp_path / obstacle).touch()
+
+    def built() -> None:
+        with write_folder_whole(tmp_path, force=True) as folder:
+            (folder / "results").mkdir()
+            for name in ("a", "b", "results/c"):
+                (folder / name).write_text("new")
+
+    with pytest.raises(InputError, match=f"{obstacle}: is a .* Move it away"):
+        built()
+    assert (tmp_path / "a").read_text() == "old"
+    assert names(tmp_path) == ["a", obstacle]
+
+
 NOBODY = 65534  # the user id of nobody, by custom
 
 

@@ -8,13 +8,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from reports.results import MANIFEST
 from verify.errors import InputError
 from verify.fleet.batch.records import BatchOptions, SessionResults
-from verify.io.files import output_refusal, read_bytes, refused_as_input_error, write_folder_whole
+from verify.io.files import (
+    output_refusal,
+    read_bytes,
+    refuse_obstacles,
+    refused_as_input_error,
+    write_folder_whole,
+)
 from verify.io.results import RESULTS
 
 SESSIONS_FOLDER = "sessions"
 ENTRY_FILE = "entry.json"
+BATCH_FILES = (
+    f"{SESSIONS_FOLDER}/{ENTRY_FILE}", f"{RESULTS}/{MANIFEST}", "fleet.html", "fleet.pdf",
+    "sessions.parquet", "frames.parquet", "failures.csv",
+)  # fmt: skip
 FORMAT_VERSION = 1
 _MAX_NAME_LETTERS = 40  # of a session's own name in its folder's
 
@@ -83,6 +94,7 @@ def require_writable(out: Path) -> None:
     """Raise InputError for a place where no batch can write, before hours of work go into it."""
     if out.exists() and not out.is_dir():
         raise InputError(out, "is a file", "a folder is expected", "Choose another -o.")
+    refuse_obstacles(out, BATCH_FILES)
     try:
         (out / SESSIONS_FOLDER).mkdir(parents=True, exist_ok=True)
     except OSError as error:
