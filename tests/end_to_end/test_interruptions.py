@@ -1,5 +1,6 @@
 """Stopped midway, or refused by the disk: one line, the right status, nothing half-written."""
 
+import os
 import re
 import shlex
 import shutil
@@ -155,6 +156,38 @@ def test_a_disk_that_fills_up_under_a_report_keeps_the_old_one(
         for file in out.rglob("*.*"):
             assert (disk / "out" / file.relative_to(out)).read_bytes() == file.read_bytes()
         assert len(list((disk / "out").iterdir())) == len(list(out.iterdir()))
+
+
+@pytest.mark.parametrize(
+    ("words", "streams", "status"),
+    [
+        ("--version", ">&-", 0),
+        ("robots iust_6r", "<&- >&- 2>&-", 0),
+        ("robots iust_6r", "| true", 0),
+        ("robots nosuch", "2>&-", 2),
+        ("robots nosuch", "2>/dev/full", 2),
+        ("robots nosuch", "2>&1 | true", 2),
+        ("robots iust_6r", ">/dev/full", 2),
+    ],
+)
+def test_a_stream_that_nobody_reads_does_not_change_the_status(
+    words: str, streams: str, status: int
+) -> None:
+    command = f"{shlex.quote(sys.executable)} -m verify {words} {streams}"
+    script = f"{command}; exit ${{PIPESTATUS[0]}}"
+    done = subprocess.run(["bash", "-c", script], capture_output=True, text=True)
+    assert done.returncode == status, done.stderr
+    assert "Traceback" not in done.stderr
+
+
+@pytest.mark.parametrize("encoding", ["ascii", "latin-1"])
+def test_characters_that_a_stream_cannot_hold_are_replaced(encoding: str) -> None:
+    script = "import sys; from verify.cli import main; from verify import __main__; "
+    script += "main.main = lambda: print('α = 1.00° ± 0.10°'); __main__.main()"
+    environment = {**os.environ, "PYTHONIOENCODING": encoding}
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, env=environment)
+    text = "α = 1.00° ± 0.10°\n".encode(encoding, errors="replace")
+    assert (done.returncode, done.stdout, done.stderr) == (0, text, b"")
 
 
 def test_what_libraries_print_themselves_is_not_shown(tmp_path: Path) -> None:

@@ -111,12 +111,9 @@ def read_lines(descriptor: int, take: Callable[[str], None]) -> None:
 
 
 def _write(line: str) -> None:
-    """Write a line to standard output; to nowhere once the reader has gone (`| head`)."""
-    try:
-        sys.stdout.write(line + "\n")
-        sys.stdout.flush()
-    except BrokenPipeError:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+    """Write a line to standard output at once."""
+    sys.stdout.write(line + "\n")
+    sys.stdout.flush()
 
 
 class ProgressCounter:
