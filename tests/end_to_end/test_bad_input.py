@@ -3,6 +3,8 @@
 import os
 import re
 import shutil
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -168,6 +170,30 @@ def test_wrong_usage_is_one_line_and_status_2(
     monkeypatch.chdir(tmp_path)
     assert named in verify(*words).refusal
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("OMP_NUM_THREADS", "abc"),
+        ("OMP_NUM_THREADS", "4,0"),
+        ("SOURCE_DATE_EPOCH", "abc"),
+        ("SOURCE_DATE_EPOCH", "99999999999999999"),
+    ],
+)
+def test_a_wrong_environment_variable_is_named(
+    name: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv(name, value)
+    refusal = verify("run", SAMPLES / SAMPLE, "-o", tmp_path / "out").refusal
+    assert refusal.startswith(f'error: {name}: is "{value}"; ')
+
+
+def test_lists_of_threads_and_empty_variables_are_taken(tmp_path: Path) -> None:
+    words = [sys.executable, "-m", "verify", "run", SAMPLES / SAMPLE, "-o", tmp_path / "out"]
+    values = {"OMP_NUM_THREADS": "200,2", "SOURCE_DATE_EPOCH": "", "NUMEXPR_NUM_THREADS": ""}
+    done = subprocess.run(words, capture_output=True, text=True, env=os.environ | values)
+    assert done.returncode in (0, 1, 3), done.stderr
 
 
 @pytest.mark.parametrize("pairs", [1, 2, 3, 4])

@@ -3,6 +3,7 @@
 import atexit
 import errno
 import os
+import re
 import signal
 import sys
 import traceback
@@ -14,6 +15,8 @@ import typer
 # matrices here are small: a second BLAS thread costs more than it brings, and takes the core
 # that decodes; numpy reads this when it is first imported, which the commands do later
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+# else numexpr, which pandas loads, takes OMP_NUM_THREADS for one number, of a few threads
+os.environ["NUMEXPR_NUM_THREADS"] = os.environ.get("NUMEXPR_NUM_THREADS") or "1"
 
 from verify.cli.batch import batch
 from verify.cli.board import board
@@ -41,6 +44,10 @@ INTERRUPTED = 130
 DEFECT = 70  # EX_SOFTWARE of sysexits.h
 REFUSALS = (errno.ENOSPC, errno.EACCES, errno.EROFS, errno.EDQUOT)  # of the system: no defects
 
+ENVIRONMENT = {  # variables that libraries read when they are loaded: form, what is expected
+    "OMP_NUM_THREADS": (r" *0*[1-9]\d* *(, *0*[1-9]\d* *)*", "numbers of threads: 4 or 4,2"),
+    "SOURCE_DATE_EPOCH": (r"\d{1,11}", "whole seconds since 1970"),
+}
 REPEAT_TIME = 0.5  # s: an interruption that has not ended the command by then was swallowed
 
 GLOBAL_OPTIONS_HELP = (
@@ -66,6 +73,18 @@ app.add_typer(calibrate, name="calibrate", epilog=GLOBAL_OPTIONS_HELP)
 @app.callback()
 def _verify() -> None:
     """Is my robot where it says it is? Two cameras and a few LEDs check an arm's encoders."""
+    _require_environment()
+
+
+def _require_environment() -> None:
+    """Refuse, by an InputError, values that libraries fail by; an empty one counts as none."""
+    for name, (form, expected) in ENVIRONMENT.items():
+        value = os.environ.get(name, "")
+        if not value:
+            os.environ.pop(name, None)
+        elif not re.fullmatch(form, value, re.ASCII):
+            remedy = "Correct or unset this environment variable."
+            raise InputError(name, f'is "{value}"', f"expected: {expected}", remedy)
 
 
 def main(arguments: list[str] | None = None) -> None:
