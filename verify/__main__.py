@@ -95,7 +95,7 @@ def main() -> None:
         signal.signal(signal.SIGINT, _leave)
     kept = _mute_libraries() if muted else None
     faulthandler.enable(sys.stderr)
-    from verify.cli.main import DEFECT
+    from verify.cli.main import DEFECT, INTERRUPTED
     from verify.cli.main import main as run
 
     try:
@@ -104,6 +104,8 @@ def main() -> None:
         if kept is not None and end.code == DEFECT:
             _show(kept)
         raise
+    except KeyboardInterrupt:  # one more, while the first was answered
+        sys.exit(INTERRUPTED)
 
 
 if __name__ == "__main__":

@@ -65,6 +65,38 @@ def test_ctrl_c_at_any_moment_ends_a_run_in_a_word(tmp_path: Path) -> None:
         shutil.rmtree(tmp_path / "out", ignore_errors=True)
 
 
+def test_a_second_ctrl_c_at_the_very_end_keeps_the_status() -> None:
+    script = """
+import atexit, signal, sys, time
+from verify import __main__
+from verify.cli import main
+class Slow:
+    def __del__(self, sleep=time.sleep):
+        sleep(1.0)
+sys.slow = Slow()
+def interrupted(words):
+    atexit.register(signal.raise_signal, signal.SIGINT)
+    return 130
+main._status = interrupted
+__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
+def test_a_second_ctrl_c_while_the_first_is_answered_keeps_the_status() -> None:
+    script = """
+from verify import __main__
+from verify.cli import main
+def interrupted(words):
+    raise main.CommandInterrupt
+main._status = interrupted
+__main__.main()
+"""
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "")
+
+
 class Swallows:
     """An exception in here is printed, and gone."""
 

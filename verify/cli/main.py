@@ -95,13 +95,18 @@ def main(arguments: list[str] | None = None) -> None:
     signal.signal(signal.SIGTERM, _interrupt)  # a SIGTERM leaves nothing half-written either
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, _interrupt)
-    # all being done, Python's own end would die of an interruption
-    atexit.register(signal.signal, signal.SIGINT, signal.SIG_IGN)
+    atexit.register(_ignore_interruptions)
     sys.exit(_status(words))
 
 
 class CommandInterrupt(KeyboardInterrupt):
     """Ctrl-C or SIGTERM; a class of its own, for which Python does not end by a signal itself."""
+
+
+def _ignore_interruptions() -> None:
+    """Ignore signals by which Python's own end, which restores their actions, would be killed."""
+    for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_IGN)
 
 
 def _interrupt(_signal: int, _frame: object) -> None:
