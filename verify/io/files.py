@@ -184,6 +184,10 @@ def digest(path: Path) -> str:
     return f"sha256:{hashlib.sha256(lines.encode(errors='surrogateescape')).hexdigest()}"
 
 
+class FolderTakenError(InputError):
+    """A folder holds something already, or another run has written to it meanwhile."""
+
+
 _PARTIAL = ".verify-partial-"  # first part of the name while a file or folder is built
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 _FULL = (errno.ENOSPC, errno.EDQUOT)
@@ -262,6 +266,8 @@ def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
     partial, target, exists = make_partial(out, force=force)
     try:
         yield partial
+        if exists and not force and _entries(target):
+            raise _written_meanwhile(out)
         _put_in_place(out, partial, target, exists)
     except OSError as error:
         if error.errno in _FULL:  # other refusals are worded by the code that wrote
@@ -297,7 +303,7 @@ def require_vacant(out: Path, *, force: bool) -> None:
 def _check_vacant(out: Path, target: Path, force: bool) -> bool:
     """Whether the folder exists; one that holds something is refused without `force`."""
     try:
-        holds = [entry for entry in target.iterdir() if not entry.name.startswith(_PARTIAL)]
+        holds = _entries(target)
     except FileNotFoundError:
         return False
     except NotADirectoryError as error:
@@ -307,10 +313,28 @@ def _check_vacant(out: Path, target: Path, force: bool) -> bool:
         raise output_refusal(out, error) from error
     if holds and not force:
         remedy = "Choose another -o or give --force."
-        raise InputError(
-            out, "exists and is not empty", "existing files are not overwritten", remedy
-        )
+        found, expected = "exists and is not empty", "existing files are not overwritten"
+        raise FolderTakenError(out, found, expected, remedy)
     return True
+
+
+def _entries(folder: Path) -> list[Path]:
+    """List a folder, but for what is being built in it."""
+    return [entry for entry in folder.iterdir() if not entry.name.startswith(_PARTIAL)]
+
+
+def _rename_folder(partial: Path, target: Path, out: Path) -> None:
+    try:
+        partial.rename(target)
+    except OSError as error:
+        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            raise _written_meanwhile(out) from error
+        raise
+
+
+def _written_meanwhile(out: Path) -> FolderTakenError:
+    found, expected = "another run has written there meanwhile", "its files are not overwritten"
+    return FolderTakenError(out, found, expected, "Choose another -o.")
 
 
 def _put_in_place(out: Path, partial: Path, target: Path, exists: bool) -> None:
@@ -320,7 +344,7 @@ def _put_in_place(out: Path, partial: Path, target: Path, exists: bool) -> None:
             _fsync(file)
         if not exists:
             target.parent.mkdir(parents=True, exist_ok=True)
-            partial.rename(target)
+            _rename_folder(partial, target, out)
         else:
             refuse_obstacles(target, [file.relative_to(partial) for file in files])
             for file in files:

@@ -213,14 +213,17 @@ def test_a_file_in_the_way_is_refused(tmp_path: Path) -> None:
         build(tmp_path / "report", force=True, then=too_late)
 
 
-def test_a_folder_filled_by_another_run_is_not_overwritten(tmp_path: Path) -> None:
+@pytest.mark.parametrize("before", [False, True], ids=["new", "empty"])
+def test_a_folder_filled_by_another_run_is_not_overwritten(before: bool, tmp_path: Path) -> None:
     out = tmp_path / "report"
 
     def another_run() -> None:
-        out.mkdir()
+        out.mkdir(exist_ok=True)
         (out / "summary.json").write_text("theirs")
 
-    with pytest.raises(InputError, match="report: directory not empty"):
+    if before:
+        out.mkdir()
+    with pytest.raises(InputError, match="report: another run has written there meanwhile"):
         build(out, then=another_run)
     assert (out / "summary.json").read_text() == "theirs"
     assert names(tmp_path) == ["report", "report/summary.json"]

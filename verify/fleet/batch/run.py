@@ -8,11 +8,12 @@ from pathlib import Path
 from typing import Any
 
 from verify.core.records import Progress
-from verify.errors import one_line
+from verify.errors import InputError, one_line
 from verify.fleet.batch.finding import SESSION_FILE
 from verify.fleet.batch.records import (
     COPY,
     KILLED,
+    REFUSED,
     BatchOptions,
     SessionFailure,
     SessionLocation,
@@ -24,6 +25,7 @@ from verify.fleet.batch.records import (
 )
 from verify.fleet.batch.store import ResultStore
 from verify.fleet.batch.tasks import CompareTask, MeasureTask, ReportTask
+from verify.io.files import FolderTakenError
 
 
 @dataclass(slots=True)
@@ -146,16 +148,27 @@ class _TaskQueue:
         """Act on what came of a task."""
         found: SessionLocation = task.found  # type: ignore[attr-defined]  # all tasks here are a session's
         if isinstance(outcome, SessionResults):
-            self.store.keep(outcome, self.options)
-            self.progress.measured += 1
-            self.progress.pairs += outcome.pairs
-            self.done[found.session] = outcome.inputs
+            self._keep(outcome)
         elif isinstance(task, CompareTask) and isinstance(outcome, list):
             self._compared(task, outcome)
         else:
             self.progress.failures.append(
                 _worker_failure(found, outcome) if isinstance(outcome, WorkerDied) else outcome
             )
+
+    def _keep(self, measured: SessionResults) -> None:
+        try:
+            self.store.keep(measured, self.options)
+        except FolderTakenError as taken:
+            found = f"another batch has written its results to {taken.place} meanwhile"
+            expected = "results of the same options and files are shared"
+            why = str(InputError(measured.session, found, expected, "Give each batch its own -o."))
+            failure = SessionFailure(measured.session, REFUSED, printable_path(why))
+            self.progress.failures.append(failure)
+            return
+        self.progress.measured += 1
+        self.progress.pairs += measured.pairs
+        self.done[measured.session] = measured.inputs
 
     def _compared(self, task: CompareTask, changed: list[str]) -> None:
         if not changed:

@@ -4,6 +4,7 @@ import hashlib
 import json
 import re
 import shutil
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -12,6 +13,7 @@ from reports.results import MANIFEST
 from verify.errors import InputError
 from verify.fleet.batch.records import BatchOptions, SessionResults
 from verify.io.files import (
+    FolderTakenError,
     output_refusal,
     read_bytes,
     refuse_obstacles,
@@ -65,7 +67,22 @@ class ResultStore:
             return None
 
     def keep(self, measured: SessionResults, options: BatchOptions) -> None:
-        """Put a session's results in place of older ones; InputError: no place to write."""
+        """Put a session's results in place of older ones; the same of another batch are left.
+
+        Raises:
+            FolderTakenError: another batch has written other results there meanwhile.
+            InputError: the system refuses the place.
+        """
+        results = StoredResults(measured.inputs, options.described)
+        if self.kept(measured.session) == results:
+            return
+        try:
+            self._replace(measured, options)
+        except FolderTakenError:
+            if self.kept(measured.session) != results:
+                raise
+
+    def _replace(self, measured: SessionResults, options: BatchOptions) -> None:
         folder = self.place(measured.session)
         self._remove(folder)
         entry = {
@@ -86,7 +103,7 @@ class ResultStore:
         """Take older results away, first what makes them count."""
         with refused_as_input_error(folder):
             (folder / ENTRY_FILE).unlink(missing_ok=True)
-            if folder.exists():
+            with suppress(FileNotFoundError):  # another batch removes it as well
                 shutil.rmtree(folder)
 
 

@@ -18,6 +18,7 @@ from verify.fleet.batch import tasks
 from verify.fleet.batch.finding import find_sessions
 from verify.fleet.batch.records import COPY, DEFECT, KILLED, BatchOptions, Task, WorkerDied
 from verify.fleet.batch.run import BatchResult, measure_all
+from verify.fleet.batch.store import ResultStore
 from verify.io.results import read_results
 from verify.io.session.session import open_session
 
@@ -134,6 +135,45 @@ def test_dead_workers_are_reported_and_a_program_error_does_not_stop_the_others(
     assert [name for name, _ in done.kept] == [f"{lab}/two"]
     assert done.failures[0].kind == DEFECT
     assert "\n" not in done.failures[0].why
+
+
+def test_the_same_results_of_another_batch_are_left(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, crew = tmp_path / "out", Inline()
+    entry = ResultStore(out).place(f"{lab}/one") / "entry.json"
+    theirs: list[int] = []
+
+    def overtaken(waiting: deque[Task]) -> Iterator[tuple[Task, Any]]:
+        task = waiting.popleft()
+        batch(lab, out, Inline())
+        theirs.append(entry.stat().st_ino)
+        yield task, task.perform()
+
+    monkeypatch.setattr(crew, "run", overtaken)
+    assert [name for name, _ in batch(lab, out, crew).kept] == [f"{lab}/one"]
+    assert theirs == [entry.stat().st_ino]
+
+
+@pytest.mark.parametrize("tolerance", [None, "0.5"], ids=["same options", "other options"])
+def test_another_batch_that_writes_a_session_first_does_not_stop_this_one(
+    tolerance: str | None, lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out, plain = tmp_path / "out", ResultStore._remove
+
+    def overtaken(store: ResultStore, folder: Path) -> None:
+        plain(store, folder)
+        monkeypatch.setattr(ResultStore, "_remove", plain)
+        options = BatchOptions(ToleranceOptions(tolerance, None, None), "1.0")
+        batch(lab, out, Inline(), options)
+
+    monkeypatch.setattr(ResultStore, "_remove", overtaken)
+    done = batch(lab, out, Inline())
+    if tolerance is None:
+        assert [name for name, _ in done.kept] == [f"{lab}/one"]
+    else:
+        (failure,) = done.failures
+        assert failure.why.startswith(f"{lab}/one: another batch has written its results to {out}")
 
 
 def test_a_session_behind_a_url_gives_the_same_figures_under_its_own_name(
