@@ -150,10 +150,15 @@ def read(folder: Path, only: Collection[str] | None = None) -> Results:
 
 
 def to_json_value(value: Any) -> Any:
-    """Turn numbers of any library into JSON's own; what is not finite becomes null."""
+    """Turn numbers of any library into JSON's own; what is not finite becomes null.
+
+    Bytes of a file's name that are not UTF-8 become escapes.
+    """
     if isinstance(value, Mapping):
-        return {str(key): to_json_value(item) for key, item in value.items()}
-    if isinstance(value, str) or value is None or isinstance(value, bool):
+        return {to_json_value(str(key)): to_json_value(item) for key, item in value.items()}
+    if isinstance(value, str):
+        return value.encode(errors="backslashreplace").decode()
+    if value is None or isinstance(value, bool):
         return value
     if isinstance(value, Integral):
         return int(value)
@@ -163,7 +168,7 @@ def to_json_value(value: Any) -> Any:
         return to_json_value(value.tolist())
     if isinstance(value, Sequence):
         return [to_json_value(item) for item in value]
-    return str(value)  # dates, paths, versions
+    return to_json_value(str(value))  # dates, paths, versions
 
 
 def _add_file(

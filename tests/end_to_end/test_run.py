@@ -1,6 +1,7 @@
 """`verify run` on the sample sessions as a user runs it: messages, files, exit status."""
 
 import json
+import os
 import pydoc
 import re
 import shutil
@@ -262,6 +263,22 @@ def test_without_a_tolerance_and_at_an_unusual_path_there_is_no_verdict_and_stat
     assert {part["verdict"] for part in judged} == {None}
     assert {joint["tolerance_deg"] for joint in summary["joints"]} == {None}
     assert {joint["conformance_probability"] for joint in summary["joints"]} == {None}
+
+
+@pytest.mark.usefixtures("without_pdf")
+def test_folders_whose_names_are_not_utf_8_are_read_and_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    name = os.fsdecode(b"lat\xfcn")
+    shutil.copytree(SAMPLES / QUARTER, name)
+    done = verify("run", name)
+    assert done.status == 0, done.err
+    assert read_summary(Path(f"{name}-report"))["session"]["path"] == r"lat\udcfcn"
+    assert verify("identify", name, "-o", "identified").status == 0
+    assert verify("convert", name, "-o", f"{name}-csv", "--to", "parquet").status == 0
+    done = verify("batch", name, "-o", f"{name}-fleet", "--workers", "1")
+    assert done.status == 0, done.err
 
 
 @pytest.mark.usefixtures("without_pdf")

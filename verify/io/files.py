@@ -127,6 +127,26 @@ def _require_size(path: Path, size: int, max_bytes: int) -> None:
         raise InputError(path, found, expected, "Put the right file there.")
 
 
+@contextmanager
+def named_for_library(path: Path) -> Iterator[str]:
+    """Yield a name of a file for a C library, which takes UTF-8 alone and gives no reasons.
+
+    Raises:
+        InputError: the system refuses to open the file.
+    """
+    with refused_as_input_error(path):
+        file = path.open("rb")
+    with file:
+        # the full path, which no protocol of ffmpeg's (http:, concat:) can be mistaken for
+        name = str(path.resolve())
+        yield name if is_unicode(name) else f"/dev/fd/{file.fileno()}"
+
+
+def is_unicode(name: str) -> bool:
+    """Whether a file's name is UTF-8; bytes that are not stand in it as surrogates."""
+    return not any("\ud800" <= character <= "\udfff" for character in name)
+
+
 def real_path(path: Path) -> Path:
     """Follow links; raises InputError: one leads to itself."""
     with refused_as_input_error(path):

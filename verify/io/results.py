@@ -93,6 +93,7 @@ def write_report_folder(
     Raises:
         InputError: the folder cannot be written; nothing is left of it then.
     """
+    results = replace(results, summary=to_json_value(results.summary))
     with files.write_folder_whole(out, force) as folder:
         try:
             reports.write(results, folder / RESULTS)
@@ -100,8 +101,7 @@ def write_report_folder(
             if isinstance(error.__cause__, OSError):  # such as a full disk: `files` words it
                 raise error.__cause__ from None
             raise
-        summary = to_json_value(results.summary)
-        text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
+        text = json.dumps(results.summary, indent=2, ensure_ascii=False, allow_nan=False)
         (folder / "summary.json").write_text(text + "\n", encoding="utf-8")
         write_reports(_with_film(results, out), folder)  # a grab wrote it to `out` before
         if frames:

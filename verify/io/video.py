@@ -168,14 +168,14 @@ class Video(Images):
         files.require_file(self.path)
         if cv2.getNumThreads() == 1:
             options = (*options, cv2.CAP_PROP_N_THREADS, 1)
-        # the full path, which no protocol of ffmpeg's (http:, concat:) can be mistaken for
-        capture = cv2.VideoCapture(str(self.path.resolve()), cv2.CAP_FFMPEG, options)
-        try:
-            if not capture.isOpened():
-                raise _decoder_refusal(self.path, "is not a video that can be decoded")
-            yield capture
-        finally:
-            capture.release()
+        with files.named_for_library(self.path) as name:
+            capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG, options)
+            try:
+                if not capture.isOpened():
+                    raise _decoder_refusal(self.path, "is not a video that can be decoded")
+                yield capture
+            finally:
+                capture.release()
 
 
 class NumberedImages(Images):

@@ -1,5 +1,6 @@
 """"""
 
+import os
 import struct
 import threading
 import zlib
@@ -56,6 +57,14 @@ def test_images_come_back_bit_by_bit_and_in_their_own_kind(
     stream = open_images(tmp_path / "left.mkv")
     assert stream.count() == stream.count(torn=True) == 10
     assert_array_equal(list(stream.images()), written)
+
+
+def test_a_path_that_is_not_utf_8_is_opened(video: Path, tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"lat\xfcn")
+    folder.mkdir()
+    stream = open_images(video.rename(folder / "left.mkv"))
+    assert stream.count() == 10
+    assert_array_equal(list(stream.images()), images(10))
 
 
 @pytest.mark.usefixtures("processors")

@@ -1,5 +1,6 @@
 """Turn recorded sessions of one arm into the rows of an identification."""
 
+import os
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -163,7 +164,7 @@ def gather_sessions(sessions: Sequence[SessionPoses]) -> CombinedPoses:
     tools = _groups(_mounting(one) for one in sessions)
     source = np.repeat(np.arange(len(sessions)), sizes)
     # the targets of one session are one recording, and its parts are held out together
-    recording = _groups(str(one.session.folder).encode() for one in sessions)
+    recording = _groups(os.fsencode(one.session.folder) for one in sessions)
     parts = [
         np.arange(n) * min(N_BLOCKS, n) // n + N_BLOCKS * i
         for i, n in zip(recording.tolist(), sizes, strict=True)

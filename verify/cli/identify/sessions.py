@@ -26,7 +26,7 @@ from verify.calibration.kinematics.placements import session_files
 from verify.calibration.kinematics.robot_file import CorrectionProvenance, encode_robot
 from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
-from verify.errors import InputError
+from verify.errors import InputError, one_line
 from verify.io.files import write_folder_whole
 from verify.io.results import refuse_existing, write_report_folder
 from verify.io.session.session import Session, open_session
@@ -158,7 +158,7 @@ def _identification_provenance(
     }
     return results.IdentificationProvenance(
         arm=sessions[0].arm,
-        names=[session.name for session in sessions],
+        names=[one_line(session.name) for session in sessions],
         source=gathered.source,
         frame=gathered.frame,
         free_base=options.free_base,

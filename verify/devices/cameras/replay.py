@@ -9,7 +9,7 @@ import cv2
 from verify.devices.cameras.opencv import one_channel
 from verify.devices.protocols import READ_TIMEOUT, CameraFrame, CameraSettings, CameraState
 from verify.errors import InputError
-from verify.io.files import require_file
+from verify.io.files import named_for_library, require_file
 from verify.io.video import open_images
 
 DEFAULT_RATE = 30.0  # Hz, of a folder of pictures
@@ -105,7 +105,8 @@ class ReplaySource:
 
 
 def _rate(path: Path) -> float:
-    capture = cv2.VideoCapture(str(path.resolve()), cv2.CAP_FFMPEG)
-    rate = capture.get(cv2.CAP_PROP_FPS)
-    capture.release()
+    with named_for_library(path) as name:
+        capture = cv2.VideoCapture(name, cv2.CAP_FFMPEG)
+        rate = capture.get(cv2.CAP_PROP_FPS)
+        capture.release()
     return rate if 0 < rate < 1e4 else DEFAULT_RATE

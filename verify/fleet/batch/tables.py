@@ -249,9 +249,11 @@ def write(
 
 def read_flat_columns(path: Path) -> pd.DataFrame:
     """Read sessions.parquet but for lists, `uncounted` apart: a fleet is judged by the rest."""
+    with path.open("rb") as file:  # Arrow takes no path that is not UTF-8
+        schema = pq.read_schema(file)
     flat = [
         field.name
-        for field in pq.read_schema(path)
+        for field in schema
         if field.name == "uncounted" or not pa.types.is_nested(field.type)
     ]
     table: pd.DataFrame = _read_table(path, flat).to_pandas(use_threads=False)
@@ -260,7 +262,8 @@ def read_flat_columns(path: Path) -> pd.DataFrame:
 
 def _read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
     """Read without Arrow's threads: `pq.read_table` waits for ever where one cannot start."""
-    return pq.ParquetFile(path).read(columns, use_threads=False)
+    with path.open("rb") as file:
+        return pq.ParquetFile(file).read(columns, use_threads=False)
 
 
 def write_failures(folder: Path, failures: Iterable[SessionFailure]) -> None:
@@ -295,7 +298,7 @@ def _write_frames(path: Path, kept: Sequence[tuple[str, Path]], joints: int) -> 
 def _write_groups(path: Path, columns: pa.Schema, tables: Iterator[pa.Table], most: int) -> None:
     """Write tables, short ones put together, so that a reader need not open thousands of groups."""
     waiting: list[pa.Table] = []
-    with pq.ParquetWriter(path, columns, compression="zstd") as writer:
+    with path.open("wb") as file, pq.ParquetWriter(file, columns, compression="zstd") as writer:
         for table in tables:
             waiting.append(table)
             if len(waiting) >= MAX_TABLES_PER_GROUP:

@@ -17,8 +17,9 @@ import cv2
 import numpy as np
 
 from verify.core.records import Progress
-from verify.errors import InputError
+from verify.errors import InputError, one_line
 from verify.io.export.content import UNDATED, ExportContent
+from verify.io.files import is_unicode
 from verify.io.session.session import Session
 from verify.io.video import Images, Video
 
@@ -43,12 +44,16 @@ def write_rrd(content: ExportContent, path: Path, progress: Progress) -> None:
     """Write a recording; one picture of each camera is in memory.
 
     Raises:
-        InputError: rerun-sdk is not installed, or a picture cannot be decoded.
+        InputError: rerun-sdk is not installed, it takes no such path, or a picture cannot be
+            decoded.
         OSError: it cannot be written.
     """
     rr = load_rerun()
+    if not is_unicode(str(path)):
+        expected = "Rerun's package takes UTF-8 alone"
+        raise InputError("-o", f"{path.parent} is not UTF-8", expected, "Choose another folder.")
     # the same content has the same identity
-    recording: Any = rr.RecordingStream("verify", recording_id=content.name)
+    recording: Any = rr.RecordingStream("verify", recording_id=one_line(content.name))
     recording.save(str(path))
     start = content.started.timestamp() if content.started != UNDATED else None
     try:

@@ -41,7 +41,7 @@ def write_csv(content: ExportContent, folder: Path) -> None:
 def write_parquet(content: ExportContent, folder: Path) -> None:
     """Write NAME.parquet for each table."""
     for name, table in content.tables.items():
-        table.to_parquet(folder / f"{name}.parquet", index=False)
+        (folder / f"{name}.parquet").write_bytes(table.to_parquet(index=False))
 
 
 def write_mat(content: ExportContent, path: Path) -> None:

@@ -1,5 +1,6 @@
 """What other programs read in the files that are written for them."""
 
+import os
 import subprocess
 import sys
 from pathlib import Path
@@ -135,6 +136,13 @@ def test_without_its_extra_rerun_is_refused_with_what_to_install(
     monkeypatch.setitem(sys.modules, "rerun", None)  # as if it were not installed
     assert "pip install" in verify("convert", report, "-o", tmp_path / "r.rrd").refusal
     assert list(tmp_path.iterdir()) == []
+
+
+def test_rerun_takes_no_folder_whose_name_is_not_utf_8(report: Path, tmp_path: Path) -> None:
+    folder = tmp_path / os.fsdecode(b"lat\xfcn")
+    folder.mkdir()
+    assert "is not UTF-8" in verify("convert", report, "-o", folder / "r.rrd").refusal
+    assert list(folder.iterdir()) == []
 
 
 @pytest.mark.slow
