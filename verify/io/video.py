@@ -123,8 +123,9 @@ class Video(Images):
         if torn:
             try:
                 return min(self._intact()[0], sum(1 for _ in self.images()))
-            except InputError:
-                if not self.path.is_file() or self.path.stat().st_size > MAX_HEAD_BYTES:
+            except InputError as error:
+                refused = isinstance(error.__cause__, OSError)
+                if refused or not self.path.is_file() or self.path.stat().st_size > MAX_HEAD_BYTES:
                     raise
                 return 0  # cut within its head or its first image
         first_bad, count = self._intact()

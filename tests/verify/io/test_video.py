@@ -1,5 +1,6 @@
 """"""
 
+import errno
 import os
 import struct
 import threading
@@ -65,6 +66,18 @@ def test_a_path_that_is_not_utf_8_is_opened(video: Path, tmp_path: Path) -> None
     stream = open_images(video.rename(folder / "left.mkv"))
     assert stream.count() == 10
     assert_array_equal(list(stream.images()), images(10))
+
+
+@pytest.mark.parametrize("torn", [False, True])
+def test_a_video_without_read_permission_is_named_as_that(
+    video: Path, torn: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(path: Path, *_: object, **__: object) -> None:
+        raise PermissionError(errno.EACCES, "Permission denied", str(path))
+
+    monkeypatch.setattr(Path, "open", refuse)  # as the system does, but for root
+    with pytest.raises(InputError, match=r"left\.mkv: permission denied\. Grant access"):
+        open_images(video).count(torn)
 
 
 @pytest.mark.usefixtures("processors")
