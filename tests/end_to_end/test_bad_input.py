@@ -14,6 +14,7 @@ import pandas as pd
 import pytest
 
 from tests.support.command import SAMPLES, read_summary, verify
+from tests.support.commands import COMMANDS
 
 SAMPLE = "multi_joint_fault_6r"
 
@@ -194,6 +195,24 @@ def test_lists_of_threads_and_empty_variables_are_taken(tmp_path: Path) -> None:
     values = {"OMP_NUM_THREADS": "200,2", "SOURCE_DATE_EPOCH": "", "NUMEXPR_NUM_THREADS": ""}
     done = subprocess.run(words, capture_output=True, text=True, env=os.environ | values)
     assert done.returncode in (0, 1, 3), done.stderr
+
+
+FLOAT_OPTIONS = [
+    (name, option)
+    for name in COMMANDS
+    for option in re.findall(r"--[a-z-]+(?= <float)", verify(*name.split(), "--help").out)
+]
+
+
+@pytest.mark.parametrize("value", ["nan", "inf", "-inf"])
+@pytest.mark.parametrize(("command", "option"), FLOAT_OPTIONS)
+def test_no_number_on_the_command_line_may_be_infinite(
+    command: str, option: str, value: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    argument = {"board": [], "emulate": ["gripper"]}.get(command, ["x"])
+    assert option in verify(*command.split(), *argument, f"{option}={value}").refusal
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("pairs", [1, 2, 3, 4])

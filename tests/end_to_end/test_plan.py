@@ -65,7 +65,7 @@ def test_a_plan_is_a_motion_and_its_prediction(rig: Path, tmp_path: Path) -> Non
         (("--poses", "5", "--duration-s", "60"), "--duration-s: is given with --poses"),
         (("--duration-s", "1", *NEAR), "--duration-s: 1 s; 4 poses take"),
         (("--duration-s", "-3"), "--duration-s: -3; a number above 0"),
-        (("--speed-deg-s", "nan"), "--speed-deg-s: nan; a number above 0"),
+        (("--speed-deg-s", "nan"), "--speed-deg-s: is nan; a finite number"),
         (("--rate-hz", "0"), "--rate-hz: 0; a number above 0"),
         (("--skew-ms", "200"), "--skew-ms: 200 ms; less than the time between two pairs"),
         (("--marker", "nowhere.toml"), "nowhere.toml"),

@@ -26,6 +26,7 @@ from verify.cli.doctor.doctor import doctor
 from verify.cli.emulate import emulate
 from verify.cli.grab.grab import grab
 from verify.cli.identify.identify import identify
+from verify.cli.options import Command
 from verify.cli.plan.plan import plan
 from verify.cli.report import report
 from verify.cli.robots import robots
@@ -66,7 +67,7 @@ COMMANDS = (
     doctor, demo,
 )  # fmt: skip
 for command in COMMANDS:
-    app.command(epilog=GLOBAL_OPTIONS_HELP)(command)
+    app.command(cls=Command, epilog=GLOBAL_OPTIONS_HELP)(command)
 app.add_typer(calibrate, name="calibrate", epilog=GLOBAL_OPTIONS_HELP)
 
 

@@ -1,13 +1,14 @@
-"""Options that several commands share, each declared once, and the parsers of their values."""
+"""Options that several commands share, each declared once, and the checks of their values."""
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 from typer import Option
+from typer.core import TyperCommand
 
 from verify.cli.terminal import terminal
 from verify.errors import InputError
@@ -145,6 +146,26 @@ ReplaceInFolder = Annotated[
     bool, Option("--force", help="Replace files in a folder that is not empty.")
 ]
 WriteIntoFolder = Annotated[bool, Option("--force", help="Write into a folder that exists.")]
+
+
+class Command(TyperCommand):
+    """A command that is given no number that is not finite."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command; raises InputError, before anything is done, for such a value."""
+        for name, value in _given(self.params, ctx.params):
+            if isinstance(value, float) and not math.isfinite(value):
+                raise InputError(name, f"is {value:g}", "a finite number is expected")
+        return super().invoke(ctx)
+
+
+def _given(parameters: list[Any], values: dict[str, Any]) -> Iterator[tuple[str, object]]:
+    """Yield each value with its option or argument, several values of one apart."""
+    for one in parameters:
+        name = one.opts[-1] if one.param_type_name == "option" else one.name.upper()
+        value = values.get(one.name)
+        for part in value if isinstance(value, list | tuple) else (value,):
+            yield name, part
 
 
 def refuse_options(given: Mapping[str, bool], found: str, expected: str, remedy: str) -> None:

@@ -22,7 +22,7 @@ EXIT_CHECK_FAILED = 1
 FOLDER_FORMAT = "boards-%Y-%m-%d-%H%M%S"  # the folder of the pictures, for strftime
 
 
-@calibrate.command()
+@calibrate.command(cls=option.Command)
 def boards(
     folder: Annotated[
         Path,
@@ -89,7 +89,7 @@ def boards(
     calibrate_folder(folder, given, out, target, force=force)
 
 
-@calibrate.command()
+@calibrate.command(cls=option.Command)
 def register(
     session: Annotated[
         Path,
@@ -189,7 +189,7 @@ def register(
     registration.register_by_motion(session, rig, options, output)
 
 
-@calibrate.command()
+@calibrate.command(cls=option.Command)
 def check(
     source: Annotated[
         Path, Argument(help="A recorded session, or pictures of a board (one pair will do).")

@@ -1,5 +1,6 @@
 """Serve an emulated device at an address, faults included."""
 
+import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -46,6 +47,7 @@ def parse_faults(texts: list[str], possible: frozenset[str]) -> EmulatorFaults:
             numbers = [float(word) for word in value.split(":")]
         except ValueError:
             numbers = []
+        numbers = [number for number in numbers if math.isfinite(number)]
         if name in MESSAGE_FAULTS and len(numbers) == 1 and 0 <= numbers[0] <= 1:
             values[name] = numbers[0]
         elif name in TIMED_FAULTS and len(numbers) == (1 if name == "reset" else 2):

@@ -101,7 +101,7 @@ def test_faults_are_read_or_refused() -> None:
     known = frozenset({"noise", "silence", "reset"})
     read = server.parse_faults(["noise=0.1", "silence=10:3", "reset=20"], known)
     assert read == server.EmulatorFaults(noise=0.1, silence=(10.0, 3.0), reset=(20.0, 20.0))
-    for wrong in ("jump=1:2", "noise=2", "noise", "silence=3", "reset=a"):
+    for wrong in ("jump=1:2", "noise=2", "noise", "silence=3", "reset=a", "reset=nan"):
         with pytest.raises(InputError, match="--fault"):
             server.parse_faults([wrong], known)
 
