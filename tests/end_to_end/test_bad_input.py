@@ -163,6 +163,8 @@ def test_results_do_not_go_into_a_session(
         (["run", SAMPLES], "Give one of its sessions: multi_joint_fault_6r, "),
         *((["run", SAMPLES / SAMPLE, f"--tolerance={wrong}"], "--tolerance")
           for wrong in ("abc", "-0.2", "0.2,0.3", "nan")),
+        *((["run", SAMPLES / SAMPLE, f"--tolerance={wrong}"], f"write {right}.")
+          for wrong, right in (("0,2", "0.2"), ("1,5", "1.5"))),
     ],
 )  # fmt: skip
 def test_wrong_usage_is_one_line_and_status_2(

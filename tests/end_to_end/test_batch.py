@@ -12,7 +12,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
-from tests.support.command import ROOT, read_summary, verify
+from tests.support.command import ROOT, SAMPLES, read_summary, verify
 from tests.support.fleets import record
 from tests.support.processes import TIMEOUT, running, wait_until
 from verify.simulation.scenario import ScenarioFault
@@ -191,19 +191,23 @@ def test_where_no_session_can_be_measured_failures_are_written_and_nothing_else(
         (".", "--by", "colour"),
         (".", "--compare", "s", "elsewhere"),
         (".", "--workers", "0"),
+        *((SAMPLES, "-o", "out", f"--tolerance={wrong}")
+          for wrong in ("abc", "nan", "0", "0.2,0.2")),
+        (SAMPLES, "-o", "out", "--position-tolerance=-1"),
         (".", "--scheduler", "tcp://127.0.0.1:1", "--workers", "2"),
         pytest.param((".", "--scheduler", "nonsense://nowhere"), marks=DASK),
         (),
     ],
-)
+)  # fmt: skip
 def test_wrong_usage_takes_one_line(
-    words: tuple[str, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    words: tuple[str | Path, ...], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
     (tmp_path / "s").mkdir()
     (tmp_path / "s" / "session.toml").write_text("")
     done = verify("batch", *words)
     assert done.refusal == done.err.strip()
+    assert [path.name for path in tmp_path.iterdir()] == ["s"]
 
 
 @pytest.mark.parametrize("name", ["sessions", "fleet.pdf"])

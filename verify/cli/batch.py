@@ -64,15 +64,18 @@ def batch(
     from verify.fleet.batch.records import BatchOptions
     from verify.fleet.batch.run import measure_all
     from verify.fleet.batch.store import require_writable
+    from verify.fleet.batch.tasks import require_joints
     from verify.fleet.trends.assess import require_folders
     from verify.io.results import refuse_session
 
     tolerances = option.ToleranceOptions(tolerance, position_tolerance, orientation_tolerance)
+    tolerances.checked_angles()
     request = _trend_request(by, since, compare)
     refuse_session(out)
     with closing(_worker_pool(workers, scheduler)) as pool:  # its workers load meanwhile
         found, failures = find_sessions(folders, out)
         require_folders([one.session for one in found], request)
+        require_joints(found, tolerances)
         require_writable(out)
         options = BatchOptions(tolerances, __version__)
         with _show_progress() as watch:

@@ -67,17 +67,28 @@ class ToleranceOptions:
             f"orientation_deg={self.orientation_deg!r})"
         )
 
+    def checked_angles(self) -> list[float]:
+        """Check what needs no robot; give joints' tolerances, degrees; InputError: not positive."""
+        position, orientation = self.position_mm, self.orientation_deg
+        require_positive({"--position-tolerance": position, "--orientation-tolerance": orientation})
+        return [] if self.joints_deg is None else _parse_angles(self.joints_deg)
+
     def tolerance(self, joints: int) -> "Tolerance":
         """Turn them into m and rad for so many joints; InputError: not positive, or too few."""
         import numpy as np
 
         from verify.io.session.keys import Tolerance
 
-        values = None if self.joints_deg is None else _parse_angles(self.joints_deg, joints)
+        values = self.checked_angles()
+        if len(values) not in (0, 1, joints):
+            raise InputError(
+                "--tolerance", f"{len(values)} numbers were given",
+                f"the robot has {joints} joints",
+                f"Give one number, or one per joint.{_decimal_comma(self.joints_deg or '')}",
+            )  # fmt: skip
         position, orientation = self.position_mm, self.orientation_deg
-        require_positive({"--position-tolerance": position, "--orientation-tolerance": orientation})
         return Tolerance(
-            joints=None if values is None else np.deg2rad(values),
+            joints=np.deg2rad(values * joints if len(values) == 1 else values) if values else None,
             position=None if position is None else position * 1e-3,
             orientation=None if orientation is None else float(np.deg2rad(orientation)),
         )
@@ -174,30 +185,31 @@ def refuse_options(given: Mapping[str, bool], found: str, expected: str, remedy:
         raise InputError(name, found, expected, remedy)
 
 
-def require_positive(values: Mapping[str, float | None], *, zero: bool = False) -> None:
+def require_positive(
+    values: Mapping[str, float | None], *, zero: bool = False, remedy: str = ""
+) -> None:
     """Refuse numbers not positive (or 0, with `zero`) but None; the InputError names the first."""
     for name, value in values.items():
         if value is None or (math.isfinite(value) and (value > 0 or (zero and value == 0))):
             continue
         expected = f"a number above {'or at ' if zero else ''}0 is needed"
-        raise InputError(name, f"{value:g}", expected)
+        raise InputError(name, f"{value:g}", expected, remedy)
 
 
-def _parse_angles(text: str, joints: int) -> list[float]:
+def _parse_angles(text: str) -> list[float]:
     try:
         values = [float(word) for word in text.split(",")]
     except ValueError:
         raise InputError(
             "--tolerance", f'"{text}" is not a number of degrees',
-            f"one number is expected, or {joints} with commas between", "Example: 0.2",
+            "one number is expected, or one per joint with commas between", "Example: 0.2",
         ) from None  # fmt: skip
     for value in values:
-        require_positive({"--tolerance": value})
-    if len(values) == 1:
-        values = values * joints
-    if len(values) != joints:
-        raise InputError(
-            "--tolerance", f"{len(values)} numbers were given",
-            f"the robot has {joints} joints", "Give one number, or one per joint.",
-        )  # fmt: skip
+        require_positive({"--tolerance": value}, remedy=_decimal_comma(text).strip())
     return values
+
+
+def _decimal_comma(text: str) -> str:
+    """Say how a number is written that may have a decimal comma; empty for other texts."""
+    parts = re.fullmatch(r"\s*(\d+),(\d+)\s*", text)
+    return f" A decimal comma is not understood: write {parts[1]}.{parts[2]}." if parts else ""

@@ -1,5 +1,7 @@
 """Tasks of workers: measure a session, check whether it has changed, write its report."""
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -9,7 +11,7 @@ from reports import Results
 from reports.results import to_json_value
 from verify.analysis.session import analyse
 from verify.errors import InputError, one_line
-from verify.fleet.batch.finding import file_versions, is_url, local_copy
+from verify.fleet.batch.finding import SESSION_FILE, file_versions, is_url, local_copy
 from verify.fleet.batch.records import (
     DEFECT,
     REFUSED,
@@ -18,11 +20,15 @@ from verify.fleet.batch.records import (
     SessionFailure,
     SessionLocation,
     SessionResults,
+    ToleranceRequest,
     printable_path,
 )
 from verify.io.files import digest, lacks_memory, memory_refusal, system_refusal
 from verify.io.results import RESULTS, read_results, write_report_folder
+from verify.io.session.folder import load_arm
+from verify.io.session.keys import RunTable
 from verify.io.session.session import open_session
+from verify.io.toml import decode
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +67,25 @@ class MeasureTask:
             return pack_results(
                 self.found.session, results, file_versions(self.found.folder) if remote else None
             )
+
+
+def require_joints(found: Sequence[SessionLocation], tolerances: ToleranceRequest) -> None:
+    """Refuse, by an InputError, tolerances for a number of joints that no session's robot has."""
+    refusals = []
+    for one in found:
+        if is_url(one.folder):  # it is not fetched twice
+            return
+        path = Path(one.folder) / SESSION_FILE
+        with suppress(InputError):  # measuring it says what is wrong
+            joints = load_arm(path, decode(path, RunTable)[0]).dof
+            try:
+                tolerances.tolerance(joints)
+            except InputError as refusal:
+                refusals.append(refusal)
+            else:
+                return
+    if refusals:
+        raise refusals[0]
 
 
 @dataclass(frozen=True, slots=True)
