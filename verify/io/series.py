@@ -23,6 +23,7 @@ if TYPE_CHECKING:  # imported where a file is read: what measures live reads non
     import pandas as pd
 
 _PAIR_TIMES = ("t_left_s", "t_right_s")
+_PANS = ("pan_left_deg", "pan_right_deg")
 MAX_NUMBER = 1e20  # in whatever unit; its square is finite
 VISIT_PERIOD = 60.0  # s, of visits without times
 _JOINT = re.compile(r"q[1-9]\d*_deg")
@@ -80,16 +81,16 @@ def read_frames(
     table, warnings = open_table(Path(path), torn)
     timed = any(name in table.header for name in _PAIR_TIMES)
     required = ("frame", *_PAIR_TIMES) if timed else ("frame",)
-    optional = tuple(name for name in ("pan_left_deg", "pan_right_deg") if name in table.header)
-    columns = table.columns(required + optional)
+    turning = any(name in table.header for name in _PANS)  # one alone is refused
+    columns = table.columns((*required, *_PANS) if turning else required)
     count = len(columns["frame"])
     table.require_counting(columns["frame"], "images")
     columns |= {} if timed else dict.fromkeys(_PAIR_TIMES, visit_times(count))
     for name in _PAIR_TIMES:
         table.require_rising(name, columns[name])
     turned = [
-        np.deg2rad(columns[name]) if name in columns else np.full(count, rest)
-        for name, rest in zip(("pan_left_deg", "pan_right_deg"), pan, strict=True)
+        np.deg2rad(columns[name]) if turning else np.full(count, rest)
+        for name, rest in zip(_PANS, pan, strict=True)
     ]
     return FrameSeries(*(columns[name] for name in _PAIR_TIMES), *turned, timed=timed), warnings
 
@@ -181,7 +182,7 @@ class CsvTable:
             if self.header.count(name) != 1:
                 found = f"has {'two columns' if name in self.header else 'no column'} {name}"
                 expected = f"expected are {', '.join(names)}"
-                hint = did_you_mean(name, tuple(self.header))
+                hint = did_you_mean(name, tuple(n for n in self.header if n not in names))
                 remedy = f"Name the column in the first line.{hint}"
                 raise InputError(f"{self.path}, line 1", found, expected, remedy)
         places = {name: self.header.index(name) for name in names}

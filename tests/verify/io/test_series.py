@@ -76,10 +76,10 @@ def test_a_cut_row_that_belongs_to_an_image_is_refused(path: Path) -> None:
 
 
 def test_frames_have_the_rigs_pan_where_the_file_gives_none(path: Path) -> None:
-    path.write_text("frame,t_left_s,t_right_s,pan_right_deg\n0,0,0,90\n1,1,1,45\n")
+    path.write_text("frame,t_left_s,t_right_s\n0,0,0\n1,1,1\n")
     frames, _ = read_frames(path, pan=(0.25, 0.5))
     assert_array_equal(frames.pan_left, [0.25, 0.25])
-    assert_allclose(frames.pan_right, [np.pi / 2, np.pi / 4])
+    assert_array_equal(frames.pan_right, [0.5, 0.5])
 
 
 @settings(max_examples=50)
@@ -145,6 +145,8 @@ def test_a_wrong_table_of_readings_is_refused_by_its_line(
         ("\n1,1,", "\n1,0,", "line 3: t_left_s is 0 after 0"),
         ("1.1", "0.05", "line 3: t_right_s is 0.05 after 0.1"),
         ("1.1,3", "1.1,", "line 3: pan_left_deg is empty"),
+        ("pan_left_deg", "note", "line 1: has no column pan_left_deg; expected are frame, "),
+        (",pan_right_deg", ",note", "line 1: has no column pan_right_deg"),
         ("t_left_s", "t_lef_s", "Did you mean `t_lef_s`?"),
     ],
 )
