@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from verify.core.records import Array, rigid_transform, take_rows
 from verify.errors import InputError
-from verify.io.series import CsvTable, open_table, visit_times
+from verify.io.series import SORT_REMEDY, CsvTable, open_table, visit_times
 from verify.io.toml import MM
 
 POSITION = ("x_mm", "y_mm", "z_mm")
@@ -136,8 +136,7 @@ def _require_order(table: CsvTable, t: Array, target: Array | None) -> None:
         if len(stuck):
             row = int(own[stuck[0] + 1])
             found = f"t_s is {t[row]:.10g} after {t[own[stuck[0]]]:.10g} of target {number:g}"
-            remedy = "Sort the rows and delete repeats."
-            raise table.fault(row, found, "times of a target rise strictly", remedy)
+            raise table.fault(row, found, "times of a target rise strictly", SORT_REMEDY)
 
 
 def _require_unit_length(table: CsvTable, quaternion: Array) -> None:

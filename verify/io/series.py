@@ -29,6 +29,10 @@ VISIT_PERIOD = 60.0  # s, of visits without times
 _JOINT = re.compile(r"q[1-9]\d*_deg")
 MAX_FAR_BEYOND = 4 * np.pi  # beyond the limits, in most rows: no count of turns, but another unit
 _REMEDY = "Delete the row or export again."
+_MATCHED_REMEDY = (
+    "Export it again: rows belong to images or readings by their order, so none can be deleted."
+)
+SORT_REMEDY = "Sort the rows and delete repeats."
 ALARMS = "alarms.csv"  # of a watched run: beside the recording, and in its report's folder
 ALARM_COLUMNS = (
     "alarm", "kind", "began_utc", "ended_utc", "t_s", "device", "joint",
@@ -170,6 +174,7 @@ class CsvTable:
     path: Path
     data: bytes
     header: list[str]
+    matched: bool  # rows belong to images or readings by their number
 
     def columns(self, names: tuple[str, ...]) -> dict[str, Array]:
         """Parse these columns; every cell is a finite number.
@@ -213,10 +218,12 @@ class CsvTable:
         if len(stuck):
             row = int(stuck[0]) + 1
             found = f"{name} is {times[row]:.10g} after {times[row - 1]:.10g}"
-            raise self.fault(row, found, "times rise strictly", "Sort the rows and delete repeats.")
+            remedy = "" if self.matched else SORT_REMEDY
+            raise self.fault(row, found, "times rise strictly", remedy)
 
-    def fault(self, row: int, found: str, expected: str, remedy: str = _REMEDY) -> InputError:
+    def fault(self, row: int, found: str, expected: str, remedy: str = "") -> InputError:
         """Word a refusal of a row, counted from 0, by its line number in the file."""
+        remedy = remedy or self._row_remedy
         line = next(line for index, (line, _) in enumerate(self._rows()) if index == row)
         return InputError(f"{self.path}, line {line}", found, expected, remedy)
 
@@ -264,7 +271,11 @@ class CsvTable:
         cell = cells[places[name]].strip()
         found = f'{name} is "{cell[:40]}"' if cell else f"{name} is empty"
         expected = f"every row needs a number for {', '.join(places)}"
-        return InputError(f"{self.path}, line {line}", found, expected, _REMEDY)
+        return InputError(f"{self.path}, line {line}", found, expected, self._row_remedy)
+
+    @property
+    def _row_remedy(self) -> str:
+        return _MATCHED_REMEDY if self.matched else _REMEDY
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         """Yield the rows below the header, blank lines left out, each with its line number."""
@@ -292,7 +303,7 @@ def open_table(path: Path, torn: bool, spare: str = "") -> tuple[CsvTable, tuple
     data = data.removeprefix(codecs.BOM_UTF8)
     header = _header(path, data)
     data, warnings = whole_rows(path, data, torn, spare in header)
-    return CsvTable(path, data, header), warnings
+    return CsvTable(path, data, header, spare not in header), warnings
 
 
 def _header(path: Path, data: bytes) -> list[str]:

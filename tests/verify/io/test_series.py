@@ -154,7 +154,10 @@ def test_a_wrong_table_of_frames_is_refused_by_its_line(
     path: Path, old: str, new: str, message: str
 ) -> None:
     path.write_text(FRAMES.replace(old, new))
-    assert message in str(refusal(read_frames, path))
+    found = str(refusal(read_frames, path))
+    assert message in found
+    assert "Delete" not in found
+    assert "delete repeats" not in found
 
 
 def test_a_table_in_utf_16_is_refused(path: Path) -> None:
