@@ -32,6 +32,7 @@ _REMEDY = "Delete the row or export again."
 _MATCHED_REMEDY = (
     "Export it again: rows belong to images or readings by their order, so none can be deleted."
 )
+_ALARMS_REMEDY = "Restore the file as `verify run` wrote it, or delete it."
 SORT_REMEDY = "Sort the rows and delete repeats."
 ALARMS = "alarms.csv"  # of a watched run: beside the recording, and in its report's folder
 ALARM_COLUMNS = (
@@ -184,12 +185,16 @@ class CsvTable:
                 beyond MAX_NUMBER.
         """
         for name in names:
-            if self.header.count(name) != 1:
-                found = f"has {'two columns' if name in self.header else 'no column'} {name}"
+            if self.header.count(name) > 1:
+                expected, remedy = "each has a name of its own", "Delete or rename one of them."
+                raise InputError(
+                    f"{self.path}, line 1", f"has two columns {name}", expected, remedy
+                )
+            if name not in self.header:
                 expected = f"expected are {', '.join(names)}"
                 hint = did_you_mean(name, tuple(n for n in self.header if n not in names))
                 remedy = f"Name the column in the first line.{hint}"
-                raise InputError(f"{self.path}, line 1", found, expected, remedy)
+                raise InputError(f"{self.path}, line 1", f"has no column {name}", expected, remedy)
         places = {name: self.header.index(name) for name in names}
         parsed = self._parsed_fast(places)
         if parsed is None:
@@ -255,6 +260,8 @@ class CsvTable:
         rows = []
         for line, cells in self._rows():
             if len(cells) != len(self.header):
+                if any("\n" in cell or "\r" in cell for cell in cells):
+                    raise _quote_refusal(f"{self.path}, line {line}")
                 found = f"has {len(cells)} cells"
                 expected = f"the first line names {len(self.header)} columns"
                 remedy = "Write decimal points, and a comma between cells alone."
@@ -278,16 +285,26 @@ class CsvTable:
         return _MATCHED_REMEDY if self.matched else _REMEDY
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
-        """Yield the rows below the header, blank lines left out, each with its line number."""
+        """Yield the rows below the header, blank lines left out, each with its first line."""
         reader = csv.reader(io.StringIO(self.data.decode(errors="replace"), newline=""))
+        line = 1
         try:
             next(reader, None)
+            line = reader.line_num + 1
             for cells in reader:
                 if len(cells) > 1 or any(cell.strip() for cell in cells):
-                    yield reader.line_num, cells
+                    yield line, cells
+                line = reader.line_num + 1
         except csv.Error as error:
-            place = f"{self.path}, line {reader.line_num}"
+            place = f"{self.path}, line {line}"
+            if reader.line_num > line:  # the rest of the file stands in one cell, too long for csv
+                raise _quote_refusal(place) from error
             raise InputError(place, f"is not CSV: {error}", "", "Export it again.") from error
+
+
+def _quote_refusal(place: str) -> InputError:
+    found, expected = "has a quote that is not closed", "quotes stand in pairs around a cell"
+    return InputError(place, found, expected, "Close it, or export the table again.")
 
 
 def open_table(path: Path, torn: bool, spare: str = "") -> tuple[CsvTable, tuple[str, ...]]:
@@ -340,12 +357,11 @@ def read_alarms(path: Path, joints: int) -> "pd.DataFrame | None":
         if len(cells) != len(table.header) or not known:
             found = f'is "{",".join(cells)[:60]}"'
             expected = f"alarm and t_s are numbers, joint is 1 to {joints} or empty"
-            remedy = "Restore the file as `verify run` wrote it, or delete it."
-            raise InputError(f"{path}, line {line}", found, expected, remedy)
+            raise InputError(f"{path}, line {line}", found, expected, _ALARMS_REMEDY)
         rows.append(row)
     if missing := [name for name in ALARM_COLUMNS if name not in table.header]:
         expected = f"expected are {', '.join(ALARM_COLUMNS)}"
-        raise InputError(f"{path}, line 1", f"has no column {missing[0]}", expected, _REMEDY)
+        raise InputError(f"{path}, line 1", f"has no column {missing[0]}", expected, _ALARMS_REMEDY)
     alarms = pd.DataFrame(rows, columns=list(ALARM_COLUMNS))
     numbers = ["alarm", "t_s", "joint", "error_deg", "standard_uncertainty_deg"]
     alarms[numbers] = alarms[numbers].apply(pd.to_numeric, errors="coerce")

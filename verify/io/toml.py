@@ -139,9 +139,10 @@ def listed(names: Sequence[object], most: int = 12) -> str:
 
 
 def did_you_mean(word: str, options: tuple[str, ...]) -> str:
-    """Suggest the known word that comes nearest, as a sentence; empty where none comes near."""
-    near = difflib.get_close_matches(word, options, n=1)
-    return f" Did you mean `{near[0]}`?" if near else ""
+    """Suggest the nearest known word, in capitals or not, as a sentence; empty: none is near."""
+    by_lower = {option.lower(): option for option in options}
+    near = difflib.get_close_matches(word.lower(), by_lower, n=1)
+    return f" Did you mean `{by_lower[near[0]]}`?" if near else ""
 
 
 def encode(tree: Mapping[str, Any]) -> bytes:

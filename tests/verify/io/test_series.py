@@ -123,7 +123,13 @@ def test_numbers_that_pandas_writes_are_read_exactly(
         ("t_s,q1_deg\n0,1\n", "line 1: has 1 joint columns, q1_deg to q1_deg; the robot has 2"),
         ("t_s,q1_deg,q2_deg,q3_deg\n0,1,2,3\n", "line 1: has 3 joint columns, q1_deg to q3_deg"),
         ("t_s,q1,q2\n0,1,2\n", "line 1: has no column q1_deg"),
-        ("t_s,t_s,q1_deg,q2_deg\n0,0,1,2\n", "line 1: has two columns t_s"),
+        (
+            "t_s,t_s,q1_deg,q2_deg\n0,0,1,2\n",
+            "has two columns t_s; each has a name of its own. Delete",
+        ),
+        (ENCODERS.replace("t_s", "T_S"), "the column in the first line. Did you mean `T_S`?"),
+        (ENCODERS.replace("0.5", '"0.5'), "line 3: has a quote that is not closed"),
+        (ENCODERS.replace("0.5", '"0.5') + 20_000 * "9,9,9\n", "line 3: has a quote that is not"),
         (ENCODERS.replace("11", "1" * 200_000 + "x"), "line 3: is not CSV"),
     ],
 )
