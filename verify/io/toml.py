@@ -80,14 +80,20 @@ def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
         found = f"is {shorten(tree['format'])}" if "format" in tree else "is missing"
         remedy = f"Write `format = {FORMAT}`, or use the program that this file was made for."
         raise key_error(path, "format", found, f"format {FORMAT} is expected", remedy)
-    for key, value in leaves(tree):
-        if isinstance(value, float | int) and not isinstance(value, bool):
-            require_plausible(path, key, value)
     try:
         decoded = msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
+        if str(error).startswith("Number out of range"):
+            _require_all_plausible(path, tree)
         raise _reword(path, tree, kind, str(error)) from error
+    _require_all_plausible(path, tree)
     return decoded, _unknown_keys(path, tree, kind)
+
+
+def _require_all_plausible(path: Path, tree: dict[str, Any]) -> None:
+    for key, value in leaves(tree):
+        if isinstance(value, float | int) and not isinstance(value, bool):
+            require_plausible(path, key, value)
 
 
 def require_plausible(path: Path, key: str, value: float) -> None:
@@ -98,7 +104,7 @@ def require_plausible(path: Path, key: str, value: float) -> None:
     _, most, unit = next(rule for rule in PLAUSIBLE if name.endswith(rule[0]))
     if abs(value) <= most:
         return
-    slip = next((s for s in SLIPS.get(unit, ()) if abs(value) * s[1] <= most), None)
+    slip = next((s for s in SLIPS.get(unit, ()) if abs(value) <= most / s[1]), None)
     remedy = f"In {slip[0]} it would be {value * slip[1]:g} {unit}." if slip else ""
     expected = f"at most {most:g}{f' {unit}' if unit else ''} is plausible"
     raise key_error(path, key, f"is {shorten(value)}", expected, remedy)

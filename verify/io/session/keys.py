@@ -12,7 +12,7 @@ from verify.core.records import Array
 from verify.io.fiducials import SOURCES as BODY_SOURCES
 from verify.io.fiducials import BodyUncertaintyTable
 from verify.io.rig import BaseTable, CovarianceTable, Matrix, Triple
-from verify.io.toml import MM, decode, key_error, not_negative, one_of, scaled
+from verify.io.toml import MM, decode, key_error, not_negative, one_of, parse, scaled
 
 RECORDING_STATES = ("open", "closed")
 POSE_FRAMES = ("robot_base", "instrument", "rig")  # that an instrument's poses may be in
@@ -141,8 +141,7 @@ class PosesSessionTable(RunTable, kw_only=True):
     marker: str | None = None
 
 
-class _PartTable(msgspec.Struct, kw_only=True):
-    poses: PosesTable | None = None
+class _StretchesTable(msgspec.Struct, kw_only=True):
     pose: list[TimeInterval] = []
     path: list[TimeInterval] = []
 
@@ -189,13 +188,13 @@ def check_clock(path: Path, clock: Clock | None) -> None:
 
 
 def has_poses(path: Path) -> bool:
-    """Whether session.toml has [poses] in place of pictures; raises InputError where it is none."""
-    return decode(path, _PartTable)[0].poses is not None
+    """Whether session.toml has [poses] in place of pictures; raises InputError: it is not TOML."""
+    return "poses" in parse(path)
 
 
 def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInterval, ...]]:
     """Read [[pose]] and [[path]] of a session.toml checked before; raises InputError."""
-    table = decode(path, _PartTable)[0]
+    table = decode(path, _StretchesTable)[0]
     return tuple(table.pose), tuple(table.path)
 
 

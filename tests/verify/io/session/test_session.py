@@ -261,6 +261,10 @@ def open_pipe(folder: Path) -> None:
         (swap("session.toml", '"rig.toml"', "3"), ["session.toml, rig: is 3", "text"]),
         (swap("session.toml", 'left = "left.mkv"', ""), ["session.toml, left: is missing"]),
         (add('recording = "opne"'), ['recording: is "opne"', "`open`"]),
+        *((swap("session.toml", '"small"', number),
+           [f"description: is {number}; a text in quotes is expected"])
+          for number in ("nan", "1e+300")),
+        (add(f"[clock]\nencoder_offset_s = 1{400 * '0'}"), ["clock.encoder_offset_s", "at most"]),
         (add("[clock]\nencoder_offset_s = nan"), ["clock.encoder_offset_s: is nan", "finite"]),
         (add("[clock]\n"), ["clock.encoder_offset_s: is missing"]),
         (add("[tolerance]\njoints_deg = [0.1, 0.2]"), ["tolerance.joints_deg", "list of 2", "6"]),
