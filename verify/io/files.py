@@ -4,6 +4,7 @@ A reader never sees half a file: what is written is built under another name on 
 flushed, and renamed.
 """
 
+import codecs
 import errno
 import hashlib
 import os
@@ -26,7 +27,7 @@ _REMEDIES = {
     errno.ENOSPC: "Free some space or write somewhere else.",
     errno.EDQUOT: "Free some space or write somewhere else.",
     errno.ENAMETOOLONG: "Choose a shorter name.",
-    errno.ELOOP: "Put the file itself there instead of the link.",
+    errno.ELOOP: "Put the file or folder itself there instead of the link.",
     errno.ENOMEM: "Close other programs, or use a machine with more memory.",
 }
 _NO_MEMORY = re.compile(  # in libraries' own words
@@ -159,6 +160,7 @@ def require_folder(folder: Path, expected: str, remedy: str) -> None:
         if folder.is_dir():
             return
         found = "is a file" if folder.exists() else "does not exist"
+        folder.resolve()  # refuses a link that leads to itself
     raise InputError(folder, found, expected, remedy)
 
 
@@ -180,6 +182,12 @@ def read_bytes(path: Path, max_bytes: int = MAX_TABLE_BYTES) -> bytes:
     require_file(path, max_bytes)
     with refused_as_input_error(path):
         return path.read_bytes()
+
+
+def refuse_utf_16(path: Path, data: bytes) -> None:
+    """Refuse text that begins with the mark of UTF-16, by an InputError."""
+    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        raise InputError(path, "is UTF-16", "UTF-8 is expected", "Save it again as UTF-8.")
 
 
 def digest(path: Path) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from verify.core.records import Array, take_rows
 from verify.errors import InputError
 from verify.io import left_out
-from verify.io.files import read_bytes
+from verify.io.files import read_bytes, refuse_utf_16
 from verify.io.rows import whole_rows
 from verify.io.toml import did_you_mean
 
@@ -315,8 +315,7 @@ def open_table(path: Path, torn: bool, spare: str = "") -> tuple[CsvTable, tuple
     others, whose rows belong to something by their number.
     """
     data = read_bytes(path)
-    if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-        raise InputError(path, "is UTF-16", "UTF-8 is expected", "Save it again as UTF-8.")
+    refuse_utf_16(path, data)
     data = data.removeprefix(codecs.BOM_UTF8)
     header = _header(path, data)
     data, warnings = whole_rows(path, data, torn, spare in header)

@@ -14,7 +14,7 @@ import tomli_w
 
 from verify.core.records import Array
 from verify.errors import InputError, one_line
-from verify.io.files import read_bytes
+from verify.io.files import read_bytes, refuse_utf_16
 
 MAX_BYTES = 4_000_000  # of a TOML file
 MAX_DEPTH = 20  # tables within tables
@@ -188,6 +188,7 @@ def not_negative(path: Path, key: str, value: float | None) -> None:
 def parse(path: Path) -> dict[str, Any]:
     """Read a TOML file; raises InputError with the line: no file, not UTF-8, or not TOML."""
     data = read_bytes(path, MAX_BYTES)
+    refuse_utf_16(path, data)
     if _DEEP_KEY.search(data):
         raise _depth_error(path)
     try:

@@ -25,7 +25,7 @@ def find_session_file(folder: Path) -> Path:
     require_folder(folder, expected, remedy)
     path = folder / SESSION_FILE
     with refused_as_input_error(folder):
-        if path.exists():
+        if path.exists() or path.is_symlink():  # a link without an end is refused when it is read
             return path
         inside = sorted(p.name for p in folder.iterdir() if (p / SESSION_FILE).is_file())
     if inside:

@@ -237,6 +237,14 @@ def absorption_of_one_joint(folder: Path) -> None:
     replace(folder / "rig.toml", '"fixture"', f'"motion"\nabsorption = [{rows}]')
 
 
+def loop(name: str) -> Callable[[Path], None]:
+    def change(folder: Path) -> None:
+        (folder / name).unlink()
+        (folder / name).symlink_to(name)
+
+    return change
+
+
 def pipe(folder: Path) -> None:
     (folder / "left.mkv").unlink()
     os.mkfifo(folder / "left.mkv")
@@ -256,6 +264,8 @@ def open_pipe(folder: Path) -> None:
         (write("left.mkv", b""), ["left.mkv", "is empty"]),
         (write("session.toml", b'format = 1\nrobot = "a\n'), ["session.toml, line 2, column"]),
         (write("session.toml", b"format = 1\n# \xff\n"), ["session.toml, line 2", "UTF-8"]),
+        (write("session.toml", "format = 1".encode("utf-16")), ["session.toml: is UTF-16; UTF-8"]),
+        (loop("session.toml"), ["session.toml: too many levels of symbolic links"]),
         (swap("session.toml", "format = 1", "format = 2"), ["format: is 2", "format 1"]),
         (swap("session.toml", "format = 1", ""), ["format: is missing"]),
         (swap("session.toml", '"rig.toml"', "3"), ["session.toml, rig: is 3", "text"]),
