@@ -199,6 +199,32 @@ def test_lists_of_threads_and_empty_variables_are_taken(tmp_path: Path) -> None:
     assert done.returncode in (0, 1, 3), done.stderr
 
 
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["run", ""], "SOURCE: is empty"),
+        (["run", SAMPLES / SAMPLE, "-o", ""], "--out: is empty"),
+        (["run", SAMPLES / SAMPLE, "--rig", ""], "--rig: is empty"),
+        (["batch", SAMPLES, ""], "FOLDERS: is empty"),
+        (["calibrate", "check", ""], "SOURCE: is empty"),
+    ],
+)
+def test_an_empty_word_is_not_the_current_folder(
+    words: list[str | Path], named: str, session: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(session)
+    before = list(session.iterdir())
+    assert named in verify(*words).refusal
+    assert list(session.iterdir()) == before
+
+
+@pytest.mark.parametrize("command", ["run", "batch", "identify"])
+def test_a_link_to_itself_is_named_as_that(command: str, tmp_path: Path) -> None:
+    (tmp_path / "loop").symlink_to("loop")
+    done = verify(command, tmp_path / "loop", "-o", tmp_path / "out")
+    assert "loop: too many levels of symbolic links" in done.refusal
+
+
 FLOAT_OPTIONS = [
     (name, option)
     for name in COMMANDS

@@ -43,7 +43,7 @@ def test_a_report_is_built_again_with_a_logo_and_an_owner(out: Path, tmp_path: P
     ("option", "name", "content", "message"),
     [
         ("--logo", "x.png", "no picture", "x.png: is neither"),
-        ("--owner", "", None, "--owner: is ''"),
+        ("--owner", "", None, "--owner: is empty"),
         ("--template", "t/report.html.j2", "{{ x }}", "line 1: 'x' is undefined"),
         ("--template", "t/report.typ", "#x", "line 1: unknown variable: x"),
     ],

@@ -160,11 +160,14 @@ WriteIntoFolder = Annotated[bool, Option("--force", help="Write into a folder th
 
 
 class Command(TyperCommand):
-    """A command that is given no number that is not finite."""
+    """A command that is given neither an empty word nor a number that is not finite."""
 
     def invoke(self, ctx: Any) -> Any:
         """Run the command; raises InputError, before anything is done, for such a value."""
         for name, value in _given(self.params, ctx.params):
+            if value == "":
+                remedy = "Give one, or leave it out; in a script, see whether the variable is set."
+                raise InputError(name, "is empty", "a value is needed", remedy)
             if isinstance(value, float) and not math.isfinite(value):
                 raise InputError(name, f"is {value:g}", "a finite number is expected")
         return super().invoke(ctx)
