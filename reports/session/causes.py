@@ -53,6 +53,13 @@ MOTIONS = {
     "wider_swing": "record again with wider swings of {joints}",
     "other_postures": "record again in other postures, moving {joints} one at a time",
 }
+# Sizes beyond which an arm would not have worked: such a figure comes from a motion that hardly
+# tells its causes apart.
+MAX_PLAUSIBLE = {("gain", "ratio"): 0.1, ("dh", "mm"): 20.0, ("dh", "deg"): 3.0}
+IMPLAUSIBLE = (
+    "it is too large to be real: the motion hardly tells it from other causes; move all joints "
+    "through their ranges, at varied speeds"
+)
 
 
 def cause_name(entry: dict[str, Any]) -> str:
@@ -96,6 +103,12 @@ def finding(entry: dict[str, Any]) -> str:
     return f"{_cause_sentence(text, entry, value)}: {remedy(entry)}"
 
 
+def is_implausible(entry: dict[str, Any]) -> bool:
+    """Tell whether a cause is larger than any that an arm could work with."""
+    most = MAX_PLAUSIBLE.get((str(entry.get("kind")), str(entry.get("unit"))), float("inf"))
+    return abs(fmt.finite(entry.get("value")) or 0.0) > most
+
+
 def remedy(entry: dict[str, Any]) -> str:
     """Say what to do about a cause."""
     known = fmt.finite(entry.get("value"))
@@ -106,6 +119,8 @@ def remedy(entry: dict[str, Any]) -> str:
         return REMEDIES["geometry"]
     if known is None:
         return fmt.DASH
+    if is_implausible(entry):
+        return IMPLAUSIBLE
     change = fmt.number(-known if kind == "offset" else known, _decimals(entry), signed=True)
     if kind == "offset":
         return f"add {change}° to its reading"

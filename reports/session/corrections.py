@@ -46,14 +46,20 @@ def _joint_rows(results: Results, joint: dict[str, Any]) -> list[tuple[doc.Cell,
     own = [entry for entry in _named(results.summary) if entry.get("joint") == number]
     if not own:
         return [doc.row(name, NOTHING, fmt.DASH, _why_none(results, joint))]
-    return [doc.row(name, *_correction(entry), _caution(results, entry, own)) for entry in own]
+    hidden = f"not visible: {'; '.join(hiding_parameter(results, joint))}"
+    return [
+        doc.row(name, NOTHING, causes.cause_name(entry), hidden)
+        if entry.get("kind") == "offset" and is_hidden(joint)
+        else doc.row(name, *_correction(entry), _caution(results, entry, own))
+        for entry in own
+    ]
 
 
 def _correction(entry: dict[str, Any]) -> tuple[str, str]:
     """Give what to type in for a cause with its uncertainty, and what that corrects."""
     kind, value, spread = entry.get("kind"), fmt.finite(entry.get("value")), _spread(entry)
     what = causes.cause_name(entry)
-    if value is None:
+    if value is None or causes.is_implausible(entry):
         return NOTHING, what
     if kind == "offset":
         return f"{fmt.with_uncertainty(-value, spread, '°')}, added to the reading", what
@@ -102,8 +108,7 @@ def _why_none(results: Results, joint: dict[str, Any]) -> str:
         if number in [c.get("joint") for c in rivals]:
             return f"not separable: {causes.rivals(entry, ' or ')}; {causes.separation(entry)}"
     if is_hidden(joint):
-        why, freed = hiding_parameter(results, joint)
-        return f"not visible: {why}; {freed}"
+        return f"not visible: {'; '.join(hiding_parameter(results, joint))}"
     if fmt.finite(joint.get("mean_error_deg")) is None:
         return "not determined in this session"
     common = [causes.cause_name(e) for e in _named(results.summary) if e.get("joint") is None]

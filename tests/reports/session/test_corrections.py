@@ -79,6 +79,25 @@ def test_what_is_not_separable_or_not_visible_is_not_to_be_corrected() -> None:
     assert "constant offset of joint 4" in rows[3][3]
 
 
+def test_an_offset_that_cannot_show_is_no_correction() -> None:
+    joints = [row | {"visible_fraction": 0.0} for row in made.nonconforming().summary["joints"]]
+    rows = rows_of(with_causes(KINDS["offset"], KINDS["gain"], joints=joints))
+    (offset, gain) = [row for row in rows if row[0] == "2"]
+    assert offset[1] == "no correction"
+    assert offset[3].startswith("not visible: ")
+    assert gain[1].startswith("counts per turn ×")
+
+
+@pytest.mark.parametrize(
+    "cause",
+    [KINDS["dh"] | {"value": -252.0, "joint": None}, KINDS["gain"] | {"value": 0.96}],
+    ids=["link", "gear"],
+)
+def test_what_no_arm_could_work_with_is_not_typed_in(cause: dict[str, Any]) -> None:
+    rows = [row for row in rows_of(with_causes(cause)) if "too large to be real" in row[3]]
+    assert [row[1] for row in rows] == ["no correction"]
+
+
 @pytest.mark.parametrize("name", ["nulls", "nothing", "seven_joints", "one_pair", "hostile"])
 def test_any_results_have_the_section(name: str) -> None:
     for row in rows_of(made.EVERY[name]()):
