@@ -57,7 +57,7 @@ MOTIONS = {
 # tells its causes apart.
 MAX_PLAUSIBLE = {("gain", "ratio"): 0.1, ("dh", "mm"): 20.0, ("dh", "deg"): 3.0}
 IMPLAUSIBLE = (
-    "it is too large to be real: the motion hardly tells it from other causes; move all joints "
+    "its figure is too large to be real, as the motion hardly tells causes apart: move all joints "
     "through their ranges, at varied speeds"
 )
 

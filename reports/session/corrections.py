@@ -46,9 +46,8 @@ def _joint_rows(results: Results, joint: dict[str, Any]) -> list[tuple[doc.Cell,
     own = [entry for entry in _named(results.summary) if entry.get("joint") == number]
     if not own:
         return [doc.row(name, NOTHING, fmt.DASH, _why_none(results, joint))]
-    hidden = f"not visible: {'; '.join(hiding_parameter(results, joint))}"
     return [
-        doc.row(name, NOTHING, causes.cause_name(entry), hidden)
+        doc.row(name, NOTHING, causes.cause_name(entry), _not_visible(results, joint))
         if entry.get("kind") == "offset" and is_hidden(joint)
         else doc.row(name, *_correction(entry), _caution(results, entry, own))
         for entry in own
@@ -100,6 +99,10 @@ def _caution(results: Results, entry: dict[str, Any], own: list[dict[str, Any]])
     return "; ".join(cautions) or "separated from every other cause"
 
 
+def _not_visible(results: Results, joint: dict[str, Any]) -> str:
+    return f"not visible: {'; '.join(hiding_parameter(results, joint))}"
+
+
 def _why_none(results: Results, joint: dict[str, Any]) -> str:
     """Say why a joint has no correction: not separable, not visible, or none found."""
     number = joint.get("joint")
@@ -108,7 +111,7 @@ def _why_none(results: Results, joint: dict[str, Any]) -> str:
         if number in [c.get("joint") for c in rivals]:
             return f"not separable: {causes.rivals(entry, ' or ')}; {causes.separation(entry)}"
     if is_hidden(joint):
-        return f"not visible: {'; '.join(hiding_parameter(results, joint))}"
+        return _not_visible(results, joint)
     if fmt.finite(joint.get("mean_error_deg")) is None:
         return "not determined in this session"
     common = [causes.cause_name(e) for e in _named(results.summary) if e.get("joint") is None]

@@ -99,10 +99,10 @@ def _lost_pairs(summary: dict[str, Any]) -> str:
     if recorded is None or measured is None or measured >= (1 - MAX_LOST_SHARE) * recorded:
         return ""
     rejected = (pairs.get("rejected") or {}).items()
-    why = fmt.join_words([f"{count} {str(status).replace('_', ' ')}" for status, count in rejected])
+    why = [f"{fmt.lookup_label(phrases.STATUSES, status)}: {count}" for status, count in rejected]
     return (
-        f"{recorded - measured:.0f} of {recorded:.0f} pairs are not counted ({why}); nothing is "
-        "said of their poses."
+        f"{recorded - measured:.0f} of {recorded:.0f} pairs are not counted ({'; '.join(why)}), "
+        "and nothing is said of their poses."
     )
 
 

@@ -67,7 +67,7 @@ def _of(session: Path, sessions: int, most: float | None = MOST_OF_DECODING) -> 
             start = time.perf_counter()
             one = pairs_a_second(lab, Path(place) / f"one{number}", cores[:1])
             whole = time.perf_counter() - start
-            other = pairs_a_second(lab, Path(place) / f"other{number}", cores[1:2])
+            other = pairs_a_second(lab, Path(place) / f"other{number}", cores[:2][-1:])
             two = pairs_a_second(lab, Path(place) / f"two{number}", cores[:2])
             rounds.append((one, 2 * two / (one + other), two, _decoded_a_second(lab), whole))
     first, gain, second, pure, whole = np.median(rounds, axis=0).tolist()

@@ -106,8 +106,9 @@ class CommandInterrupt(KeyboardInterrupt):
 
 def _ignore_interruptions() -> None:
     """Ignore signals by which Python's own end, which restores their actions, would be killed."""
-    for number in (signal.SIGALRM, signal.SIGINT, signal.SIGTERM):
-        signal.signal(number, signal.SIG_IGN)
+    for name in ("SIGALRM", "SIGINT", "SIGTERM"):
+        if hasattr(signal, name):  # the first is not everywhere
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 
 def _interrupt(_signal: int, _frame: object) -> None:

@@ -26,7 +26,7 @@ MIN_PEAK_SHARE = 0.3
 PEAK_FADING = 0.95  # a pair, of an LED that is not seen: it may turn away meanwhile
 SENSOR_LIMIT_DN = 255.0  # beyond it a peak is extrapolated
 # Of an LED's width when last seen, as far as all have changed. Of whole LEDs one in a thousand is
-# below, before strong texture one in a hundred; of half ones nearly all are.
+# below, before the strongest texture two in a hundred; of half ones nearly all are.
 MIN_WIDTH_SHARE = 0.87
 WIDTH_FADING = 0.99  # a pair: a third of a second behind a stalk is remembered
 

@@ -281,8 +281,8 @@ def _measure_causally(
     if pose is None or not pose.consistent:
         return _CausalPair(assigned, kept, around, measurement, None)
     before = Appearance.unknown(len(setup.marker)) if memory is None else memory.appearance
-    memory = _Memory(measurement, pose, before.after(kept.sides))
-    return _CausalPair(assigned, kept, around, measurement, memory)
+    now = _Memory(measurement, pose, before.after(kept.sides))
+    return _CausalPair(assigned, kept, around, measurement, now)
 
 
 def _settle(now: _CausalPair, after: _CausalPair | None, setup: Setup) -> Measurement:

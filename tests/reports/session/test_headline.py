@@ -56,7 +56,10 @@ def test_where_many_pairs_are_lost_no_pose_of_theirs_is_said_to_conform() -> Non
     message = headline(_with(made.conforming(), pairs=lost))
     assert "at every pose that was measured" in message.sentence
     assert "nothing needs to be done" not in message.sentence
-    assert "20 of 60 pairs are not counted (16 no encoder and 4 outlier)" in message.remarks[0]
+    assert message.remarks[0].startswith(
+        "20 of 60 pairs are not counted (no encoder reading at that time: 16; LEDs do not fit the "
+        "marker: 4), and"
+    )
 
 
 def test_a_cause_that_is_found_is_something_to_do_and_the_headline_of_a_pose_that_fails() -> None:

@@ -8,7 +8,9 @@
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
 
-#define MAX_ROOM 0.35 /* of a spot's contrast, that texture beside it may have */
+/* of a spot's contrast and half-width: what is dimmer and wider beside it is texture of the room */
+#define MAX_ROOM 0.35
+#define MIN_ROOM_WIDTH 1.5
 #define N_RADII 7
 #define FIRST_LOOK_STEPS 8 /* from centre to edge of a first look: 197 pixels, whatever the size */
 #define MIN_CHANNEL_WEIGHT 0.1 /* of the strongest channel: less adds noise, not information */
@@ -237,8 +239,8 @@ static void read_patch(const Picture *picture, const Fits *fits, int64_t n)
 
 /* Mark as invalid the pixels of a patch that another spot's light reaches first.
  *
- * What overlaps is not told apart here. What is dim and wider than the spot is texture of the room:
- * it stays, as without so much of a small spot's patch the rest of the texture moves the centre. */
+ * What overlaps is not told apart here. Texture of the room stays: without so much of a small
+ * spot's patch the rest of it moves the centre. */
 static void leave_neighbours(const Fits *fits, int64_t own, const double *spots)
 {
     int64_t p = pixels_of(fits, own);
@@ -249,7 +251,7 @@ static void leave_neighbours(const Fits *fits, int64_t own, const double *spots)
     for (const double *other = spots; other < spots + 4 * fits->n; other += 4) {
         double its_x = other[0], its_y = other[1], its = other[2];
         double off = sqrt(square(its_x - x) + square(its_y - y)) / (radius + its);
-        bool room = other[3] < MAX_ROOM * spots[4 * own + 3] && its > radius;
+        bool room = other[3] < MAX_ROOM * spots[4 * own + 3] && its > MIN_ROOM_WIDTH * radius;
         if (room || !(off > MIN_APART && off < MAX_APART))
             continue;
         #pragma omp simd
