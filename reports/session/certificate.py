@@ -13,7 +13,7 @@ from reports.document.charts import records
 from reports.results import Results
 from reports.session import causes, phrases
 from reports.session.figures import motion
-from reports.session.headline import MAX_CAUSES, headline
+from reports.session.headline import MAX_CAUSES, headline, lost_pairs_text
 
 MAX_ALARMS = 4  # listed, the first; alarms.csv has all
 ALARM_NOTE = (
@@ -168,7 +168,9 @@ def _causes(summary: dict[str, Any]) -> doc.Facts:
     items = [("Cause", "; ".join(named) or "the data single out no cause")]
     if not _has_tolerance(summary):
         remedies["give a tolerance (--tolerance, or session.toml) to get a verdict"] = None
-    elif summary.get("verdict") == "conform" and not remedies:
+    if lost_pairs_text(summary):
+        remedies["find out why so many pairs are not counted"] = None
+    elif _has_tolerance(summary) and summary.get("verdict") == "conform" and not remedies:
         remedies["nothing"] = None
     if remedies:
         items.append(("What to do", "; ".join(remedies)))

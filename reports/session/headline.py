@@ -61,7 +61,7 @@ def _conform(results: Results) -> str:
     each = [fmt.finite(joint.get("conformance_probability")) for joint in chosen]
     least = min((p for p in each if p is not None), default=None)
     bound = tolerance_text(results.summary, chosen)
-    lost = _lost_pairs(results.summary)
+    lost = lost_pairs_text(results.summary)
     where = "at every pose that was measured" if lost else "at every pose of this session"
     sentence = f"every joint's error stays within {bound} {where}"
     if least is not None:
@@ -92,7 +92,7 @@ def _nonconform(results: Results) -> str:
     return f"{what}, and no single cause accounts for it: look at the errors over time below."
 
 
-def _lost_pairs(summary: dict[str, Any]) -> str:
+def lost_pairs_text(summary: dict[str, Any]) -> str:
     """Say how many pairs are not counted, and why, where they are many; empty: they are few."""
     pairs = summary.get("pairs") or {}
     recorded, measured = (fmt.finite(pairs.get(key)) for key in ("recorded", "measured"))
@@ -263,7 +263,7 @@ def _no_verdict(results: Results) -> str:
 
 def _remarks(results: Results, tone: str) -> list[str]:
     summary = results.summary
-    remarks = list(filter(None, [_lost_pairs(summary)]))
+    remarks = list(filter(None, [lost_pairs_text(summary)]))
     if tone == "nonconform":
         failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
         if failing:

@@ -52,6 +52,16 @@ def test_without_a_tolerance_page_one_says_what_is_taken_as_exact_and_what_to_do
     assert "and the tolerance" not in text
 
 
+def test_where_many_pairs_are_lost_page_one_does_not_say_that_nothing_is_to_be_done() -> None:
+    results = made_of("conforming")
+    assert "nothing" in strings(to_template_data(certificate(results)))
+    lost = {"recorded": 60, "measured": 40, "rejected": {"no_encoder": 20}}
+    fewer = replace(results, summary=results.summary | {"pairs": lost})
+    texts = strings(to_template_data(certificate(fewer)))
+    assert "nothing" not in texts
+    assert "find out why so many pairs are not counted" in texts
+
+
 def test_page_one_of_a_watched_run_holds_its_alarms() -> None:
     text = (
         "The reading of joint 2 has changed by +0.349° ± 0.011° (k = 2) against what is measured."
