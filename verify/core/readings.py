@@ -147,9 +147,9 @@ class Readings:
         """
         if len(self.t) < 2:
             return np.zeros((len(t), self.q.shape[1]))
-        ends = np.clip([t - RATE_SPAN, t + RATE_SPAN], self.t[0], self.t[-1])
-        travel = self.at(ends[1]) - self.at(ends[0])
-        speed: Array = travel / np.maximum(ends[1] - ends[0], RATE_SPAN)[:, None]
+        ends = np.concatenate([t - RATE_SPAN, t + RATE_SPAN]).clip(self.t[0], self.t[-1])
+        q, n = self.at(ends), len(t)
+        speed: Array = (q[n:] - q[:n]) / np.maximum(ends[n:] - ends[:n], RATE_SPAN)[:, None]
         reading = self.t[np.minimum(np.searchsorted(self.t, t), len(self.t) - 1)] == t
         speed[~(self._bracketed(t) | reading)] = 0.0
         return speed

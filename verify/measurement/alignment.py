@@ -107,5 +107,4 @@ def _view(raw: RawSighting | None, pan: float, camera: Camera) -> SpotView:
         points = np.concatenate([rays * raw.depth[:, None], one], axis=1)
         now_T_then = camera.camera_T_rig(pan) @ camera.rig_T_camera(sighting.pan)
         centre = camera.project((points @ now_T_then.T)[:, :3])
-    contiguous = np.ascontiguousarray(centre), np.ascontiguousarray(sighting.covariance)
-    return sighting.led, *contiguous, raw.taken
+    return sighting.led, centre, sighting.covariance, raw.taken

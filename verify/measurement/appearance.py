@@ -36,9 +36,9 @@ def likely_spots(spots: Spots, least: float) -> Spots:
 
     `least`, DN: an LED's least peak; nan: not known.
     """
-    sure = (spots.covariance <= MAX_VAGUE_PX**2).all(axis=(1, 2))  # a variance is the largest entry
-    sure &= ~(spots.peak < least)
-    return spots if sure.all() else take_rows(spots, np.flatnonzero(sure))
+    most, along_x, along_y = MAX_VAGUE_PX**2, spots.covariance[:, 0, 0], spots.covariance[:, 1, 1]
+    sure = (along_x <= most) & (along_y <= most) & ~(spots.peak < least)
+    return spots if np.count_nonzero(sure) == len(spots) else take_rows(spots, sure)
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,8 +22,7 @@ from verify.measurement.kernels.entries import ACCELERATION_PER_SPEED, MIN_ACCEL
 from verify.measurement.pose import fit_pose, perturb
 from verify.measurement.systematics import Systematics, spot_columns, stated_systematics
 
-# A spot's surroundings: its own radius several times over, for the background that is fitted.
-MARGIN_PX = 14.0
+MARGIN_PX = 8.0  # about an LED in its window: for blur and halo, beside its diameter as stated
 MIN_MOTION_PX = 0.3  # what clocks and lenses leave between two pictures of one instant
 UNKNOWN_SPEED_PX = 500.0  # px/s: half a metre a second at a metre
 # A hundred times the usual: the motion between the instants is so large that the pose is a guess,
@@ -41,7 +40,7 @@ def led_windows(
     `pan`, rad, is the reading of the camera's base; the prediction, of the flange's pose in the
     rig; `image`, the picture to be searched.
     """
-    off = 2 * prediction.position_uncertainty, 2 * prediction.rotation_uncertainty
+    off = prediction.position_uncertainty, prediction.rotation_uncertainty
     return led_boxes(
         camera.camera_T_rig(pan) @ prediction.rig_T_flange,
         marker.leds,
@@ -301,12 +300,12 @@ def _fit(
     """Align a pair by its neighbours and fit the pose."""
     found = assigned.correspondence
     leds = len({*found.left_led.tolist(), *found.right_led.tolist()})
-    measurement = Measurement(
-        assigned.frame, assigned.pair_t, found.status, leds, choice=found.choice,
+    result = partial(
+        Measurement, assigned.frame, assigned.pair_t, leds_seen=leds, choice=found.choice,
         whole_frame=assigned.whole_frame, settled=settled,
     )  # fmt: skip
     if found.status != "measured" or found.rig_T_flange is None:
-        return measurement
+        return result(found.status)
     near = [p if p and not _beyond_gap(assigned, p) else None for p in around]
     sides = []
     for side, camera in enumerate((setup.rig.left, setup.rig.right)):
@@ -316,7 +315,7 @@ def _fit(
         sides.append(aligned if len(now.sighting) else now.sighting)
     left, right = sides
     if left is None or right is None:
-        return replace(measurement, status="unaligned")
+        return result("unaligned")
     columns = partial(spot_columns, setup.parameters, setup.rig, setup.marker, left, right)
     where = assigned.prediction
     expected = None if where is None else (where.rig_T_flange, where.rotation_uncertainty)
@@ -324,10 +323,10 @@ def _fit(
     try:
         pose = fit_pose(*views, found.rig_T_flange, columns, expected=expected)
     except np.linalg.LinAlgError:  # spots that contradict each other so much that no step is finite
-        return replace(measurement, status="outlier")
+        return result("outlier")
     good = pose.consistent and not pose.reprojection_rms_px > MAX_REPROJECTION_PX
     status = "measured" if good else "outlier"
-    return replace(measurement, status=status, pose=pose, left=left, right=right)
+    return result(status, pose=pose, left=left, right=right)
 
 
 def _without_rejected(assigned: _AssignedPair, pose: Pose) -> _AssignedPair:

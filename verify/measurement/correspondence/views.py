@@ -79,11 +79,7 @@ def prepare_views(
 
 def _arrays(spots: Spots) -> kernel.ImageSpots:
     """Give an image's spots as the kernel takes them."""
-    return (
-        np.ascontiguousarray(spots.centre), np.ascontiguousarray(spots.covariance),
-        np.ascontiguousarray(spots.merged), np.ascontiguousarray(spots.saturated),
-        np.ascontiguousarray(spots.colour),
-    )  # fmt: skip
+    return spots.centre, spots.covariance, spots.merged, spots.saturated, spots.colour
 
 
 @lru_cache(maxsize=4)  # two cameras are the same ones for many pairs

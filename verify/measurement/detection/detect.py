@@ -59,9 +59,9 @@ def detect(
     rows = rows[:count]
     return Spots(
         centre=rows[:, columns.COL_CENTRE_X : columns.COL_CENTRE_Y + 1].copy(),
-        covariance=rows[:, columns.COL_COVARIANCE_XX : columns.COL_COVARIANCE_YY + 1].reshape(
-            -1, 2, 2
-        ),
+        covariance=rows[:, columns.COL_COVARIANCE_XX : columns.COL_COVARIANCE_YY + 1]
+        .copy()
+        .reshape(-1, 2, 2),
         peak=rows[:, columns.COL_PEAK].copy(),
         diameter=rows[:, columns.COL_DIAMETER].copy(),
         misfit=rows[:, columns.COL_MISFIT].copy(),
