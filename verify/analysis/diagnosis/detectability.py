@@ -101,7 +101,7 @@ def _sizes(products: FaultProducts, ways: list[_FaultVariant]) -> tuple[Array, A
         closest = among[:, needed >= size].sum(axis=1)
         if closest.any():
             rival[k] = int(chance.fault[np.argmax(closest)])
-        if size <= min(MAX_RIVAL_RATIO * listed[k], products.faults[ways[k].fault].largest):
+        if size <= min(MAX_RIVAL_RATIO * listed[k], products.largest[ways[k].first]):
             named[k] = max(size, listed[k])  # at the worst phase, listing asks for more
     return listed, named, rival
 

@@ -41,6 +41,7 @@ from verify.measurement.systematics import sensitivities, spot_columns
 Name = tuple[str, int | None, str | None]
 # beyond this, first order says nothing, and a column is what rounding leaves; m, rad, ratio
 MAX_SIZE = {"deg": np.deg2rad(20.0), "mm": 0.05, "ratio": 0.3}
+MAX_SHIFT = 1.0  # m, of base or LED body, whose effect has no other order
 # units of faults as they are told, in a SI unit
 UNIT_SCALES = {
     "deg": 180 / np.pi,
@@ -98,9 +99,13 @@ class Fault:
         return self.kind, self.joint, self.parameter
 
     @property
-    def largest(self) -> float:
-        """Largest value that may be told, SI; infinite where there is no such bound."""
-        return float(MAX_SIZE.get(self.unit, np.inf))
+    def largest(self) -> Array:
+        """Largest coefficients that may be told, (p,), SI; infinite where there is no bound."""
+        if self.freedom == WHOLE_POSE and self.unit == "mm":  # three shifts and three turns
+            return np.repeat([MAX_SHIFT, MAX_SIZE["deg"]], 3)
+        if self.unit not in MAX_SIZE and self.shape is not None and self.shape.any():
+            return np.asarray(MAX_SIZE["deg"] / np.abs(self.shape).max(axis=0))  # of its error
+        return np.full(self.freedom, MAX_SIZE.get(self.unit, np.inf))
 
     @property
     def freedom(self) -> int:

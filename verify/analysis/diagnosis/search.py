@@ -64,7 +64,7 @@ class FaultProducts:
             least[which] = np.linalg.eigvalsh(gram[at[:, :, None], at[:, None, :]])[:, 0]
             narrowest[which] = scale[at].min(axis=1)
         known = np.sqrt(np.maximum(least, 0.0)) * narrowest
-        sizes = np.array([f.largest for f in faults])
+        sizes = np.array([f.largest.min() for f in faults])
         visible = (least > TOL_RANK) & (known * sizes > DETECTION_SIGMA)
         rows = int(kept.sum())
         return cls(
@@ -79,18 +79,29 @@ class FaultProducts:
             self, moment=self.moment / root, power=self.power / misfit, scale=self.scale / root
         )
 
+    @cached_property
+    def largest(self) -> Array:
+        """Largest coefficients that may be told, (p,), SI."""
+        return np.concatenate([np.zeros(0), *(f.largest for f in self.faults)])
+
     def columns(self, chosen: FaultSet) -> NDArray[np.int64]:
         """Places of the columns of a set."""
         return np.concatenate([self.places[i] for i in chosen] or [np.zeros(0, dtype=np.int64)])
 
     def chi2(self, chosen: FaultSet) -> float:
-        """Misfit with these faults fitted; infinite where they cannot be told apart."""
+        """Misfit with these faults fitted; infinite where they cannot be told apart.
+
+        So it is where one would be larger than may be told: two that cancel each other fit the
+        readings' noise, which their columns hold, too.
+        """
         at = self.columns(chosen)
         normal = self.gram[np.ix_(at, at)]
         size = np.sqrt(np.diag(normal))
         if len(at) and np.linalg.eigvalsh(normal / np.outer(size, size))[0] < TOL_RANK:
             return float("inf")
         solution = np.linalg.solve(normal, self.moment[at]) if len(at) else self.moment[at]
+        if np.any(np.abs(solution) > self.largest[at] * self.scale[at]):
+            return float("inf")
         return self.power - float(solution @ self.moment[at])
 
     def estimate(self, chosen: FaultSet, i: int) -> tuple[Array, Array]:

@@ -57,12 +57,14 @@ def found(
     clock: Callable[[Array], Array] = lambda t: t,
     change: Callable[[Track], Track] = lambda track: track,
     source: str = "fixture",
+    move: Callable[[Array], Array] = motion,
+    noise_deg: float = 0.005,
 ) -> Diagnosis:
     rng = np.random.default_rng(seed)
-    track = change(make_track(T, motion(T), rng))
-    q = motion(LOG) + rng.normal(0, np.deg2rad(0.005), (len(LOG), 6))
+    track = change(make_track(T, move(T), rng))
+    q = move(LOG) + rng.normal(0, np.deg2rad(noise_deg), (len(LOG), 6))
     if error is not None:
-        q = q + error(LOG, motion(LOG))
+        q = q + error(LOG, move(LOG))
     comparison = compare(track, ARM, Readings(clock(LOG), q), 0.0)
     model = model_of(track, comparison, source, "jig" if source == "fixture" else source)
     return find_causes(model, resolve_errors(model), ARM, replace(make_rig(), base_source=source))
@@ -98,6 +100,26 @@ def test_each_kind_of_fault_of_a_joint_is_named_with_its_value(kind: str) -> Non
     assert abs(entry["value"] - value) < 2 * entry["expanded_uncertainty"]  # 4 u
     assert entry["standard_uncertainty"] < 0.1 * abs(value)
     assert entry["runner_up"]["advantage"] > 15
+
+
+@pytest.mark.parametrize("joint", [2, 3])
+def test_of_an_arm_at_rest_no_large_faults_that_cancel_each_other_are_named(joint: int) -> None:
+    """They would fit the readings' noise: links off by 200 mm beside a base that has moved."""
+    offset = np.deg2rad(0.5)
+    seen = found(
+        1, lambda t, _: at(joint, offset + 0 * t), move=lambda t: HOME + 0 * t[:, None],
+        noise_deg=0.02,
+    )  # fmt: skip
+    (cause,) = seen.causes
+    suspects = {(c.fault.kind, c.fault.joint): c.value for c in cause.candidates or (cause,)}
+    assert suspects["offset", joint] == pytest.approx(offset, abs=np.deg2rad(0.1))
+
+
+def test_no_drift_is_told_by_which_a_joint_would_be_20_degrees_off() -> None:
+    drifts = [f for f in found(1).products.faults if f.kind == "drift" and f.begin is None]
+    assert len(drifts) == 6
+    for fault in drifts:
+        assert np.rad2deg(fault.largest.item() * (T[-1] - T[0])) == pytest.approx(20.0)
 
 
 def test_an_eccentricity_comes_with_its_phase_and_number_of_waves() -> None:
