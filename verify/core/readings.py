@@ -273,7 +273,9 @@ class Readings:
     @cached_property
     def _directions(self) -> Array:
         """Last direction of travel after each reading, (m, joints)."""
-        return kernel.travel_directions(self._contiguous[1], self._resolved).astype(np.float64)
+        # at rest, the highest of thousands of readings and the lowest are both noise
+        turned = 2 * self._resolved
+        return kernel.travel_directions(self._contiguous[1], turned).astype(np.float64)
 
 
 def _products_of_two(values: Array) -> Array:

@@ -173,6 +173,15 @@ def test_the_direction_of_travel_is_kept_at_rest_and_ignores_noise() -> None:
     ]
 
 
+def test_thousands_of_readings_at_rest_show_no_direction_of_travel() -> None:
+    t = np.arange(0.0, 60.0, 0.01)
+    noise = np.random.default_rng(5).normal(0.0, np.deg2rad(0.01), (len(t), 6))
+    moved = np.deg2rad(5.0) * np.clip(t - 30.0, 0.0, 1.0)[:, None] + noise
+    readings = Readings(t, moved)
+    assert not readings.direction(np.array([0.0, 10.0, 29.5])).any()
+    assert np.all(readings.direction(np.array([30.5, 31.5, 45.0, 59.9])) == 1)
+
+
 def test_a_joint_that_turns_without_a_rest_changes_direction_where_its_speed_is_zero() -> None:
     rng = np.random.default_rng(3)
     t = np.arange(0, 20, 0.02)

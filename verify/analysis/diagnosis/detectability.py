@@ -69,7 +69,8 @@ def _fault_directions(products: FaultProducts) -> list[_FaultVariant]:
     ways = []
     stated: set[Name] = set()
     for i, (fault, place) in enumerate(zip(products.faults, products.places, strict=True)):
-        if not fault.unit or (fault.begin is not None and fault.name in stated):
+        begun_again = fault.begin is not None and fault.name in stated
+        if not fault.unit or begun_again or fault.rest_side:
             continue
         stated.add(fault.name)
         if fault.freedom == len(AXES):

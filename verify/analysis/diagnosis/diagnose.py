@@ -123,15 +123,38 @@ def find_causes(
         changes.append(change)
         residual = model.xi - predict_errors(model, resolve_errors(model, changes))
         outlying = _within(_outliers(model, residual), len(chosen))
+    # what one direction of travel shows, the smooth fit takes for outliers where few pairs have it
+    starts = [outlying, outlying[:0]] if len(outlying) else [outlying]
+    fit = min((_settle(model, faults, moving, start) for start in starts), key=lambda f: f.cost)
+    causes = [build_cause(fit.products, fit.best, i) for i in fit.best]
+    causes.sort(key=lambda c: -c.explains)
+    return Diagnosis(merge_ambiguous(causes), chosen[fit.outlying], fit.misfit, fit.products)
+
+
+@dataclass(frozen=True, slots=True)
+class _Fit:
+    """A set of faults beside the pairs that follow none."""
+
+    products: FaultProducts
+    best: FaultSet
+    misfit: float
+    outlying: NDArray[np.int64]
+    cost: float  # of the pairs' likelihood, the faults listed and the pairs left out
+
+
+def _settle(
+    model: JointErrorModel, faults: list[Fault], moving: list[Fault], outlying: NDArray[np.int64]
+) -> _Fit:
+    """The best set and the outlying pairs that go with each other, from such pairs on."""
     for _ in range(MAX_ROUNDS):
-        kept = ~np.isin(model.white.pair, outlying)
+        left_out, kept = outlying, ~np.isin(model.white.pair, outlying)
         products, best, misfit = _best_dated_set(model, faults, moving, kept)
-        again = _outliers(model, _residual(model, products, best, kept))
-        if np.array_equal(again, outlying):
+        outlying = _outliers(model, _residual(model, products, best, kept))
+        if np.array_equal(outlying, left_out):
             break
-        outlying = again
-    causes = sorted((build_cause(products, best, i) for i in best), key=lambda c: -c.explains)
-    return Diagnosis(merge_ambiguous(causes), chosen[outlying], misfit, products)
+    limits = _outlier_limits(model)[left_out]
+    cost = products.cost(best) + products.rows * np.log(misfit) + limits.sum()
+    return _Fit(products, best, misfit, outlying, float(cost))
 
 
 def explained_by(
@@ -142,18 +165,18 @@ def explained_by(
     Of causes that cannot be told apart all are taken: no verdict may rest on which it is.
     """
     listed = [[c.fault for c in cause.candidates] or [cause.fault] for cause in found.causes]
-    wanted = {(f.name, f.per_turn, f.begin): f for faults in listed for f in faults}
-    missing = {key[:2] for key, f in wanted.items() if f.kind != "step"}
-    lasting: dict[tuple[Name, int | None], Fault] = {}
+    wanted = {(f.name, f.per_turn, f.rest_side, f.begin): f for faults in listed for f in faults}
+    missing = {key[:3] for key, f in wanted.items() if f.kind != "step"}
+    lasting: dict[tuple[Name, int | None, int], Fault] = {}
     for fault in fault_dictionary(model, arm, rig) if missing else ():
-        key = fault.name, fault.per_turn
+        key = fault.name, fault.per_turn, fault.rest_side
         if key in missing:
             lasting[key] = fault
         if len(lasting) == len(missing):  # all faults of a long session would fill its memory
             break
     moving = {f.name: f for f in steps.beginning_faults(model, lasting.values())}
     return [
-        lasting[key[:2]]
+        lasting[key[:3]]
         if fault.begin is None
         else steps.begun(
             model, moving[fault.name], int(np.searchsorted(model.comparison.t, fault.begin))
@@ -228,6 +251,12 @@ def _outliers(model: JointErrorModel, residual: Array) -> NDArray[np.int64]:
     known = np.bincount(pair, minlength=count)
     typical = chi2_ppf(0.5, np.maximum(known, 1))
     scatter = max(float(np.median(distance / typical)), 1.0)
-    limit = scatter * chi2_isf(P_OUTLIER / count, np.maximum(known, 1))
-    found = np.flatnonzero(distance > limit)
+    found = np.flatnonzero(distance > scatter * _outlier_limits(model))
     return found if len(found) <= MAX_OUTLIER_SHARE * count else found[:0]
+
+
+def _outlier_limits(model: JointErrorModel) -> Array:
+    """Chi-squared of each pair that chance reaches once in 1 / P_OUTLIER sessions, (n,)."""
+    count = len(model.comparison)
+    known = np.bincount(model.white.pair, minlength=count)
+    return np.asarray(chi2_isf(P_OUTLIER / count, np.maximum(known, 1)))

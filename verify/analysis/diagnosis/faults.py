@@ -89,13 +89,14 @@ class Fault:
     columns: Array  # (r, p), whitened, what a SI unit of each of its p coefficients does
     parameter: str | None = None  # of a link: a2, d4, alpha1, beta3
     per_turn: int | None = None  # of an eccentricity
+    rest_side: int = 0  # of a backlash: where its play rests before the joint first moves, ±1
     shape: Array | None = None  # (n, p), of a joint: its error at each pair by a unit of each
     begin: float | None = None  # s, cameras' clock; None: it was there before the session
     instants: int = 1  # at which it might have begun
 
     @property
     def name(self) -> Name:
-        """What a diagnosis says of it; other waves a turn, or another begin, have the same name."""
+        """What a diagnosis says of it; other waves a turn, rest sides or begins are named alike."""
         return self.kind, self.joint, self.parameter
 
     @property
@@ -161,6 +162,9 @@ def joint_faults(model: JointErrorModel, j: int) -> Iterator[Fault]:
     direction = comparison.direction[:, [j]]
     if min(np.sum(direction > 0), np.sum(direction < 0)) >= MIN_PAIRS_PER_DIRECTION:
         yield fault("backlash", "deg", direction / 2)
+        for side in (1, -1) if np.sum(direction == 0) >= MIN_PAIRS_PER_DIRECTION else ():
+            resting = np.where(direction == 0, side, direction)
+            yield replace(fault("backlash", "deg", resting / 2), rest_side=side)
     # what hangs below pulls with its horizontal lever; an elastic joint reads more than it turned
     lever = comparison.jacobian[:, 2, [j]]
     longest = float(np.abs(lever).max(initial=0.0))

@@ -115,6 +115,24 @@ def test_of_an_arm_at_rest_no_large_faults_that_cancel_each_other_are_named(join
     assert suspects["offset", joint] == pytest.approx(offset, abs=np.deg2rad(0.1))
 
 
+@pytest.mark.parametrize("side", [1, -1])
+def test_the_play_of_a_joint_that_first_rests_is_told_whichever_side_it_rests_on(side: int) -> None:
+    """It turns back for a twelfth of the session: those pairs are no outliers."""
+    ends, angles = [7.0, 9.0, 10.0, 11.0], np.deg2rad([0.0, 30.0, 15.0, 30.0])
+
+    def move(t: Array) -> Array:
+        return HOME + at(4, np.interp(t, ends, angles))
+
+    def error(t: Array, _: Array) -> Array:
+        way = np.select([t < ends[0], t < ends[1], t < ends[2]], [side, 1, -1], 1)
+        return at(4, np.deg2rad(0.25) * way)
+
+    seen = found(1, error, move=move, noise_deg=0.01)
+    assert names(seen) == [("backlash", 4)]
+    entry = cause_entry(seen.causes[0])
+    assert abs(entry["value"] - 0.5) < 2 * entry["expanded_uncertainty"]
+
+
 def test_no_drift_is_told_by_which_a_joint_would_be_20_degrees_off() -> None:
     drifts = [f for f in found(1).products.faults if f.kind == "drift" and f.begin is None]
     assert len(drifts) == 6
