@@ -13,6 +13,7 @@ CAUSES = {
     "backlash": "backlash",
     "eccentricity": "eccentricity",
     "compliance": "compliance",
+    "latency": "latency",
     "drift": "drift",
     "step": "step",
     "dh": "link parameter",
@@ -126,6 +127,8 @@ def remedy(entry: dict[str, Any]) -> str:
         return f"add {change}° to its reading"
     if kind == "camera_skew":
         return f"add {change} s to t_right_s in frames.csv"
+    if kind == "latency":
+        return "read it at the same instant as the other joints, or correct its time stamps"
     if kind == "clock":
         return f"add {change} s to the clock offset that was given"
     if kind == "dh":
@@ -213,6 +216,11 @@ CAUSE_TEXTS = {
     "clock": CauseText("the encoder clock offset is wrong by {amount}", "s", ways=("", "")),
     "dh": CauseText("{owner}'s {parameter} differs by {amount}", "", signed=True),
     "compliance": CauseText("joint {joint} gives way by {amount} of lever", "°/m"),
+    "latency": CauseText(
+        "joint {joint}'s readings are {amount} {way} against the others'",
+        "s",
+        ways=("late", "early"),
+    ),
     "step": CauseText("joint {joint}'s reading changed by {amount} {since}", signed=True),
     "drift": CauseText("joint {joint}'s reading drifts by {amount}", "°/h", signed=True),
     "clock_drift": CauseText("the encoder clock {way} {amount}", "ppm", ways=("loses", "gains")),

@@ -103,6 +103,7 @@ COLUMNS = (
     ("once", "Eccentricity [°]"),
     ("waves", "Waves [°]"),
     ("compliance", "Compliance [°/m]"),
+    ("latency", "Latency [ms]"),
     ("drift", "Drift [°/h]"),
     ("step", "Step [°]"),
 )
@@ -115,8 +116,9 @@ TABLE_NOTE = (
 FAULT_NOTE = (
     "Eccentricity: one wave per turn, at the worst phase; tried where a joint turns more "
     "than 60°. Waves: the worst number of waves per turn among those that the range shows. "
-    "Compliance: error a metre of horizontal lever, tried where the lever varies by half. Step: an "
-    "offset that changes in the middle of the session."
+    "Compliance: error a metre of horizontal lever, tried where the lever varies by half. Latency: "
+    "readings that lag behind the other joints', tried where the speed varies. Step: an offset "
+    "that changes in the middle of the session."
 )
 
 
@@ -163,7 +165,7 @@ def _joint_table(own: pd.DataFrame) -> doc.Table:
     def cell_of(kind: str) -> Callable[[int], str]:
         return lambda joint: _format_cell(
             [e for e in faults if e["joint"] == joint and _column_of(e) == kind],
-            100.0 if kind == "gain" else 1.0,  # in percent
+            {"gain": 100.0, "latency": 1e3}.get(kind, 1.0),  # in percent, in ms
         )
 
     columns = [

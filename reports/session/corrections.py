@@ -70,6 +70,8 @@ def _correction(entry: dict[str, Any]) -> tuple[str, str]:
         return f"{amount}, added to {entry.get('parameter')} in the robot file", what
     if kind == "clock":
         return f"{fmt.with_uncertainty(value, spread, 's')}, added to the clock offset", what
+    if kind == "latency":
+        return f"{fmt.with_uncertainty(-value, spread, 's')}, added to its readings' times", what
     if kind == "camera_skew":
         return f"{fmt.with_uncertainty(value, spread, 's')}, added to t_right_s", what
     return NOTHING, what

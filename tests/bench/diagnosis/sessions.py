@@ -169,6 +169,10 @@ def _reading_error(
     if fault.kind == "compliance":
         error[:, j] = fault.size * robots.jacobian(watched.session.arm, true)[:, 2, j]
         return error
+    if fault.kind == "latency":
+        then = watched.session.simulated.world.joints(true_t - fault.size)
+        error[:, j] = then[:, j] - true[:, j]
+        return error
     if fault.kind == "drift":
         error[:, j] = fault.size * (true_t - start)
         return error

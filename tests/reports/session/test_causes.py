@@ -62,6 +62,8 @@ def test_signs_are_stated_as_corrections() -> None:
     assert "gains 140" in finding("clock_drift", -1)
     assert "later than stamped: add +0.00310 s to t_right_s" in finding("camera_skew")
     assert "earlier than stamped: add −0.00310 s to t_right_s" in finding("camera_skew", -1)
+    assert "0.01990 ± 0.00040 s (k = 2) late against the others'" in finding("latency")
+    assert "0.01990 ± 0.00040 s (k = 2) early against the others'" in finding("latency", -1)
     assert "moved by 1.20 ± 0.12 mm (k = 2) and 0.081°" in finding("base_moved")
 
 
@@ -120,9 +122,9 @@ def test_detectable_faults_are_a_table_of_joints_and_kinds() -> None:
     assert hidden.items[1].startswith("A gain of joint 2 cannot show")
     assert hidden.items[2] == "Backlash of joint 1 cannot show: it moved one way only."
     first = [[cell.text for cell in line] for line in table_of(section).rows]
-    assert first[0] == ["q1", "–", "0.020 / 0.070", *"––––––"]
+    assert first[0] == ["q1", "–", "0.020 / 0.070", *"–––––––"]
     assert first[1] == [
-        "q2", "0.0065 / 0.087", "–", "0.011 / 0.011", "0.020 / –", "0.0090 / 0.018", *"–––",
+        "q2", "0.0065 / 0.087", "–", "0.011 / 0.011", "0.020 / –", "0.0090 / 0.018", *"––––",
     ]  # fmt: skip
     second = [[cell.text for cell in line] for line in table_of(section, 1).rows]
     assert ["link parameter a2 of joint 2", "0.043", "0.14", "mm"] in second

@@ -42,6 +42,7 @@ def test_the_correction_of_an_offset_is_its_negative_with_its_uncertainty() -> N
         ("gain", "counts per turn × 1.00520 ± 0.00040"),
         ("dh", "+0.84 ± 0.20 mm, added to a2 in the robot file"),
         ("clock", "−0.01230 ± 0.00060 s, added to the clock offset"),
+        ("latency", "−0.01990 ± 0.00040 s, added to its readings' times"),
         ("camera_skew", "+0.00310 ± 0.00031 s, added to t_right_s"),
         ("backlash", "no correction"),
         ("base_moved", "no correction"),

@@ -33,6 +33,7 @@ CAUSES: list[dict[str, Any]] = [
     cause(None, "clock", -0.0123, 0.0006, "s"),
     cause(2, "dh", 0.84, 0.2, "mm") | {"parameter": "a2"},
     cause(4, "compliance", 0.52, 0.05, "deg/m"),
+    cause(5, "latency", 0.0199, 0.0004, "s"),
     cause(5, "drift", -12.0, 1.2, "deg/h"),
     cause(None, "clock_drift", 140.0, 14.0, "ppm"),
     cause(None, "camera_skew", 0.0031, 0.00031, "s"),

@@ -22,6 +22,7 @@ SEPARATING_MOTIONS = (
     ("step", "return_to_start"),
     ("camera_skew", "varied_speeds"),
     ("clock", "varied_speeds"),
+    ("latency", "varied_speeds"),
     ("backlash", "two_sided_stops"),
     ("compliance", "lever_both_sides"),
 )

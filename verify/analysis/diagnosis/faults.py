@@ -27,6 +27,7 @@ import numpy as np
 from verify.analysis.comparison import Comparison, twist_difference
 from verify.analysis.least_squares import solve
 from verify.analysis.model import (
+    MIN_SPEED_SIGMA,
     JointErrorModel,
     SessionComparison,
     base_motion,
@@ -170,6 +171,10 @@ def joint_faults(model: JointErrorModel, j: int) -> Iterator[Fault]:
     longest = float(np.abs(lever).max(initial=0.0))
     if longest > MIN_LEVER and np.ptp(lever) > MIN_LEVER_RATIO * longest:
         yield fault("compliance", "deg/m", lever)
+    # readings that lag behind those of the other joints; at one speed, like an offset
+    rate = comparison.rate[:, [j]]
+    if comparison.timed and rate.std() > MIN_SPEED_SIGMA * np.sqrt(comparison.rate_variance[j]):
+        yield fault("latency", "s", -rate)
     if comparison.timed and np.ptp(elapsed) > 0:
         column = model.joints[:, [j]] * elapsed[model.white.pair]
         yield Fault("drift", joint, "deg/h", column, shape=elapsed)

@@ -85,6 +85,7 @@ FAULTS: dict[str, tuple[int, Error, float]] = {
     "gain": (2, lambda _, q: at(2, 0.004 * q[:, 1]), 0.004),
     "backlash": (4, lambda t, _: at(4, np.deg2rad(0.1) * direction(t)[:, 3]), 0.2),
     "eccentricity": (6, lambda _, q: at(6, np.deg2rad(0.25) * np.cos(3 * (q[:, 5] - 0.4))), 0.25),
+    "latency": (3, lambda t, q: at(3, (motion(t - 0.005) - q)[:, 2]), 0.005),
     "drift": (5, lambda t, _: at(5, np.deg2rad(0.02) * (t - T[0])), 72.0),
     "step": (4, lambda t, _: at(4, np.deg2rad(-0.3) * (t >= T[60] - 0.05)), -0.3),
     "compliance": (5, lambda _, q: at(5, np.deg2rad(4.0) * robots.jacobian(ARM, q)[:, 2, 4]), 4.0),
