@@ -217,9 +217,7 @@ CAUSE_TEXTS = {
     "dh": CauseText("{owner}'s {parameter} differs by {amount}", "", signed=True),
     "compliance": CauseText("joint {joint} gives way by {amount} of lever", "°/m"),
     "latency": CauseText(
-        "joint {joint}'s readings are {amount} {way} against the others'",
-        "s",
-        ways=("late", "early"),
+        "joint {joint}'s readings {way} the other joints' by {amount}", "s", ways=("lag", "lead")
     ),
     "step": CauseText("joint {joint}'s reading changed by {amount} {since}", signed=True),
     "drift": CauseText("joint {joint}'s reading drifts by {amount}", "°/h", signed=True),

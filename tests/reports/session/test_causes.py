@@ -62,8 +62,8 @@ def test_signs_are_stated_as_corrections() -> None:
     assert "gains 140" in finding("clock_drift", -1)
     assert "later than stamped: add +0.00310 s to t_right_s" in finding("camera_skew")
     assert "earlier than stamped: add −0.00310 s to t_right_s" in finding("camera_skew", -1)
-    assert "0.01990 ± 0.00040 s (k = 2) late against the others'" in finding("latency")
-    assert "0.01990 ± 0.00040 s (k = 2) early against the others'" in finding("latency", -1)
+    assert "lag the other joints' by 0.01990 ± 0.00040 s" in finding("latency")
+    assert "lead the other joints' by 0.01990 ± 0.00040 s" in finding("latency", -1)
     assert "moved by 1.20 ± 0.12 mm (k = 2) and 0.081°" in finding("base_moved")
 
 
