@@ -13,7 +13,12 @@ from reports.document.charts import records
 from reports.results import Results
 from reports.session import causes, phrases
 from reports.session.figures import motion
-from reports.session.headline import MAX_CAUSES, headline, lost_pairs_text
+from reports.session.headline import (
+    MAX_CAUSES,
+    contradiction_text,
+    headline,
+    lost_pairs_text,
+)
 
 MAX_ALARMS = 4  # listed, the first; alarms.csv has all
 ALARM_NOTE = (
@@ -168,6 +173,14 @@ def _causes(summary: dict[str, Any]) -> doc.Facts:
     items = [("Cause", "; ".join(named) or "the data single out no cause")]
     if not _has_tolerance(summary):
         remedies["give a tolerance (--tolerance, or session.toml) to get a verdict"] = None
+    led = (summary.get("pictures") or {}).get("displaced_led")
+    if led:
+        remedies = {f"measure the place of LED {led.get('name')} again": None, **remedies}
+    elif contradiction_text(summary):
+        remedies = {
+            "find out why the pictures contradict rig.toml or marker.toml": None,
+            **remedies,
+        }
     if lost_pairs_text(summary):
         remedies["find out why so many pairs are not counted"] = None
     elif _has_tolerance(summary) and summary.get("verdict") == "conform" and not remedies:

@@ -2,6 +2,8 @@
 
 from typing import Any
 
+import numpy as np
+
 from reports.document import formatting as fmt
 from reports.document.blocks import Verdict, uncertain_field
 from reports.results import Results
@@ -40,6 +42,13 @@ def headline(results: Results) -> Verdict:
         "undecided": _undecided,
         "none": _no_verdict,
     }[tone](results)
+    if contradiction := contradiction_text(summary):
+        sentence = (
+            f"even though {contradiction}, {sentence}"
+            if tone == "conform"
+            else f"{contradiction}, and what follows may come from that and not from the robot: "
+            f"{sentence}"
+        )
     return Verdict(tone, LABELS[tone], fmt.capitalise(sentence), tuple(_remarks(results, tone)))
 
 
@@ -61,7 +70,7 @@ def _conform(results: Results) -> str:
     each = [fmt.finite(joint.get("conformance_probability")) for joint in chosen]
     least = min((p for p in each if p is not None), default=None)
     bound = tolerance_text(results.summary, chosen)
-    lost = lost_pairs_text(results.summary)
+    lost = lost_pairs_text(results.summary) or contradiction_text(results.summary)
     where = "at every pose that was measured" if lost else "at every pose of this session"
     sentence = f"every joint's error stays within {bound} {where}"
     if least is not None:
@@ -74,6 +83,8 @@ def _conform(results: Results) -> str:
 def _nonconform(results: Results) -> str:
     summary = results.summary
     failing = with_verdict(summary, "nonconform")
+    if contradiction_text(summary):  # causes may be the pictures' doing
+        return _exceeding(summary, failing) + "."
     guilty = {joint.get("joint") for joint in failing} | {None}
     causes = [
         entry
@@ -104,6 +115,18 @@ def lost_pairs_text(summary: dict[str, Any]) -> str:
         f"{recorded - measured:.0f} of {recorded:.0f} pairs are not counted ({'; '.join(why)}), "
         "and nothing is said of their poses."
     )
+
+
+def contradiction_text(summary: dict[str, Any]) -> str:
+    """Say that the pictures contradict the files that they are measured by; empty: they agree."""
+    pictures = summary.get("pictures") or {}
+    led = pictures.get("displaced_led")
+    if led:
+        length = float(np.linalg.norm(led["displacement_mm"]))
+        amount = fmt.with_uncertainty(length, led.get("expanded_uncertainty_mm"), "mm", False)
+        when = " in the last pairs" if led.get("last_pairs_only") else ""
+        return f"LED {led.get('name')} is seen {amount} from its place in marker.toml{when}"
+    return "the pictures contradict rig.toml or marker.toml" * bool(pictures.get("contradict"))
 
 
 def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:
@@ -266,7 +289,7 @@ def _remarks(results: Results, tone: str) -> list[str]:
     remarks = list(filter(None, [lost_pairs_text(summary)]))
     if tone == "nonconform":
         failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
-        if failing:
+        if failing and not contradiction_text(summary):
             remarks.append(fmt.capitalise(_exceeding(summary, failing)) + ".")
         if open_joints:
             names = fmt.joint_names([joint.get("joint") for joint in open_joints])

@@ -62,6 +62,7 @@ from verify.analysis.results.tables import (
     spots_table,
 )
 from verify.analysis.results.warnings import result_warnings
+from verify.analysis.rig_check.leds import picture_misfit
 from verify.analysis.sweeps.sweeps import judge_sweeps
 from verify.analysis.uncertainty.budget import budget
 from verify.analysis.uncertainty.monte_carlo import monte_carlo
@@ -322,6 +323,8 @@ def _estimate(
     used = [m for m in measured.measurements if m.status == "measured"]
     sources = budget(model, compared, means, resolved, used)
     means = replace(means, coverage_factor=sources.coverage_factor)
+    seen = measured.measurements
+    pictures = picture_misfit(seen, session.rig, session.marker, compared.systematics)
     stated = {name: limit for name, limit in asdict(tolerance).items() if limit is not None}
     return SessionAnalysis(
         compared=compared,
@@ -340,7 +343,8 @@ def _estimate(
         relative=compare_relative_motions(model),
         diagnosis=diagnosis,
         flange=_flange(model, clock_uncertainty),
-        warnings=result_warnings(compared, measured.measurements, model),
+        pictures=pictures,
+        warnings=result_warnings(compared, seen, model, pictures),
     )
 
 

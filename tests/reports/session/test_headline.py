@@ -51,6 +51,31 @@ def test_conformity_is_stated_with_its_probability_rounded_down() -> None:
     assert "no others" in " ".join(message.remarks)
 
 
+LED_OFF = {"name": "B", "displacement_mm": [0.0, 3.0, 0.0], "expanded_uncertainty_mm": 0.2}
+
+
+@pytest.mark.parametrize(
+    ("pictures", "words"),
+    [
+        ({"contradict": True}, "the pictures contradict rig.toml or marker.toml"),
+        ({"displaced_led": LED_OFF}, "LED B is seen 3.00 ± 0.20 mm from its place in marker.toml"),
+        (
+            {"displaced_led": LED_OFF | {"last_pairs_only": True}},
+            "from its place in marker.toml in the last pairs",
+        ),
+    ],
+)
+def test_what_contradicts_the_files_is_said_before_any_figure(
+    pictures: dict[str, Any], words: str
+) -> None:
+    faulty = headline(_with(made.nonconforming(), pictures=pictures)).sentence
+    assert words.lower() in faulty.lower()
+    assert faulty.index("not from the robot") < faulty.index("joint 2 exceeds ±0.2°")
+    sound = headline(_with(made.conforming(), pictures=pictures)).sentence
+    assert sound.startswith("Even though ")
+    assert "nothing needs to be done" not in sound
+
+
 def test_where_many_pairs_are_lost_no_pose_of_theirs_is_said_to_conform() -> None:
     lost = {"recorded": 60, "measured": 40, "rejected": {"no_encoder": 16, "outlier": 4}}
     message = headline(_with(made.conforming(), pairs=lost))

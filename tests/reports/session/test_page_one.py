@@ -62,6 +62,14 @@ def test_where_many_pairs_are_lost_page_one_does_not_say_that_nothing_is_to_be_d
     assert "find out why so many pairs are not counted" in texts
 
 
+def test_a_displaced_led_is_to_be_measured_before_anything_else_is_done() -> None:
+    results = made_of("nonconforming")
+    led = {"name": "B", "displacement_mm": [0.0, 3.0, 0.0], "expanded_uncertainty_mm": 0.2}
+    summary = results.summary | {"pictures": {"contradict": True, "displaced_led": led}}
+    texts = strings(to_template_data(certificate(replace(results, summary=summary))))
+    assert any(t.startswith("measure the place of LED B again; add −0.348") for t in texts)
+
+
 def test_page_one_of_a_watched_run_holds_its_alarms() -> None:
     text = (
         "The reading of joint 2 has changed by +0.349° ± 0.011° (k = 2) against what is measured."

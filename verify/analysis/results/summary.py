@@ -24,6 +24,7 @@ from verify.analysis.results.entries import (
     monte_carlo_entry,
     sweep_entries,
 )
+from verify.analysis.rig_check.leds import PictureMisfit
 from verify.analysis.sweeps.sweeps import JointSweep
 from verify.analysis.uncertainty.budget import Budget
 from verify.analysis.uncertainty.monte_carlo import MonteCarlo
@@ -65,6 +66,7 @@ class SessionAnalysis:
     relative: RelativeMotion | None
     diagnosis: Diagnosis
     flange: tuple[Array, Array]  # (6,) mean error twist and (6, 6) its covariance
+    pictures: PictureMisfit | None
     warnings: list[str]
     by_clock: "tuple[SessionAnalysis, ...]" = ()  # the same at other offsets that fit as well
 
@@ -111,6 +113,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
             "measured": measured,
             "rejected": dict(sorted(counts.items())),
         },
+        "pictures": _pictures(judged.pictures),
         "clock": _clock(judged.compared.clock),
         "verdict": overall_verdict(verdicts),
         "decision_rule": RULE,
@@ -133,6 +136,26 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "combinations": [_combination(c) for c in judged.combinations],
         "choices": dict(sorted(judged.choices.items())),
         "known_dof": max((b.shape[1] for b in judged.model.comparison.determined), default=0),
+    }
+
+
+def _pictures(found: PictureMisfit | None) -> dict[str, Any] | None:
+    if found is None:
+        return None
+    led = found.led
+    return {
+        "contradict": found.contradicts,
+        "misfit": finite_number(found.whole),
+        "first_misfit": finite_number(found.first),
+        "last_misfit": finite_number(found.last),
+        "displaced_led": None
+        if led is None
+        else {
+            "name": led.name,
+            "displacement_mm": [finite_number(x * MILLIMETRE) for x in led.displacement.tolist()],
+            "expanded_uncertainty_mm": finite_number(2 * led.standard_uncertainty * MILLIMETRE),
+            "last_pairs_only": found.later,
+        },
     }
 
 

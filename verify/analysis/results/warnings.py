@@ -8,6 +8,7 @@ import numpy as np
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.rig_check.check import consistency, moved_warning
+from verify.analysis.rig_check.leds import PictureMisfit, misfit_warning
 from verify.analysis.uncertainty.sources import unstated_sources
 from verify.core.records import Measurement
 from verify.io.session.session import Session
@@ -27,14 +28,17 @@ MAX_RIVALS_NAMED = 4  # of a periodic motion's clock offsets; the list goes on f
 
 
 def result_warnings(
-    compared: SessionComparison, measurements: list[Measurement], model: JointErrorModel
+    compared: SessionComparison,
+    measurements: list[Measurement],
+    model: JointErrorModel,
+    pictures: PictureMisfit | None,
 ) -> list[str]:
     """Every warning of a session's result, in the order of the report."""
     session, systematics, clock = compared.session, compared.systematics, compared.clock
     return [
         *session.warnings,
         *_input_warnings(session, measurements, systematics, clock),
-        *filter(None, [rig_moved(session, measurements, systematics)]),
+        *_contradictions(session, measurements, systematics, pictures),
         *_registration_warnings(model),
         *_dof_warnings(session, model),
         *_clock_warnings(clock),
@@ -53,8 +57,6 @@ def _input_warnings(
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the verdict holds "
             "on that condition."
         )
-    if session.instrument is None:
-        yield from filter(None, [lost_pairs_warning(measurements)])
     unseen = _unused_leds(session, measurements)
     if unseen:
         yield (
@@ -89,6 +91,22 @@ def rig_moved(
     """Say that the cameras no longer stand as they were calibrated, where the marker shows it."""
     found = consistency(measurements, session.rig, session.marker, systematics)
     return None if found is None else moved_warning(found, systematics.uncounted)
+
+
+def _contradictions(
+    session: Session,
+    measurements: list[Measurement],
+    systematics: Systematics,
+    pictures: PictureMisfit | None,
+) -> Iterator[str]:
+    """What the pictures themselves say against rig.toml and marker.toml."""
+    if session.instrument is not None:
+        return
+    lost = lost_pairs_warning(measurements)
+    moved = rig_moved(session, measurements, systematics)
+    told = moved is not None or CONTRADICTION_ADVICE in (lost or "")
+    misfit = None if pictures is None else misfit_warning(pictures, told=told)
+    yield from filter(None, [lost, moved, misfit])
 
 
 def _unused_leds(session: Session, measurements: list[Measurement]) -> list[str]:

@@ -66,13 +66,13 @@ def _rows(pairs: Sequence[PosedPair], marker: Marker) -> list[PairEquations]:
     led = np.array([np.concatenate([left.led, right.led]) for _, _, left, right in pairs])
     centre = np.array([np.concatenate([left.centre, right.centre]) for _, _, left, right in pairs])
     offset = marker.leds[led] @ np.swapaxes(turn, 1, 2)
-    by_pose = sensitivity @ _rigid(offset)
+    by_pose = sensitivity @ rigid_motion(offset)
     figures = _figures(sensitivity, offset, centre, len(pairs[0][2]))
     rows = np.flatnonzero(np.repeat(_used_spots(poses[0]), 2))
-    spread = _covariance(pairs, by_pose)[:, rows[:, None], rows]
+    spread = spot_covariance(pairs, by_pose)[:, rows[:, None], rows]
     white = np.linalg.inv(np.linalg.cholesky(spread))
     figure = white @ figures.reshape(len(pairs), -1, 3)[:, rows]
-    left_of = figure - _project_onto(white @ by_pose.reshape(len(pairs), -1, 6)[:, rows], figure)
+    left_of = figure - project_onto(white @ by_pose.reshape(len(pairs), -1, 6)[:, rows], figure)
     faint = np.sum(left_of**2, axis=1) < MIN_EFFECT * np.sum(figure**2, axis=1)
     left_of = np.where(faint[:, None], 0.0, left_of)
     left_of = np.where(_indistinguishable(left_of, figure)[:, None], 0.0, left_of)
@@ -103,14 +103,14 @@ def _figures(sensitivity: Array, offset: Array, centre: Array, lefts: int) -> Ar
     return figures
 
 
-def _rigid(offset: Array) -> Array:
+def rigid_motion(offset: Array) -> Array:
     """Motion of points for a translation and a small turn of their body, (n, s, 3, 6)."""
     motion = np.empty((*offset.shape, 6))
     motion[..., :3], motion[..., 3:] = np.eye(3), -cross_matrix(offset)
     return motion
 
 
-def _covariance(pairs: Sequence[PosedPair], by_pose: Array) -> Array:
+def spot_covariance(pairs: Sequence[PosedPair], by_pose: Array) -> Array:
     """What varies from pair to pair, (n, 2 s, 2 s), px²: noise, and the acceleration all share."""
     blocks = np.array([np.concatenate([a.covariance, b.covariance]) for _, _, a, b in pairs])
     moved_px = np.array(
@@ -127,7 +127,7 @@ def _covariance(pairs: Sequence[PosedPair], by_pose: Array) -> Array:
     return total
 
 
-def _project_onto(design: Array, columns: Array) -> Array:
+def project_onto(design: Array, columns: Array) -> Array:
     """The part of columns (..., r, k) that a design (..., r, c), the body's motion, makes too."""
     scale = np.linalg.norm(design, axis=-2, keepdims=True)
     basis, size, _ = np.linalg.svd(design / np.where(scale > 0, scale, 1.0), full_matrices=False)
@@ -140,7 +140,7 @@ def _indistinguishable(left_of: Array, figure: Array) -> NDArray[np.bool_]:
     found = np.zeros((*figure.shape[:-2], figure.shape[-1]), dtype=bool)
     for k in range(figure.shape[-1]):
         own, others = left_of[..., [k]], np.delete(left_of, k, axis=-1)
-        alone = own - _project_onto(others, own)
+        alone = own - project_onto(others, own)
         found[..., k] = np.sum(alone**2, axis=(-2, -1)) < MIN_EFFECT * np.sum(
             figure[..., k] ** 2, axis=-1
         )

@@ -34,8 +34,13 @@ from verify.calibration.kinematics.identifiability import (
 from verify.calibration.kinematics.model import start_state
 from verify.calibration.kinematics.noise import initial_scale
 from verify.calibration.kinematics.poses import IdentificationPoses
-from verify.calibration.kinematics.recordings import with_scatter
-from verify.calibration.kinematics.validation import CrossValidation, HoldOut, best_model, hold_out
+from verify.calibration.kinematics.validation import (
+    CrossValidation,
+    HoldOut,
+    best_model,
+    hold_out,
+    with_scatter,
+)
 from verify.core.records import Array
 
 LEVELS = ("registration", "offsets", "geometry")

@@ -1,13 +1,25 @@
-"""Residuals on poses held out, and the model that predicts them best.
+"""How a fit holds beyond its poses: on those held out, and from one recording to the next.
 
 Held-out poses count whether outlying or not. Models are compared by their squared distances in
 units of the noise that the richest model leaves, each pose's capped at MAX_CHI2: an outlying one
 weighs the same in every model. A larger model is taken where it predicts better by more than the
 scatter of that difference from block to block.
+
+Of several recordings, what the parameters scatter by from one to the next:
+
+    u_k² → max(R u_k², u_k² + b_k²)
+    R    = Σ_k Q_k / Σ_k (m_k - 1),    Q_k = Σ_s (p_ks - p̄_k)² / u_ks²
+    b_k² = Σ_s (p_ks - p_k)² / (m_k (m_k - 1))
+
+p_k is parameter k of the arm by all recordings together, p_ks as recording s alone gives it, with
+the uncertainty u_ks that its own residuals leave, p̄_k their weighted mean over the m_k recordings
+that tell it. What an arm does beyond its model (load, warmth, bending) repeats itself within a
+recording and differs between two: R is then far above 1 (Birge, Phys. Rev. 40, 1932), and b_k is a
+parameter's own share of that.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,6 +36,8 @@ from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.core.records import Array, take_rows
 
 MAX_CHI2 = 25.0  # that a row may bring: noise brings a full pose's beyond it in 3 of 10,000
+MAX_PRIOR_SHARE = 0.5  # of a prior's standard deviation: a recording that leaves more says nothing
+SHARED = 2.0  # parameters of one arm hang together: that many count as one degree of freedom
 MIN_GAIN_SIGMA = 1.0  # standard deviations by which a larger model must predict better
 
 
@@ -122,3 +136,45 @@ def best_model(found: Sequence[CrossValidation | None], block: NDArray[np.int64]
         if by_block.mean() > MIN_GAIN_SIGMA * scatter:
             best = k
     return best
+
+
+def with_scatter(fit: KinematicFit, poses: IdentificationPoses) -> KinematicFit:
+    """Enlarge a fit's covariance by what its recordings differ; unchanged where there is one."""
+    recordings = np.unique(poses.recording)
+    arm = [k for k, p in enumerate(fit.parameters) if not p.axis]
+    if len(recordings) < 2 or not arm:
+        return fit
+    alone = [_alone(fit, poses, int(s)) for s in recordings]
+    value, u = (np.array([one[i][arm] for one in alone]) for i in (0, 1))
+    # beyond which a recording does not tell a parameter
+    limits = [MAX_PRIOR_SHARE * fit.parameters[k].prior / fit.parameters[k].tolerance for k in arm]
+    weight = np.where(u < np.array(limits), u, np.inf) ** -2.0
+    told = np.count_nonzero(weight, axis=0)
+    mean = np.sum(weight * value, axis=0) / np.maximum(weight.sum(axis=0), 1e-300)
+    squares = np.sum(weight * (value - mean) ** 2, axis=0)
+    freedom = int(np.maximum(told - 1, 0).sum())
+    if not freedom:
+        return fit
+    ratio = max(1.0, float(squares[told > 1].sum()) / freedom)
+    together = (fit.change / tolerances(fit.parameters))[arm]
+    away = np.sum(np.where(weight > 0, (value - together) ** 2, 0.0), axis=0)
+    own = away / np.maximum(told * (told - 1), 1) * (told > 1)
+    factor = np.full(len(fit.parameters), ratio)
+    within = (fit.standard_uncertainty / tolerances(fit.parameters))[arm] ** 2
+    factor[arm] = np.maximum(ratio, 1 + own / within) if ratio > 1 else 1.0
+    known = min(fit.scale.degrees_of_freedom, max(freedom / SHARED, 1.0))
+    grown = np.sqrt(np.outer(factor, factor))
+    return replace(
+        fit,
+        covariance=grown * fit.covariance,
+        scale=replace(fit.scale, degrees_of_freedom=known) if ratio > 1 else fit.scale,
+        scatter=float(ratio**0.5),
+    )
+
+
+def _alone(fit: KinematicFit, poses: IdentificationPoses, recording: int) -> tuple[Array, Array]:
+    """Parameters (L,) as one recording alone gives them, and their uncertainties, in tolerances."""
+    rows = take_rows(poses, fit.used & (poses.recording == recording))
+    start = FitState(fit.state, fit.change / tolerances(fit.parameters))
+    at, covariance = minimise(start, rows, fit.parameters, fit.scale)
+    return at.change, np.sqrt(np.diag(covariance))[: len(at.change)]

@@ -1,0 +1,120 @@
+"""LEDs that are elsewhere than marker.toml says are named, and nobody is where all is as stated.
+
+LEDs by OpenCV; rig and marker are drawn about what is stated.
+"""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from tests.support.drawn_rig import believed, drawn
+from tests.support.moved_rig import seen_by, turned
+from verify.analysis.rig_check.leds import PictureMisfit, misfit_warning, picture_misfit
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Measurement
+from verify.core.rig import Camera, Rig
+from verify.measurement.systematics import stated_systematics
+
+PAIRS = 40
+FILE = believed(doubts=True)
+World = tuple[Rig, Marker]
+
+
+def world(seed: int) -> World:
+    return drawn(*FILE, np.random.default_rng([seed, 1]))
+
+
+def with_led_moved(true: World, led: int, by_mm: list[float]) -> World:
+    leds = true[1].leds.copy()
+    leds[led] += np.array(by_mm) * 1e-3
+    return true[0], replace(true[1], leds=leds)
+
+
+def seen(true: World, seed: int, file: World = FILE) -> list[Measurement]:
+    return seen_by(true, file, seed, PAIRS)
+
+
+def misfit_of(measurements: list[Measurement], file: World = FILE) -> PictureMisfit:
+    found = picture_misfit(measurements, *file, stated_systematics(*file, turning=False))
+    assert found is not None
+    return found
+
+
+def warned(found: PictureMisfit) -> str:
+    return misfit_warning(found, told=False) or ""
+
+
+def test_where_all_is_as_stated_nobody_is_accused() -> None:
+    found = [misfit_of(seen(world(seed), seed)) for seed in range(20)]
+    assert [warned(one) for one in found] == [""] * 20
+    # 400 degrees of freedom each: the mean of twenty is known to 1.6 %
+    assert np.mean([one.whole for one in found]) == pytest.approx(1.0, abs=0.1)
+
+
+@pytest.mark.parametrize("led", range(4))
+@pytest.mark.parametrize("by_mm", [[0.0, 0.5, 0.0], [2.0, -1.0, 2.0]], ids=["0.5 mm", "3 mm"])
+def test_a_displaced_led_is_named_with_how_far(led: int, by_mm: list[float]) -> None:
+    found = misfit_of(seen(with_led_moved(world(led), led, by_mm), led))
+    assert found.led is not None
+    assert found.led.name == "ABCD"[led]
+    off = found.led.displacement - np.array(by_mm) * 1e-3
+    assert np.linalg.norm(off) < 5 * found.led.standard_uncertainty + 5e-5  # the drawn places
+    assert found.led.standard_uncertainty < 1e-4
+    assert warned(found).startswith(f"LED {found.led.name} is seen ")
+    assert "in the last pairs" not in warned(found)
+
+
+def test_an_led_that_is_moved_while_recording_is_named_as_that() -> None:
+    true, late = world(1), with_led_moved(world(1), 2, [0.0, 0.0, 3.0])
+    half = PAIRS // 2
+    found = misfit_of([*seen(true, 1)[:half], *seen(late, 2)[half:]])
+    assert found.led is not None
+    assert (found.led.name, found.later) == ("C", True)
+    assert "from its place in marker.toml in the last pairs, and not in the first" in warned(found)
+
+
+def _focal_length(camera: Camera) -> Camera:
+    scaled: Array = camera.matrix.copy()
+    scaled[0, 0] *= 1.01
+    return replace(camera, matrix=scaled)
+
+
+CHANGES = {
+    "focal length": lambda rig: replace(rig, left=_focal_length(rig.left)),
+    "roll": lambda rig: replace(rig, right=turned(rig.right, 2, 1.0)),
+}
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_of_another_rig_no_led_is_accused(change: str) -> None:
+    rig, marker = world(3)
+    found = misfit_of(seen((CHANGES[change](rig), marker), 3))
+    assert found.led is None
+    assert "times as far from where rig.toml and marker.toml put them" in warned(found)
+    assert misfit_warning(found, told=True) is None
+
+
+def test_a_few_pairs_with_a_reflection_are_no_contradiction() -> None:
+    pairs = seen(world(4), 4)
+    strange = seen(with_led_moved(world(4), 0, [15.0, 0.0, 0.0]), 4)
+    assert warned(misfit_of([*pairs[:-2], *strange[-2:]])) == ""
+
+
+def test_of_leds_whose_places_have_no_uncertainty_only_what_no_jig_does_is_told() -> None:
+    file = FILE[0], replace(FILE[1], led_standard_uncertainty=None)
+    near, far = (
+        misfit_of(seen(with_led_moved(world(5), 1, [0.0, by, 0.0]), 5, file), file)
+        for by in (0.5, 3.0)
+    )
+    assert warned(near) == ""
+    assert far.led is not None
+    assert far.led.name == "B"
+
+
+def test_too_few_pairs_or_leds_show_nothing() -> None:
+    parameters = stated_systematics(*FILE, turning=False)
+    pairs = seen(world(6), 6)
+    assert picture_misfit(pairs[:9], *FILE, parameters) is None
+    two = replace(FILE[1], names=("A", "B"), leds=FILE[1].leds[:2], colours=("white",) * 2)
+    assert picture_misfit(pairs, FILE[0], two, parameters) is None

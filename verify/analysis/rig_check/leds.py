@@ -1,0 +1,230 @@
+"""Are the LEDs seen where rig.toml and marker.toml put them? Without encoders or robot.
+
+What the poses leave over of the spots is fitted by what is stated, common to all pairs:
+
+    r_i = A_i d_k + C_i c + M m + H_i x_i + noise
+
+    symbol  meaning                                                             unit
+    r_i     spots of pair i, measured less predicted by the pair's own pose     px
+    A_i     derivative of the spots by LED k's place, flange axes               px/m
+    d_k     displacement of one LED, (3,); 0 where nothing is wrong             m
+    C_i     columns of unit variance by rig.toml's and marker.toml's            px
+            uncertainties; c ~ N(0, 1)
+    M       what each camera always misses of each LED; m ~ N(0, 1)             px
+    H_i     derivative of the spots by the pose; x_i takes its own errors in    px/m, px
+
+The chi-squared a degree of freedom that is left, the misfit, is 1 where the files agree with the
+pictures, whatever the robot does. One LED that explains most of it is named.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import solve_triangular
+
+from verify.analysis.rig_check.pair import (
+    PosedPair,
+    project_onto,
+    rigid_motion,
+    spot_covariance,
+)
+from verify.core.fiducials import Marker
+from verify.core.records import Array, Measurement
+from verify.core.rig import Rig
+from verify.measurement.pose import MODEL_ERROR_PX
+from verify.measurement.systematics import Systematics, spot_columns
+
+MAX_PAIRS = 120  # evenly spread: what does not average out rules long before
+MIN_LEDS, MIN_PAIRS = 3, 10  # fewer show nothing beside their own pose, or nothing that lasts
+MAX_MISFIT = 4.0  # residuals of twice what is stated
+LED_SIGMA = 2e-4  # m, of an LED's place where none is stated: a good jig's
+MAX_UNSTATED = 5 * LED_SIGMA  # m, that nobody is told of then
+MIN_DROP = 30.0  # of chi-squared, by one LED's displacement: healthy sessions stay below 12
+MIN_SHARE = 0.3  # of the misfit beyond noise, that it explains
+MIN_ADVANTAGE = 15.0  # of chi-squared, over the next LED
+PART = 5  # the first and the last fifth of the pairs tell what has moved meanwhile
+MAX_STRAY_SHARE, STRAY = 0.1, 16.0  # of the pairs, reflections; times the usual chi-squared
+
+
+@dataclass(frozen=True, slots=True)
+class DisplacedLed:
+    """An LED that is not where marker.toml puts it."""
+
+    name: str
+    displacement: Array  # (3,), m, flange axes
+    standard_uncertainty: float  # m, of its length
+
+
+@dataclass(frozen=True, slots=True)
+class PictureMisfit:
+    """How well the pictures agree with the files: over all pairs, the first and the last fifth."""
+
+    whole: float
+    first: float
+    last: float
+    led: DisplacedLed | None  # in all pairs, or else in the last
+    later: bool  # only in the last
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether the pictures contradict rig.toml or marker.toml."""
+        return self.led is not None or max(self.whole, self.first, self.last) > MAX_MISFIT
+
+
+@dataclass(frozen=True, slots=True)
+class _Products:
+    """Products of whitened columns of some pairs: 3 a LED, what is stated, and the residual."""
+
+    pairs: Array  # (n, k, k)
+    freedom: Array  # (n,), of each pair's spots beside its pose
+
+    def part(self, rows: slice) -> "_Products":
+        return _Products(self.pairs[rows], self.freedom[rows])
+
+
+def picture_misfit(
+    measurements: Sequence[Measurement], rig: Rig, marker: Marker, parameters: Systematics
+) -> PictureMisfit | None:
+    """Compare measured pairs with the files; None where too few LEDs or pairs show anything.
+
+    None, too, of a rig whose uncertainty is not stated: what it is off by, nobody knows.
+
+    Pairs that no pose explains count too, and so do spots that their pose rejects: a displaced LED
+    is one of those. A few pairs far from the others, of a reflection, do not.
+    """
+    posed: list[PosedPair] = [
+        (m, m.pose, m.left, m.right)
+        for m in measurements
+        if m.pose is not None and m.left is not None and m.right is not None
+        if len(m.left) and len(m.right)
+    ]
+    few = len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS
+    if few or "rig" in parameters.uncounted:
+        return None
+    spread = np.linspace(0, len(posed) - 1, min(len(posed), MAX_PAIRS)).astype(int)
+    products = _without_strays(_products([posed[i] for i in spread], rig, marker, parameters))
+    count = max(len(products.pairs) // PART, 1)
+    ends = products.part(slice(0, count)), products.part(slice(-count, None))
+    least = MAX_UNSTATED if "LED positions" in parameters.uncounted else 0.0
+    always, last = (_displaced_led(p, marker, least) for p in (products, ends[1]))
+    whole, first, end = (_misfit(p, len(marker)) for p in (products, *ends))
+    return PictureMisfit(whole, first, end, always or last, always is None and last is not None)
+
+
+def _products(
+    pairs: Sequence[PosedPair], rig: Rig, marker: Marker, parameters: Systematics
+) -> _Products:
+    unstated = "LED positions" in parameters.uncounted
+    readings = {(left.pan, right.pan) for _, _, left, right in pairs}
+    turning = int(np.count_nonzero(parameters.pan > 0)) if len(readings) > 1 else 0
+    products, freedom = [], []
+    for seen, pose, left, right in pairs:
+        led, spots = np.concatenate([left.led, right.led]), np.arange(len(left) + len(right))
+        turn, lefts = pose.rig_T_flange[:3, :3], len(left)
+        by_pose = pose.sensitivity @ rigid_motion(marker.leds[led] @ turn.T)
+        moved = np.zeros((len(led), 2, len(marker), 3))
+        moved[spots, :, led] = pose.sensitivity @ turn
+        missed = np.zeros((len(led), 2, 2, len(marker), 2))
+        missed[spots, :, (spots >= lefts).astype(int), led] = MODEL_ERROR_PX * np.eye(2)
+        stated = spot_columns(
+            parameters, rig, marker, left, right, pose.rig_T_flange, pose.sensitivity
+        )
+        rows = 2 * len(led)
+        by_led = moved.reshape(rows, -1)
+        columns = [by_led, by_led * (LED_SIGMA * unstated), stated, missed.reshape(rows, -1)]
+        every = np.concatenate([*columns, pose.residual.reshape(rows, 1)], axis=1)
+        covariance = spot_covariance([(seen, pose, left, right)], by_pose[None])[0]
+        read = stated[:, stated.shape[1] - turning :]  # each reading of a pan angle errs by itself
+        covariance += read @ read.T
+        lower = np.linalg.cholesky(covariance)
+        white = solve_triangular(lower, np.hstack([every, by_pose.reshape(rows, 6)]), lower=True)
+        left_of = white[:, :-6] - project_onto(white[:, -6:], white[:, :-6])
+        products.append(left_of.T @ left_of)
+        freedom.append(rows - pose.known_dof)
+    return _Products(np.array(products), np.array(freedom, dtype=float))
+
+
+def _without_strays(products: _Products) -> _Products:
+    """Leave out a few pairs far from the others."""
+    size = products.pairs[:, -1, -1] / np.maximum(products.freedom, 1.0)
+    stray = size > STRAY * np.median(size)
+    if stray.sum() > MAX_STRAY_SHARE * len(stray):
+        return products
+    return _Products(products.pairs[~stray], products.freedom[~stray])
+
+
+def _beside_stated(products: _Products, leds: int, *, placed: bool) -> Array:
+    """Products of the LEDs' columns (3 a LED) and the residual, beside what is stated.
+
+    `placed`: LEDs are where marker.toml puts them, but for what is stated; else as far as a good
+    jig puts them, where nothing is.
+    """
+    total = products.pairs.sum(axis=0)
+    own, stated = [*range(3 * leds), len(total) - 1], slice((6 if placed else 3) * leds, -1)
+    beside = total[stated][:, own]
+    held = total[stated, stated] + np.eye(len(beside))  # of unit variance
+    return np.asarray(total[np.ix_(own, own)] - beside.T @ np.linalg.solve(held, beside))
+
+
+def _misfit(products: _Products, leds: int) -> float:
+    left = _beside_stated(products, leds, placed=False)
+    return float(left[-1, -1] / max(products.freedom.sum(), 1.0))
+
+
+def _displaced_led(products: _Products, marker: Marker, least: float) -> DisplacedLed | None:
+    """The one LED whose displacement explains most of the misfit; None where none does.
+
+    `least`, m: displacements up to that are no displacement.
+    """
+    left = _beside_stated(products, len(marker), placed=True)
+    freedom = max(products.freedom.sum(), 1.0)
+    drops, shifts, spreads = [], [], []
+    for k in range(len(marker)):
+        own = slice(3 * k, 3 * k + 3)
+        inverse = np.linalg.pinv(left[own, own], hermitian=True)
+        shifts.append(inverse @ left[own, -1])
+        drops.append(float(shifts[-1] @ left[own, -1]))
+        spreads.append(inverse)
+    best = int(np.argmax(drops))
+    after = (left[-1, -1] - drops[best]) / freedom
+    scatter = max(after, 1.0)
+    drop, beyond = drops[best] / scatter, left[-1, -1] / freedom - 1.0
+    second = max(drops[:best] + drops[best + 1 :]) / scatter
+    explains = drops[best] / freedom > MIN_SHARE * beyond
+    length = float(np.linalg.norm(shifts[best]))
+    if drop < MIN_DROP or drop - second < MIN_ADVANTAGE or not explains or length <= least:
+        return None
+    along = shifts[best] / length
+    u = float(np.sqrt(along @ spreads[best] @ along * scatter))
+    return DisplacedLed(marker.names[best], shifts[best], u)
+
+
+def misfit_warning(found: PictureMisfit, *, told: bool) -> str | None:
+    """Say that the pictures contradict rig.toml or marker.toml; None where they agree.
+
+    `told`: another warning says so already, and only an LED is worth a second one.
+    """
+    agreed, later = found.first < MAX_MISFIT / 2, found.last < MAX_MISFIT / 2
+    if found.led is not None:
+        led, length = found.led, float(np.linalg.norm(found.led.displacement))
+        x, y, z = (np.round(1e3 * led.displacement, 2) + 0.0).tolist()  # no -0.00
+        when = " in the last pairs, and not in the first" if found.later and agreed else ""
+        return (
+            f"LED {led.name} is seen {1e3 * length:.2f} mm (U = "
+            f"{2e3 * led.standard_uncertainty:.2f} mm; x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mm, "
+            f"flange axes) from its place in marker.toml{when}. Errors and causes may come from "
+            "that and not from the robot: check that it is fixed, and measure its place again."
+        )
+    worst = max(found.whole, found.first, found.last)
+    if told or not found.contradicts:
+        return None
+    when = "; in the first pairs they agree, so something has moved since" if agreed else ""
+    if agreed and later:
+        when = "; in the first and the last pairs they agree, and not between"
+    return (
+        f"The LEDs are seen {np.sqrt(worst):.0f} times as far from where rig.toml and marker.toml "
+        f"put them as their uncertainties and the pixels' noise explain{when}. Errors and causes "
+        "may come from that and not from the robot: check that both files belong to the pictures, "
+        "the lenses, line_time_s and the cameras' times, and that no camera or LED has moved."
+    )
