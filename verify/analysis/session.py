@@ -5,6 +5,7 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pandas as pd
+from numpy.typing import NDArray
 
 from verify.analysis.clock.estimate import ClockEstimate, shown_offset
 from verify.analysis.combinations import combinations
@@ -342,7 +343,7 @@ def _estimate(
         visibility=visibility(model),
         relative=compare_relative_motions(model),
         diagnosis=diagnosis,
-        flange=_flange(model, clock_uncertainty),
+        flange=_flange(model, clock_uncertainty, diagnosis.outlying),
         pictures=pictures,
         warnings=result_warnings(compared, seen, model, pictures),
     )
@@ -368,17 +369,19 @@ def _results(found: SessionAnalysis, measured: MeasuredSession) -> Results:
     return Results(summarise(found) | repeated, describe(session), tables | repeated_tables, images)
 
 
-def _flange(model: JointErrorModel, clock_uncertainty: float | None) -> tuple[Array, Array]:
-    """Mean twist of the flange over the pairs and its covariance."""
+def _flange(
+    model: JointErrorModel, clock_uncertainty: float | None, left_out: NDArray[np.int64]
+) -> tuple[Array, Array]:
+    """Mean twist of the flange over the pairs but those left out, and its covariance."""
     comparison = model.comparison
-    n = len(comparison)
-    covariance = comparison.covariance.sum(axis=0) / n**2
-    moved = model.prior_columns.mean(axis=0)
+    kept = np.delete(np.arange(len(comparison)), left_out)
+    covariance = comparison.covariance[kept].sum(axis=0) / len(kept) ** 2
+    moved = model.prior_columns[kept].mean(axis=0)
     covariance = covariance + moved @ moved.T
     if clock_uncertainty is not None:
-        speed = np.einsum("nij,nj->ni", comparison.jacobian, comparison.rate).mean(axis=0)
+        speed = np.einsum("nij,nj->ni", comparison.jacobian, comparison.rate)[kept].mean(axis=0)
         covariance = covariance + clock_uncertainty**2 * np.outer(speed, speed)
-    return comparison.xi.mean(axis=0), covariance
+    return comparison.xi[kept].mean(axis=0), covariance
 
 
 def _statuses(
