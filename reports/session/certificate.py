@@ -169,25 +169,26 @@ def _causes(summary: dict[str, Any]) -> doc.Facts:
     ]
     if more > 0:
         named.append(f"{fmt.count(more)} more in the diagnosis")
-    remedies = dict.fromkeys(causes.remedy(entry) for entry in entries)
     items = [("Cause", "; ".join(named) or "the data single out no cause")]
-    if not _has_tolerance(summary):
-        remedies["give a tolerance (--tolerance, or session.toml) to get a verdict"] = None
+    if remedies := _remedies(summary, entries):
+        items.append(("What to do", "; ".join(dict.fromkeys(remedies))))
+    return doc.Facts(tuple(items))
+
+
+def _remedies(summary: dict[str, Any], entries: list[dict[str, Any]]) -> list[str]:
+    """What to do: first about pictures that contradict the files, as causes may come from that."""
+    found = []
     led = (summary.get("pictures") or {}).get("displaced_led")
     if led:
-        remedies = {f"measure the place of LED {led.get('name')} again": None, **remedies}
+        found.append(f"measure the place of LED {led.get('name')} again")
     elif contradiction_text(summary):
-        remedies = {
-            "find out why the pictures contradict rig.toml or marker.toml": None,
-            **remedies,
-        }
+        found.append("find out why the pictures contradict rig.toml or marker.toml")
+    found += [causes.remedy(entry) for entry in entries]
+    if not _has_tolerance(summary):
+        found.append("give a tolerance (--tolerance, or session.toml) to get a verdict")
     if lost_pairs_text(summary):
-        remedies["find out why so many pairs are not counted"] = None
-    elif _has_tolerance(summary) and summary.get("verdict") == "conform" and not remedies:
-        remedies["nothing"] = None
-    if remedies:
-        items.append(("What to do", "; ".join(remedies)))
-    return doc.Facts(tuple(items))
+        found.append("find out why so many pairs are not counted")
+    return found or (["nothing"] if summary.get("verdict") == "conform" else [])
 
 
 def _alarm_blocks(results: Results) -> tuple[doc.Block, ...]:

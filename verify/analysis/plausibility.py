@@ -3,7 +3,7 @@
 Radians for degrees, metres for millimetres, a column reversed: what is wrong as written and agrees
 once it is converted is refused, with the remedy. So are columns that are late against the others,
 though they stand in one row: beside the errors of all joints, resolved by angle and direction of
-travel, each joint's own delay d_k is fitted; a common one is the clock's offset:
+travel, each joint's own latency d_k is fitted; a common one is the clock's offset:
 
     xi = J e(q, s) - sum over k of J_k q'_k d_k + noise
 
@@ -49,10 +49,10 @@ MAX_POSE_DIFFERENCE = (0.05, np.deg2rad(8.0))  # m, rad
 MAX_POINT_DIFFERENCE = 0.1  # m: of a position alone the readings' own turn moves the point, too
 MIN_AGREEING = 0.9  # of the poses: where a flange points down, half may agree by chance
 MIN_LATE = 0.005  # s; less may be an elastic gear, and moves little
-MIN_RATIO = 5.0  # of it, and of a delay, to their standard uncertainties
-MAX_LEFT_SHARE = 0.25  # of the misfit, with the joints' delays
+MIN_RATIO = 5.0  # of it, and of a latency, to their standard uncertainties
+MAX_LEFT_SHARE = 0.25  # of the misfit, with the joints' latencies
 MIN_MISFIT = 4.0  # of the session without: below that nothing is wrong that matters
-MIN_JOINTS = 3  # whose delays are known
+MIN_JOINTS = 3  # whose latencies are known
 MAX_STEPS = 8
 TOL_LATE = 1e-5  # s
 PART_TIME = 0.8  # s: of parts that show each its own clock
@@ -136,13 +136,13 @@ def refuse_late(session: Session, written: Mistake, offset: float) -> None:
     one clock for all explains the session nothing is wrong.
 
     Raises:
-        InputError: names the joints and their delays, or how and when the clock was set.
+        InputError: names the joints and their latencies, or how and when the clock was set.
     """
     log = written.track, written.arm, written.readings, offset
     if are_visits(written.track.t) or are_visits(written.readings.t):
         return
     sample = subset(written.track, spread(len(written.track), MAX_PAIRS_COMPARED))
-    if _fit_delays(sample, *log[1:])[1] < MIN_MISFIT:
+    if _fit_latencies(sample, *log[1:])[1] < MIN_MISFIT:
         return
     late, change = late_joints(*log), clock_change(*log)
     found, remedies = [], []
@@ -176,7 +176,7 @@ def late_joints(
     for step in range(MAX_STEPS):
         moved = [readings.at(readings.t + d)[:, k] for k, d in enumerate(late.tolist())]
         log = Readings(readings.t, np.stack(moved, axis=1)) if step else readings
-        fit, without = _fit_delays(sample, arm, log, offset)
+        fit, without = _fit_latencies(sample, arm, log, offset)
         plain = without if step == 0 else plain
         left = fit.chi2 / max(fit.degrees_of_freedom, 1)
         if left > 2 * MAX_LEFT_SHARE * plain:
@@ -242,18 +242,18 @@ def clock_change(
     return float(since - own[i]), float(until - own[j]), float(own[i] - own[j])
 
 
-def _fit_delays(
+def _fit_latencies(
     track: Track, arm: robots.Arm, readings: Readings, offset: float
 ) -> tuple[RegressionFit, float]:
-    """Fit the joints' delays and errors, delays first; the misfit with one delay for all."""
+    """Fit the joints' latencies, first, and errors; the misfit with one latency for all."""
     comparison = compare(track, arm, readings, offset)
     jacobian, white = comparison.jacobian, whiten(comparison)
-    delays = white.rows(-jacobian * comparison.rate[:, None])
+    latencies = white.rows(-jacobian * comparison.rate[:, None])
     errors = [
         white.rows(jacobian[:, :, [j]] * terms[:, None])
         for j, terms in enumerate(error_terms(comparison)[1] if len(comparison) else ())
     ]
     xi = white.rows(comparison.xi[:, :, None])[:, 0]
-    common = solve(np.concatenate([delays.sum(axis=1)[:, None], *errors], axis=1), xi)
-    fit = solve(np.concatenate([delays, *errors], axis=1), xi)
+    common = solve(np.concatenate([latencies.sum(axis=1)[:, None], *errors], axis=1), xi)
+    fit = solve(np.concatenate([latencies, *errors], axis=1), xi)
     return fit, common.chi2 / max(common.degrees_of_freedom, 1)

@@ -297,7 +297,7 @@ def test_the_quarter_circle_is_a_sweep_of_joint_1_and_shows_it_sound() -> None:
 
 
 def test_pairs_across_a_step_do_not_count_in_the_flange_s_mean() -> None:
-    """Their weight is nothing: of one such pair in sixty the mean had an uncertainty of 29 mm."""
+    """Their weight is nothing, and one of them made the mean uncertain by centimetres."""
     plain = library.load("multi_joint_fault_6r")
     fault = ScenarioFault(joint=4, step_deg=1.0, step_t_s=2.0)
     session = in_memory(replaced(plain, fault=[fault]))
