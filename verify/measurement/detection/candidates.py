@@ -16,7 +16,6 @@ from verify.measurement.detection.kernels.entries import (
     compact_blobs,
     contrast_boxes,
     find_blobs,
-    search_windows,
 )
 
 LEVELS = (160, 80, 40, 18)  # DN of contrast, octaves: a bright blob must not hide a dim neighbour
@@ -42,13 +41,16 @@ def find_candidates(image: Image, windows: Array | None) -> Array:
     height, width = image.shape[:2]
     if windows is None:
         windows = np.array([[0.0, 0.0, width, height]])
-    boxes = windows.tolist()
-    largest_area = max(((x1 - x0) * (y1 - y0) for x0, y0, x1, y1 in boxes), default=0.0)
-    if image.ndim == 2 and largest_area <= MAX_SMALL_AREA:
-        return search_windows(image, windows, blob_search(1), widths(1), MAX_CANDIDATES)
-    parts = [find_in_large_window(image, cut_window(box, width, height)) for box in boxes]
+    boxes = [cut_window(window, width, height) for window in windows.tolist()]
+    parts = [find_in_large_window(image, box) for box in boxes]
     found = np.concatenate([np.empty((0, 4)), *parts])
     return found[np.argsort(-found[:, 3], kind="stable")[:MAX_CANDIDATES]]
+
+
+def are_small(windows: Array) -> bool:
+    """Whether windows (m, 4) are searched at full size, each as a whole."""
+    boxes = windows.tolist()
+    return all((x1 - x0) * (y1 - y0) <= MAX_SMALL_AREA for x0, y0, x1, y1 in boxes)
 
 
 def cut_window(window: list[float], width: int, height: int) -> list[int]:

@@ -1,11 +1,11 @@
 """Detect LED spots in an image: sub-pixel centres at the Cramér-Rao bound, with covariance.
 
 Candidates are compact bright blobs (candidates.py). All else is one compiled call a picture
-(kernels/spots.c): each is fitted by a profile between a halo, a Gaussian and a blurred disc
-(kernels/fit.c, profile.py) under the image's own noise (kernels/noise.c), and assessed by the
-residuals (kernels/quality.c). A hidden sliver of the rim is corrected for (kernels/occlusion.c),
-and so is a background that bends (kernels/background.c); what finer texture may do is measured
-beside the spots (kernels/surroundings.c).
+(kernels/spots.c), with the search for them in small windows: each is fitted by a profile between a
+halo, a Gaussian and a blurred disc (kernels/fit.c, profile.py) under the image's own noise
+(kernels/noise.c), and assessed by the residuals (kernels/quality.c). A hidden sliver of the rim is
+corrected for (kernels/occlusion.c), and so is a background that bends (kernels/background.c); what
+finer texture may do is measured beside the spots (kernels/surroundings.c).
 """
 
 import math
@@ -14,9 +14,19 @@ import numpy as np
 
 from verify.core.records import Array, Image, Noise, Spots
 from verify.errors import InputError
-from verify.measurement.detection.candidates import DIAMETER_RANGE, find_candidates
-from verify.measurement.detection.kernels import entries as columns
-from verify.measurement.detection.kernels.entries import Picture, measure_spots
+from verify.measurement.detection.candidates import (
+    DIAMETER_RANGE,
+    MAX_CANDIDATES,
+    are_small,
+    blob_search,
+    find_candidates,
+)
+from verify.measurement.detection.kernels.entries import (
+    Picture,
+    SpotLimits,
+    measure_in_windows,
+    measure_spots,
+)
 from verify.measurement.detection.profile import profile_table
 
 
@@ -45,31 +55,23 @@ def detect(
         InputError: not an 8-bit grey or BGR image, or windows of another shape.
     """
     check_image(image, windows)
-    candidates = find_candidates(image, windows)
     values, height, width = np.zeros(4), *image.shape[:2]
     if noise is not None:
         values[:3] = noise.read**2, noise.gain, noise.black
-    rows, colour = np.empty((limit, columns.N_COLUMNS)), np.empty((limit, 3))
-    wanted = *DIAMETER_RANGE, limit, windows is None, lossy
     picture = Picture(image, width, height, 1 if image.ndim == 2 else 3)
-    count = measure_spots(
-        picture, candidates, values, profile_table(), wanted, noise is None, (rows, colour)
-    )
-    read, gain, black, _ = values.tolist()
-    rows = rows[:count]
-    return Spots(
-        centre=rows[:, columns.COL_CENTRE_X : columns.COL_CENTRE_Y + 1].copy(),
-        covariance=rows[:, columns.COL_COVARIANCE_XX : columns.COL_COVARIANCE_YY + 1]
-        .copy()
-        .reshape(-1, 2, 2),
-        peak=rows[:, columns.COL_PEAK].copy(),
-        diameter=rows[:, columns.COL_DIAMETER].copy(),
-        misfit=rows[:, columns.COL_MISFIT].copy(),
-        saturated=rows[:, columns.COL_SATURATED] > 0,
-        merged=rows[:, columns.COL_MERGED] > 0,
-        colour=colour[:count],
-        noise=noise or Noise(math.sqrt(read), gain, black),
-    )
+    limits, camera = SpotLimits(*DIAMETER_RANGE, limit), (values, noise is None)
+    if picture.channels == 1 and windows is not None and are_small(windows):
+        search = blob_search(1), MAX_CANDIDATES
+        fields = measure_in_windows(
+            picture, windows, search, camera, profile_table(), limits, lossy
+        )
+    else:
+        candidates, kind = find_candidates(image, windows), (windows is None, lossy)
+        fields = measure_spots(picture, candidates, camera, profile_table(), limits, kind)
+    if noise is None:
+        read, gain, black, _ = values.tolist()
+        noise = Noise(math.sqrt(read), gain, black)
+    return Spots(*fields, noise)
 
 
 def check_image(image: Image, windows: Array | None) -> None:

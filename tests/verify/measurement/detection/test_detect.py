@@ -18,7 +18,7 @@ from tests.support.leds.images import (
 from verify.core.records import Array, Image, Spots
 from verify.errors import InputError
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.kernels.entries import N_COLUMNS, Picture, measure_spots
+from verify.measurement.detection.kernels.entries import Picture, SpotLimits, measure_spots
 from verify.measurement.detection.profile import profile_table
 
 DISC = Spot(210, 0.6, radius=4.2)
@@ -398,7 +398,7 @@ def test_what_is_not_an_8_bit_picture_is_refused() -> None:
 def test_a_patch_without_a_single_pixel_that_counts_is_no_spot_and_no_crash() -> None:
     flat = np.tile(np.array([255, 100, 100], np.uint8), 200 * 200)  # no pixel is clear in blue
     candidate, noise = np.array([[100.0, 100.0, 4.0, 20.0]]), np.array([1.5**2, 0.03, 0.0, 0.0])
-    found, wanted = (np.empty((9, N_COLUMNS)), np.empty((9, 3))), (2.0, 40.0, 9, False, False)
-    flat_picture = Picture(flat, 200, 200, 3)
-    spots = measure_spots(flat_picture, candidate, noise, profile_table(), wanted, False, found)
-    assert spots == 0
+    flat_picture, limits = Picture(flat, 200, 200, 3), SpotLimits(2.0, 40.0, 9)
+    known, kind = (noise, False), (False, False)
+    fields = measure_spots(flat_picture, candidate, known, profile_table(), limits, kind)
+    assert len(fields[0]) == 0

@@ -6,9 +6,10 @@
  *
  *     half width = sqrt(A / pi),  moments = sum (d d') / A + 1/12,  d px from their mean
  */
+#include "verify/measurement/detection/kernels/candidates.h"
+
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
-#include "verify/measurement/detection/kernels/contrast.h"
 
 #define MIN_WINDOW_SIDE 3 /* px, side of a window: smaller ones show no blob */
 #define SPAN 32           /* px, passed over at a level that their greatest is below */
@@ -19,13 +20,7 @@
 #define MIN_ABOVE_LEVEL 16
 #define PI 3.14159265358979323846
 
-/* Longest side of a blob's box, px, at a level and at half height; longest axis ratio; least area
- * over its ellipse's. */
-typedef struct {
-    double side, half_side, axis_ratio, fill;
-} Shape;
-
-/* Search for blobs: the lowest level, DN; what is labelled with the number of its region; a pixel's
+/* State of a search: the lowest level, DN; what is labelled with the number of its region; a pixel's
  * place in each region that is settled, as a blob was found in it, or no lower one shows one; blobs
  * found (most, 4). */
 typedef struct {
@@ -187,23 +182,27 @@ static void search_region(Search *search, int64_t level, int64_t place)
  * that have a number after `before`. */
 static void search_span(Search *search, int64_t level, int64_t before, int64_t begin, int64_t end)
 {
+    const uint8_t *values = search->contrast.values;
+    const int32_t *label = search->label;
+    int32_t unknown = 0; /* counted first, as most spans have no further region */
     for (int64_t i = begin; i < end; i++)
-        if (search->contrast.values[i] > level && search->label[i] <= before)
+        unknown += (values[i] > (int32_t)level) & (label[i] <= (int32_t)before);
+    for (int64_t i = begin; i < (unknown > 0 ? end : begin); i++)
+        if (values[i] > level && label[i] <= before)
             search_region(search, level, i);
 }
 
-/* List compact blobs by their contrast, and count them; a bright one's foot is no further one.
+/* List compact blobs by their contrast, at most so many, and count them; a bright one's foot is no
+ * further one.
  *
- * `contrast`, DN above the surroundings; `levels`, DN, falling. `found` (most, 4) is filled from
- * the first row with as many as it holds: column and row of the centre, px; half width, px;
- * height, DN. */
-static int64_t compact_blobs(Grid contrast, int64_t n_levels, const int64_t *levels, Shape shape,
-                             int64_t most, double *found)
+ * `contrast`, DN above the surroundings. `found` (most, 4) is filled from the first row with as many as
+ * it holds: column and row of the centre, px; half width, px; height, DN. */
+static int64_t compact_blobs(Grid contrast, const BlobSearch *by, int64_t most, double *found)
 {
     Search search = {
         .contrast = contrast,
-        .shape = shape,
-        .lowest = levels[n_levels - 1],
+        .shape = by->shape,
+        .lowest = by->levels[by->n_levels - 1],
         .label = no_labels(contrast),
         .seeds = TAKE(int64_t, most + MAX_REFUSED),
         .most = most,
@@ -213,10 +212,10 @@ static int64_t compact_blobs(Grid contrast, int64_t n_levels, const int64_t *lev
     uint8_t *highest = TAKE(uint8_t, size / SPAN + 1);
     for (int64_t i = 0; i < size; i += SPAN)
         highest[i / SPAN] = greatest(MIN(SPAN, size - i), contrast.values + i);
-    for (int64_t k = 0; k < n_levels; k++)
+    for (int64_t k = 0; k < by->n_levels; k++)
         for (int64_t begin = 0, before = search.number; begin < size; begin += SPAN)
-            if (highest[begin / SPAN] > levels[k])
-                search_span(&search, levels[k], before, begin, MIN(begin + SPAN, size));
+            if (highest[begin / SPAN] > by->levels[k])
+                search_span(&search, by->levels[k], before, begin, MIN(begin + SPAN, size));
     return search.count;
 }
 
@@ -224,10 +223,9 @@ static int64_t compact_blobs(Grid contrast, int64_t n_levels, const int64_t *lev
  * count them.
  *
  * `windows` (n, 4): x0, y0, x1, y1, upper bounds exclusive; a `margin`, px, about them is
- * background only. `reach`, px: what has brightness at that distance all around is background. */
+ * background only. */
 static int64_t find_blobs(Grid image, int64_t n, const int64_t *windows, int64_t margin,
-                          int64_t reach, int64_t n_levels, const int64_t *levels, Shape shape,
-                          int64_t most, double *found)
+                          const BlobSearch *by, double *found)
 {
     int64_t count = 0;
     for (const int64_t *bound = windows; bound < windows + 4 * n; bound += 4) {
@@ -235,9 +233,9 @@ static int64_t find_blobs(Grid image, int64_t n, const int64_t *windows, int64_t
         if (MIN(window.right - window.left, window.bottom - window.top) < MIN_WINDOW_SIDE)
             continue;
         Mark mark = scratch_mark();
-        Grid contrast = top_hat(image, window, margin, reach);
+        Grid contrast = top_hat(image, window, margin, by->reach);
         int64_t before = count;
-        count += compact_blobs(contrast, n_levels, levels, shape, most - count, found + 4 * count);
+        count += compact_blobs(contrast, by, by->most - count, found + 4 * count);
         scratch_release(mark);
         for (double *blob = found + 4 * before; blob < found + 4 * count; blob += 4) {
             blob[0] += (double)window.left;
@@ -259,16 +257,13 @@ static int64_t *cut_windows(Grid image, int64_t n, const double *windows)
     return bounds;
 }
 
-/* List candidates in small windows of a grey picture, (most, 4), and count them: blobs of full widths
- * from `least` to `largest`, px, the highest contrast first. */
-static int64_t search_windows(Grid image, int64_t n, const double *windows, int64_t reach,
-                              int64_t n_levels, const int64_t *levels, Shape shape, double least,
-                              double largest, int64_t listed, int64_t most, double *found)
+int64_t search_windows(Grid image, int64_t n, const double *windows, const BlobSearch *search,
+                       double least, double largest, int64_t most, double *found)
 {
-    double *blobs = TAKE(double, 4 * listed), *rank = TAKE(double, listed);
-    int64_t *order = TAKE(int64_t, listed), count = 0;
-    int64_t all = find_blobs(image, n, cut_windows(image, n, windows), 0, reach, n_levels, levels,
-                             shape, listed, blobs);
+    Mark mark = scratch_mark();
+    double *blobs = TAKE(double, 4 * search->most), *rank = TAKE(double, search->most);
+    int64_t *order = TAKE(int64_t, search->most), count = 0;
+    int64_t all = find_blobs(image, n, cut_windows(image, n, windows), 0, search, blobs);
     for (int64_t k = 0; k < all; k++) {
         double width = 2.0 * blobs[4 * k + 2];
         rank[k] = -blobs[4 * k + 3];
@@ -278,36 +273,25 @@ static int64_t search_windows(Grid image, int64_t n, const double *windows, int6
     count = first_by(rank, count, order, most);
     for (int64_t k = 0; k < count; k++)
         copy(found + 4 * k, blobs + 4 * order[k], 4);
+    scratch_release(mark);
     return count;
 }
 
 /* Entries: images (h, w); shape as `Shape`. */
-
-int64_t entry_search_windows(int64_t h, int64_t w, const uint8_t *image, int64_t n,
-                             const double *windows, int64_t reach, int64_t n_levels,
-                             const int64_t *levels, double side, double half_side,
-                             double axis_ratio, double fill, double least, double largest,
-                             int64_t listed, int64_t most, double *found)
-{
-    Shape shape = {side, half_side, axis_ratio, fill};
-    GUARDED(search_windows((Grid){image, h, w}, n, windows, reach, n_levels, levels, shape, least,
-                           largest, listed, most, found));
-}
 
 int64_t entry_find_blobs(int64_t h, int64_t w, const uint8_t *image, int64_t n,
                          const int64_t *windows, int64_t margin, int64_t reach, int64_t n_levels,
                          const int64_t *levels, double side, double half_side, double axis_ratio,
                          double fill, int64_t most, double *found)
 {
-    Shape shape = {side, half_side, axis_ratio, fill};
-    GUARDED(find_blobs((Grid){image, h, w}, n, windows, margin, reach, n_levels, levels, shape,
-                       most, found));
+    BlobSearch by = {reach, n_levels, levels, {side, half_side, axis_ratio, fill}, most};
+    GUARDED(find_blobs((Grid){image, h, w}, n, windows, margin, &by, found));
 }
 
 int64_t entry_compact_blobs(int64_t h, int64_t w, const uint8_t *contrast, int64_t n_levels,
                             const int64_t *levels, double side, double half_side,
                             double axis_ratio, double fill, int64_t most, double *found)
 {
-    Shape shape = {side, half_side, axis_ratio, fill};
-    GUARDED(compact_blobs((Grid){contrast, h, w}, n_levels, levels, shape, most, found));
+    BlobSearch by = {0, n_levels, levels, {side, half_side, axis_ratio, fill}, most};
+    GUARDED(compact_blobs((Grid){contrast, h, w}, &by, most, found));
 }

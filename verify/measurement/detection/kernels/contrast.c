@@ -80,21 +80,41 @@ static void least_of(int64_t n, const uint8_t *restrict values, const uint8_t *r
         least[i] = MIN(values[i], others[i]);
 }
 
+/* Copy rows of so many values, which begin a pitch apart. */
+static void copy_rows(Grid picture, int64_t pitch, const uint8_t *values, uint8_t *copied,
+                      int64_t copied_pitch)
+{
+    int64_t rows = picture.height, width = picture.width;
+    if (pitch == width && copied_pitch == width) {
+        width *= rows;
+        rows = 1;
+    }
+    for (int64_t y = 0; y < rows; y++)
+        memcpy(copied + y * copied_pitch, values + y * pitch, (size_t)width);
+}
+
 /* Least value in each square of 2 reach + 1 px, scratch; nothing is beyond the borders. */
 static Grid erode(Grid picture, int64_t reach)
 {
-    Box whole = {0, 0, picture.width, picture.height};
-    for (int axis = 0; axis < 2; axis++) { /* along rows, then down columns */
-        Grid least = enclose(picture, axis * reach, (1 - axis) * reach);
-        int64_t n = least.height * least.width, step = axis == 0 ? 1 : least.width, turn = 0;
-        uint8_t *room[2] = {TAKE(uint8_t, n), TAKE(uint8_t, n)};
+    int64_t width = picture.width, size = picture.height * width;
+    for (int axis = 0; axis < 2; axis++) { /* along rows, which one border separates; down columns */
+        int64_t pitch = axis == 0 ? width + reach : width, step = axis == 0 ? 1 : width, turn = 0;
+        int64_t n = picture.height * pitch + 2 * reach * step;
+        uint8_t *room[2] = {TAKE(uint8_t, n), TAKE(uint8_t, n)}, *least = room[1];
+        memset(least, 255, (size_t)n);
+        copy_rows(picture, width, picture.values, least + reach * step, pitch);
         for (int64_t have = 1, side = 2 * reach + 1, more; have < side; have += more, turn++) {
             more = MIN(have, side - have);
             n -= more * step; /* beyond it too few are ahead */
-            least_of(n, least.values, least.values + more * step, room[turn % 2]);
-            least.values = room[turn % 2];
+            least_of(n, least, least + more * step, room[turn % 2]);
+            least = room[turn % 2];
         }
-        picture = cut_out(least, whole);
+        if (axis == 0) {
+            uint8_t *values = TAKE(uint8_t, size);
+            copy_rows(picture, pitch, least, values, width);
+            least = values;
+        }
+        picture.values = least;
     }
     return picture;
 }

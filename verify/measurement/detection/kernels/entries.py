@@ -21,10 +21,13 @@ MIN_WINDOW_SIDE = 3  # px, side of a window: smaller ones show no blob
 MAX_BOXES = 64  # boxes that are searched one by one; with more, as one
 
 Boxes = NDArray[np.int64]
+Flags = NDArray[np.bool_]
+# centre, covariance; peak, diameter, misfit; saturated, merged; colour
+SpotArrays = tuple[Array, Array, Array, Flags, Array]
+SpotFields = tuple[Array, Array, Array, Array, Array, Flags, Flags, Array]
 Shape = tuple[float, float, float, float]
 
 _contrast_boxes = entry("contrast_boxes")
-_search_windows = entry("search_windows")
 _find_blobs = entry("find_blobs")
 _compact_blobs = entry("compact_blobs")
 
@@ -46,23 +49,6 @@ class BlobSearch(NamedTuple):
     levels: NDArray[np.int64]  # DN of contrast, falling
     shape: Shape  # as for `compact_blobs`
     most: int  # blobs listed
-
-
-def search_windows(
-    image: Image, windows: Array, search: BlobSearch, diameters: tuple[float, float], most: int
-) -> Array:
-    """List candidates in windows of a grey picture, (m, 4), the highest contrast first.
-
-    `image` (h, w). `windows` (n, 4): x0, y0, x1, y1, px, cut at the border. `diameters`: least and
-    largest full width, px. At most `most` are listed; columns as by `compact_blobs`.
-    """
-    found = np.empty((most, 4))
-    reach, levels, shape, listed = search
-    count = _search_windows(
-        *image.shape, image, len(windows), windows, reach, len(levels), levels, *shape, *diameters,
-        listed, most, found,
-    )  # fmt: skip
-    return found[:count]
 
 
 def find_blobs(
@@ -99,6 +85,7 @@ def compact_blobs(contrast: Image, levels: NDArray[np.int64], shape: Shape, most
 
 # ---- a picture's spots
 _measure_spots = entry("measure_spots")
+_measure_in_windows = entry("measure_in_windows")
 
 
 class Picture(NamedTuple):
@@ -110,27 +97,72 @@ class Picture(NamedTuple):
     channels: int
 
 
+class SpotLimits(NamedTuple):
+    """Which spots are wanted."""
+
+    least: float  # px, of the diameter
+    largest: float
+    most: int
+
+
 def measure_spots(
     picture: Picture,
     candidates: Array,
-    noise: Array,
+    noise: tuple[Array, bool],
     table: Pixels,
-    wanted: tuple[float, float, int, bool, bool],
-    unknown: bool,
-    found: tuple[Array, Array],
-) -> int:
-    """Measure the spots of a picture, and count them.
+    limits: SpotLimits,
+    kind: tuple[bool, bool],
+) -> SpotFields:
+    """Measure the spots of a picture, by falling peak.
 
-    `candidates` (n, 4): centre, column and row, px; half width, px; contrast, DN. `noise` (4,):
-    read variance, DN², gain and black, DN, of one channel, filled in where they are `unknown`.
-    `table`: of the profiles. `wanted`: least and largest diameter, px; how many at most; whether
-    the whole picture was searched, so that of many or large ones only those are fitted in which a
-    first look sees a spot; whether it was a JPEG.
+    `candidates` (n, 4): centre, column and row, px; half width, px; contrast, DN. `noise`: read
+    variance, DN², gain and black, DN, of one channel, (4,); whether it is not known, and filled in.
+    `table`: of the profiles. `kind`: whether the whole picture was searched, so that of many or
+    large candidates only those are fitted in which a first look sees a spot; whether the picture
+    was a JPEG.
 
-    `found` (limit, 16) and (limit, 3), filled: the spots by falling peak, columns as above; their
-    colours, DN.
+    Gives the fields of `Spots`, in their order, up to the colour.
     """
-    return _measure_spots(
-        *picture, len(candidates), candidates, noise, *table.shape[:2], table, *wanted, unknown,
-        *found,
+    arrays, (values, unknown) = _spot_arrays(limits.most), noise
+    count = _measure_spots(
+        *picture, len(candidates), candidates, values, *table.shape[:2], table, *limits, *kind,
+        unknown, *arrays,
     )  # fmt: skip
+    return _spot_fields(arrays, count)
+
+
+def measure_in_windows(
+    picture: Picture,
+    windows: Array,
+    search: tuple[BlobSearch, int],
+    noise: tuple[Array, bool],
+    table: Pixels,
+    limits: SpotLimits,
+    lossy: bool,
+) -> SpotFields:
+    """Measure the spots in small windows of a grey picture, as `measure_spots` does.
+
+    `windows` (n, 4): x0, y0, x1, y1, px, cut at the border; `search`: what candidates are searched
+    by, and how many are fitted, those of the highest contrast.
+    """
+    arrays, (values, unknown) = _spot_arrays(limits.most), noise
+    (reach, levels, shape, listed), most = search
+    count = _measure_in_windows(
+        *picture[:3], len(windows), windows, reach, len(levels), levels, *shape, listed, most,
+        values, *table.shape[:2], table, *limits, lossy, unknown, *arrays,
+    )  # fmt: skip
+    return _spot_fields(arrays, count)
+
+
+def _spot_arrays(most: int) -> SpotArrays:
+    """Room for so many spots."""
+    figures, flags = np.empty((3, most)), np.empty((2, most), np.bool_)
+    return np.empty((most, 2)), np.empty((most, 2, 2)), figures, flags, np.empty((most, 3))
+
+
+def _spot_fields(arrays: SpotArrays, count: int) -> SpotFields:
+    centre, covariance, figures, flags, colour = arrays
+    peak, diameter, misfit = figures[:, :count]
+    saturated, merged = flags[:, :count]
+    places = centre[:count], covariance[:count]
+    return *places, peak, diameter, misfit, saturated, merged, colour[:count]

@@ -80,7 +80,7 @@ void multiply_rows(int64_t m, int64_t n, int64_t p, const float *rows, const flo
 {
     for (int64_t a = 0; a < m; a += 2)
         for (int64_t b = rows == others ? a / 4 * 4 : 0; b < n; b += 4)
-            (precise ? products_precise : products_single)(n, p, rows + a * pitch(p),
+            (precise ? products_precise : products_single)(n, pitch(p), rows + a * pitch(p),
                                                            others + b * pitch(p),
                                                            products + a * n + b);
     for (int64_t a = 4; rows == others && a < m; a++)
@@ -159,7 +159,7 @@ static void update_means(const double *step, int64_t p, float *rows)
     const float *restrict by = rows, *restrict variance = rows + ROW_VARIANCE * pitch(p);
     float *restrict mean = rows + ROW_MEAN * pitch(p);
 #pragma omp simd
-    for (int64_t k = 0; k < p; k++) {
+    for (int64_t k = 0; k < pitch(p); k++) {
         float moved = 0.0f;
         for (int a = 0; a < N_PARAMETERS; a++)
             moved += of[a] * by[a * pitch(p) + k];
@@ -177,7 +177,7 @@ static void mark_core(const double *parameters, int64_t p, float *rows)
     float *restrict core = rows + ROW_CORE * pitch(p);
     float x = (float)parameters[PAR_X], y = (float)parameters[PAR_Y];
 #pragma omp simd
-    for (int64_t k = 0; k < p; k++) {
+    for (int64_t k = 0; k < pitch(p); k++) {
         float u = column[k] - x, w = row[k] - y;
         bool near = (radius2[k] < CORE_RADIUS2) | (u * u + w * w < MIN_CORE_RADIUS2);
         core[k] = near ? valid[k] : 0.0f;
@@ -194,7 +194,7 @@ static double chi_squared(const double *parameters, int64_t p, const float *rows
     const float *restrict valid = rows + ROW_VALID * pitch(p);
     float total = 0.0f, most = OUTLIER_SIGMA * OUTLIER_SIGMA;
 #pragma omp simd reduction(+ : total)
-    for (int64_t k = 0; k < p; k++) {
+    for (int64_t k = 0; k < pitch(p); k++) {
         float residual = value[k] - mean[k], square = residual * residual / variance[k];
         bool outside = radius2[k] > NEIGHBOUR_RADIUS * NEIGHBOUR_RADIUS;
         total += valid[k] * (outside & (square > most) ? most : square);
@@ -214,9 +214,9 @@ void fit_spot(Fits *fits, int64_t n, const double *noise, Table table, int steps
     double *gradient = fits->gradient + N_PARAMETERS * n, step[N_PARAMETERS], tried[N_PARAMETERS];
     double tried_information[N_SQUARE], tried_gradient[N_PARAMETERS];
     double own[3] = {fits->share[2 * n] * noise[0], fits->share[2 * n + 1] * noise[1], noise[2]};
-    float *rows = rows_of(fits, n), *variance = TAKE(float, p);
+    float *rows = rows_of(fits, n), *variance = TAKE(float, pitch(p));
     bool full = fits->saturated[n], refused = false, shortened;
-    size_t variances = sizeof(float) * (size_t)p;
+    size_t variances = sizeof(float) * (size_t)pitch(p);
     double out = weigh_pixels(best, scale, own, table, p, rows), damping = FIRST_DAMPING;
     double chi2 = normal_equations(best, p, rows, out, full, prior, information, gradient);
     double accepted = chi2;

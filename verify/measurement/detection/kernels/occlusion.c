@@ -45,65 +45,96 @@
 #define MIN_STEEPNESS 0.39
 #define MIN_LEFT 0.05 /* share of a bite's information that the fit's own parameters must leave */
 #define BLOCK 128     /* pixels that are summed in single precision */
+#define GROUP 8       /* directions that are summed up together */
 #define POWER 32      /* of a series, that is an exponential: a power of two */
-#define N_TERMS 7     /* of it: good to rounding up to 11, its largest argument */
+#define N_TERMS 8     /* of it: good to rounding up to 11, its largest argument */
+
+/* Of the series, the highest power first. */
+static const float SERIES[N_TERMS] = {1.0f / 5040.0f, 1.0f / 720.0f, 1.0f / 120.0f, 1.0f / 24.0f,
+                                      1.0f / 6.0f, 0.5f, 1.0f, 1.0f};
 
 /* Products with each bite: of the whitened rows, and its own square. */
 enum { ROW_BITE = N_WHITENED, N_SUMS };
 
-/* Fill in how much pixel k of p sinks by a bite in each direction, `sunk` (24,), per depth and over
- * its sigma; a bite falls off on both sides as von Mises' bump, a Gaussian round a circle.
- *
- * `twice`, DN: the peak times the bump's constant factor; `along` and `across` (24,): directions
- * over the bump's squared width and POWER. The exponential is a series, which the processor does
- * for several directions at once: with expf, a picture takes 8 % longer. */
-static inline void sink_pixel(float twice, int64_t p, const float *rows, int64_t k,
-                              const float *restrict along, const float *restrict across,
-                              float *restrict sunk)
+/* Pixels on the rim of a spot and inside, at most BLOCK: their places among all of its pixels; how much
+ * each sinks, (24,), by a bite in each direction, per depth and over its sigma. */
+typedef struct {
+    int64_t count, place[BLOCK];
+    float sunk[BLOCK][N_DIRECTIONS];
+} Rim;
+
+/* Directions (24,) over the bump's squared width and POWER. */
+static float along[N_DIRECTIONS], across[N_DIRECTIONS];
+
+__attribute__((constructor)) static void tabulate_directions(void)
 {
-    float u = rows[ROW_U * pitch(p) + k], w = rows[ROW_W * pitch(p) + k];
-    float scale = 1.0f / sqrtf(MAX(u * u + w * w, MIN_RADIUS2));
-    /* a smaller radius is a larger t: d(t^2) = 2 t^2 times the relative depth */
-    float depth = twice * rows[ROW_SLOPE * pitch(p) + k] * rows[ROW_RADIUS2 * pitch(p) + k] *
-                  rows[ROW_VISIBLE * pitch(p) + k] *
-                  sqrtf(rows[ROW_USED * pitch(p) + k] / rows[ROW_VARIANCE * pitch(p) + k]);
+    double sharp = 1.0 / (POWER * square(OCCLUSION_WIDTH));
     for (int side = 0; side < N_DIRECTIONS; side++) {
-        float z = scale * (along[side] * u + across[side] * w), bump = 1.0f;
-        for (int term = N_TERMS; term > 0; term--)
-            bump = 1.0f + z * (1.0f / (float)term) * bump;
-        for (int power = 1; power < POWER; power *= 2)
-            bump *= bump;
-        sunk[side] = depth * bump;
+        along[side] = (float)(sharp * cos(2.0 * PI * side / N_DIRECTIONS));
+        across[side] = (float)(sharp * sin(2.0 * PI * side / N_DIRECTIONS));
+    }
+}
+
+/* Fill in how much a rim's pixels sink; a bite falls off on both sides as von Mises' bump, a Gaussian
+ * round a circle.
+ *
+ * `twice`, DN: the peak times the bump's constant factor. The exponential is a series, which the
+ * processor does for several directions at once: with expf, a picture takes 8 % longer. */
+static void sink_pixels(float twice, int64_t p, const float *rows, Rim *rim)
+{
+    for (int64_t n = 0; n < rim->count; n++) {
+        int64_t k = rim->place[n];
+        float u = rows[ROW_U * pitch(p) + k], w = rows[ROW_W * pitch(p) + k];
+        float scale = 1.0f / sqrtf(MAX(u * u + w * w, MIN_RADIUS2));
+        /* a smaller radius is a larger t: d(t^2) = 2 t^2 times the relative depth; what shows of it, as
+         * of the floor's change */
+        float depth = twice * rows[ROW_SLOPE * pitch(p) + k] * rows[ROW_RADIUS2 * pitch(p) + k] *
+                      rows[PAR_FLOOR * pitch(p) + k];
+        for (int side = 0; side < N_DIRECTIONS; side++) {
+            float z = scale * (along[side] * u + across[side] * w), bump = SERIES[0];
+            for (int term = 1; term < N_TERMS; term++)
+                bump = SERIES[term] + z * bump;
+            for (int power = 1; power < POWER; power *= 2)
+                bump *= bump;
+            rim->sunk[n][side] = depth * bump;
+        }
+    }
+}
+
+/* Add a rim's pixels to `totals` (12, 24). A few directions at a time, whose sums the processor holds:
+ * with all at once a picture takes 6 % longer. */
+static void add_rim(int64_t p, const float *rows, const Rim *rim, double (*totals)[N_DIRECTIONS])
+{
+    for (int first = 0; first < N_DIRECTIONS; first += GROUP) {
+        float sums[N_SUMS][GROUP] = {{0.0f}};
+        for (int64_t n = 0; n < rim->count; n++) {
+            const float *sunk = rim->sunk[n] + first, *row = rows + rim->place[n];
+#pragma GCC unroll 12
+            for (int a = 0; a < N_SUMS; a++) {
+                #pragma omp simd
+                for (int side = 0; side < GROUP; side++)
+                    sums[a][side] += sunk[side] * (a == ROW_BITE ? sunk[side] : row[a * pitch(p)]);
+            }
+        }
+        for (int a = 0; a < N_SUMS; a++)
+            for (int side = 0; side < GROUP; side++)
+                totals[a][first + side] += (double)sums[a][side];
     }
 }
 
 /* Fill in `totals` (12, 24) of the pixels on the rim and inside. `peak`, DN; `rows` (25, p). */
 static void sum_bites(double peak, int64_t p, const float *rows, double (*totals)[N_DIRECTIONS])
 {
-    float sums[N_SUMS][N_DIRECTIONS] = {{0.0f}}, sunk[N_DIRECTIONS];
-    float along[N_DIRECTIONS], across[N_DIRECTIONS];
     float twice = (float)(2.0 * peak * exp(-1.0 / square(OCCLUSION_WIDTH)));
-    double sharp = 1.0 / (POWER * square(OCCLUSION_WIDTH));
-    for (int side = 0; side < N_DIRECTIONS; side++) {
-        along[side] = (float)(sharp * cos(2.0 * PI * side / N_DIRECTIONS));
-        across[side] = (float)(sharp * sin(2.0 * PI * side / N_DIRECTIONS));
-    }
+    Rim rim;
     memset(totals, 0, sizeof(double) * N_SUMS * N_DIRECTIONS);
-    for (int64_t k = 0, count = 0; k < p; k++) {
-        if (rows[ROW_RADIUS2 * pitch(p) + k] < RIM_RADIUS2) {
-            sink_pixel(twice, p, rows, k, along, across, sunk);
-            for (int a = 0; a < N_SUMS; a++)
-                for (int side = 0; side < N_DIRECTIONS; side++)
-                    sums[a][side] += sunk[side] * (a == ROW_BITE ? sunk[side] : rows[a * pitch(p) + k]);
-            count++;
+    for (int64_t k = 0; k < p;) {
+        for (rim.count = 0; k < p && rim.count < BLOCK; k++) {
+            rim.place[rim.count] = k;
+            rim.count += rows[ROW_RADIUS2 * pitch(p) + k] < RIM_RADIUS2;
         }
-        if (count == BLOCK || k == p - 1) {
-            for (int a = 0; a < N_SUMS; a++)
-                for (int side = 0; side < N_DIRECTIONS; side++)
-                    totals[a][side] += (double)sums[a][side];
-            memset(sums, 0, sizeof sums);
-            count = 0;
-        }
+        sink_pixels(twice, p, rows, &rim);
+        add_rim(p, rows, &rim, totals);
     }
 }
 

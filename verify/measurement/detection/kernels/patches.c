@@ -278,6 +278,9 @@ Fits cut_patches(const Picture *picture, int64_t n, const double *spots, bool fi
                      first_look ? needed_reach(spot) / FIRST_LOOK_STEPS : 1.0,
                      rows + ROW_COLUMN * pitch(p), rows + ROW_ROW * pitch(p));
         read_patch(picture, &fits, k);
+        static const int READ[] = {ROW_VALUE, ROW_VALID, ROW_COLUMN, ROW_ROW};
+        for (int i = 0; i < 4; i++)
+            clear_behind(p, rows + READ[i] * pitch(p));
         if (!first_look)
             leave_neighbours(&fits, k, spots);
     }

@@ -13,6 +13,7 @@
 #define MIN_PROFILE log(1.05)
 #define ROW_STEP ((log(32.0) - log(1.05)) / 55.0)
 #define MAX_RADIUS 8.0f
+#define BLOCK 256 /* pixels that are looked up together */
 
 static float share_below[N_ENTRIES], density_at[N_ENTRIES]; /* of a standard normal variable */
 
@@ -67,31 +68,44 @@ double profile_line(double steepness, Table table)
     return MIN(MAX(place, 0.0), (double)table.n_rows - 1.001);
 }
 
-/* Fill in f, df / d(t^2) and df / d(ln steepness) from the table, to first order in t^2. */
+/* Fill in f, df / d(t^2) and df / d(ln steepness) from the table, to first order in t^2.
+ *
+ * A sample's four numbers are copied as one: to let the processor gather them takes twice as long. */
 static void look_up(double steepness, Table table, int64_t p, const float *restrict radius2,
                     float *restrict height, float *restrict slope, float *restrict steeper)
 {
     double place = profile_line(steepness, table);
     int64_t line = (int64_t)place;
-    float share = (float)(place - (double)line);
-    const float *restrict samples = table.values + 4 * table.n_samples * line;
-    float end = (float)(table.n_samples - 1);
+    float share = (float)(place - (double)line), end = (float)(table.n_samples - 1);
+    const float *samples = table.values + 4 * table.n_samples * line;
+    float beyond[BLOCK], copied[4 * BLOCK];
+    int32_t sample[BLOCK];
+    for (int64_t begin = 0; begin < p; begin += BLOCK) {
+        int64_t count = MIN(BLOCK, p - begin);
 #pragma omp simd
-    for (int64_t k = 0; k < p; k++) {
-        float nearest = sqrtf(radius2[k]) / PROFILE_RADIUS_STEP + 0.5f;
-        int32_t sample = (int32_t)MIN(nearest, end), first = 4 * sample;
-        /* past the table the profile stays constant */
-        float at = (float)sample * PROFILE_RADIUS_STEP;
-        float beyond = MIN(radius2[k] - at * at, 2.0f * MAX_RADIUS * PROFILE_RADIUS_STEP);
-        slope[k] = samples[first + 2] + share * samples[first + 3];
-        height[k] = samples[first] + share * samples[first + 1] + slope[k] * beyond;
-        steeper[k] = samples[first + 1];
+        for (int64_t k = 0; k < count; k++) {
+            float nearest = sqrtf(radius2[begin + k]) / PROFILE_RADIUS_STEP + 0.5f;
+            sample[k] = (int32_t)MIN(nearest, end);
+            /* past the table the profile stays constant */
+            float at = (float)sample[k] * PROFILE_RADIUS_STEP;
+            beyond[k] = MIN(radius2[begin + k] - at * at, 2.0f * MAX_RADIUS * PROFILE_RADIUS_STEP);
+        }
+        for (int64_t k = 0; k < count; k++)
+            memcpy(copied + 4 * k, samples + 4 * sample[k], 4 * sizeof(float));
+#pragma omp simd
+        for (int64_t k = 0; k < count; k++) {
+            const float *one = copied + 4 * k;
+            slope[begin + k] = one[2] + share * one[3];
+            height[begin + k] = one[0] + share * one[1] + slope[begin + k] * beyond[k];
+            steeper[begin + k] = one[1];
+        }
     }
 }
 
 double weigh_pixels(const double *parameters, double scale, const double *noise, Table table,
                     int64_t p, float *rows)
 {
+    p = pitch(p);
     float of[N_PARAMETERS], inverse = (float)(1.0 / scale);
     for (int a = 0; a < N_PARAMETERS; a++)
         of[a] = (float)parameters[a];

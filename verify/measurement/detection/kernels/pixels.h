@@ -12,6 +12,7 @@
 #define VERIFY_PIXELS_H
 
 #include <stdint.h>
+#include <string.h>
 
 enum { PAR_X, PAR_Y, PAR_PEAK, PAR_FLOOR, PAR_SLOPE_X, PAR_SLOPE_Y, PAR_XX, PAR_XY, PAR_YY,
        PAR_STEEPNESS, N_PARAMETERS };
@@ -23,13 +24,22 @@ enum { ROW_RESIDUAL = N_PARAMETERS, N_WHITENED, ROW_VALUE = N_WHITENED, ROW_VALI
        ROW_MEAN, ROW_VARIANCE, ROW_SIGNAL, ROW_USED, ROW_VISIBLE, ROW_U, ROW_W, ROW_RADIUS2, ROW_SLOPE,
        ROW_CORE, N_ROWS };
 
-#define VECTOR 8 /* floats: rows begin where the processor's vectors do, as half of its reads else cross
-                  * two lines of memory */
+#define VECTOR 16 /* floats: rows begin where the processor's vectors do, as half of its reads else cross
+                   * two lines of memory */
 
-/* From one row of p pixels to the next one, and so between all of p floats. */
+/* From one row of p pixels to the next one, and so between all of p floats.
+ *
+ * What is behind the last pixel is not valid, and counts for nothing: loops include it, as the rest
+ * of a vector takes longer by itself. */
 static inline int64_t pitch(int64_t p)
 {
     return (p + VECTOR - 1) / VECTOR * VECTOR;
+}
+
+/* Clear what is behind the last of p pixels of a row. */
+static inline void clear_behind(int64_t p, float *row)
+{
+    memset(row + p, 0, sizeof(float) * (size_t)(pitch(p) - p));
 }
 
 #define NEIGHBOUR_RADIUS 1.7f /* half-widths; beyond, what does not fit is a neighbour, left out */

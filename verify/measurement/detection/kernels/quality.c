@@ -93,7 +93,7 @@ static void assess_shape(const Fits *fits, int64_t n, double pixels, double *row
     const float *variance = rows + ROW_VARIANCE * pitch(p);
     float count = 0.0f, squares = 0.0f, square_dn = 0.0f, full = 0.0f, clear = 0.0f;
 #pragma omp simd reduction(+ : count, squares, square_dn, full, clear)
-    for (int64_t k = 0; k < p; k++) {
+    for (int64_t k = 0; k < pitch(p); k++) {
         float alone = visible[k] > MIN_NOISE_SHARE ? core[k] : 0.0f, off = value[k] - mean[k];
         clear += visible[k] > MIN_NOISE_SHARE ? valid[k] : 0.0f;
         full += value[k] >= SENSOR_LIMIT ? core[k] : 0.0f;

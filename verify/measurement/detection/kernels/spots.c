@@ -7,6 +7,7 @@
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
 #include "verify/measurement/detection/kernels/background.h"
+#include "verify/measurement/detection/kernels/candidates.h"
 #include "verify/measurement/detection/kernels/fit.h"
 #include "verify/measurement/detection/kernels/noise.h"
 #include "verify/measurement/detection/kernels/occlusion.h"
@@ -18,6 +19,7 @@
 #define MIN_NEIGHBOUR 0.15 /* of a spot's peak, of another one's: less may be texture of the room */
 #define MIN_LIGHT 0.5 /* DN of a neighbour: less is not worth taking off, least of all below black */
 #define LOSSY_NOISE 0.5 /* of an even room's noise, as far as it moves centres, a JPEG leaves */
+#define WIDTH_STEP 1.0 /* px, to which a candidate's width is known */
 #define TINY 1e-9     /* of an inverse square of a half-width, where a fit has none */
 
 /* What is wanted of a picture. */
@@ -27,6 +29,12 @@ typedef struct {
     bool whole; /* all of it was searched: of many or large ones only those of a first look are fitted */
     bool lossy; /* it was a JPEG */
 } Wanted;
+
+/* Room for `limit` spots, as the fields of `Spots`. */
+typedef struct {
+    double *centre, *covariance, *figures, *colours; /* figures (3, limit): peak, diameter, misfit */
+    bool *flags;                                     /* (2, limit): saturated, merged */
+} SpotArrays;
 
 /* Fit the n candidates (n, 4), on a glance only those in which a first look sees a spot. */
 static Fits fit_candidates(const Picture *picture, int64_t n, const double *candidates,
@@ -155,19 +163,36 @@ static bool separate_neighbours(Fits *fits, const double *assessed, const double
     return found;
 }
 
-/* Choose, correct and copy the spots: rows (limit, 16) and colours (limit, 3), DN. Gives how many. */
+/* Copy spots' rows (count, 16) to their arrays. */
+static void copy_spots(int64_t count, const double *rows, int64_t limit, const SpotArrays *arrays)
+{
+    static const int FIGURES[] = {COL_PEAK, COL_DIAMETER, COL_MISFIT};
+    static const int FLAGS[] = {COL_SATURATED, COL_MERGED};
+    for (int64_t m = 0; m < count; m++) {
+        const double *row = rows + N_COLUMNS * m;
+        copy(arrays->centre + 2 * m, row + COL_CENTRE_X, 2);
+        copy(arrays->covariance + 4 * m, row + COL_COVARIANCE_XX, 4);
+        for (int i = 0; i < 3; i++)
+            arrays->figures[i * limit + m] = row[FIGURES[i]];
+        for (int i = 0; i < 2; i++)
+            arrays->flags[i * limit + m] = row[FLAGS[i]] > 0.0;
+    }
+}
+
+/* Choose, correct and copy the spots. Gives how many. */
 static int64_t finish_spots(const Picture *picture, int64_t n, const double *candidates,
                             const Fits *fits, const double *assessed, const Wanted *wanted,
-                            double *rows, double *colours)
+                            const SpotArrays *arrays)
 {
     int64_t *kept = TAKE(int64_t, fits->n);
     int64_t count = choose_spots(fits->n, assessed, wanted->least, wanted->largest, wanted->limit,
                                  kept);
+    double *rows = TAKE(double, N_COLUMNS * count);
     double *moments = TAKE(double, 6 * count), *asymmetry = TAKE(double, count);
     double *score = TAKE(double, 4 * N_DIRECTIONS * count);
     for (int64_t m = 0; m < count; m++) {
         copy(rows + N_COLUMNS * m, assessed + N_COLUMNS * kept[m], N_COLUMNS);
-        copy(colours + 3 * m, fits->colour + 3 * kept[m], 3);
+        copy(arrays->colours + 3 * m, fits->colour + 3 * kept[m], 3);
     }
     for (int64_t k = 0; k < 6 * count; k++)
         moments[k] = 0.0;
@@ -187,13 +212,14 @@ static int64_t finish_spots(const Picture *picture, int64_t n, const double *can
             row[COL_COVARIANCE_XY + 2 * i] += moment[2];
         }
     }
+    copy_spots(count, rows, wanted->limit, arrays);
     return count;
 }
 
-/* Measure the spots of a picture, and count them; see `measure_spots` in __init__.py. */
+/* Measure the spots of a picture, and count them; see `measure_spots` in entries.py. */
 static int64_t measure_spots(const Picture *picture, int64_t n, const double *candidates,
                              double *noise, Table table, const Wanted *wanted, bool unknown,
-                             double *rows, double *colours)
+                             const SpotArrays *arrays)
 {
     int64_t width = picture->width, height = picture->height;
     double pixels = 0.0, lifted = wanted->lossy ? 0.0 : CORRELATED_PIXELS;
@@ -216,17 +242,48 @@ static int64_t measure_spots(const Picture *picture, int64_t n, const double *ca
     assess_all(&fits, width, height, lifted, assessed);
     if (separate_neighbours(&fits, assessed, noise, table))
         assess_all(&fits, width, height, lifted, assessed);
-    return finish_spots(picture, n, candidates, &fits, assessed, wanted, rows, colours);
+    return finish_spots(picture, n, candidates, &fits, assessed, wanted, arrays);
+}
+
+/* Measure the spots in small windows (n, 4) of a grey picture: at most so many candidates. */
+static int64_t measure_in_windows(const Picture *picture, int64_t n, const double *windows,
+                                  const BlobSearch *search, int64_t most, double *noise,
+                                  Table table, const Wanted *wanted, bool unknown, const SpotArrays *arrays)
+{
+    double *candidates = TAKE(double, 4 * most);
+    Grid grey = {picture->values, picture->height, picture->width};
+    int64_t found = search_windows(grey, n, windows, search, wanted->least - WIDTH_STEP,
+                                   wanted->largest + WIDTH_STEP, most, candidates);
+    return measure_spots(picture, found, candidates, noise, table, wanted, unknown, arrays);
 }
 
 int64_t entry_measure_spots(const uint8_t *values, int64_t width, int64_t height, int64_t channels,
                             int64_t n, const double *candidates, double *noise, int64_t n_rows,
                             int64_t n_samples, const float *table, double least, double largest,
                             int64_t limit, int64_t whole, int64_t lossy, int64_t unknown,
-                            double *rows, double *colours)
+                            double *centre, double *covariance, double *figures, bool *flags,
+                            double *colours)
 {
     Picture picture = {values, width, height, channels};
     Wanted wanted = {least, largest, limit, whole != 0, lossy != 0};
+    SpotArrays arrays = {centre, covariance, figures, colours, flags};
     GUARDED(measure_spots(&picture, n, candidates, noise, (Table){table, n_rows, n_samples}, &wanted,
-                          unknown != 0, rows, colours));
+                          unknown != 0, &arrays));
+}
+
+int64_t entry_measure_in_windows(const uint8_t *values, int64_t width, int64_t height, int64_t n,
+                                 const double *windows, int64_t reach, int64_t n_levels,
+                                 const int64_t *levels, double side, double half_side,
+                                 double axis_ratio, double fill, int64_t listed, int64_t most,
+                                 double *noise, int64_t n_rows, int64_t n_samples,
+                                 const float *table, double least, double largest, int64_t limit,
+                                 int64_t lossy, int64_t unknown, double *centre,
+                                 double *covariance, double *figures, bool *flags, double *colours)
+{
+    Picture picture = {values, width, height, 1};
+    BlobSearch search = {reach, n_levels, levels, {side, half_side, axis_ratio, fill}, listed};
+    Wanted wanted = {least, largest, limit, false, lossy != 0};
+    SpotArrays arrays = {centre, covariance, figures, colours, flags};
+    GUARDED(measure_in_windows(&picture, n, windows, &search, most, noise,
+                               (Table){table, n_rows, n_samples}, &wanted, unknown != 0, &arrays));
 }

@@ -131,6 +131,7 @@ static void read_patches(const Picture *picture, const Fits *fits, int64_t n, in
             read_patch(picture, centre[0], centre[1], p, rows_of(fits, n), weight, bytes, value);
         else
             memset(value, 0, sizeof(float) * (size_t)p);
+        clear_behind(p, value);
     }
     scratch_release(mark);
 }
