@@ -24,6 +24,7 @@ DISPARITY = np.array([61.4, -0.3])  # px, to the right picture
 TRIALS = 40  # pairs: 640 coordinates, whose rms is known to 3 %
 MAX_WHOLE = 2.0  # times the simple way
 MAX_PAIR_MS = 0.3
+UNIT_MS = 0.21  # of the simple way, on the machine that goals in milliseconds were set on
 MAX_RMS = 1.05  # times the bound
 
 
@@ -51,12 +52,13 @@ def lines() -> Iterator[Figure]:
     seconds = medians(tasks, ROUNDS)
     cv2.setNumThreads(threads)
     unit = seconds["threshold, contours, weighted moments"]
+    goals = {
+        "whole frame": MAX_WHOLE,
+        "four windows a picture, a pair, noise known": MAX_PAIR_MS / UNIT_MS,
+    }
     for name, taken in seconds.items():
-        whole = MAX_WHOLE if name == "whole frame" else None
-        yield Figure(
-            f"{name}, over threshold + contours + moments", taken / unit, most=whole,
-            note=f"{1e3 * taken:.2f} ms",
-        )  # fmt: skip
+        beside = f"{name}, over threshold + contours + moments"
+        yield Figure(beside, taken / unit, most=goals.get(name), note=f"{1e3 * taken:.2f} ms")
         if name.endswith("pair, noise known"):
             yield Figure(name, 1e3 * taken, "ms", most=MAX_PAIR_MS)
     ratio = rms_of_centres(rng) / centre_bound(LED, FLOOR, Sensor())

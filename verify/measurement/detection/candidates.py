@@ -49,8 +49,7 @@ def find_candidates(image: Image, windows: Array | None) -> Array:
 
 def are_small(windows: Array) -> bool:
     """Whether windows (m, 4) are searched at full size, each as a whole."""
-    boxes = windows.tolist()
-    return all((x1 - x0) * (y1 - y0) <= MAX_SMALL_AREA for x0, y0, x1, y1 in boxes)
+    return all((x1 - x0) * (y1 - y0) <= MAX_SMALL_AREA for x0, y0, x1, y1 in windows.tolist())
 
 
 def cut_window(window: list[float], width: int, height: int) -> list[int]:

@@ -145,11 +145,12 @@ def measure_in_windows(
     `windows` (n, 4): x0, y0, x1, y1, px, cut at the border; `search`: what candidates are searched
     by, and how many are fitted, those of the highest contrast.
     """
-    arrays, (values, unknown) = _spot_arrays(limits.most), noise
+    arrays, (values, unknown), (image, width, height, _) = _spot_arrays(limits.most), noise, picture
     (reach, levels, shape, listed), most = search
+    lines, samples, _ = table.shape
     count = _measure_in_windows(
-        *picture[:3], len(windows), windows, reach, len(levels), levels, *shape, listed, most,
-        values, *table.shape[:2], table, *limits, lossy, unknown, *arrays,
+        image, width, height, len(windows), windows, reach, len(levels), levels, *shape, listed,
+        most, values, lines, samples, table, *limits, lossy, unknown, *arrays,
     )  # fmt: skip
     return _spot_fields(arrays, count)
 
@@ -162,7 +163,15 @@ def _spot_arrays(most: int) -> SpotArrays:
 
 def _spot_fields(arrays: SpotArrays, count: int) -> SpotFields:
     centre, covariance, figures, flags, colour = arrays
-    peak, diameter, misfit = figures[:, :count]
-    saturated, merged = flags[:, :count]
-    places = centre[:count], covariance[:count]
-    return *places, peak, diameter, misfit, saturated, merged, colour[:count]
+    peak, diameter, misfit = figures
+    saturated, merged = flags
+    return (
+        centre[:count],
+        covariance[:count],
+        peak[:count],
+        diameter[:count],
+        misfit[:count],
+        saturated[:count],
+        merged[:count],
+        colour[:count],
+    )
