@@ -98,10 +98,8 @@ def _joint_errors(session: Session) -> Iterator[Figure]:
     setup, clock = Setup(session.rig, session.marker), LiveClock(0.0, 1e-4, "given")
     comparer = Comparer(session.arm, session.rig, session.marker, None, turning=False)
     readings = Readings(session.encoders.t, session.encoders.q)
-    pairs, frame = (
-        list(islice(session.pairs(), PAIRS + 1)),
-        cluttered_frame(np.random.default_rng(1)),
-    )
+    pairs = list(islice(session.pairs(), PAIRS + 1))
+    frame = cluttered_frame(np.random.default_rng(1))
 
     def recorded() -> float:
         measured = measure(iter(pairs), setup)

@@ -17,8 +17,14 @@ from tests.support.leds.images import (
 )
 from verify.core.records import Array, Image, Spots
 from verify.errors import InputError
+from verify.measurement.detection.candidates import blob_search
 from verify.measurement.detection.detect import detect
-from verify.measurement.detection.kernels.entries import Picture, SpotLimits, measure_spots
+from verify.measurement.detection.kernels.entries import (
+    Picture,
+    SpotLimits,
+    find_blobs,
+    measure_spots,
+)
 from verify.measurement.detection.profile import profile_table
 
 DISC = Spot(210, 0.6, radius=4.2)
@@ -192,6 +198,39 @@ def test_windows_find_the_same_spots_as_the_whole_image() -> None:
     np.testing.assert_allclose(some.centre, whole.centre[nearest], atol=3e-3)  # of 9e-3
     sigma, before = (np.diagonal(c, axis1=1, axis2=2) for c in (some.covariance, whole.covariance))
     np.testing.assert_allclose(sigma, before[nearest], rtol=0.05)  # the slopes' prior differs
+
+
+def test_small_windows_in_one_call_give_what_their_candidates_give() -> None:
+    rng = np.random.default_rng(12)
+    centres = scattered(2, 2, rng, pitch=150.0)
+    image = picture([DISC, Spot(200, 2.5), Spot(60, 2.0), Spot(600, 2.5)], centres, Sensor(), rng)
+    (height, width), noise = image.shape, detect(image).noise
+    windows = np.hstack([centres - 20, centres + 20]).round()
+    blobs = find_blobs(image, windows.astype(np.int64), 0, blob_search(1))
+    candidates = blobs[np.argsort(-blobs[:, 3], kind="stable")]
+    known = np.array([noise.read**2, noise.gain, noise.black, 0.0]), False
+    limits, kind = SpotLimits(2.0, 40.0, 24), (False, False)
+    whole = Picture(image, width, height, 1)
+    expected = measure_spots(whole, candidates, known, profile_table(), limits, kind)
+    found = detect(image, windows, noise=noise)
+    assert len(found) == 4
+    for name, values in zip(Spots.__slots__, expected, strict=False):
+        np.testing.assert_array_equal(getattr(found, name), values, err_msg=name)
+
+
+def test_what_another_picture_left_in_memory_changes_nothing() -> None:
+    """Rows of pixels are padded to whole vectors, in memory that is used again."""
+    rng = np.random.default_rng(13)
+    centres = scattered(2, 2, rng, pitch=150.0)
+    small = picture([Spot(90, 1.2)] * 4, centres, Sensor(), rng)
+    room = rng.uniform(20, 90, small.shape)
+    large = picture([Spot(900, 7.0)] * 4, centres, Sensor(), rng, small.shape, room)
+    first = detect(small)
+    for image in (large, 255 - large):
+        detect(image)
+        again = detect(small)
+        for name in Spots.__slots__:
+            np.testing.assert_array_equal(getattr(again, name), getattr(first, name))
 
 
 @pytest.mark.parametrize(

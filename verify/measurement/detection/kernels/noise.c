@@ -110,11 +110,7 @@ static int64_t count_stencils(const Sample *sample, int64_t apart, int32_t *leve
 {
     int64_t looked = 0, places = sample->width - 4, step = sample->step;
     int16_t row[BLOCK_PIXELS + 4];
-    for (int64_t r = 0; r < sample->count; r++) {
-        const uint8_t *ahead = sample->values + MIN(r + 1, sample->count - 1) * sample->row_step;
-        for (int64_t begin = (r + 1) % apart * BLOCK_PIXELS; begin < places;
-             begin += apart * BLOCK_PIXELS)
-            __builtin_prefetch(ahead + begin * step);
+    for (int64_t r = 0; r < sample->count; r++)
         for (int64_t begin = r % apart * BLOCK_PIXELS; begin < places;
              begin += apart * BLOCK_PIXELS) {
             int64_t count = MIN(BLOCK_PIXELS, places - begin);
@@ -124,7 +120,6 @@ static int64_t count_stencils(const Sample *sample, int64_t apart, int32_t *leve
             count_block(row, count, levels, differences);
             looked += count;
         }
-    }
     return looked;
 }
 
