@@ -88,8 +88,8 @@ static void fill_right(const double *centre, int64_t p, const float *rows, float
     }
 }
 
-/* Fill in the lower Cholesky factors of S + s^-2, at all amplitudes at once: one after the other they
- * take five times as long. False where rounding leaves no S at one. */
+/* Fill in the lower Cholesky factors of S + s^-2, at all amplitudes at once: with one after the other a
+ * picture takes 5 % longer. False where rounding leaves no S at one. */
 static bool factor_each(double (*left)[N_RIGHT], double (*root)[N_TERMS][N_AMPLITUDES])
 {
     bool definite = true;

@@ -248,7 +248,8 @@ static int64_t measure_spots(const Picture *picture, int64_t n, const double *ca
 /* Measure the spots in small windows (n, 4) of a grey picture: at most so many candidates. */
 static int64_t measure_in_windows(const Picture *picture, int64_t n, const double *windows,
                                   const BlobSearch *search, int64_t most, double *noise,
-                                  Table table, const Wanted *wanted, bool unknown, const SpotArrays *arrays)
+                                  Table table, const Wanted *wanted, bool unknown,
+                                  const SpotArrays *arrays)
 {
     double *candidates = TAKE(double, 4 * most);
     Grid grey = {picture->values, picture->height, picture->width};
