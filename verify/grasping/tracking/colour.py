@@ -80,7 +80,9 @@ def to_hsv(bgr: Image) -> Image:
     if bgr.ndim != 3:
         remedy = "Set the cameras to colour (grey = false); simulated: `verify grab --sim`."
         raise InputError("pictures", "are grey", "a target is identified by its colour", remedy)
-    return np.asarray(cv2.cvtColor(bgr, cv2.COLOR_BGR2HSV), dtype=np.uint8)
+    # as one row: what does not fill a vector is converted pixel by pixel, in each row
+    row = np.ascontiguousarray(bgr).reshape(1, -1, 3)
+    return np.asarray(cv2.cvtColor(row, cv2.COLOR_BGR2HSV), dtype=np.uint8).reshape(bgr.shape)
 
 
 def named_colour(name: str) -> ColourModel:
