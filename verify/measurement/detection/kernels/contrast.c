@@ -30,13 +30,24 @@ Box widen(Box box, int64_t margin, Grid picture)
     };
 }
 
+/* Copy rows of so many values, which begin a pitch apart; those without a gap as one. */
+static void copy_rows(int64_t rows, int64_t width, const uint8_t *values, int64_t pitch,
+                      uint8_t *copied, int64_t copied_pitch)
+{
+    if (pitch == width && copied_pitch == width) {
+        width *= rows;
+        rows = 1;
+    }
+    for (int64_t y = 0; y < rows; y++)
+        memcpy(copied + y * copied_pitch, values + y * pitch, (size_t)width);
+}
+
 Grid cut_out(Grid picture, Box box)
 {
     int64_t height = box.bottom - box.top, width = box.right - box.left;
     uint8_t *values = TAKE(uint8_t, height * width);
-    for (int64_t y = 0; y < height; y++)
-        memcpy(values + y * width, picture.values + (box.top + y) * picture.width + box.left,
-               (size_t)width);
+    copy_rows(height, width, picture.values + box.top * picture.width + box.left, picture.width,
+              values, width);
     return (Grid){values, height, width};
 }
 
@@ -45,9 +56,8 @@ Grid enclose(Grid picture, int64_t above, int64_t beside)
     int64_t height = picture.height + 2 * above, width = picture.width + 2 * beside;
     uint8_t *values = TAKE(uint8_t, height * width);
     memset(values, 255, (size_t)(height * width));
-    for (int64_t y = 0; y < picture.height; y++)
-        memcpy(values + (above + y) * width + beside, picture.values + y * picture.width,
-               (size_t)picture.width);
+    copy_rows(picture.height, picture.width, picture.values, picture.width,
+              values + above * width + beside, width);
     return (Grid){values, height, width};
 }
 
@@ -80,29 +90,16 @@ static void least_of(int64_t n, const uint8_t *restrict values, const uint8_t *r
         least[i] = MIN(values[i], others[i]);
 }
 
-/* Copy rows of so many values, which begin a pitch apart. */
-static void copy_rows(Grid picture, int64_t pitch, const uint8_t *values, uint8_t *copied,
-                      int64_t copied_pitch)
-{
-    int64_t rows = picture.height, width = picture.width;
-    if (pitch == width && copied_pitch == width) {
-        width *= rows;
-        rows = 1;
-    }
-    for (int64_t y = 0; y < rows; y++)
-        memcpy(copied + y * copied_pitch, values + y * pitch, (size_t)width);
-}
-
 /* Least value in each square of 2 reach + 1 px, scratch; nothing is beyond the borders. */
 static Grid erode(Grid picture, int64_t reach)
 {
-    int64_t width = picture.width, size = picture.height * width;
+    int64_t height = picture.height, width = picture.width;
     for (int axis = 0; axis < 2; axis++) { /* along rows, which one border separates; down columns */
         int64_t pitch = axis == 0 ? width + reach : width, step = axis == 0 ? 1 : width, turn = 0;
-        int64_t n = picture.height * pitch + 2 * reach * step;
+        int64_t n = height * pitch + 2 * reach * step;
         uint8_t *room[2] = {TAKE(uint8_t, n), TAKE(uint8_t, n)}, *least = room[1];
         memset(least, 255, (size_t)n);
-        copy_rows(picture, width, picture.values, least + reach * step, pitch);
+        copy_rows(height, width, picture.values, width, least + reach * step, pitch);
         for (int64_t have = 1, side = 2 * reach + 1, more; have < side; have += more, turn++) {
             more = MIN(have, side - have);
             n -= more * step; /* beyond it too few are ahead */
@@ -110,8 +107,8 @@ static Grid erode(Grid picture, int64_t reach)
             least = room[turn % 2];
         }
         if (axis == 0) {
-            uint8_t *values = TAKE(uint8_t, size);
-            copy_rows(picture, pitch, least, values, width);
+            uint8_t *values = TAKE(uint8_t, height * width);
+            copy_rows(height, width, least, pitch, values, width);
             least = values;
         }
         picture.values = least;
