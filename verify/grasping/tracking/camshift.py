@@ -96,7 +96,7 @@ def camshift(
     mask = target_mask(weights, window)
     if mask is None:
         return None
-    reach = float(np.count_nonzero(mask))
+    reach = float(cv2.countNonZero(mask))
     if expected is not None:
         mask = _limit_to_extent(weights, mask, window, expected)
     at_edge = (x == 0, y == 0, x + width == image.shape[1], y + height == image.shape[0])
@@ -115,11 +115,13 @@ def target_mask(weights: Image, window: Box) -> NDArray[np.uint8] | None:
     closed = cv2.morphologyEx(likely, cv2.MORPH_CLOSE, CLOSING_KERNEL)
     pieces = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
     large = [piece for piece in pieces if _count_pixels(piece) >= MIN_PIXELS]
-    filled = [_fill(np.zeros_like(weights), [piece]) for piece in large]
+    filled = [_fill(np.zeros(weights.shape, dtype=np.uint8), [piece]) for piece in large]
     held = [_held_pixels(mask, window) for mask in filled]
     most = max(held, default=(0, 0))
     if most[1] == 0:
         return None
+    if len(pieces) == 1:
+        return filled[0]
     main = held.index(most)
     bx, by, bw, bh = cv2.boundingRect(large[main])
     boxes = (cv2.boundingRect(piece) for piece in pieces)
@@ -192,36 +194,38 @@ def _measure_blob(
     bx, by, bw, bh = cv2.boundingRect(mask)
     part = np.s_[by : by + bh, bx : bx + bw]
     colours, inside = hsv[part], mask[part]
-    belief = cv2.bitwise_and(weights[part], inside)
     filled = np.asarray(
         cv2.bitwise_and(cv2.LUT(weights[part], HOLE_WEIGHT), inside), dtype=np.uint8
     )
     moments = cv2.moments(filled)
     total = moments["m00"]
-    middle = np.array([moments["m10"], moments["m01"]]) / total
-    spread = np.array([[moments["mu20"], moments["mu11"]], [moments["mu11"], moments["mu02"]]])
+    x, y = moments["m10"] / total, moments["m01"] / total
+    xx, xy, yy = (moments[name] / total for name in ("mu20", "mu11", "mu02"))
     height, width = mask.shape
-    touched = (bx == 0, by == 0, bx + bw == width, by + bh == height)
-    values = np.cumsum(cv2.calcHist([colours], [2], inside, [256], [0, 256]))
+    left, top, right, bottom = at_edge
+    cut = left and bx == 0 or top and by == 0
+    cut = cut or right and bx + bw == width or bottom and by + bh == height
+    values = cv2.calcHist([colours], [2], inside, [256], [0, 256]).cumsum()
+    area = float(values[-1])
     return Blob(
-        centre=middle + np.array([corner[0] + bx, corner[1] + by]),
-        covariance=_centroid_covariance(filled, middle, total),
-        spread=spread / total,
+        centre=np.array([x + (corner[0] + bx), y + (corner[1] + by)]),
+        covariance=_centroid_covariance(filled, x, y, total),
+        spread=np.array([[xx, xy], [xy, yy]]),
         extent=np.array([bw, bh], dtype=float),
-        area=float(values[-1]),
+        area=area,
         reach=reach,
         box=(corner[0] + bx, corner[1] + by, bw, bh),
-        share=cv2.sumElems(belief)[0] / max(cv2.sumElems(weights)[0], 1.0),
+        share=cv2.mean(weights[part], inside)[0] * area / max(cv2.sumElems(weights)[0], 1.0),
         similarity=model.similarity(colours, inside),
-        value=float(values.searchsorted(values[-1] / 2)),
-        cut=any(a and b for a, b in zip(touched, at_edge, strict=True)),
+        value=float(values.searchsorted(area / 2)),
+        cut=cut,
     )
 
 
-def _centroid_covariance(weights: Image, middle: Array, total: float) -> Array:
+def _centroid_covariance(weights: Image, x: float, y: float, total: float) -> Array:
     """Covariance of the centroid, (2, 2) px²: each pixel is a trial of variance p (1 - p)."""
     trials = cv2.moments(cv2.LUT(weights, TRIAL_VARIANCE))
-    (x, y), m00, m10, m01 = middle.tolist(), trials["m00"], trials["m10"], trials["m01"]
+    m00, m10, m01 = trials["m00"], trials["m10"], trials["m01"]
     xx = (trials["m20"] - 2 * x * m10 + x * x * m00) / total**2 + MIN_NOISE**2
     yy = (trials["m02"] - 2 * y * m01 + y * y * m00) / total**2 + MIN_NOISE**2
     xy = (trials["m11"] - x * m01 - y * m10 + x * y * m00) / total**2

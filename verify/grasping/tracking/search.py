@@ -86,7 +86,7 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
         depth = float(camera.inside(there.position)[2])
         sigma = np.sqrt(np.diag(slope @ there.position_covariance @ slope.T))
         extent = _extent_in_pixels(target.extent, camera.camera, depth)
-        region = camshift.box_around(pixel, 0.75 * extent + WINDOW_SIGMA * sigma + WINDOW_MARGIN_PX)
+        region = camshift.box_around(pixel, 0.6 * extent + WINDOW_SIGMA * sigma + WINDOW_MARGIN_PX)
         blob = camshift.camshift(
             image, camshift.box_around(pixel, 0.5 * extent + sigma), region, model, extent
         )
