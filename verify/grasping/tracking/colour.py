@@ -81,7 +81,7 @@ def to_hsv(bgr: Image) -> Image:
         remedy = "Set the cameras to colour (grey = false); simulated: `verify grab --sim`."
         raise InputError("pictures", "are grey", "a target is identified by its colour", remedy)
     # as one row: what does not fill a vector is converted pixel by pixel, in each row
-    row = np.ascontiguousarray(bgr).reshape(1, -1, 3)
+    row = bgr.reshape(1, -1, 3)
     return np.asarray(cv2.cvtColor(row, cv2.COLOR_BGR2HSV), dtype=np.uint8).reshape(bgr.shape)
 
 
