@@ -69,12 +69,24 @@ class Appearance:
 
     def widen_hidden(self, side: int, raw: RawSighting) -> RawSighting:
         """Widen the covariance of LEDs that have become smaller by how far they may be off."""
-        before = self.width[side, raw.sighting.led]
-        share = raw.width / before
-        usual = min(float(np.fmax.reduce(share, initial=0.0)), 1.0)
-        hidden = share < MIN_WIDTH_SHARE * usual
-        if not np.count_nonzero(hidden):
+        covariance = raw.sighting.covariance
+        widened = widen_narrow(covariance, raw.width, self.width[side, raw.sighting.led])
+        if widened is covariance:
             return raw
-        moved = np.where(hidden, usual * before - raw.width, 0.0)
-        covariance = raw.sighting.covariance + np.square(moved)[:, None, None] * np.eye(2)
-        return replace(raw, sighting=replace(raw.sighting, covariance=covariance))
+        return replace(raw, sighting=replace(raw.sighting, covariance=widened))
+
+
+def widen_narrow(covariance: Array, width: Array, before: Array) -> Array:
+    """Widen the covariance of LEDs that alone of a picture's have become smaller.
+
+    `covariance` (..., n, 2, 2), px², is given back where none has; `width` and that `before`,
+    (..., n), px.
+    """
+    share = width / before
+    usual = np.minimum(np.fmax.reduce(share, axis=-1, keepdims=True, initial=0.0), 1.0)
+    hidden = share < MIN_WIDTH_SHARE * usual
+    if not np.count_nonzero(hidden):
+        return covariance
+    moved = np.where(hidden, usual * before - width, 0.0)
+    wider: Array = covariance + np.square(moved)[..., None, None] * np.eye(2)
+    return wider

@@ -12,11 +12,25 @@ from functools import cached_property, partial
 import numpy as np
 
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Image, Measurement, Pose, Spots, StereoPair, take_rows
+from verify.core.records import (
+    Array,
+    Image,
+    Measurement,
+    Pose,
+    Sighting,
+    Spots,
+    StereoPair,
+    take_rows,
+)
 from verify.core.rig import Camera, Rig
 from verify.measurement.alignment import MAX_GAP, RawSighting, align, raw_sighting
-from verify.measurement.appearance import Appearance, likely_spots
-from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
+from verify.measurement.appearance import MAX_VAGUE_PX, Appearance, likely_spots, widen_narrow
+from verify.measurement.correspondence.assign import (
+    Correspondence,
+    PosePrediction,
+    assign_leds,
+    track_leds,
+)
 from verify.measurement.detection.detect import detect
 from verify.measurement.kernels.entries import ACCELERATION_PER_SPEED, MIN_ACCELERATION, led_boxes
 from verify.measurement.pose import fit_pose, perturb
@@ -179,11 +193,14 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _Assig
         rig, marker = setup.rig, setup.marker
         left = led_windows(marker, rig.left, pair.pan_left, prediction, pair.left)
         right = led_windows(marker, rig.right, pair.pan_right, prediction, pair.right)
-        spots = _detect(pair, setup, (left, right), least)
+        spots = setup.detect(pair, left, right)
+        if (tracked := _track(pair, spots, setup, memory, prediction, least)) is not None:
+            return tracked
+        spots = _likely(spots, least)
         assigned = _assign(pair, spots, setup, memory, prediction, whole_frame=False)
         if _shows_all_leds(assigned, setup):
             return assigned
-    spots = _detect(pair, setup, (None, None), least)
+    spots = _likely(setup.detect(pair, None, None), least)
     # with an LED missing the prediction may follow a reflection: pictures that show the whole
     # marker elsewhere overrule it
     fresh = _assign(pair, spots, setup, memory, None, whole_frame=True)
@@ -192,16 +209,12 @@ def _find_leds(pair: StereoPair, setup: Setup, memory: _Memory | None) -> _Assig
     return _assign(pair, spots, setup, memory, prediction, whole_frame=True)
 
 
-def _detect(
-    pair: StereoPair, setup: Setup, windows: tuple[Array | None, Array | None], least: Array
-) -> tuple[Spots, Spots]:
-    """Find the spots of both pictures that may be LEDs.
+def _likely(spots: tuple[Spots, Spots], least: Array) -> tuple[Spots, Spots]:
+    """Keep the spots of both pictures that may be LEDs.
 
-    `windows` (m, 4) px, None for the whole frame; `least` (2,), DN, peak of an LED in either
-    picture, nan where it is not known.
+    `least` (2,), DN, peak of an LED in either picture, nan where it is not known.
     """
-    left, right = setup.detect(pair, *windows)
-    return likely_spots(left, least[0]), likely_spots(right, least[1])
+    return likely_spots(spots[0], least[0]), likely_spots(spots[1], least[1])
 
 
 def _shows_all_leds(assigned: _AssignedPair, setup: Setup) -> bool:
@@ -209,6 +222,41 @@ def _shows_all_leds(assigned: _AssignedPair, setup: Setup) -> bool:
     leds = assigned.correspondence.left_led, assigned.correspondence.right_led
     measured = assigned.correspondence.status == "measured"
     return measured and min(map(len, leds)) == len(setup.marker)
+
+
+def _track(
+    pair: StereoPair,
+    spots: tuple[Spots, Spots],
+    setup: Setup,
+    memory: _Memory,
+    prediction: PosePrediction,
+    least: Array,
+) -> _AssignedPair | None:
+    """Identify LEDs by the prediction alone; None where that does not suffice."""
+    tracked = track_leds(
+        pair,
+        spots,
+        setup.rig,
+        setup.marker,
+        prediction,
+        likely=(MAX_VAGUE_PX, least),
+        motion_tolerance_px=_motion_px(pair, setup, memory),
+    )
+    if tracked is None:
+        return None
+    found, n, sides = tracked.correspondence, len(setup.marker), []
+    width = tracked.width.reshape(2, n)
+    covariance = widen_narrow(
+        tracked.covariance.reshape(2, n, 2, 2), width, memory.appearance.width
+    )
+    still = np.zeros((n, 2)), np.zeros((n, 3))  # velocity and lever
+    for side, (t, pan) in enumerate(((pair.t_left, pair.pan_left), (pair.t_right, pair.pan_right))):
+        own, (led, _) = slice(n * side, n * side + n), found.sides[side]
+        centre, peak = tracked.centre[own], tracked.peak[own]
+        sighting = Sighting(led, centre, covariance[side], t, pan, peak, *still)
+        sides.append(RawSighting(sighting, tracked.taken[own], tracked.depth[own], width[side]))
+    known = _turn_known(memory, prediction)
+    return _AssignedPair(pair.t_left, pair.frame, found, (sides[0], sides[1]), False, known)
 
 
 def _assign(
@@ -233,10 +281,14 @@ def _assign(
     if memory is not None:
         left = memory.appearance.widen_hidden(0, left)
         right = memory.appearance.widen_hidden(1, right)
-    turned = memory is not None and memory.pose.known_dof == 6  # else its turn was a guess
-    expected = prediction if turned else None
+    expected = _turn_known(memory, prediction)
     sides = left, right
     return _AssignedPair(pair.t_left, pair.frame, correspondence, sides, whole_frame, expected)
+
+
+def _turn_known(memory: _Memory | None, prediction: PosePrediction | None) -> PosePrediction | None:
+    """Give a prediction whose turn rests on spots; else it is a guess."""
+    return prediction if memory is not None and memory.pose.known_dof == 6 else None
 
 
 def _motion_px(pair: StereoPair, setup: Setup, memory: _Memory | None) -> float:

@@ -203,8 +203,8 @@ def _measure_blob(
     xx, xy, yy = (moments[name] / total for name in ("mu20", "mu11", "mu02"))
     height, width = mask.shape
     left, top, right, bottom = at_edge
-    cut = left and bx == 0 or top and by == 0
-    cut = cut or right and bx + bw == width or bottom and by + bh == height
+    cut = (left and bx == 0) or (top and by == 0)
+    cut = cut or (right and bx + bw == width) or (bottom and by + bh == height)
     values = cv2.calcHist([colours], [2], inside, [256], [0, 256]).cumsum()
     area = float(values[-1])
     return Blob(

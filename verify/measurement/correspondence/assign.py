@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Spots
+from verify.core.records import Array, Spots, StereoPair
 from verify.core.rig import Rig
 from verify.measurement.correspondence.hypotheses import (
     Hypotheses,
@@ -37,8 +37,10 @@ from verify.measurement.correspondence.hypotheses import (
     find_triangles,
     seed_hypotheses,
 )
-from verify.measurement.correspondence.kernels.entries import N_STATE, Index
+from verify.measurement.correspondence.kernels import entries as kernel
+from verify.measurement.correspondence.kernels.entries import Index
 from verify.measurement.correspondence.refinement import (
+    chi2_bounds,
     conflicts,
     departure,
     follow_prediction,
@@ -47,7 +49,17 @@ from verify.measurement.correspondence.refinement import (
     refine,
     score,
 )
-from verify.measurement.correspondence.views import SpotViews, prepare_views
+from verify.measurement.correspondence.views import (
+    MODEL_PX,
+    SpotViews,
+    fit_limits,
+    led_sigma,
+    light_of,
+    prepare_views,
+    skew_variance,
+    spot_arrays,
+    stereo_optics,
+)
 
 MAX_PAIRS = 256  # best distances first: bounds the work in a scene of lamps
 MIN_ADVANTAGE = 9.0  # of twice the log evidence: odds of 90 to 1, on noise allowed for generously
@@ -146,8 +158,6 @@ def assign_leds(
     if len(spots[0]) == 0 or len(spots[1]) == 0:
         return _no_result("too_few_leds")
     views = prepare_views(spots, rig, pans, marker, motion_tolerance_px)
-    if prediction is not None and (tracked := _track(views, prediction)) is not None:
-        return _build_result(tracked, 0, prediction.choice)
     found, lone = _find(views, prediction, expected)
     if len(found) == 0:
         return _no_result("too_few_leds")
@@ -168,21 +178,62 @@ def assign_leds(
     return _build_result(found, best, choice)
 
 
-def _track(views: SpotViews, prediction: PosePrediction) -> Hypotheses | None:
+@dataclass(frozen=True, slots=True)
+class TrackedLeds:
+    """All n LEDs in both pictures, as a prediction identifies them: the left picture's first."""
+
+    correspondence: Correspondence
+    centre: Array  # (2 n, 2), px
+    covariance: Array  # (2 n, 2, 2), px²
+    peak: Array  # (2 n,), DN
+    taken: Array  # (2 n,), s, the instant of each
+    depth: Array  # (2 n,), m, rough distance along the optical axis
+    width: Array  # (2 n,), px, full width at half height
+
+
+def track_leds(
+    pair: StereoPair,
+    spots: tuple[Spots, Spots],
+    rig: Rig,
+    marker: Marker,
+    prediction: PosePrediction,
+    *,
+    likely: tuple[float, Array],
+    motion_tolerance_px: float,
+) -> TrackedLeds | None:
     """Follow a prediction without a search; None where a search might find another assignment.
 
-    It cannot where the pair before had no rival, each spot is one LED, and chi² is less than the
-    advantage that another assignment, of chi² 0 at best, would need over this one.
+    It cannot where the pair before had no rival, each LED has a spot in both pictures and each
+    likely spot is one LED, and chi² is less than the advantage that another assignment, of chi² 0
+    at best, would need over this one. `likely`: standard uncertainty beyond which a spot is none,
+    px, and an LED's least peak in either picture, (2,) DN, nan where not known.
     """
-    leds = len(views.leds)
-    if prediction.choice not in ("geometry", "colour") or leds < MIN_TRACKED:
+    if prediction.choice not in ("geometry", "colour") or len(marker) < MIN_TRACKED:
         return None
-    if views.pixels.shape[1] != leds or np.isnan(views.pixels).any() or views.merged.any():
+    optics = stereo_optics(rig.left, rig.right, (pair.pan_left, pair.pan_right))
+    (vague, (left, right)), skew = likely, motion_tolerance_px
+    instants = (
+        (pair.t_left, (pair.left.shape[0] - 1) / 2, rig.left.line_time),
+        (pair.t_right, (pair.right.shape[0] - 1) / 2, rig.right.line_time),
+    )
+    found = kernel.track_leds(
+        (
+            (spot_arrays(spots[0]), spots[0].peak, spots[0].diameter, left, instants[0]),
+            (spot_arrays(spots[1]), spots[1].peak, spots[1].diameter, right, instants[1]),
+        ),
+        optics.arrays,
+        (vague**2, MODEL_PX**2, skew_variance(skew)),
+        (marker.leds, light_of(marker.colours)),
+        fit_limits(led_sigma(marker) * optics.mean_focal, skew),
+        (prediction.rig_T_flange, *prediction.sigmas, skew),
+        (chi2_bounds(len(marker)), MIN_ADVANTAGE),
+    )
+    if found is None:
         return None
-    none = Hypotheses(np.empty((0, N_STATE)), np.empty((0, 2, leds), np.int64))
-    found = follow_prediction(views, none, prediction.rig_T_flange, *prediction.sigmas)
-    whole = len(found) == 1 and (found.spot >= 0).all() and found.chi2.item() < MIN_ADVANTAGE
-    return found if whole else None
+    pose, (left_spot, right_spot), *arrays, rows = found
+    led = np.arange(len(marker))
+    result = Correspondence(led, left_spot, led, right_spot, pose, prediction.choice, "measured")
+    return TrackedLeds(result, *arrays, *rows)
 
 
 def _find(

@@ -29,7 +29,7 @@ def refine(views: SpotViews, hypotheses: Hypotheses) -> Hypotheses:
     """Fit (in place), gather what each pose explains, fit again; drop what fails and doubles."""
     if len(hypotheses) == 0:
         return hypotheses
-    bounds, arrays = _chi2_bounds(len(views.leds)), (hypotheses.state, hypotheses.spot)
+    bounds, arrays = chi2_bounds(len(views.leds)), (hypotheses.state, hypotheses.spot)
     return hypotheses.take(slice(kernel.refine(views.scene, views.limits, *arrays, bounds)))
 
 
@@ -41,13 +41,13 @@ def follow_prediction(
     LEDs that one camera alone sees are looked for anew. `position`, m, and `rotation`, rad: the
     pose's standard uncertainty.
     """
-    bounds, sigmas = _chi2_bounds(len(views.leds)), (position, rotation, views.skew)
+    bounds, sigmas = chi2_bounds(len(views.leds)), (position, rotation, views.skew)
     arrays, pose = (found.state, found.spot), np.array(rig_T_flange, order="C")
     return Hypotheses(*kernel.follow(views.scene, views.limits, arrays, pose, sigmas, bounds))
 
 
 @lru_cache(maxsize=8)
-def _chi2_bounds(leds: int) -> Array:
+def chi2_bounds(leds: int) -> Array:
     """Greatest chi² of an assignment of so many LEDs, by its degrees of freedom from 0."""
     return np.array([0.0, *(chi2_bound(P_REJECT, dof) for dof in range(1, 4 * leds + 1))])
 

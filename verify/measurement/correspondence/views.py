@@ -54,7 +54,17 @@ class SpotViews:
     @property
     def limits(self) -> Limits:
         """What bounds a fit, as compiled functions take it."""
-        return MIN_DEPTH, self.led_play * self.mean_focal, 1 / max(self.skew, MIN_SKEW) ** 2
+        return fit_limits(self.led_play * self.mean_focal, self.skew)
+
+
+def fit_limits(play: float, skew: float) -> Limits:
+    """What bounds a fit: `play`, m px, an LED's times the focal length; `skew`, px."""
+    return MIN_DEPTH, play, 1 / max(skew, MIN_SKEW) ** 2
+
+
+def skew_variance(skew: float) -> float:
+    """Variance of a spot of the right image, px², where the marker may have moved so many px."""
+    return (SKEW_SHARE * skew) ** 2
 
 
 def prepare_views(
@@ -65,33 +75,56 @@ def prepare_views(
     Spots come brightest first; those past the first 48 are left out. `pans`, rad, are readings of
     the bases; `skew`, px: how far LEDs may have moved in the image between the two exposures.
     """
-    matrix, lens, focal, mean_focal, camera_R_rig, center = _optics(rig.left, rig.right, pans)
+    optics = stereo_optics(rig.left, rig.right, pans)
     images = kernel.prepare_images(
-        (_arrays(spots[0]), _arrays(spots[1])),
-        (matrix, lens),
-        (MODEL_PX**2, MERGED_PX**2, (SKEW_SHARE * skew) ** 2),
-        np.array([LED_COLOURS.get(colour or "", kernel.ANY) for colour in marker.colours]),
+        (spot_arrays(spots[0]), spot_arrays(spots[1])),
+        (optics.matrix, optics.lens),
+        (MODEL_PX**2, MERGED_PX**2, skew_variance(skew)),
+        light_of(marker.colours),
         min(max(map(len, spots)), MAX_SPOTS),
     )
-    leds, led_play = np.array(marker.leds, order="C"), led_sigma(marker)
-    return SpotViews(*images, camera_R_rig, center, focal, mean_focal, leds, led_play, skew)
+    placed, leds = optics.arrays[2:], np.array(marker.leds, order="C")
+    return SpotViews(*images, *placed, optics.mean_focal, leds, led_sigma(marker), skew)
 
 
-def _arrays(spots: Spots) -> kernel.ImageSpots:
+def spot_arrays(spots: Spots) -> kernel.ImageSpots:
     """Give an image's spots as the kernel takes them."""
     return spots.centre, spots.covariance, spots.merged, spots.saturated, spots.colour
 
 
+@lru_cache(maxsize=8)
+def light_of(colours: tuple[str | None, ...]) -> kernel.Index:
+    """Give the light of each LED, (n,), as the kernel takes it."""
+    return np.array([LED_COLOURS.get(colour or "", kernel.ANY) for colour in colours])
+
+
+@dataclass(frozen=True, slots=True)
+class StereoOptics:
+    """Left and right camera at their pan readings."""
+
+    matrix: Array  # (2, 3, 3), px
+    lens: Array  # (2, 5)
+    camera_R_rig: Array  # (2, 3, 3)
+    center: Array  # (2, 3), m, optical centres in the rig
+    focal: Array  # (2, 2), px
+    mean_focal: float  # px
+
+    @property
+    def arrays(self) -> tuple[Array, Array, Array, Array, Array]:
+        """All of them, as the kernel takes them."""
+        return self.matrix, self.lens, self.camera_R_rig, self.center, self.focal
+
+
 @lru_cache(maxsize=4)  # two cameras are the same ones for many pairs
-def _optics(
-    left: Camera, right: Camera, pans: tuple[float, float]
-) -> tuple[Array, Array, Array, float, Array, Array]:
-    """Camera matrices, lenses (2, 5), focal lengths, their mean, camera_R_rig, and centres."""
-    matrix, lens = np.array([left.matrix, right.matrix]), [left.distortion, right.distortion]
+def stereo_optics(left: Camera, right: Camera, pans: tuple[float, float]) -> StereoOptics:
+    """Optics of both cameras at pan readings, rad."""
+    matrix = np.array([left.matrix, right.matrix])
+    lens = np.array([left.distortion, right.distortion])
     placed = np.array([left.rig_T_camera(pans[0]), right.rig_T_camera(pans[1])])
     turns = np.ascontiguousarray(np.swapaxes(placed[:, :3, :3], 1, 2))
     focal = np.ascontiguousarray(matrix[:, [0, 1], [0, 1]])
-    return matrix, np.array(lens), focal, float(focal.mean()), turns, placed[:, :3, 3].copy()
+    center = placed[:, :3, 3].copy()
+    return StereoOptics(matrix, lens, turns, center, focal, float(focal.mean()))
 
 
 def led_sigma(marker: Marker) -> float:

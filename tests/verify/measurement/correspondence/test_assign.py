@@ -3,11 +3,10 @@
 import time
 from collections import Counter
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_array_equal
+from numpy.testing import assert_allclose, assert_array_equal
 from scipy.spatial.transform import Rotation
 
 from tests.support.leds.scene import (
@@ -18,7 +17,9 @@ from tests.support.leds.scene import (
     PANS,
     RED,
     ROW,
+    SIZE,
     TWO,
+    Scene,
     hide,
     make_marker,
     make_scene,
@@ -28,9 +29,8 @@ from tests.support.leds.scene import (
     random_leds,
 )
 from tests.support.scene import project
-from verify.core.records import Array
-from verify.measurement.correspondence import assign
-from verify.measurement.correspondence.assign import Hypotheses, PosePrediction
+from verify.core.records import Array, StereoPair
+from verify.measurement.correspondence.assign import PosePrediction, TrackedLeds, track_leds
 
 SEES = 0.005  # m, the least difference between two triangles of LEDs that counts as asymmetric
 
@@ -349,17 +349,21 @@ def test_a_scene_full_of_lamps_on_one_line_takes_bounded_time() -> None:
     assert took < 1.0  # s, several times what it takes on one slow core
 
 
-def test_where_nothing_is_open_the_prediction_alone_gives_what_the_search_gives(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    search, searched = assign.search_assignments, []
+def followed(scene: Scene, past: PosePrediction, least: float = np.nan) -> TrackedLeds | None:
+    black = np.zeros((SIZE[1], SIZE[0]), dtype=np.uint8)
+    return track_leds(
+        StereoPair(0, 1.0, 1.004, *PANS, black, black),
+        scene.spots,
+        scene.rig,
+        scene.marker,
+        past,
+        likely=(1.4, np.full(2, least)),
+        motion_tolerance_px=2.0,
+    )
 
-    def counted(*views: Any, **options: Any) -> Hypotheses:
-        searched.append(trial)
-        return search(*views, **options)
 
-    monkeypatch.setattr(assign, "search_assignments", counted)
-    clear = set()
+def test_where_nothing_is_open_the_prediction_alone_gives_what_the_search_gives() -> None:
+    clear = 0
     for trial in range(120):
         rng = np.random.default_rng(40_000 + trial)
         count, clutter = 3 + trial % 3, trial % 2 * int(rng.integers(1, 4))
@@ -370,12 +374,49 @@ def test_where_nothing_is_open_the_prediction_alone_gives_what_the_search_gives(
         own = scene.identify(past)
         if own.choice != "geometry":
             continue
-        searched.clear()
-        found = scene.identify(replace(past, choice="geometry"))
-        if not searched:
-            clear.add(trial)
-            assert clutter == 0
+        assert followed(scene, past) is None  # nothing says that the pair before had no rival
+        tracked = followed(scene, replace(past, choice="geometry"))
+        if tracked is None:
+            continue
+        clear += 1
+        assert clutter == 0
+        found = tracked.correspondence
         for name in ("left_led", "left_spot", "right_led", "right_spot", "rig_T_flange"):
             assert_array_equal(getattr(found, name), getattr(own, name))
         assert (found.choice, found.status) == ("geometry", "measured")
-    assert len(clear) > 40
+    assert clear > 40
+
+
+def test_tracked_leds_are_gathered_each_at_its_own_instant_and_what_is_no_led_is_left_out() -> None:
+    rng = np.random.default_rng(7)
+    plain = make_scene(rng, random_leds(rng, 4, SEES))
+    rig = replace(plain.rig, left=replace(plain.rig.left, line_time=2e-5))
+    past = PosePrediction(plain.rig_T_flange, 0.005, 0.05, "geometry")
+    dim = (make_spots(np.array([[300.0, 200.0]]), np.array([GREY])), 20.0)
+    vague = (replace(dim[0], covariance=4.0 * np.eye(2)[None]), 200.0)
+    sides = []
+    for spots in plain.spots:
+        extra = [replace(spot, peak=np.array([peak])) for spot, peak in (dim, vague)]
+        own = replace(spots, peak=np.linspace(220.0, 150.0, 4), diameter=np.linspace(4.0, 5.0, 4))
+        names = ("centre", "covariance", "peak", "diameter", "merged", "saturated", "colour")
+        parts = (extra[1], own, extra[0])
+        sides.append(
+            replace(own, **{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
+        )
+    scene = replace(plain, rig=rig, spots=(sides[0], sides[1]))
+    assert followed(scene, past) is None  # a dim spot is one more where no peak is known
+    tracked = followed(scene, past, least=60.0)
+    assert tracked is not None
+    found = tracked.correspondence
+    for side, (first, (led, spot)) in enumerate(zip((0, 4), found.sides, strict=True)):
+        assert_array_equal(led, np.arange(4))
+        assert_array_equal(spot, plain.spot_of_led[side])
+        own, camera = slice(first, first + 4), (rig.left, rig.right)[side]
+        for name, kept in (("centre", tracked.centre), ("covariance", tracked.covariance),
+                           ("peak", tracked.peak), ("diameter", tracked.width)):  # fmt: skip
+            assert_array_equal(kept[own], getattr(scene.spots[side], name)[1 + spot])
+        rows = tracked.centre[own, 1] - 359.5
+        assert_allclose(tracked.taken[own], (1.0, 1.004)[side] + rows * camera.line_time)
+        points = scene.marker.leds @ plain.rig_T_flange[:3, :3].T + plain.rig_T_flange[:3, 3]
+        inverse = np.linalg.inv(camera.rig_T_camera(PANS[side]))
+        assert_allclose(tracked.depth[own], points @ inverse[2, :3] + inverse[2, 3], rtol=0.01)

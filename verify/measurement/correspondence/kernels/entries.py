@@ -18,6 +18,9 @@ Scene = tuple[Array, Array, Array, Array, Array, Flags, Flags, Array]
 Limits = tuple[float, float, float]
 # centres (m, 2) px, covariance (m, 2, 2) px², merged (m,), saturated (m,) and colour (m, 3)
 ImageSpots = tuple[Array, Array, Flags, Flags, Array]
+# the same, peaks (m,) DN and diameters (m,) px; least peak of an LED, DN, nan where not known; s,
+# the instant of a row, that row, px, and s a row
+PictureSpots = tuple[ImageSpots, Array, Array, float, tuple[float, float, float]]
 
 # Where the figures of a hypothesis stand in its row, and how many there are: as in fit.h
 POSITION, SHIFT, CHI2, N_STATE = 9, 12, 20, 85
@@ -33,6 +36,7 @@ _list_triangles = entry("list_triangles")
 _begin_poses = entry("begin_poses")
 _refine = entry("refine")
 _follow = entry("follow")
+_track_leds = entry("track_leds")
 _count_all = entry("count_all")
 _departures_of_all = entry("departures_of_all")
 _prepare_images = entry("prepare_images")
@@ -166,6 +170,41 @@ def follow(
         *_numbers(scene), *limits, len(found[0]), *found, rig_T_flange, *sigmas, bounds, state, spot
     )
     return state[:count], spot[:count]
+
+
+def track_leds(
+    pictures: tuple[PictureSpots, PictureSpots],
+    optics: tuple[Array, Array, Array, Array, Array],
+    model: tuple[float, float, float],
+    marker: tuple[Array, Index],
+    limits: Limits,
+    prediction: tuple[Array, float, float, float],
+    bounds: tuple[Array, float],
+) -> tuple[Array, Index, Array, Array, Array] | None:
+    """Follow a prediction to two pictures' spots, if each LED has one and each likely spot is one.
+
+    `optics`: camera matrices (2, 3, 3), px, lenses (2, 5), camera_R_rig (2, 3, 3), centres (2, 3),
+    m, and focal lengths (2, 2), px; `model`: px², variance of a coordinate beyond which no spot is
+    likely, of a spot beside its noise, and of the right image's in addition; `marker`: LEDs (n, 3),
+    m, flange frame, and their light as in `prepare_images`; `prediction`: rig_T_flange (4, 4) and
+    sigmas as in `begin_poses`; `bounds`: as in `refine`, and a chi² that tracked LEDs do not reach.
+
+    Returns:
+        rig_T_flange (4, 4); spots (2, n), among the likely ones; of the LEDs, those of the left
+        picture first, centres (2 n, 2), px, covariance (2 n, 2, 2), px², and in rows (4, 2 n) peak,
+        DN, instant, s, depth along the optical axis, m, and width, px. None: not tracked.
+    """
+    n, (matrix, lens, *placed) = len(marker[0]), optics
+    pose, spot = np.empty((4, 4)), np.empty((2, n), np.int64)
+    centre, covariance, rows = np.empty((2 * n, 2)), np.empty((2 * n, 2, 2)), np.empty((4, 2 * n))
+    (one, *left, left_rows), (other, *right, right_rows) = pictures
+    vague, *variance = model
+    found = _track_leds(
+        len(one[0]), *one, *left, *left_rows, len(other[0]), *other, *right, *right_rows,
+        vague, matrix, lens, *placed, *variance, n, *marker, *limits, *prediction, *bounds,
+        pose, spot, centre, covariance, rows,
+    )  # fmt: skip
+    return (pose, spot, centre, covariance, rows) if found else None
 
 
 def count_all(spot: Index) -> Index:

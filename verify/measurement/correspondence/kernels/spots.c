@@ -9,6 +9,8 @@
  * poses explain: Gauss-Newton steps on pose and shift with the spots held, and the choice of spots
  * with the pose held. Hypotheses that come to the same spots are one.
  */
+#include "verify/measurement/correspondence/kernels/spots.h"
+
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
 #include "verify/measurement/correspondence/kernels/fit.h"
@@ -302,6 +304,14 @@ static int64_t follow(const Scene *scene, int64_t others, Rows at, const double 
     fit_all(scene, 1 + others, at.state, at.spot, 2);
     int64_t followed = settle(scene, 1, at, bounds);
     return keep_followed(at, followed, settle(scene, others, rest, bounds));
+}
+
+int64_t follow_alone(const Scene *scene, const double *rig_T_flange, const double *sigmas,
+                     const double *bounds, double *state, int64_t *spot)
+{
+    Rows at = {scene->n_leds, state, spot};
+    begin_following(0, at, rig_T_flange, sigmas, at);
+    return follow(scene, 0, at, bounds);
 }
 
 /* Measure how far the LEDs of a hypothesis are from where a reference pose (4, 4) has them: by how

@@ -3,6 +3,8 @@
  * A spot's ideal pixel is its own, the lens undone by Newton's method, from the principal point. It
  * may be an LED unless their colours clearly differ.
  */
+#include "verify/measurement/correspondence/kernels/views.h"
+
 #include "verify/core/kernels/camera.h"
 #include "verify/core/kernels/linear_algebra.h"
 
@@ -13,15 +15,6 @@ enum { BLUE, GREEN, RED, WHITE, ANY };
 #define MIN_HUE_CONTRAST 0.3
 #define MAX_STEPS 30  /* quadratic convergence: three or four suffice for any sane lens */
 #define TOL_STEP 1e-9 /* the next step would be about the square of this one: below rounding */
-
-/* m spots: centres (m, 2) px, covariance (m, 2, 2) px^2; which are merged, saturated (m,); colour
- * (m, 3). */
-typedef struct {
-    int64_t count;
-    const double *centre, *noise;
-    const bool *merged, *saturated;
-    const double *colour;
-} ImageSpots;
 
 /* Invert in place OpenCV's distortion k1, k2, p1, p2, k3 (5,) by Newton's method, as
  * `rig.undistort`. */
@@ -66,19 +59,9 @@ static int hue_of(const double *colour)
     return clear ? most : WHITE;
 }
 
-/* Fill in one image's spots, the first `most` of them, or fewer where there are no more.
- *
- * `matrix` (3, 3), px, and `lens` (5,) of the camera. `beside`, px^2: variance beside the noise;
- * `dragged`: that of a merged spot in addition. `light` (n,), of each LED: BLUE to ANY. Filled:
- * `pixels` (most, 2), ideal px, NaN where there is no spot; `covariance` (most, 2, 2), px^2;
- * `merged` (most,); `allowed` (n, most): this spot may be that LED.
- *
- * Only clear contradictions count. A spot with no clear hue may be white, infrared (cameras show it
- * whitish or violet) or, where saturated, any overexposed LED; in a grey image every spot may be
- * any LED. */
-static void prepare_image(ImageSpots spots, const double *matrix, const double *lens, double beside,
-                          double dragged, int64_t n_leds, const int64_t *light, int64_t most,
-                          double *pixels, double *covariance, bool *merged, bool *allowed)
+void prepare_image(ImageSpots spots, const double *matrix, const double *lens, double beside,
+                   double dragged, int64_t n_leds, const int64_t *light, int64_t most,
+                   double *pixels, double *covariance, bool *merged, bool *allowed)
 {
     bool grey = is_grey(spots.count, spots.colour);
     for (int64_t k = 0; k < most; k++) {
