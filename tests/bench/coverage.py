@@ -33,9 +33,9 @@ from tests.support.leds.truth import led_images
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory
 from verify.analysis.session import analyse
-from verify.core.records import Array, Sighting, StereoPair
-from verify.core.rig import Camera
-from verify.measurement.alignment import RawSighting
+from verify.core.records import Array, StereoPair
+from verify.core.rig import Rig
+from verify.measurement.alignment import AlignedSightings, RawSightings
 from verify.measurement.chain import Setup, measure
 from verify.simulation.scenario import Occlusion, Scenario
 from verify.simulation.world.led_render import Renderer
@@ -45,7 +45,7 @@ ARMS = ("iust_6r", "rv_3sd_melfa")
 SESSIONS = 100
 PAIRS = 40
 STANDARD_ERROR = 0.007
-Around = Sequence[RawSighting | None]
+Around = Sequence[RawSightings | None]
 KINDS = 40  # sessions with --classes
 MAX_DRAWS = 2000  # of a session of the classes asked for
 MAX_RMS_RATIO = 1.1
@@ -196,15 +196,21 @@ def _known_motion(session: _Kept) -> Array:
     """Joints of the same pictures less the true ones, (n, j), where the motion is known."""
     played = session.simulated
 
-    def carry(now: RawSighting, _around: Around, t: float, camera: Camera, **_: object) -> Sighting:
-        side, row = int(camera is played.rig.right), int(np.argmin(np.abs(played.t[:, 0] - t)))
-        there, then, soon = (
-            led_images(played.world, side, float(moment), played.true_pan[row, side])
-            for moment in (t, played.t[row, side], t + INSTANT)
-        )
-        led, velocity = now.sighting.led, (soon - there) / INSTANT  # predicts the next pair
-        centre = now.sighting.centre + (there - then)[led]
-        return replace(now.sighting, centre=centre, velocity=velocity[led], t=t)
+    def carry(
+        now: RawSightings, _around: Around, t: float, _rig: Rig, **_: object
+    ) -> AlignedSightings:
+        row = int(np.argmin(np.abs(played.t[:, 0] - t)))
+        centre, velocity = now.centre.copy(), np.zeros_like(now.centre)
+        for side, own in enumerate(now.sides):
+            there, then, soon = (
+                led_images(played.world, side, float(moment), played.true_pan[row, side])
+                for moment in (t, played.t[row, side], t + INSTANT)
+            )
+            led = now.led[own]
+            centre[own] += (there - then)[led]
+            velocity[own] = ((soon - there) / INSTANT)[led]  # predicts the next pair
+        lever = np.zeros((len(now), 3))
+        return AlignedSightings(now, t, centre, now.covariance, velocity, lever)
 
     off = np.full_like(session.truth, np.nan)
     with pytest.MonkeyPatch.context() as patch:

@@ -72,7 +72,6 @@ def spot_stack(rig: Rig, centres: list[Array], t: Array, pan: Array, sigma: floa
         pan=pan[order],
         camera_T_rig=camera_T_rig[order],
         used=np.ones(len(pair), dtype=bool),
-        sightings=(),
     )
 
 

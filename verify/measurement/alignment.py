@@ -21,24 +21,67 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array, Sighting, Spots
-from verify.core.rig import Camera
-from verify.measurement.kernels.entries import SpotView, carry_to_instant
+from verify.core.records import Array, Sighting, Spots, take_rows
+from verify.core.rig import Camera, Rig
+from verify.measurement.kernels.entries import SpotView, align_spots
 
 # Beyond such a gap between two pairs the motion at either is unknown: single visits, at rest.
 MAX_GAP = 1.5  # s
-TOL_INSTANT = 1e-9  # s, closer than any camera's clock
-NOTHING: SpotView = (np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0))
+NOTHING: SpotView = (
+    0, np.zeros(0, np.int64), np.zeros((0, 2)), np.zeros((0, 2, 2)), np.zeros(0)
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)
-class RawSighting:
-    """One camera's LEDs, each at its own instant."""
+class RawSightings:
+    """LEDs in both pictures of a pair, the left one's first, each at its own instant."""
 
-    sighting: Sighting
-    taken: Array  # (m,), s, the instant of each spot (differs by row with a rolling shutter)
-    depth: Array  # (m,), m, rough distance along the optical axis
-    width: Array  # (m,), px, full width at half height; nan where it may not be the LED's alone
+    led: NDArray[np.int64]  # (s,), index into marker.leds
+    centre: Array  # (s, 2), px, distorted
+    covariance: Array  # (s, 2, 2), px²
+    peak: Array  # (s,), DN
+    taken: Array  # (s,), s, the instant of each spot (differs by row with a rolling shutter)
+    depth: Array  # (s,), m, rough distance along the optical axis
+    width: Array  # (s,), px, full width at half height; nan where it may not be the LED's alone
+    left: int  # spots of the left picture
+    instants: tuple[float, float]  # s, of the pictures' middle rows, left and right
+    pans: tuple[float, float]  # rad, as read
+
+    def __len__(self) -> int:
+        return len(self.led)
+
+    @property
+    def sides(self) -> tuple[slice, slice]:
+        """Rows of the left picture and of the right one."""
+        return slice(0, self.left), slice(self.left, len(self.led))
+
+    def take(self, keep: NDArray[np.bool_]) -> "RawSightings":
+        """Keep some of the spots, (s,)."""
+        return replace(take_rows(self, keep), left=int(np.count_nonzero(keep[: self.left])))
+
+
+@dataclass(frozen=True, slots=True)
+class AlignedSightings:
+    """LEDs in both pictures of a pair, the left one's first, at one instant."""
+
+    raw: RawSightings
+    t: float  # s
+    centre: Array  # (s, 2), px, distorted
+    covariance: Array  # (s, 2, 2), px²
+    velocity: Array  # (s, 2), px/s
+    lever: Array  # (s, 3), s², s³, s⁴
+
+    @property
+    def sides(self) -> tuple[Sighting, Sighting]:
+        """The left picture's, and the right one's."""
+        left, right = (
+            Sighting(
+                self.raw.led[own], self.centre[own], self.covariance[own], self.t, pan,
+                self.raw.peak[own], self.velocity[own], self.lever[own],
+            )
+            for own, pan in zip(self.raw.sides, self.raw.pans, strict=True)
+        )  # fmt: skip
+        return left, right
 
 
 def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array:
@@ -47,64 +90,78 @@ def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array
     return t + rows * camera.line_time
 
 
-def raw_sighting(
-    spots: Spots,
-    led: NDArray[np.int64],
-    index: NDArray[np.int64],
-    camera: Camera,
-    instant: tuple[float, float, int],
-    depth: Array,
-) -> RawSighting:
-    """Gather one camera's assigned spots, by their index, each at its own instant.
+def raw_sightings(
+    spots: tuple[Spots, Spots],
+    found: tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...],
+    rig: Rig,
+    taken: tuple[tuple[float, float], tuple[float, float], int],
+    depths: tuple[Array, Array],
+) -> RawSightings:
+    """Gather both cameras' assigned spots, each at its own instant.
 
-    `instant`: the middle row's, s, the pan reading, rad, and the picture's height, px.
+    `found`: LEDs and their spots, of the left picture and of the right one; `taken`: the middle
+    rows' instants, s, the pan readings, rad, and the pictures' height, px; `depths`, m, of each.
     """
-    (t, pan, height), centre = instant, spots.centre[index]
-    still = np.zeros((len(index), 2)), np.zeros((len(index), 3))  # velocity and lever
-    sighting = Sighting(led, centre, spots.covariance[index], t, pan, spots.peak[index], *still)
-    width = np.where(spots.merged[index], np.nan, spots.diameter[index])
-    return RawSighting(sighting, spot_instants(t, centre, camera, height), depth, width)
+    (instants, pans, height), cameras = taken, (rig.left, rig.right)
+    seen = [take_rows(own, index) for own, (_, index) in zip(spots, found, strict=True)]
+    times = [
+        spot_instants(t, own.centre, camera, height)
+        for t, own, camera in zip(instants, seen, cameras, strict=True)
+    ]
+    widths = [np.where(own.merged, np.nan, own.diameter) for own in seen]
+    return RawSightings(
+        led=np.concatenate([led for led, _ in found]),
+        centre=np.concatenate([own.centre for own in seen]),
+        covariance=np.concatenate([own.covariance for own in seen]),
+        peak=np.concatenate([own.peak for own in seen]),
+        taken=np.concatenate(times),
+        depth=np.concatenate(depths),
+        width=np.concatenate(widths),
+        left=len(seen[0]),
+        instants=instants,
+        pans=pans,
+    )
 
 
 def align(
-    now: RawSighting,
-    around: Sequence[RawSighting | None],
+    now: RawSightings,
+    around: Sequence[RawSightings | None],
     t: float,
-    camera: Camera,
+    rig: Rig,
     *,
     alone: bool = False,
-) -> Sighting | None:
-    """Carry one camera's spots, as sighted `now`, to the instant `t`, s, of the pair.
+) -> AlignedSightings | None:
+    """Carry a pair's spots, as sighted `now`, to the instant `t`, s, of the pair.
 
-    `around`: the same camera's sightings in the pairs before, after, and before the one before;
-    None where there is none. `alone`: the pair is a single visit, far in time from its neighbours:
-    taken as standing still. Gives None where the sighting has to be moved and no neighbour shows
-    how.
+    `around`: the sightings of the pairs before, after, and before the one before; None where there
+    is none. `alone`: the pair is a single visit, far in time from its neighbours: taken as standing
+    still. Gives None where spots have to be moved and no neighbour shows how.
     """
     if alone:
-        return replace(now.sighting, t=t)
-    sighting = now.sighting
-    views = [_view(other, sighting.pan, camera) for other in around]
-    matched, centre, covariance, velocity, lever = carry_to_instant(
-        _view(now, sighting.pan, camera), (views[0], views[1], views[2]), t
-    )
-    if matched:
-        return Sighting(
-            sighting.led, centre, covariance, t, sighting.pan, sighting.peak, velocity, lever
-        )
-    at_once = np.all(np.abs(t - now.taken) < TOL_INSTANT)
-    return replace(sighting, t=t) if at_once else None
+        still = np.zeros((len(now), 2)), np.zeros((len(now), 3))
+        return AlignedSightings(now, t, now.centre, now.covariance, *still)
+    one, two, three = (_view(other, now.pans, rig) for other in around)
+    aligned, *carried = align_spots(_view(now, now.pans, rig), (one, two, three), t)
+    return AlignedSightings(now, t, *carried) if aligned else None
 
 
-def _view(raw: RawSighting | None, pan: float, camera: Camera) -> SpotView:
-    """A sighting as the kernel takes it, as the pan angle `pan` would show it."""
+def _view(raw: RawSightings | None, pans: tuple[float, float], rig: Rig) -> SpotView:
+    """Sightings as the kernel takes them, as the pan angles, rad, would show them."""
     if raw is None:
         return NOTHING
-    sighting, centre = raw.sighting, raw.sighting.centre
-    if sighting.pan != pan:
-        one = np.ones((len(sighting), 1))
-        rays = np.concatenate([camera.normalise(centre), one], axis=1)
-        points = np.concatenate([rays * raw.depth[:, None], one], axis=1)
-        now_T_then = camera.camera_T_rig(pan) @ camera.rig_T_camera(sighting.pan)
-        centre = camera.project((points @ now_T_then.T)[:, :3])
-    return sighting.led, centre, sighting.covariance, raw.taken
+    centre = raw.centre if raw.pans == pans else _turn(raw, pans, rig)
+    return raw.left, raw.led, centre, raw.covariance, raw.taken
+
+
+def _turn(raw: RawSightings, pans: tuple[float, float], rig: Rig) -> Array:
+    """Centres (s, 2), px, as other pan angles, rad, would show them."""
+    turned = []
+    for own, camera, then, pan in zip(
+        raw.sides, (rig.left, rig.right), raw.pans, pans, strict=True
+    ):
+        one = np.ones((len(raw.led[own]), 1))
+        rays = np.concatenate([camera.normalise(raw.centre[own]), one], axis=1)
+        points = np.concatenate([rays * raw.depth[own, None], one], axis=1)
+        now_T_then = camera.camera_T_rig(pan) @ camera.rig_T_camera(then)
+        turned.append(camera.project((points @ now_T_then.T)[:, :3]))
+    return np.concatenate(turned)

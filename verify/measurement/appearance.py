@@ -10,13 +10,13 @@ Widths are compared as far as they have changed alike: an arm that slows down le
 Each LED is remembered for either picture, as its brightness and width fade.
 """
 
-from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from verify.core.records import Array, Spots, take_rows
-from verify.measurement.alignment import RawSighting
+from verify.measurement.alignment import RawSightings
 
 # Standard uncertainty of a spot that may be an LED. Texture of a room gives blobs of 1 to 4 px,
 # which fit wherever an LED may be; a limit of 1 px loses LEDs of which half is hidden.
@@ -58,35 +58,27 @@ class Appearance:
         """Peak of what may be an LED in either picture, (2,), DN; nan: not known."""
         return np.asarray(MIN_PEAK_SHARE * self.peak.min(axis=1))
 
-    def after(self, sides: Iterable[RawSighting]) -> "Appearance":
-        """The appearance once a pair's LEDs are seen, those of the left picture and the right."""
-        peak, width = PEAK_FADING * self.peak, WIDTH_FADING * self.width
-        for side, raw in enumerate(sides):
-            led = raw.sighting.led
-            peak[side, led] = np.minimum(raw.sighting.peak, SENSOR_LIMIT_DN)
-            width[side, led] = np.fmax(width[side, led], raw.width)
+    def after(self, raw: RawSightings) -> "Appearance":
+        """The appearance once a pair's LEDs are seen."""
+        peak, width, at = PEAK_FADING * self.peak, WIDTH_FADING * self.width, self._places(raw)
+        peak.flat[at] = np.minimum(raw.peak, SENSOR_LIMIT_DN)
+        width.flat[at] = np.fmax(width.flat[at], raw.width)
         return Appearance(peak, width)
 
-    def widen_hidden(self, side: int, raw: RawSighting) -> RawSighting:
+    def widen_hidden(self, raw: RawSightings) -> RawSightings:
         """Widen the covariance of LEDs that have become smaller by how far they may be off."""
-        covariance = raw.sighting.covariance
-        widened = widen_narrow(covariance, raw.width, self.width[side, raw.sighting.led])
-        if widened is covariance:
+        before, moved = self.width.flat[self._places(raw)], np.zeros(len(raw))
+        for own in raw.sides:
+            share = raw.width[own] / before[own]
+            usual = min(float(np.fmax.reduce(share, initial=0.0)), 1.0)
+            hidden = share < MIN_WIDTH_SHARE * usual
+            moved[own][hidden] = (usual * before[own] - raw.width[own])[hidden]
+        if not np.count_nonzero(moved):
             return raw
-        return replace(raw, sighting=replace(raw.sighting, covariance=widened))
+        return replace(raw, covariance=raw.covariance + np.square(moved)[:, None, None] * np.eye(2))
 
-
-def widen_narrow(covariance: Array, width: Array, before: Array) -> Array:
-    """Widen the covariance of LEDs that alone of a picture's have become smaller.
-
-    `covariance` (..., n, 2, 2), px², is given back where none has; `width` and that `before`,
-    (..., n), px.
-    """
-    share = width / before
-    usual = np.minimum(np.fmax.reduce(share, axis=-1, keepdims=True, initial=0.0), 1.0)
-    hidden = share < MIN_WIDTH_SHARE * usual
-    if not np.count_nonzero(hidden):
-        return covariance
-    moved = np.where(hidden, usual * before - width, 0.0)
-    wider: Array = covariance + np.square(moved)[..., None, None] * np.eye(2)
-    return wider
+    def _places(self, raw: RawSightings) -> NDArray[np.int64]:
+        """Where a pair's LEDs stand, (s,), in the flattened arrays."""
+        at = raw.led.copy()
+        at[raw.left :] += self.peak.shape[1]
+        return at

@@ -17,14 +17,18 @@ from verify.core.records import (
     Image,
     Measurement,
     Pose,
-    Sighting,
     Spots,
     StereoPair,
-    take_rows,
 )
 from verify.core.rig import Camera, Rig
-from verify.measurement.alignment import MAX_GAP, RawSighting, align, raw_sighting
-from verify.measurement.appearance import MAX_VAGUE_PX, Appearance, likely_spots, widen_narrow
+from verify.measurement.alignment import (
+    MAX_GAP,
+    AlignedSightings,
+    RawSightings,
+    align,
+    raw_sightings,
+)
+from verify.measurement.appearance import MAX_VAGUE_PX, Appearance, likely_spots
 from verify.measurement.correspondence.assign import (
     Correspondence,
     PosePrediction,
@@ -33,7 +37,7 @@ from verify.measurement.correspondence.assign import (
 )
 from verify.measurement.detection.detect import detect
 from verify.measurement.kernels.entries import ACCELERATION_PER_SPEED, MIN_ACCELERATION, led_boxes
-from verify.measurement.pose import fit_pose, perturb
+from verify.measurement.pose import SightingStack, camera_rows, fit_stack, perturb
 from verify.measurement.systematics import Systematics, spot_columns, stated_systematics
 
 MARGIN_PX = 8.0  # about an LED in its window: for blur and halo, beside its diameter as stated
@@ -117,7 +121,7 @@ class _AssignedPair:
     pair_t: float
     frame: int
     correspondence: Correspondence
-    sides: tuple[RawSighting, RawSighting]  # left and right
+    raw: RawSightings
     whole_frame: bool
     prediction: PosePrediction | None  # of all six degrees of freedom
 
@@ -244,19 +248,21 @@ def _track(
     )
     if tracked is None:
         return None
-    found, n, sides = tracked.correspondence, len(setup.marker), []
-    width = tracked.width.reshape(2, n)
-    covariance = widen_narrow(
-        tracked.covariance.reshape(2, n, 2, 2), width, memory.appearance.width
+    found, n = tracked.correspondence, len(setup.marker)
+    raw = RawSightings(
+        led=np.concatenate([found.left_led, found.right_led]),
+        centre=tracked.centre,
+        covariance=tracked.covariance,
+        peak=tracked.peak,
+        taken=tracked.taken,
+        depth=tracked.depth,
+        width=tracked.width,
+        left=n,
+        instants=(pair.t_left, pair.t_right),
+        pans=(pair.pan_left, pair.pan_right),
     )
-    still = np.zeros((n, 2)), np.zeros((n, 3))  # velocity and lever
-    for side, (t, pan) in enumerate(((pair.t_left, pair.pan_left), (pair.t_right, pair.pan_right))):
-        own, (led, _) = slice(n * side, n * side + n), found.sides[side]
-        centre, peak = tracked.centre[own], tracked.peak[own]
-        sighting = Sighting(led, centre, covariance[side], t, pan, peak, *still)
-        sides.append(RawSighting(sighting, tracked.taken[own], tracked.depth[own], width[side]))
-    known = _turn_known(memory, prediction)
-    return _AssignedPair(pair.t_left, pair.frame, found, (sides[0], sides[1]), False, known)
+    raw, known = memory.appearance.widen_hidden(raw), _turn_known(memory, prediction)
+    return _AssignedPair(pair.t_left, pair.frame, found, raw, False, known)
 
 
 def _assign(
@@ -277,13 +283,11 @@ def _assign(
         expected=partial(setup.expected, pair.t_left),
         motion_tolerance_px=_motion_px(pair, setup, memory),
     )
-    left, right = (_raw_sighting(pair, spots, setup, correspondence, side) for side in (0, 1))
+    raw = _raw_sightings(pair, spots, setup, correspondence)
     if memory is not None:
-        left = memory.appearance.widen_hidden(0, left)
-        right = memory.appearance.widen_hidden(1, right)
+        raw = memory.appearance.widen_hidden(raw)
     expected = _turn_known(memory, prediction)
-    sides = left, right
-    return _AssignedPair(pair.t_left, pair.frame, correspondence, sides, whole_frame, expected)
+    return _AssignedPair(pair.t_left, pair.frame, correspondence, raw, whole_frame, expected)
 
 
 def _turn_known(memory: _Memory | None, prediction: PosePrediction | None) -> PosePrediction | None:
@@ -304,22 +308,21 @@ def _motion_px(pair: StereoPair, setup: Setup, memory: _Memory | None) -> float:
     return MIN_MOTION_PX + 2 * skew * focal * speed / depth
 
 
-def _raw_sighting(
-    pair: StereoPair,
-    spots: tuple[Spots, Spots],
-    setup: Setup,
-    correspondence: Correspondence,
-    side: int,
-) -> RawSighting:
-    """One camera's assigned spots, each at its own instant."""
-    camera, (led, index) = (setup.rig.left, setup.rig.right)[side], correspondence.sides[side]
-    t, pan = ((pair.t_left, pair.pan_left), (pair.t_right, pair.pan_right))[side]
-    depth = np.empty(0)
-    if correspondence.rig_T_flange is not None and len(index):
+def _raw_sightings(
+    pair: StereoPair, spots: tuple[Spots, Spots], setup: Setup, correspondence: Correspondence
+) -> RawSightings:
+    """Both cameras' assigned spots, each at its own instant."""
+    pans, rig, depths = (pair.pan_left, pair.pan_right), setup.rig, []
+    for camera, pan, (led, _) in zip(
+        (rig.left, rig.right), pans, correspondence.sides, strict=True
+    ):
+        if correspondence.rig_T_flange is None:
+            depths.append(np.empty(0))
+            continue
         ahead = camera.camera_T_rig(pan)[2] @ correspondence.rig_T_flange  # the optical axis
-        depth = setup.marker.leds[led] @ ahead[:3] + ahead[3]
-    instant = t, pan, (pair.left, pair.right)[side].shape[0]
-    return raw_sighting(spots[side], led, index, camera, instant, depth)
+        depths.append(setup.marker.leds[led] @ ahead[:3] + ahead[3])
+    taken = (pair.t_left, pair.t_right), pans, pair.left.shape[0]
+    return raw_sightings(spots, correspondence.sides, rig, taken, (depths[0], depths[1]))
 
 
 def _measure_causally(
@@ -332,7 +335,7 @@ def _measure_causally(
     if pose is None or not pose.consistent:
         return _CausalPair(assigned, kept, around, measurement, None)
     before = Appearance.unknown(len(setup.marker)) if memory is None else memory.appearance
-    now = _Memory(measurement, pose, before.after(kept.sides))
+    now = _Memory(measurement, pose, before.after(kept.raw))
     return _CausalPair(assigned, kept, around, measurement, now)
 
 
@@ -359,21 +362,19 @@ def _fit(
     if found.status != "measured" or found.rig_T_flange is None:
         return result(found.status)
     near = [p if p and not _beyond_gap(assigned, p) else None for p in around]
-    sides = []
-    for side, camera in enumerate((setup.rig.left, setup.rig.right)):
-        now = assigned.sides[side]
-        seen = [p.sides[side] if p else None for p in near]
-        aligned = align(now, seen, assigned.pair_t, camera, alone=not any(near[:2]))
-        sides.append(aligned if len(now.sighting) else now.sighting)
-    left, right = sides
-    if left is None or right is None:
+    seen = [p.raw if p else None for p in near]
+    aligned = align(assigned.raw, seen, assigned.pair_t, setup.rig, alone=not any(near[:2]))
+    if aligned is None:
         return result("unaligned")
+    left, right = aligned.sides
     columns = partial(spot_columns, setup.parameters, setup.rig, setup.marker, left, right)
     where = assigned.prediction
     expected = None if where is None else (where.rig_T_flange, where.rotation_uncertainty)
-    views = left, right, setup.rig, setup.marker
     try:
-        pose = fit_pose(*views, found.rig_T_flange, columns, expected=expected)
+        pose = fit_stack(
+            _stack(aligned, setup), setup.rig, setup.marker, found.rig_T_flange, columns,
+            expected=expected,
+        )  # fmt: skip
     except np.linalg.LinAlgError:  # spots that contradict each other so much that no step is finite
         return result("outlier")
     good = pose.consistent and not pose.reprojection_rms_px > MAX_REPROJECTION_PX
@@ -381,16 +382,19 @@ def _fit(
     return result(status, pose=pose, left=left, right=right)
 
 
+def _stack(aligned: AlignedSightings, setup: Setup) -> SightingStack:
+    raw, rig = aligned.raw, setup.rig
+    return SightingStack(
+        raw.led, setup.marker.leds[raw.led], aligned.centre, aligned.covariance, aligned.velocity,
+        aligned.lever, camera_rows(rig.left, rig.right, *raw.pans), raw.left,
+    )  # fmt: skip
+
+
 def _without_rejected(assigned: _AssignedPair, pose: Pose) -> _AssignedPair:
     """Leave out spots that the pose fit rejected: the next pair must not rest on them."""
     if not np.count_nonzero(pose.rejected):
         return assigned
-    kept = np.split(~pose.rejected, [len(assigned.sides[0].sighting)])
-    left, right = (
-        replace(take_rows(raw, rows), sighting=take_rows(raw.sighting, rows))
-        for raw, rows in zip(assigned.sides, kept, strict=True)
-    )
-    return replace(assigned, sides=(left, right))
+    return replace(assigned, raw=assigned.raw.take(~pose.rejected))
 
 
 def _predict(memory: _Memory | None, t: float) -> PosePrediction | None:

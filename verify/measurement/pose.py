@@ -73,13 +73,13 @@ def stack_sightings(left: Sighting, right: Sighting, rig: Rig, points: Array) ->
         np.concatenate([left.covariance, right.covariance]),
         np.concatenate([left.velocity, right.velocity]),
         np.concatenate([left.lever, right.lever]),
-        _camera_rows(rig.left, rig.right, left.pan, right.pan),
+        camera_rows(rig.left, rig.right, left.pan, right.pan),
         len(left),
     )
 
 
 @lru_cache(maxsize=16)
-def _camera_rows(left: Camera, right: Camera, pan_left: float, pan_right: float) -> Array:
+def camera_rows(left: Camera, right: Camera, pan_left: float, pan_right: float) -> Array:
     """Both cameras, as `SightingStack` has them; kept, as a pair is fitted more than once."""
     placed = (left, left.camera_T_rig(pan_left)), (right, right.camera_T_rig(pan_right))
     return np.array(
@@ -112,16 +112,31 @@ def fit_pose(
     uncertainty of its turn, rad, helps to choose, and what stays open widens the covariance.
     """
     views = stack_sightings(left, right, rig, marker.leds)
+    return fit_stack(views, rig, marker, start, parameter_columns, expected=expected)
+
+
+def fit_stack(
+    views: SightingStack,
+    rig: Rig,
+    marker: Marker,
+    start: Array,
+    parameter_columns: ParameterColumns | None = None,
+    *,
+    expected: tuple[Array, float] | None = None,
+) -> Pose:
+    """`fit_pose` for sightings of the marker that are stacked already."""
     keep = np.ones(len(views.centre), dtype=np.bool_)
     sigmas = marker.centre_shift_standard_uncertainty or 0, marker.led_standard_uncertainty or 0
-    tolerance = _tolerance(rig.left, rig.right, (len(left), len(right)), sigmas)
+    counts = views.left, len(views.centre) - views.left
+    tolerance = _tolerance(rig.left, rig.right, counts, sigmas)
     while True:
-        fit, doubt = _likelier_fit(views, keep, start, marker.leds, expected)
-        worst, size, sound = _judge(fit, tolerance)
+        fit, doubt = _likelier_fit(views, keep, start, marker.leds, tolerance, expected)
+        worst, size, agree = fit.judgement
+        sound = agree and size < MAX_SPOT_CHI2
         if not sound and parameter_columns is not None:
             columns = parameter_columns(fit.rig_T_flange, fit.predicted[1])
             tolerance, parameter_columns = tolerance + columns @ columns.T, None
-            worst, size, sound = _judge(fit, tolerance)
+            continue
         kept = int(np.count_nonzero(keep))
         last = kept <= MIN_SPOTS or len(keep) - kept >= len(keep) // 3
         if last or size < MAX_SPOT_CHI2:
@@ -156,6 +171,7 @@ class _PoseFit:
 
     rows: NDArray[np.int64]  # (2 k,), which of the coordinates are those of kept spots
     rig_T_flange: Array  # (4, 4)
+    judgement: kernel.Judgement  # under the tolerance
     predicted: tuple[Array, Array, Array]  # residual, derivatives by the point and by the pose
     spread: Array  # (2, 2 s, 2 s), covariance from pixels and from alignment
     gain: Array  # (6, 2 s), 0 for spots that are not kept
@@ -166,11 +182,21 @@ class _PoseFit:
     figures: tuple[Array, Array, Array, float]  # of `kernels.entries.fit_covariances`
 
 
-def _gauss_newton(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> _PoseFit:
+def _gauss_newton(
+    views: SightingStack, keep: NDArray[np.bool_], start: Array, tolerance: Array
+) -> _PoseFit:
     pose = np.array(start, dtype=float, order="C")
     spots = views.covariance, views.velocity, views.lever
     rows = keep.repeat(2).nonzero()[0]
-    return _PoseFit(rows, pose, *kernel.fit_spots(views.places, views.centre, spots, rows, pose))
+    limits = tolerance, _chi2_bounds(2 * len(views.centre))
+    found = kernel.fit_spots(views.places, views.centre, spots, rows, pose, limits)
+    return _PoseFit(rows, pose, *found)
+
+
+@lru_cache(maxsize=16)
+def _chi2_bounds(count: int) -> Array:
+    """Greatest chi² of spots that do not contradict each other, by degrees of freedom from 0."""
+    return np.array([np.inf, *(chi2_bound(P_CONTRADICTION, n) for n in range(1, count + 1))])
 
 
 def _likelier_fit(
@@ -178,13 +204,14 @@ def _likelier_fit(
     keep: NDArray[np.bool_],
     start: Array,
     leds: Array,
+    tolerance: Array,
     expected: tuple[Array, float] | None,
 ) -> tuple[_PoseFit, Array | None]:
     """Fit from a start, or from the second pose that explains the spots if that is likelier.
 
     Gives too what a choice between both adds to the pose's covariance, (6, 6); None: no choice.
     """
-    fit = _gauss_newton(views, keep, start)
+    fit = _gauss_newton(views, keep, start, tolerance)
     if len(fit.rows) == 4 * views.left == 4 * len(leds):  # both images show the whole marker
         return fit, None
     left, right = np.split(views.led, [views.left])
@@ -193,7 +220,7 @@ def _likelier_fit(
     if second is None:
         return fit, None
     try:
-        rival = _gauss_newton(views, keep, second)
+        rival = _gauss_newton(views, keep, second, tolerance)
     except np.linalg.LinAlgError:
         return fit, None
     more = _unlikelihood(rival, expected) - _unlikelihood(fit, expected)
@@ -278,17 +305,6 @@ def _tolerance(
     # half a metre: nearer than LEDs are watched, so the bound is generous
     variance = MODEL_ERROR_PX**2 + np.square(focal / 0.5) * (sigmas[0] ** 2 + sigmas[1] ** 2)
     return np.diag(np.repeat(variance, 2))
-
-
-def _judge(fit: _PoseFit, tolerance: Array) -> tuple[int, float, bool]:
-    """The kept spot that fits worst, its chi², and whether all are what noise and such reach."""
-    freedom = len(fit.rows) - int(np.count_nonzero(fit.directions[1]))
-    bound = chi2_bound(P_CONTRADICTION, freedom) if freedom > 0 else np.inf
-    chi2 = fit.figures[3], bound
-    worst, size, agree = kernel.judge_fit(
-        fit.predicted, fit.spread, fit.gain, fit.rows, tolerance, chi2
-    )
-    return worst, size, agree and size < MAX_SPOT_CHI2
 
 
 def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool, doubt: Array | None) -> Pose:

@@ -2,35 +2,50 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
-from tests.support.scene import make_rig, project, sighting
+from tests.support.scene import make_rig, project
 from verify.core.records import Array, Sighting
 from verify.core.rig import Camera
-from verify.measurement.alignment import RawSighting, align, spot_instants
+from verify.measurement.alignment import RawSightings, align, spot_instants
 
-CAMERA = make_rig().left
+RIG = make_rig()
+CAMERA = RIG.left
 SIGMA = 0.02  # px
-WIDTH = np.full(3, 4.0)  # px
 
 
 def raw(
     centre: Array, t: float, leds: list[int] | None = None, pan: float = 0.0, depth: float = 0.6
-) -> RawSighting:
-    m = len(centre)
-    seen = sighting(leds or list(range(m)), centre, SIGMA, t, pan)
-    return RawSighting(seen, np.full(m, t), np.full(m, depth), np.full(m, 4.0))
+) -> RawSightings:
+    """Spots of the left picture, and the same again of the right one."""
+    m, own = len(centre), leds or list(range(len(centre)))
+    return RawSightings(
+        led=np.array(own * 2),
+        centre=np.concatenate([centre, centre]),
+        covariance=np.tile(SIGMA**2 * np.eye(2), (2 * m, 1, 1)),
+        peak=np.full(2 * m, 180.0),
+        taken=np.full(2 * m, t),
+        depth=np.full(2 * m, depth),
+        width=np.full(2 * m, 4.0),
+        left=m,
+        instants=(t, t),
+        pans=(pan, pan),
+    )
 
 
 def carried(
-    now: RawSighting, *neighbours: RawSighting, t: float = 1.0, alone: bool = False
+    now: RawSightings, *neighbours: RawSightings, t: float = 1.0, alone: bool = False
 ) -> Sighting:
+    """Align both pictures; the left one's."""
     late = [n for n in neighbours if n.taken[0] > now.taken[0]]
     early = [n for n in neighbours if n.taken[0] < now.taken[0]]
     around = [*early[:1], *[None] * (not early), *late, *[None] * (not late), *early[1:]]
-    aligned = align(now, [*around, None][:3], t, CAMERA, alone=alone)
+    aligned = align(now, [*around, None][:3], t, RIG, alone=alone)
     assert aligned is not None
-    return aligned
+    left, right = aligned.sides
+    if now.pans == (0.0, 0.0):
+        assert_allclose(right.centre, left.centre, atol=1e-9)
+    return left
 
 
 START = np.array([[600.0, 300.0], [700.0, 420.0], [500.0, 350.0]])
@@ -108,7 +123,8 @@ def test_a_base_that_turned_between_the_pairs_is_not_taken_for_a_motion_of_the_a
     now = raw(project(CAMERA, turned, points), 1.02, pan=turned)
     inverse = np.linalg.inv(CAMERA.rig_T_camera(CAMERA.pan))
     depth = points @ inverse[2, :3] + inverse[2, 3]
-    before = replace(raw(project(CAMERA, CAMERA.pan, points), 0.953, pan=CAMERA.pan), depth=depth)
+    before = raw(project(CAMERA, CAMERA.pan, points), 0.953, pan=CAMERA.pan)
+    before = replace(before, depth=np.tile(depth, 2))
     assert_allclose(carried(now, before).velocity, 0, atol=1e-6)
 
 
@@ -116,8 +132,35 @@ def test_with_a_rolling_shutter_each_spot_has_the_instant_of_its_row() -> None:
     camera: Camera = replace(CAMERA, line_time=2e-5)
     instants = spot_instants(1.0, START, camera, 720)
     assert_allclose(instants, 1.0 + (START[:, 1] - 359.5) * 2e-5)
-    now = RawSighting(raw(START, 1.0).sighting, instants, np.full(3, 0.6), WIDTH)
-    earlier = START - SPEED * 0.067
-    before = RawSighting(raw(earlier, 0.933).sighting, instants - 0.067, np.full(3, 0.6), WIDTH)
+    taken = np.tile(instants, 2)
+    now = replace(raw(START, 1.0), taken=taken)
+    before = replace(raw(START - SPEED * 0.067, 0.933), taken=taken - 0.067)
     aligned = carried(now, before)
     assert_allclose(aligned.centre, START - SPEED * (instants - 1.0)[:, None], atol=1e-9)
+
+
+def test_spots_that_have_to_be_moved_need_a_neighbour_that_shows_one_of_them() -> None:
+    now, other = raw(START, 1.02), raw(START, 0.953, leds=[3, 4, 5])
+    for before in (None, other):
+        assert align(now, [before, None, None], 1.0, RIG) is None
+        there = align(now, [before, None, None], 1.02, RIG)
+        assert there is not None
+        assert_array_equal(there.centre, now.centre)
+        assert_array_equal(there.covariance, now.covariance)
+        assert not there.velocity.any()
+        assert not there.lever.any()
+    # each picture by itself: the right one is not moved by what the left one shows
+    halved = replace(raw(START, 0.953), led=np.array([0, 1, 2, 3, 4, 5]))
+    assert align(now, [halved, None, None], 1.0, RIG) is None
+
+
+def test_a_picture_without_leds_is_aligned() -> None:
+    def left_alone(one: RawSightings) -> RawSightings:
+        return one.take(np.arange(6) < 3)
+
+    before = left_alone(raw(START - SPEED * 0.067, 0.953))
+    aligned = align(left_alone(raw(START, 1.02)), [before, None, None], 1.0, RIG)
+    assert aligned is not None
+    left, right = aligned.sides
+    assert_allclose(left.centre, START - SPEED * 0.02, atol=1e-9)
+    assert (len(left), len(right)) == (3, 0)

@@ -1,17 +1,14 @@
 """LEDs that have become smaller or dimmer than when they were last seen."""
 
-from dataclasses import replace
-
 import msgspec
 import numpy as np
 from numpy.testing import assert_allclose
 
 from robots.transforms import difference
 from tests.bench.coverage import before_a_room
-from tests.support.scene import sighting
 from tests.support.simulated import in_memory, marker_of, scene
 from verify.core.records import Array
-from verify.measurement.alignment import RawSighting
+from verify.measurement.alignment import RawSightings
 from verify.measurement.appearance import WIDTH_FADING, Appearance
 from verify.measurement.chain import Setup, measure
 from verify.simulation.scenario import Occlusion, ScenarioRecording
@@ -20,32 +17,49 @@ SIGMA = 0.02  # px
 CENTRES = np.array([[100.0, 200.0], [300.0, 220.0], [200.0, 400.0]])
 
 
-def seen(width: list[float], peak: float = 180.0) -> RawSighting:
+def seen(width: list[float], right: list[float] | None = None) -> RawSightings:
+    """LEDs of these widths in the left picture, and in the right one the same or others."""
+    widths = (width, width if right is None else right)
     n = len(width)
-    raw = sighting(list(range(n)), CENTRES[:n], SIGMA, 0.0, 0.0)
-    raw = replace(raw, peak=np.full(n, peak))
-    return RawSighting(raw, np.zeros(n), np.full(n, 0.6), np.array(width))
+    return RawSightings(
+        led=np.array([*range(n), *range(len(widths[1]))], dtype=np.int64),
+        centre=np.concatenate([CENTRES[: len(own)] for own in widths]),
+        covariance=np.tile(SIGMA**2 * np.eye(2), (n + len(widths[1]), 1, 1)),
+        peak=np.full(n + len(widths[1]), 180.0),
+        taken=np.zeros(n + len(widths[1])),
+        depth=np.full(n + len(widths[1]), 0.6),
+        width=np.concatenate(widths),
+        left=n,
+        instants=(0.0, 0.0),
+        pans=(0.0, 0.0),
+    )
 
 
-def after(*pairs: RawSighting) -> Appearance:
+def after(*pairs: RawSightings) -> Appearance:
     appearance = Appearance.unknown(3)
     for raw in pairs:
-        appearance = appearance.after((raw, raw))
+        appearance = appearance.after(raw)
     return appearance
 
 
-def added(appearance: Appearance, raw: RawSighting) -> Array:
-    """Standard deviation that is added along either axis, (n, 2), px."""
-    widened = appearance.widen_hidden(0, raw).sighting.covariance
-    return np.sqrt(np.diagonal(widened, axis1=1, axis2=2) - SIGMA**2)
+def added(appearance: Appearance, raw: RawSightings) -> Array:
+    """Standard deviation that is added along either axis, (n, 2), px, in the left picture."""
+    widened = appearance.widen_hidden(raw).covariance
+    return np.sqrt(np.diagonal(widened, axis1=1, axis2=2) - SIGMA**2)[: raw.left]
 
 
 def test_an_led_that_alone_has_become_smaller_is_as_uncertain_as_its_width_has_lost() -> None:
     """A disc of 5 px behind an edge that hides 2 px: its middle is 1 px off, its mean width 4."""
     appearance = after(seen([5.0, 5.0, 5.2]))
     assert_allclose(added(appearance, seen([4.0, 5.1, 5.2])), [[1, 1], [0, 0], [0, 0]], atol=0.1)
-    assert np.array_equal(appearance.widen_hidden(1, seen([4.8, 5.0, 5.0])).sighting.covariance,
-                          seen([4.8, 5.0, 5.0]).sighting.covariance)  # fmt: skip
+    alike = seen([4.8, 5.0, 5.0])
+    assert appearance.widen_hidden(alike) is alike
+    # in one picture alone: the other one's are left alone
+    left, right = np.split(
+        appearance.widen_hidden(seen([4.0, 5.1, 5.2], [5.0, 5, 5])).covariance, 2
+    )
+    assert left[0, 0, 0] > 0.9
+    assert np.array_equal(right, alike.covariance[3:])
 
 
 def test_leds_that_all_become_smaller_are_whole() -> None:

@@ -374,7 +374,7 @@ def test_spots_whose_fit_takes_no_finite_step_are_an_outlier(
         raise np.linalg.LinAlgError
 
     rig, marker = facing_rig()
-    monkeypatch.setattr(chain, "fit_pose", diverge)
+    monkeypatch.setattr(chain, "fit_stack", diverge)
     with without_pictures():
         found = list(measure(SpotRun(rig, marker, 15.0).pairs(0.3), Setup(rig, marker)))
     assert {(m.status, m.pose) for m in found} == {("outlier", None)}

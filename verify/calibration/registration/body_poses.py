@@ -10,8 +10,8 @@ from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.led_tracks import PairSpots, max_motion_px
 from verify.core.fiducials import Marker, unnamed_marker
 from verify.core.records import Array, Pose, Sighting
-from verify.core.rig import Camera, Rig
-from verify.measurement.alignment import MAX_GAP, RawSighting, align, raw_sighting
+from verify.core.rig import Rig
+from verify.measurement.alignment import MAX_GAP, RawSightings, align, raw_sightings
 from verify.measurement.correspondence.assign import Correspondence, PosePrediction, assign_leds
 from verify.measurement.pose import fit_pose, perturb
 
@@ -30,7 +30,7 @@ class BodyPose:
     """One pair with its LEDs assigned."""
 
     spots: PairSpots
-    raw: tuple[RawSighting, RawSighting]  # left and right, every spot at its own instant
+    raw: RawSightings
     aligned: tuple[Sighting, Sighting]  # at the left camera's instant
     pose: Pose  # of the body, "flange" meaning the body's own frame
     diameter: float  # m, of an LED, by the width of its image
@@ -58,7 +58,7 @@ def body_poses(
     return leds, _fit_poses(assigned, rig, marker)
 
 
-AssignedPair = tuple[PairSpots, Correspondence, tuple[RawSighting, RawSighting]]
+AssignedPair = tuple[PairSpots, Correspondence, RawSightings]
 
 
 def _assign_leds(pairs: Sequence[PairSpots], rig: Rig, marker: Marker) -> list[AssignedPair]:
@@ -74,12 +74,11 @@ def _assign_leds(pairs: Sequence[PairSpots], rig: Rig, marker: Marker) -> list[A
         if identified.status != "measured" or identified.rig_T_flange is None:
             memory = None
             continue
-        raw = _raw(now, 0, identified, rig.left), _raw(now, 1, identified, rig.right)
         pose, twist = identified.rig_T_flange, np.zeros(6)
         if memory is not None and now.t[0] - memory[0] <= MAX_GAP:
             twist = difference(pose, memory[1]) / (now.t[0] - memory[0])
         memory = (now.t[0], pose, twist)
-        found.append((now, identified, raw))
+        found.append((now, identified, _raw(now, identified, rig)))
     return found
 
 
@@ -99,14 +98,15 @@ def _predict(memory: tuple[float, Array, Array], t: float) -> PosePrediction | N
     )
 
 
-def _raw(now: PairSpots, side: int, found: Correspondence, camera: Camera) -> RawSighting:
+def _raw(now: PairSpots, found: Correspondence, rig: Rig) -> RawSightings:
     assert found.rig_T_flange is not None
-    camera_T_rig = camera.camera_T_rig(now.pan[side])
-    ahead = camera_T_rig[2, :3] @ found.rig_T_flange[:3, 3] + camera_T_rig[2, 3]
-    led, index = found.sides[side]
-    depth = np.full(len(index), ahead)  # rough: for bases that turn between two pairs
-    instant = now.t[side], now.pan[side], now.height
-    return raw_sighting(now.spots[side], led, index, camera, instant, depth)
+    depths = []  # rough: for bases that turn between two pairs
+    for camera, pan, (led, _) in zip((rig.left, rig.right), now.pan, found.sides, strict=True):
+        camera_T_rig = camera.camera_T_rig(pan)
+        ahead = camera_T_rig[2, :3] @ found.rig_T_flange[:3, 3] + camera_T_rig[2, 3]
+        depths.append(np.full(len(led), ahead))
+    taken = now.t, now.pan, now.height
+    return raw_sightings(now.spots, found.sides, rig, taken, (depths[0], depths[1]))
 
 
 def _pose(i: int, found: list[AssignedPair], rig: Rig, marker: Marker) -> BodyPose | None:
@@ -116,18 +116,15 @@ def _pose(i: int, found: list[AssignedPair], rig: Rig, marker: Marker) -> BodyPo
         found[k][2] if 0 <= k < len(found) and abs(found[k][0].t[0] - now.t[0]) <= MAX_GAP else None
         for k in (i - 1, i + 1, i - 2)
     ]
-    alone = not any(around)
-    left, right = (
-        align(raw[side], [n[side] if n else None for n in around], now.t[0], camera, alone=alone)
-        for side, camera in enumerate((rig.left, rig.right))
-    )
-    if left is None or right is None or identified.rig_T_flange is None:
+    aligned = align(raw, around, now.t[0], rig, alone=all(one is None for one in around))
+    if aligned is None or identified.rig_T_flange is None:
         return None
+    left, right = aligned.sides
     pose = fit_pose(left, right, rig, marker, identified.rig_T_flange)
     if pose.known_dof < 6 or not pose.consistent:
         return None
     width = np.median(now.spots[0].diameter[identified.left_spot])
-    depth = float(np.median(raw[0].depth))
+    depth = float(np.median(raw.depth[: raw.left]))
     diameter = float(width) * depth / float(rig.left.matrix[0, 0])
     return BodyPose(now, raw, (left, right), pose, diameter)
 

@@ -25,7 +25,7 @@ import robots
 from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.body_poses import BodyPose
 from verify.core.readings import MAX_GAP, Readings
-from verify.core.records import Array, Sighting
+from verify.core.records import Array
 from verify.core.rig import Camera, Rig, distort_with_jacobian
 from verify.measurement.pose import perturb
 
@@ -128,7 +128,6 @@ class SpotStack:
     pan: Array  # (s,), rad
     camera_T_rig: Array  # (s, 4, 4)
     used: NDArray[np.bool_]  # (s,)
-    sightings: tuple[tuple[Sighting, Sighting], ...]  # n, where the spots came from
 
     def __len__(self) -> int:
         """Count the pairs."""
@@ -137,23 +136,23 @@ class SpotStack:
 
 def stack_spots(poses: Sequence[BodyPose], rig: Rig) -> SpotStack:
     """Stack the spots of all pairs."""
-    raws = [raw for one in poses for raw in one.raw]  # of each pair left, then right
-    seen, sizes = [raw.sighting for raw in raws], [len(raw.sighting) for raw in raws]
+    raws = [one.raw for one in poses]
+    sizes = [size for raw in raws for size in (raw.left, len(raw) - raw.left)]
+    pans = [pan for raw in raws for pan in raw.pans]  # of each pair left, then right
     cameras = (rig.left, rig.right) * len(poses)
-    placed = [camera.camera_T_rig(s.pan) for camera, s in zip(cameras, seen, strict=True)]
-    view = np.repeat(np.arange(len(raws)), sizes)
+    placed = [camera.camera_T_rig(pan) for camera, pan in zip(cameras, pans, strict=True)]
+    view = np.repeat(np.arange(len(sizes)), sizes)
     return SpotStack(
         pair=view // 2,
         frame=np.array([one.spots.frame for one in poses], dtype=np.int64),
         side=view % 2,
-        led=np.concatenate([s.led for s in seen]),
-        centre=np.concatenate([s.centre for s in seen]),
-        covariance=np.concatenate([s.covariance for s in seen]),
+        led=np.concatenate([raw.led for raw in raws]),
+        centre=np.concatenate([raw.centre for raw in raws]),
+        covariance=np.concatenate([raw.covariance for raw in raws]),
         t=np.concatenate([raw.taken for raw in raws]),
-        pan=np.array([s.pan for s in seen])[view],
+        pan=np.array(pans)[view],
         camera_T_rig=np.array(placed)[view],
         used=np.concatenate([~one.pose.rejected for one in poses]),
-        sightings=tuple((one.raw[0].sighting, one.raw[1].sighting) for one in poses),
     )
 
 

@@ -102,11 +102,11 @@ def _camera_change(rig: Rig, side: str, key: str, adjusted: AdjustedRegistration
     which = ("left", "right").index(side)
     camera = (rig.left, rig.right)[which]
     pixels = np.zeros_like(predicted.residual)
-    for i, sightings in enumerate(spotted.sightings):
+    for i in range(len(spotted)):
         mine = (spotted.pair == i) & (spotted.side == which)
         if mine.any():
             pixels[mine] = camera_derivatives(
-                (key,), camera, sightings[which].pan, predicted.points_camera[mine],
+                (key,), camera, float(spotted.pan[mine][0]), predicted.points_camera[mine],
                 predicted.points_rig[mine], predicted.by_point[mine],
             )[0]  # fmt: skip
     return pixels

@@ -15,6 +15,7 @@
 #include "verify/core/kernels/scratch.h"
 
 #define N_VIEWS 4 /* now, before, after, before the one before */
+#define TOL_INSTANT 1e-9 /* s, closer than any camera's clock */
 
 typedef struct { /* n spots of one picture */
     int64_t n;
@@ -150,14 +151,56 @@ static int64_t carry_to_instant(const View *view, double t, const Carried *to)
     return count;
 }
 
-/* Of the views now, before, after and before the one before; filled: `Carried`, of the first. */
-int64_t entry_carry_to_instant(
-    int64_t n, const int64_t *led, const double *centre, const double *covariance,
-    const double *taken, int64_t n1, const int64_t *led1, const double *centre1,
-    const double *covariance1, const double *taken1, int64_t n2, const int64_t *led2,
-    const double *centre2, const double *covariance2, const double *taken2, int64_t n3,
-    const int64_t *led3, const double *centre3, const double *covariance3, const double *taken3,
-    double t, double *place, double *spread, double *velocity, double *lever)
+/* Align one picture's spots as above; where no neighbour shows any of them, those that were taken at
+ * the instant stay as they are. False where they were not. */
+static bool align_side(const View *view, double t, const Carried *to)
+{
+    if (view->n == 0 || carry_to_instant(view, t, to) > 0)
+        return true;
+    copy(to->centre, view->centre, 2 * view->n);
+    copy(to->covariance, view->covariance, 4 * view->n);
+    clear(to->velocity, 2 * view->n);
+    clear(to->lever, 3 * view->n);
+    for (int64_t i = 0; i < view->n; i++)
+        if (!(fabs(t - view->taken[i]) < TOL_INSTANT))
+            return false;
+    return true;
+}
+
+/* The spots of the left picture, the first `left` of the n, or those of the right one. */
+static View side_of(View both, int64_t left, int side)
+{
+    int64_t first = side ? left : 0;
+    return (View){side ? both.n - left : left, both.led + first, both.centre + 2 * first,
+                  both.covariance + 4 * first, both.taken + first};
+}
+
+/* Align both pictures' spots, `left` (4,) of each view those of the left one. */
+static int64_t align_spots(const View *view, const int64_t *left, double t, Carried to)
+{
+    bool aligned = true;
+    for (int side = 0; side < 2; side++) {
+        View seen[N_VIEWS];
+        int64_t first = side ? left[0] : 0;
+        Carried part = {to.centre + 2 * first, to.covariance + 4 * first, to.velocity + 2 * first,
+                        to.lever + 3 * first};
+        for (int v = 0; v < N_VIEWS; v++)
+            seen[v] = side_of(view[v], left[v], side);
+        aligned = align_side(seen, t, &part) && aligned;
+    }
+    return aligned;
+}
+
+/* Of the views now, before, after and before the one before, each with its spots of the left picture
+ * first; filled: `Carried`, of the first. */
+int64_t entry_align_spots(
+    int64_t n, int64_t left, const int64_t *led, const double *centre, const double *covariance,
+    const double *taken, int64_t n1, int64_t left1, const int64_t *led1, const double *centre1,
+    const double *covariance1, const double *taken1, int64_t n2, int64_t left2,
+    const int64_t *led2, const double *centre2, const double *covariance2, const double *taken2,
+    int64_t n3, int64_t left3, const int64_t *led3, const double *centre3,
+    const double *covariance3, const double *taken3, double t, double *place, double *spread,
+    double *velocity, double *lever)
 {
     View view[N_VIEWS] = {
         {n, led, centre, covariance, taken},
@@ -166,7 +209,7 @@ int64_t entry_carry_to_instant(
         {n3, led3, centre3, covariance3, taken3},
     };
     Carried to = {place, spread, velocity, lever};
-    GUARDED(carry_to_instant(view, t, &to));
+    GUARDED(align_spots(view, (int64_t[]){left, left1, left2, left3}, t, to));
 }
 
 int64_t merge_boxes(int64_t n, double *boxes)

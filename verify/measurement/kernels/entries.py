@@ -8,8 +8,12 @@ from verify.core.records import Array
 
 Flags = NDArray[np.bool_]
 Index = NDArray[np.int64]
-# LED (m,), centre (m, 2) px, covariance (m, 2, 2) px², instant (m,) s of one picture's spots
-SpotView = tuple[Index, Array, Array, Array]
+# how many of a pair's s spots are the left picture's, which come first; their LED (s,), centre (s,
+# 2) px, covariance (s, 2, 2) px², instant (s,) s
+SpotView = tuple[int, Index, Array, Array, Array]
+# the kept spot that fits worst, its residual in its own uncertainty, squared, and whether the kept
+# ones agree as a whole
+Judgement = tuple[int, float, bool]
 SpotPlaces = tuple[Array, Array, int]  # as `predict_spots` takes them
 
 # As in directions.h and pose.c
@@ -22,35 +26,34 @@ MIN_ACCELERATION = (0.02, 0.1)  # m/s², rad/s²: a slow arm still starts and st
 MIDDLE, FOCAL, LENS, MOTION = range(4)
 LED, SHIFT, TURN = range(3)
 
-_carry_to_instant = entry("carry_to_instant")
+_align_spots = entry("align_spots")
 _led_boxes = entry("led_boxes")
 _predict_spots = entry("predict_spots")
 _move_pose = entry("move_pose")
 _fit_spots = entry("fit_spots")
-_judge_fit = entry("judge_fit")
 _place_leds = entry("place_leds")
 _fill_by_camera = entry("fill_by_camera")
 _fill_by_body = entry("fill_by_body")
 
 
-def carry_to_instant(
+def align_spots(
     now: SpotView, around: tuple[SpotView, SpotView, SpotView], t: float
-) -> tuple[int, Array, Array, Array, Array]:
-    """Carry m spots to an instant t, s, by what neighbouring pictures show of their LEDs.
+) -> tuple[bool, Array, Array, Array, Array]:
+    """Carry s spots to an instant t, s, by what neighbouring pairs show of their LEDs.
 
     LEDs that no neighbour shows move like the others, with their spread as uncertainty. `around`:
-    the spots of the pictures before, after, and before the one before, which counts only beside
-    one of the others; empty where there is none.
+    the spots of the pairs before, after, and before the one before, which counts only beside one of
+    the others; empty where there is none.
 
-    Gives how many LEDs a neighbour shows too, without which nothing else is of use; centre (m, 2);
-    covariance (m, 2, 2); velocity (m, 2), px/s; levers (m, 3), s², s³, s⁴.
+    Gives whether all are aligned: not where spots have to be moved and no neighbour shows how;
+    centre (s, 2); covariance (s, 2, 2); velocity (s, 2), px/s; levers (s, 3), s², s³, s⁴.
     """
-    m, (one, two, three) = len(now[0]), around
-    views = m, *now, len(one[0]), *one, len(two[0]), *two, len(three[0]), *three
-    place, spread = np.empty((m, 2)), np.empty((m, 2, 2))
-    velocity, lever = np.empty((m, 2)), np.empty((m, 3))
-    count = _carry_to_instant(*views, t, place, spread, velocity, lever)
-    return count, place, spread, velocity, lever
+    s, (one, two, three) = len(now[1]), around
+    views = s, *now, len(one[1]), *one, len(two[1]), *two, len(three[1]), *three
+    place, spread = np.empty((s, 2)), np.empty((s, 2, 2))
+    velocity, lever = np.empty((s, 2)), np.empty((s, 3))
+    aligned = _align_spots(*views, t, place, spread, velocity, lever)
+    return bool(aligned), place, spread, velocity, lever
 
 
 def led_boxes(
@@ -97,7 +100,9 @@ def fit_spots(
     spots: tuple[Array, Array, Array],
     rows: Index,
     pose: Array,
+    limits: tuple[Array, Array],
 ) -> tuple[
+    Judgement,
     tuple[Array, Array, Array],
     Array,
     Array,
@@ -111,17 +116,19 @@ def fit_spots(
 
     `places`: what `predict_spots` needs after the pose; `centre` (s, 2), px, as measured; `spots`:
     covariance (s, 2, 2) px², velocity (s, 2) px/s and the levers (s, 3) of acceleration, jerk and
-    snap, s², s³, s⁴; `rows` (2 k,), those of the spots that count.
+    snap, s², s³, s⁴; `rows` (2 k,), those of the spots that count; `limits`: what
+    spots may be off beside their noise, (2 s, 2 s) px², and the greatest chi² (2 s + 1,) that
+    noise, motion and this reach, by degrees of freedom.
 
     Returns:
-        Residual (s, 2) px, and the derivatives of the spots by the point (s, 2, 3) and by the pose
-        (s, 2, 6), before the last step; covariance of the spots from the pixels and from motion
-        that is not known, (2, 2 s, 2 s); the gain (6, 2 s), d pose / d spot, 0 for spots that do
-        not count; the directions of `covariance_of`, (6, 6) and (6,); the twist (6,), m/s and
-        rad/s; the acceleration assumed, a component, m/s² and rad/s²; the image acceleration of
-        that twist, corrected for, (s, 2), px/s²; the pose's covariances (6, 6) by the pixels' noise
-        and by motion that is not known, the spots' uncertainty (s,), px, by both, and the
-        residuals' chi².
+        The judgement; residual (s, 2) px, and the derivatives of the spots by the point (s, 2, 3)
+        and by the pose (s, 2, 6), before the last step; covariance of the spots from the pixels and
+        from motion that is not known, (2, 2 s, 2 s); the gain (6, 2 s), d pose / d spot, 0 for
+        spots that do not count; the directions of `covariance_of`, (6, 6) and (6,); the twist (6,),
+        m/s and rad/s; the acceleration assumed, a component, m/s² and rad/s²; the image
+        acceleration of that twist, corrected for, (s, 2), px/s²; the pose's covariances (6, 6) by
+        the pixels' noise and by motion that is not known, the spots' uncertainty (s,), px, by both,
+        and the residuals' chi².
 
     Raises:
         numpy.linalg.LinAlgError: a step is not finite.
@@ -131,15 +138,17 @@ def fit_spots(
     spread, gain = np.empty((2, 2 * n, 2 * n)), np.empty((6, 2 * n))
     directions, twist, curvature = np.empty((6, 6)), np.empty(6), np.empty((n, 2))
     known, covariances = np.empty(6, np.bool_), np.empty((2, 6, 6))
-    uncertainty, figures = np.empty(n), np.empty(3)
+    uncertainty, figures = np.empty(n), np.empty(4)
     points, cameras, left = places
-    given = n, left, points, cameras, centre, *spots, len(rows), rows, pose
+    given = n, left, points, cameras, centre, *spots, len(rows), rows, *limits, pose
     motion = twist, curvature, covariances, uncertainty, figures
-    if not _fit_spots(*given, *predicted, spread, gain, directions, known, *motion):
+    found = _fit_spots(*given, *predicted, spread, gain, directions, known, *motion) - 1
+    if found < 0:
         raise np.linalg.LinAlgError("a step is not finite")
     pixels, alignment = covariances
-    linear, angular, chi2 = figures.tolist()
+    linear, angular, chi2, most = figures.tolist()
     return (
+        (found // 2, most, bool(found % 2)),
         predicted,
         spread,
         gain,
@@ -149,29 +158,6 @@ def fit_spots(
         curvature,
         (pixels, alignment, uncertainty, chi2),
     )
-
-
-def judge_fit(
-    predicted: tuple[Array, Array, Array],
-    spread: Array,
-    gain: Array,
-    rows: Index,
-    tolerance: Array,
-    chi2: tuple[float, float],
-) -> tuple[int, float, bool]:
-    """Find the kept spot that fits worst, and say whether the kept ones agree as a whole.
-
-    `predicted`, `spread` and `gain` (6, 2 s) are those of `fit_spots`; `rows` (2 k,), those of the
-    kept spots; `tolerance` (2 s, 2 s), px²: what spots may be off beside their noise; `chi2`: that
-    of the residuals, and the greatest that noise, motion and tolerance reach.
-
-    Returns:
-        The worst spot; its residual in its own uncertainty, squared; whether they agree.
-    """
-    (residual, _, by_pose), most = predicted, np.empty(1)
-    fit = residual, by_pose, spread, gain
-    found = _judge_fit(len(residual), *fit, len(rows), rows, tolerance, *chi2, most)
-    return found // 2, float(most[0]), bool(found % 2)
 
 
 def place_leds(

@@ -332,29 +332,40 @@ static double spot_chi2(int64_t first, Kept kept, const Fit *fit, const double *
 /* Find the kept spot that fits worst, and say whether the kept ones agree as a whole: twice the
  * spot, and one more if they do.
  *
- * `own`, chi^2 of the residuals; `most_chi2`, the greatest that noise, motion and tolerance reach.
- * `most`: the worst spot's residual in its own uncertainty, squared. */
-static int64_t judge_fit(Kept kept, const Fit *fit, const double *tolerance, double own,
-                         double most_chi2, double *most)
+ * `bounds` (2 n + 1,): the greatest chi^2 that noise, motion and tolerance reach, by degrees of
+ * freedom. `most`: the worst spot's residual in its own uncertainty, squared. */
+static int64_t judge_fit(Kept kept, const Fit *fit, const double *tolerance, const double *bounds,
+                         double *most)
 {
     Mark mark = scratch_mark();
-    int64_t size = kept.count * kept.count, worst = 0;
-    double *total = TAKE(double, size), *root = TAKE(double, size);
+    int64_t size = kept.count * kept.count, worst = 0, freedom = kept.count;
+    double *total = TAKE(double, size), *root = TAKE(double, size), chi2 = fit->figures[2];
     kept_covariance(kept, fit, tolerance, total);
     *most = -INFINITY;
     for (int64_t first = 0; first + 1 < kept.count; first += 2) {
-        double chi2 = spot_chi2(first, kept, fit, total);
-        if (chi2 > *most) {
+        double own = spot_chi2(first, kept, fit, total);
+        if (own > *most) {
             worst = kept.rows[first] / 2;
-            *most = chi2;
+            *most = own;
         }
     }
-    if (!(own < most_chi2)) {
+    for (int i = 0; i < N_FREE; i++)
+        freedom -= fit->known[i];
+    double most_chi2 = bounds[MAX(freedom, 0)];
+    if (!(chi2 < most_chi2)) { /* the tolerance explains more */
         factor((int)kept.count, total, 0.0, root);
-        own = residual_chi2(kept, fit, root);
+        chi2 = residual_chi2(kept, fit, root);
     }
     scratch_release(mark);
-    return 2 * worst + (own < most_chi2);
+    return 2 * worst + (chi2 < most_chi2);
+}
+
+/* Fit and judge; gives 0 where the fit is not finite, else one more than the judgement. */
+static int64_t fit_and_judge(const Spots *spots, Kept kept, const double *tolerance,
+                             const double *bounds, double *pose, const Fit *fit)
+{
+    bool finite = fit_spots(spots, kept, pose, fit);
+    return finite ? 1 + judge_fit(kept, fit, tolerance, bounds, fit->figures + 3) : 0;
 }
 
 int64_t entry_predict_spots(int64_t n, int64_t n_left, const double *pose, const double *points,
@@ -372,10 +383,12 @@ int64_t entry_move_pose(double *pose, const double *step)
     return 0;
 }
 
-/* Arguments as in `Spots` and `Fit`; `spread` (2, 2 n, 2 n): noise, acceleration. */
+/* Arguments as in `Spots`, `Fit` and `judge_fit`; `spread` (2, 2 n, 2 n): noise, acceleration;
+ * `figures` (4,): those of the fit, and the judgement's `most`. */
 int64_t entry_fit_spots(int64_t n, int64_t n_left, const double *points, const double *cameras,
                         const double *centre, const double *covariance, const double *velocity,
-                        const double *lever, int64_t count, const int64_t *rows, double *pose,
+                        const double *lever, int64_t count, const int64_t *rows,
+                        const double *tolerance, const double *bounds, double *pose,
                         double *residual, double *by_point, double *by_pose, double *spread,
                         double *gain, double *directions, bool *known, double *twist,
                         double *curvature, double *covariances, double *uncertainty,
@@ -384,14 +397,5 @@ int64_t entry_fit_spots(int64_t n, int64_t n_left, const double *points, const d
     Spots spots = {n, n_left, points, cameras, centre, covariance, velocity, lever};
     Fit fit = {residual, by_point, by_pose, spread, spread + 4 * n * n, gain, directions, known,
                twist, curvature, covariances, uncertainty, figures};
-    GUARDED(fit_spots(&spots, (Kept){2 * n, count, rows}, pose, &fit));
-}
-
-int64_t entry_judge_fit(int64_t n, double *residual, double *by_pose, double *spread, double *gain,
-                        int64_t count, const int64_t *rows, const double *tolerance, double own,
-                        double most_chi2, double *most)
-{
-    Fit fit = {.residual = residual, .by_pose = by_pose, .noise = spread,
-               .acceleration = spread + 4 * n * n, .gain = gain};
-    GUARDED(judge_fit((Kept){2 * n, count, rows}, &fit, tolerance, own, most_chi2, most));
+    GUARDED(fit_and_judge(&spots, (Kept){2 * n, count, rows}, tolerance, bounds, pose, &fit));
 }
