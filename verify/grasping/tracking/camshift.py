@@ -58,7 +58,7 @@ class Blob:
     box: Box  # that holds the patch
     share: float  # of the back projection in the search region, 0 to 1: the rest is elsewhere
     similarity: float  # of its mixture of colours to the target's, 0 to 1
-    value: float  # DN, median of its brightness
+    value: float  # DN, mean brightness of its pixels that have the target's colour
     cut: bool  # it touches the picture's border: its centre is not the target's
 
     @property
@@ -194,6 +194,7 @@ def _measure_blob(
     bx, by, bw, bh = cv2.boundingRect(mask)
     part = np.s_[by : by + bh, bx : bx + bw]
     colours, inside = hsv[part], mask[part]
+    belief = cv2.bitwise_and(weights[part], inside)
     filled = np.asarray(
         cv2.bitwise_and(cv2.LUT(weights[part], HOLE_WEIGHT), inside), dtype=np.uint8
     )
@@ -205,19 +206,17 @@ def _measure_blob(
     left, top, right, bottom = at_edge
     cut = (left and bx == 0) or (top and by == 0)
     cut = cut or (right and bx + bw == width) or (bottom and by + bh == height)
-    values = cv2.calcHist([colours], [2], inside, [256], [0, 256]).cumsum()
-    area = float(values[-1])
     return Blob(
         centre=np.array([x + (corner[0] + bx), y + (corner[1] + by)]),
         covariance=_centroid_covariance(filled, x, y, total),
         spread=np.array([[xx, xy], [xy, yy]]),
         extent=np.array([bw, bh], dtype=float),
-        area=area,
+        area=float(cv2.countNonZero(inside)),
         reach=reach,
         box=(corner[0] + bx, corner[1] + by, bw, bh),
-        share=cv2.mean(weights[part], inside)[0] * area / max(cv2.sumElems(weights)[0], 1.0),
+        share=cv2.sumElems(belief)[0] / max(cv2.sumElems(weights)[0], 1.0),
         similarity=model.similarity(colours, inside),
-        value=float(values.searchsorted(area / 2)),
+        value=cv2.mean(colours, belief)[2],
         cut=cut,
     )
 

@@ -44,7 +44,7 @@ class ColourModel:
     weight: NDArray[np.float32]  # (180, 256), 0 to 255, by hue and saturation: back projection
     mixture: NDArray[np.float32] | None = None  # (30, 8), of the target; None: only its name
     values: tuple[float, float] = (MIN_VALUE, 255.0)  # DN, gate of the value, in the light of then
-    value: float = 128.0  # DN, median of the target's value, in the light of then
+    value: float = 128.0  # DN, mean of the target's value, in the light of then
     light: float = 1.0  # of now, over that of then: the gate goes with it
 
     def back_project(self, hsv: Image) -> Image:
@@ -56,7 +56,7 @@ class ColourModel:
         return np.asarray(cv2.bitwise_and(weights, gate), dtype=np.uint8)
 
     def in_light(self, value: float) -> "ColourModel":
-        """Let the gate of the value follow a target whose median value is now this, DN."""
+        """Let the gate of the value follow a target whose mean value is now this, DN."""
         return replace(self, light=float(np.clip(value / self.value, *LIGHT_RANGE)))
 
     def similarity(self, hsv: Image, mask: Mask) -> float:
@@ -135,11 +135,12 @@ def learn_colour(hsv: Image, inside: Mask, outside: Mask) -> ColourModel:
     gate = (value >= low) & (value <= high)
     fine = _weight_colours(hsv, target & gate, ground & gate, 1.0)
     fine = replace(fine, values=(low, high))
-    own = (fine.back_project(hsv) > MIN_WEIGHT) & target
-    middle = float(np.median(value[own])) if own.any() else fine.value
+    weights = fine.back_project(hsv)
+    own, alike = (weights > MIN_WEIGHT) & target, (weights > 0) & (inside > 0)
+    mean = float(np.mean(value[alike])) if alike.any() else fine.value
     mixture = colour_histogram(hsv, np.asarray(own, dtype=np.uint8))
     mixture /= max(float(mixture.sum()), 1.0)
-    return replace(fine, mixture=mixture, value=middle)
+    return replace(fine, mixture=mixture, value=mean)
 
 
 def _weight_colours(hsv: Image, target: BoolMask, ground: BoolMask, share: float) -> ColourModel:
