@@ -101,7 +101,7 @@ def compare(
         known = readings.available(there)
     index = known.nonzero()[0]
     there = there[index]
-    q, rate = readings.at(there), readings.rate(there)
+    q, rate = readings.motion(there)
     encoder, jacobian = robots.forward_and_jacobian(arm, q)
     measured, determined, carry = _complete_poses(
         track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)

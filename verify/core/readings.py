@@ -140,19 +140,17 @@ class Readings:
             return np.repeat(self.q, len(t), axis=0)
         return kernel.interpolate(*self._contiguous, self.longest, _as_contiguous(t))
 
-    def rate(self, t: Array) -> Array:
-        """Joint speeds at the instants t (n,), rad/s, (n, joints), over twice RATE_SPAN.
+    def motion(self, t: Array) -> tuple[Array, Array]:
+        """Readings and joint speeds at the instants t (n,), rad and rad/s, (n, joints).
 
-        0 in a gap, where a reading is held.
+        Readings as by `at`. Speeds are those over twice RATE_SPAN; 0 in a gap.
         """
         if len(self.t) < 2:
-            return np.zeros((len(t), self.q.shape[1]))
-        ends = np.concatenate([t - RATE_SPAN, t + RATE_SPAN]).clip(self.t[0], self.t[-1])
-        q, n = self.at(ends), len(t)
-        speed: Array = (q[n:] - q[:n]) / np.maximum(ends[n:] - ends[:n], RATE_SPAN)[:, None]
-        reading = self.t[np.minimum(np.searchsorted(self.t, t), len(self.t) - 1)] == t
-        speed[~(self._bracketed(t) | reading)] = 0.0
-        return speed
+            return self.at(t), np.zeros((len(t), self.q.shape[1]))
+        known = self._without_gap
+        return kernel.sample_motion(
+            *self._contiguous, self.longest, known, RATE_SPAN, _as_contiguous(t)
+        )
 
     @cached_property
     def _contiguous(self) -> tuple[Array, Array]:

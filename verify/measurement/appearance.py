@@ -68,14 +68,16 @@ class Appearance:
     def widen_hidden(self, raw: RawSightings) -> RawSightings:
         """Widen the covariance of LEDs that have become smaller by how far they may be off."""
         before, moved = self.width.flat[self._places(raw)], np.zeros(len(raw))
+        share = raw.width / before
         for own in raw.sides:
-            share = raw.width[own] / before[own]
-            usual = min(float(np.fmax.reduce(share, initial=0.0)), 1.0)
-            hidden = share < MIN_WIDTH_SHARE * usual
-            moved[own][hidden] = (usual * before[own] - raw.width[own])[hidden]
+            usual = min(float(np.fmax.reduce(share[own], initial=0.0)), 1.0)
+            hidden = share[own] < MIN_WIDTH_SHARE * usual
+            if np.count_nonzero(hidden):
+                moved[own] = np.where(hidden, usual * before[own] - raw.width[own], 0.0)
         if not np.count_nonzero(moved):
             return raw
-        return replace(raw, covariance=raw.covariance + np.square(moved)[:, None, None] * np.eye(2))
+        wider = raw.covariance + np.square(moved)[:, None, None] * np.eye(2)
+        return replace(raw, covariance=wider)
 
     def _places(self, raw: RawSightings) -> NDArray[np.int64]:
         """Where a pair's LEDs stand, (s,), in the flattened arrays."""

@@ -10,59 +10,42 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array, Sighting
 from verify.core.rig import Camera, Rig
 from verify.measurement.kernels import entries as kernel
-from verify.measurement.kernels.entries import Index
+from verify.measurement.kernels.entries import Index, StatedCamera
 
 AXES = ("x", "y", "z")
 LENS = ("k1", "k2", "p1", "p2", "k3")
 
 
-@dataclass(frozen=True, slots=True)
-class SpotGeometry:
-    """Everything about the spots that a derivative needs."""
+def spot_derivatives(
+    names: tuple[str, ...],
+    rig_T_flange: Array,
+    sides: tuple[Sighting, Sighting],
+    by_point: Array,
+    rig: Rig,
+    marker: Marker,
+) -> Array:
+    """Derivative of a pose's predicted spots by parameters, (p, s, 2), px a SI unit, left first.
 
-    sides: tuple[tuple[str, Camera, float, "slice[int, int, None]"], ...]  # pan, spots
-    inside: Array  # (s, 3), points in their cameras
-    points_rig: Array  # (s, 3)
-    led: Index  # (s,)
-    names: tuple[str, ...]
-    offset: Array  # (s, 3), LED from flange, rig axes
-    rig_R_flange: Array  # (3, 3)
-    by_point: Array  # (s, 2, 3), d px / d point in the rig
-
-
-def prepare_views(
-    rig_T_flange: Array, left: Sighting, right: Sighting, by_point: Array, rig: Rig, marker: Marker
-) -> SpotGeometry:
-    """Prepare a pose's spots, left ones first; `by_point` (s, 2, 3), d px / d point in the rig."""
-    led = np.concatenate([left.led, right.led])
-    placed = np.array(rig.left.camera_T_rig(left.pan)), np.array(rig.right.camera_T_rig(right.pan))
-    offset, points, inside = kernel.place_leds(marker.leds, led, rig_T_flange, placed, len(left))
-    sides = (
-        ("left", rig.left, left.pan, slice(0, len(left))),
-        ("right", rig.right, right.pan, slice(len(left), len(led))),
-    )
-    return SpotGeometry(
-        sides, inside, points, led, marker.names, offset, rig_T_flange[:3, :3], by_point
-    )
-
-
-def spot_derivatives(views: SpotGeometry, names: tuple[str, ...]) -> Array:
-    """Derivative of the predicted spots by parameters, (p, s, 2), px a SI unit.
-
-    The robot's base moves no spot.
+    `by_point` (s, 2, 3), d px / d point in the rig. The robot's base moves no spot.
     """
-    plan = _group_parameters(names, views.names)
-    moved = np.zeros((len(names), len(views.led), 2))
-    kernel.fill_by_body(
-        plan.body, views.led, views.rig_R_flange, views.offset, views.by_point, moved
+    left, right = sides
+    led, plan = np.concatenate([left.led, right.led]), _group_parameters(names, marker.names)
+    moved, spots = np.zeros((len(names), len(led), 2)), (marker.leds, led, rig_T_flange, by_point)
+    cameras = (
+        _stated_camera(plan.camera["left"], rig.left, left.pan),
+        _stated_camera(plan.camera["right"], rig.right, right.pan),
     )
-    for side, camera, pan, own in views.sides:
-        columns, keys = plan.camera[side]
-        kinds, twists = _kinds(keys, columns), _twists(keys, camera, pan)
-        spots = views.inside[own], views.points_rig[own], views.by_point[own]
-        optics = camera.matrix, camera.distortion
-        kernel.fill_by_camera(kinds, twists, optics, spots, own.start, moved)
+    kernel.fill_derivatives(spots, len(left), plan.body, cameras, moved)
     return moved
+
+
+def _stated_camera(
+    parameters: tuple[tuple[int, ...], tuple[str, ...]], camera: Camera, pan: float
+) -> StatedCamera:
+    """One camera's parameters as the kernel takes them; `parameters`: columns and keys."""
+    columns, keys = parameters
+    kinds, twists = _kinds(keys, columns), _twists(keys, camera, pan)
+    return kinds, twists, camera.matrix, camera.distortion, camera.camera_T_rig(pan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,7 +91,7 @@ def camera_derivatives(
     )  # fmt: skip
     moved, kinds = np.zeros((len(keys), len(points), 2)), _kinds(keys, tuple(range(len(keys))))
     optics = camera.matrix, camera.distortion
-    kernel.fill_by_camera(kinds, _twists(keys, camera, pan), optics, spots, 0, moved)
+    kernel.fill_by_camera(kinds, _twists(keys, camera, pan), optics, spots, moved)
     return moved
 
 

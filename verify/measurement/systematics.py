@@ -23,6 +23,7 @@ A small rotation acts on the left, in the axes of the frame that holds it.
 
 import re
 from dataclasses import dataclass, field
+from functools import lru_cache
 
 import numpy as np
 from scipy.linalg import block_diag
@@ -30,7 +31,7 @@ from scipy.linalg import block_diag
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
 from verify.core.rig import Covariance, Rig
-from verify.measurement.sensitivities import AXES, prepare_views, spot_derivatives
+from verify.measurement.sensitivities import AXES, spot_derivatives
 
 BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 PAN_READINGS = "left.pan_zero_deg", "right.pan_zero_deg"  # err as the zeros of their scales do
@@ -162,11 +163,17 @@ def sensitivities(
     gain = (base_R_rig @ pose.gain.reshape(2, 3, -1)).reshape(6, -1)
     names = (*parameters.names, *PAN_READINGS)
     columns = -gain @ pixel_sensitivities(names, measurement, rig, marker)
-    places = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
+    places, axes = _base_columns(parameters.names)
     if places:
-        axes = [BODY.index(names[i].partition(".")[2]) for i in places]
         columns[:, places] = _by_base(rig, pose)[:, axes]
     return columns
+
+
+@lru_cache(maxsize=4)
+def _base_columns(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
+    """Which parameters place the robot's base, and in which of the six directions."""
+    places = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
+    return places, [BODY.index(names[i].partition(".")[2]) for i in places]
 
 
 def pixel_sensitivities(
@@ -176,8 +183,8 @@ def pixel_sensitivities(
     pose, left, right = measurement.pose, measurement.left, measurement.right
     if pose is None or left is None or right is None:
         raise ValueError("only a measured pair has spots that a pose predicts")
-    views = prepare_views(pose.rig_T_flange, left, right, pose.sensitivity, rig, marker)
-    return spot_derivatives(views, names).reshape(len(names), -1).T
+    spots = pose.rig_T_flange, (left, right), pose.sensitivity
+    return spot_derivatives(names, *spots, rig, marker).reshape(len(names), -1).T
 
 
 def spot_columns(
@@ -193,13 +200,14 @@ def spot_columns(
 
     A robot base moves no spot. `by_point` (s, 2, 3), d px / d point in the rig.
     """
-    views = prepare_views(rig_T_flange, left, right, by_point, rig, marker)
     names = tuple(n for n in parameters.names if not n.startswith("robot_base."))
     places = [parameters.names.index(n) for n in names]
     spread = covariance_root(parameters.covariance[np.ix_(places, places)])
     turning = [i for i in (0, 1) if parameters.pan[i] > 0]
     angles = [f"{('left', 'right')[i]}.pan_zero_deg" for i in turning]
-    moved = spot_derivatives(views, (*names, *angles)).reshape(-1, 2 * len(views.led)).T
+    spots = rig_T_flange, (left, right), by_point
+    moved = spot_derivatives((*names, *angles), *spots, rig, marker)
+    moved = moved.reshape(-1, 2 * len(by_point)).T
     own = [moved[:, : len(names)] @ spread, moved[:, len(names) :] * parameters.pan[turning]]
     return np.concatenate(own, axis=1)
 

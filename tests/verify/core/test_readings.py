@@ -53,7 +53,8 @@ def test_the_speed_is_the_slope_of_the_motion() -> None:
     t = np.arange(0, 6, 0.02)
     readings = Readings(t, wave(t)[:, None])
     between = np.linspace(1, 5, 50)
-    assert_allclose(readings.rate(between)[:, 0], 0.3 * np.pi * np.cos(np.pi * between), atol=0.005)
+    speed = readings.motion(between)[1][:, 0]
+    assert_allclose(speed, 0.3 * np.pi * np.cos(np.pi * between), atol=0.005)
 
 
 def test_noise_is_read_off_the_readings_and_motion_is_not_taken_for_noise() -> None:
@@ -124,7 +125,7 @@ def test_between_two_bursts_of_readings_nothing_is_known() -> None:
         True, True, False, True, True,
     ]  # fmt: skip
     assert_allclose(readings.at(np.array([1.2, 9.8]))[:, 0], [0.1, 0.7])
-    assert_allclose(readings.rate(np.array([1.2, 9.8])), 0, atol=1e-12)
+    assert_allclose(readings.motion(np.array([1.2, 9.8]))[1], 0, atol=1e-12)
     assert not readings.available(np.array([-0.1, 11.5])).any()
 
 

@@ -176,7 +176,7 @@ def predict_spots(
 ) -> PredictedSpots:
     """Predict every spot and differentiate it by all parameters."""
     t = spotted.t + at.skew * (spotted.side == RIGHT) - at.clock  # on the readings' clock
-    q, rate = readings.at(t), readings.rate(t)
+    q, rate = readings.motion(t)
     base_T_flange = robots.forward(arm, q)
     rig_R_base = at.rig_T_base[:3, :3]
     rig_T_flange = at.rig_T_base @ base_T_flange

@@ -10,6 +10,7 @@ _rotation_vectors = entry("rotation_vectors")
 _motion_misfits = entry("motion_misfits")
 _motion_sizes = entry("motion_sizes")
 _interpolate = entry("interpolate")
+_sample_motion = entry("sample_motion")
 _interpolation_error = entry("interpolation_error")
 _travel_directions = entry("travel_directions")
 
@@ -51,6 +52,19 @@ def interpolate(t: Array, q: Array, longest: float, instants: Array) -> Array:
     values = np.empty((len(instants), q.shape[1]))
     _interpolate(*q.shape, t, q, longest, len(instants), instants, values)
     return values
+
+
+def sample_motion(
+    t: Array, q: Array, longest: float, without_gap: NDArray[np.bool_], span: float, instants: Array
+) -> tuple[Array, Array]:
+    """Readings as by `interpolate`, and joint speeds over twice `span`, s: rad and rad/s, (n, j).
+
+    `without_gap` (m + 1,): no gap before each reading, and after the last. In one the speed is 0.
+    """
+    values, speeds = np.empty((len(instants), q.shape[1])), np.empty((len(instants), q.shape[1]))
+    count = len(instants)
+    _sample_motion(*q.shape, t, q, longest, without_gap, span, count, instants, values, speeds)
+    return values, speeds
 
 
 def interpolation_error(t: Array, q: Array, longest: float, instants: Array) -> Array:

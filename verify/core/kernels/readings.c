@@ -164,6 +164,51 @@ int64_t entry_interpolate(int64_t m, int64_t joints, const double *t, const doub
     return 0;
 }
 
+/* Whether an instant's speed is known: no gap before the next reading, or a reading itself.
+ *
+ * `without_gap` (m + 1,): before each reading, and after the last. */
+static bool speed_known(const Readings *of, const bool *without_gap, double instant)
+{
+    int64_t next = 0, high = of->m;
+    while (next < high) {
+        int64_t half = (next + high) / 2;
+        if (of->t[half] < instant)
+            next = half + 1;
+        else
+            high = half;
+    }
+    return without_gap[next] || of->t[MIN(next, of->m - 1)] == instant;
+}
+
+/* Joints' speeds over twice `span`, s, about an instant, or what there is of it; `early` (joints,)
+ * is overwritten. */
+static void rates(const Readings *of, double instant, double span, double *early, double *values)
+{
+    double begin = within(of, instant - span), end = within(of, instant + span);
+    double apart = MAX(end - begin, span);
+    interpolate(of, begin, early);
+    interpolate(of, end, values);
+    for (int64_t j = 0; j < of->joints; j++)
+        values[j] = (values[j] - early[j]) / apart;
+}
+
+/* Readings and joint speeds (n, joints), rad and rad/s, at instants (n,), s; speed 0 in a gap. */
+int64_t entry_sample_motion(int64_t m, int64_t joints, const double *t, const double *q,
+                            double longest, const bool *without_gap, double span, int64_t n,
+                            const double *instants, double *values, double *speeds)
+{
+    Readings readings = {m, joints, t, q, longest};
+    for (int64_t i = 0; i < n; i++) {
+        double *value = values + joints * i, *speed = speeds + joints * i;
+        if (speed_known(&readings, without_gap, instants[i]))
+            rates(&readings, instants[i], span, value, speed);
+        else
+            clear(speed, joints);
+        interpolate(&readings, within(&readings, instants[i]), value);
+    }
+    return 0;
+}
+
 /* Error that `interpolate` may have at some instants, (n, joints), rad. */
 int64_t entry_interpolation_error(int64_t m, int64_t joints, const double *t, const double *q,
                                   double longest, int64_t n, const double *instants,

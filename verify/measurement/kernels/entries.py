@@ -31,9 +31,8 @@ _led_boxes = entry("led_boxes")
 _predict_spots = entry("predict_spots")
 _move_pose = entry("move_pose")
 _fit_spots = entry("fit_spots")
-_place_leds = entry("place_leds")
 _fill_by_camera = entry("fill_by_camera")
-_fill_by_body = entry("fill_by_body")
+_fill_derivatives = entry("fill_derivatives")
 
 
 def align_spots(
@@ -160,26 +159,11 @@ def fit_spots(
     )
 
 
-def place_leds(
-    leds: Array, led: Index, rig_T_flange: Array, placed: tuple[Array, Array], left: int
-) -> tuple[Array, Array, Array]:
-    """Place spots' LEDs, (s, 3) each, m: LED from flange, rig axes; in the rig; in the camera.
-
-    `leds` (n, 3), m, flange frame; `led` (s,), of each spot; `placed`: camera_T_rig (4, 4) of the
-    left camera, whose spots are the first `left` ones, and of the right one.
-    """
-    found = np.empty((3, len(led), 3))
-    _place_leds(len(led), leds, led, rig_T_flange, *placed, left, found)
-    offset, points, inside = found
-    return offset, points, inside
-
-
 def fill_by_camera(
     kinds: Index,
     twists: Array,
     camera: tuple[Array, Array],
     spots: tuple[Array, Array, Array],
-    first: int,
     moved: Array,
 ) -> None:
     """Fill in how one camera's parameters move its s spots.
@@ -187,21 +171,27 @@ def fill_by_camera(
     `kinds` (k, 3): the parameter's column, what it is, which one of its kind; `twists` (k, 6), how
     it moves the camera: translation at the rig's origin (m) and turn; `camera`: its matrix (3, 3),
     px, and k1, k2, p1, p2, k3; `spots`: points in the camera and the same in the rig, (s, 3), m,
-    and d px / d point in the rig, (s, 2, 3); `moved` (p, n, 2), px a SI unit, zeros: those of the
-    camera's spots, from `first` on, are filled.
+    and d px / d point in the rig, (s, 2, 3); `moved` (p, s, 2), px a SI unit, zeros.
     """
-    n, all_spots = len(spots[0]), moved.shape[1]
-    _fill_by_camera(len(kinds), kinds, twists, *camera, n, *spots, first, all_spots, moved)
+    _fill_by_camera(len(kinds), kinds, twists, *camera, len(spots[0]), *spots, moved)
 
 
-def fill_by_body(
-    kinds: Index, led: Index, rig_R_flange: Array, offset: Array, by_point: Array, moved: Array
+# of a camera: kinds, twists, matrix and lens as in `fill_by_camera`; camera_T_rig (4, 4)
+StatedCamera = tuple[Index, Array, Array, Array, Array]
+
+
+def fill_derivatives(
+    spots: tuple[Array, Index, Array, Array],
+    left: int,
+    body: Index,
+    cameras: tuple[StatedCamera, StatedCamera],
+    moved: Array,
 ) -> None:
-    """Fill in how LEDs, and the body that holds them, move the spots.
+    """Fill in how LEDs, the body that holds them, and both cameras' parameters move s spots.
 
-    `kinds` (k, 4): the parameter's column, what it is, its LED, its axis of the flange; `led` (s,),
-    of each spot; `rig_R_flange` (3, 3); `offset` (s, 3), m, LED from flange, rig axes; `by_point`
-    (s, 2, 3), d px / d point in the rig; `moved` (p, s, 2), px a SI unit, its columns filled.
+    `spots`: LEDs (n, 3), m, flange frame; of each spot its LED (s,); rig_T_flange (4, 4); d px / d
+    point in the rig (s, 2, 3). The left camera sees the first `left`. `body` (k, 4): a parameter's
+    column, what it is, its LED, its axis of the flange; `moved` (p, s, 2), px a SI unit, zeros.
     """
-    turn = np.ascontiguousarray(rig_R_flange)
-    _fill_by_body(len(kinds), kinds, len(led), led, turn, offset, by_point, moved)
+    of_cameras = [value for one in cameras for value in (len(one[0]), *one)]
+    _fill_derivatives(len(spots[1]), left, *spots, len(body), body, *of_cameras, moved)
