@@ -14,6 +14,7 @@ paper.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -60,6 +61,7 @@ class Blob:
     similarity: float  # of its mixture of colours to the target's, 0 to 1
     value: float  # DN, mean brightness of its pixels that have the target's colour
     cut: bool  # it touches the picture's border: its centre is not the target's
+    truncated: bool  # with what is connected with it, it goes on beyond the region searched
 
     @property
     def ellipse(self) -> tuple[float, float, float]:
@@ -96,11 +98,9 @@ def camshift(
     mask = target_mask(weights, window)
     if mask is None:
         return None
-    reach = float(cv2.countNonZero(mask))
-    if expected is not None:
-        mask = _limit_to_extent(weights, mask, window, expected)
+    own = mask if expected is None else _limit_to_extent(weights, mask, window, expected)
     at_edge = (x == 0, y == 0, x + width == image.shape[1], y + height == image.shape[0])
-    return _measure_blob(hsv, weights, mask, (x, y), at_edge, model, reach)
+    return _measure_blob(hsv, weights, (own, mask), (x, y), at_edge, model)
 
 
 def target_mask(weights: Image, window: Box) -> NDArray[np.uint8] | None:
@@ -112,9 +112,9 @@ def target_mask(weights: Image, window: Box) -> NDArray[np.uint8] | None:
     if min(window[2:]) < 1:
         return None
     likely = cv2.threshold(weights, MIN_WEIGHT, 255, cv2.THRESH_BINARY)[1]
-    closed = cv2.morphologyEx(likely, cv2.MORPH_CLOSE, CLOSING_KERNEL)
-    pieces = cv2.findContours(closed, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
-    large = [piece for piece in pieces if _count_pixels(piece) >= MIN_PIXELS]
+    pieces, large = _outlines(likely)
+    if len(large) > 1:  # one of them may be what lettering splits off
+        pieces, large = _outlines(cv2.morphologyEx(likely, cv2.MORPH_CLOSE, CLOSING_KERNEL))
     filled = [_fill(np.zeros(weights.shape, dtype=np.uint8), [piece]) for piece in large]
     held = [_held_pixels(mask, window) for mask in filled]
     most = max(held, default=(0, 0))
@@ -132,6 +132,12 @@ def target_mask(weights: Image, window: Box) -> NDArray[np.uint8] | None:
         if piece is not large[main] and 0 <= x < bw and 0 <= y < bh
     ]
     return _fill(filled[main], beside) if beside else filled[main]
+
+
+def _outlines(likely: Any) -> tuple[Sequence[Any], list[Any]]:
+    """Outlines of connected pieces, (n, 1, 2) px each: all of them, and those that are no noise."""
+    pieces = cv2.findContours(likely, cv2.RETR_EXTERNAL, cv2.CHAIN_APPROX_NONE)[0]
+    return pieces, [piece for piece in pieces if _count_pixels(piece) >= MIN_PIXELS]
 
 
 def _fill(mask: NDArray[np.uint8], pieces: list[Any]) -> NDArray[np.uint8]:
@@ -185,13 +191,15 @@ def box_around(centre: Array, reach: Array) -> Box:
 def _measure_blob(
     hsv: Image,
     weights: Image,
-    mask: NDArray[np.uint8],
+    masks: tuple[NDArray[np.uint8], NDArray[np.uint8]],
     corner: tuple[int, int],
     at_edge: tuple[bool, bool, bool, bool],
     model: ColourModel,
-    reach: float,
 ) -> Blob:
-    bx, by, bw, bh = cv2.boundingRect(mask)
+    """Measure what a mask holds; `masks`: its own, and the one with what is connected with it."""
+    mask, whole = masks
+    own_box = bx, by, bw, bh = cv2.boundingRect(mask)
+    whole_box = own_box if whole is mask else cv2.boundingRect(whole)
     part = np.s_[by : by + bh, bx : bx + bw]
     colours, inside = hsv[part], mask[part]
     belief = cv2.bitwise_and(weights[part], inside)
@@ -202,23 +210,28 @@ def _measure_blob(
     total = moments["m00"]
     x, y = moments["m10"] / total, moments["m01"] / total
     xx, xy, yy = (moments[name] / total for name in ("mu20", "mu11", "mu02"))
-    height, width = mask.shape
-    left, top, right, bottom = at_edge
-    cut = (left and bx == 0) or (top and by == 0)
-    cut = cut or (right and bx + bw == width) or (bottom and by + bh == height)
+    area = float(cv2.countNonZero(inside))
+    touched, reached = _touched_sides(own_box, mask), _touched_sides(whole_box, mask)
     return Blob(
         centre=np.array([x + (corner[0] + bx), y + (corner[1] + by)]),
         covariance=_centroid_covariance(filled, x, y, total),
         spread=np.array([[xx, xy], [xy, yy]]),
         extent=np.array([bw, bh], dtype=float),
-        area=float(cv2.countNonZero(inside)),
-        reach=reach,
+        area=area,
+        reach=area if whole is mask else float(cv2.countNonZero(whole)),
         box=(corner[0] + bx, corner[1] + by, bw, bh),
         share=cv2.sumElems(belief)[0] / max(cv2.sumElems(weights)[0], 1.0),
         similarity=model.similarity(colours, inside),
         value=cv2.mean(colours, belief)[2],
-        cut=cut,
+        cut=any(a and b for a, b in zip(touched, at_edge, strict=True)),
+        truncated=any(a and not b for a, b in zip(reached, at_edge, strict=True)),
     )
+
+
+def _touched_sides(box: Sequence[int], mask: NDArray[np.uint8]) -> tuple[bool, bool, bool, bool]:
+    """Which sides of a mask a box in it touches: left, top, right, bottom."""
+    x, y, width, height = box
+    return x == 0, y == 0, x + width == mask.shape[1], y + height == mask.shape[0]
 
 
 def _centroid_covariance(weights: Image, x: float, y: float, total: float) -> Array:

@@ -90,7 +90,7 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
         blob = camshift.camshift(
             image, camshift.box_around(pixel, 0.5 * extent + sigma), region, model, extent
         )
-        if blob is None or blob.similarity < MIN_SIMILARITY or blob.cut:
+        if blob is None or blob.similarity < MIN_SIMILARITY or blob.cut or blob.truncated:
             return None
         share = blob.area * pixel_area(exact, depth) / target.area
         if share < MIN_VISIBLE_SHARE:

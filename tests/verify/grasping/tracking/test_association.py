@@ -19,7 +19,9 @@ RATE, AREA = 30.0, 1.2e-3  # Hz, m²
 HERE, THERE = (0.0, 0.0, 0.7), (0.12, 0.0, 0.7)
 DENSITY = 0.1
 SQUARE = np.eye(2)
-BLOB = Blob(np.zeros(2), SQUARE, SQUARE, np.ones(2), 1.0, 1.0, (0, 0, 1, 1), 1.0, 1.0, 1.0, False)
+BLOB = Blob(
+    np.zeros(2), SQUARE, SQUARE, np.ones(2), 1.0, 1.0, (0, 0, 1, 1), 1.0, 1.0, 1.0, False, False
+)  # fmt: skip
 
 
 def seen(*place: float, area: float = AREA, reach: float | None = None) -> StereoObject:

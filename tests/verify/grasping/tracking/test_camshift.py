@@ -77,6 +77,17 @@ def test_touching_the_border_is_flagged() -> None:
     assert not found(inside, start=(50, 100, 20, 20), region=(50, 90, 40, 40)).cut
 
 
+def test_what_goes_on_beyond_the_region_is_truncated() -> None:
+    touching = picture(((150, 110), (14, 14), 0, BLUE), ((176, 110), (14, 14), 0, BLUE))
+    start, expected = (136, 96, 29, 29), np.array([29.0, 29.0])
+    for width, truncated in ((40, True), (90, False)):
+        region = (130, 90, width, 40)
+        assert found(touching, start, region=region, expected=expected).truncated == truncated
+    # at the picture's border it is cut, and goes on nowhere
+    at_border = found(picture(((5, 110), (12, 12), 0, BLUE)), region=(0, 80, 40, 60))
+    assert (at_border.cut, at_border.truncated) == (True, False)
+
+
 def test_the_claimed_noise_of_the_centre_covers_the_scatter() -> None:
     blobs = [found(picture(((150.4, 110.2), (13, 9), 20, BLUE), seed=s)) for s in range(60)]
     scatter = np.std([b.centre for b in blobs], axis=0)
