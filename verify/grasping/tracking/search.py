@@ -17,13 +17,13 @@ from verify.grasping.tracking.pairing import (
     is_plausible,
     join_blobs,
     pair_blobs,
-    pixel_area,
 )
 from verify.grasping.tracking.stereo import RIM_WIDTH, PannedCamera, place_cameras, project
 from verify.grasping.tracking.target import TrackingOptions
 
 MIN_SIMILARITY = 0.6  # least similarity of the mixture of colours
 SEARCH_PERIOD = 3  # pairs from one search for others to the next
+CERTAIN_AREA_AGREEMENT = 0.95  # of the smaller area to the larger one: noise, and a side view
 MIN_VISIBLE_SHARE = 0.3  # of the target that must be in view to locate it
 WINDOW_SIGMA, WINDOW_MARGIN_PX = 4.0, 6.0  # of the searched window beyond the target itself
 Windows = tuple[camshift.Box | None, camshift.Box | None]  # left, right; None: the whole picture
@@ -79,10 +79,9 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
     motion = ObjectMotion(ahead.velocity, ahead.velocity_covariance)
     blobs: list[camshift.Blob] = []
     windows: list[camshift.Box] = []
-    doubts: list[float] = []
     for model, (camera, t, image) in zip(now.models, _camera_sides(now), strict=True):
         there = ahead.at(t)
-        pixel, slope, exact = project(camera, there.position)
+        pixel, slope, _ = project(camera, there.position)
         depth = float(camera.inside(there.position)[2])
         sigma = np.sqrt(np.diag(slope @ there.position_covariance @ slope.T))
         extent = _extent_in_pixels(target.extent, camera.camera, depth)
@@ -92,15 +91,16 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
         )
         if blob is None or blob.similarity < MIN_SIMILARITY or blob.cut or blob.truncated:
             return None
-        share = blob.area * pixel_area(exact, depth) / target.area
-        if share < MIN_VISIBLE_SHARE:
-            return None
         blobs.append(blob)
         windows.append(region)
-        doubts.append(association.centre_uncertainty_ratio(share) * float(extent.max()))
-    thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, motion, (doubts[0], doubts[1]))
-    if thing is None:
+    thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, motion)
+    if thing is None or thing.area < MIN_VISIBLE_SHARE * target.area:
         return None
+    # by areas at the measured distance: at a predicted one that lags, a whole patch looks too
+    # large, counts for little, and lets it lag the more
+    doubts = _centre_doubts(target, thing.areas, (blobs[0], blobs[1]))
+    if max(doubts) > 0:
+        thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, motion, doubts) or thing
     # a finger may hide most of it from one camera alone; what is too large is not half hidden
     hidden = thing.areas.max() < association.COMPLETE_AREA_RANGE[1] * target.area
     if not is_plausible(
@@ -144,11 +144,28 @@ def _remeasure(now: TargetSearch, thing: StereoObject) -> StereoObject:
             strict=True,
         )
     ]
-    doubts = [
-        association.centre_uncertainty_ratio(float(area) / target.area) * float(blob.extent.max())
-        for area, blob in zip(thing.areas, blobs, strict=True)
-    ]
-    return join_blobs(blobs[0], blobs[1], pair, now.rig, motion, (doubts[0], doubts[1])) or thing
+    doubts = _centre_doubts(target, thing.areas, (blobs[0], blobs[1]))
+    return join_blobs(blobs[0], blobs[1], pair, now.rig, motion, doubts) or thing
+
+
+def _centre_doubts(
+    target: association.ObjectTrack, areas: Array, blobs: tuple[camshift.Blob, camshift.Blob]
+) -> tuple[float, float]:
+    """By how much either patch's centre may miss the target's, standard, px; `areas` (2,), m².
+
+    A patch smaller than the other camera's lacks a part, whatever the distance.
+    """
+    larger = float(areas.max())
+    left, right = (
+        max(
+            association.centre_uncertainty_ratio(area / target.area),
+            CERTAIN_AREA_AGREEMENT - area / larger,
+            0.0,
+        )
+        * float(blob.extent.max())
+        for area, blob in zip(areas.tolist(), blobs, strict=True)
+    )
+    return left, right
 
 
 def _trim_to_target(

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.bench.tracking import SCENARIOS, drawn_around
 from tests.support.grasp.caps import BLUE, GREEN, RED, Cap, Slab, pairs, small_rig, still
 from tests.support.scene import project
 from verify.core.records import Array, StereoPair
@@ -114,6 +115,17 @@ def test_a_target_half_hidden_in_one_camera_is_not_lost() -> None:
     for one in seen:
         off = one.centre - np.array(HERE)
         assert off @ np.linalg.solve(one.covariance, off) < 11.3  # chi² of 3 at 1 %
+
+
+@pytest.mark.parametrize("seed", [56, 126])
+def test_a_track_that_lags_catches_up(seed: int) -> None:
+    """Where a target turns back, the track was once left centimetres behind its own pictures."""
+    scene = SCENARIOS["carried, the light halves"](np.random.default_rng(seed))
+    rig, target = small_rig(), scene.things[0]
+    film = list(pairs(scene.things, rig, scene.seconds, light=scene.light, seed=seed))
+    selection = drawn_around(target, rig, film[0])
+    seen = list(track(film, rig, selection, TrackingOptions()))
+    assert errors(seen, target).max() < 0.0095
 
 
 @pytest.mark.parametrize("gap", [-0.08, 0.08], ids=["before it", "behind it"])
