@@ -12,14 +12,7 @@ from functools import cached_property, partial
 import numpy as np
 
 from verify.core.fiducials import Marker
-from verify.core.records import (
-    Array,
-    Image,
-    Measurement,
-    Pose,
-    Spots,
-    StereoPair,
-)
+from verify.core.records import Array, Image, Measurement, Pose, Spots, StereoPair
 from verify.core.rig import Camera, Rig
 from verify.measurement.alignment import (
     MAX_GAP,
@@ -383,6 +376,7 @@ def _fit(
 
 
 def _stack(aligned: AlignedSightings, setup: Setup) -> SightingStack:
+    """Both cameras' sightings as the pose fit takes them."""
     raw, rig = aligned.raw, setup.rig
     return SightingStack(
         raw.led, setup.marker.leds[raw.led], aligned.centre, aligned.covariance, aligned.velocity,

@@ -179,7 +179,7 @@ class _PoseFit:
     twist: Array  # (6,)
     prior: tuple[float, float]
     curvature: Array  # (s, 2), px/s²
-    figures: tuple[Array, Array, Array, float]  # of `kernels.entries.fit_covariances`
+    figures: tuple[Array, Array, Array, float]  # covariances, uncertainty and chi² of that
 
 
 def _gauss_newton(
