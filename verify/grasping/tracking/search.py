@@ -63,8 +63,7 @@ def left_picture(now: TargetSearch, ahead: KalmanTrack) -> str:
     target = now.identity.target
     assert target is not None
     for name, (camera, _, image) in zip(("left", "right"), _camera_sides(now), strict=True):
-        pixel = project(camera, ahead.position)[0]
-        depth = float(camera.inside(ahead.position)[2])
+        pixel, _, depth = project(camera, ahead.position)
         half = _extent_in_pixels(target.extent, camera.camera, depth) / 2
         last = np.array(image.shape[1::-1]) - 1
         if depth <= 0 or (pixel - half < 0).any() or (pixel + half > last).any():
@@ -81,8 +80,7 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
     windows: list[camshift.Box] = []
     for model, (camera, t, image) in zip(now.models, _camera_sides(now), strict=True):
         there = ahead.at(t)
-        pixel, slope, _ = project(camera, there.position)
-        depth = float(camera.inside(there.position)[2])
+        pixel, slope, depth = project(camera, there.position)
         sigma = np.sqrt(np.diag(slope @ there.position_covariance @ slope.T))
         extent = _extent_in_pixels(target.extent, camera.camera, depth)
         region = camshift.box_around(pixel, 0.6 * extent + WINDOW_SIGMA * sigma + WINDOW_MARGIN_PX)

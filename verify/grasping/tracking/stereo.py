@@ -92,17 +92,11 @@ def line_of_sight(
     return LineOfSight(camera, xy, back @ covariance @ back.T, lens, extent)
 
 
-def project(camera: PannedCamera, point: Array) -> tuple[Array, Array, LineOfSight]:
-    """Picture a point of the rig.
-
-    Returns the pixel (2,), its derivative by the point (2, 3), px/m, and the line of sight, exact
-    and of no extent.
-    """
+def project(camera: PannedCamera, point: Array) -> tuple[Array, Array, float]:
+    """Picture a point of the rig: pixel (2,), its derivative by it (2, 3), px/m, and depth, m."""
     inside = camera.inside(point)
-    xy = inside[:2] / inside[2]
-    pixel, lens = camera.picture(xy)
-    exact = LineOfSight(camera, xy, np.zeros((2, 2)), lens, np.zeros(2))
-    return pixel, lens @ camera.slope(inside), exact
+    pixel, lens = camera.picture(inside[:2] / inside[2])
+    return pixel, lens @ camera.slope(inside), float(inside[2])
 
 
 @dataclass(frozen=True, slots=True)
