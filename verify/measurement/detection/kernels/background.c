@@ -160,20 +160,18 @@ static void solve_amplitudes(double (*left)[N_RIGHT], Room *room, double *eviden
  * log-likelihood ratio of curvature of each amplitude to none, is added. */
 static void sum_curvature(const Fits *fits, int64_t n, Room *room, double *evidence)
 {
-    double root[N_PARAMETERS * N_PARAMETERS], products[N_PARAMETERS][N_RIGHT];
-    double left[N_RIGHT][N_RIGHT];
+    double products[N_PARAMETERS][N_RIGHT], left[N_RIGHT][N_RIGHT];
     int64_t p = pixels_of(fits, n);
     bool precise = fits->saturated[n]; /* as in `normal_equations` */
     multiply_rows(N_PARAMETERS, N_RIGHT, p, rows_of(fits, n), room->right, precise, products[0]);
     multiply_rows(N_RIGHT, N_RIGHT, p, room->right, room->right, precise, left[0]);
-    const double *information = fits->information + N_PARAMETERS * N_PARAMETERS * n;
-    factor(N_PARAMETERS, information, -MIN_INFORMATION, root);
     for (int a = 0; a < N_PARAMETERS; a++) {
         copy(room->follow[a], products[a], N_RIGHT);
         room->follow[a][N_RIGHT] = a == PAR_X ? 1.0 : 0.0;
         room->follow[a][N_RIGHT + 1] = a == PAR_Y ? 1.0 : 0.0;
     }
-    solve_each(N_PARAMETERS, N_RIGHT + 2, root, room->follow[0]);
+    solve_each(N_PARAMETERS, N_RIGHT + 2, fits->root + N_PARAMETERS * N_PARAMETERS * n,
+               room->follow[0]);
     for (int a = 0; a < N_PARAMETERS; a++)
         for (int b = 0; b < N_RIGHT; b++)
             for (int c = 0; c < N_RIGHT; c++)

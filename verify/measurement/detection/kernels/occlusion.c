@@ -145,13 +145,12 @@ static void sum_bites(double peak, int64_t p, const float *rows, double (*totals
 static void score_bites(const Fits *fits, int64_t n, double worth, double (*score)[N_DIRECTIONS])
 {
     double totals[N_SUMS][N_DIRECTIONS], *whole = totals[ROW_BITE];
-    double root[N_PARAMETERS * N_PARAMETERS], follow[N_PARAMETERS][N_DIRECTIONS];
+    double follow[N_PARAMETERS][N_DIRECTIONS];
     const double *gradient = fits->gradient + N_PARAMETERS * n;
     sum_bites(fits->parameters[N_PARAMETERS * n + PAR_PEAK], pixels_of(fits, n), rows_of(fits, n),
               totals);
-    factor(N_PARAMETERS, fits->information + N_PARAMETERS * N_PARAMETERS * n, 0.0, root);
     copy(follow[0], totals[0], N_PARAMETERS * N_DIRECTIONS);
-    solve_each(N_PARAMETERS, N_DIRECTIONS, root, follow[0]);
+    solve_each(N_PARAMETERS, N_DIRECTIONS, fits->root + N_PARAMETERS * N_PARAMETERS * n, follow[0]);
     for (int side = 0; side < N_DIRECTIONS; side++) {
         double left = whole[side], slope = totals[ROW_RESIDUAL][side];
         for (int a = 0; a < N_PARAMETERS; a++) {

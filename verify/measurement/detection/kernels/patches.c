@@ -82,6 +82,7 @@ static Fits empty_fits(int64_t n, const double *spots, bool first_look)
         .parameters = TAKE(double, N_PARAMETERS * n),
         .information = TAKE(double, N_PARAMETERS * N_PARAMETERS * n),
         .gradient = TAKE(double, N_PARAMETERS * n),
+        .root = TAKE(double, N_PARAMETERS * N_PARAMETERS * n),
         .chi2 = TAKE(double, n),
     };
     fits.begin[0] = 0;

@@ -37,6 +37,7 @@ typedef struct {
     double *parameters;  /* (n, 10), x and y in px from the patch's centre pixel */
     double *information; /* (n, 10, 10), inverse covariance, priors included */
     double *gradient;    /* (n, 10), of the quasi-likelihood */
+    double *root;        /* (n, 10, 10), Cholesky factor of the information, once it is assessed */
     double *chi2;        /* (n,) */
 } Fits;
 

@@ -67,9 +67,9 @@ static bool all_finite(int64_t n, const double *values)
 }
 
 /* Fill in the covariance of the centre, other parameters free, px^2; NaN where it is not finite. */
-static void centre_covariance(const double *information, double *row)
+static void centre_covariance(const double *information, double *root, double *row)
 {
-    double root[N_PARAMETERS * N_PARAMETERS], right[2][N_PARAMETERS] = {{0.0}};
+    double right[2][N_PARAMETERS] = {{0.0}};
     double unit = all_finite(N_PARAMETERS * N_PARAMETERS, information) ? 1.0 : NAN;
     factor(N_PARAMETERS, information, -MIN_INFORMATION, root);
     right[0][PAR_X] = right[1][PAR_Y] = unit;
@@ -140,7 +140,7 @@ void assess_all(const Fits *fits, int64_t width, int64_t height, double lifted, 
         row[COL_ELONGATION] = longer / shorter;
         row[COL_STRETCH_X] = turn * half;
         row[COL_STRETCH_Y] = turn * p[PAR_XY];
-        centre_covariance(information, row);
+        centre_covariance(information, fits->root + N_PARAMETERS * N_PARAMETERS * n, row);
         assess_shape(fits, n, lifted, row);
         double rim = MIN_BORDER * longer - 0.5;
         double certain = information[(N_PARAMETERS + 1) * PAR_PEAK];
