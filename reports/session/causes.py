@@ -42,6 +42,9 @@ REMEDIES = {
     "led_body_slipped": "fix the LED body, and measure or register it again",
 }
 
+# what no motion tells from an offset of the first joint, and of the last
+SAME_AS = {"base_turned": "the robot base", "led_body_turned": "the LED body"}
+
 # the motion that tells causes apart; {joints} is joint 3, or joints 3 and 4
 MOTIONS = {
     "independent_registration": "find base and LED body by fixture and jig, then record again",
@@ -124,7 +127,8 @@ def remedy(entry: dict[str, Any]) -> str:
         return IMPLAUSIBLE
     change = fmt.number(-known if kind == "offset" else known, _decimals(entry), signed=True)
     if kind == "offset":
-        return f"add {change}° to its reading"
+        same = same_as(entry)
+        return f"add {change}° to its reading" + (f" ({same})" if same else "")
     if kind == "camera_skew":
         return f"add {change} s to t_right_s in frames.csv"
     if kind == "latency":
@@ -135,6 +139,12 @@ def remedy(entry: dict[str, Any]) -> str:
         place = f"{entry.get('parameter', 'the parameter')} in the robot file"
         return f"correct {place} by {change} {unit_sign(entry)}".strip()
     return REMEDIES.get(str(kind), fmt.DASH)
+
+
+def same_as(entry: dict[str, Any]) -> str:
+    """Say what shows the same as an offset, whatever the motion; empty: nothing does."""
+    part = SAME_AS.get(str(entry.get("same_as")))
+    return "" if part is None else f"{part}, turned as much about this axis, would show the same"
 
 
 def separation(entry: dict[str, Any]) -> str:

@@ -85,7 +85,7 @@ def _caution(results: Results, entry: dict[str, Any], own: list[dict[str, Any]])
     """Say when a cause's correction does not hold, or what to do where no number corrects it."""
     if _correction(entry)[0] == NOTHING:
         return f"no number corrects it: {causes.remedy(entry)}"
-    cautions = []
+    cautions = [same] if (same := causes.same_as(entry)) else []
     others = [causes.cause_name(other) for other in own if other is not entry]
     if others:
         cautions.append(f"it holds only together with the {fmt.join_words(others)}")

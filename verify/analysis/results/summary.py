@@ -163,9 +163,13 @@ def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
     """The causes; an offset that is all that ails its joint is the mean of the resolved error."""
     causes, means = judged.diagnosis.causes, judged.means
     count = Counter(c.joint for c in causes)
+    # what is turned about the first or the last axis shows what a constant offset there does
+    same = {1: "base_turned", len(means.mean): "led_body_turned"}
     entries = []
     for cause in causes:
         entry = cause_entry(cause)
+        if cause.kind == "offset" and cause.joint in same:
+            entry["same_as"] = same[cause.joint]
         j = (cause.joint or 0) - 1
         if cause.kind == "offset" and count[cause.joint] == 1 and np.isfinite(means.mean[j]):
             u = float(np.sqrt(means.covariance[j, j]) * DEGREE)
