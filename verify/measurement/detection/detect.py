@@ -55,9 +55,8 @@ def detect(
         InputError: not an 8-bit grey or BGR image, or windows of another shape.
     """
     check_image(image, windows)
-    values, height, width = np.zeros(4), *image.shape[:2]
-    if noise is not None:
-        values[:3] = noise.read**2, noise.gain, noise.black
+    known = (0.0,) * 4 if noise is None else (noise.read**2, noise.gain, noise.black, 0.0)
+    values, height, width = np.array(known), *image.shape[:2]
     picture = Picture(image, width, height, 1 if image.ndim == 2 else 3)
     limits, camera = SpotLimits(*DIAMETER_RANGE, limit), (values, noise is None)
     if picture.channels == 1 and windows is not None and are_small(windows):
@@ -84,7 +83,7 @@ def check_image(image: Image, windows: Array | None) -> None:
             "an image is (height, width) or (height, width, 3), 8 bits",
             "Convert it, or set the camera to an 8-bit format.",
         )
-    if windows is not None and (np.ndim(windows) != 2 or np.shape(windows)[1] != 4):
+    if windows is not None and (windows.ndim != 2 or windows.shape[1] != 4):
         raise InputError(
-            "windows", f"their shape is {np.shape(windows)}", "one row x0, y0, x1, y1 a window"
+            "windows", f"their shape is {windows.shape}", "one row x0, y0, x1, y1 a window"
         )

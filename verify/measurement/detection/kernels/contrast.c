@@ -155,7 +155,9 @@ Box flood_fill(Grid picture, int64_t level, int64_t place, bool corners, int32_t
         east -= row;
         box = (Box){MIN(box.left, west), MIN(box.top, y), MAX(box.right, east),
                     MAX(box.bottom, y + 1)};
-        for (int64_t v = MAX(y - 1, 0); v < MIN(y + 2, height); v++) {
+        for (int64_t v = y - 1; v < y + 2; v += 2) { /* its own row has no more of them */
+            if (v < 0 || v >= height)
+                continue;
             bool run = false; /* of new pixels: its first one stands for it */
             for (int64_t u = MAX(west - corners, 0); u < MIN(east + corners, width); u++) {
                 bool starts = !run;

@@ -163,15 +163,9 @@ def _spot_arrays(most: int) -> SpotArrays:
 
 def _spot_fields(arrays: SpotArrays, count: int) -> SpotFields:
     centre, covariance, figures, flags, colour = arrays
-    peak, diameter, misfit = figures
-    saturated, merged = flags
+    peak, diameter, misfit = figures[:, :count]
+    saturated, merged = flags[:, :count]
     return (
-        centre[:count],
-        covariance[:count],
-        peak[:count],
-        diameter[:count],
-        misfit[:count],
-        saturated[:count],
-        merged[:count],
+        centre[:count], covariance[:count], peak, diameter, misfit, saturated, merged,
         colour[:count],
-    )
+    )  # fmt: skip
