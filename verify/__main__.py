@@ -59,7 +59,7 @@ def _replace_streams(*, muted: bool) -> None:
     for descriptor, stream in enumerate((sys.stdin, sys.stdout, sys.stderr)):
         if stream is None:  # else the next file that is opened gets the descriptor
             os.dup2(os.open(os.devnull, os.O_RDWR), descriptor)
-    out = _StreamFile(1, BrokenPipeError)
+    out = _StreamFile(1, OSError if os.isatty(1) else BrokenPipeError)  # a terminal closes
     error = _StreamFile(os.dup(2) if muted else 2, OSError)
     sys.stdout = sys.__stdout__ = _stream(sys.stdout, out, "replace")  # type: ignore[misc]
     stderr = _stream(sys.stderr, error, "backslashreplace")

@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -17,6 +18,7 @@ import robots
 from tests.support.command import SAMPLES, remembered, replayed, verify
 from tests.support.small_disk import mounted
 from verify import analyse, open_session
+from verify.cli.watch import stop_on_signal
 from verify.core.records import Measurement
 
 SESSION = SAMPLES / "quarter_circle_6r"
@@ -31,8 +33,20 @@ def measurements() -> list[Measurement]:
     return seen
 
 
+@pytest.fixture(autouse=True)
+def terminal() -> Iterator[None]:
+    """A terminal's end is not ignored, as it is where nohup runs the tests."""
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    yield
+    signal.signal(signal.SIGHUP, before)
+
+
 @pytest.mark.slow
-@pytest.mark.parametrize("sent", [signal.SIGINT, signal.SIGTERM], ids=["Ctrl-C", "kill"])
+@pytest.mark.parametrize(
+    "sent",
+    [signal.SIGINT, signal.SIGTERM, signal.SIGHUP],
+    ids=["Ctrl-C", "kill", "terminal closed"],
+)
 def test_an_interrupted_run_reports_it_and_writes_nothing(
     sent: signal.Signals, tmp_path: Path
 ) -> None:
@@ -48,6 +62,19 @@ def test_an_interrupted_run_reports_it_and_writes_nothing(
     assert err.splitlines()[-1] == "interrupted"
     assert "Traceback" not in err
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("sent", "times"), [(signal.SIGINT, 1), (signal.SIGTERM, 1), (signal.SIGHUP, 2)]
+)
+def test_a_watch_is_asked_to_end_with_its_report(sent: signal.Signals, times: int) -> None:
+    """A shell passes on to its jobs that the terminal has closed: they hear of it twice."""
+    before = signal.getsignal(sent)
+    with stop_on_signal() as stop:
+        for _ in range(times):
+            signal.raise_signal(sent)
+        assert stop.is_set()
+    assert signal.getsignal(sent) is before
 
 
 @pytest.mark.slow

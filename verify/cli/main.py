@@ -32,7 +32,7 @@ from verify.cli.report import report
 from verify.cli.robots import robots
 from verify.cli.run import demo, record, run
 from verify.cli.simulate import simulate
-from verify.cli.terminal import show_log, terminal
+from verify.cli.terminal import hangups, show_log, terminal
 from verify.errors import InputError, WatchDefectError, one_line
 
 # typer brings its own copy of click or uses the installed one, depending on its version; either
@@ -93,7 +93,8 @@ def main(arguments: list[str] | None = None) -> None:
     words = _global_flags(sys.argv[1:] if arguments is None else arguments) or ["--help"]
     show_log()
     sys.unraisablehook = _show_unraisable
-    signal.signal(signal.SIGTERM, _interrupt)  # a SIGTERM leaves nothing half-written either
+    for number in (signal.SIGTERM, *hangups()):  # they leave nothing half-written either
+        signal.signal(number, _interrupt)
     if signal.getsignal(signal.SIGINT) is not signal.SIG_IGN:
         signal.signal(signal.SIGINT, _interrupt)
     atexit.register(_ignore_interruptions)
@@ -101,13 +102,13 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 class CommandInterrupt(KeyboardInterrupt):
-    """Ctrl-C or SIGTERM; a class of its own, for which Python does not end by a signal itself."""
+    """Ctrl-C, SIGTERM, SIGHUP; a class of its own: for it Python does not end by a signal."""
 
 
 def _ignore_interruptions() -> None:
     """Ignore signals by which Python's own end, which restores their actions, would be killed."""
-    for name in ("SIGALRM", "SIGINT", "SIGTERM"):
-        if hasattr(signal, name):  # the first is not everywhere
+    for name in ("SIGALRM", "SIGHUP", "SIGINT", "SIGTERM"):
+        if hasattr(signal, name):  # the first two are not everywhere
             signal.signal(getattr(signal, name), signal.SIG_IGN)
 
 

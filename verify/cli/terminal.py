@@ -3,6 +3,7 @@
 import json
 import logging
 import os
+import signal
 import sys
 import threading
 from collections.abc import Callable, Iterator
@@ -146,6 +147,12 @@ def show_log() -> None:
     log = logging.getLogger("verify")
     log.handlers[:] = [handler]
     log.setLevel(logging.INFO)
+
+
+def hangups() -> tuple[signal.Signals, ...]:
+    """Signals of a terminal that closes: none where ignored, as under nohup, or not known."""
+    found = [getattr(signal, name) for name in ("SIGHUP",) if hasattr(signal, name)]
+    return tuple(number for number in found if signal.getsignal(number) is not signal.SIG_IGN)
 
 
 terminal = Terminal()

@@ -18,7 +18,7 @@ from rich.console import Console
 
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.cli.options import PageOptions
-from verify.cli.terminal import terminal
+from verify.cli.terminal import hangups, terminal
 from verify.core.processes import ChildLostError, ChildProcess, answer_requests
 from verify.errors import InputError, WatchDefectError
 from verify.io.series import ALARM_COLUMNS
@@ -232,14 +232,18 @@ def show_state(
 
 @contextmanager
 def stop_on_signal() -> Iterator[threading.Event]:
-    """Set an event at SIGINT or SIGTERM: the run ends with its report; a second one interrupts."""
-    stop = threading.Event()
+    """Set an event at Ctrl-C, SIGTERM or when the terminal closes: the run ends with its report.
+
+    A second signal interrupts, but that of the terminal: a shell passes it on, so it comes twice.
+    """
+    stop, closed = threading.Event(), hangups()
 
     def first(number: int, _frame: FrameType | None) -> None:
         stop.set()
-        signal.signal(number, before[signal.Signals(number)])
+        if number not in closed:
+            signal.signal(number, before[signal.Signals(number)])
 
-    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)}
+    before = {n: signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM, *closed)}
     for number in before:
         signal.signal(number, first)
     try:

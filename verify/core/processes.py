@@ -261,7 +261,9 @@ def _run(
     background: bool,
 ) -> None:
     line = ParentLine(*ends)
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C is for the parent process
+    for name in ("SIGINT", "SIGHUP"):  # a terminal's signals are for the parent process
+        if hasattr(signal, name):  # the second is not everywhere
+            signal.signal(getattr(signal, name), signal.SIG_IGN)
     faulthandler.enable()
     threading.Thread(target=_exit_with_parent, name="parent", daemon=True).start()
     threading.Thread(target=line.report_start, name="start", daemon=True).start()
