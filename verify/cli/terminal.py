@@ -151,8 +151,10 @@ def show_log() -> None:
 
 def hangups() -> tuple[signal.Signals, ...]:
     """Signals of a terminal that closes: none where ignored, as under nohup, or not known."""
-    found = [getattr(signal, name) for name in ("SIGHUP",) if hasattr(signal, name)]
-    return tuple(number for number in found if signal.getsignal(number) is not signal.SIG_IGN)
+    number: signal.Signals | None = getattr(signal, "SIGHUP", None)
+    if number is None or signal.getsignal(number) is signal.SIG_IGN:
+        return ()
+    return (number,)
 
 
 terminal = Terminal()

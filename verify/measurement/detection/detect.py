@@ -83,7 +83,7 @@ def check_image(image: Image, windows: Array | None) -> None:
             "an image is (height, width) or (height, width, 3), 8 bits",
             "Convert it, or set the camera to an 8-bit format.",
         )
-    if windows is not None and (windows.ndim != 2 or windows.shape[1] != 4):
+    if windows is not None and (np.ndim(windows) != 2 or np.shape(windows)[1] != 4):
         raise InputError(
-            "windows", f"their shape is {windows.shape}", "one row x0, y0, x1, y1 a window"
+            "windows", f"their shape is {np.shape(windows)}", "one row x0, y0, x1, y1 a window"
         )

@@ -66,7 +66,8 @@ static bool all_finite(int64_t n, const double *values)
     return finite;
 }
 
-/* Fill in the covariance of the centre, other parameters free, px^2; NaN where it is not finite. */
+/* Fill in the information's factor `root` (10, 10), and the covariance of the centre, other parameters
+ * free, px^2; NaN where it is not finite. */
 static void centre_covariance(const double *information, double *root, double *row)
 {
     double right[2][N_PARAMETERS] = {{0.0}};
