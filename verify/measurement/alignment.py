@@ -42,7 +42,8 @@ class RawSightings:
     peak: Array  # (s,), DN
     taken: Array  # (s,), s, the instant of each spot (differs by row with a rolling shutter)
     depth: Array  # (s,), m, rough distance along the optical axis
-    width: Array  # (s,), px, full width at half height; nan where it may not be the LED's alone
+    width: Array  # (s,), px, full width at half height
+    merged: NDArray[np.bool_]  # (s,), the width may not be that of the LED alone
     left: int  # spots of the left picture
     instants: tuple[float, float]  # s, of the pictures' middle rows, left and right
     pans: tuple[float, float]  # rad, as read
@@ -108,7 +109,6 @@ def raw_sightings(
         spot_instants(t, own.centre, camera, height)
         for t, own, camera in zip(instants, seen, cameras, strict=True)
     ]
-    widths = [np.where(own.merged, np.nan, own.diameter) for own in seen]
     return RawSightings(
         led=np.concatenate([led for led, _ in found]),
         centre=np.concatenate([own.centre for own in seen]),
@@ -116,7 +116,8 @@ def raw_sightings(
         peak=np.concatenate([own.peak for own in seen]),
         taken=np.concatenate(times),
         depth=np.concatenate(depths),
-        width=np.concatenate(widths),
+        width=np.concatenate([own.diameter for own in seen]),
+        merged=np.concatenate([own.merged for own in seen]),
         left=len(seen[0]),
         instants=instants,
         pans=pans,

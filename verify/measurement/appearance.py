@@ -62,7 +62,7 @@ class Appearance:
         """The appearance once a pair's LEDs are seen."""
         peak, width, at = PEAK_FADING * self.peak, WIDTH_FADING * self.width, self._places(raw)
         peak.flat[at] = np.minimum(raw.peak, SENSOR_LIMIT_DN)
-        width.flat[at] = np.fmax(width.flat[at], raw.width)
+        width.flat[at] = np.fmax(width.flat[at], np.where(raw.merged, np.nan, raw.width))
         return Appearance(peak, width)
 
     def widen_hidden(self, raw: RawSightings) -> RawSightings:
@@ -71,7 +71,7 @@ class Appearance:
         share = raw.width / before
         for own in raw.sides:
             usual = min(float(np.fmax.reduce(share[own], initial=0.0)), 1.0)
-            hidden = share[own] < MIN_WIDTH_SHARE * usual
+            hidden = (share[own] < MIN_WIDTH_SHARE * usual) & ~raw.merged[own]
             if np.count_nonzero(hidden):
                 moved[own] = np.where(hidden, usual * before[own] - raw.width[own], 0.0)
         if not np.count_nonzero(moved):

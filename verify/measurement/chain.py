@@ -250,6 +250,7 @@ def _track(
         taken=tracked.taken,
         depth=tracked.depth,
         width=tracked.width,
+        merged=np.zeros(2 * n, np.bool_),
         left=n,
         instants=(pair.t_left, pair.t_right),
         pans=(pair.pan_left, pair.pan_right),

@@ -27,6 +27,7 @@ def raw(
         taken=np.full(2 * m, t),
         depth=np.full(2 * m, depth),
         width=np.full(2 * m, 4.0),
+        merged=np.zeros(2 * m, np.bool_),
         left=m,
         instants=(t, t),
         pans=(pan, pan),

@@ -1,5 +1,7 @@
 """LEDs that have become smaller or dimmer than when they were last seen."""
 
+from dataclasses import replace
+
 import msgspec
 import numpy as np
 from numpy.testing import assert_allclose
@@ -29,6 +31,7 @@ def seen(width: list[float], right: list[float] | None = None) -> RawSightings:
         taken=np.zeros(n + len(widths[1])),
         depth=np.full(n + len(widths[1]), 0.6),
         width=np.concatenate(widths),
+        merged=np.zeros(n + len(widths[1]), np.bool_),
         left=n,
         instants=(0.0, 0.0),
         pans=(0.0, 0.0),
@@ -67,12 +70,18 @@ def test_leds_that_all_become_smaller_are_whole() -> None:
     assert_allclose(added(after(seen([6.0, 7.0, 8.0])), seen([4.5, 5.2, 6.0])), 0.0)
 
 
+def merged(leds: list[bool], raw: RawSightings) -> RawSightings:
+    """The same, some of them merged, in either picture."""
+    return replace(raw, merged=np.array(leds * 2))
+
+
 def test_what_is_not_known_or_merged_is_left_alone() -> None:
-    assert_allclose(added(Appearance.unknown(3), seen([4.0, 5.0, 5.0])), 0.0)
-    assert_allclose(added(after(seen([5.0, 5.0, 5.0])), seen([np.nan, 5.0, 5.0])), 0.0)
+    first = merged([True, False, False], seen([4.0, 5.0, 5.0]))
+    assert_allclose(added(Appearance.unknown(3), first), 0.0)
+    assert_allclose(added(after(seen([5.0, 5.0, 5.0])), first), 0.0)
     assert_allclose(added(after(seen([5.0, 5.0, 5.0])), seen([])), np.empty((0, 2)))
-    merged = after(seen([5.0, 5.0, 5.0]), seen([np.nan, 9.0, 5.0]))
-    assert_allclose(merged.width[0], [5.0 * WIDTH_FADING, 9.0, 5.0])
+    wider = merged([True, False, False], seen([9.0, 9.0, 5.0]))
+    assert_allclose(after(seen([5.0] * 3), wider).width[0], [5.0 * WIDTH_FADING, 9.0, 5.0])
 
 
 def test_a_hidden_led_is_remembered_as_it_was() -> None:
@@ -80,6 +89,13 @@ def test_a_hidden_led_is_remembered_as_it_was() -> None:
     appearance = after(seen([5.0, 5.0, 5.0]), *hidden)
     assert added(appearance, hidden[0])[0, 0] > 0.9
     assert_allclose(appearance.least_peaks, [54.0, 54.0])
+
+
+def test_a_merged_led_that_kept_its_width_shows_that_others_have_not() -> None:
+    raw = merged([False, False, True], seen([4.0, 3.8, 5.2]))
+    assert_allclose(
+        added(after(seen([5.0, 5.0, 5.2])), raw), [[1, 1], [1.2, 1.2], [0, 0]], atol=0.1
+    )
 
 
 def test_poses_from_half_leds_before_texture_are_as_uncertain_as_they_say() -> None:

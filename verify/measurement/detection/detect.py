@@ -3,9 +3,10 @@
 Candidates are compact bright blobs (candidates.py). All else is one compiled call a picture
 (kernels/spots.c), with the search for them in small windows: each is fitted by a profile between a
 halo, a Gaussian and a blurred disc (kernels/fit.c, profile.py) under the image's own noise
-(kernels/noise.c), and assessed by the residuals (kernels/quality.c). A hidden sliver of the rim is
-corrected for (kernels/occlusion.c), and so is a background that bends (kernels/background.c); what
-finer texture may do is measured beside the spots (kernels/surroundings.c).
+(kernels/noise.c, residual_noise.c), and assessed by the residuals (kernels/quality.c). A hidden
+sliver of the rim is corrected for (kernels/occlusion.c), and so is a background that bends
+(kernels/background.c); what finer texture may do is measured beside the spots
+(kernels/surroundings.c).
 """
 
 import math

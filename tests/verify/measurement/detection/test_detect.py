@@ -144,6 +144,21 @@ def test_small_and_large_leds_before_texture_scatter_as_claimed(
         assert within == pytest.approx(0.95, abs=0.03)
 
 
+def test_before_strong_texture_the_noise_is_that_of_the_camera() -> None:
+    """What texture adds to residuals was taken for shot noise, and made it six times as large."""
+    sensor, rng, of_room, of_leds = Sensor(), np.random.default_rng(41), [], []
+    for _ in range(30):
+        room = gaussian_filter(rng.normal(size=(360, 640)), 6, mode="wrap")
+        leds = [Spot(200, 0.7, radius) for radius in rng.uniform(2, 6, 4)]
+        floor = 50 + 15 * room / room.std()
+        image = picture(leds, scattered(2, 2, rng, pitch=110.0), sensor, rng, floor=floor)
+        noise = detect(image).noise
+        of_room.append(noise.read**2 + noise.gain * (50 - noise.black))
+        of_leds.append(noise.read**2 + noise.gain * (200 - noise.black))
+    assert np.mean(of_room) == pytest.approx(sensor.read**2 + sensor.gain * 50, rel=0.1)
+    assert np.mean(of_leds) == pytest.approx(sensor.read**2 + sensor.gain * 200, rel=0.25)
+
+
 def test_a_saturated_disc_before_texture_is_not_taken_for_a_part_of_it() -> None:
     rng, errors, normal = np.random.default_rng(7), [], []
     for _ in range(60):

@@ -1,27 +1,13 @@
-/* Estimate an image's noise from its background and from the residuals of its spots.
- *
- * Model of a pixel's variance, s being the signal above black:
- *
- *     var(s) = read^2 + gain s,   DN^2
- *
- *     symbol  meaning                                             unit
- *     read    standard deviation in the dark, with quantisation   DN
- *     gain    shot noise: variance a unit of signal               DN
- *     black   level at which the signal is zero                   DN
+/* Estimate an image's noise from its background.
  *
  * Of five pixels a to e of a row a local cubic leaves the fourth difference a - 4 b + 6 c - 4 d
  * + e, whose variance is 70 times a pixel's; within classes of brightness its median bounds what
- * belongs to the background, and the quietest class shows read. On the spots, squared residuals
- * follow
- *
- *     E[r^2] = dark + gain signal, weighed by 1 / (2 (dark + gain signal)^2)
+ * belongs to the background, and the quietest class shows read.
  */
 #include "verify/measurement/detection/kernels/noise.h"
 
-
 #include "verify/core/kernels/linear_algebra.h"
 #include "verify/core/kernels/scratch.h"
-#include "verify/measurement/detection/kernels/quality.h"
 
 /* levels are whole thirty-fifths, differences whole: both can be counted */
 #define LEVEL_PARTS 35 /* a level's, of one DN */
@@ -29,7 +15,6 @@
 #define N_LEVELS (50 * 255 + 1)
 #define N_DIFFERENCES 1024 /* the last stands for larger ones too: of a texture, not of noise */
 #define BLOCK_PIXELS 64    /* pixels in a row that are looked at, or left out, together */
-#define MIN_PIXELS 32      /* pixels: of fewer, the fit's own parameters take more than a quarter */
 /* Fourth difference along a line: cubic shading vanishes; white noise of variance v leaves 70 v.
  * The level beside it is a local cubic's, which has no bias. */
 #define STENCIL_GAIN 70.0
@@ -43,21 +28,10 @@
 #define CLASS_PARTS (LEVEL_PARTS * CLASS_WIDTH)
 #define BLACK_SHARE 0.01      /* share of a picture that is no brighter than black */
 #define MIN_STENCILS 60       /* stencils a level class must hold: 15 % on its variance */
-#define INDEPENDENT_SHARE 0.5 /* of independent information: neighbouring stencils overlap */
-#define TYPICAL_GAIN (1.0 / 35.0) /* DN, 9,000 electrons over 255 DN: a usual small pixel */
-#define MIN_GAIN 1e-4             /* DN, 2.5 million electrons: no sensor holds more */
-#define MAX_GAIN 0.2         /* DN, 1,300 electrons: above, it is the shape that does not fit */
 #define N_SAMPLE_ROWS 24     /* rows sampled */
 #define N_SAMPLE 10000       /* pixels of them at least: read noise to 2 %, TEXTURE_SHARE / 5 */
 #define TYPICAL_READ 1.5     /* DN, where no unclipped dark pixel shows it */
 #define TEXTURE_SHARE 0.1    /* relative: what unseen texture may add to the dark variance */
-#define TYPICAL_SPREAD 1.0   /* relative, how far a sensor may be from typical */
-#define MAX_NOISE_SPOTS 8    /* whose residuals show the noise, brightest first: then come glints */
-#define CORE_AREA 1.77       /* of a spot's core over its square diameter, as in fit.c */
-/* Share of its core that clipping must leave: a spot farther over the limit shows its core's shape so
- * little that what does not fit there would pass for gain. */
-#define MIN_CLEAR 0.33
-#define MAX_MISFIT_RATIO 1.7 /* times the best misfit: more is a shape that the profiles lack */
 
 /* Rows of pixels of one channel, DN; steps to the next row and the next pixel. */
 typedef struct {
@@ -209,133 +183,10 @@ void background_noise(const Picture *picture, bool lossy, double *noise)
     noise[3] = lossy || hidden ? TYPICAL_SPREAD : found.spread + TEXTURE_SHARE;
 }
 
-/* Gather squared residuals, DN^2, and signals, DN above black, of a spot's unclipped pixels.
- *
- * `own`, how many of its own pixels clipping leaves alone, more than N_FITTED; `residual2` and
- * `signal` are filled from the first on. Gives how many are filled in. */
-static int64_t gather_residuals(const Fits *fits, int64_t n, double own, double *residual2,
-                                double *signal)
-{
-    int64_t p = pixels_of(fits, n), count = 0;
-    const float *rows = rows_of(fits, n), *used = rows + ROW_USED * pitch(p);
-    const float *visible = rows + ROW_VISIBLE * pitch(p), *value = rows + ROW_VALUE * pitch(p);
-    const float *mean = rows + ROW_MEAN * pitch(p), *above = rows + ROW_SIGNAL * pitch(p);
-    const float *core = rows + ROW_CORE * pitch(p);
-    const double *share = fits->share + 2 * n;
-    double paid = own / (own - N_FITTED); /* the fit's parameters took from those pixels */
-    for (int64_t k = 0; k < p; k++)
-        if (used[k] > 0.0f && visible[k] > MIN_NOISE_SHARE) {
-            float off = value[k] - mean[k];
-            /* combined colours have a noise of their own; brought back to that of one channel */
-            residual2[count] = (double)(off * off) * (core[k] > 0.0f ? paid : 1.0) / share[0];
-            signal[count++] = (double)above[k] * share[1] / share[0];
-        }
-    return count;
-}
-
-/* Least misfit of n spots, those of few pixels left out unless there is no other. */
-static double least_misfit(int64_t n, const double *misfit, const int64_t *begin)
-{
-    double least = INFINITY, of_many = INFINITY;
-    for (int64_t k = 0; k < n; k++) {
-        bool many = begin[k + 1] - begin[k] >= MIN_PIXELS;
-        least = misfit[k] < least ? misfit[k] : least;
-        of_many = many && misfit[k] < of_many ? misfit[k] : of_many;
-    }
-    return of_many < INFINITY ? of_many : least;
-}
-
-/* Mean of squared residuals (p,) over the variance that a line, dark and gain, has for them. */
-static double misfit_of(int64_t p, const double *residual2, const double *signal, double dark,
-                        double gain)
-{
-    double total = 0.0;
-    #pragma omp simd reduction(+ : total)
-    for (int64_t k = 0; k < p; k++)
-        total += residual2[k] / (dark + gain * signal[k]);
-    return total / (double)p;
-}
-
-/* Regress squared residuals (k,), DN^2, on signal (k,), DN, misfitting spots left out.
- *
- * `begin` (n + 1,): where each of n spots' pixels begin; `line` (2,), changed: dark variance and
- * gain, the start; `usual` (2,): one over their standard uncertainties. */
-static void variance_line(int64_t n, const double *residual2, const double *signal,
-                          const int64_t *begin, double *line, const double *usual)
-{
-    Mark mark = scratch_mark();
-    double first0 = line[0], first1 = line[1], *misfit = TAKE(double, n);
-    for (int turn = 0; turn < 3; turn++) { /* which spots are clean settles in two rounds */
-        double dark = line[0], gain = line[1];
-        for (int64_t m = 0; m < n; m++)
-            misfit[m] = misfit_of(begin[m + 1] - begin[m], residual2 + begin[m],
-                                  signal + begin[m], dark, gain);
-        double most = MAX_MISFIT_RATIO * least_misfit(n, misfit, begin);
-        double a = square(usual[0]), b = 0.0, d = square(usual[1]);
-        double u = a * first0, v = d * first1;
-        for (int64_t m = 0; m < n; m++) {
-            if (misfit[m] > most)
-                continue;
-            #pragma omp simd reduction(+ : a, b, d, u, v)
-            for (int64_t k = begin[m]; k < begin[m + 1]; k++) {
-                double weight = 0.5 * square(1.0 / (dark + gain * signal[k]));
-                double tilted = weight * signal[k];
-                a += weight;
-                b += tilted;
-                d += tilted * signal[k];
-                u += weight * residual2[k];
-                v += tilted * residual2[k];
-            }
-        }
-        double determinant = a * d - b * b;
-        line[0] = MAX((d * u - b * v) / determinant, QUANTISATION);
-        line[1] = MIN(MAX((a * v - b * u) / determinant, MIN_GAIN), MAX_GAIN);
-    }
-    scratch_release(mark);
-}
-
-/* Bright pixels show the gain: variance line by weighted regression of residual^2 on signal;
- * misfitting spots left out. */
-void refine_noise(const Fits *fits, const double *assessed, double *noise, double spread)
-{
-    Mark mark = scratch_mark();
-    int64_t n = fits->n, count = 0, begin[MAX_NOISE_SPOTS + 1] = {0};
-    int64_t *shows = TAKE(int64_t, n);
-    double *rank = TAKE(double, n);
-    for (int64_t k = 0; k < n; k++) {
-        const double *row = assessed + N_COLUMNS * k;
-        rank[k] = -row[COL_PEAK] / row[COL_ELONGATION];
-        double core = CORE_AREA * square(row[COL_DIAMETER]);
-        if (row[COL_SOUND] > 0.0 && row[COL_COUNT] > MAX(2.0 * N_FITTED, MIN_CLEAR * core))
-            shows[count++] = k;
-    }
-    count = first_by(rank, count, shows, MAX_NOISE_SPOTS);
-    if (count > 0) {
-        double *residual2 = TAKE(double, fits->begin[n]), *signal = TAKE(double, fits->begin[n]);
-        for (int64_t m = 0; m < count; m++) {
-            double own = assessed[N_COLUMNS * shows[m] + COL_COUNT];
-            begin[m + 1] = begin[m] + gather_residuals(fits, shows[m], own, residual2 + begin[m],
-                                                       signal + begin[m]);
-        }
-        double usual[2] = {1.0 / (spread * noise[0]), 1.0 / (TYPICAL_SPREAD * TYPICAL_GAIN)};
-        noise[1] = TYPICAL_GAIN;
-        variance_line(count, residual2, signal, begin, noise, usual);
-    }
-    scratch_release(mark);
-}
-
-/* Entries, for tests. */
-
-/* `rows` (r, w); the counts are added to. */
+/* For tests. `rows` (r, w); the counts are added to. */
 int64_t entry_count_stencils(int64_t r, int64_t w, const uint8_t *rows, int64_t apart,
                              int32_t *levels, int32_t *differences)
 {
     Sample sample = {rows, r, w, w, 1};
     return count_stencils(&sample, apart, levels, differences);
-}
-
-int64_t entry_variance_line(int64_t n, const double *residual2, const double *signal,
-                            const int64_t *begin, double *line, const double *usual)
-{
-    GUARDED((variance_line(n, residual2, signal, begin, line, usual), 0));
 }

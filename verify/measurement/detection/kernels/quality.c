@@ -1,11 +1,13 @@
 /* Judge fitted spots: centre and covariance, diameter, whether a spot has the shape of one LED.
  *
- * With misfit m the residuals' mean square over their variance, the covariance is enlarged
+ * With misfit m the residuals' mean square over their variance, with what texture of the room adds to it,
+ * the covariance is enlarged
  *
  *     by 1 + c max(m - 1 - MAX_CHI2_SIGMA sqrt(2 / freedom), 0),  of merged spots by c m,
  *        and STRETCH_SHARE stretch x diameter added (`doubt_shapes`)
  *
- * with c = CORRELATED_PIXELS; in a JPEG, where the misfit of clean spots has the median M, by
+ * with c = CORRELATED_PIXELS; in a JPEG, where the misfit of clean spots, of noise alone, has the
+ * median M, by
  *
  *     s M (1 + c max(m / M - MAX_LOSSY_MISFIT, 0)),  s = LOSSY_SHARE
  *
@@ -81,11 +83,29 @@ static void centre_covariance(const double *information, double *root, double *r
     row[COL_COVARIANCE_YY] = right[1][PAR_Y];
 }
 
+/* Variance, DN^2, by which what is about a spot exceeds its noise: texture of the room. */
+static double texture_variance(int64_t p, const float *rows)
+{
+    const float *used = rows + ROW_USED * pitch(p), *radius2 = rows + ROW_RADIUS2 * pitch(p);
+    const float *value = rows + ROW_VALUE * pitch(p), *mean = rows + ROW_MEAN * pitch(p);
+    const float *variance = rows + ROW_VARIANCE * pitch(p);
+    float count = 0.0f, excess = 0.0f;
+#pragma omp simd reduction(+ : count, excess)
+    for (int64_t k = 0; k < pitch(p); k++) {
+        float off = value[k] - mean[k];
+        float one = radius2[k] > NEIGHBOUR_RADIUS * NEIGHBOUR_RADIUS ? used[k] : 0.0f;
+        count += one;
+        excess += one * (off * off - variance[k]);
+    }
+    return MAX((double)excess, 0.0) / MAX((double)count, 1.0);
+}
+
 /* Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
  *
- * `pixels`, that misfit beyond chance lifts together; `row` (16,), changed. A spot is judged by those
+ * `pixels`, that misfit beyond chance lifts together; `texture`, DN^2, variance of the room, which
+ * surroundings.c accounts for; `row` (17,), changed. A spot is judged by those
  * of its own pixels that clipping leaves alone; where they are too few, by all of its patch. */
-static void assess_shape(const Fits *fits, int64_t n, double pixels, double *row)
+static void assess_shape(const Fits *fits, int64_t n, double pixels, double texture, double *row)
 {
     int64_t p = pixels_of(fits, n);
     const float *rows = rows_of(fits, n), *valid = rows + ROW_VALID * pitch(p);
@@ -93,28 +113,32 @@ static void assess_shape(const Fits *fits, int64_t n, double pixels, double *row
     const float *value = rows + ROW_VALUE * pitch(p), *mean = rows + ROW_MEAN * pitch(p);
     const float *variance = rows + ROW_VARIANCE * pitch(p);
     float count = 0.0f, squares = 0.0f, square_dn = 0.0f, full = 0.0f, clear = 0.0f;
-#pragma omp simd reduction(+ : count, squares, square_dn, full, clear)
+    float square_fair = 0.0f, room = (float)texture;
+#pragma omp simd reduction(+ : count, squares, square_dn, full, clear, square_fair)
     for (int64_t k = 0; k < pitch(p); k++) {
         float alone = visible[k] > MIN_NOISE_SHARE ? core[k] : 0.0f, off = value[k] - mean[k];
         clear += visible[k] > MIN_NOISE_SHARE ? valid[k] : 0.0f;
         full += value[k] >= SENSOR_LIMIT ? core[k] : 0.0f;
         count += alone;
         squares += alone * off * off / variance[k];
+        square_fair += alone * off * off / (variance[k] + room);
         square_dn += alone * off * off;
     }
     double freedom = (double)count - N_FITTED, paid = MAX(freedom, 1.0);
     double misfit = freedom >= N_FITTED ? (double)squares / paid : fits->chi2[n] / MAX(clear, 1.0);
+    double shape = freedom >= N_FITTED ? (double)square_fair / paid : misfit;
     double rough = sqrt((double)square_dn / paid), peak = fits->parameters[N_PARAMETERS * n + PAR_PEAK];
     double limit = (double)SENSOR_LIMIT;
     bool merged = freedom < N_FITTED
                       ? misfit > MAX_HIDDEN_CHI2 && peak > MAX_HIDDEN_PEAK * limit
-                      : misfit > MAX_REDUCED_CHI2 && rough > MAX_RESIDUAL_RATIO * MIN(peak, limit);
-    double beyond = misfit - 1.0 - MAX_CHI2_SIGMA * sqrt(2.0 / paid);
+                      : shape > MAX_REDUCED_CHI2 && rough > MAX_RESIDUAL_RATIO * MIN(peak, limit);
+    double beyond = shape - 1.0 - MAX_CHI2_SIGMA * sqrt(2.0 / paid);
     double excess = full == 0.0f ? MAX(beyond, 0.0) : 0.0;
     double larger = merged ? CORRELATED_PIXELS * misfit : 1.0 + pixels * excess;
     for (int k = COL_COVARIANCE_XX; k <= COL_COVARIANCE_YY; k++)
         row[k] *= larger;
     row[COL_MISFIT] = misfit;
+    row[COL_SHAPE] = shape;
     row[COL_COUNT] = (double)count;
     row[COL_SATURATED] = full > 0.0f ? 1.0 : 0.0;
     row[COL_MERGED] = merged ? 1.0 : 0.0;
@@ -122,6 +146,11 @@ static void assess_shape(const Fits *fits, int64_t n, double pixels, double *row
 
 void assess_all(const Fits *fits, int64_t width, int64_t height, double lifted, double *assessed)
 {
+    Mark mark = scratch_mark();
+    double *texture = TAKE(double, fits->n);
+    for (int64_t n = 0; n < fits->n; n++)
+        texture[n] = texture_variance(pixels_of(fits, n), rows_of(fits, n));
+    double usual = fits->n > 0 ? median(texture, fits->n) : 0.0;
     for (int64_t n = 0; n < fits->n; n++) {
         const double *p = fits->parameters + N_PARAMETERS * n;
         const double *information = fits->information + N_PARAMETERS * N_PARAMETERS * n;
@@ -142,7 +171,8 @@ void assess_all(const Fits *fits, int64_t width, int64_t height, double lifted, 
         row[COL_STRETCH_X] = turn * half;
         row[COL_STRETCH_Y] = turn * p[PAR_XY];
         centre_covariance(information, fits->root + N_PARAMETERS * N_PARAMETERS * n, row);
-        assess_shape(fits, n, lifted, row);
+        /* a room that is rougher here alone is a shape that no LED has */
+        assess_shape(fits, n, lifted, MIN(texture[n], usual), row);
         double rim = MIN_BORDER * longer - 0.5;
         double certain = information[(N_PARAMETERS + 1) * PAR_PEAK];
         bool sound = positive && x > rim && y > rim && x < (double)width - 1.0 - rim &&
@@ -152,6 +182,7 @@ void assess_all(const Fits *fits, int64_t width, int64_t height, double lifted, 
                      all_finite(N_PARAMETERS, p);
         row[COL_SOUND] = sound ? 1.0 : 0.0;
     }
+    scratch_release(mark);
 }
 
 /* Median of n spots' values, so far apart, of those that are not merged, nor at the sensor's limit
@@ -187,12 +218,15 @@ void widen_lossy(int64_t n, double *assessed)
     }
 }
 
-/* Least stretch of a spot, px, that is doubted: beyond noise, where nothing else would show. */
+/* Least stretch of a spot, px, that is doubted: beyond noise and texture, where nothing else would
+ * show. */
 static double least_stretch(const double *row, double asymmetry)
 {
     if (asymmetry < INFINITY)
         return MAX_STRETCH * row[COL_DIAMETER];
-    return MIN_STRETCH_SIGMA * sqrt((row[COL_COVARIANCE_XX] + row[COL_COVARIANCE_YY]) / 2.0);
+    double texture = 1.0 + CORRELATED_PIXELS * (row[COL_MISFIT] - row[COL_SHAPE]);
+    double variance = texture * (row[COL_COVARIANCE_XX] + row[COL_COVARIANCE_YY]) / 2.0;
+    return MIN_STRETCH_SIGMA * sqrt(variance);
 }
 
 void doubt_shapes(int64_t n, double *assessed, const double *asymmetry)
@@ -276,7 +310,7 @@ int64_t choose_spots(int64_t n, const double *assessed, double least, double lar
         if (row[COL_SOUND] > 0.0 && least <= row[COL_DIAMETER] && row[COL_DIAMETER] <= largest)
             sound[count++] = k;
         height[k] = -row[COL_PEAK];
-        rank[k] = -row[COL_PEAK] / (1.0 + row[COL_MISFIT]) / row[COL_ELONGATION];
+        rank[k] = -row[COL_PEAK] / (1.0 + row[COL_SHAPE]) / row[COL_ELONGATION];
     }
     for (int64_t at = 0; at < count; at++)
         if (!is_found_again(assessed, count, sound, sound[at]))

@@ -12,6 +12,7 @@
 #include "verify/measurement/detection/kernels/noise.h"
 #include "verify/measurement/detection/kernels/occlusion.h"
 #include "verify/measurement/detection/kernels/quality.h"
+#include "verify/measurement/detection/kernels/residual_noise.h"
 
 #define MAX_AT_ONCE 5000.0 /* pixels of a picture's candidates that are fitted without a first look */
 #define MAX_CLEAN_ELONGATION 1.2 /* of spots whose light is taken off others: glints are longer */
