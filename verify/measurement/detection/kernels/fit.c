@@ -298,7 +298,7 @@ static double floor_priors(int64_t p, const float *rows, double scale, double fl
     const float *restrict row = rows + ROW_ROW * pitch(p);
     const float *restrict value = rows + ROW_VALUE * pitch(p);
     const float *restrict valid = rows + ROW_VALID * pitch(p);
-    float core = (float)square(0.5 * scale + 0.5), ring = (float)square(2.3 * scale + 1.0);
+    float core = (float)square(0.5 * scale + 0.5), ring = (float)square(SLOPE_REACH * scale + 1.0);
     float total = 0.0f, count = 0.0f, level = (float)floor;
     float lean_x = 0.0f, lean_y = 0.0f, lever_x = 0.0f, lever_y = 0.0f;
 #pragma omp simd reduction(+ : total, count, lean_x, lean_y, lever_x, lever_y)

@@ -17,6 +17,14 @@
 #define MIN_CONTRAST 1e-3      /* DN: something to divide by on a flat patch */
 #define N_VALUES 256
 
+/* Beyond a sharp LED's rim there is floor alone, of which some shows its slope; a blurred one's light goes
+ * on. Of pixels over a quarter of its height a disc has 1.2 times those over half of it, a Gaussian 2. */
+#define FLOOR_MARGIN 2.0 /* px */
+#define SHARP_RATIO 1.3
+#define FLANK_REACH 1.3     /* half-widths a unit of that ratio beyond */
+#define FLANK_HEIGHT 0.75   /* of a spot's contrast, below its centre */
+#define MIN_SHARP_RADIUS 12 /* px: a smaller spot before texture needs all of the room there is */
+
 /* px, of cut-outs: an LED that moves keeps its pixels' number */
 static const int64_t RADII[N_RADII] = {8, 11, 14, 18, 26, 40, 62};
 
@@ -26,19 +34,43 @@ static double needed_reach(const double *spot)
     return PATCH_REACH * spot[2] + PATCH_MARGIN;
 }
 
-/* Radius of a spot's pixels, in steps between them: the least that is enough, or the last. */
-static int64_t radius_of(const double *spot, bool first_look)
-{
-    int k = 0;
-    while (k < N_RADII - 1 && !((double)RADII[k] >= needed_reach(spot)))
-        k++;
-    return first_look ? FIRST_LOOK_STEPS : RADII[k];
-}
-
 /* Half of a disc's pixels in a row of it, the middle one left out. */
 static int64_t half_row(int64_t reach, int64_t row)
 {
     return (int64_t)sqrt((double)(reach * reach - row * row));
+}
+
+/* How many pixels within two half-widths are brighter than a quarter of a spot, over those that its
+ * half-width encloses. */
+static double flank_ratio(const Picture *picture, const double *spot)
+{
+    int64_t width = picture->width, height = picture->height, channels = picture->channels;
+    int64_t x = MIN(MAX((int64_t)rint(spot[0]), 0), width - 1);
+    int64_t y = MIN(MAX((int64_t)rint(spot[1]), 0), height - 1);
+    const uint8_t *values = picture->values + channels / 2; /* green */
+    int32_t foot = values[channels * (width * y + x)] - (int32_t)(FLANK_HEIGHT * spot[3]), bright = 0;
+    int64_t reach = (int64_t)(2.0 * spot[2]);
+    for (int64_t row = MAX(-reach, -y); row <= MIN(reach, height - 1 - y); row++) {
+        int64_t half = half_row(reach, row), end = MIN(x + half, width - 1);
+        const uint8_t *line = values + channels * width * (y + row);
+        for (int64_t k = MAX(x - half, 0); k <= end; k++)
+            bright += line[channels * k] > foot;
+    }
+    return bright / (acos(-1.0) * square(spot[2]));
+}
+
+/* Radius of a spot's pixels, in steps between them: no more than its light and some floor need. */
+static int64_t radius_of(const Picture *picture, const double *spot, bool first_look)
+{
+    int k = 0;
+    while (k < N_RADII - 1 && !((double)RADII[k] >= needed_reach(spot)))
+        k++;
+    if (first_look || RADII[k] <= MIN_SHARP_RADIUS)
+        return first_look ? FIRST_LOOK_STEPS : RADII[k];
+    double flank = MAX(flank_ratio(picture, spot) - SHARP_RATIO, 0.0);
+    double reach = (SLOPE_REACH + FLANK_REACH * flank) * spot[2] + FLOOR_MARGIN;
+    int64_t even = 2 * (int64_t)ceil(reach / 2.0); /* one size, of LEDs nearly alike */
+    return MIN(RADII[k], MAX(even, MIN_SHARP_RADIUS));
 }
 
 /* How many pixels a disc has. */
@@ -63,12 +95,13 @@ static void disc_offsets(int64_t reach, double spacing, float *column, float *ro
     }
 }
 
-/* Make room for spots of so many pixels, (n,). */
-static Fits empty_fits(int64_t n, const double *spots, bool first_look)
+/* Make room for what is fitted to n spots. */
+static Fits empty_fits(const Picture *picture, int64_t n, const double *spots, bool first_look)
 {
     Fits fits = {
         .n = n,
         .origin = TAKE(int64_t, 2 * n),
+        .radius = TAKE(int64_t, n),
         .scale = TAKE(double, n),
         .weight = TAKE(double, 3 * n),
         .share = TAKE(double, 2 * n),
@@ -87,7 +120,8 @@ static Fits empty_fits(int64_t n, const double *spots, bool first_look)
     };
     fits.begin[0] = 0;
     for (int64_t k = 0; k < n; k++) {
-        fits.pixels[k] = disc_size(radius_of(spots + 4 * k, first_look));
+        fits.radius[k] = radius_of(picture, spots + 4 * k, first_look);
+        fits.pixels[k] = disc_size(fits.radius[k]);
         fits.begin[k + 1] = fits.begin[k] + pitch(fits.pixels[k]);
     }
     fits.pool = TAKE(float, N_ROWS * fits.begin[n]);
@@ -267,7 +301,7 @@ static void leave_neighbours(const Fits *fits, int64_t own, const double *spots)
 
 Fits cut_patches(const Picture *picture, int64_t n, const double *spots, bool first_look)
 {
-    Fits fits = empty_fits(n, spots, first_look);
+    Fits fits = empty_fits(picture, n, spots, first_look);
     for (int64_t k = 0; k < n; k++) {
         const double *spot = spots + 4 * k;
         int64_t p = pixels_of(&fits, k);
@@ -275,7 +309,7 @@ Fits cut_patches(const Picture *picture, int64_t n, const double *spots, bool fi
         for (int axis = 0; axis < 2; axis++)
             fits.origin[2 * k + axis] = (int64_t)rint(spot[axis]);
         fits.scale[k] = spot[2];
-        disc_offsets(radius_of(spot, first_look),
+        disc_offsets(fits.radius[k],
                      first_look ? needed_reach(spot) / FIRST_LOOK_STEPS : 1.0,
                      rows + ROW_COLUMN * pitch(p), rows + ROW_ROW * pitch(p));
         read_patch(picture, &fits, k);

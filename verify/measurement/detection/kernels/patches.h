@@ -9,6 +9,7 @@
 
 #define PATCH_REACH 2.4  /* half-widths: a Gaussian has fallen to 1/50 there, a disc is long over */
 #define PATCH_MARGIN 2.5 /* px of floor around that */
+#define SLOPE_REACH 2.3  /* half-widths: what is farther out by a pixel shows the floor's slope */
 /* sums of half-widths between two spots, of which one's light reaches the other's pixels */
 #define MIN_APART 1.2
 #define MAX_APART 4.0
@@ -23,6 +24,7 @@ typedef struct {
 typedef struct {
     int64_t n;
     int64_t *origin;     /* (n, 2), px, of each patch's centre pixel */
+    int64_t *radius;     /* (n,), of each patch, in steps between its pixels */
     double *scale;       /* (n,), px, half-width that the fit starts from */
     double *weight;      /* (n, 3), of the channels, by which they are combined; (1, 0, 0) of one */
     double *share;       /* (n, 2), by which combining colours changes a channel's read variance, gain */

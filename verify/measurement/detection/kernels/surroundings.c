@@ -98,19 +98,12 @@ static bool is_clear(const Surroundings *around, int64_t x, int64_t y, int64_t r
     return true;
 }
 
-/* Radius of the patch of a spot, px. */
-static int64_t patch_radius(const Fits *fits, int64_t n)
-{
-    const float *row = rows_of(fits, n) + ROW_ROW * pitch(pixels_of(fits, n));
-    return -(int64_t)row[0]; /* the topmost pixel comes first */
-}
-
 /* Read the patches about a spot, as large as those of spot n and with its colours, unless they were
  * the last ones read there. */
 static void read_patches(const Picture *picture, const Fits *fits, int64_t n, int64_t spot,
                          Patches *patches)
 {
-    int64_t p = pixels_of(fits, n), radius = patch_radius(fits, n);
+    int64_t p = pixels_of(fits, n), radius = fits->radius[n];
     const double *weight = fits->weight + 3 * n;
     if (patches->spot == spot && patches->p == p &&
         memcmp(patches->weight, weight, sizeof patches->weight) == 0)
@@ -141,7 +134,7 @@ static void read_patches(const Picture *picture, const Fits *fits, int64_t n, in
 static void weigh_patches(const Surroundings *around, const Fits *fits, int64_t n, int64_t place,
                           const Patches *patches, Response *response)
 {
-    int64_t radius = patch_radius(fits, n);
+    int64_t radius = fits->radius[n];
     double peak = fits->parameters[N_PARAMETERS * n + PAR_PEAK], moved[2][N_AROUND];
     double bright = MAX_DIM * MIN(peak, (double)SENSOR_LIMIT);
     multiply_rows(2, N_AROUND, patches->p, response->weight, patches->values, false, moved[0]);
