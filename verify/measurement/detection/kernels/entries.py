@@ -16,7 +16,7 @@ COL_COVARIANCE_XX, COL_COVARIANCE_XY, COL_COVARIANCE_YX, COL_COVARIANCE_YY = ran
 COL_PEAK, COL_DIAMETER, COL_ELONGATION, COL_MISFIT = range(6, 10)
 COL_SATURATED, COL_MERGED, COL_SOUND, COL_COUNT = range(10, 14)
 COL_STRETCH_X, COL_STRETCH_Y = range(14, 16)
-N_COLUMNS = 17
+N_COLUMNS = 18
 MIN_WINDOW_SIDE = 3  # px, side of a window: smaller ones show no blob
 MAX_BOXES = 64  # boxes that are searched one by one; with more, as one
 

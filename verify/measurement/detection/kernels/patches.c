@@ -18,11 +18,12 @@
 #define N_VALUES 256
 
 /* Beyond a sharp LED's rim there is floor alone, of which some shows its slope; a blurred one's light goes
- * on. Of pixels over a quarter of its height a disc has 1.2 times those over half of it, a Gaussian 2. */
+ * on. Of pixels over 15 % of its height a disc has 1.3 times those over half of it, a Gaussian 2.7, and a
+ * disc with another light beside it 1.7. */
 #define FLOOR_MARGIN 2.0 /* px */
-#define SHARP_RATIO 1.3
-#define FLANK_REACH 1.3     /* half-widths a unit of that ratio beyond */
-#define FLANK_HEIGHT 0.75   /* of a spot's contrast, below its centre */
+#define SHARP_RATIO 1.4
+#define FLANK_REACH 0.7     /* half-widths a unit of that ratio beyond */
+#define FLANK_HEIGHT 0.85   /* of a spot's contrast, below its centre */
 #define MIN_SHARP_RADIUS 12 /* px: a smaller spot before texture needs all of the room there is */
 
 /* px, of cut-outs: an LED that moves keeps its pixels' number */
@@ -40,8 +41,7 @@ static int64_t half_row(int64_t reach, int64_t row)
     return (int64_t)sqrt((double)(reach * reach - row * row));
 }
 
-/* How many pixels within two half-widths are brighter than a quarter of a spot, over those that its
- * half-width encloses. */
+/* How many pixels about a spot are brighter than its foot, over those that its half-width encloses. */
 static double flank_ratio(const Picture *picture, const double *spot)
 {
     int64_t width = picture->width, height = picture->height, channels = picture->channels;
@@ -49,7 +49,7 @@ static double flank_ratio(const Picture *picture, const double *spot)
     int64_t y = MIN(MAX((int64_t)rint(spot[1]), 0), height - 1);
     const uint8_t *values = picture->values + channels / 2; /* green */
     int32_t foot = values[channels * (width * y + x)] - (int32_t)(FLANK_HEIGHT * spot[3]), bright = 0;
-    int64_t reach = (int64_t)(2.0 * spot[2]);
+    int64_t reach = (int64_t)needed_reach(spot);
     for (int64_t row = MAX(-reach, -y); row <= MIN(reach, height - 1 - y); row++) {
         int64_t half = half_row(reach, row), end = MIN(x + half, width - 1);
         const uint8_t *line = values + channels * width * (y + row);

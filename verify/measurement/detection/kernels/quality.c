@@ -103,7 +103,7 @@ static double texture_variance(int64_t p, const float *rows)
 /* Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
  *
  * `pixels`, that misfit beyond chance lifts together; `texture`, DN^2, variance of the room, which
- * surroundings.c accounts for; `row` (17,), changed. A spot is judged by those
+ * surroundings.c accounts for; `row` (18,), changed. A spot is judged by those
  * of its own pixels that clipping leaves alone; where they are too few, by all of its patch. */
 static void assess_shape(const Fits *fits, int64_t n, double pixels, double texture, double *row)
 {
@@ -135,6 +135,8 @@ static void assess_shape(const Fits *fits, int64_t n, double pixels, double text
     double beyond = shape - 1.0 - MAX_CHI2_SIGMA * sqrt(2.0 / paid);
     double excess = full == 0.0f ? MAX(beyond, 0.0) : 0.0;
     double larger = merged ? CORRELATED_PIXELS * misfit : 1.0 + pixels * excess;
+    row[COL_NOISE] = (row[COL_COVARIANCE_XX] + row[COL_COVARIANCE_YY]) / 2.0;
+    row[COL_NOISE] *= 1.0 + CORRELATED_PIXELS * (misfit - shape);
     for (int k = COL_COVARIANCE_XX; k <= COL_COVARIANCE_YY; k++)
         row[k] *= larger;
     row[COL_MISFIT] = misfit;
@@ -150,7 +152,8 @@ void assess_all(const Fits *fits, int64_t width, int64_t height, double lifted, 
     double *texture = TAKE(double, fits->n);
     for (int64_t n = 0; n < fits->n; n++)
         texture[n] = texture_variance(pixels_of(fits, n), rows_of(fits, n));
-    double usual = fits->n > 0 ? median(texture, fits->n) : 0.0;
+    int64_t smooth = (fits->n - 1) / 4;
+    double usual = fits->n > 0 ? select_rank(texture, fits->n, smooth) : 0.0;
     for (int64_t n = 0; n < fits->n; n++) {
         const double *p = fits->parameters + N_PARAMETERS * n;
         const double *information = fits->information + N_PARAMETERS * N_PARAMETERS * n;
@@ -171,7 +174,7 @@ void assess_all(const Fits *fits, int64_t width, int64_t height, double lifted, 
         row[COL_STRETCH_X] = turn * half;
         row[COL_STRETCH_Y] = turn * p[PAR_XY];
         centre_covariance(information, fits->root + N_PARAMETERS * N_PARAMETERS * n, row);
-        /* a room that is rougher here alone is a shape that no LED has */
+        /* where it is rougher than about the smoothest quarter, that is a shape that no LED has */
         assess_shape(fits, n, lifted, MIN(texture[n], usual), row);
         double rim = MIN_BORDER * longer - 0.5;
         double certain = information[(N_PARAMETERS + 1) * PAR_PEAK];
@@ -215,6 +218,7 @@ void widen_lossy(int64_t n, double *assessed)
         double scale = LOSSY_SHARE * MAX(usual, clipped) * (1.0 + CORRELATED_PIXELS * odd);
         for (int c = COL_COVARIANCE_XX; c <= COL_COVARIANCE_YY; c++)
             row[c] *= row[COL_MERGED] > 0.0 ? 1.0 : scale;
+        row[COL_NOISE] *= scale;
     }
 }
 
@@ -224,9 +228,7 @@ static double least_stretch(const double *row, double asymmetry)
 {
     if (asymmetry < INFINITY)
         return MAX_STRETCH * row[COL_DIAMETER];
-    double texture = 1.0 + CORRELATED_PIXELS * (row[COL_MISFIT] - row[COL_SHAPE]);
-    double variance = texture * (row[COL_COVARIANCE_XX] + row[COL_COVARIANCE_YY]) / 2.0;
-    return MIN_STRETCH_SIGMA * sqrt(variance);
+    return MIN_STRETCH_SIGMA * sqrt(row[COL_NOISE]);
 }
 
 void doubt_shapes(int64_t n, double *assessed, const double *asymmetry)
