@@ -322,6 +322,21 @@ def test_where_two_leds_overlap_the_covariance_holds_both(spot: Spot, beside: li
     assert not apart or np.abs(error).max() < 0.06
 
 
+@pytest.mark.parametrize("width", [0.6, 0.8, 1.0])  # of the LED, between the two
+def test_a_dim_light_that_touches_a_blurred_led_is_in_its_covariance(width: float) -> None:
+    """It stretches the LED, and the misfit that it leaves does not excuse that."""
+    rng, dim = np.random.default_rng(15), Spot(40, BLURRED.blur, BLURRED.radius)
+    for _ in range(8):
+        side, led = rng.uniform(0, 2 * np.pi), np.array([300.3, 180.1]) + rng.uniform(-3, 3, 2)
+        other = led + 6.7 * width * np.array([np.cos(side), np.sin(side)])
+        image = picture([BLURRED] * 5 + [dim], np.vstack([ALONE, led, other]), Sensor(), rng)
+        spots = detect(image)
+        nearest, error = matched(spots, led[None])
+        squared = error[0] @ np.linalg.solve(spots.covariance[nearest[0]], error[0])
+        assert squared < 9.2  # 99 %
+        assert not spots.merged[matched(spots, ALONE)[0]].any()
+
+
 def test_a_hidden_part_is_flagged_or_in_the_covariance() -> None:
     rng = np.random.default_rng(13)
     light = 6 + Spot(200, 0.6, radius=4.5).light((101, 101), 50.2, 49.8)
