@@ -1,6 +1,6 @@
 /* Judge fitted spots: centre and covariance, diameter, whether a spot has the shape of one LED.
  *
- * With misfit m the residuals' mean square over their variance, with what texture of the room adds to it,
+ * With misfit m the residuals' mean square over their variance, to which texture of the room is added,
  * the covariance is enlarged
  *
  *     by 1 + c max(m - 1 - MAX_CHI2_SIGMA sqrt(2 / freedom), 0),  of merged spots by c m,
@@ -103,8 +103,8 @@ static double texture_variance(int64_t p, const float *rows)
 /* Say how far the shape is that of one LED, and enlarge the covariance by what it is not.
  *
  * `pixels`, that misfit beyond chance lifts together; `texture`, DN^2, variance of the room, which
- * surroundings.c accounts for; `row` (18,), changed. A spot is judged by those
- * of its own pixels that clipping leaves alone; where they are too few, by all of its patch. */
+ * surroundings.c accounts for; `row` (18,), changed. A spot is judged by those of its own pixels that
+ * clipping leaves alone; where they are too few, by all of its patch. */
 static void assess_shape(const Fits *fits, int64_t n, double pixels, double texture, double *row)
 {
     int64_t p = pixels_of(fits, n);
