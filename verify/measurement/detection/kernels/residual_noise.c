@@ -106,11 +106,11 @@ static int64_t gather_residuals(const Fits *fits, int64_t n, bool second, double
     for (int64_t k = 1; k < p - 1; k++) {
         float one = middle * off[k] + side * (off[k - 1] + off[k + 1]);
         float light = middle * middle * above[k] + side * side * (above[k - 1] + above[k + 1]);
-        bool inside = row[k - 1] == row[k + 1], shown = clear[k - 1] & clear[k] & clear[k + 1];
+        bool beside = (row[k - 1] == row[k + 1]) & clear[k - 1] & clear[k + 1];
         /* combined colours have a noise of their own; brought back to that of one channel */
         residual2[count] = (double)(one * one / left[k]) / share[0];
         signal[count] = (double)light * share[1] / share[0];
-        count += inside & shown & (left[k] > MIN_LEFT);
+        count += clear[k] & (beside | !second) & (left[k] > MIN_LEFT);
     }
     scratch_release(mark);
     return count;
@@ -161,7 +161,7 @@ static void variance_line(int64_t n, const double *residual2, const double *sign
                 continue;
             #pragma omp simd reduction(+ : a, b, d, u, v)
             for (int64_t k = begin[m]; k < begin[m + 1]; k++) {
-                double weight = 0.5 * INDEPENDENT_SHARE * square(1.0 / (dark + gain * signal[k]));
+                double weight = 0.5 * square(1.0 / (dark + gain * signal[k]));
                 double tilted = weight * signal[k];
                 a += weight;
                 b += tilted;
@@ -213,12 +213,15 @@ void refine_noise(const Fits *fits, const double *assessed, double *noise, doubl
     Mark mark = scratch_mark();
     int64_t n = fits->n, begin[MAX_NOISE_SPOTS + 1] = {0}, *shows = TAKE(int64_t, n);
     int64_t count = noise_spots(n, assessed, shows);
+    bool second = spread < TYPICAL_SPREAD;
     if (count > 0) {
         double *residual2 = TAKE(double, fits->begin[n]), *signal = TAKE(double, fits->begin[n]);
         for (int64_t m = 0; m < count; m++)
-            begin[m + 1] = begin[m] + gather_residuals(fits, shows[m], spread < TYPICAL_SPREAD,
-                                                       residual2 + begin[m], signal + begin[m]);
-        double usual[2] = {1.0 / (spread * noise[0]), 1.0 / (TYPICAL_SPREAD * TYPICAL_GAIN)};
+            begin[m + 1] = begin[m] + gather_residuals(fits, shows[m], second, residual2 + begin[m],
+                                                       signal + begin[m]);
+        double worth = sqrt(second ? INDEPENDENT_SHARE : 1.0);
+        double usual[2] = {1.0 / (worth * spread * noise[0]),
+                           1.0 / (worth * TYPICAL_SPREAD * TYPICAL_GAIN)};
         noise[1] = TYPICAL_GAIN;
         variance_line(count, residual2, signal, begin, noise, usual);
     }
