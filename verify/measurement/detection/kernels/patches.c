@@ -41,15 +41,15 @@ static int64_t half_row(int64_t reach, int64_t row)
     return (int64_t)sqrt((double)(reach * reach - row * row));
 }
 
-/* How many pixels about a spot are brighter than its foot, over those that its half-width encloses. */
-static double flank_ratio(const Picture *picture, const double *spot)
+/* How many pixels about a spot, up to `reach`, px, are brighter than its foot, over those that its
+ * half-width encloses. */
+static double flank_ratio(const Picture *picture, const double *spot, int64_t reach)
 {
     int64_t width = picture->width, height = picture->height, channels = picture->channels;
     int64_t x = MIN(MAX((int64_t)rint(spot[0]), 0), width - 1);
     int64_t y = MIN(MAX((int64_t)rint(spot[1]), 0), height - 1);
     const uint8_t *values = picture->values + channels / 2; /* green */
     int32_t foot = values[channels * (width * y + x)] - (int32_t)(FLANK_HEIGHT * spot[3]), bright = 0;
-    int64_t reach = (int64_t)needed_reach(spot);
     for (int64_t row = MAX(-reach, -y); row <= MIN(reach, height - 1 - y); row++) {
         int64_t half = half_row(reach, row), end = MIN(x + half, width - 1);
         const uint8_t *line = values + channels * width * (y + row);
@@ -62,14 +62,16 @@ static double flank_ratio(const Picture *picture, const double *spot)
 /* Radius of a spot's pixels, in steps between them: no more than its light and some floor need. */
 static int64_t radius_of(const Picture *picture, const double *spot, bool first_look)
 {
+    double needed = needed_reach(spot);
     int k = 0;
-    while (k < N_RADII - 1 && !((double)RADII[k] >= needed_reach(spot)))
+    while (k < N_RADII - 1 && !((double)RADII[k] >= needed))
         k++;
     if (first_look || RADII[k] <= MIN_SHARP_RADIUS)
         return first_look ? FIRST_LOOK_STEPS : RADII[k];
-    double flank = MAX(flank_ratio(picture, spot) - SHARP_RATIO, 0.0);
-    double reach = (SLOPE_REACH + FLANK_REACH * flank) * spot[2] + FLOOR_MARGIN;
-    int64_t even = 2 * (int64_t)ceil(reach / 2.0); /* one size, of LEDs nearly alike */
+    int64_t reach = (int64_t)MIN(needed, (double)RADII[k]);
+    double flank = MAX(flank_ratio(picture, spot, reach) - SHARP_RATIO, 0.0);
+    double lit = (SLOPE_REACH + FLANK_REACH * flank) * spot[2] + FLOOR_MARGIN;
+    int64_t even = 2 * (int64_t)ceil(lit / 2.0); /* one size, of LEDs nearly alike */
     return MIN(RADII[k], MAX(even, MIN_SHARP_RADIUS));
 }
 
