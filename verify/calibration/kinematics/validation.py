@@ -23,6 +23,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import stdtrit
 
 from verify.calibration.kinematics.fit import (
     FitState,
@@ -38,7 +39,7 @@ from verify.core.records import Array, take_rows
 MAX_CHI2 = 25.0  # that a row may bring: noise brings a full pose's beyond it in 3 of 10,000
 MAX_PRIOR_SHARE = 0.5  # of a prior's standard deviation: a recording that leaves more says nothing
 SHARED = 2.0  # parameters of one arm hang together: that many count as one degree of freedom
-MIN_GAIN_SIGMA = 1.0  # standard deviations by which a larger model must predict better
+MIN_GAIN_CONFIDENCE = 0.84  # that a larger model predicts better: of many splits, one sigma
 
 
 @dataclass(frozen=True, slots=True)
@@ -121,7 +122,7 @@ def best_model(found: Sequence[CrossValidation | None], block: NDArray[np.int64]
     """Choose the model that predicts best, the smaller where that makes no clear difference.
 
     The smallest model stands first; one without is not chosen. Rows of one block (n,) repeat each
-    other.
+    other, and those of one split share a fit: few blocks or splits show less (Student's t).
     """
     best = 0
     for k, larger in enumerate(found[1:], start=1):
@@ -132,8 +133,11 @@ def best_model(found: Sequence[CrossValidation | None], block: NDArray[np.int64]
         known = np.isfinite(gain)
         labels, place = np.unique(block[known], return_inverse=True)
         by_block = np.bincount(place, gain[known]) / np.bincount(place)
-        scatter = by_block.std(ddof=1) / np.sqrt(len(labels)) if len(labels) > 1 else np.inf
-        if by_block.mean() > MIN_GAIN_SIGMA * scatter:
+        freedom = min(len(labels), larger.splits) - 1
+        if freedom < 1:
+            continue
+        scatter = by_block.std(ddof=1) / np.sqrt(len(labels))
+        if by_block.mean() > stdtrit(freedom, MIN_GAIN_CONFIDENCE) * scatter:
             best = k
     return best
 
