@@ -133,10 +133,8 @@ def best_model(found: Sequence[CrossValidation | None], block: NDArray[np.int64]
         known = np.isfinite(gain)
         labels, place = np.unique(block[known], return_inverse=True)
         by_block = np.bincount(place, gain[known]) / np.bincount(place)
-        freedom = min(len(labels), larger.splits) - 1
-        if freedom < 1:
-            continue
-        scatter = by_block.std(ddof=1) / np.sqrt(len(labels))
+        freedom = max(min(len(labels), larger.splits) - 1, 1)
+        scatter = by_block.std(ddof=1) / np.sqrt(len(labels)) if len(labels) > 1 else np.inf
         if by_block.mean() > stdtrit(freedom, MIN_GAIN_CONFIDENCE) * scatter:
             best = k
     return best

@@ -177,7 +177,7 @@ static void variance_line(int64_t n, const double *residual2, const double *sign
     scratch_release(mark);
 }
 
-/* Whether enough of a spot's own pixels (17,) show the noise: none but what clipping leaves alone. */
+/* Whether enough of a spot's own pixels (18,) show the noise: none but what clipping leaves alone. */
 static bool shows_noise(const double *row)
 {
     double core = CORE_AREA * square(row[COL_DIAMETER]);

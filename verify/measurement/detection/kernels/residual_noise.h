@@ -4,7 +4,7 @@
 
 #include "verify/measurement/detection/kernels/patches.h"
 
-/* Let noise (3,) also explain the residuals of clean spots; `assessed` (n, 17), `spread` the relative
+/* Let noise (3,) also explain the residuals of clean spots; `assessed` (n, 18), `spread` the relative
  * standard uncertainty of the dark variance. */
 void refine_noise(const Fits *fits, const double *assessed, double *noise, double spread);
 
