@@ -93,10 +93,11 @@ class UnfinishedPairs:
         times_and_pans = (pair.t_left, pair.t_right, pair.pan_left, pair.pan_right)
         self._write(SLOT.pack(number, *times_and_pans), at)  # last: a numbered slot is whole
 
-    def close(self) -> None:
-        """Close and delete the file."""
+    def close(self, *, keep: bool = False) -> None:
+        """Close the file, and delete it unless pairs in it are to be kept."""
         os.close(self._file)
-        self._path.unlink(missing_ok=True)
+        if not keep:
+            self._path.unlink(missing_ok=True)
 
     def _write(self, data: bytes | memoryview, at: int) -> None:
         rest = memoryview(data)

@@ -320,8 +320,8 @@ class LiveLoop:
         lines = []
         for name, device in self._intake.named.items():
             state = device.state()
-            lines.append(device_status(name, state))
             alarms += self._lost.take(name, state.age, state.sentence, t, now)
+            lines.append(device_status(name, state, self._lost.timeout(name)))
         if self._keeper.trouble:
             lines.append(DeviceStatus("clock", False, self._keeper.trouble))
         with self._watching:

@@ -60,7 +60,7 @@ class Latency:
 MAX_ALARMS = 200  # remembered; the JSON lines have all
 MAX_ROWS = 600  # remembered for displays: twenty seconds at 30 pairs a second
 RATE_SPAN = 5.0  # s
-SILENCE_TIMEOUT = 1.0  # s; longer for devices with less than two readings a second
+SILENCE_TIMEOUT = 1.0  # s; longer for devices that give less often
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,9 +72,11 @@ class DeviceStatus:
     sentence: str
 
 
-def device_status(name: str, state: CameraState | DeviceState) -> DeviceStatus:
-    """Summarise a device's state; it is not well if it is silent."""
-    silent = state.age is None or state.age > SILENCE_TIMEOUT
+def device_status(
+    name: str, state: CameraState | DeviceState, timeout: float = SILENCE_TIMEOUT
+) -> DeviceStatus:
+    """Summarise a device's state; it is not well if it is silent for longer than `timeout`, s."""
+    silent = state.age is None or state.age > timeout
     return DeviceStatus(name, state.connected and not silent, state.sentence)
 
 

@@ -2,8 +2,10 @@
 
 import itertools
 import math
-from collections import Counter
+from collections import Counter, defaultdict, deque
 from dataclasses import replace
+from itertools import pairwise
+from statistics import median
 
 from verify.live.joint_row import JointRow
 from verify.live.protocols import Alarm
@@ -54,12 +56,22 @@ STATUS_TEXTS = {
 }
 
 
+MISSED_PERIODS = 2.0  # of a device that gives less often than it may be silent
+N_ARRIVALS = 8  # kept, to know a device's period by
+TOL_ARRIVAL = 0.02  # s: the same arrival, told by its age at two instants
+
+
 class DeviceWatch:
-    """Raises an alarm for each device that gives nothing for a while."""
+    """Raises an alarm for each device that gives nothing for `lost_after` s.
+
+    A device that regularly gives less often than that is waited for longer, from its second
+    reading on.
+    """
 
     def __init__(self, lost_after: float, numbers: "itertools.count[int]") -> None:
         self._after, self._numbers, self._start = lost_after, numbers, math.inf
         self._standing: dict[str, Alarm] = {}
+        self._arrivals: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=N_ARRIVALS))
 
     def begin(self, t: float) -> None:
         """Begin to watch at t, s, host's monotonic clock."""
@@ -73,13 +85,20 @@ class DeviceWatch:
         `t` is the host's monotonic clock, s; `now` s since the epoch.
         """
         silent = t - self._start if age is None else age
-        standing = self._standing.get(device)
-        if silent > self._after and standing is None:
+        arrivals, standing = self._arrivals[device], self._standing.get(device)
+        if age is not None and (not arrivals or t - age > arrivals[-1] + TOL_ARRIVAL):
+            arrivals.append(t - age)
+        if silent > self.timeout(device) and standing is None:
             text = f"Nothing has come from the {device} for {silent:.1f} s: {sentence}"
             text += "" if text.endswith(".") else "."
             alarm = Alarm(next(self._numbers), "device", now, t, text, device=device)
             self._standing[device] = alarm
             return [alarm]
-        if silent <= self._after and standing is not None:
+        if silent <= self.timeout(device) and standing is not None:
             return [replace(self._standing.pop(device), ended=now)]
         return []
+
+    def timeout(self, device: str) -> float:
+        """How long a device may give nothing, s."""
+        periods = [later - earlier for earlier, later in pairwise(self._arrivals[device])]
+        return max(self._after, MISSED_PERIODS * median(periods)) if periods else self._after

@@ -222,6 +222,8 @@ class SessionWriter:
     def close(self) -> None:
         """Close every file, and mark the session as closed in session.toml.
 
+        With pairs that are set aside it stays "open": whoever reads it appends them.
+
         Raises:
             OSError, InputError: the system refuses it; the session stays "open" and can be read.
         """
@@ -236,8 +238,9 @@ class SessionWriter:
         if failure is not None:
             raise failure
         if self._ring is not None:
-            self._ring.close()
-        self._write_header("closed")
+            self._ring.close(keep=self._aside > 0)
+        if not self._aside:
+            self._write_header("closed")
 
     def _write_header(self, recording: str) -> None:
         """Write session.toml; recording: "open" or "closed"."""

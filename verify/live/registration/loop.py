@@ -179,7 +179,10 @@ class RecordingLoop:
             goals = self._coverage.goals()
         known = self._state.snapshot().devices
         if not finished:  # closed devices say nothing of the run
-            known = tuple(device_status(n, d.state()) for n, d in self._intake.named.items())
+            known = tuple(
+                device_status(n, d.state(), self._lost.timeout(n))
+                for n, d in self._intake.named.items()
+            )
             troubles = self._intake.troubles.items()
             known += tuple(DeviceStatus(name, False, text) for name, text in troubles)
         recorder, dropped = self._recorder.state(), self._intake.dropped()

@@ -163,3 +163,16 @@ def test_a_silent_device_is_named_with_its_message() -> None:
     assert [(a.device, "unplugged" in a.text) for a in output] == [("left camera", True)]
     assert watch.take("left camera", 2.2, "unplugged", 7.0, 0.0) == []
     assert [a.ended for a in watch.take("left camera", 0.0, "reading", 8.0, 9.0)] == [9.0]
+
+
+@pytest.mark.parametrize("rate", [0.5, 0.8, 5.0, 100.0])
+def test_a_device_is_silent_by_its_own_period(rate: float) -> None:
+    watch, silence, raised = DeviceWatch(1.0, itertools.count(1)), 60.0, []
+    watch.begin(0.0)
+    for t in np.arange(0.1, silence + 10.0, 0.1).tolist():
+        came = np.floor(min(t, silence) * rate) / rate
+        raised += [(t, a.ended) for a in watch.take("encoders", t - came, "", t, t)]
+    # before the second reading nobody knows how often it gives
+    late = [t for t, ended in raised if ended is None and t > 2.0 / rate]
+    assert len(late) == 1
+    assert silence < late[0] <= silence + max(1.0, 2.0 / rate) + 0.2

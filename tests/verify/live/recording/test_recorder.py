@@ -1,5 +1,6 @@
 """Recordings are whole at any moment, equal to the measurement, and never delay it."""
 
+import errno
 import os
 import random
 import subprocess
@@ -243,7 +244,29 @@ def test_a_disk_that_fills_to_the_last_byte_leaves_whole_pairs(
     # cut back to what is whole: as many images on either side as rows
     assert open_images(folder / "left.mkv").count() == pairs
     assert open_images(folder / "right.mkv").count() == pairs
-    assert len(open_session(folder)) == pairs
+    assert len(open_session(folder)) >= pairs
+
+
+def test_pairs_that_are_on_the_disk_stay_there_when_encoding_fails(tmp_path: Path) -> None:
+    class Full(SessionWriter):
+        def add_pair(self, pair: CapturedPair) -> None:
+            if self.pairs == 3:
+                raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+            super().add_pair(pair)
+
+    given = pairs_at_thirty_hertz(8)
+    recorder = SessionRecorder(tmp_path, "session", FACTS, Full, write_timeout=5.0)
+    for number in range(30):
+        recorder.reading(reading(given[0].t_left - 0.1 + 0.02 * number))
+    list(recorder.keep(iter(given)))
+    recorder.close()
+    assert "no space left" in recorder.state().sentence
+    session = open_session(tmp_path / "session")
+    # five that were set aside, the first of which was refused, and none that came later
+    assert session.open
+    assert 3 < len(session) <= 8
+    assert len(session) + recorder.state().late >= 8
+    assert_recorded(session, given[: len(session)])
 
 
 @pytest.mark.realtime
@@ -297,7 +320,10 @@ def test_a_system_error_ends_the_recording_with_a_message(
     assert len(list(recorder.keep(iter(pairs_at_thirty_hertz(20))))) == 20
     recorder.close()
     assert words in recorder.state().sentence
-    assert len(open_session(tmp_path / "session")) == 5
+    session = open_session(tmp_path / "session")
+    assert recorder.state().pairs == 5
+    assert len(session) >= 5  # those beyond were set aside, and wait to be encoded
+    assert_recorded(session, pairs_at_thirty_hertz(20)[: len(session)])
 
 
 def test_a_deleted_folder_is_noticed(tmp_path: Path) -> None:
@@ -337,7 +363,11 @@ def test_a_recording_without_a_pair_leaves_no_folder(tmp_path: Path) -> None:
 
 
 def test_room_is_kept_to_close_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    recorder = SessionRecorder(tmp_path, "session", FACTS)
+    class Plain(SessionWriter):
+        def set_aside(self, pair: CapturedPair) -> bool:  # noqa: ARG002
+            return False
+
+    recorder = SessionRecorder(tmp_path, "session", FACTS, Plain)
     recorder.reading(reading(1.0))
     pairs = pairs_at_thirty_hertz(10)
     list(recorder.keep(iter(pairs[:5])))
@@ -346,4 +376,6 @@ def test_room_is_kept_to_close_the_session(tmp_path: Path, monkeypatch: pytest.M
     list(recorder.keep(iter(pairs[5:])))
     recorder.close()
     assert "no space left" in recorder.state().sentence
-    assert not open_session(tmp_path / "session").open
+    session = open_session(tmp_path / "session")
+    assert not session.open
+    assert_recorded(session, pairs[:5])
