@@ -42,8 +42,14 @@ REMEDIES = {
     "led_body_slipped": "fix the LED body, and measure or register it again",
 }
 
-# what no motion tells from an offset of the first joint, and of the last
-SAME_AS = {"base_turned": "the robot base", "led_body_turned": "the LED body"}
+# what no motion tells from an offset or a link's error at the first axis, and at the last
+SAME_AS = {
+    "base_turned": "the robot base, turned as much about this axis,",
+    "base_shifted": "the robot base, shifted as much along this axis,",
+    "led_body_turned": "the LED body, turned as much about this axis,",
+    "led_body_shifted": "the LED body, shifted as much,",
+    "led_body_tilted": "the LED body, turned as much,",
+}
 
 # the motion that tells causes apart; {joints} is joint 3, or joints 3 and 4
 MOTIONS = {
@@ -126,9 +132,9 @@ def remedy(entry: dict[str, Any]) -> str:
     if is_implausible(entry):
         return IMPLAUSIBLE
     change = fmt.number(-known if kind == "offset" else known, _decimals(entry), signed=True)
+    same = f" ({text})" if (text := same_as(entry)) else ""
     if kind == "offset":
-        same = same_as(entry)
-        return f"add {change}° to its reading" + (f" ({same})" if same else "")
+        return f"add {change}° to its reading{same}"
     if kind == "camera_skew":
         return f"add {change} s to t_right_s in frames.csv"
     if kind == "latency":
@@ -137,14 +143,14 @@ def remedy(entry: dict[str, Any]) -> str:
         return f"add {change} s to the clock offset that was given"
     if kind == "dh":
         place = f"{entry.get('parameter', 'the parameter')} in the robot file"
-        return f"correct {place} by {change} {unit_sign(entry)}".strip()
+        return f"correct {place} by {change} {unit_sign(entry)}".strip() + same
     return REMEDIES.get(str(kind), fmt.DASH)
 
 
 def same_as(entry: dict[str, Any]) -> str:
-    """Say what shows the same as an offset, whatever the motion; empty: nothing does."""
+    """Say what shows the same as a cause, whatever the motion; empty: nothing does."""
     part = SAME_AS.get(str(entry.get("same_as")))
-    return "" if part is None else f"{part}, turned as much about this axis, would show the same"
+    return "" if part is None else f"{part} would show the same"
 
 
 def separation(entry: dict[str, Any]) -> str:

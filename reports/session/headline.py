@@ -76,8 +76,10 @@ def _conform(results: Results) -> str:
     if least is not None:
         level = min(int(least * 1000) / 10, 99.9)  # rounded down: never claim more than was found
         sentence += f", each with a probability of at least {fmt.number(level, 1)} %"
-    found = results.summary.get("diagnosis")
-    return f"{sentence}." if lost or found else f"{sentence}; nothing needs to be done."
+    found = results.summary.get("diagnosis") or []
+    if contradiction_text(results.summary) or not found:  # causes may be the pictures' doing
+        return f"{sentence}." if lost or found else f"{sentence}; nothing needs to be done."
+    return f"{sentence}; yet {_findings(found)}."
 
 
 def _nonconform(results: Results) -> str:
@@ -89,10 +91,11 @@ def _nonconform(results: Results) -> str:
     causes = [
         entry
         for entry in (summary.get("diagnosis") or [])
-        if entry.get("kind") != "ambiguous" and (not failing or entry.get("joint") in guilty)
+        if entry.get("kind") != "ambiguous"
+        and (not failing or entry.get("joint") in guilty or entry.get("kind") == "dh")
     ]
     if causes:
-        return "; ".join(session_causes.finding(entry) for entry in causes[:MAX_CAUSES]) + "."
+        return f"{_findings(causes)}."
     unclear = [e for e in (summary.get("diagnosis") or []) if e.get("kind") == "ambiguous"]
     what = _exceeding(summary, failing)
     if unclear:
@@ -101,6 +104,11 @@ def _nonconform(results: Results) -> str:
             f"{what}; the data do not say whether by {rivals}: {session_causes.remedy(unclear[0])}."
         )
     return f"{what}, and no single cause accounts for it: look at the errors over time below."
+
+
+def _findings(causes: list[dict[str, Any]]) -> str:
+    """Say the first causes, and what to do about each."""
+    return "; ".join(session_causes.finding(entry) for entry in causes[:MAX_CAUSES])
 
 
 def lost_pairs_text(summary: dict[str, Any]) -> str:

@@ -90,6 +90,7 @@ def test_where_many_pairs_are_lost_no_pose_of_theirs_is_said_to_conform() -> Non
 def test_a_cause_that_is_found_is_something_to_do_and_the_headline_of_a_pose_that_fails() -> None:
     message = headline(_with(made.conforming(), diagnosis=[OFFSET]))
     assert "nothing needs to be done" not in message.sentence
+    assert "; yet joint 2 reads" in message.sentence
     rows = [row | {"verdict": "conform"} for row in made.conforming().summary["joints"]]
     position = {"verdict": "nonconform", "tolerance_mm": 1.0}
     failing = _with(made.conforming(), verdict="nonconform", joints=rows, position=position,

@@ -128,11 +128,11 @@ class _Chance:
         drawn = np.random.default_rng(SEED).standard_normal((len(value), DRAWS // 2))
         moment = (axis * np.sqrt(np.maximum(value, 0.0))) @ np.hstack([drawn, -drawn])
         given, noise = [], []
-        for _, at in products.seen:
+        for _, at, _ in products.visible_groups:
             factor = np.linalg.cholesky(gram[at[:, :, None], at[:, None, :]])
             given.append(np.linalg.solve(factor, gram[at] * products.scale))
             noise.append(np.linalg.solve(factor, moment[at]))
-        fault = np.concatenate([which for which, _ in products.seen])
+        fault = np.concatenate([which for which, _, _ in products.visible_groups])
         names = [products.faults[k].name for k in fault.tolist()]
         needed = required_advantage(products)[np.ix_(fault, fault)]
         needed[[[one == other for other in names] for one in names]] = -np.inf

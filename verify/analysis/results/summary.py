@@ -12,6 +12,7 @@ import scipy
 
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.combinations import Combination
+from verify.analysis.diagnosis.causes import Cause
 from verify.analysis.diagnosis.diagnose import Diagnosis
 from verify.analysis.joint_errors import JointErrors, MeanErrors, ResolvedErrors
 from verify.analysis.model import JointErrorModel, Observability, SessionComparison
@@ -163,13 +164,11 @@ def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
     """The causes; an offset that is all that ails its joint is the mean of the resolved error."""
     causes, means = judged.diagnosis.causes, judged.means
     count = Counter(c.joint for c in causes)
-    # what is turned about the first or the last axis shows what a constant offset there does
-    same = {1: "base_turned", len(means.mean): "led_body_turned"}
     entries = []
     for cause in causes:
         entry = cause_entry(cause)
-        if cause.kind == "offset" and cause.joint in same:
-            entry["same_as"] = same[cause.joint]
+        if (same := _same_as(cause, len(means.mean))) is not None:
+            entry["same_as"] = same
         j = (cause.joint or 0) - 1
         if cause.kind == "offset" and count[cause.joint] == 1 and np.isfinite(means.mean[j]):
             u = float(np.sqrt(means.covariance[j, j]) * DEGREE)
@@ -180,6 +179,23 @@ def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
             }
         entries.append(entry)
     return entries
+
+
+def _same_as(cause: Cause, dof: int) -> str | None:
+    """What shows the same as a cause whatever the motion; None: nothing does.
+
+    The base turned about the first axis, or shifted along it; the LED body, with all that stands
+    behind the last axis.
+    """
+    same: dict[tuple[str, int | None, str | None], str] = {
+        ("offset", 1, None): "base_turned",
+        ("dh", 1, "d1"): "base_shifted",
+        ("offset", dof, None): "led_body_turned",
+        ("dh", dof, f"d{dof}"): "led_body_shifted",
+        ("dh", dof, f"a{dof}"): "led_body_shifted",
+        ("dh", dof, f"alpha{dof}"): "led_body_tilted",
+    }
+    return same.get((cause.kind, cause.joint, cause.fault.parameter))
 
 
 def _decision(judged: SessionAnalysis) -> dict[str, Any]:

@@ -273,6 +273,28 @@ def test_displaced_links_span_what_a_dh_table_can_have_wrong(name: str) -> None:
     assert int(np.sum(size > 1e-9 * size[0])) == 4 * arm.dof + 6
 
 
+@pytest.mark.parametrize("source", ["fixture", "motion"])
+@pytest.mark.parametrize("joints", [(2, 4, 5), (1, 3, 5), (2, 3, 4, 5), (1, 2, 3, 4, 5, 6)])
+def test_offsets_of_several_joints_are_each_named_and_no_links(
+    joints: tuple[int, ...], source: str
+) -> None:
+    """Links have so many coefficients that they absorb the first two offsets of three."""
+    size = {j: np.deg2rad(0.15) * (-1) ** k for k, j in enumerate(joints)}
+    seen = found(8, lambda t, _: sum(at(j, s + 0 * t) for j, s in size.items()), source=source)
+    hidden = {1, 6} if source == "motion" else set()  # the registration takes them in
+    assert sorted(names(seen)) == [("offset", j) for j in joints if j not in hidden]
+    for cause in seen.causes:
+        assert cause.joint is not None
+        assert abs(cause.value - size[cause.joint]) < 4 * cause.standard_uncertainty
+
+
+def test_backlash_of_every_joint_is_named_and_no_steps_and_offsets_beside_it() -> None:
+    play = np.deg2rad(0.3)
+    seen = found(9, lambda t, _: play / 2 * direction(t))
+    assert sorted(names(seen)) == [("backlash", j) for j in range(1, 7)]
+    assert_allclose([c.value for c in seen.causes], play, rtol=0.1)
+
+
 @pytest.mark.slow
 def test_several_faults_at_once_are_each_named() -> None:
     def error(t: Array, q: Array) -> Array:

@@ -1,4 +1,4 @@
-"""An offset of the first or the last joint beside a base or LED body turned about its axis."""
+"""Errors at the first or the last axis beside a base or LED body that is turned or shifted."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -24,6 +24,7 @@ from verify.simulation.scenario import (
 )
 
 TURN_DEG = 0.4
+SHIFT = 3e-3  # m
 FIRST, LAST = (1, "base_turned", "the robot base"), (6, "led_body_turned", "the LED body")
 
 
@@ -54,8 +55,15 @@ def analysed(session: InMemory) -> Results:
 
 
 def stated_wrongly(part: str) -> InMemory:
-    """Base or LED body stated as turned about the first or the last axis."""
-    session = played()
+    """Base or LED body stated as turned about the first or the last axis, or shifted along it."""
+    session, along = played(), np.array([0.0, 0.0, SHIFT])
+    if part == "led_body_shifted":
+        return replace(session, marker=replace(session.marker, leds=session.marker.leds + along))
+    if part == "base_shifted":
+        moved = np.eye(4)
+        moved[:3, 3] = along
+        rig = replace(session.rig, rig_T_base=session.rig.rig_T_base @ moved)
+        return replace(session, rig=rig)
     turn: Array = Rotation.from_euler("z", -TURN_DEG, degrees=True).as_matrix()
     if part == "led_body_turned":
         leds = session.marker.leds @ turn.T
@@ -84,3 +92,20 @@ def test_of_a_joint_between_nothing_shows_the_same() -> None:
     (cause,) = analysed(played(ScenarioFault(joint=3, offset_deg=TURN_DEG))).summary["diagnosis"]
     assert (cause["kind"], cause["joint"]) == ("offset", 3)
     assert "same_as" not in cause
+
+
+@pytest.mark.parametrize(
+    ("part", "parameter", "words"),
+    [
+        ("base_shifted", "d1", "the robot base, shifted as much along this axis, would show"),
+        ("led_body_shifted", "d6", "the LED body, shifted as much, would show"),
+    ],
+)
+def test_a_shift_along_the_axis_shows_as_the_link_s_length_and_is_named(
+    part: str, parameter: str, words: str
+) -> None:
+    results = analysed(stated_wrongly(part))
+    (cause,) = results.summary["diagnosis"]
+    assert (cause["kind"], cause["parameter"], cause["same_as"]) == ("dh", parameter, part)
+    assert_allclose(abs(cause["value"]), 1e3 * SHIFT, atol=2 * cause["expanded_uncertainty"])
+    assert words in render_html(results)
