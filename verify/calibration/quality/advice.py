@@ -206,7 +206,7 @@ def _square(calibration: Calibration) -> Iterator[str]:
     found, u, _ = calibration.square_found
     stated = calibration.board.square
     both = float(np.hypot(u, calibration.board.square_standard_uncertainty or 0.0))
-    if both == 0 or abs(found - stated) <= MAX_SQUARE_SIGMA * both:
+    if both == 0 or not abs(found - stated) > MAX_SQUARE_SIGMA * both:  # NaN: not determined
         return
     yield (
         f"Squares come out as {found * 1e3:.3f} mm where {stated * 1e3:.3f} mm are stated, "

@@ -154,13 +154,13 @@ def _fit(calibration: Calibration, quality: CalibrationQuality) -> dict[str, Any
 
 def _square(calibration: Calibration) -> dict[str, Any]:
     stated = calibration.board.square_standard_uncertainty
-    found, u, spread = calibration.square_found
+    found, u, spread = (x * MM if np.isfinite(x) else None for x in calibration.square_found)
     return {
         "stated_mm": calibration.board.square * MM,
         "stated_standard_uncertainty_mm": None if stated is None else stated * MM,
-        "found_mm": found * MM,
-        "standard_uncertainty_mm": u * MM,
-        "deviation_mm": spread * MM,
+        "found_mm": found,
+        "standard_uncertainty_mm": u,
+        "deviation_mm": spread,
     }
 
 

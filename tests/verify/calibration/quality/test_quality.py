@@ -126,6 +126,14 @@ def test_squares_that_come_out_wrong_are_a_doubt() -> None:
     assert not calibration_doubts(loose, judge_calibration(loose))
 
 
+def test_squares_that_no_pair_shows_to_both_cameras_are_not_judged() -> None:
+    unknown = replace(made.calibration(), square_found=(np.nan, np.nan, np.nan))
+    assert not [s for s in calibration_doubts(unknown, judge_calibration(unknown)) if "quare" in s]
+    square = calibration_results(unknown).summary["square"]
+    names = ("found_mm", "standard_uncertainty_mm", "deviation_mm")
+    assert [square[name] for name in names] == [None, None, None]
+
+
 def test_a_calibration_without_a_covariance_or_with_other_readings_is_refused() -> None:
     found = made.calibration()
     with pytest.raises(ValueError, match="covariance"):
