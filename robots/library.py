@@ -53,21 +53,19 @@ def load(
         _require_plain_file(path)
     if path.suffix == ".urdf":
         return urdf.read(path, base, tip, path.stem, f"URDF {path.name}")
-    if name_or_path in EXAMPLES:
-        relative = EXAMPLES[name_or_path]
+    known = [*names(), *example_names()]
+    name = {_plain(name): name for name in known}.get(_plain(name_or_path))  # UR5, rv-3sd melfa
+    if name in EXAMPLES:
+        relative = EXAMPLES[name]
         source = f"example-robot-data {metadata.version('example-robot-data')}, {relative}"
-        return urdf.read(example(relative), base, tip, name_or_path, source)
+        return urdf.read(example(relative), base, tip, name, source)
     if base or tip:
         remedy = "Leave out [robot_frames], or base and tip."
         raise RobotError(name_or_path, "base and tip named", "only a URDF has links", remedy)
     if path.suffix == ".toml":
         return definition.read(path)
-    if name_or_path in names():
-        return definition.read(HERE / f"{name_or_path}.toml")
-    known = [*names(), *example_names()]
-    plain = {_plain(name): name for name in known}
-    if _plain(name_or_path) in plain:  # UR5, rv-3sd melfa
-        return load(plain[_plain(name_or_path)], base=base, tip=tip)
+    if name is not None:
+        return definition.read(HERE / f"{name}.toml")
     near = difflib.get_close_matches(name_or_path.lower(), known, n=1)
     found = "is not known" + (f', did you mean "{near[0]}"?' if near else "")
     remedy = "Or give the path of a robot file (.toml) or a URDF (.urdf)."

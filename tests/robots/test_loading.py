@@ -120,6 +120,13 @@ def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
 
 def test_links_of_a_dh_arm_cannot_be_named() -> None:
     assert "only a URDF has links" in complaint("iust_6r", base="base")
+    assert "only a URDF has links" in complaint("IUST 6R", base="base")
+
+
+def test_a_urdfs_links_can_be_named_however_the_arm_is_spelled() -> None:
+    arm = robots.load("UR-5", base="base_link", tip="tool0")
+    assert arm.fingerprint == robots.load("ur5", base="base_link", tip="tool0").fingerprint
+    assert arm.name == "ur5"
 
 
 @pytest.mark.parametrize(
