@@ -197,7 +197,7 @@ def connect_mqtt(url: str) -> MqttPublisher:
         InputError: no such address, or paho-mqtt is not installed.
     """
     parts = urlsplit(url)
-    topic = parts.path.strip("/") or "verify"
+    topic = parts.path.strip("/")
     if parts.scheme != "mqtt" or not parts.hostname:
         expected = "mqtt://HOST:PORT/TOPIC is expected"
         raise InputError("alarm.mqtt", f'is "{url}"', expected, "Correct it.")

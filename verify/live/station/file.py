@@ -17,7 +17,7 @@ from verify.live.station.keys import EVENT_KINDS, StationCameraTable, StationTab
 SIM = "sim"
 SIDES = ("left", "right", "both")
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^\s:/]+):[0-9]{1,5}")
-_MQTT = re.compile(r"mqtts?://([^\s/@]+@)?[^\s/]+/\S+")
+_MQTT = re.compile(r"mqtt://([^\s/@]+@)?[^\s/]+/[^\s/]\S*")
 
 
 T = TypeVar("T", bound=StationTable)

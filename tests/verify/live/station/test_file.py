@@ -277,6 +277,8 @@ def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str
     [
         ("[alarm]\nfalse_alarms_per_hour = 0.0\n", "every test has false alarms"),
         ('[alarm]\nmqtt = "localhost"\n', "mqtt://HOST:PORT/TOPIC"),
+        ('[alarm]\nmqtt = "mqtts://localhost/verify"\n', "mqtt://HOST:PORT/TOPIC"),
+        ('[alarm]\nmqtt = "mqtt://localhost//"\n', "mqtt://HOST:PORT/TOPIC"),
         ('[alarm]\nprometheus = "9105"\n', "HOST:PORT is expected"),
         ('[recording]\nname = "../%Y"\n', "a folder's name is expected"),
         ('[recording]\nname = ""\n', "a folder's name is expected"),
