@@ -36,6 +36,11 @@ class PageAccess:
     port: int
     token: str | None  # None: this computer alone
 
+    @property
+    def host(self) -> str:
+        """The address as a browser names it."""
+        return f"[{self.address}]" if ":" in self.address else self.address
+
     def refusal(
         self, headers: Mapping[str, str], cookie: str | None, *, script: bool
     ) -> str | None:
@@ -44,9 +49,9 @@ class PageAccess:
         Headers have their names in lower case; the cookie is the token that the browser keeps, or
         that the request gave otherwise. A script (a web socket) must be this page's own.
         """
-        host = headers.get("host", "")
-        if self.token is None and host not in {f"{name}:{self.port}" for name in OWN_NAMES}:
-            return f"the page is not served under that name; open http://127.0.0.1:{self.port}/"
+        host, own = headers.get("host", ""), f"{self.host}:{self.port}"
+        if self.token is None and host not in {own, *(f"{name}:{self.port}" for name in OWN_NAMES)}:
+            return f"the page is not served under that name; open http://{own}/"
         origin = headers.get("origin")
         if (script or origin is not None) and origin != f"http://{host}":
             return "another site's page may not look at this one"

@@ -88,9 +88,8 @@ class Page:
     def url(self) -> str:
         """What to open in a browser."""
         access = self._access
-        host = f"[{access.address}]" if ":" in access.address else access.address
         token = "" if access.token is None else f"?token={access.token}"
-        return f"http://{host}:{access.port}/{token}"
+        return f"http://{access.host}:{access.port}/{token}"
 
     def close(self) -> None:
         """Send what is left, and end the server."""

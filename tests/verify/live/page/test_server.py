@@ -226,6 +226,15 @@ def test_another_address_needs_a_random_token() -> None:
     assert check_access("::1", 1, None).token is None
 
 
+@pytest.mark.parametrize("host", ["127.0.0.2", "[::1]", "127.0.0.1", "localhost"])
+def test_the_page_answers_under_the_loopback_address_that_it_is_served_at(host: str) -> None:
+    access = check_access(host.strip("[]"), 8646, None)
+    assert access.refusal({"host": f"{host}:8646"}, None, script=False) is None
+    refused = access.refusal({"host": "elsewhere.example:8646"}, None, script=False)
+    assert refused is not None
+    assert f"open http://{host}:8646/" in refused
+
+
 @pytest.mark.realtime
 def test_the_token_opens_the_page_once_and_then_the_cookie_does() -> None:
     with Playing() as playing:
