@@ -68,12 +68,14 @@ def draw_pair(pair: StereoPair, measurement: Measurement, marker: Marker) -> byt
 
 
 def _mark_leds(image: Image, sighting: Sighting, marker: Marker) -> Image:
-    left, top, scale = _crop(sighting, image.shape[1], image.shape[0])
-    place = np.array([[scale, 0.0, -left * scale], [0.0, scale, -top * scale]])
-    view = cv2.warpAffine(image, place, (WIDTH, HEIGHT), flags=cv2.INTER_AREA)
+    left, top, width, height = _crop(sighting, image.shape[1], image.shape[0])
+    part = image[top : top + height, left : left + width]
+    scale = WIDTH / width
+    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
+    view = cv2.resize(part, (WIDTH, HEIGHT), interpolation=way)
     view = view if view.ndim == 3 else cv2.cvtColor(view, cv2.COLOR_GRAY2BGR)
-    for led, centre in zip(sighting.led, sighting.centre, strict=True):
-        x, y = round((float(centre[0]) - left) * scale), round((float(centre[1]) - top) * scale)
+    centres = (sighting.centre - [left, top] + 0.5) * [scale, HEIGHT / height] - 0.5
+    for led, (x, y) in zip(sighting.led, np.rint(centres).astype(int).tolist(), strict=True):
         cv2.circle(view, (x, y), round(9 * scale), RING_COLOUR, 1, cv2.LINE_AA)
         name = "".join(c if c.isascii() and c.isprintable() else "?" for c in marker.names[led])
         there = (x + round(11 * scale), y - round(5 * scale))
@@ -81,16 +83,16 @@ def _mark_leds(image: Image, sighting: Sighting, marker: Marker) -> Image:
     return np.asarray(view, dtype=np.uint8)
 
 
-def _crop(sighting: Sighting, width: int, height: int) -> tuple[float, float, float]:
-    """Left and top edge (px) and magnification of the part of the picture that is shown."""
+def _crop(sighting: Sighting, width: int, height: int) -> tuple[int, int, int, int]:
+    """Left and top edge, width and height (px) of the part of the picture that is shown."""
     low, high = sighting.centre.min(axis=0), sighting.centre.max(axis=0)
     extent = np.maximum((high - low) * (1 + 2 * MARGIN), MIN_SIDE)
     scale = float(min(WIDTH / extent[0], HEIGHT / extent[1]))
     scale = max(scale, WIDTH / width, HEIGHT / height)
-    middle = (low + high) / 2
-    left = np.clip(middle[0] - WIDTH / scale / 2, 0, width - WIDTH / scale)
-    top = np.clip(middle[1] - HEIGHT / scale / 2, 0, height - HEIGHT / scale)
-    return float(left), float(top), scale
+    size = np.rint([WIDTH / scale, HEIGHT / scale])
+    corner = np.clip(np.rint((low + high - size) / 2), 0, [width, height] - size)
+    left, top, across, down = np.concatenate([corner, size]).astype(int).tolist()
+    return left, top, across, down
 
 
 def setup_of(session: Session) -> Setup:

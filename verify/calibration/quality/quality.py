@@ -264,4 +264,4 @@ def _rectify(picture: Image, camera: Camera, turn: Array, new: Array) -> Image:
     maps = cv2.initUndistortRectifyMap(
         camera.matrix, camera.distortion, turn, smaller, size, cv2.CV_32FC1
     )
-    return np.asarray(cv2.remap(colour, *maps, cv2.INTER_AREA), dtype=np.uint8)
+    return np.asarray(cv2.remap(colour, *maps, cv2.INTER_LINEAR), dtype=np.uint8)
