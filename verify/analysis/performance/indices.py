@@ -191,7 +191,7 @@ def noise_length(random: Array, freedom: int, systematic: Array) -> float:
 def noise_draws(random: Array, freedom: int, systematic: Array) -> Array:
     """Errors (d, 3) of a mean: Student's t of the random part, normal of the systematic one."""
     normal, other, scale = _student(freedom)
-    return (normal @ _root(random).T) / scale[:, None] + other @ _root(systematic).T
+    return (normal @ square_root(random).T) / scale[:, None] + other @ square_root(systematic).T
 
 
 def mean_interval(values: Array, systematic: float) -> Interval:
@@ -211,7 +211,8 @@ def spread_interval(values: Array) -> Interval:
     return Interval(spread, spread * float(low), spread * float(high))
 
 
-def _root(covariance: Array) -> Array:
+def square_root(covariance: Array) -> Array:
+    """A matrix (3, 3) whose square is the covariance, which may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     root: Array = vectors * np.sqrt(np.clip(values, 0.0, None))
     return root

@@ -20,6 +20,7 @@ from verify.analysis.performance.indices import (
     repeatability_interval,
     repeatability_of,
     spread_interval,
+    square_root,
 )
 from verify.core.records import Array
 
@@ -187,9 +188,8 @@ def _variation(
     centres = np.array([angles[rows].mean(axis=0) for rows in ways]) if angles is not None else None
     turn = float(np.ptp(centres, axis=0).max()) if centres is not None else np.nan
     rng = np.random.default_rng(SEED)
-    root = np.linalg.cholesky(pooled + np.eye(3) * np.finfo(float).tiny)
     spread = np.array([1 / np.sqrt(len(rows)) for rows in ways])[:, None]
-    drawn = rng.standard_normal((N_SHUFFLES, len(ways), 3)) @ root.T * spread
+    drawn = rng.standard_normal((N_SHUFFLES, len(ways), 3)) @ square_root(pooled).T * spread
     alone = np.linalg.norm(drawn[:, :, None] - drawn[:, None], axis=3).max(axis=(1, 2))
     interval = length_interval(apart, random, freedom, np.zeros((3, 3)))
     noise = float(np.quantile(alone, 1 - 2 * P_TAIL))

@@ -133,6 +133,16 @@ def test_a_pose_approached_from_two_sides_varies_by_the_backlash() -> None:
     assert judged.variation.noise < 4e-5
 
 
+def test_a_variation_is_judged_where_deviations_lie_on_one_line_whichever_way_it_points() -> None:
+    length = np.where(np.arange(8) % 3 == 1, 1e-4, 0.0)[:, None]  # an instrument's last digit
+    found = []
+    for line in ([1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [1 / 3, 2 / 3, 2 / 3]):
+        judged = assess_pose(stands(length * line, (1, 2) * 4), STILL, oriented=False)
+        assert judged.variation is not None
+        found.append((judged.variation.position.value, judged.variation.noise))
+    np.testing.assert_allclose(found, found[:1] * 3, rtol=0.1)  # drawn anew along each line
+
+
 @pytest.mark.slow
 def test_scatter_is_distinguished_from_a_variation() -> None:
     over = []
