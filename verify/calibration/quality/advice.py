@@ -112,7 +112,7 @@ def _image(covered: ImageCoverage) -> Iterator[str]:
         ("Hardly a corner", (covered.regions > 0) & (covered.regions < few)),
     ):
         if chosen.any():
-            names = [_region(row, column) for row, column in np.argwhere(chosen).tolist()]
+            names = [region_name(row, column) for row, column in np.argwhere(chosen).tolist()]
             yield (
                 f"{word} lies in the {join_words(names)} of the {side} image: the lens is "
                 "extrapolated there. Hold the board there."
@@ -135,7 +135,8 @@ def _image(covered: ImageCoverage) -> Iterator[str]:
         )
 
 
-def _region(row: int, column: int) -> str:
+def region_name(row: int, column: int) -> str:
+    """Name one of an image's nine regions."""
     if row == 1 and column == 1:
         return "middle"
     if row == 1:

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.calibration.stereo.records import Calibration
+from verify.core.fiducials import Board
 from verify.core.records import Array, rigid_transform
 from verify.core.rig import Rig
 
@@ -63,8 +64,7 @@ def view_frame(rig: Rig, pan: Array) -> Array:
 
 def image_coverage(calibration: Calibration) -> tuple[ImageCoverage, ...]:
     """Count the corners that entered the adjustment over the cells of either image."""
-    width, height = calibration.rig.image_size
-    down = max(round(CELLS_ACROSS * height / width), 1)
+    size = width, height = calibration.rig.image_size
     residuals = calibration.residuals
     half = np.hypot(width, height) / 2
     found = []
@@ -72,24 +72,28 @@ def image_coverage(calibration: Calibration) -> tuple[ImageCoverage, ...]:
         pixels = residuals.observed[(residuals.camera == camera) & residuals.used]
         offset = pixels - np.array([width - 1, height - 1]) / 2
         reach = float(np.linalg.norm(offset, axis=1).max() / half) if len(pixels) else 0.0
-        found.append(
-            ImageCoverage(
-                camera,
-                _centres(width, CELLS_ACROSS),
-                _centres(height, down),
-                _cell_counts(pixels, width, height, CELLS_ACROSS, down),
-                _cell_counts(pixels, width, height, REGIONS_PER_SIDE, REGIONS_PER_SIDE),
-                _margins(pixels, width, height),
-                reach,
-            )
-        )
+        counts = cell_counts(pixels, size)
+        rows, columns = counts.shape
+        x, y = _centres(width, columns), _centres(height, rows)
+        regions, margins = region_counts(pixels, size), bare_margins(pixels, size)
+        found.append(ImageCoverage(camera, x, y, counts, regions, margins, reach))
     return tuple(found)
 
 
-def _margins(pixels: Array, width: int, height: int) -> Array:
+def cell_counts(pixels: Array, size: tuple[int, int]) -> Array:
+    """Count pixels (n, 2) over a grid of square cells, (rows, columns); size: width, height."""
+    return _counts(pixels, size, CELLS_ACROSS, max(round(CELLS_ACROSS * size[1] / size[0]), 1))
+
+
+def region_counts(pixels: Array, size: tuple[int, int]) -> Array:
+    """Count pixels (n, 2) over the regions that sentences can name, (3, 3)."""
+    return _counts(pixels, size, REGIONS_PER_SIDE, REGIONS_PER_SIDE)
+
+
+def bare_margins(pixels: Array, size: tuple[int, int]) -> Array:
+    """Share of the width or height left, above, right and below all pixels (n, 2); (4,)."""
     if not len(pixels):
         return np.ones(4)
-    size = np.array([width, height])
     low, high = (pixels.min(axis=0) + 0.5) / size, (pixels.max(axis=0) + 0.5) / size
     return np.concatenate([low, 1 - high])
 
@@ -98,28 +102,37 @@ def _centres(extent: int, cells: int) -> Array:
     return (np.arange(cells) + 0.5) * extent / cells - 0.5  # pixel centres are whole
 
 
-def _cell_counts(pixels: Array, width: int, height: int, across: int, down: int) -> Array:
+def _counts(pixels: Array, size: tuple[int, int], across: int, down: int) -> Array:
+    width, height = size
     edges = (np.linspace(-0.5, height - 0.5, down + 1), np.linspace(-0.5, width - 0.5, across + 1))
     return np.histogram2d(pixels[:, 1], pixels[:, 0], bins=edges)[0]
 
 
 def board_stances(calibration: Calibration, pan: Array) -> tuple[BoardOrientation, ...]:
     """Find distance and tilts of each of b boards; pan (b, 2), rad, are readings of the bases."""
-    points = calibration.board.points
-    middle = np.append((points[0] + points[-1]) / 2, 1.0)
-    found = []
-    for frame, rig_T_board, own in zip(
-        calibration.frames.tolist(), calibration.rig_T_board, pan, strict=True
-    ):
-        view_T_board = np.linalg.inv(view_frame(calibration.rig, own)) @ rig_T_board
-        normal = view_T_board[:3, 2]  # into the board: (0, 0, 1) where it faces the cameras
-        found.append(
-            BoardOrientation(
-                frame=frame,
-                view_T_board=view_T_board,
-                distance=float((view_T_board @ middle)[2]),
-                about_horizontal=float(np.arctan2(-normal[1], normal[2])),
-                about_vertical=float(np.arctan2(normal[0], normal[2])),
-            )
+    poses = zip(calibration.frames.tolist(), calibration.rig_T_board, pan, strict=True)
+    return tuple(
+        board_orientation(
+            frame, np.linalg.inv(view_frame(calibration.rig, own)) @ rig_T_board, calibration.board
         )
-    return tuple(found)
+        for frame, rig_T_board, own in poses
+    )
+
+
+def board_orientation(frame: int, view_T_board: Array, board: Board) -> BoardOrientation:
+    """Find distance and tilts of a board in the frame of a view, z forward."""
+    normal = view_T_board[:3, 2]  # into the board: (0, 0, 1) where it faces the cameras
+    return BoardOrientation(
+        frame=frame,
+        view_T_board=view_T_board,
+        distance=float(board_middle(view_T_board, board)[2]),
+        about_horizontal=float(np.arctan2(-normal[1], normal[2])),
+        about_vertical=float(np.arctan2(normal[0], normal[2])),
+    )
+
+
+def board_middle(view_T_board: Array, board: Board) -> Array:
+    """Where the middle of the corners lies, (3,), m."""
+    middle = (board.points[0] + board.points[-1]) / 2
+    found: Array = view_T_board[:3, :3] @ middle + view_T_board[:3, 3]
+    return found

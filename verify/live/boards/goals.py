@@ -6,7 +6,15 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.calibration.quality import advice
-from verify.calibration.quality.coverage import CELLS_ACROSS, REGIONS_PER_SIDE, BoardOrientation
+from verify.calibration.quality.coverage import (
+    BoardOrientation,
+    bare_margins,
+    board_middle,
+    board_orientation,
+    cell_counts,
+    region_counts,
+)
+from verify.calibration.stereo.parameters import SIDES
 from verify.calibration.stereo.start import InitialLens, board_pose, start_lens
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array
@@ -82,18 +90,10 @@ class CapturedPairs:
     def _standing(self, frame: int, view: BoardView, side: int) -> BoardPlacement:
         lens = self._lenses[side]
         pose = board_pose(view, self.board, lens.matrix, lens.distortion)
-        points = self.board.points
-        middle = pose @ np.append((points[0] + points[-1]) / 2, 1.0)
-        normal = pose[:3, 2]  # as Stance has it: (0, 0, 1) where the board faces the camera
-        stance = BoardOrientation(
-            frame=frame,
-            view_T_board=pose,
-            distance=float(middle[2]),
-            about_horizontal=float(np.arctan2(-normal[1], normal[2])),
-            about_vertical=float(np.arctan2(normal[0], normal[2])),
-        )
-        pixels = lens.matrix @ (middle[:3] / middle[2])
-        return BoardPlacement(stance, pixels[:2] / np.asarray(self.image_size))
+        middle = board_middle(pose, self.board)
+        pixels = lens.matrix @ (middle / middle[2])
+        orientation = board_orientation(frame, pose, self.board)
+        return BoardPlacement(orientation, pixels[:2] / np.asarray(self.image_size))
 
     def _lens(self, side: int) -> InitialLens:
         views = {i: _views(pair)[side] for i, pair in enumerate(self.pairs)}
@@ -119,7 +119,6 @@ def _placements_differ(one: BoardPlacement, other: BoardPlacement) -> bool:
     )
 
 
-SIDES = ("left", "right")
 MIN_CORNERS_IN_REGION = 10  # corners
 MIN_PAN_ANGLES = 3  # of each base that turns
 
@@ -145,18 +144,13 @@ class CameraCoverage:
 
 def coverage(taken: CapturedPairs, side: int) -> CameraCoverage:
     """Count what the left (0) or right (1) camera has seen."""
-    width, height = taken.image_size
     views = [(pair.left, pair.right)[side] for pair in taken.pairs]
     pixels = np.concatenate([v.centre for v in views if v is not None] or [np.empty((0, 2))])
-    down = max(round(CELLS_ACROSS * height / width), 1)
-    margins = np.ones(4)
-    if len(pixels):
-        low, high = (f(axis=0) + 0.5 for f in (pixels.min, pixels.max))
-        margins = np.concatenate([low / [width, height], 1 - high / [width, height]])
+    size = taken.image_size
     return CameraCoverage(
-        _count_corners(pixels, (width, height), (CELLS_ACROSS, down)),
-        _count_corners(pixels, (width, height), (REGIONS_PER_SIDE, REGIONS_PER_SIDE)),
-        margins,
+        cell_counts(pixels, size),
+        region_counts(pixels, size),
+        bare_margins(pixels, size),
         tuple(taken.of_camera(side)),
     )
 
@@ -166,7 +160,7 @@ def goals(
 ) -> tuple[BoardGoal, ...]:
     """Say what the pictures must have and how far they are, most needed first.
 
-    The limits are those by which the report judges (`quality_advice`).
+    The limits are those by which the report judges (`verify.calibration.quality.advice`).
     """
     wanted = 2 * advice.MIN_PAIRS
     count = BoardGoal("pairs", len(taken) >= wanted, f"{len(taken)} of {wanted}")
@@ -182,20 +176,12 @@ def goals(
     )
 
 
-def _count_corners(pixels: Array, size: tuple[int, int], cells: tuple[int, int]) -> Array:
-    edges = [np.linspace(-0.5, extent - 0.5, n + 1) for extent, n in zip(size, cells, strict=True)]
-    return np.histogram2d(pixels[:, 1], pixels[:, 0], bins=(edges[1], edges[0]))[0]
-
-
 def _image_goal(side: str, covered: CameraCoverage) -> BoardGoal:
     name = f"{side} image"
     bare = np.argwhere(covered.regions < MIN_CORNERS_IN_REGION).tolist()
     if bare:
-        row, column = bare[0]
-        where = f"{advice.ROW_NAMES[row]} {advice.COLUMN_NAMES[column]}".replace(
-            "middle middle", "middle"
-        )
         parts = covered.regions.size
+        where = advice.region_name(*bare[0])
         words = f"{parts - len(bare)} of {parts} parts; hold the board in the {where}"
         return BoardGoal(name, False, words)
     far = int(np.argmax(covered.margins))

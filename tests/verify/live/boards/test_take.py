@@ -23,7 +23,7 @@ from verify.core.records import Array, StereoPair
 from verify.errors import InputError
 from verify.io.board.folder import open_board_folder
 from verify.live.boards import pictures as boards_pictures
-from verify.live.boards.goals import CapturedPairs, coverage, goals
+from verify.live.boards.goals import CameraCoverage, CapturedPairs, coverage, goals
 from verify.live.boards.pictures import BoardPictures, complete_pairs
 from verify.live.boards.show import BoardPageSource, BoardSnapshot, BoardState
 from verify.live.boards.take import BoardCapture, BoardDevices
@@ -160,6 +160,17 @@ def test_tilts_and_distances_are_those_of_the_simulation() -> None:
         assert standing.stance.distance == pytest.approx(middle[2], rel=0.03)
         normal = standing.stance.view_T_board[:3, 2]
         assert np.degrees(np.arccos(normal @ camera_T_board[:3, 2])) < 3.0
+
+
+def test_a_part_of_the_image_has_the_name_that_the_report_gives_it() -> None:
+    regions = np.full((3, 3), 99.0)
+    regions[1, 0] = 0
+    left, right = (
+        CameraCoverage(np.ones((1, 1)), r, np.zeros(4), ()) for r in (regions, regions.T)
+    )
+    found = goals(CapturedPairs(BOARD, (1280, 720)), (left, right), turning=False)
+    assert found[0].words == "8 of 9 parts; hold the board in the left edge"
+    assert found[1].words == "8 of 9 parts; hold the board in the upper middle"
 
 
 def test_the_goals_are_reached_by_what_the_report_finds_nothing_missing_in() -> None:
