@@ -59,14 +59,14 @@ def calibration_doubts(
 
 def coverage_gaps(calibration: Calibration, quality: CalibrationQuality) -> tuple[str, ...]:
     """List the parts of the image, distances and tilts that are missing, a sentence each."""
-    count, stances = len(calibration.frames), quality.stances
+    count, orientations = len(calibration.frames), quality.orientations
     few = f"Only {count} pairs were used: take {2 * MIN_PAIRS} or more."
     return (
         *([few] if count < MIN_PAIRS else []),
         *(sentence for c in quality.coverage for sentence in _image(c)),
-        *_distance([s.distance for s in stances]),
-        *_tilt("horizontal", [s.about_horizontal for s in stances], ("upper", "lower")),
-        *_tilt("vertical", [s.about_vertical for s in stances], ("right", "left")),
+        *_distance([s.distance for s in orientations]),
+        *_tilt("horizontal", [s.about_horizontal for s in orientations], ("upper", "lower")),
+        *_tilt("vertical", [s.about_vertical for s in orientations], ("right", "left")),
     )
 
 

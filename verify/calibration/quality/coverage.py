@@ -108,7 +108,7 @@ def _counts(pixels: Array, size: tuple[int, int], across: int, down: int) -> Arr
     return np.histogram2d(pixels[:, 1], pixels[:, 0], bins=edges)[0]
 
 
-def board_stances(calibration: Calibration, pan: Array) -> tuple[BoardOrientation, ...]:
+def board_orientations(calibration: Calibration, pan: Array) -> tuple[BoardOrientation, ...]:
     """Find distance and tilts of each of b boards; pan (b, 2), rad, are readings of the bases."""
     poses = zip(calibration.frames.tolist(), calibration.rig_T_board, pan, strict=True)
     return tuple(

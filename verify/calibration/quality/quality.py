@@ -14,7 +14,7 @@ from verify.calibration.quality import accuracy
 from verify.calibration.quality.coverage import (
     BoardOrientation,
     ImageCoverage,
-    board_stances,
+    board_orientations,
     image_coverage,
 )
 from verify.calibration.stereo import parameters as par
@@ -89,7 +89,7 @@ class CalibrationQuality:
     rms: tuple[float, float, float]  # px: both cameras, left, right
     views: tuple[ViewQuality, ...]
     coverage: tuple[ImageCoverage, ...]
-    stances: tuple[BoardOrientation, ...]
+    orientations: tuple[BoardOrientation, ...]
     principal_points: tuple[PrincipalPoint, ...]
     pan: Array  # (2,), rad, for which the fields hold
     working_distance: float  # m, median distance of the boards
@@ -111,8 +111,8 @@ def judge_calibration(calibration: Calibration, pan: Array | None = None) -> Cal
     if pan.shape != (len(calibration.frames), 2):
         raise ValueError(f"{len(calibration.frames)} pairs need as many pan readings")
     usual = np.median(pan, axis=0)
-    stances = board_stances(calibration, pan)
-    near, working, far = _distances([s.distance for s in stances])
+    orientations = board_orientations(calibration, pan)
+    near, working, far = _distances([s.distance for s in orientations])
     residuals = calibration.residuals
     used, left = residuals.used, residuals.camera == 0
     return CalibrationQuality(
@@ -123,7 +123,7 @@ def judge_calibration(calibration: Calibration, pan: Array | None = None) -> Cal
         ),
         views=view_residuals(residuals),
         coverage=image_coverage(calibration),
-        stances=stances,
+        orientations=orientations,
         principal_points=tuple(_principal_point(calibration, side) for side in (0, 1)),
         pan=usual,
         working_distance=working,

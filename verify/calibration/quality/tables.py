@@ -122,9 +122,9 @@ def _boards(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFra
     table: dict[str, Any] = {"frame": calibration.frames}
     table |= {name: values[:, i] for i, name in enumerate(BODY)}
     table |= {f"u_{name}": u[:, i] for i, name in enumerate(BODY)}
-    table["distance_mm"] = [s.distance * MM for s in quality.stances]
+    table["distance_mm"] = [s.distance * MM for s in quality.orientations]
     for name in ("tilt", "about_horizontal", "about_vertical"):
-        table[f"{name}_deg"] = [getattr(s, name) * DEG for s in quality.stances]
+        table[f"{name}_deg"] = [getattr(s, name) * DEG for s in quality.orientations]
     return pd.DataFrame(table)
 
 
@@ -162,7 +162,8 @@ def _scene(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFram
         [[low, low, 0], [high[0], low, 0], [high[0], high[1], 0], [low, high[1], 0], [low, low, 0]]
     )
     items = [
-        ("board", str(stance.frame), carry(stance.view_T_board, edge)) for stance in quality.stances
+        ("board", str(orientation.frame), carry(orientation.view_T_board, edge))
+        for orientation in quality.orientations
     ]
     view_T_rig = np.linalg.inv(view_frame(calibration.rig, quality.pan))
     for side, camera, pan in zip(

@@ -34,13 +34,13 @@ MIN_PAN_CHANGE = np.deg2rad(1.5)
 class BoardPlacement:
     """How a board stood before one camera."""
 
-    stance: BoardOrientation  # in the camera's own frame
+    orientation: BoardOrientation  # in the camera's own frame
     middle: Array  # (2,), share of the image's width and height
 
     @property
     def roll(self) -> float:
         """Angle of the board's x in the image, rad."""
-        x = self.stance.view_T_board[:3, 0]
+        x = self.orientation.view_T_board[:3, 0]
         return float(np.arctan2(x[1], x[0]))
 
 
@@ -54,7 +54,7 @@ class CapturedPairs:
         matrix = [[focal, 0, (width - 1) / 2], [0, focal, (height - 1) / 2], [0, 0, 1.0]]
         guess = InitialLens(np.array(matrix), np.zeros(5), {})
         self._lenses = (guess, guess)
-        self._standings: list[tuple[BoardPlacement, BoardPlacement]] = []
+        self._placements: list[tuple[BoardPlacement, BoardPlacement]] = []
 
     def __len__(self) -> int:
         """Count the pairs."""
@@ -65,29 +65,29 @@ class CapturedPairs:
         self.pairs.append(pair)
         if len(self.pairs) >= MIN_PAIRS_FOR_LENS:
             self._lenses = (self._lens(0), self._lens(1))
-            self._standings = [self.standings(p) for p in self.pairs]
+            self._placements = [self.placements(p) for p in self.pairs]
         else:
-            self._standings.append(self.standings(pair))
+            self._placements.append(self.placements(pair))
 
-    def standings(self, pair: BoardPair) -> tuple[BoardPlacement, BoardPlacement]:
+    def placements(self, pair: BoardPair) -> tuple[BoardPlacement, BoardPlacement]:
         """Place a board that both cameras see, as well as they are known by now."""
         left, right = _views(pair)
-        return self._standing(pair.frame, left, 0), self._standing(pair.frame, right, 1)
+        return self._placement(pair.frame, left, 0), self._placement(pair.frame, right, 1)
 
     def of_camera(self, side: int) -> list[BoardPlacement]:
         """How the boards stood before the left (0) or right (1) camera."""
-        return [standing[side] for standing in self._standings]
+        return [placement[side] for placement in self._placements]
 
     def alike(self, pair: BoardPair) -> int | None:
         """Name the taken pair that this one would only repeat; None: it tells something new."""
-        now = self.standings(pair)
-        for other, before in zip(self.pairs, self._standings, strict=True):
+        now = self.placements(pair)
+        for other, before in zip(self.pairs, self._placements, strict=True):
             turned = max(abs(pair.pan_left - other.pan_left), abs(pair.pan_right - other.pan_right))
             if turned < MIN_PAN_CHANGE and not any(map(_placements_differ, now, before)):
                 return other.frame
         return None
 
-    def _standing(self, frame: int, view: BoardView, side: int) -> BoardPlacement:
+    def _placement(self, frame: int, view: BoardView, side: int) -> BoardPlacement:
         lens = self._lenses[side]
         pose = board_pose(view, self.board, lens.matrix, lens.distortion)
         middle = board_middle(pose, self.board)
@@ -108,9 +108,9 @@ def _views(pair: BoardPair) -> tuple[BoardView, BoardView]:
 
 def _placements_differ(one: BoardPlacement, other: BoardPlacement) -> bool:
     """Whether a camera sees the board elsewhere, nearer, or turned otherwise."""
-    cosine = float(one.stance.view_T_board[:3, 2] @ other.stance.view_T_board[:3, 2])
+    cosine = float(one.orientation.view_T_board[:3, 2] @ other.orientation.view_T_board[:3, 2])
     rolled = abs(np.angle(np.exp(1j * (one.roll - other.roll))))
-    ratio = one.stance.distance / other.stance.distance
+    ratio = one.orientation.distance / other.orientation.distance
     return bool(
         np.arccos(np.clip(cosine, -1.0, 1.0)) > MIN_TILT_CHANGE
         or rolled > MIN_ROLL_CHANGE
@@ -139,7 +139,7 @@ class CameraCoverage:
     cells: Array  # (rows, columns), corners seen, over a grid of square cells
     regions: Array  # (3, 3), likewise, upper left first
     margins: Array  # (4,), share left, above, right and below all corners
-    standings: tuple[BoardPlacement, ...]
+    placements: tuple[BoardPlacement, ...]
 
 
 def coverage(taken: CapturedPairs, side: int) -> CameraCoverage:
@@ -165,12 +165,12 @@ def goals(
     wanted = 2 * advice.MIN_PAIRS
     count = BoardGoal("pairs", len(taken) >= wanted, f"{len(taken)} of {wanted}")
     images = [_image_goal(side, c) for side, c in zip(SIDES, covered, strict=True)]
-    stances = [s.stance for s in covered[0].standings]
+    orientations = [s.orientation for s in covered[0].placements]
     return (
         *images,
-        _tilt_goal("horizontal", [s.about_horizontal for s in stances], ("upper", "lower")),
-        _tilt_goal("vertical", [s.about_vertical for s in stances], ("right", "left")),
-        _distance_goal([s.distance for s in stances]),
+        _tilt_goal("horizontal", [s.about_horizontal for s in orientations], ("upper", "lower")),
+        _tilt_goal("vertical", [s.about_vertical for s in orientations], ("right", "left")),
+        _distance_goal([s.distance for s in orientations]),
         *(_pan_goals(taken) if turning else ()),
         count,
     )

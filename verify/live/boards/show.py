@@ -40,7 +40,7 @@ class BoardSnapshot:
     last: str = ""  # what became of the last pair that was taken or asked for
     goals: tuple[BoardGoal, ...] = ()
     coverage: tuple[CameraCoverage, ...] = ()  # left, right
-    standings: tuple[BoardPlacement, ...] = ()  # of the board now, on either side; () if not seen
+    placements: tuple[BoardPlacement, ...] = ()  # of the board now, on either side; () if not seen
     devices: tuple[DeviceStatus, ...] = ()
     finished: bool = False
     look: BoardDetection | None = None
@@ -111,7 +111,7 @@ class BoardPageSource(SnapshotPageSource[BoardSnapshot]):
             "motion_px": None if now.motion is None else round(float(now.motion), 2),
             "pairs": now.pairs,
             "last": now.last,
-            "now": [_standing(s) for s in now.standings],
+            "now": [_placement(s) for s in now.placements],
             "finished": now.finished,
         }
         return self.news(row)
@@ -143,14 +143,14 @@ class BoardPageSource(SnapshotPageSource[BoardSnapshot]):
 def _coverage(covered: CameraCoverage) -> dict[str, Any]:
     return {
         "cells": covered.cells.astype(int).tolist(),
-        "standings": [_standing(s) for s in covered.standings],
+        "placements": [_placement(s) for s in covered.placements],
     }
 
 
-def _standing(standing: BoardPlacement) -> dict[str, float]:
-    stance = standing.stance
+def _placement(placement: BoardPlacement) -> dict[str, float]:
+    orientation = placement.orientation
     return {
-        "about_horizontal_deg": round(float(np.rad2deg(stance.about_horizontal)), 1),
-        "about_vertical_deg": round(float(np.rad2deg(stance.about_vertical)), 1),
-        "distance_m": round(stance.distance, 3),
+        "about_horizontal_deg": round(float(np.rad2deg(orientation.about_horizontal)), 1),
+        "about_vertical_deg": round(float(np.rad2deg(orientation.about_vertical)), 1),
+        "distance_m": round(orientation.distance, 3),
     }

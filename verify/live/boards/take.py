@@ -134,7 +134,7 @@ class BoardCapture:
         self._state.change(
             status=status,
             words=words,
-            standings=taken.standings(boards) if boards is not None and None not in views else (),
+            placements=taken.placements(boards) if boards is not None and None not in views else (),
         )
         requested = self._requested.is_set()
         self._requested.clear()
@@ -178,8 +178,8 @@ class BoardCapture:
             return SEARCHING, f"no board {where}"
         if boards is None:
             return SEARCHING, "a base turns, or does not tell its angle"
-        left, right = taken.standings(boards)
-        if left.stance.view_T_board[:3, 0] @ right.stance.view_T_board[:3, 0] < 0:
+        left, right = taken.placements(boards)
+        if left.orientation.view_T_board[:3, 0] @ right.orientation.view_T_board[:3, 0] < 0:
             return SEARCHING, UPSIDE_DOWN
         number = taken.alike(boards)
         if number is not None:

@@ -15,7 +15,7 @@ from verify.calibration.quality.accuracy import (
     uncertainty_field,
 )
 from verify.calibration.quality.advice import calibration_doubts
-from verify.calibration.quality.coverage import board_stances, view_frame
+from verify.calibration.quality.coverage import board_orientations, view_frame
 from verify.calibration.quality.quality import NOISE_GROUP, judge_calibration
 from verify.calibration.quality.results import pan_axes_angle, stereo_geometry
 from verify.calibration.stereo.records import covariance_in_si, state_covariance
@@ -73,7 +73,7 @@ def test_a_board_s_tilts_are_those_it_was_placed_with() -> None:
         pose[:3, :3] = Rotation.from_rotvec([about_horizontal, about_vertical, 0.0]).as_matrix()
         pose[2, 3] = 1.1
         poses.append(rig_T_view @ pose)
-    stood = board_stances(replace(found, rig_T_board=np.array(poses)), np.zeros((3, 2)))
+    stood = board_orientations(replace(found, rig_T_board=np.array(poses)), np.zeros((3, 2)))
     assert_allclose([(s.about_horizontal, s.about_vertical) for s in stood], wanted, atol=1e-12)
     assert_allclose([s.tilt for s in stood], [0.3, 0.4, 0.2], atol=1e-9)
     corners = made.BOARD.points @ poses[0][:3, :3].T + poses[0][:3, 3]

@@ -89,8 +89,8 @@ def test_what_boards_never_did_is_advised(
 ) -> None:
     found = made.calibration(count=60, tilt_deg=tilt_deg)
     quality = judge_calibration(found)
-    stances = tuple(s for s in quality.stances if kept(s))
-    gaps = coverage_gaps(found, replace(quality, stances=stances))
+    orientations = tuple(s for s in quality.orientations if kept(s))
+    gaps = coverage_gaps(found, replace(quality, orientations=orientations))
     assert [gap for gap in gaps if re.search(words, gap)]
 
 

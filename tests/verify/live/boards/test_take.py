@@ -153,12 +153,12 @@ def test_tilts_and_distances_are_those_of_the_simulation() -> None:
     for pair in pairs[:12]:
         taken.add(pair)
     boards = simulate_boards(turning())
-    for pair, standing in zip(pairs[:12], taken.of_camera(0), strict=True):
+    for pair, placement in zip(pairs[:12], taken.of_camera(0), strict=True):
         rig_T_camera = rig.left.rig_T_camera(pair.pan_left)
         camera_T_board = np.linalg.inv(rig_T_camera) @ boards.rig_T_board[pair.frame]
         middle = camera_T_board @ np.append(boards.board.points.mean(axis=0), 1.0)
-        assert standing.stance.distance == pytest.approx(middle[2], rel=0.03)
-        normal = standing.stance.view_T_board[:3, 2]
+        assert placement.orientation.distance == pytest.approx(middle[2], rel=0.03)
+        normal = placement.orientation.view_T_board[:3, 2]
         assert np.degrees(np.arccos(normal @ camera_T_board[:3, 2])) < 3.0
 
 

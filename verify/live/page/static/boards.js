@@ -78,7 +78,7 @@ export class Boards {
   draw(colours) {
     this.colours = colours;
     this.plots.forEach((plots, side) => {
-      const taken = this.coverage[side]?.standings ?? [];
+      const taken = this.coverage[side]?.placements ?? [];
       const now = this.newest?.now[side] ?? null;
       spread(plots.tilts, taken, now, (s) => [s.about_vertical_deg, s.about_horizontal_deg]);
       spread(plots.distances, taken, now, (s) => [s.distance_m, 0]);
