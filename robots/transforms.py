@@ -32,6 +32,13 @@ def cross_matrix(vectors: Array) -> Array:
     return matrix - matrix.swapaxes(-1, -2)
 
 
+def rigid_columns(points: Array) -> Array:
+    """Derivative (..., 3, 6) of points (..., 3) by a rigid motion: shift, turn about the origin."""
+    columns = np.empty((*points.shape, 6))
+    columns[..., :3], columns[..., 3:] = np.eye(3), -cross_matrix(points)
+    return columns
+
+
 def rotation_log(rotation: Array) -> Array:
     """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3); lengths in [0, pi]."""
     from scipy.spatial.transform import Rotation  # slow to load, and not all processes turn

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
-from robots.transforms import cross_matrix
+from robots.transforms import rigid_columns
 from verify.core.kernels.entries import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
 from verify.core.records import Array
@@ -247,15 +247,15 @@ def _apply_screw(pose: Array, step: Array) -> None:
         return
     turn = Rotation.from_rotvec(step[3:]).as_matrix()
     # of a pure turn: velocity at the origin = axis x (origin - a point of the axis)
-    arm = np.cross(step[:3], step[3:]) / angle**2  # origin less the axis' nearest point, negated
+    arm = np.cross(step[:3], step[3:]) / angle**2  # origin less the axis' nearest point
     pose[:3, :3] = turn @ pose[:3, :3]
-    pose[:3, 3] += (np.eye(3) - turn) @ -arm
+    pose[:3, 3] += (turn - np.eye(3)) @ arm
 
 
 def twist_transport(shift: Array) -> Array:
     """Carry twists to an origin that lies `shift` (..., 3), m, further on, (..., 6, 6)."""
     carry = np.broadcast_to(np.eye(6), (*shift.shape[:-1], 6, 6)).copy()
-    carry[..., :3, 3:] = -cross_matrix(shift)  # rho + phi x shift
+    carry[..., :3, :] = rigid_columns(shift)  # rho + phi x shift
     return carry
 
 

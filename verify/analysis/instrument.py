@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
-from robots.transforms import cross_matrix
-from verify.analysis.comparison import Comparison, ReadingUncertainty, compare
+from robots.transforms import rigid_columns
+from verify.analysis.comparison import Comparison, ReadingUncertainty, compare, twist_transport
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, Pose
@@ -165,12 +165,9 @@ def _point_to_flange(lever: Array, *, alone: bool) -> tuple[Array, Array]:
     position alone was measured, else the pose. Gives (6, 3 or 6), the flange's twist by the point's
     shift (and the body's turn); and (6, d), orthonormal.
     """
-    across = cross_matrix(lever)
     if not alone:
-        gain = np.eye(6)
-        gain[:3, 3:] = across
-        return gain, np.eye(6)
-    point = np.concatenate([np.eye(3), -across], axis=1)  # of a twist: rho + phi x lever
+        return twist_transport(-lever), np.eye(6)
+    point = rigid_columns(lever)  # of a twist: rho + phi x lever
     determined = np.linalg.qr(point.T)[0]
     return determined @ np.linalg.inv(point @ determined), determined
 
@@ -253,7 +250,7 @@ def noise_from_scatter(
     How far the poses lie from where the readings put them changes slowly, whatever is wrong with
     the robot; a parabola through five in a row leaves the noise. The median over all windows keeps
     single jumps out; the readings' own share is taken off. Of single visits the noise is what a
-    linear model of base, target and joints leaves (`_full_model_squares`). `offset`, s, is that of
+    linear model of base, target and joints leaves (`_full_model_variances`). `offset`, s, is that of
     the readings' clock; None where poses are too few to show the noise.
     """
     comparison = compare(

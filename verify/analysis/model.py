@@ -15,9 +15,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robots.transforms import cross_matrix
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.comparison import Comparison, JointComparison
+from verify.analysis.comparison import Comparison, JointComparison, twist_transport
 from verify.analysis.least_squares import Whitener, residual_products, whiten
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
@@ -154,9 +153,7 @@ def clock_effect(comparison: Comparison, *, steady: bool = False) -> Array:
 
 def base_motion(base_T_flange: Array) -> Array:
     """Twist (n, 6, 6) of the flange for a motion of what it stands on, base axes."""
-    motion = np.tile(np.eye(6), (len(base_T_flange), 1, 1))
-    motion[:, :3, 3:] = -cross_matrix(base_T_flange[:, :3, 3])
-    return motion
+    return twist_transport(base_T_flange[:, :3, 3])
 
 
 def body_motion(base_T_flange: Array) -> Array:

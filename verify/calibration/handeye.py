@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.transforms import cross_matrix, difference
+from robots.transforms import difference
 from verify.core.records import Array, rigid_transform
 
 MIN_POSES = 3  # poses: two relative motions about different axes
@@ -99,9 +99,3 @@ def _translations(a: Array, b: Array, y_rotation: Array) -> tuple[Array, float]:
     design, target = rows.reshape(-1, 6), wanted.reshape(-1)
     solution = np.linalg.lstsq(design, target, rcond=None)[0]
     return solution, float(np.linalg.norm(target - design @ solution))
-
-
-def rigid_columns(points: Array) -> Array:
-    """Derivative (n, 3, 6) of points (n, 3) by a rigid motion: shift, turn about the origin."""
-    shift = np.tile(np.eye(3), (len(points), 1, 1))
-    return np.concatenate([shift, -cross_matrix(points)], axis=2)

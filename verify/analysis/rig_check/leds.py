@@ -23,10 +23,10 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.linalg import solve_triangular
 
+from robots.transforms import rigid_columns
 from verify.analysis.rig_check.pair import (
     PosedPair,
     project_onto,
-    rigid_motion,
     spot_covariance,
 )
 from verify.core.fiducials import Marker
@@ -122,7 +122,7 @@ def _products(
     for seen, pose, left, right in pairs:
         led, spots = np.concatenate([left.led, right.led]), np.arange(len(left) + len(right))
         turn, lefts = pose.rig_T_flange[:3, :3], len(left)
-        by_pose = pose.sensitivity @ rigid_motion(marker.leds[led] @ turn.T)
+        by_pose = pose.sensitivity @ rigid_columns(marker.leds[led] @ turn.T)
         moved = np.zeros((len(led), 2, len(marker), 3))
         moved[spots, :, led] = pose.sensitivity @ turn
         missed = np.zeros((len(led), 2, 2, len(marker), 2))

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from robots.transforms import cross_matrix
+from robots.transforms import rigid_columns
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement, Pose, Sighting
 from verify.measurement.pose import motion_columns
@@ -66,7 +66,7 @@ def _rows(pairs: Sequence[PosedPair], marker: Marker) -> list[PairEquations]:
     led = np.array([np.concatenate([left.led, right.led]) for _, _, left, right in pairs])
     centre = np.array([np.concatenate([left.centre, right.centre]) for _, _, left, right in pairs])
     offset = marker.leds[led] @ np.swapaxes(turn, 1, 2)
-    by_pose = sensitivity @ rigid_motion(offset)
+    by_pose = sensitivity @ rigid_columns(offset)
     figures = _figures(sensitivity, offset, centre, len(pairs[0][2]))
     rows = np.flatnonzero(np.repeat(_used_spots(poses[0]), 2))
     spread = spot_covariance(pairs, by_pose)[:, rows[:, None], rows]
@@ -101,13 +101,6 @@ def _figures(sensitivity: Array, offset: Array, centre: Array, lefts: int) -> Ar
         figures[:, spots, 1, 1] = share
         figures[:, spots, :, 2] = share * np.stack([-y, x], axis=2)
     return figures
-
-
-def rigid_motion(offset: Array) -> Array:
-    """Motion of points for a translation and a small turn of their body, (n, s, 3, 6)."""
-    motion = np.empty((*offset.shape, 6))
-    motion[..., :3], motion[..., 3:] = np.eye(3), -cross_matrix(offset)
-    return motion
 
 
 def spot_covariance(pairs: Sequence[PosedPair], by_pose: Array) -> Array:

@@ -7,12 +7,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from robots.transforms import rigid_columns
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare
 from verify.analysis.instrument import stated_noise
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.model import add_pan_noise, clock_effect, prior_columns
 from verify.analysis.session import measure_session
-from verify.calibration.handeye import rigid_columns
 from verify.calibration.kinematics.chain import ArmState, KinematicChain
 from verify.calibration.kinematics.fit import KinematicFit, pose_residuals
 from verify.calibration.kinematics.poses import IdentificationPoses, build_poses

@@ -5,8 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from robots.transforms import difference
-from verify.calibration.handeye import rigid_columns
+from robots.transforms import difference, rigid_columns
 from verify.calibration.registration.led_tracks import PairSpots, max_motion_px
 from verify.core.fiducials import Marker, unnamed_marker
 from verify.core.records import Array, Pose, Sighting

@@ -22,7 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
-from verify.calibration.handeye import rigid_columns
+from robots.transforms import rigid_columns
 from verify.calibration.registration.body_poses import BodyPose
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import Array

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 
 import robots
+from robots.transforms import rigid_columns
 from verify.analysis.mistakes import LEVER, joint_mistakes
 from verify.analysis.other_motion import MAX_FROZEN, MAX_LEFT_SHARE
-from verify.calibration.handeye import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration
 from verify.calibration.registration.start import RegistrationStart
 from verify.calibration.stereo.records import rms

@@ -13,7 +13,7 @@ What is not stated of the rig is taken as exact.
 
 import numpy as np
 
-from verify.calibration.handeye import rigid_columns
+from robots.transforms import rigid_columns
 from verify.calibration.registration.adjustment import AdjustedRegistration, block_diagonal
 from verify.calibration.registration.model import BASE_COLUMNS
 from verify.calibration.stereo.records import extend_covariance, state_covariance
