@@ -75,7 +75,7 @@ class ElbowSolutions(NamedTuple):
 
 
 def turn_to(
-    x: Number, y: Number, hold: Number, side: float = 0.0
+    x: Number, y: Number, hold: Number, side: float
 ) -> tuple[tuple[Turn, Turn], Condition, Condition]:
     """Turn joint 1 so that (x, y) lies in the arm's plane: facing it, and facing away.
 

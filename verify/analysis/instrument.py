@@ -250,8 +250,8 @@ def noise_from_scatter(
     How far the poses lie from where the readings put them changes slowly, whatever is wrong with
     the robot; a parabola through five in a row leaves the noise. The median over all windows keeps
     single jumps out; the readings' own share is taken off. Of single visits the noise is what a
-    linear model of base, target and joints leaves (`_full_model_variances`). `offset`, s, is that of
-    the readings' clock; None where poses are too few to show the noise.
+    linear model of base, target and joints leaves (`_full_model_variances`). `offset`, s, is that
+    of the readings' clock; None where poses are too few to show the noise.
     """
     comparison = compare(
         track, session.arm, readings, offset, stated=ReadingUncertainty(session.encoder_resolution)

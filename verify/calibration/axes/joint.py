@@ -15,7 +15,7 @@ from verify.analysis.sweeps.segments import SweepSegment
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement
 from verify.io.session.session import Session
-from verify.measurement.systematics import sensitivities, stated_systematics
+from verify.measurement.systematics import covariance_root, sensitivities, stated_systematics
 
 MIN_POSES = 6  # an axis has four unknowns, and each pair one of its own
 MAX_PARALLEL_ANGLE = np.deg2rad(5.0)  # axes nearer to parallel have no common normal to speak of
@@ -221,10 +221,8 @@ def _effects(session: Session, seen: list[Measurement]) -> Array:
     rig, marker = replace(session.rig, rig_T_base=np.eye(4)), session.marker
     known = drop_registration(stated_systematics(rig, marker, turning=False))
     columns = np.concatenate([sensitivities(known, m, rig, marker) for m in seen])
-    values, vectors = np.linalg.eigh(known.covariance)
-    root = vectors * np.sqrt(np.maximum(values, 0.0))
-    factor = np.asarray(block_diag(root, np.diag(np.nan_to_num(known.pan))), dtype=np.float64)
-    return columns @ factor
+    pan = np.diag(np.nan_to_num(known.pan))
+    return columns @ np.asarray(block_diag(covariance_root(known.covariance), pan))
 
 
 def _gear_ratio(

@@ -21,7 +21,7 @@ from verify.live.alarms.change_detection import (
     attribute_change,
 )
 from verify.live.alarms.innovations import InnovationFilter
-from verify.live.joint_row import JointRow
+from verify.live.joint_row import Evidence, JointRow
 from verify.live.protocols import Alarm, format_error_deg
 
 AVERAGING_TIME = 0.5  # s of errors that the tolerance is held against: one pair alone is noise
@@ -59,12 +59,12 @@ class ToleranceWatch:
         self._t: float | None = None
         self._duration = 0.0
 
-    def take(self, row: JointRow, inflation: float, now: float) -> list[Alarm]:
+    def take(self, row: JointRow, evidence: Evidence, inflation: float, now: float) -> list[Alarm]:
         """Watch one row; alarms that are new or have ended."""
         elapsed = 1 / self._rate if self._t is None else row.t - self._t
         self._t = row.t
         self._duration += elapsed
-        self._average(row, 1.0 - math.exp(-elapsed / AVERAGING_TIME), inflation)
+        self._average(row, evidence, 1.0 - math.exp(-elapsed / AVERAGING_TIME), inflation)
         if self._duration < SETTLING_RATIO * AVERAGING_TIME:
             return []
         mean = np.divide(
@@ -83,11 +83,8 @@ class ToleranceWatch:
                 alarms.append(replace(self._standing.pop(j), ended=now))
         return alarms
 
-    def _average(self, row: JointRow, share: float, inflation: float) -> None:
+    def _average(self, row: JointRow, evidence: Evidence, share: float, inflation: float) -> None:
         valid = ~np.isnan(row.single) & ~np.isnan(row.uncertainty)
-        evidence = row.evidence
-        if evidence is None:
-            return
         inverse = pseudo_inverse(evidence.jacobian)
         spread = evidence.noise + evidence.alignment
         random = np.einsum("ij,jk,ik->i", inverse, spread, inverse) * inflation
@@ -166,7 +163,7 @@ class JointAlarms:
             self._cusum.take(innovation)
             alarms += self._changes(row, now)
         if self._tolerance is not None:
-            alarms += self._tolerance.take(row, self._innovations.inflation, now)
+            alarms += self._tolerance.take(row, row.evidence, self._innovations.inflation, now)
         return alarms
 
     def _changes(self, row: JointRow, now: float) -> list[Alarm]:

@@ -18,7 +18,6 @@ GAUSSIAN_STEEPNESS = 2 * np.log(2)
 # halo of exponent 1.2 … a 40 px disc blurred by 0.5 px
 MIN_LOG_STEEPNESS, MAX_LOG_STEEPNESS = np.log(1.05), np.log(32.0)
 N_STEEPNESS_ROWS = 56  # 0.06 in ln steepness a row: linear blending errs by under 5e-4 of the peak
-ROW_STEP = (MAX_LOG_STEEPNESS - MIN_LOG_STEEPNESS) / (N_STEEPNESS_ROWS - 1)
 RADIUS_STEP = 1 / 128  # half-widths between samples: a first-order step errs by under 1e-3
 MAX_RADIUS = 8.0  # half-widths; beyond it the last sample stands
 
