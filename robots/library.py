@@ -38,17 +38,16 @@ def load(
     *,
     base: str | None = None,
     tip: str | None = None,
-    folder: Path | None = None,
 ) -> Arm:
     """Load an arm by its name, or by the path of a robot file (.toml) or a URDF (.urdf).
 
-    A path counts from `folder`, by default the current one. For a URDF: `base` is the link to count
-    from, by default its first; `tip` the link that is the flange, by default the last of its chain.
+    For a URDF: `base` is the link to count from, by default its first; `tip` the link that is the
+    flange, by default the last of its chain.
 
     Raises:
         RobotError: no such arm, or its file cannot be used.
     """
-    path = Path(folder or "", name_or_path)
+    path = Path(name_or_path)
     if path.suffix in {".urdf", ".toml"}:
         _require_plain_file(path)
     if path.suffix == ".urdf":

@@ -59,9 +59,9 @@ def test_an_unknown_name_is_answered_with_the_nearest_and_all_known() -> None:
     assert "\\n" in complaint("x\n\x1b[31m")  # a name cannot break the line
 
 
-def test_a_path_counts_from_the_folder(tmp_path: Path) -> None:
+def test_a_path_is_of_a_robot_file(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text(GOOD, encoding="utf-8")
-    arm = robots.load("mine.toml", folder=tmp_path)
+    arm = robots.load(str(tmp_path / "mine.toml"))
     assert arm.name == "iust_6r"
     assert arm.fingerprint == hashlib.sha256(GOOD.encode()).hexdigest()
     assert "mine.toml" in complaint("mine.toml")

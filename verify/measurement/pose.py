@@ -99,8 +99,6 @@ def fit_pose(
     marker: Marker,
     start: Array,
     parameter_columns: ParameterColumns | None = None,
-    *,
-    expected: tuple[Array, float] | None = None,
 ) -> Pose:
     """Find the pose under which both images, aligned to the same instant, are most likely.
 
@@ -108,11 +106,10 @@ def fit_pose(
     `parameter_columns` gives the stated uncertainty of rig and marker as columns of the spots,
     which must not make an outlier of a good spot; called where a spot looks like one. None: a rough
     bound alone. Spots that no pose explains with the rest are rejected. Where two LEDs are in both
-    images and others in one, two poses may explain them: `expected`, a pose (4, 4) and the standard
-    uncertainty of its turn, rad, helps to choose, and what stays open widens the covariance.
+    images and others in one, two poses may explain them: what stays open widens the covariance.
     """
     views = stack_sightings(left, right, rig, marker.leds)
-    return fit_stack(views, rig, marker, start, parameter_columns, expected=expected)
+    return fit_stack(views, rig, marker, start, parameter_columns)
 
 
 def fit_stack(
@@ -124,7 +121,11 @@ def fit_stack(
     *,
     expected: tuple[Array, float] | None = None,
 ) -> Pose:
-    """`fit_pose` for sightings of the marker that are stacked already."""
+    """`fit_pose` for sightings of the marker that are stacked already.
+
+    `expected`, a pose (4, 4) and the standard uncertainty of its turn, rad, helps to choose where
+    two poses may explain the spots.
+    """
     keep = np.ones(len(views.centre), dtype=np.bool_)
     sigmas = marker.centre_shift_standard_uncertainty or 0, marker.led_standard_uncertainty or 0
     counts = views.left, len(views.centre) - views.left

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from robots.transforms import difference
 from tests.support.scene import facing, make_marker, make_rig, project, sight
 from verify.core.records import Array
-from verify.measurement.pose import fit_pose, second_start, stack_sightings
+from verify.measurement.pose import fit_pose, fit_stack, second_start, stack_sightings
 
 SIGMA = 0.05  # px
 SEEN = [0, 1, 2], [0, 1]
@@ -98,8 +98,8 @@ def test_what_is_expected_settles_the_choice_if_it_is_sure_enough(doubt: float) 
         truth = edge_on(rng)
         other = other_start(truth)
         apart = turn_between(other, truth)
-        views = sight(RIG, MARKER, truth, SIGMA, rng, leds=SEEN)
-        pose = fit_pose(*views, RIG, MARKER, other, expected=(truth, doubt))
+        views = stack_sightings(*sight(RIG, MARKER, truth, SIGMA, rng, leds=SEEN), RIG, MARKER.leds)
+        pose = fit_stack(views, RIG, MARKER, other, expected=(truth, doubt))
         widest = np.sqrt(np.linalg.eigvalsh(pose.covariance[3:, 3:]).max())
         if apart < 0.1:
             continue

@@ -30,21 +30,21 @@ from verify.measurement.detection.kernels.entries import (
 )
 from verify.measurement.detection.profile import profile_table
 
+MAX_SPOTS = 24
+
 
 def detect(
     image: Image,
     windows: Array | None = None,
     *,
     noise: Noise | None = None,
-    limit: int = 24,
     lossy: bool = False,
 ) -> Spots:
     """Find the LED-like spots of an image and measure their centres.
 
     `image`: (h, w) grey or (h, w, 3) BGR, uint8. `windows` (m, 4), x0, y0, x1, y1, px: search there
-    only. `noise` is of a pixel of one channel; None estimates it on this image. At most
-    `limit` spots are returned, the most LED-like ones. `lossy`: the image was a JPEG, whose errors
-    are not white.
+    only. `noise` is of a pixel of one channel; None estimates it on this image. At most MAX_SPOTS
+    are returned, the most LED-like ones. `lossy`: the image was a JPEG, whose errors are not white.
 
     Returns:
         Spots by falling peak. Those whose shape no single LED has are flagged `merged` and their
@@ -59,7 +59,7 @@ def detect(
     known = (0.0,) * 4 if noise is None else (noise.read**2, noise.gain, noise.black, 0.0)
     values, height, width = np.array(known), *image.shape[:2]
     picture = Picture(image, width, height, 1 if image.ndim == 2 else 3)
-    limits, camera = SpotLimits(*DIAMETER_RANGE, limit), (values, noise is None)
+    limits, camera = SpotLimits(*DIAMETER_RANGE, MAX_SPOTS), (values, noise is None)
     if picture.channels == 1 and windows is not None and are_small(windows):
         search = blob_search(1), MAX_CANDIDATES
         fields = measure_in_windows(
