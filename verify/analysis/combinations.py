@@ -13,7 +13,7 @@ from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.core.records import Array
 
 MIN_WEIGHT = 0.005  # of a weight: less than what its two decimals in the label can show
-POSE_DOF = 6
+POSE_DOF = 6  # degrees of freedom of a pose
 
 
 @dataclass(frozen=True, slots=True)

@@ -18,13 +18,13 @@ from robots.transforms import rigid_columns
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare, twist_transport
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement, Pose
+from verify.core.records import POSE_NAMES, Array, Measurement, Pose
 from verify.core.rig import Rig
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.alignment import MAX_GAP
 from verify.measurement.sensitivities import AXES
-from verify.measurement.systematics import BODY, Systematics, stated_systematics
+from verify.measurement.systematics import Systematics, stated_systematics
 from verify.measurement.track import Track, collect_track
 
 NOISE = "the instrument's noise"
@@ -229,7 +229,7 @@ def instrument_sensitivities(
     columns = np.zeros((6, len(parameters.names) + 2))
     for i, name in enumerate(parameters.names):
         head, _, key = name.partition(".")
-        turns, axis = divmod(BODY.index(key), len(AXES))
+        turns, axis = divmod(POSE_NAMES.index(key), len(AXES))
         if head == "body":
             moved, arm = rig_T_flange[:3, axis], np.zeros(3)
         else:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from verify.analysis.model import JointErrorModel
+from verify.analysis.model import DETECTION_SIGMA, JointErrorModel
 from verify.core.records import Array
 from verify.core.statistics import chi2_sf
 
@@ -22,7 +22,6 @@ MAX_MOTIONS = 400  # of them; their errors are told in one matrix
 PARTNER_SHIFTS = (2, 3, 4, 5, 7)  # a pair's partner comes this part of the session later
 TOL_ROUNDING = 1e-5  # of what either pose gives: the rest has cancelled but for rounding
 MAX_OFFSET = np.deg2rad(20.0)  # of an offset that first order may speak of
-DETECTION_SIGMA = 4.13  # standard uncertainties: false alarm 0.1 %, power 80 %
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,11 +9,11 @@ from numpy.typing import NDArray
 
 from verify.core.kernels import entries as kernel
 from verify.core.records import Array
+from verify.core.statistics import MAD_TO_SIGMA
 
 # Between readings further apart than this the motion is not known: single visits, logged in bursts.
 MAX_GAP = 0.6  # s; readings at 2 Hz still pass
 RATE_SPAN = 0.05  # s: shorter differences of readings are noise, longer ones blur the motion
-MAD_TO_SIGMA = 1.4826  # of a Gaussian
 DIFFERENCE_VARIANCES = (6.0, 20.0, 70.0)  # of white noise's second to fourth ones, over its own
 ROUGH_ROWS = 16  # of a stretch that is looked at by itself
 ROUGH_RATIO = 4.0  # of its noise to the log's; chance makes it twice

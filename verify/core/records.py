@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
 Record = TypeVar("Record")
+SIDES = ("left", "right")  # of the cameras
+POSE_NAMES = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")  # of six figures in files
 Progress = Callable[[int, int], None]  # called with what is done and what is to be done
 
 

@@ -13,6 +13,8 @@ from scipy import special
 
 from verify.core.records import Array
 
+MAD_TO_SIGMA = 1.4826  # standard deviation of a normal law over its median absolute deviation
+
 _special: Any = special  # its type stubs accept no general arrays
 _Ufunc = Callable[..., Array]
 _chdtri: _Ufunc = _special.chdtri

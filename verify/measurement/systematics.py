@@ -29,11 +29,10 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Measurement, Pose, Sighting
+from verify.core.records import POSE_NAMES, Array, Measurement, Pose, Sighting
 from verify.core.rig import Covariance, Rig
 from verify.measurement.sensitivities import AXES, spot_derivatives
 
-BODY = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 PAN_READINGS = "left.pan_zero_deg", "right.pan_zero_deg"  # err as the zeros of their scales do
 SOURCES = {
     "left": "rig",
@@ -115,7 +114,7 @@ def _is_known(name: str, marker: Marker) -> bool:
     if head in ("left", "right"):
         return CAMERA_KEYS.match(key) is not None
     if head == "robot_base":
-        return key in BODY
+        return key in POSE_NAMES
     led, _, axis = key.rpartition(".")
     return head == "led" and led in marker.names and axis in ("x_mm", "y_mm", "z_mm")
 
@@ -124,7 +123,7 @@ def _from_marker(marker: Marker, *, leds: bool) -> list[tuple[list[str], Array]]
     """Parameters of the marker with their standard uncertainties; LEDs unless the rig has them."""
     groups = []
     if marker.body_standard_uncertainty is not None:
-        groups.append(([f"body.{key}" for key in BODY], marker.body_standard_uncertainty))
+        groups.append(([f"body.{key}" for key in POSE_NAMES], marker.body_standard_uncertainty))
     sigmas = {
         "led": marker.led_standard_uncertainty if leds else None,
         "centre": marker.centre_shift_standard_uncertainty,
@@ -173,7 +172,7 @@ def sensitivities(
 def _base_columns(names: tuple[str, ...]) -> tuple[list[int], list[int]]:
     """Which parameters place the robot's base, and in which of the six directions."""
     places = [i for i, name in enumerate(names) if name.startswith("robot_base.")]
-    return places, [BODY.index(names[i].partition(".")[2]) for i in places]
+    return places, [POSE_NAMES.index(names[i].partition(".")[2]) for i in places]
 
 
 def pixel_sensitivities(

@@ -9,9 +9,8 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import kstest
 
 from tests.support.motions import ARM, ESTIMATED, compared, model_of
-from verify.analysis.model import JointErrorModel
+from verify.analysis.model import DETECTION_SIGMA, JointErrorModel
 from verify.analysis.relative_motion import (
-    DETECTION_SIGMA,
     compare_relative_motions,
     screw_derivatives,
     screw_motion,

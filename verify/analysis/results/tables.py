@@ -15,11 +15,10 @@ from verify.analysis.relative_motion import RelativeMotion
 from verify.analysis.results.entries import finite_number
 from verify.analysis.results.summary import SessionAnalysis
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Measurement
+from verify.core.records import POSE_NAMES, Array, Measurement
 from verify.core.rig import Camera, Rig
 from verify.io.session.session import Session
 
-POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 PLACE, TURN = slice(0, 3), slice(3, 6)  # of a twist
 
 
@@ -40,9 +39,9 @@ def frames_table(measurements: list[Measurement], found: SessionAnalysis) -> pd.
     # where LEDs leave directions open, a pose is partly the readings': it is not written
     place = np.flatnonzero([m.status == "measured" for m in measurements])[comparison.index]
     whole = np.array([b.shape[1] == 6 for b in comparison.determined], dtype=bool)
-    columns = _pose_columns(comparison.base_T_measured, POSE)
+    columns = _pose_columns(comparison.base_T_measured, POSE_NAMES)
     columns = {name: np.where(whole, values, np.nan) for name, values in columns.items()}
-    encoder = tuple(name.replace("_", "_encoder_") for name in POSE)
+    encoder = tuple(name.replace("_", "_encoder_") for name in POSE_NAMES)
     columns |= _pose_columns(comparison.base_T_encoder, encoder)
     undetermined = np.isnan(joints.q)
     own = np.sqrt(np.diagonal(joints.covariance_measured, axis1=1, axis2=2))

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from verify.analysis.clock.estimate import ClockEstimate
+from verify.analysis.combinations import POSE_DOF
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.rig_check.check import consistency, moved_warning
 from verify.analysis.rig_check.leds import PictureMisfit, misfit_warning
@@ -14,7 +15,6 @@ from verify.core.records import Measurement
 from verify.io.session.session import Session
 from verify.measurement.systematics import Systematics
 
-POSE_DOF = 6  # degrees of freedom of a pose
 MAX_LOST_SHARE = 0.1  # of the pairs: fewer may be hidden LEDs
 MIN_LASTING = 0.8  # of the pairs from the first lost one on, where something has moved then
 CONTRADICTING = ("outlier", "ambiguous_leds", "unaligned")

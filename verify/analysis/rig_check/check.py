@@ -22,6 +22,7 @@ from verify.analysis.rig_check.pair import PairEquations, invert_shown, rows_of
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
 from verify.core.rig import Rig
+from verify.core.statistics import MAD_TO_SIGMA
 from verify.measurement.pose import MODEL_ERROR_PX
 from verify.measurement.systematics import PAN_READINGS, Systematics, pixel_sensitivities
 
@@ -31,7 +32,6 @@ FIGURES = ("scale", "vertical", "roll")
 FALSE_ALARM_Z = 3.59  # two-sided 0.1 % over the three figures: 0.033 % each
 MAX_PAIRS = 300  # evenly spread: what does not average out rules long before; more cost time
 MAX_DEVIATION = 5.0  # robust standard deviations: a reflection in one pair is not the rig's doing
-MAD_TO_SIGMA = 1.4826  # of a Gaussian
 
 # Changes of the rig whose effect on the figures is reported: name, parameters of rig.toml that
 # make it up with their weights, unit in which it is told.

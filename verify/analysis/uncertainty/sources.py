@@ -12,9 +12,9 @@ from verify.analysis.diagnosis.link_faults import rotation_twist, translation_tw
 from verify.analysis.instrument import CALIBRATION_SOURCE, instrument_sensitivities
 from verify.analysis.instrument import NOISE as INSTRUMENT_NOISE
 from verify.analysis.model import JointErrorModel, SessionComparison, clock_effect, pan_columns
-from verify.core.records import Array, Measurement
+from verify.core.records import POSE_NAMES, Array, Measurement
 from verify.measurement.sensitivities import AXES
-from verify.measurement.systematics import BODY, PAN_READINGS, SOURCES, Systematics, sensitivities
+from verify.measurement.systematics import PAN_READINGS, SOURCES, Systematics, sensitivities
 
 PIXELS, INSTRUMENT, SKEW = "pixels", "instrument", "camera skew"
 NOISE, RESOLUTION, TIME_STAMPS = "readings' noise", "encoder resolution", "encoder time stamps"
@@ -131,8 +131,8 @@ def _unstated_columns(
         places = [f"led.{name}.{axis}_mm" for name in session.marker.names for axis in AXES]
         yield "an LED off by 1 mm", LENGTH * of(*places)
     elif source != INSTRUMENT_NOISE:
-        yield "1 mm", LENGTH * of(*(f"{head}.{axis}" for axis in BODY[:3]))
-        yield "0.1°", ANGLE * of(*(f"{head}.{axis}" for axis in BODY[3:]))
+        yield "1 mm", LENGTH * of(*(f"{head}.{axis}" for axis in POSE_NAMES[:3]))
+        yield "0.1°", ANGLE * of(*(f"{head}.{axis}" for axis in POSE_NAMES[3:]))
 
 
 def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[RandomSource]:

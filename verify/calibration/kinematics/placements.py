@@ -18,14 +18,13 @@ from verify.calibration.kinematics.fit import KinematicFit
 from verify.calibration.kinematics.sessions import CombinedPoses
 from verify.calibration.origin import DEG, MM, POSE_UNITS
 from verify.core.fiducials import Marker
-from verify.core.records import Array
+from verify.core.records import POSE_NAMES, Array
 from verify.core.rig import Covariance, Rig
 from verify.core.statistics import correlation
 from verify.io import rig as io_rig
 from verify.io.fiducials import encode_marker
 from verify.io.session.session import Session
 from verify.io.toml import encode, encode_numbers
-from verify.measurement.systematics import BODY
 
 
 def placement_entries(fit: KinematicFit) -> list[dict[str, Any]]:
@@ -36,7 +35,7 @@ def placement_entries(fit: KinematicFit) -> list[dict[str, Any]]:
             "number": place + 1,
             "position_mm": (pose[:3, 3] * MM).tolist(),
             "rotation_vector_deg": Rotation.from_matrix(pose[:3, :3]).as_rotvec(True).tolist(),
-            "standard_uncertainty": dict(zip(BODY, sigma.tolist(), strict=True)),
+            "standard_uncertainty": dict(zip(POSE_NAMES, sigma.tolist(), strict=True)),
         }
         for kind, poses in (("base", fit.state.base), ("tool", fit.state.tool))
         for place, pose in enumerate(poses)
@@ -102,7 +101,7 @@ def moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
     turn = block_diag(moved[:3, :3], moved[:3, :3])
     found = turn @ _covariance(fit, "base", place) @ turn.T
     sigma, shared = np.sqrt(np.diag(found)), correlation(found)
-    names, known = tuple(f"robot_base.{key}" for key in BODY), rig.covariance
+    names, known = tuple(f"robot_base.{key}" for key in POSE_NAMES), rig.covariance
     if known is not None:
         kept = [i for i, n in enumerate(known.parameters) if not n.startswith("robot_base.")]
         names = (*(known.parameters[i] for i in kept), *names)
@@ -165,7 +164,7 @@ def registered_session(
             poses["orientation_standard_uncertainty_deg"] = fit.scale.orientation * DEG
     sigma = placement_uncertainty(fit, "tool", place).tolist()
     if any(sigma):
-        uncertainty = dict(zip(BODY, sigma, strict=True))
+        uncertainty = dict(zip(POSE_NAMES, sigma, strict=True))
         poses |= {"source": "motion", "body_standard_uncertainty": uncertainty}
     whole = tomllib.loads(io_rig.encode(_without_cameras(rig)).decode())
     tree |= {"poses": poses, "robot_base": whole["robot_base"]}

@@ -13,8 +13,8 @@ from verify.calibration.quality.quality import (
     PrincipalPoint,
     ViewQuality,
 )
-from verify.calibration.stereo.parameters import SIDES
 from verify.calibration.stereo.records import Calibration
+from verify.core.records import SIDES
 
 MIN_REGION_SHARE = 0.15  # of the mean over the regions: fewer corners than that are hardly any
 MIN_RADIUS_SHARE = 0.8  # of half the diagonal

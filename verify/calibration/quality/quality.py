@@ -19,11 +19,11 @@ from verify.calibration.quality.coverage import (
 )
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.records import Calibration, Residuals, camera_covariance, rms
-from verify.core.records import Array, Image
+from verify.core.records import SIDES, Array, Image
 from verify.core.rig import Camera, Rig
+from verify.core.statistics import MAD_TO_SIGMA
 from verify.measurement.systematics import covariance_in_si
 
-MAD_TO_SIGMA = 1.4826  # standard deviation of a normal law over its median absolute deviation
 MAX_ROBUST_SIGMA = 3.5  # robust standard deviations above the median: Iglewicz and Hoaglin's limit
 MIN_EXCESS_RATIO = 1.5  # times the median: a smaller excess does no harm
 MIN_VIEWS = 5  # views of a camera that have a usual rms
@@ -147,7 +147,7 @@ def _principal_point(calibration: Calibration, side: int) -> PrincipalPoint:
     size = np.array(calibration.rig.image_size)
     offset = camera.matrix[:2, 2] - (size - 1) / 2  # pixel centres at whole numbers
     distance = float(np.linalg.norm(offset))
-    names = [f"{par.SIDES[side]}.{key}_px" for key in ("cx", "cy")]
+    names = [f"{SIDES[side]}.{key}_px" for key in ("cx", "cy")]
     u = _directional_uncertainty(calibration, names, offset)
     odd = bool(np.any(np.abs(offset) > MAX_CENTRE_OFFSET * size))
     sure = u is not None and distance > MIN_CENTRE_SIGMA * u

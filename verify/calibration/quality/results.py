@@ -43,9 +43,8 @@ from verify.calibration.quality.quality import (
     judge_calibration,
 )
 from verify.calibration.quality.tables import tables
-from verify.calibration.stereo.parameters import SIDES
 from verify.calibration.stereo.records import Calibration, camera_covariance
-from verify.core.records import Array, Image
+from verify.core.records import SIDES, Array, Image
 from verify.core.rig import Rig
 
 

@@ -11,11 +11,10 @@ from verify.calibration.origin import DEG, MM, POSE_UNITS
 from verify.calibration.quality.accuracy import uncertainty_maps
 from verify.calibration.quality.coverage import view_frame
 from verify.calibration.quality.quality import CalibrationQuality
-from verify.calibration.stereo.parameters import PAR_LENS, PARAMETER_KEYS, SIDES
+from verify.calibration.stereo.parameters import PAR_LENS, PARAMETER_KEYS
 from verify.calibration.stereo.records import Calibration
-from verify.core.records import Array
+from verify.core.records import POSE_NAMES, SIDES, Array
 from verify.core.rig import Camera
-from verify.measurement.systematics import BODY
 
 UNIT = {"mm": "mm", "deg": "°", "px": "px"}
 FRUSTUM = 0.15  # of the working distance: how far a camera's pyramid reaches into the picture
@@ -120,8 +119,8 @@ def _boards(calibration: Calibration, quality: CalibrationQuality) -> pd.DataFra
     values = np.concatenate([poses[:, :3, 3], turn], axis=1) * POSE_UNITS
     u = np.sqrt(np.diagonal(calibration.board_covariance, axis1=1, axis2=2)) * POSE_UNITS
     table: dict[str, Any] = {"frame": calibration.frames}
-    table |= {name: values[:, i] for i, name in enumerate(BODY)}
-    table |= {f"u_{name}": u[:, i] for i, name in enumerate(BODY)}
+    table |= {name: values[:, i] for i, name in enumerate(POSE_NAMES)}
+    table |= {f"u_{name}": u[:, i] for i, name in enumerate(POSE_NAMES)}
     table["distance_mm"] = [s.distance * MM for s in quality.orientations]
     for name in ("tilt", "about_horizontal", "about_vertical"):
         table[f"{name}_deg"] = [getattr(s, name) * DEG for s in quality.orientations]

@@ -18,11 +18,9 @@ from verify.calibration.kinematics.registration import PosesRegistration
 from verify.calibration.origin import DEG, MM, POSE_UNITS, ResultsOrigin
 from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration
-from verify.calibration.stereo.parameters import SIDES
 from verify.core.fiducials import Marker
-from verify.core.records import Array
+from verify.core.records import POSE_NAMES, SIDES, Array
 from verify.io.session.session import Session
-from verify.measurement.systematics import BODY
 
 
 def motion_results(
@@ -37,7 +35,7 @@ def motion_results(
     """Lay a registration from motion out for the report, with axes of single joints if swept."""
     given = found.rig.covariance
     stated = {} if given is None else given.by_name
-    base_u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in BODY])
+    base_u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in POSE_NAMES])
     summary = {
         **(origin or ResultsOrigin()).summary("registration"),
         "method": "motion",
@@ -77,7 +75,7 @@ def motion_results(
 def fixture_results(found: FixtureRegistration, origin: ResultsOrigin | None = None) -> Results:
     """Lay a registration by a board on the robot's base out for the report."""
     u = np.sqrt(np.diag(found.base_covariance)) * POSE_UNITS
-    difference = dict(zip(BODY, (found.pair_difference * POSE_UNITS).T, strict=True))
+    difference = dict(zip(POSE_NAMES, (found.pair_difference * POSE_UNITS).T, strict=True))
     pairs = pd.DataFrame({"frame": found.frames, **difference, "chi2": found.pair_chi2})
     summary = {
         **(origin or ResultsOrigin()).summary("registration"),
@@ -110,7 +108,7 @@ def poses_results(
     """Lay a registration by another instrument's poses out for the report."""
     target = target_in_flange(session, found.fit)
     stated = {} if found.rig.covariance is None else found.rig.covariance.by_name
-    base_u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in BODY])
+    base_u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in POSE_NAMES])
     residual = found.residual * POSE_UNITS
     sizes = [np.linalg.norm(part, axis=1) for part in np.split(residual, 2, axis=1)]
     turned = session.instrument is not None and not session.instrument.positions_alone

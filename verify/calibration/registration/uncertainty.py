@@ -18,14 +18,14 @@ from verify.calibration.registration.adjustment import AdjustedRegistration, blo
 from verify.calibration.registration.model import BASE_COLUMNS
 from verify.calibration.stereo.records import extend_covariance, state_covariance
 from verify.core.fiducials import Marker
-from verify.core.records import Array
+from verify.core.records import POSE_NAMES, Array
 from verify.core.rig import Covariance, Rig
 from verify.errors import InputError
 from verify.measurement.sensitivities import AXES, camera_derivatives
-from verify.measurement.systematics import BODY, CAMERA_KEYS
+from verify.measurement.systematics import CAMERA_KEYS
 
 MIN_VISIBLE_SHARE = 1e-3  # smaller shares are rounding
-BASE_NAMES = tuple(f"robot_base.{key}" for key in BODY)
+BASE_NAMES = tuple(f"robot_base.{key}" for key in POSE_NAMES)
 
 
 def led_names(names: tuple[str, ...]) -> tuple[str, ...]:

@@ -17,7 +17,7 @@ from verify.calibration.stereo.prior import lens_rows, open_coefficients
 from verify.calibration.stereo.records import Calibration, state_covariance
 from verify.calibration.stereo.scatter import ErrorScatter
 from verify.core.fiducials import Board, BoardPair, BoardView
-from verify.core.records import Array, Progress, no_progress
+from verify.core.records import SIDES, Array, Progress, no_progress
 from verify.core.rig import Camera, Covariance, Rig
 from verify.core.statistics import chi2_isf
 
@@ -160,7 +160,7 @@ def _views(pairs: Sequence[BoardPair], side: int) -> dict[int, BoardView]:
 def _drop_foreign(pairs: list[BoardPair], board: Board) -> tuple[list[BoardPair], list[str]]:
     """Drop the views in which something else was taken for the board; notes name them."""
     notes = []
-    for side, name in enumerate(par.SIDES):
+    for side, name in enumerate(SIDES):
         out = start.foreign_views(_views(pairs, side), board)
         for i in out:
             pairs[i] = replace(pairs[i], left=None) if side == 0 else replace(pairs[i], right=None)
@@ -180,7 +180,7 @@ def _drop_copies(pairs: list[BoardPair]) -> tuple[list[BoardPair], list[str]]:
     for pair in pairs:
         views = [v for v in (pair.left, pair.right) if v is not None]
         key = tuple(b for v in views for b in (v.corner.tobytes(), v.centre.tobytes()))
-        if len(views) == len(par.SIDES) and first.setdefault(key, pair.frame) != pair.frame:
+        if len(views) == len(SIDES) and first.setdefault(key, pair.frame) != pair.frame:
             copies.append(pair.frame)
         else:
             kept.append(pair)

@@ -23,7 +23,7 @@ from scipy.linalg import null_space
 
 from robots.transforms import cross_matrix
 from verify.calibration.stereo import parameters as par
-from verify.core.records import Array, rigid_transform
+from verify.core.records import SIDES, Array, rigid_transform
 from verify.core.rig import Camera
 
 BASE_FIXED, BASE_TURNING, BASE_CENTRED = "fixed", "turning", "centred"
@@ -191,5 +191,5 @@ def _log_derivative(w: Array) -> Array:
 
 def fixed_names(model: AdjustmentModel) -> tuple[str, ...]:
     """Name the parameters that the pictures do not determine."""
-    bases = zip(par.SIDES, model.bases, strict=True)
+    bases = zip(SIDES, model.bases, strict=True)
     return tuple(f"{side}.{key}" for side, base in bases for key in HELD_PARAMETERS[base])

@@ -17,7 +17,7 @@ from verify.calibration.stereo.gauge import BASE_CENTRED, BASE_FIXED, BASE_TURNI
 from verify.calibration.stereo.prior import lens_rows
 from verify.calibration.stereo.refusals import refuse_wrong_readings
 from verify.calibration.stereo.scatter import ErrorScatter, adjust_with_scatter
-from verify.core.records import Array
+from verify.core.records import SIDES, Array
 
 MIN_TURN = 1e-9  # rad: readings that differ by less are the same number
 MAX_AXIS_UNCERTAINTY = np.deg2rad(1.0)  # above it an axis is not determined
@@ -119,7 +119,7 @@ def _determined_bases(found: Estimate) -> tuple[tuple[str, str], list[str]]:
     """Choose the kind of each base by what its turn determines, and explain each choice."""
     kinds, sentences = list(found.model.bases), []
     u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    for index, side in enumerate(par.SIDES):
+    for index, side in enumerate(SIDES):
         own = u[par.camera_columns(index)]
         if kinds[index] == BASE_FIXED:
             continue
@@ -143,7 +143,7 @@ def base_sentences(
     found: Estimate, scatter: ErrorScatter | None, readings: Array, frames: NDArray[np.int64]
 ) -> Iterator[str]:
     """Describe what was found and chosen of each base, and the scatter of the pairs' readings."""
-    for side, base, values in zip(par.SIDES, found.model.bases, readings.T, strict=True):
+    for side, base, values in zip(SIDES, found.model.bases, readings.T, strict=True):
         if base == BASE_FIXED and np.ptp(values) <= MIN_TURN:
             yield (
                 f"{side} base: not turned, so its axis is not determined: pan centre at the "
@@ -157,10 +157,10 @@ def base_sentences(
             )
     if scatter is not None and scatter.visible:
         off = np.rad2deg(found.state.errors[:, par.PAN_ERRORS])
-        pair, base_index = divmod(int(np.abs(off).argmax()), len(par.SIDES))
+        pair, base_index = divmod(int(np.abs(off).argmax()), len(SIDES))
         yield (
             f"pan readings: scatter by {np.rad2deg(scatter.deviation):.2g}°, which was allowed "
-            f"for; farthest off is the {par.SIDES[base_index]} one of pair {frames[pair]}, "
+            f"for; farthest off is the {SIDES[base_index]} one of pair {frames[pair]}, "
             f"by {-off[pair, base_index]:+.2g}°."
         )
     elif scatter is not None:

@@ -27,10 +27,9 @@ from scipy.spatial.transform import Rotation
 
 from robots.transforms import cross_matrix
 from verify.core.kernels.entries import rotation_vectors
-from verify.core.records import Array, rigid_transform
+from verify.core.records import SIDES, Array, rigid_transform
 from verify.core.rig import Camera
 
-SIDES = ("left", "right")
 PARAMETER_KEYS = (
     "fx_px", "fy_px", "cx_px", "cy_px", "k1", "k2", "p1", "p2", "k3",
     "pan_center_x_mm", "pan_center_y_mm", "pan_center_z_mm",

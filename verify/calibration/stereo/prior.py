@@ -16,7 +16,7 @@ import numpy as np
 
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.estimate import Estimate
-from verify.core.records import Array
+from verify.core.records import SIDES, Array
 
 USUAL_CORNER_SHIFT = 0.2  # of the radius, by one coefficient
 USUAL_TANGENTIAL = 0.003
@@ -31,7 +31,7 @@ def lens_rows(state: par.BundleState, image_size: tuple[int, int], variance: flo
     The image size is width and height, px, the variance a factor on the inverse information of the
     corners as stated.
     """
-    rows = np.zeros((len(par.SIDES), 5, par.N_SHARED))
+    rows = np.zeros((len(SIDES), 5, par.N_SHARED))
     for side, camera in enumerate(state.cameras):
         focal = camera.matrix[0, 0]
         radius = float(np.hypot(*image_size)) / 2 / focal
@@ -51,7 +51,7 @@ def open_coefficients(found: Estimate) -> Iterator[str]:
     rows = found.model.lens / np.sqrt(found.variance)
     known = np.sqrt(np.einsum("ki,ij,kj->k", rows, found.covariance, rows))
     names = [*(par.PARAMETER_KEYS[i] for i in (K2, P1, P2, K3)), "fy - fx"]
-    for side, shares in zip(par.SIDES, known.reshape(len(par.SIDES), -1), strict=True):
+    for side, shares in zip(SIDES, known.reshape(len(SIDES), -1), strict=True):
         listed = ", ".join(n for n, share in zip(names, shares, strict=True) if share > OPEN_SHARE)
         if listed:
             yield (

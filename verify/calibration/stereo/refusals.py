@@ -5,10 +5,10 @@ from collections.abc import Sequence
 import numpy as np
 
 from verify.calibration.stereo.estimate import Estimate
-from verify.calibration.stereo.parameters import PAR_FOCAL, PAR_PRINCIPAL, SIDES, camera_columns
+from verify.calibration.stereo.parameters import PAR_FOCAL, PAR_PRINCIPAL, camera_columns
 from verify.calibration.stereo.start import CameraRelation
 from verify.core.fiducials import BoardPair
-from verify.core.records import Array
+from verify.core.records import SIDES, Array
 from verify.errors import InputError
 from verify.io.toml import listed
 

@@ -7,13 +7,13 @@ import numpy as np
 
 from robots.transforms import carry, cross_matrix, invert
 from verify.core.fiducials import Marker
-from verify.core.records import Array
+from verify.core.records import POSE_NAMES, Array
 from verify.core.rig import Rig
 from verify.core.statistics import chi2_ppf, norm_ppf
 from verify.grasping.cell import Cell
 from verify.grasping.tool_offset.offset import OffsetMeasurement, ToolOffset
 from verify.grasping.tracking.target import TargetObservation
-from verify.measurement.systematics import BODY, stated_systematics
+from verify.measurement.systematics import stated_systematics
 
 NO_LEDS = Marker((), np.zeros((0, 3)), (), 0.0)
 MIN_UPRIGHT_COSINE = 0.7  # |cosine|: from there a picture's columns run along the approach
@@ -77,7 +77,7 @@ def base_covariance(rig: Rig, point: Array) -> Array:
     """Covariance (3, 3), m², rig axes, that the stated base gives its fixed point (3,), m, rig."""
     given = stated_systematics(rig, NO_LEDS, turning=False)
     places = [i for i, name in enumerate(given.names) if name.startswith("robot_base.")]
-    axes = [BODY.index(given.names[i].partition(".")[2]) for i in places]
+    axes = [POSE_NAMES.index(given.names[i].partition(".")[2]) for i in places]
     moves = np.hstack([np.eye(3), -cross_matrix(point - rig.rig_T_base[:3, 3])])[:, axes]
     return moves @ given.covariance[np.ix_(places, places)] @ moves.T
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
-from verify.core.records import Array
+from verify.core.records import SIDES, Array
 from verify.errors import InputError
 from verify.io.bags import pictures
 from verify.io.bags.bag import SECOND, Bag, BagMessage, ChosenTopics
@@ -24,7 +24,6 @@ from verify.io.joints import ANGLE_UNITS, RADIANS, JointRange, match_joint_names
 from verify.io.left_out import MAX_SPEED, MIN_SPIKE
 
 HEADER, RECEIVED = "header", "received"  # which time of a message counts
-SIDES = ("left", "right")
 EPOCH = 946_684_800 * SECOND  # 2000-01-01: a stamp before is no date, but a time since start-up
 MAX_LATE = 0.01  # share of readings that are not later than the one before, or leap from it
 MIN_PAIRS = 2

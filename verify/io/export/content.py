@@ -13,14 +13,13 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.core.records import Array
+from verify.core.records import POSE_NAMES, Array
 from verify.errors import InputError
 from verify.io.results import RESULTS, read_results
 from verify.io.session.folder import SESSION_FILE
 from verify.io.session.session import Session, open_session
 
 UNDATED = datetime(1970, 1, 1, tzinfo=UTC)  # of a session that does not say when it was recorded
-POSE = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 MEASURED, ENCODERS = "measured", "encoders"
 
 
@@ -80,8 +79,8 @@ def _of_results(folder: Path) -> ExportContent:
     frames, poses, joints = results.table("frames"), {}, {}
     names: tuple[str, ...] = ()
     if "x_encoder_mm" in frames and frames["t_s"].notna().all():
-        encoder = tuple(name.replace("_", "_encoder_") for name in POSE)
-        for kind, columns in ((MEASURED, POSE), (ENCODERS, encoder)):
+        encoder = tuple(name.replace("_", "_encoder_") for name in POSE_NAMES)
+        for kind, columns in ((MEASURED, POSE_NAMES), (ENCODERS, encoder)):
             t, values = _known_rows(frames, columns)
             turns = Rotation.from_rotvec(np.deg2rad(values[:, 3:]))
             poses[kind] = PoseSeries(t, values[:, :3] * 1e-3, turns.as_quat())

@@ -16,8 +16,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.analysis.least_squares import MAX_CORRELATION, autocorrelation
-from verify.core.readings import MAD_TO_SIGMA
 from verify.core.records import Array
+from verify.core.statistics import MAD_TO_SIGMA
 from verify.live.joint_row import Evidence
 
 SYSTEMATIC_TIME = 600.0  # s in which what is stated may wander: temperature, a base that creeps

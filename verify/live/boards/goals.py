@@ -14,10 +14,9 @@ from verify.calibration.quality.coverage import (
     cell_counts,
     region_counts,
 )
-from verify.calibration.stereo.parameters import SIDES
 from verify.calibration.stereo.start import InitialLens, board_pose, start_lens
 from verify.core.fiducials import Board, BoardPair, BoardView
-from verify.core.records import Array
+from verify.core.records import SIDES, Array
 
 MIN_PAIRS_FOR_LENS = 6  # pairs, from which a focal length is found; before, one is guessed
 DEFAULT_FOCAL_RATIO = 0.8  # of the longer image side: a field of 64°, as webcams have

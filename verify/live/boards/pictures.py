@@ -8,12 +8,11 @@ import cv2
 import numpy as np
 
 from verify.core.fiducials import Board
-from verify.core.records import Image, StereoPair
+from verify.core.records import SIDES, Image, StereoPair
 from verify.errors import InputError
 from verify.io import fiducials
 from verify.io.files import refused_as_input_error, write_whole
 
-SIDES = ("left", "right")
 FRAMES_FILE = "frames.csv"
 HEADER = "frame,t_left_s,t_right_s,pan_left_deg,pan_right_deg"
 PAIR_PREFIX = ".pair-"  # of a folder with a pair that is whole but not in place

@@ -8,6 +8,7 @@ from typing import TypeVar
 
 import msgspec
 
+from verify.core.records import SIDES
 from verify.errors import one_line
 from verify.io.session.keys import check_clock, tolerance
 from verify.io.toml import decode, did_you_mean, key_error, not_negative, one_of
@@ -15,7 +16,6 @@ from verify.live.station.devices import ENCODER_KEYS, PAN_KEYS
 from verify.live.station.keys import EVENT_KINDS, StationCameraTable, StationTable
 
 SIM = "sim"
-SIDES = ("left", "right", "both")
 _HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^\s:/]+):[0-9]{1,5}")
 _MQTT = re.compile(r"mqtt://([^\s/@]+@)?[^\s/]+/[^\s/]\S*")
 
@@ -130,7 +130,7 @@ def _check_sim(path: Path, table: StationTable) -> None:
     for index, event in enumerate(table.sim.events):
         key = f"sim.event[{index}]"
         one_of(path, f"{key}.what", event.what, EVENT_KINDS)
-        one_of(path, f"{key}.camera", event.camera, SIDES)
+        one_of(path, f"{key}.camera", event.camera, (*SIDES, "both"))
         not_negative(path, f"{key}.at_s", event.at)
         not_negative(path, f"{key}.for_s", event.duration)
 

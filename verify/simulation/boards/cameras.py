@@ -11,7 +11,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from verify.core.fiducials import Board
-from verify.core.records import Array, Image, rigid_transform
+from verify.core.records import SIDES, Array, Image, rigid_transform
 from verify.devices import protocols
 from verify.errors import InputError
 from verify.live.station.keys import SimSettings
@@ -36,7 +36,6 @@ DEFAULT_RATE = 10.0  # Hz, where the station file gives none
 PAN_RATE = 50.0  # Hz
 TRANSFER_TIME = 0.002  # s
 PAN_TURN_DEG = 20.0  # either way, where a robot's scenario does not say how the bases turn
-SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)

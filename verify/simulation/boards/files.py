@@ -6,10 +6,10 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from verify.core.records import SIDES
 from verify.io import fiducials, rig, toml
 from verify.simulation.boards.simulate import SimulatedBoards
 from verify.simulation.session.folder import write_csv, write_pngs
-from verify.simulation.world.led_render import SIDES
 
 PAIR_INTERVAL_S = 4.0  # between two pairs: time to hold the board elsewhere
 

@@ -5,7 +5,7 @@ from collections import deque
 import cv2
 import numpy as np
 
-from verify.core.records import Image
+from verify.core.records import SIDES, Image
 from verify.devices.protocols import (
     READ_TIMEOUT,
     CameraFrame,
@@ -15,7 +15,6 @@ from verify.devices.protocols import (
 )
 from verify.simulation.devices.painting import Painter, RenderRequest
 from verify.simulation.devices.scene import DeviceScene
-from verify.simulation.world.led_render import SIDES
 from verify.simulation.world.motion import RandomStream, generator
 
 MAX_BUFFERED = 4  # pictures that a camera's driver holds for a slow reader

@@ -9,13 +9,12 @@ import cv2
 import msgspec
 import numpy as np
 
-from verify.core.records import Array, Image
+from verify.core.records import SIDES, Array, Image
 from verify.io import fiducials, rig, toml
 from verify.io.encoding import write_video
 from verify.io.session.folder import copy_robot
 from verify.simulation.scenario import ScenarioFault, ScenarioUncertainty
 from verify.simulation.session.simulate import SimulatedSession
-from verify.simulation.world.led_render import SIDES
 
 
 def readme(session: SimulatedSession) -> str:

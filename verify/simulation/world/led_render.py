@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from verify.core.records import Array, Image
+from verify.core.records import SIDES, Array, Image
 from verify.simulation.scenario import Colour, Occlusion, ScenarioImage
 from verify.simulation.world.bench import SimulatedCamera
 from verify.simulation.world.motion import RandomStream, generator
@@ -17,7 +17,6 @@ from verify.simulation.world.world import SimulatedWorld
 
 # between the instants that make up a motion blur: below the lens blur, so none shows
 BLUR_STEP_PX = 0.5
-SIDES = ("left", "right")
 
 
 @dataclass(frozen=True, slots=True)

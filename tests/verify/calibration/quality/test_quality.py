@@ -23,8 +23,9 @@ from verify.calibration.quality.quality import (
     view_residuals,
 )
 from verify.calibration.quality.results import calibration_results
-from verify.calibration.stereo.parameters import PARAMETER_KEYS, SIDES
+from verify.calibration.stereo.parameters import PARAMETER_KEYS
 from verify.calibration.stereo.records import Calibration, rms
+from verify.core.records import SIDES
 
 
 def test_every_view_is_summed_up_and_a_bad_one_is_named() -> None:
