@@ -245,7 +245,7 @@ def coverage_factor(degrees: Array) -> Array:
 def mean_errors(
     model: JointErrorModel, resolved: ResolvedErrors, systematics: Systematics
 ) -> MeanErrors:
-    """Means over the pairs of the resolved errors, on which verdict and causes rest.
+    """Means over the pairs of the resolved errors, where a plan has no budget of sources yet.
 
     `systematics` has the degrees of freedom that the calibration states.
     """
@@ -286,8 +286,8 @@ def _calibration_variance(moved: Array, systematics: Systematics) -> Array:
     """Variance (j,) of the plain means from all that one calibration found.
 
     `moved` (j, p): of columns of unit variance, those of the stated parameters first. A session's
-    budget knows the rig file and counts its parameters; here, where a plan has no budget yet, their
-    names tell: LED positions are the calibration's where no LED body is stated beside them.
+    budget knows the rig file and counts its parameters; here their names tell: LED positions are
+    the calibration's where no LED body is stated beside them.
     """
     body = "LED body" in systematics.sources
     own = {"rig", "robot base"} if body else {"rig", "robot base", "LED positions"}

@@ -24,8 +24,8 @@ from verify.analysis.diagnosis.faults import about_turned_camera
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import (
     JointErrors,
+    MeanErrors,
     ResolvedErrors,
-    mean_errors,
     predict_errors,
     resolve_errors,
 )
@@ -320,10 +320,11 @@ def _estimate(
         systematic=joints.inverse @ model.prior_columns,
         clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
     )
-    means = mean_errors(model, resolved, compared.systematics)
     used = [m for m in measured.measurements if m.status == "measured"]
-    sources = budget(model, compared, means, resolved, used)
-    means = replace(means, coverage_factor=sources.coverage_factor)
+    sources = budget(model, compared, resolved, used)
+    means = MeanErrors(
+        resolved.mean, resolved.mean_covariance, sources.random, sources.coverage_factor
+    )
     seen = measured.measurements
     pictures = picture_misfit(seen, session.rig, session.marker, compared.systematics)
     stated = {name: limit for name, limit in asdict(tolerance).items() if limit is not None}

@@ -14,7 +14,6 @@ import pandas as pd
 import robots
 from verify.analysis.comparison import Comparison
 from verify.analysis.joint_errors import (
-    MeanErrors,
     ResolvedErrors,
     coverage_factor,
     effective_degrees,
@@ -79,7 +78,6 @@ class _BudgetLine:
 def budget(
     model: JointErrorModel,
     compared: SessionComparison,
-    means: MeanErrors,
     resolved: ResolvedErrors,
     used: list[Measurement],
 ) -> Budget:
@@ -93,7 +91,7 @@ def budget(
     varying = random_sources(model, compared)
     held = systematic_sources(model.comparison, compared)
     exact = unstated_sources(compared.systematics, compared.clock)
-    own = np.full(len(means.mean), max(float(resolved.fit.degrees_of_freedom), 1.0))
+    own = np.full(len(resolved.mean), max(float(resolved.fit.degrees_of_freedom), 1.0))
     lines = [*_random_lines(varying, by_pair, own), *_systematic_lines(held, by_pair)]
     if resolved.common.shape[1]:
         common = np.sum((by_row @ resolved.common) ** 2, axis=1)
@@ -101,7 +99,7 @@ def budget(
     if resolved.misfit > 1:
         lacking = (resolved.misfit - 1) * sum(line.variance for line in lines)
         lines.append(_BudgetLine(LACK_OF_FIT, "random", "A", np.asarray(lacking), own))
-    known = ~np.isnan(means.mean)
+    known = ~np.isnan(resolved.mean)
     random, systematic = (
         np.where(known, sum((li.variance for li in lines if li.kind == k), 0.0), np.nan)
         for k in ("random", "systematic")

@@ -115,7 +115,7 @@ def made(
     )  # fmt: skip
     resolved = resolve_errors(model)
     means = mean_errors(model, resolved, systematics)
-    found = budget(model, compared, means, resolved, [])
+    found = budget(model, compared, resolved, [])
     return Made(model, plain, means, found, systematics)
 
 
