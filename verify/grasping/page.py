@@ -17,7 +17,7 @@ from verify.core.rig import Rig
 from verify.grasping.cell import WatchdogLimits
 from verify.grasping.control import states
 from verify.grasping.control.aim import LoopCycle
-from verify.grasping.control.loop import GraspLoop
+from verify.grasping.control.loop import UNSELECTED, GraspLoop
 from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan, GraspPlanner
 from verify.grasping.record.rows import plan_fields
@@ -72,10 +72,13 @@ def _joined(*parts: str) -> str:
     return ", ".join(part for part in parts if part)
 
 
-def target_fields(observation: TargetObservation | None, *, fresh: bool) -> dict[str, Any]:
+def target_fields(
+    observation: TargetObservation | None, *, selected: bool, fresh: bool
+) -> dict[str, Any]:
     """The target in the newest pictures, and the quality of its measurement."""
     if observation is None:
-        return {"status": None, "unseen_because": "", "quality": None}
+        because = "no pictures yet" if selected else UNSELECTED
+        return {"status": None, "unseen_because": because, "quality": None}
     if not fresh:
         return {"status": "not seen", "unseen_because": "the pictures are old", "quality": None}
     return {
@@ -161,6 +164,7 @@ class LoopSnapshot:
     planned: GraspPlan | GraspRefusal | None
     lacks: str | None  # for the grab; empty: it may be ordered; None: it is no order in this state
     may_choose: bool
+    selected: bool  # there is a target to look for
     fresh: bool  # the pictures
     lines: tuple[tuple[str, bool, str], ...]  # devices: name, well, in words
 
@@ -196,6 +200,7 @@ class GraspPageSource:
             None if planned is None else planned.answer,
             missing_conditions(machine),
             loop.may_choose,
+            loop.selected,
             devices[0][1],
             devices,
         )
@@ -235,7 +240,9 @@ class GraspPageSource:
             "grab_lacks": shown.lacks,
             "may_choose": shown.may_choose,
             **target_fields(
-                None if self._pictured is None else self._pictured.observation, fresh=shown.fresh
+                None if self._pictured is None else self._pictured.observation,
+                selected=shown.selected,
+                fresh=shown.fresh,
             ),
             **object_fields(cycle),
             "q_deg": None if cycle.q is None else _rounded(np.degrees(cycle.q)),

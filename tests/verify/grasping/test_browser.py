@@ -78,6 +78,8 @@ def test_a_rectangle_that_is_dragged_is_the_target(browser: Browser) -> None:
     with grabbing(selects=True) as cell, looking(browser, cell) as tab:
         tab.until("document.querySelector('#select').ariaPressed === 'true'")
         cell.until(lambda: cell.state is GraspState.SEARCHING)  # once the fingers are ready
+        tab.until("document.querySelector('#reason').textContent === 'no object is selected'")
+        assert "no object is selected" in tab.text("#target")
         drag(tab, "left", (300, 300, 3, 3))  # a slip
         drag(tab, "right", cell.box(side=1))
         tracks(cell, 0)

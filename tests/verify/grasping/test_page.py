@@ -120,11 +120,14 @@ def test_the_grab_counts_where_the_key_does_and_lifts() -> None:
 def test_without_execute_the_page_moves_nothing() -> None:
     with grabbing(execute=False, selects=True) as cell, cell.line() as line:
         cell.until(lambda: cell.state is GraspState.SEARCHING)
+        row = latest(line, lambda row: row["state"] == "searching")
+        assert row["reason"] == "no object is selected"
         home = cell.grab.world.arm.q(0.0)
         words = ["grab 0", "grab 1", "execute", "resume", "follow ordered", "retreat", "start"]
         for word in (*words, "select left {},{},{},{}".format(*cell.box())):
             line.send(word)
         row = latest(line, lambda row: row["position_mm"] is not None)
+        assert "selected" not in row["reason"]
         assert row["grab_lacks"] in (None, "")
         for count in range(8):
             line.send(f"grab {count}")

@@ -25,6 +25,7 @@ from verify.grasping.planning.plan import GraspPlanner
 from verify.grasping.tracking.target import TargetObservation
 from verify.grasping.tracking.track import TargetTracker
 
+UNSELECTED = "no object is selected"
 SELECTABLE_STATES = {  # in which another target may be chosen
     GraspState.IDLE, GraspState.SEARCHING, GraspState.TRACKING, GraspState.HOLDING_STALE,
     GraspState.HOLDING_LOST, GraspState.HOLDING_UNREACHABLE, GraspState.HOLDING_OPERATOR,
@@ -93,6 +94,17 @@ class GraspLoop:
             return False
         return self._hands is None or self._hands.arm.resting
 
+    @property
+    def selected(self) -> bool:
+        """There is a target to look for."""
+        return self._tracker is not None
+
+    @property
+    def reason(self) -> str:
+        """Why the state is what it is."""
+        looks = self.selected or self.machine.state is not GraspState.SEARCHING
+        return self.machine.reason if looks else UNSELECTED
+
     def look_for(self, tracker: TargetTracker | None) -> None:
         """Go after another target from now on; what was known of the last one is forgotten.
 
@@ -142,7 +154,7 @@ class GraspLoop:
         return LoopCycle(
             now,
             self.machine.state,
-            self.machine.reason,
+            self.reason,
             pair,
             observation,
             self.aim.target,

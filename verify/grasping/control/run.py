@@ -89,9 +89,8 @@ def run(
         if lingered or stopped or held or cycle.t - began >= ends.duration:
             break
         source.wait()
-    state, reason = machine.state, machine.reason
-    if state is GraspState.IDLE:
-        reason = loop.awaited
+    state = machine.state
+    reason = loop.awaited if state is GraspState.IDLE else loop.reason
     count += _release(loop, source, on_cycle)
     released = machine.state is GraspState.RELEASED
     return GraspOutcome(state, reason, released, tuple(machine.log), count, stopped)

@@ -141,7 +141,7 @@ RUNNING_STATES = tuple(s for s in S if s not in (S.IDLE, S.FAULT, S.RELEASING, S
 
 TRANSITIONS: tuple[Transition, ...] = (
     # the grasp
-    T(S.IDLE, E.START, S.SEARCHING, "cameras and target are there"),
+    T(S.IDLE, E.START, S.SEARCHING, "pictures and joint readings arrive"),
     T(S.SEARCHING, E.FOUND, S.TRACKING, "both cameras see the target"),
     T(S.TRACKING, E.LOST, S.SEARCHING, "nothing moves yet: it is looked for again"),
     T(

@@ -117,7 +117,7 @@ export class Grab {
 
   target(row) {
     const known = row.position_mm !== null;
-    const facts = { Target: row.status === null ? "no target yet" : [row.status, row.unseen_because].filter(Boolean).join(": ") };
+    const facts = { Target: [row.status, row.unseen_because].filter(Boolean).join(": ") };
     if (known) {
       facts["Place in the base"] = row.position_mm.map((v, i) => `${"xyz"[i]} ${v.toFixed(1)} ± ${(2 * row.standard_uncertainty_mm[i]).toFixed(1)}`).join(", ") + " mm (k = 2)";
       facts.Size = row.size_mm.every((v) => v !== null) ? `${row.size_mm[0]} mm wide, ${row.size_mm[1]} mm high` : "not known";

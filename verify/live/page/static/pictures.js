@@ -55,7 +55,7 @@ export class PictureView {
         context.stroke();
       }
     };
-    const { window, outline, place, status } = target ?? { status: "no target yet" };
+    const { window, outline, place, status } = target ?? { status: "no target" };
     const missing = target && !outline ? ", not seen here" : "";
     context.setLineDash([5, 4]);
     if (window) twice(() => context.rect(window[0] * scale, window[1] * scale, window[2] * scale, window[3] * scale), "#f2f2f2");
