@@ -267,7 +267,7 @@ def _print_summary(state: LiveState) -> None:
         latency_p99_ms=None if p99 is None else p99 * 1e3,
         recording=now.recording,
     )
-    lost = ", ".join(f"{n} {why}" for why, n in now.dropped.items()) or "none"
+    lost = ", ".join(f"{why} ({n})" for why, n in now.dropped.items()) or "none"
     alarms = ", ".join(f"{n} {kind}" for kind, n in now.alarm_counts.items()) or "none"
     terminal.say(f"{now.measured} of {now.pairs} pairs measured; lost: {lost}; alarms: {alarms}")
     for line in now.devices:

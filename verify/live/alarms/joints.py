@@ -98,7 +98,7 @@ class ToleranceWatch:
 
     def _raised(self, j: int, mean: float, doubt: float, row: JointRow, now: float) -> Alarm:
         text = (  # an average: while the error still grows, it lags
-            f"Joint {j + 1} reads {format_error_deg(mean, doubt)} off on an average of "
+            f"Joint {j + 1} reads {format_error_deg(mean, doubt)} off, averaged over "
             f"{AVERAGING_TIME:g} s, beyond its tolerance of {math.degrees(self._tolerance[j]):g}°."
         )
         return Alarm(next(self._numbers), "tolerance", now, row.t, text, (j + 1,), mean, doubt)

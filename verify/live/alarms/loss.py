@@ -39,13 +39,14 @@ class TargetWatch:
         """Look without a row: where no pairs come there is no target either."""
         if self._standing is not None or t - self._measured_at <= self._after:
             return []
-        why = STATUS_TEXTS.get(self._why.most_common(1)[0][0], "") if self._why else "no pairs come"
+        why = STATUS_TEXTS.get(self._why.most_common(1)[0][0], "") if self._why else NO_PAIRS
         spent = f"{t - self._measured_at:.1f} s"
         text = f"The robot has not been compared with its encoders for {spent}: {why}."
         self._standing = Alarm(next(self._numbers), "target", now, t, text)
         return [self._standing]
 
 
+NO_PAIRS = "no pairs of pictures arrive"
 STATUS_TEXTS = {
     "too_few_leds": "too few LEDs are visible",
     "ambiguous_leds": "the LEDs are not identified",

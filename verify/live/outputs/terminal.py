@@ -103,7 +103,7 @@ def _line(now: LiveSnapshot) -> Text:
     if now.row is not None and now.row.clock is not None:
         text += f"; clock {now.row.clock.words()}"
     if now.dropped:
-        text += "; dropped " + ", ".join(f"{n} {reason}" for reason, n in now.dropped.items())
+        text += "; dropped " + ", ".join(f"{reason} ({n})" for reason, n in now.dropped.items())
     return Text(f"\n{text}", style="dim")
 
 

@@ -83,7 +83,7 @@ def render_recording(now: RecordingSnapshot) -> RenderableType:
         left, right = map(len, now.look.centres)
         text += f"; spots: {left} left, {right} right"
     if now.dropped:
-        text += "; dropped " + ", ".join(f"{n} {reason}" for reason, n in now.dropped.items())
+        text += "; dropped " + ", ".join(f"{reason} ({n})" for reason, n in now.dropped.items())
     keys = Text("Ctrl-C: finish", style="dim")
     devices = render_devices(now.devices, now.recording)
     return Group(

@@ -385,3 +385,46 @@ def test_a_phone_scrolls_down_only(browser: Browser, served: Page, scheme: str) 
         tab.until("document.querySelector('#devices li')")
         phone_sections(tab, scheme)
         assert tab.complaints == []
+
+
+LABELS = """async () => {
+  const { Strips } = await import("/strips.js");
+  const root = document.body.appendChild(document.createElement("div"));
+  const strips = new Strips(root), found = [];
+  strips.begin(6, [0.02, 0.1, 0.2, 0.5, 1, null]);
+  for (const size of [0.02, 0.1, 0.35, 0.8, 1.4, 4, 30]) {
+    const [error_deg, u_deg] = [Array(6).fill(size), Array(6).fill(size / 20)];
+    strips.rows = Array.from({ length: 50 }, (_, t) => ({ t_s: t / 10, error_deg, u_deg }));
+    strips.draw({ band: "#ccc", tolerance: "#808", measured: "#00f", muted: "#555" });
+    await new Promise(requestAnimationFrame);
+    for (const { plot, mark } of strips.strips)
+      found.push([mark, 0, -mark].map((value) => plot.valToPos(value, "y")));
+  }
+  root.remove();
+  return found;
+}"""  # where the labels of six strips stand, px from the top, for errors of seven sizes
+
+
+@pytest.mark.browser
+@pytest.mark.parametrize("width", [1300, 500])
+def test_labels_of_a_strips_scale_have_room(browser: Browser, served: Page, width: int) -> None:
+    with looking(browser, served, width) as tab:
+        found = np.array(tab.evaluate(LABELS))
+        assert len(found) == 42
+        assert np.diff(found).min() > 12  # px: the letters are 11 px high
+        assert found.min() > -1  # within the strip
+        assert tab.complaints == []
+
+
+@pytest.mark.browser
+def test_the_bar_of_a_joint_in_alarm_is_full(browser: Browser, served: Page) -> None:
+    with looking(browser, served) as tab:
+        fourth = "document.querySelectorAll('.strip')[3]"
+        tab.until(f"{fourth}.innerText.includes('in alarm')")
+        wide = "querySelector('.meter').clientWidth"
+        fill = f"{fourth}.querySelector('.meter i')"
+        assert tab.evaluate(f"{fill}.clientWidth") == tab.evaluate(f"{fourth}.{wide}")
+        assert "high" in tab.evaluate(f"{fill}.className")
+        third = "document.querySelectorAll('.strip')[2].querySelector('.meter i')"
+        assert tab.evaluate(f"{third}.style.width") == "40%"  # as it was played
+        assert tab.complaints == []

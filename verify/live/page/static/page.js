@@ -131,7 +131,7 @@ function showState(state) {
   if (hello.mode === "calibrate") return boards.state(state);
   if (hello.mode === "grab") return grab.state(state);
   if (hello.mode === "record") return recording.state(state);
-  const dropped = Object.entries(state.dropped).map(([reason, count]) => `${count} ${reason}`);
+  const dropped = Object.entries(state.dropped).map(([reason, count]) => `${reason} (${count})`);
   const latency = state.latency_p50_ms === null ? "–" : `median ${state.latency_p50_ms} ms, 99 % within ${state.latency_p99_ms} ms`;
   const figures = {
     "Pairs": `${state.measured} of ${state.pairs} measured, ${state.rate_hz.toFixed(1)} per second`,

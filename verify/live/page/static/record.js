@@ -38,7 +38,7 @@ export class Recording {
     const pill = $("recorded");
     pill.className = `pill ${this.complete ? "well" : "waits"}`;
     if (pill.textContent !== words) pill.textContent = words;
-    const lost = Object.entries(dropped).map(([reason, count]) => `${count} ${reason}`);
+    const lost = Object.entries(dropped).map(([reason, count]) => `${reason} (${count})`);
     const figures = { Dropped: lost.join("; ") || "none", Recording: recording || "–" };
     $("figures").replaceChildren(...Object.entries(figures).flatMap(([name, value]) => [made("dt", name), made("dd", value)]));
   }

@@ -7,6 +7,9 @@ const KEPT = 60; // s remembered
 const GAP = 0.5; // s without a row: the line breaks
 const STATE_SPAN = 1; // s that the overall state rests on
 const SMALLEST = 0.05; // degrees, half the height: less would show noise as drama
+const LABEL = 14; // px from one label of the scale to the next
+const PADDING = 6; // px above and below the curves
+const TIMES = 22; // px, height of the labels of time
 const FONT = "11px system-ui, sans-serif";
 
 export class Strips {
@@ -23,6 +26,7 @@ export class Strips {
     for (const { plot } of this.strips) plot.destroy();
     this.rows = [];
     this.shown = [];
+    this.statistic = [];
     this.tolerance = tolerance;
     this.root.replaceChildren();
     this.root.style.setProperty("--joints", joints); // by which a large window is shared out
@@ -57,7 +61,6 @@ export class Strips {
 
   options(part, j) {
     const colour = (key) => () => this.colours[key];
-    const timed = () => part.last || part.strip.classList.contains("tall");
     const line = (key, width, dash) => ({ stroke: colour(key), width, dash, points: { show: false } });
     const axis = { stroke: colour("muted"), font: FONT, ticks: { show: false }, grid: { stroke: colour("grid"), width: 1 } };
     return {
@@ -67,9 +70,9 @@ export class Strips {
       scales: { x: { time: false, range: () => [-SPAN, 0] }, y: { range: () => [-part.half, part.half] } },
       series: [{}, line("band", 0), line("band", 0), line("tolerance", 1.5, [2, 3]), line("tolerance", 1.5, [2, 3]), line("measured", 1.3), line("ill", 2)],
       bands: [{ series: [1, 2], fill: colour("band") }],
-      padding: [6, 14, 6, 0],
+      padding: [PADDING, 14, PADDING, 0],
       axes: [
-        { ...axis, size: () => (timed() ? 22 : 0), gap: 4, space: 40, incrs: [5, 10], values: (_, splits) => splits.map((s) => (!timed() ? "" : s ? `−${-s} s` : "now")) },
+        { ...axis, size: () => (timed(part) ? TIMES : 0), gap: 4, space: 40, incrs: [5, 10], values: (_, splits) => splits.map((s) => (!timed(part) ? "" : s ? `−${-s} s` : "now")) },
         { ...axis, size: 50, gap: 6, space: 20, splits: () => [-part.mark, 0, part.mark], values: (_, splits) => splits.map((v) => `${v > 0 ? "+" : v < 0 ? "−" : ""}${Number(Math.abs(v).toFixed(5))}°`) },
       ],
       hooks: { setCursor: [() => this.say(part, j)] },
@@ -92,18 +95,21 @@ export class Strips {
 
   mark(joints) {
     this.strips.forEach((part, j) => part.strip.classList.toggle("alarmed", joints.has(j + 1)));
+    this.meters(this.statistic);
   }
 
+  /** How near an alarm each joint is; in alarm it is full, whatever is still added up. */
   meters(statistic) {
-    (statistic ?? []).forEach((share, j) => {
-      const fill = this.strips[j]?.fill;
-      if (!fill) return;
-      fill.style.width = `${Math.min(share, 1) * 100}%`;
+    this.statistic = statistic ?? [];
+    this.strips.forEach(({ strip, fill, level }, j) => {
+      if (this.statistic[j] === undefined) return;
+      const alarmed = strip.classList.contains("alarmed");
+      const share = alarmed ? 1 : Math.min(this.statistic[j], 1);
+      fill.style.width = `${share * 100}%`;
       fill.classList.toggle("high", share > 0.7);
       const tolerance = this.tolerance?.[j] ?? null;
       const limit = tolerance === null ? "" : `tolerance ±${tolerance}°, `;
-      const alarmed = this.strips[j].strip.classList.contains("alarmed");
-      this.strips[j].level.textContent = `${limit}${alarmed ? "in alarm" : `alarm level ${Math.round(Math.min(share, 1) * 100)} %`}`;
+      level.textContent = `${limit}${alarmed ? "in alarm" : `alarm level ${Math.round(share * 100)} %`}`;
     });
   }
 
@@ -122,10 +128,10 @@ export class Strips {
     const [above, below] = [edge(1), edge(-1)];
     const tolerance = this.tolerance?.[j] ?? null;
     part.half = halfHeight(above, below, tolerance);
-    part.mark = tolerance !== null && tolerance < part.half && tolerance > part.half / 4 ? tolerance : part.half / 2;
     const level = (v) => x.map(() => v);
     const { width, height } = size(part.chart);
     if (width !== part.plot.width || height !== part.plot.height) part.plot.setSize({ width, height });
+    part.mark = labelled(tolerance, part.half, height - 2 * PADDING - (timed(part) ? TIMES : 0));
     const beyond = error.map((e) => (tolerance !== null && e !== null && Math.abs(e) > tolerance ? e : null));
     part.plot.setData([x, above, below, level(tolerance), level(tolerance === null ? null : -tolerance), error, beyond]);
     this.say(part, j);
@@ -169,6 +175,11 @@ function element(name, kind = "") {
   return made;
 }
 
+/** Whether a strip has its own scale of time. */
+function timed({ last, strip }) {
+  return last || strip.classList.contains("tall");
+}
+
 function size(chart) {
   return { width: chart.clientWidth, height: chart.clientHeight };
 }
@@ -190,6 +201,13 @@ function halfHeight(above, below, tolerance) {
   if (tolerance !== null && tolerance < 6 * half) half = Math.max(half, 1.15 * tolerance);
   const power = 10 ** Math.floor(Math.log10(half)); // round, so that a plot does not breathe
   return [1, 1.5, 2, 3, 5, 7, 10].find((m) => m * power >= half) * power;
+}
+
+/** The value that is labelled beside 0: the tolerance, or half the height, where labels have room. */
+function labelled(tolerance, half, height) {
+  const apart = (value) => (value / half) * (height / 2) >= LABEL;
+  if (tolerance !== null && tolerance < half && apart(tolerance)) return tolerance;
+  return apart(half / 2) ? half / 2 : half;
 }
 
 function signed(value) {
