@@ -414,7 +414,7 @@ def test_the_live_table_shows_the_current_state() -> None:
     with console.capture() as capture:
         console.print(render_snapshot(state.snapshot(), [0.2] * 6))
     text = capture.get()
-    table = ("+0.500°", "0.020°", "left camera", "gone", "3 no partner in time")
+    table = ("+0.500°", "0.020°", "left camera", "gone", "no partner in time (3)")
     for part in (*table, "Lost.", "[red]"):
         assert part in text
     assert "\x1b" not in text
