@@ -102,7 +102,7 @@ class PathLimits:
     acceleration: float
     jerk: float
 
-    def slowed(self, factor: float) -> "PathLimits":
+    def slow_down(self, factor: float) -> "PathLimits":
         """The same S-curve, played `factor` times as slowly."""
         return PathLimits(self.speed / factor, self.acceleration / factor**2, self.jerk / factor**3)
 
@@ -173,14 +173,14 @@ class Trajectory:
         times = np.append(np.arange(0.0, self.duration, period), self.duration)
         return times, self._motion(np.array([_state_at(self.curve, t) for t in times.tolist()]).T)
 
-    def held(self, t: float) -> "Trajectory":
+    def stop_at(self, t: float) -> "Trajectory":
         """Come to rest as soon as the limits allow, from t s on, without leaving the path."""
         order = _path_order(_state_at(self.curve, min(max(t, 0.0), self.duration)), self.rates)
         order.control_interface = ruckig.ControlInterface.Velocity
         curve = _calculate(order)
         return Trajectory(self.path, self.rates, curve, curve.duration)
 
-    def returning(self) -> "Trajectory":
+    def back(self) -> "Trajectory":
         """Go back along the path from where this one ends to the path's beginning."""
         end = _state_at(self.curve, self.duration)[0]
         return _rest_to_rest(self.path, self.rates, end, 0.0)
@@ -194,7 +194,7 @@ def time_path(path: JointPath, limits: JointLimits, wanted: PathLimits | None = 
     """
     rates = _reached_limits(path, _straight_rates(path, limits) if wanted is None else wanted)
     slower = max(1.0, _slowdown(path, limits, rates))
-    return _rest_to_rest(path, rates.slowed(slower), 0.0, path.length)
+    return _rest_to_rest(path, rates.slow_down(slower), 0.0, path.length)
 
 
 def required_slowdown(path: JointPath, limits: JointLimits, wanted: PathLimits) -> float:

@@ -145,7 +145,7 @@ def test_a_hold_stops_on_the_path_within_limits_and_at_once_and_goes_back_along_
     path = curved()
     trajectory = time_path(path, LIMITS, PathLimits(1.0, 5.0, 50.0))
     t = share * trajectory.duration
-    held = trajectory.held(t)
+    held = trajectory.stop_at(t)
     before, after = trajectory.at(t), held.at(0.0)
     for key in RATES:
         assert_allclose(getattr(after, key), getattr(before, key), atol=1e-9)
@@ -155,11 +155,11 @@ def test_a_hold_stops_on_the_path_within_limits_and_at_once_and_goes_back_along_
     assert_allclose(end.velocity, 0, atol=1e-9)
     on_path = path.q(np.linspace(0, path.length, 20001))
     assert np.abs(on_path - end.q).max(axis=1).min() < 1e-3
-    back = held.returning()  # along the same path
+    back = held.back()  # along the same path
     assert_allclose(back.at(0.0).q, end.q, atol=1e-9)
     assert_allclose(back.at(back.duration).q, path.q(0.0), atol=1e-9)
     assert_within_limits(back)
-    assert trajectory.returning().duration == pytest.approx(trajectory.duration)
+    assert trajectory.back().duration == pytest.approx(trajectory.duration)
 
 
 wild = st.integers(0, 2**32 - 1).map(np.random.default_rng)

@@ -77,7 +77,7 @@ def measured_poses(run: Repeated, t: Array) -> Array:
     return poses
 
 
-def stands(
+def pose_visits(
     places: Array, came_from: tuple[int, ...] = (), *, read: float = 0.0, begin: float = 0.0
 ) -> PoseVisits:
     """Visits of a pose a minute apart, at places (n, 3), m, where the readings put it at x."""

@@ -339,7 +339,7 @@ def _estimate(
         resolved=resolved,
         combinations=combinations(compared, model, errors, means),
         sources=sources,
-        drawn=monte_carlo(compared, used),
+        monte_carlo=monte_carlo(compared, used),
         sweeps=judge_sweeps(model, compared),
         visibility=visibility(model),
         relative=compare_relative_motions(model),
@@ -361,7 +361,7 @@ def _results(found: SessionAnalysis, measured: MeasuredSession) -> Results:
         "clock_curve": pd.DataFrame(clock.curve, columns=["offset_s", "cost"]),
         "budget": found.sources.lines,
         "budget_parameters": found.sources.parameters,
-        "monte_carlo": monte_carlo_table(found.drawn, found.frame),
+        "monte_carlo": monte_carlo_table(found.monte_carlo, found.frame),
         "sweeps": sweeps_table(found.sweeps, found.frame),
         "detectable": detectable(found.diagnosis.products),
     }

@@ -30,11 +30,11 @@ def condition_deviations(
     """
     listed: list[dict[str, Any]] = []
     if found.poses:
-        fewest = min(len(p.stands.t) for p in found.poses)
+        fewest = min(len(p.visits.t) for p in found.poses)
         if fewest < CYCLES:
             listed.append({"kind": "cycles", "found": fewest, "standard": CYCLES})
         listed += _mean_positions(found.poses)
-        mixed = [p.stands.name for p in found.poses if p.variation is not None]
+        mixed = [p.visits.name for p in found.poses if p.variation is not None]
         if mixed:
             listed.append({"kind": "approach", "poses": mixed})
         if any(p.drift for p in found.poses) and found.duration < MIN_DRIFT_S:
@@ -71,7 +71,7 @@ def _mean_positions(poses: tuple[PoseIndices, ...]) -> list[dict[str, Any]]:
 def _uncertain_poses(poses: tuple[PoseIndices, ...]) -> list[dict[str, Any]]:
     """Name poses whose accuracy is stated with more than a quarter of itself in doubt."""
     doubtful = [
-        p.stands.name
+        p.visits.name
         for p in poses
         if p.accuracy.expanded_uncertainty > MAX_UNCERTAINTY_SHARE * p.accuracy.found.value
     ]

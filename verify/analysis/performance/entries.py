@@ -81,9 +81,9 @@ def _repeatability(
 
 def _pose(p: poses.PoseIndices) -> dict[str, Any]:
     worded: dict[str, Any] = {
-        "pose": p.stands.name,
-        "visits": len(p.stands.t),
-        "pairs": int(p.stands.counts.sum()),
+        "pose": p.visits.name,
+        "visits": len(p.visits.t),
+        "pairs": int(p.visits.counts.sum()),
         "commanded_mm": [_rounded_or_none(v, MM) for v in p.commanded[:3, 3]],
         **_accuracy(p.accuracy, "ap"),
         **_repeatability(p.repeatability, "rp", "mm", MM),
@@ -149,10 +149,10 @@ def _visits(found: Performance | None) -> pd.DataFrame:
     names += ["dx_mm", "dy_mm", "dz_mm", "drx_deg", "dry_deg", "drz_deg"]
     parts = []
     for p in found.poses if found else ():
-        n = len(p.stands.t)
+        n = len(p.visits.t)
         turns = np.full((n, 3), np.nan) if p.angles is None else p.angles * DEG
-        columns: list[Any] = [[p.stands.name] * n, np.arange(1, n + 1), p.stands.t]
-        columns += [p.stands.counts.astype(np.int64), np.array(p.stands.came_from) + 1]
+        columns: list[Any] = [[p.visits.name] * n, np.arange(1, n + 1), p.visits.t]
+        columns += [p.visits.counts.astype(np.int64), np.array(p.visits.came_from) + 1]
         columns += [*(p.deviations * MM).T, *turns.T]
         parts.append(pd.DataFrame(dict(zip(names, columns, strict=True))))
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=names)

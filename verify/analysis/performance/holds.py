@@ -26,7 +26,7 @@ MIN_DOF = 20  # of the scatter within holds: fewer know it worse than what is st
 
 @dataclass(frozen=True, slots=True)
 class Visit:
-    """One stand of the arm, its pose, and the pose that it came from."""
+    """One visit of the arm, its pose, and the pose that it came from."""
 
     pose: int
     rows: Rows  # of the comparison
@@ -41,7 +41,7 @@ def at_rest(comparison: Comparison) -> NDArray[np.bool_]:
 
 
 def find_holds(comparison: Comparison, readings: Readings, offset: float) -> list[Rows]:
-    """Gather pairs that were taken in one stand: rows of each hold, in time's order.
+    """Gather pairs that were taken in one visit: rows of each hold, in time's order.
 
     The readings tell whether the arm left in between; `offset`, s, is added to their time to get
     the cameras' clock. One pair is a hold where its neighbours are far off in time (single visits);
@@ -100,7 +100,7 @@ def number_visits(comparison: Comparison, holds: Sequence[Rows]) -> list[Visit]:
 def named_visits(
     comparison: Comparison, named: Sequence[TimeInterval]
 ) -> tuple[list[Visit], tuple[str, ...], list[TimeInterval]]:
-    """Take the stands that session.toml names: visits in time's order, the poses' names by number.
+    """Take the visits that session.toml names, in time's order, and the poses' names by number.
 
     Also gives the stretches in which no pair was measured while the arm stood.
     """

@@ -90,7 +90,7 @@ class Drift:
 class PoseIndices:
     """One pose, judged."""
 
-    stands: PoseVisits
+    visits: PoseVisits
     commanded: Array  # (4, 4), the mean of the readings
     deviations: Array  # (n, 3), m, attained less commanded
     accuracy: PoseAccuracy
@@ -102,27 +102,27 @@ class PoseIndices:
     drift: Drift | None
 
 
-def assess_pose(stands: PoseVisits, noise: HoldNoise, *, oriented: bool) -> PoseIndices:
+def assess_pose(visits: PoseVisits, noise: HoldNoise, *, oriented: bool) -> PoseIndices:
     """Judge five visits or more of one pose.
 
     `noise` is that of one pair at rest; `oriented`: the orientation was measured.
     """
     commanded = np.eye(4)
-    commanded[:3, 3] = stands.read[:, :3, 3].mean(axis=0)
-    commanded[:3, :3] = Rotation.from_matrix(stands.read[:, :3, :3]).mean().as_matrix()
-    deviations = stands.attained[:, :3, 3] - commanded[:3, 3]
+    commanded[:3, 3] = visits.read[:, :3, 3].mean(axis=0)
+    commanded[:3, :3] = Rotation.from_matrix(visits.read[:, :3, :3]).mean().as_matrix()
+    deviations = visits.attained[:, :3, 3] - commanded[:3, 3]
     # the readings' mean stands for the command: what the arm and they do alike is no doubt of AP
-    own = stands.attained[:, :3, 3] - stands.read[:, :3, 3]
-    still, still_turn = noise.of_means(stands.counts)
+    own = visits.attained[:, :3, 3] - visits.read[:, :3, 3]
+    still, still_turn = noise.of_means(visits.counts)
     angles = (
-        orientation_deviations(stands.attained[:, :3, :3], commanded[:3, :3]) if oriented else None
+        orientation_deviations(visits.attained[:, :3, :3], commanded[:3, :3]) if oriented else None
     )
     angle_accuracy: tuple[Interval, ...] = ()
     angle_repeatability: tuple[Repeatability, ...] = ()
     if angles is not None:
-        doubt = np.linalg.norm(stands.systematic[3:], axis=1)
+        doubt = np.linalg.norm(visits.systematic[3:], axis=1)
         floors = 3 * np.sqrt(np.diag(still_turn))
-        own_angles = angles - orientation_deviations(stands.read[:, :3, :3], commanded[:3, :3])
+        own_angles = angles - orientation_deviations(visits.read[:, :3, :3], commanded[:3, :3])
         angle_accuracy = tuple(
             mean_interval(a, u) for a, u in zip(own_angles.T, doubt, strict=True)
         )
@@ -130,16 +130,16 @@ def assess_pose(stands: PoseVisits, noise: HoldNoise, *, oriented: bool) -> Pose
             subtract_noise(spread_interval(a), f) for a, f in zip(angles.T, floors, strict=True)
         )
     return PoseIndices(
-        stands=stands,
+        visits=visits,
         commanded=commanded,
         deviations=deviations,
-        accuracy=mean_deviation(own, stands.systematic[:3]),
+        accuracy=mean_deviation(own, visits.systematic[:3]),
         repeatability=subtract_noise(repeatability_interval(deviations), repeatability_of(still)),
         angles=angles,
         angle_accuracy=angle_accuracy,
         angle_repeatability=angle_repeatability,
-        variation=_variation(stands, deviations, angles),
-        drift=_drift(stands.t, deviations),
+        variation=_variation(visits, deviations, angles),
+        drift=_drift(visits.t, deviations),
     )
 
 
@@ -170,9 +170,9 @@ def subtract_noise(found: Interval, floor: float) -> Repeatability:
 
 
 def _variation(
-    stands: PoseVisits, deviations: Array, angles: Array | None
+    visits: PoseVisits, deviations: Array, angles: Array | None
 ) -> AccuracyVariation | None:
-    came = np.array(stands.came_from)
+    came = np.array(visits.came_from)
     ways = [np.flatnonzero(came == way) for way in sorted(set(came.tolist()) - {-1})]
     ways = [rows for rows in ways if len(rows) >= MIN_VISITS_PER_DIRECTION]
     if len(ways) < 2:

@@ -98,24 +98,24 @@ def performance(
     measured = _at_point(model, arm, readings, offset, point)
     if not measured.whole.any():
         return OPEN_POSES
-    stays, names, empty = _visits(measured, named_poses)
-    if not stays and not named_paths:
+    visits, names, empty = _visits(measured, named_poses)
+    if not visits and not named_paths:
         return NO_HOLDS
-    noise = _noise(measured, stays)
-    counts = [sum(v.pose == i for v in stays) for i in range(len(names))]
-    stands = [
-        _visits_of_poses(measured, [v for v in stays if v.pose == i], names[i])
+    noise = _noise(measured, visits)
+    counts = [sum(v.pose == i for v in visits) for i in range(len(names))]
+    by_pose = [
+        _visits_of_poses(measured, [v for v in visits if v.pose == i], names[i])
         for i, count in enumerate(counts)
         if count >= MIN_VISITS
     ]
-    runs = _named_runs(measured, named_paths) or _runs_between(stays, names)
+    runs = _named_runs(measured, named_paths) or _runs_between(visits, names)
     paths = _paths(measured, runs, repeatability_of(noise.position))
-    if not stands and not paths:
+    if not by_pose and not paths:
         return NO_REPEATS
     return Performance(
         named=bool(named_poses or named_paths),
-        poses=tuple(assess_pose(one, noise, oriented=measured.oriented) for one in stands),
-        distances=_distances(stands),
+        poses=tuple(assess_pose(one, noise, oriented=measured.oriented) for one in by_pose),
+        distances=_distances(by_pose),
         paths=paths,
         noise=noise,
         point=np.zeros(3) if point is None else point,
@@ -133,13 +133,13 @@ def _visits(
     comparison, whole = measured.comparison, measured.whole
     empty: list[TimeInterval] = []
     if named:
-        stays, names, empty = named_visits(comparison, named)
+        visits, names, empty = named_visits(comparison, named)
     else:
         holds = find_holds(comparison, measured.readings, measured.offset)
-        stays = number_visits(comparison, holds)
-        names = tuple(f"P{i + 1}" for i in range(1 + max((v.pose for v in stays), default=-1)))
-    stays = [replace(v, rows=v.rows[whole[v.rows]]) for v in stays if whole[v.rows].any()]
-    return stays, names, empty
+        visits = number_visits(comparison, holds)
+        names = tuple(f"P{i + 1}" for i in range(1 + max((v.pose for v in visits), default=-1)))
+    visits = [replace(v, rows=v.rows[whole[v.rows]]) for v in visits if whole[v.rows].any()]
+    return visits, names, empty
 
 
 def _at_point(
@@ -165,34 +165,34 @@ def _at_point(
     )  # fmt: skip
 
 
-def _noise(measured: MeasuredPoints, stays: Sequence[Visit]) -> HoldNoise:
+def _noise(measured: MeasuredPoints, visits: Sequence[Visit]) -> HoldNoise:
     stated = measured.comparison.covariance_measured[measured.whole].mean(axis=0)
     off = measured.off
     return static_noise(
-        [v.rows for v in stays], off[:, :3], off[:, 3:], (stated[:3, :3], stated[3:, 3:])
+        [v.rows for v in visits], off[:, :3], off[:, 3:], (stated[:3, :3], stated[3:, 3:])
     )
 
 
-def _visits_of_poses(measured: MeasuredPoints, stays: Sequence[Visit], name: str) -> PoseVisits:
-    rows = np.concatenate([v.rows for v in stays])
+def _visits_of_poses(measured: MeasuredPoints, visits: Sequence[Visit], name: str) -> PoseVisits:
+    rows = np.concatenate([v.rows for v in visits])
     return PoseVisits(
         name=name,
-        t=np.array([measured.comparison.t[v.rows].mean() for v in stays]),
-        attained=np.array([mean_pose(measured.attained[v.rows]) for v in stays]),
-        read=np.array([mean_pose(measured.read[v.rows]) for v in stays]),
-        counts=np.array([len(v.rows) for v in stays], dtype=float),
-        came_from=tuple(v.came_from for v in stays),
+        t=np.array([measured.comparison.t[v.rows].mean() for v in visits]),
+        attained=np.array([mean_pose(measured.attained[v.rows]) for v in visits]),
+        read=np.array([mean_pose(measured.read[v.rows]) for v in visits]),
+        counts=np.array([len(v.rows) for v in visits], dtype=float),
+        came_from=tuple(v.came_from for v in visits),
         systematic=measured.systematic[rows].mean(axis=0),
     )
 
 
-def _distances(stands: Sequence[PoseVisits]) -> tuple[DistanceIndices, ...]:
+def _distances(by_pose: Sequence[PoseVisits]) -> tuple[DistanceIndices, ...]:
     """Judge the longest distances between poses that were visited in turn."""
-    places = np.array([one.read[:, :3, 3].mean(axis=0) for one in stands]).reshape(-1, 3)
+    places = np.array([one.read[:, :3, 3].mean(axis=0) for one in by_pose]).reshape(-1, 3)
     far = np.triu(np.linalg.norm(places[:, None] - places[None], axis=2))
     longest = np.argsort(-far, axis=None, kind="stable")[:MAX_POSE_PAIRS]
-    pairs = [divmod(int(i), len(stands)) for i in longest if far.flat[i] > 0]
-    judged = (assess_distance(stands[a], stands[b]) for a, b in pairs)
+    pairs = [divmod(int(i), len(by_pose)) for i in longest if far.flat[i] > 0]
+    judged = (assess_distance(by_pose[a], by_pose[b]) for a, b in pairs)
     return tuple(islice((one for one in judged if one is not None), MAX_DISTANCES))
 
 
@@ -205,10 +205,10 @@ def _named_runs(measured: MeasuredPoints, named: Sequence[TimeInterval]) -> dict
     return runs
 
 
-def _runs_between(stays: Sequence[Visit], names: Sequence[str]) -> dict[str, list[Rows]]:
+def _runs_between(visits: Sequence[Visit], names: Sequence[str]) -> dict[str, list[Rows]]:
     """Rows of each passage from one pose to another, by a name that both poses give."""
     runs: dict[str, list[Rows]] = {}
-    for before, after in pairwise(stays):
+    for before, after in pairwise(visits):
         if before.pose != after.pose:
             name = f"{names[before.pose]} → {names[after.pose]}"
             rows = np.arange(before.rows[-1], after.rows[0] + 1)
@@ -277,7 +277,7 @@ def _passage(measured: MeasuredPoints, rows: Rows) -> PathRun:
 
 
 def _motion_range(q: Array) -> slice:
-    """From where the arm leaves its first stand to where it reaches its last."""
+    """From where the arm leaves its first pose to where it reaches its last."""
     left = np.flatnonzero(np.abs(q - q[0]).max(axis=1) > MAX_HOLD_TRAVEL)
     short = np.flatnonzero(np.abs(q - q[-1]).max(axis=1) > MAX_HOLD_TRAVEL)
     if not len(left) or not len(short):

@@ -61,7 +61,7 @@ class SessionAnalysis:
     resolved: ResolvedErrors
     combinations: list[Combination]
     sources: Budget
-    drawn: MonteCarlo | None
+    monte_carlo: MonteCarlo | None
     sweeps: list[JointSweep]
     visibility: Observability
     relative: RelativeMotion | None
@@ -127,7 +127,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "outlying_pairs": [int(f) for f in judged.frame[judged.diagnosis.outlying]],
         "budget": {
             **budget_entry(judged.sources),
-            "monte_carlo": monte_carlo_entry(judged.drawn, judged.frame),
+            "monte_carlo": monte_carlo_entry(judged.monte_carlo, judged.frame),
         },
         "sweeps": sweep_entries(judged.sweeps, judged.frame),
         "decision": _decision(judged),

@@ -66,7 +66,7 @@ def take_pictures(
         if page is not None:
             source = BoardPageSource(state, board, opened.name)
             requests = {"take": taking.ask, "finish": taking.finish}
-            stack.callback(page.serve(source, asked=requests).close)
+            stack.callback(page.serve(source, commands=requests).close)
         look = stack.enter_context(show_state(partial(_draw, state), None, _printer(state)))
         stop = stack.enter_context(stop_on_signal())
         _read_commands(taking)

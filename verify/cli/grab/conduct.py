@@ -46,8 +46,8 @@ class GraspPage:
         requests = self._requests
         self._page = options.serve(
             self._source,
-            asked={"hold": requests.hold},
-            given={"grab": requests.grab, "select": requests.select},
+            commands={"hold": requests.hold},
+            inputs={"grab": requests.grab, "select": requests.select},
         )
         self._pair: StereoPair | None = None  # of the last cycle
         self._selected = ""

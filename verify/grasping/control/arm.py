@@ -130,7 +130,7 @@ class StreamedArm(OrderedArm):
 
     def begin_back(self) -> None:
         """Go back up the line that was gone down, from wherever on it the arm rests."""
-        self._line = None if self._line is None else self._line.returning()
+        self._line = None if self._line is None else self._line.back()
         self._start(*([] if self._line is None else [self._line]))
         self._holding, self.going_back = False, True
 
@@ -149,7 +149,7 @@ class StreamedArm(OrderedArm):
         if self._trajectories:
             if not self._holding:
                 current = self._trajectories[0]
-                stop = current.held(self._elapsed)
+                stop = current.stop_at(self._elapsed)
                 # before the line there is none to go back up
                 self._line = stop if current is self._line else None
                 self._trajectories, self._elapsed, self._detour_goal = [stop], 0.0, None

@@ -94,7 +94,7 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
         if not isinstance(found, str):
             over, down, slowed = found
             rejected = _rejection_reasons(good, {**ways, **reasons}, posture)
-            return GraspPlan(posture, margin, over, down, down.returning(), slowed, rejected)
+            return GraspPlan(posture, margin, over, down, down.back(), slowed, rejected)
         ways.setdefault(posture.branch, found)
     rejections = tuple(
         (postures.branch_name(branch), problem) for branch, problem in {**ways, **reasons}.items()

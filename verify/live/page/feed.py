@@ -49,10 +49,11 @@ class PageSource(Protocol):
 class Page:
     """A page that is being served, at a port of this computer (0 takes a free one).
 
-    Another address than loopback needs a token, which viewers must show. `asked`: what viewers may
-    ask for, by its word, and what is then done; `given`: what they may say more about, by its first
-    word, called with what follows that word. Both are called in a thread of their own, and have to
-    be quick. `moment` waits, for so many s at most, until what there is to tell holds nobody up.
+    Another address than loopback needs a token, which viewers must show. `commands`: what viewers
+    may ask for, by its word, and what is then done; `inputs`: what they may say more about, by its
+    first word, called with what follows that word. Both are called in a thread of their own, and
+    have to be quick. `moment` waits, for so many s at most, until what there is to tell holds
+    nobody up.
 
     Raises:
         InputError: the port is taken, or the address is open to others without a token.
@@ -64,14 +65,14 @@ class Page:
         port: int = DEFAULT_PORT,
         address: str = LOOPBACK,
         token: str | None = None,
-        asked: Mapping[str, Callable[[], None]] | None = None,
-        given: Mapping[str, Callable[[str], None]] | None = None,
+        commands: Mapping[str, Callable[[], None]] | None = None,
+        inputs: Mapping[str, Callable[[str], None]] | None = None,
         moment: Callable[[float], object] | None = None,
     ) -> None:
         self._source, self._moment = source, moment
-        self._asked, self._given = dict(asked or {}), dict(given or {})
+        self._commands, self._inputs = dict(commands or {}), dict(inputs or {})
         self._access = check_access(address, port, token)
-        messages = ViewerMessages(frozenset(self._asked), frozenset(self._given))
+        messages = ViewerMessages(frozenset(self._commands), frozenset(self._inputs))
         self._server: ChildProcess[Any, Any] = ChildProcess(
             serve, self._access, messages, name="page"
         )
@@ -155,11 +156,11 @@ class Page:
     def _act(self, kind: str, value: Any) -> None:
         if kind == "viewers":
             self.viewers = value
-        elif kind == "asked":
-            self._asked[value]()
+        elif kind == "command":
+            self._commands[value]()
         else:
             word, more = value
-            self._given[word](more)
+            self._inputs[word](more)
 
 
 def _text(kind: str, fields: dict[str, Any]) -> str:

@@ -136,8 +136,8 @@ MessageCallback = Callable[[str], None]
 class ViewerMessages:
     """What viewers may say; anything else is not listened to."""
 
-    whole: frozenset[str] = frozenset()
-    leading: frozenset[str] = frozenset()  # what more there is follows after a space
+    commands: frozenset[str] = frozenset()
+    inputs: frozenset[str] = frozenset()  # first words; what more there is follows after a space
 
 
 def application(hub: ViewerHub, access: PageAccess, take_message: MessageCallback) -> Starlette:
@@ -280,10 +280,10 @@ async def _serve(
 
     def take(text: str) -> None:
         word, _, more = text.partition(" ")
-        if text in messages.whole:
-            send("asked", text)
-        elif word in messages.leading:
-            send("given", (word, more))
+        if text in messages.commands:
+            send("command", text)
+        elif word in messages.inputs:
+            send("input", (word, more))
 
     hub = ViewerHub(lambda viewers: send("viewers", viewers))
     special: dict[str, Callable[..., None]] = {"rows": hub.rows, "picture": hub.picture}

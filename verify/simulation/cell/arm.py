@@ -116,7 +116,7 @@ class SimMover:
         if self._way is None:
             self._enter(MoverState.HELD)
             return
-        self._way = self._way.held(self._now() - self._began)
+        self._way = self._way.stop_at(self._now() - self._began)
         self._began = self._now()
         self._enter(MoverState.STOPPING)
 

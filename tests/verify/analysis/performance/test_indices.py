@@ -5,7 +5,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 from scipy.stats import binom, chi
 
-from tests.support.repeated_poses import stands
+from tests.support.repeated_poses import pose_visits
 from verify.analysis.performance import indices
 from verify.analysis.performance.indices import (
     length_interval,
@@ -53,7 +53,7 @@ def test_variation_is_the_longest_side() -> None:
 def test_distances_by_hand() -> None:
     """Visits 9.5 and 11.5 m apart, 10 m as read."""
     far = np.outer([9.5, 11.5] * 3, [1.0, 0.0, 0.0])
-    found = assess_distance(stands(np.zeros((6, 3))), stands(far, read=10.0, begin=30.0))
+    found = assess_distance(pose_visits(np.zeros((6, 3))), pose_visits(far, read=10.0, begin=30.0))
     assert found.commanded == pytest.approx(10.0)
     assert found.accuracy.value == pytest.approx(0.5)
     assert found.repeatability.value == pytest.approx(3 * np.sqrt(6 / 5))

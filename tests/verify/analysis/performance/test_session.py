@@ -15,9 +15,9 @@ from tests.support.repeated_poses import (
     Repeated,
     measured_poses,
     model_of,
+    pose_visits,
     readings_of,
     repeated,
-    stands,
 )
 from verify.analysis.performance.conditions import condition_deviations
 from verify.analysis.performance.holds import HoldNoise
@@ -50,8 +50,8 @@ def found() -> Performance:
 
 
 def test_poses_are_recognised_from_the_motion(found: Performance) -> None:
-    assert [p.stands.name for p in found.poses] == ["P1", "P2", "P3", "P4", "P5"]
-    assert [len(p.stands.t) for p in found.poses] == [CYCLES + 1] + [CYCLES] * 4
+    assert [p.visits.name for p in found.poses] == ["P1", "P2", "P3", "P4", "P5"]
+    assert [len(p.visits.t) for p in found.poses] == [CYCLES + 1] + [CYCLES] * 4
     assert not found.named
 
 
@@ -66,7 +66,7 @@ def test_accuracy_is_the_offset_that_was_put_in(found: Performance) -> None:
 def test_repeatability_is_that_of_the_stops(found: Performance) -> None:
     for pose, number in zip(found.poses, (0, 4, 3, 2, 1), strict=True):
         true = float(repeatability(RUN.places(number)))
-        visits = len(pose.stands.t)
+        visits = len(pose.visits.t)
         # six pairs a visit; by how much their noise moves the mean and three deviations of l
         noise = SIGMA[0] / np.sqrt(6) * np.sqrt(1 / visits + 9 / (visits - 1))
         assert pose.repeatability.found.value == pytest.approx(true, abs=4 * noise)
@@ -127,7 +127,9 @@ def test_a_pose_approached_from_two_sides_varies_by_the_backlash() -> None:
     rng = np.random.default_rng(4)
     came = (1, 2) * 15
     lash = np.where(np.array(came) == 1, 1e-4, -1e-4)[:, None] * [0.6, 0.0, 0.8]
-    judged = assess_pose(stands(lash + rng.normal(0, 2e-5, (30, 3)), came), STILL, oriented=True)
+    judged = assess_pose(
+        pose_visits(lash + rng.normal(0, 2e-5, (30, 3)), came), STILL, oriented=True
+    )
     assert judged.variation.ways == 2
     assert judged.variation.position.low <= 2e-4 <= judged.variation.position.high
     assert judged.variation.noise < 4e-5
@@ -137,7 +139,7 @@ def test_a_variation_is_judged_where_deviations_lie_on_one_line_whichever_way_it
     length = np.where(np.arange(8) % 3 == 1, 1e-4, 0.0)[:, None]  # an instrument's last digit
     found = []
     for line in ([1.0, 0.0, 0.0], [0.6, 0.8, 0.0], [1 / 3, 2 / 3, 2 / 3]):
-        judged = assess_pose(stands(length * line, (1, 2) * 4), STILL, oriented=False)
+        judged = assess_pose(pose_visits(length * line, (1, 2) * 4), STILL, oriented=False)
         assert judged.variation is not None
         found.append((judged.variation.position.value, judged.variation.noise))
     np.testing.assert_allclose(found, found[:1] * 3, rtol=0.1)  # drawn anew along each line
@@ -149,7 +151,7 @@ def test_scatter_is_distinguished_from_a_variation() -> None:
     for seed in range(100):
         rng = np.random.default_rng(seed)
         judged = assess_pose(
-            stands(rng.normal(0, 2e-5, (20, 3)), (1, 2) * 10), STILL, oriented=False
+            pose_visits(rng.normal(0, 2e-5, (20, 3)), (1, 2) * 10), STILL, oriented=False
         )
         over.append(judged.variation.position.value > judged.variation.noise)
     assert 1 <= sum(over) <= 13  # 5 in 100: the 99.9 % binomial bounds
@@ -158,7 +160,7 @@ def test_scatter_is_distinguished_from_a_variation() -> None:
 def test_a_step_half_way_is_drift() -> None:
     rng = np.random.default_rng(5)
     step = np.repeat([0.0, 3e-4], 15)[:, None] * [1.0, 0.0, 0.0]
-    judged = assess_pose(stands(step + rng.normal(0, 5e-5, (30, 3))), STILL, oriented=False)
+    judged = assess_pose(pose_visits(step + rng.normal(0, 5e-5, (30, 3))), STILL, oriented=False)
     assert judged.drift.accuracy > judged.drift.noise[0]
     assert judged.drift.accuracy == pytest.approx(3e-4, abs=8e-5)
 
@@ -176,7 +178,7 @@ def test_single_visits_take_the_noise_that_the_poses_state() -> None:
     t = np.arange(len(RUN.order)) * 2.2 + 0.6  # one pair a stop, 2.2 s apart
     judged = of(RUN, t)
     assert judged.noise.source == "stated"
-    assert [len(p.stands.t) for p in judged.poses] == [CYCLES + 1] + [CYCLES] * 4
+    assert [len(p.visits.t) for p in judged.poses] == [CYCLES + 1] + [CYCLES] * 4
     assert judged.paths == ()
 
 
@@ -187,8 +189,8 @@ def test_incomplete_pairs_are_left_out() -> None:
     known[::2] = [np.eye(6)[:, :5]] * len(known[::2])
     model.comparison = replace(model.comparison, determined=tuple(known))
     judged = performance(model, ARM, readings, 0.0)
-    assert [len(p.stands.t) for p in judged.poses] == [CYCLES + 1] + [CYCLES] * 4
-    assert sum(p.stands.counts.sum() for p in judged.poses) < 0.6 * len(known)
+    assert [len(p.visits.t) for p in judged.poses] == [CYCLES + 1] + [CYCLES] * 4
+    assert sum(p.visits.counts.sum() for p in judged.poses) < 0.6 * len(known)
     model.comparison = replace(model.comparison, determined=(np.eye(6)[:, :5],) * len(known))
     assert performance(model, ARM, readings, 0.0) == "poses_not_determined"
 
@@ -222,7 +224,7 @@ def test_named_poses_alone_count() -> None:
     nowhere = TimeInterval("elsewhere", 5000.0, 5001.0)
     judged = of(RUN, followed(RUN), named_poses=[*named, nowhere])
     assert judged.named
-    assert [(p.stands.name, len(p.stands.t)) for p in judged.poses] == [("upper left", CYCLES)]
+    assert [(p.visits.name, len(p.visits.t)) for p in judged.poses] == [("upper left", CYCLES)]
     assert judged.empty == (nowhere,)
 
 

@@ -355,7 +355,7 @@ def taking(station: Path, folder: Path) -> Iterator[tuple[Page, BoardState, thre
     run = BoardCapture(devices, opened.board, pictures, None, state)
     page = Page(
         BoardPageSource(state, opened.board, HOSTILE), 0,
-        asked={"take": run.ask, "finish": run.finish},
+        commands={"take": run.ask, "finish": run.finish},
     )  # fmt: skip
     thread = threading.Thread(target=run.run, daemon=True)
     thread.start()

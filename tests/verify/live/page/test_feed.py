@@ -40,8 +40,8 @@ def test_offered_requests_arrive_in_order_and_no_others() -> None:
     ended = threading.Event()
     page = Page(
         NOTHING, 0,
-        asked={"stop": lambda: requests.append("stop"), "end": ended.set},
-        given={"go": lambda more: requests.append(f"go:{more}")},
+        commands={"stop": lambda: requests.append("stop"), "end": ended.set},
+        inputs={"go": lambda more: requests.append(f"go:{more}")},
     )  # fmt: skip
     with line_to(page) as line:
         for text in ("stop", "stop now", "go 1 2", "go", "gone", "Stop", "\nstop", "stop", "end"):
@@ -59,7 +59,7 @@ def test_a_failing_request_does_not_block_the_next() -> None:
     def fail() -> None:
         raise RuntimeError("it cannot be done")
 
-    page = Page(NOTHING, 0, asked={"fail": fail, "stop": ended.set})
+    page = Page(NOTHING, 0, commands={"fail": fail, "stop": ended.set})
     with line_to(page) as line:
         line.send("fail")
         line.send("stop")
@@ -70,7 +70,7 @@ def test_a_failing_request_does_not_block_the_next() -> None:
 @pytest.mark.realtime
 def test_a_too_long_message_ends_that_connection_alone() -> None:
     ended = threading.Event()
-    page = Page(NOTHING, 0, asked={"stop": ended.set}, given={"go": lambda _: None})
+    page = Page(NOTHING, 0, commands={"stop": ended.set}, inputs={"go": lambda _: None})
     with line_to(page) as line:
         with own(page) as other:
             other.send("go " + "1" * 10_000)
