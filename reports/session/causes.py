@@ -79,8 +79,9 @@ def cause_name(entry: dict[str, Any]) -> str:
     if kind == "dh" and entry.get("parameter") is not None:
         name = f"{name} {entry['parameter']}"
     if kind == "eccentricity" and fmt.finite(entry.get("phase_deg")) is not None:
-        turns = fmt.exact_number(entry.get("per_turn", 1))
-        name = f"{name} ({turns} per turn, phase {fmt.number(entry['phase_deg'], 1)}°)"
+        name = f"{name} ({_turns(entry)} per turn, phase {fmt.number(entry['phase_deg'], 1)}°)"
+    elif entry.get("per_turn_candidates"):
+        name = f"{name} ({_turns(entry)} per turn)"
     joint = entry.get("joint")
     name = name if joint is None else f"{name} of joint {joint}"
     return name if fmt.finite(entry.get("t_s")) is None else f"{name} at {_seconds(entry)}"
@@ -89,6 +90,15 @@ def cause_name(entry: dict[str, Any]) -> str:
 def _seconds(entry: dict[str, Any]) -> str:
     """When a fault began, from the first pair."""
     return f"{fmt.number(entry.get('t_s'), 1)} s"
+
+
+def _turns(entry: dict[str, Any]) -> str:
+    """Number of waves a turn: one, or all that explain the errors alike: 38 to 40 or 80."""
+    numbers = entry.get("per_turn_candidates") or [entry.get("per_turn", 1)]
+    firsts = [n for n in numbers if n - 1 not in numbers]
+    lasts = [n for n in numbers if n + 1 not in numbers]
+    runs = zip(map(fmt.exact_number, firsts), map(fmt.exact_number, lasts), strict=True)
+    return " or ".join(a if a == b else f"{a} to {b}" for a, b in runs)
 
 
 def format_value(entry: dict[str, Any]) -> str:
@@ -257,7 +267,7 @@ def _cause_sentence(text: CauseText, entry: dict[str, Any], value: float) -> str
     spread, joint = fmt.finite(entry.get("expanded_uncertainty")), entry.get("joint")
     scaled = {"expanded_uncertainty": None if spread is None else spread * text.factor}
     shown = (abs(value) if text.ways else value) * text.factor
-    turns = fmt.exact_number(entry.get("per_turn", 1))
+    turns = _turns(entry)
     return text.sentence.format(
         amount=with_expanded_uncertainty(scaled, shown, text.unit or unit_sign(entry), text.signed),
         joint=joint,

@@ -54,6 +54,14 @@ def test_what_begins_in_the_session_is_stated_with_its_instant() -> None:
     )
 
 
+def test_numbers_of_waves_that_explain_the_errors_alike_are_all_stated() -> None:
+    entry = {k: v for k, v in KINDS["eccentricity"].items() if k != "phase_deg"}
+    entry |= {"per_turn": 39, "per_turn_candidates": [38, 39, 40, 80]}
+    assert "a turn: check" in session_causes.finding(entry)
+    assert ", 38 to 40 or 80 waves a turn" in session_causes.finding(entry)
+    assert session_causes.cause_name(entry) == "eccentricity (38 to 40 or 80 per turn) of joint 5"
+
+
 def test_signs_are_stated_as_corrections() -> None:
     def finding(kind: str, sign: int = 1) -> str:
         return session_causes.finding(KINDS[kind] | {"value": sign * KINDS[kind]["value"]})

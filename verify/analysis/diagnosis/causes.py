@@ -64,6 +64,7 @@ class Cause:
     candidates: tuple[CauseCandidate, ...] = ()
     motion: str | None = None  # that would tell the candidates apart
     joints: tuple[int, ...] = ()  # that would have to make it
+    waves: tuple[int, ...] = ()  # numbers a turn of an eccentricity that the data do not tell apart
 
 
 def required_advantage(products: FaultProducts) -> Array:
@@ -84,6 +85,9 @@ def build_cause(products: FaultProducts, best: FaultSet, i: int) -> Cause:
     fault, rest = products.faults[i], tuple(k for k in best if k != i)
     value, uncertainty, details = fault_figures(fault, *products.estimate(best, i))
     without, least = products.chi2(rest), products.chi2(best)
+    waves = _other_waves(products, best, i)
+    if waves:  # no phase is that of all, and the value is uncertain by which it is
+        details, uncertainty = {}, _spread(products, rest, waves, value)
     others = _rivals(products, best, i)
     needed = required_advantage(products)[i]
     close = [(k, worse) for k, worse in others if worse < needed[k]]
@@ -105,7 +109,32 @@ def build_cause(products: FaultProducts, best: FaultSet, i: int) -> Cause:
         candidates=_first_by_name(candidates) if close else (),
         motion=motion,
         joints=joints,
+        waves=tuple(sorted(products.faults[k].per_turn or 1 for k in waves)),
     )
+
+
+def _other_waves(products: FaultProducts, best: FaultSet, i: int) -> dict[int, float]:
+    """Waves of a joint that explain the data alike, and how much worse than i; empty: i alone."""
+    fault, rest = products.faults[i], tuple(k for k in best if k != i)
+    if fault.kind != "eccentricity":
+        return {}
+    lowered = products.added(rest)
+    close = {
+        k: max(float(lowered[i] - lowered[k]), 0.0)
+        for k, other in enumerate(products.faults)
+        if other.name == fault.name and k not in rest and lowered[i] - lowered[k] < MIN_ADVANTAGE
+    }
+    return close if len(close) > 1 else {}
+
+
+def _spread(
+    products: FaultProducts, rest: FaultSet, waves: dict[int, float], value: float
+) -> float:
+    """Standard uncertainty of a value about which waves differ, each as likely as it fits."""
+    weights = np.exp([-worse / 2 for worse in waves.values()])
+    sizes = [fault_figures(products.faults[k], *products.estimate((*rest, k), k)) for k in waves]
+    square = [u**2 + (size - value) ** 2 for size, u, _ in sizes]
+    return float(np.sqrt(np.average(square, weights=weights)))
 
 
 def _rivals(products: FaultProducts, best: FaultSet, i: int) -> list[tuple[int, float]]:

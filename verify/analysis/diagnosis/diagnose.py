@@ -7,6 +7,7 @@ thinned: what explains less than a share of the misfit is not listed in any case
 """
 
 from dataclasses import dataclass, fields, replace
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ import robots
 from verify.analysis.comparison import Comparison
 from verify.analysis.diagnosis import steps
 from verify.analysis.diagnosis.causes import Cause, build_cause, merge_ambiguous
-from verify.analysis.diagnosis.faults import Fault, Name
+from verify.analysis.diagnosis.faults import Fault, Name, Wave, every_wave, waves_of
 from verify.analysis.diagnosis.link_faults import fault_dictionary
 from verify.analysis.diagnosis.search import FaultProducts, FaultSet, search_faults
 from verify.analysis.joint_errors import ResolvedErrors, predict_errors, resolve_errors
@@ -168,10 +169,13 @@ def explained_by(
     wanted = {(f.name, f.per_turn, f.rest_side, f.begin): f for faults in listed for f in faults}
     missing = {key[:3] for key, f in wanted.items() if f.kind != "step"}
     lasting: dict[tuple[Name, int | None, int], Fault] = {}
-    for fault in fault_dictionary(model, arm, rig) if missing else ():
-        key = fault.name, fault.per_turn, fault.rest_side
-        if key in missing:
-            lasting[key] = fault
+    for key, f in wanted.items():
+        if f.joint is not None and f.per_turn is not None:
+            (lasting[key[:3]],) = waves_of(model, f.joint - 1, [f.per_turn], f.about)
+    for fault in fault_dictionary(model, arm, rig) if len(lasting) < len(missing) else ():
+        name = fault.name, fault.per_turn, fault.rest_side
+        if name in missing:
+            lasting.setdefault(name, fault)
         if len(lasting) == len(missing):  # all faults of a long session would fill its memory
             break
     moving = {f.name: f for f in steps.beginning_faults(model, lasting.values())}
@@ -202,18 +206,43 @@ def _best_dated_set(
     """The best set, of which those that begin in the session do so at their likeliest instants."""
     scan, tried = steps.StepScan(model, kept), list(faults)
     found: list[Fault] = []
+    waves: dict[int, tuple[Wave, ...]] = {}
     for _ in range(MAX_ROUNDS):
         known = {(f.name, f.begin) for f in tried}
         new = {(f.name, f.begin): f for f in scan.likeliest(moving, found)}
         more = [f for key, f in new.items() if key not in known]
-        if found and not more:
+        if found and not more and not waves:
             break
         tried += more
-        products, best, misfit = _best_set(model, tried, kept)
+        products, best, misfit = _best_set(model, _with_whole_waves(model, tried, waves), kept)
         before, found = found, [products.faults[i] for i in best]
-        if [(f.name, f.begin) for f in before] == [(f.name, f.begin) for f in found]:
+        if [_key(f) for f in before] == [_key(f) for f in found]:
             break
+        waves = _waves(products, best)
     return products, best, misfit
+
+
+def _key(fault: Fault) -> tuple[Name, int | None, float | None]:
+    return fault.name, fault.per_turn, fault.begin
+
+
+def _waves(products: FaultProducts, best: FaultSet) -> dict[int, tuple[Wave, ...]]:
+    """Waves of a set by their joint, from 1."""
+    found: dict[int, tuple[Wave, ...]] = {}
+    for i in best:
+        fault = products.faults[i]
+        if fault.joint is not None and fault.per_turn is not None:
+            cosine, sine = products.estimate(best, i)[0].tolist()
+            found[fault.joint] = (*found.get(fault.joint, ()), (fault.per_turn, cosine, sine))
+    return found
+
+
+def _with_whole_waves(
+    model: JointErrorModel, tried: list[Fault], waves: dict[int, tuple[Wave, ...]]
+) -> list[Fault]:
+    """Faults with every number of waves of joints that have some: one sought is near it at best."""
+    kept = [f for f in tried if f.joint not in waves or (f.per_turn or 1) == 1]
+    return [*kept, *chain.from_iterable(every_wave(model, j - 1, w) for j, w in waves.items())]
 
 
 def _best_set(

@@ -18,7 +18,7 @@ offsets, until a' is a:
     a'      the turn                                                        rad
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -40,6 +40,7 @@ from verify.measurement.pose import fit_pose
 from verify.measurement.systematics import sensitivities, spot_columns
 
 Name = tuple[str, int | None, str | None]
+Wave = tuple[int, float, float]  # a turn, and coefficients of cosine and sine, rad
 # beyond this, first order says nothing, and a column is what rounding leaves; m, rad, ratio
 MAX_SIZE = {"deg": np.deg2rad(20.0), "mm": 0.05, "ratio": 0.3}
 MAX_SHIFT = 1.0  # m, of base or LED body, whose effect has no other order
@@ -64,20 +65,16 @@ MIN_SPAN_WAVES = np.deg2rad(270.0)  # of several a turn, which must show that th
 MAX_STEPS_TURN = 6
 TOL_TURN = 1e-5  # rad: far below any turn of a camera that a session shows
 WHOLE_POSE = 6  # degrees of freedom
-MIN_PAIRS_PER_WAVE = 4  # fewer take one number of waves for another
-WAVES_PER_TURN = (
-    *range(1, 9),
-    10,
-    12,
-    16,
-    20,
-    24,
-    30,
-    36,
-    48,
-    60,
-    72,
-)  # a turn: encoders, cycloids, teeth
+MIN_PAIRS_PER_WAVE = 2  # of what is sought: their mean, as pairs do not lie evenly
+MAX_WAVES_SOUGHT = 120  # a turn, of what is sought
+WAVES_STEP = 4.0  # rad, by which the numbers sought differ over the span: most is seen between two
+# Of a joint with a wave every whole number is tried: few pairs a wave may tell it, as they do not
+# lie evenly, and what explains a short span as well is to be known.
+MIN_SPAN_ANY_WAVE = np.deg2rad(60.0)
+MIN_PAIRS_ANY_WAVE = 0.5
+MAX_WAVES = 360
+MAX_WAVE_SLOPE = 0.8  # of an error by its joint's angle: near 1, a reading has several angles
+MAX_STEPS_ANGLE = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,6 +87,7 @@ class Fault:
     columns: Array  # (r, p), whitened, what a SI unit of each of its p coefficients does
     parameter: str | None = None  # of a link: a2, d4, alpha1, beta3
     per_turn: int | None = None  # of an eccentricity
+    about: tuple[Wave, ...] = ()  # of an eccentricity: its joint's waves in the angle it is laid by
     rest_side: int = 0  # of a backlash: where its play rests before the joint first moves, ±1
     shape: Array | None = None  # (n, p), of a joint: its error at each pair by a unit of each
     begin: float | None = None  # s, cameras' clock; None: it was there before the session
@@ -187,22 +185,52 @@ def _by_angle(model: JointErrorModel, j: int) -> Iterator[Fault]:
     if span <= MIN_SPAN:
         return
     yield Fault("gain", j + 1, "ratio", shape_columns(model, j, q[:, None]), shape=q[:, None])
-    shown = [waves for waves in WAVES_PER_TURN if _resolves_waves(q, span, waves)]
-    angles = q[:, None] * np.array(shown, dtype=float)
+    yield from waves_of(model, j, _waves_sought(len(q), span))
+
+
+def _waves_sought(pairs: int, span: float) -> list[int]:
+    """Numbers a turn so close that no wave hides between two of them."""
+    turns = span / (2 * np.pi)
+    last = min(MAX_WAVES_SOUGHT, int(pairs / MIN_PAIRS_PER_WAVE / turns))
+    first = max(2, int(MIN_SPAN_WAVES / span) + 1)
+    once = [1] if span > MIN_SPAN_ONE_WAVE and pairs >= MIN_PAIRS_PER_WAVE else []
+    return [*once, *range(first, last + 1, max(1, round(WAVES_STEP / span)))]
+
+
+def every_wave(model: JointErrorModel, j: int, about: tuple[Wave, ...]) -> Iterator[Fault]:
+    """Waves of every whole number a turn that a joint (from 0) may show."""
+    q = model.comparison.q[:, j]
+    span = float(np.ptp(q))
+    first = max(2, int(MIN_SPAN_ANY_WAVE / span) + 1)
+    last = min(MAX_WAVES, int(len(q) / MIN_PAIRS_ANY_WAVE * 2 * np.pi / span))
+    yield from waves_of(model, j, range(first, last + 1), about)
+
+
+def waves_of(
+    model: JointErrorModel, j: int, numbers: Sequence[int], about: tuple[Wave, ...] = ()
+) -> Iterator[Fault]:
+    """A joint's waves (from 0) of given numbers a turn, by its angle without those `about`."""
+    q = _true_angle(model.comparison.q[:, [j]], about)
+    angles = q * np.array(numbers, dtype=float)
     shapes = np.stack([np.cos(angles), np.sin(angles)], axis=2).reshape(len(q), -1)
     columns = shape_columns(model, j, shapes)
-    for i, waves in enumerate(shown):
+    for i, waves in enumerate(numbers):
         own = slice(2 * i, 2 * i + 2)
         yield Fault(
-            "eccentricity", j + 1, "deg", columns[:, own], per_turn=waves, shape=shapes[:, own]
-        )
+            "eccentricity", j + 1, "deg", columns[:, own], per_turn=waves, about=about,
+            shape=shapes[:, own],
+        )  # fmt: skip
 
 
-def _resolves_waves(q: Array, span: float, waves: int) -> bool:
-    if waves == 1:
-        return bool(span > MIN_SPAN_ONE_WAVE)
-    enough = len(q) >= MIN_PAIRS_PER_WAVE * max(1.0, waves * span / (2 * np.pi))
-    return bool(enough and waves * span > MIN_SPAN_WAVES)
+def _true_angle(q: Array, about: tuple[Wave, ...]) -> Array:
+    """Angles (n, 1) of readings: a wave of n a turn by the reading shows one of 2 n beside."""
+    largest = sorted(about, key=lambda wave: -np.hypot(*wave[1:]))
+    slopes = np.cumsum([n * np.hypot(a, b) for n, a, b in largest])
+    known = largest[: int(np.sum(slopes < MAX_WAVE_SLOPE))]
+    true = q
+    for _ in range(MAX_STEPS_ANGLE if known else 0):
+        true = q - sum(a * np.cos(n * true) + b * np.sin(n * true) for n, a, b in known)
+    return true
 
 
 def shape_columns(model: JointErrorModel, j: int, shape: Array) -> Array:

@@ -153,6 +153,7 @@ def cause_entry(cause: Cause) -> dict[str, Any]:
         entry["separating_joints"] = list(cause.joints)
     else:
         entry |= _extra_fields(cause.fault)
+        entry |= {"per_turn_candidates": list(cause.waves)} if cause.waves else {}
         entry |= {f"{what}_deg": math.degrees(angle) for what, angle in cause.details.items()}
     if cause.runner_up is not None:
         entry["runner_up"] = _candidate(cause.runner_up) | {"advantage": cause.runner_up.advantage}

@@ -148,6 +148,54 @@ def test_an_eccentricity_comes_with_its_phase_and_number_of_waves() -> None:
     assert abs(turn) < 3
 
 
+def waves(joint: int, *numbers: int) -> Error:
+    return lambda _, q: at(
+        joint, sum(np.deg2rad(0.15) * np.cos(n * (q[:, joint - 1] - 0.3)) for n in numbers)
+    )
+
+
+@pytest.mark.parametrize(
+    ("swing_deg", "numbers"),
+    [
+        (18.0, (13,)),
+        (18.0, (40,)),
+        (18.0, (119,)),
+        (18.0, (11, 97)),
+        (60.0, (41,)),
+        (60.0, (9, 50)),
+    ],
+)
+def test_waves_of_any_number_a_turn_are_told_as_what_they_are(
+    swing_deg: float, numbers: tuple[int, ...]
+) -> None:
+    def move(t: Array) -> Array:
+        swing = np.where(np.arange(6) == 2, np.deg2rad(swing_deg), SWING)
+        return HOME + swing * np.sin(2 * np.pi * t[:, None] / PERIOD + np.arange(6))
+
+    seen = found(5, waves(3, *numbers), move=move)
+    entries = [cause_entry(cause) for cause in seen.causes]
+    told = {e["per_turn"]: e for e in entries if (e["kind"], e["joint"]) == ("eccentricity", 3)}
+    assert sorted(told) == list(numbers)
+    assert len(entries) == len(numbers)
+    for entry in told.values():
+        assert abs(entry["value"] - 0.15) < 2 * entry["expanded_uncertainty"]
+        assert entry["expanded_uncertainty"] < 0.15 / 6
+
+
+def test_waves_of_a_short_swing_come_with_all_numbers_that_explain_them() -> None:
+    def move(t: Array) -> Array:
+        swing = np.where(np.arange(6) == 2, np.deg2rad(7.0), SWING)
+        return HOME + swing * np.sin(2 * np.pi * t[:, None] / PERIOD + np.arange(6))
+
+    (cause,) = found(5, lambda t, q: 0.3 * waves(3, 40)(t, q), move=move).causes
+    entry = cause_entry(cause)
+    assert (entry["kind"], entry["joint"]) == ("eccentricity", 3)
+    assert 40 in entry["per_turn_candidates"]
+    assert len(entry["per_turn_candidates"]) > 1
+    assert "phase_deg" not in entry
+    assert abs(entry["value"] - 0.045) < 1.5 * entry["expanded_uncertainty"]
+
+
 def test_clock_offset_and_clock_drift_are_distinguished() -> None:
     seen = found(3, clock=lambda t: t - 0.004)
     assert names(seen) == [("clock", None)]
