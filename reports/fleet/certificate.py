@@ -64,6 +64,8 @@ def headline(results: Results) -> doc.Verdict:
         label = f"{fmt.count(verdicts['conform'])} of {measured} sessions conform"
         return doc.Verdict("conform", label, _largest_text(results), tuple(remarks))
     tone, label = ("conform", "No change") if judged_joints(results) else ("none", "No verdict")
+    if _scattered(results):
+        tone, label = "undecided", "Scatter not explained"
     sentence = tested if judged_joints(results) else f"No tolerance was given. {tested}"
     remarks[0] = _largest_text(results)
     return doc.Verdict(tone, label, sentence, tuple(remarks))
@@ -79,7 +81,9 @@ def change_text(results: Results) -> str:
     """Say of a fleet without a change how far changes were sought."""
     judged = judged_joints(results)
     if judged:
-        return f"None of the {fmt.count(judged)} joints that can be followed changed over time."
+        verb = "shows a step or a drift" if _scattered(results) else "changed over time"
+        scatter = _scatter_text(results)
+        return f"None of the {fmt.count(judged)} joints that can be followed {verb}.{scatter}"
     fewest = fmt.count(results.summary.get("fewest_sessions"))
     return f"Changes over time were not tested: no joint has {fewest} dated sessions with a figure."
 
@@ -92,9 +96,27 @@ def _changed(
     texts = [fleet_charts.change_text(one) for one in found[:MAX_NAMED]]
     if len(found) > MAX_NAMED:
         texts.append(f"{fmt.count(len(found) - MAX_NAMED)} further changes are in the appendix")
-    rest = f" The other {fmt.count(judged - accused)} joints show no change."
-    sentence = f"{fmt.capitalise('; '.join(texts))}.{rest if judged > accused else ''}"
+    steady = judged - accused - len(_scattered(results))
+    rest = f" The other {_counted(steady, 'joint')} show no change." if steady else ""
+    sentence = f"{fmt.capitalise('; '.join(texts))}.{_scatter_text(results)}{rest}"
     return doc.Verdict("nonconform", label, sentence, remarks)
+
+
+def _scattered(results: Results) -> list[dict[str, Any]]:
+    """Joints that show no change, and scatter far more than their sessions state."""
+    return [one for one in records(results.table("joints")) if one["state"] == "scattered"]
+
+
+def _scatter_text(results: Results) -> str:
+    found = _scattered(results)
+    told = [
+        f"{fmt.text_or_dash(one['arm'])}, joint {one['joint']} by {fmt.number(one['excess'], 1)} "
+        "times"
+        for one in found
+    ]
+    return (
+        f" Sessions scatter beyond what they state, unexplained: {_list_few(told)}." if told else ""
+    )
 
 
 def nonconforming_sessions(results: Results, *, short: bool = False) -> list[str]:
@@ -275,7 +297,8 @@ def _change_cell(entry: dict[str, Any]) -> doc.Cell:
     told = [f"{fmt.joint_names(joints)}: {fleet_charts.STATES.get(state, state)}"
             for state, joints in states.items() if state not in ("steady", "unknown")]  # fmt: skip
     if told:
-        return doc.Cell("; ".join(told), "nonconform")
+        changed = states.keys() - {"steady", "unknown", "scattered"}
+        return doc.Cell("; ".join(told), "nonconform" if changed else "undecided")
     if "steady" in states:
         return doc.Cell("none", "conform")
     return doc.Cell("not tested: too few sessions", "undecided")

@@ -62,10 +62,11 @@ def document(results: Results) -> doc.Document:
 
 def joints(results: Results) -> doc.Section:
     """A row a joint: state, trend, error now."""
-    order = {"several": 0, "drift": 1, "step": 1, "change": 1, "steady": 2, "unknown": 3}
+    order = {"several": 0, "drift": 1, "step": 1, "change": 1, "scattered": 2, "steady": 3,
+             "unknown": 4}  # fmt: skip
     entries = sorted(
         records(results.table("joints")),
-        key=lambda e: (order.get(str(e["state"]), 2), str(e["arm"]), int(e["joint"])),
+        key=lambda e: (order.get(str(e["state"]), 3), str(e["arm"]), int(e["joint"])),
     )
     if not judged_joints(results):
         return doc.Section("joints", "Arms and joints", (_latest_table(results, entries),))
@@ -110,6 +111,8 @@ def _state(one: dict[str, Any]) -> doc.Cell:
     state = str(one["state"])
     worse = ", getting worse" if one.get("worse") is True else ""
     words = fleet_charts.STATES.get(state, state)
+    if state == "scattered":
+        words = f"scatter {fmt.number(one.get('excess'), 1)} times what is stated: not explained"
     return doc.Cell(f"{words}{worse}", fleet_charts.TONES.get(state, ""))
 
 

@@ -48,9 +48,10 @@ METHOD_PARAGRAPHS = tuple(
             "calibration may shift all that follows by as much as it states.",
         ),
         (
-            "Where sessions scatter more than that, by the median of what neighbours in time",
-            "differ, their uncertainties grow by that factor, and Student's distribution allows",
-            "for its being estimated.",
+            "Where sessions scatter more than that, by the median of how far each lies from the",
+            "line through those before and after, their uncertainties grow by that factor, and",
+            "Student's distribution allows for its being estimated; the best change is tried by",
+            "what it leaves itself, too (F test).",
         ),
         (
             "Level: a constant, steps, and drifts that begin at sessions, by generalised least",

@@ -46,6 +46,24 @@ def test_it_opens_with_what_changed_and_since_when() -> None:
     assert verdict.remarks[0].startswith("Beyond tolerance: arm_b, joint 5 reads up to ")
 
 
+def test_scatter_that_nothing_explains_is_no_steady_joint() -> None:
+    for results, label in (
+        (made_fleet.changed(), "2 of 18 joints changed"),
+        (made_fleet.quiet(), "Scatter not explained"),
+    ):
+        joints = results.table("joints").copy()
+        first = joints.index[joints["state"] == "steady"][0]
+        joints.loc[first, ["state", "excess"]] = ["scattered", 8.2]
+        results = replace(results, tables=results.tables | {"joints": joints})
+        verdict = verdict_of(results)
+        assert verdict.label == label
+        name = f"{joints['arm'][first]}, joint {joints['joint'][first]} by 8.2 times"
+        text = " ".join([verdict.sentence, *verdict.remarks])
+        assert f"Sessions scatter beyond what they state, unexplained: {name}." in text
+        assert "The other 15 joints show no change" in text or label.startswith("Scatter")
+        assert "scatter 8.2 times what is stated: not explained" in render_html(results)
+
+
 def test_sessions_that_do_not_conform_are_the_headline_where_nothing_changed() -> None:
     young = made_fleet.young()
     table = young.table("worst").iloc[:2].assign(verdict=["nonconform", "conform"])

@@ -12,7 +12,14 @@ import numpy as np
 
 from verify.core.records import Array
 from verify.core.statistics import t_isf
-from verify.fleet.trends.series import DAYS_PER_MONTH, JointSeries, SeriesFit, fit, scan
+from verify.fleet.trends.series import (
+    DAYS_PER_MONTH,
+    JointSeries,
+    SeriesFit,
+    fit,
+    scan,
+    scattered_about,
+)
 
 MIN_SESSIONS = 3  # sessions on either side of a change: one or two odd ones are no change
 MAX_TERMS = 6
@@ -52,17 +59,34 @@ class JointTrend:
     reference_uncertainty: float  # standard, what calibrations share left out
     slope: float  # degrees a month, at the end
     slope_uncertainty: float
+    series: JointSeries  # with the scatter by which it was judged
 
 
 def find_changes(series: JointSeries, false_alarm: float) -> JointTrend:
     """Find the changes of one joint over three sessions or more: its level over time.
 
-    `false_alarm` is the chance that anything is found where nothing changed.
+    `false_alarm` is the chance that anything is found where nothing changed. Where sessions scatter
+    beyond what they state, neighbours tell poorly by how much: then the best change is tried by
+    what it leaves itself, too (F test), each with half the chance.
     """
     every = candidates(series)
+    if series.excess == 1.0 or not every:
+        return _course(series, _find_terms(series, every, false_alarm), every)
+    terms = _find_terms(series, every, false_alarm / 2)
+    if not terms:
+        best = every[int(np.argmax(_candidate_worth(series, [], every)))]
+        left = scattered_about(series, _design(series, [best]))
+        terms = _find_terms(left, every, false_alarm / 2)
+    return _course(scattered_about(series, _design(series, terms)), terms, every)
+
+
+def _find_terms(series: JointSeries, every: list[TrendTerm], false_alarm: float) -> list[TrendTerm]:
     chance = false_alarm / max(len(every), 1)
     threshold = float(t_isf(chance / 2, series.degrees_of_freedom) ** 2)  # of χ², one candidate's
-    terms = _add_terms(series, every, threshold)
+    return _add_terms(series, every, threshold)
+
+
+def _course(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> JointTrend:
     found = fit(series, _design(series, terms))
     changes = [_change(series, terms, i, found, every) for i in range(len(terms))]
     last = _design(series, terms)[-1]
@@ -78,6 +102,7 @@ def find_changes(series: JointSeries, false_alarm: float) -> JointTrend:
         reference_uncertainty=float(np.sqrt(unshared[0, 0])),
         slope=slope,
         slope_uncertainty=slope_uncertainty,
+        series=series,
     )
 
 
@@ -124,7 +149,7 @@ def _add_terms(series: JointSeries, every: list[TrendTerm], threshold: float) ->
         gain = _candidate_gains(series, terms, every)
         if not len(gain) or gain.max() < threshold:
             break
-        worth = gain - np.array([_bic_penalty(series, t) for t in every])
+        worth = _candidate_worth(series, terms, every)
         terms = _prune(series, [*terms, every[int(np.argmax(worth))]], every, threshold)
     if len(terms) < 2:
         return terms
@@ -158,13 +183,11 @@ def _bic(series: JointSeries, terms: list[TrendTerm]) -> float:
 
 def _refine(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> list[TrendTerm]:
     """Move each term to its best place and kind beside the others, until none moves."""
-    penalty = np.array([_bic_penalty(series, t) for t in every])
     for _ in range(2 * MAX_TERMS):  # each move takes χ² down: it ends by itself, soon
         before = list(terms)
         for i in range(len(terms)):
-            others = [t for j, t in enumerate(terms) if j != i]
-            worth = _candidate_gains(series, others, every) - penalty
-            terms[i] = every[int(np.argmax(worth))]
+            others = list(dict.fromkeys(t for j, t in enumerate(terms) if j != i))
+            terms[i] = every[int(np.argmax(_candidate_worth(series, others, every)))]
         if terms == before:
             break
     return list(dict.fromkeys(terms))
@@ -186,6 +209,13 @@ def _candidate_gains(series: JointSeries, terms: list[TrendTerm], every: list[Tr
     design = _design(series, terms)
     tried = scan(series, _months(series), design, fit(series, design))
     return np.array([tried[term.kind][term.place] for term in every])
+
+
+def _candidate_worth(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> Array:
+    """That, less what its parameters cost (BIC)."""
+    penalty = np.array([_bic_penalty(series, t) for t in every])
+    worth: Array = _candidate_gains(series, terms, every) - penalty
+    return worth
 
 
 def _change(

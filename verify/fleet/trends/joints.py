@@ -1,6 +1,6 @@
 """One joint of one arm over time: state, trend, control limits, and outlying sessions."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -8,7 +8,7 @@ import pandas as pd
 from numpy.typing import NDArray
 
 from verify.core.records import Array
-from verify.core.statistics import t_isf
+from verify.core.statistics import chi2_isf, t_isf
 from verify.fleet.trends import changes
 from verify.fleet.trends.series import JointSeries
 
@@ -28,8 +28,10 @@ def find_outliers(series: JointSeries, false_alarm: float) -> NDArray[np.bool_]:
     limit = t_isf(false_alarm / n / 2, series.degrees_of_freedom)
     for i in range(n):
         sides = [slice(max(i - N_NEIGHBOURS, 0), i), slice(i + 1, i + 1 + N_NEIGHBOURS)]
-        there = [side for side in sides if len(series.t[side])]
-        apart[i] = all(_distance(series, i, side) > limit for side in there)
+        away = [_distance(series, i, side) for side in sides if len(series.t[side])]
+        if len(away) == 1:  # at an end a drift leads away from all others
+            away.append(_distance_from_line(series, i, sides[0] if i else sides[1]))
+        apart[i] = min(away) > limit or max(away) < -limit  # between both sides, it is a drift's
     return apart
 
 
@@ -37,11 +39,28 @@ def _distance(series: JointSeries, i: int, side: slice) -> float:
     """How far a session lies from the median of its neighbours, in standard uncertainties."""
     share = MEDIAN_VARIANCE[len(series.t[side])]
     variance = series.scatter[i] ** 2 + share * np.max(series.scatter[side]) ** 2
-    if np.any(series.group[side] != series.group[i]):
-        variance += series.shared[i] ** 2 + np.max(series.shared[side]) ** 2
-    return float(abs(series.error[i] - np.median(series.error[side])) / np.sqrt(variance))
+    variance += _calibration_variance(series, i, side)
+    return float((series.error[i] - np.median(series.error[side])) / np.sqrt(variance))
 
 
+def _distance_from_line(series: JointSeries, i: int, side: slice) -> float:
+    """How far it lies from the line through its neighbours, likewise."""
+    lever = series.t[side] - series.t[i]
+    if np.ptp(lever) == 0:
+        return _distance(series, i, side)
+    weight = np.linalg.pinv(np.column_stack([np.ones_like(lever), lever]))[0]
+    variance = series.scatter[i] ** 2 + np.sum((weight * series.scatter[side]) ** 2)
+    variance += np.sum(weight**2) * _calibration_variance(series, i, side)
+    return float((series.error[i] - weight @ series.error[side]) / np.sqrt(variance))
+
+
+def _calibration_variance(series: JointSeries, i: int, side: slice) -> float:
+    if np.all(series.group[side] == series.group[i]):
+        return 0.0
+    return float(series.shared[i] ** 2 + np.max(series.shared[side]) ** 2)
+
+
+MIN_UNEXPLAINED = 3.0  # times what is stated: sessions that scatter more are not said to be steady
 MIN_SESSIONS_TO_ASSESS = 2 * changes.MIN_SESSIONS  # sessions, below which changes are not assessed
 
 
@@ -54,13 +73,14 @@ class JointAssessment:
     course: changes.JointTrend  # of the others
     ordinary: NDArray[np.int64]  # (m,), the others' places in the series
     half: Array  # (n,), degrees: how far from its place a session lies if nothing changed
+    scattered: bool  # far beyond what is stated, and by more than chance
 
     @property
     def state(self) -> str:
-        """One word: steady, step, drift, several or change (a step or a drift)."""
+        """One word: steady, scattered, step, drift, several or change (a step or a drift)."""
         kinds = {change_kind(c) for c in self.course.changes}
         if not kinds:
-            return "steady"
+            return "scattered" if self.scattered else "steady"
         return kinds.pop() if len(self.course.changes) == 1 else "several"
 
     @property
@@ -87,10 +107,15 @@ def assess_joint(series: JointSeries, false_alarm: float) -> JointAssessment:
     """
     odd = find_outliers(series, false_alarm)
     course = changes.find_changes(series.chosen(~odd), false_alarm)
+    series = replace(series, excess=course.series.excess, about=course.series.about)
     z = t_isf(false_alarm / len(series) / 2, series.degrees_of_freedom)
     # half the distance between the control limits, as wide as each session's uncertainty
     half = z * np.sqrt(series.scatter**2 + course.reference_uncertainty**2)
-    return JointAssessment(series, odd, course, np.flatnonzero(~odd), half)
+    degrees = series.degrees_of_freedom
+    scattered = series.excess > MIN_UNEXPLAINED and bool(
+        series.excess**2 > chi2_isf(false_alarm, degrees) / degrees
+    )
+    return JointAssessment(series, odd, course, np.flatnonzero(~odd), half, scattered)
 
 
 POINT_COLUMNS = [

@@ -22,7 +22,7 @@ DAYS_PER_MONTH = 365.25 / 12  # days
 MIN_SESSIONS_FOR_SCATTER = 5  # sessions from which the scatter between them is looked at
 NORMAL_MEDIAN = 0.6745  # of |z|
 _BY_SESSION = ("t", "error", "own", "shared", "group")  # arrays of a series
-EFFICIENCY = 0.25  # of the scatter's estimate: a median (0.37) of successive differences (2/3)
+EFFICIENCY = 0.19  # of the scatter's estimate: a median (0.37) of pseudo-residuals (18/35)
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +38,7 @@ class JointSeries:
     shared: Array  # (n,), standard uncertainty that sessions of one calibration share
     group: NDArray[np.int64]  # (n,), sessions with the same number share a calibration
     excess: float = 1.0  # factor on `own`: how far the sessions scatter beyond it
+    about: int = 0  # coefficients of the level about which that was found; 0: of neighbours
 
     def __len__(self) -> int:
         """Count the sessions."""
@@ -51,7 +52,9 @@ class JointSeries:
     @property
     def degrees_of_freedom(self) -> float:
         """Of `scatter`: infinite where the stated uncertainties explain it."""
-        return np.inf if self.excess == 1.0 else max(EFFICIENCY * len(self), 1.0)
+        if self.excess == 1.0:
+            return np.inf
+        return float(max(len(self) - self.about if self.about else EFFICIENCY * len(self), 1.0))
 
     def chosen(self, which: NDArray[np.bool_]) -> "JointSeries":
         """Keep the sessions that `which` (n,) marks."""
@@ -83,20 +86,31 @@ def series_of(sessions: pd.DataFrame, arm: str, joint: int) -> JointSeries:
 
 
 def _with_excess(series: JointSeries) -> JointSeries:
-    """Look whether sessions scatter beyond what they state, by how neighbours in time differ."""
+    """Look whether sessions scatter beyond what they state, whatever a steady drift adds.
+
+    By how far each lies from the line through those before and after. Source: Gasser, Sroka and
+    Jennen-Steinmetz, Biometrika 73(3), 1986.
+    """
     if len(series) < MIN_SESSIONS_FOR_SCATTER:
         return series
-    variance = series.own**2
-    other = np.diff(series.group) != 0
-    between = np.where(other, series.shared[1:] ** 2 + series.shared[:-1] ** 2, 0.0)
-    step = np.diff(series.error) / np.sqrt(variance[1:] + variance[:-1] + between)
-    return replace(series, excess=max(float(np.median(np.abs(step))) / NORMAL_MEDIAN, 1.0))
+    gap, since = series.t[2:] - series.t[:-2], np.diff(series.t)[:-1]
+    later = np.divide(since, gap, out=np.full_like(gap, 0.5), where=gap > 0)
+    share = np.stack([later - 1, np.ones_like(gap), -later])
+    error, own, shared, group = (
+        np.stack([values[:-2], values[1:-1], values[2:]])
+        for values in (series.error, series.own, series.shared, series.group)
+    )
+    alike = group[:, None] == group
+    common = np.sum((share * shared)[:, None] * (share * shared) * alike, axis=(0, 1))
+    apart = np.sum(share * error, axis=0) / np.sqrt(np.sum((share * own) ** 2, axis=0) + common)
+    return replace(series, excess=max(float(np.median(np.abs(apart))) / NORMAL_MEDIAN, 1.0))
 
 
 def _numbers(rows: pd.DataFrame, name: str) -> Array:
     return rows[name].to_numpy(dtype=float, na_value=np.nan)
 
 
+MAX_STEPS_EXCESS = 8  # of which one does where no calibrations are shared
 MIN_COLUMN_SHARE = 1e-9  # of a column that is left beside the others: less is rounding
 
 
@@ -143,6 +157,15 @@ def fit(series: JointSeries, design: Array) -> SeriesFit:
         shift[inside] = square * residual_weighted[inside].sum()  # its best linear prediction
     chi2 = float(residual @ residual_weighted)
     return SeriesFit(coefficients, covariance, chi2, fitted, residual_weighted, shift)
+
+
+def scattered_about(series: JointSeries, design: Array) -> JointSeries:
+    """The same with the excess that is left about a level, of columns (n, p)."""
+    left = len(series) - design.shape[1]
+    for _ in range(MAX_STEPS_EXCESS if left > 0 else 0):
+        excess = max(series.excess * float(np.sqrt(fit(series, design).chi2 / left)), 1.0)
+        series = replace(series, excess=excess, about=design.shape[1])
+    return series
 
 
 def scan(series: JointSeries, months: Array, design: Array, found: SeriesFit) -> dict[str, Array]:

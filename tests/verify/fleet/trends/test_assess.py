@@ -13,6 +13,7 @@ from tests.support.fleets import BEGIN, NO_FAILURES, rows
 from verify.errors import InputError
 from verify.fleet.trends.assess import P_FALSE_ALARM, TrendRequest, assess, require_folders
 from verify.fleet.trends.changes import candidates, find_changes
+from verify.fleet.trends.joints import assess_joint
 from verify.fleet.trends.series import (
     JointSeries,
     apply_inverse_covariance,
@@ -81,6 +82,55 @@ def test_a_drift_ended_by_a_repair_is_drift_and_step() -> None:
     assert set(found["term"]) == {"drift", "step"}
     repaired = sessions[arm & (day >= 200)].iloc[0]["session"]
     assert found[found["term"] == "step"].iloc[0]["session"] == repaired
+
+
+def monthly(errors: np.ndarray, seed: int, u: float = 0.004) -> pd.DataFrame:
+    """Sessions of one arm, a month apart; joint 5 has these errors (n,), degrees."""
+    sessions = rows(seed, sessions=len(errors), shared=0.002).query("robot == 'arm_a'").copy()
+    sessions["started"] = pd.Timestamp(BEGIN) + pd.to_timedelta(30.44 * np.arange(len(errors)), "D")
+    noise = np.random.default_rng(seed).normal(0, u, len(errors))
+    sessions["q5_mean_error_deg"] = errors + noise
+    sessions["q5_session_uncertainty_deg"] = u
+    sessions["q5_standard_uncertainty_deg"] = np.hypot(u, 0.002)
+    return sessions
+
+
+@pytest.mark.parametrize("sessions", [8, 14])
+@pytest.mark.parametrize("drift", [0.012, 0.03, 0.2])
+def test_a_steady_drift_over_few_sessions_is_no_scatter(sessions: int, drift: float) -> None:
+    results = assessed(monthly(drift * np.arange(sessions), seed=20))
+    found = results.table("changes")
+    assert [(r.joint, r.kind, r.unit) for r in found.itertuples()] == [(5, "drift", "deg/month")]
+    assert abs(found["size"].iloc[0] - drift) < 3 * found["size_u"].iloc[0]
+    joint = results.table("joints").set_index("joint").loc[5]
+    assert (joint["state"], joint["odd_sessions"]) == ("drift", 0)
+    assert abs(joint["error_deg"] - drift * (sessions - 1)) < 3 * joint["error_u_deg"] < 0.03
+    assert joint["excess"] < 2
+
+
+def test_scatter_far_beyond_what_is_stated_is_not_said_to_be_steady() -> None:
+    scatter = np.random.default_rng(23).normal(0, 0.04, 14)
+    results = assessed(monthly(scatter, seed=21))
+    assert not len(results.table("changes"))
+    assert results.table("joints").set_index("joint").loc[5, "state"] == "scattered"
+    # what chance gives, and what is but twice as much, is
+    for times in (0.0, 0.2):
+        states = assessed(monthly(times * scatter, seed=21)).table("joints")["state"]
+        assert set(states) == {"steady"}
+
+
+@pytest.mark.parametrize("count", [6, 14])
+def test_constant_series_seldom_show_a_change(count: int) -> None:
+    rng, named = np.random.default_rng(count), 0
+    for _ in range(100):
+        u = rng.uniform(0.004, 0.008, count)
+        t = np.arange(count) * 30.0
+        zeros = np.zeros(count)
+        series = JointSeries(
+            "a", 1, ("",) * count, t, rng.normal(0, u), u, zeros, zeros.astype(int)
+        )
+        named += assess_joint(series, 0.05).state != "steady"
+    assert named <= stats.binom.isf(0.001, 100, 0.05)
 
 
 def test_one_odd_session_is_marked_and_is_no_change() -> None:
