@@ -1,7 +1,8 @@
 """Do the covariances of spots hold the truth where an LED is not alone, or not whole?
 
 Kinds: two LEDs that overlap, by separation in widths at half height; an LED behind a straight edge,
-by the share of its width that is hidden; LEDs before a room with texture, or before a bright edge.
+by the share of its width that is hidden, where its picture can show that; LEDs before a room with
+texture, or before a bright edge.
 Each picture holds twelve LEDs, a third of them spoilt, at random directions, sharp or blurred. Two
 figures a kind: the share of centres inside the ellipse of 95 %, and of coordinates inside 1.96 u,
 with its standard error between pictures; beside them the shares flagged merged and found. A kind
@@ -15,8 +16,8 @@ import os
 import sys
 from collections.abc import Callable
 from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
-from functools import partial
+from dataclasses import dataclass, field, replace
+from functools import cache, partial
 
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -36,6 +37,8 @@ LEDS = {
     "blurred": Spot(200, 2.2, radius=3.0),
 }
 SEPARATIONS = (0.6, 0.8, 1.0, 1.2, 1.4, 1.7, 2.0, 2.5)  # widths
+SHOWS = 5.0  # standard deviations of what a hidden part does beyond any whole LED
+FLOOR = 6.0  # DN
 RATIOS = (1.0, 0.5, 0.2)  # of brightness
 HIDDEN = ((0.0, 0.1), (0.1, 0.2), (0.2, 0.35), (0.35, 0.5), (0.5, 0.7))  # of the width
 ELLIPSE = float(chi2.ppf(0.95, 2))
@@ -73,7 +76,9 @@ class Count:
     def line(self, name: str) -> str:
         """One line of figures."""
         if not self.d2:
-            return f"  {name:24s} none found"
+            return f"  {name:24s} " + (
+                "none found" if self.missed else "none that its picture can show"
+            )
         inside, (share, error, _) = np.mean(np.array(self.d2) < ELLIPSE), self.share
         found = len(self.d2) / (len(self.d2) + self.missed)
         rms = np.sqrt(np.mean(np.square(self.off)))
@@ -136,7 +141,7 @@ def overlapping(
     distance = apart * width(spot)
     other = Spot(spot.peak * ratio, spot.blur, spot.radius)
     for picture in range(number):
-        light, truth = np.full(SHAPE, 6.0), []
+        light, truth = np.full(SHAPE, FLOOR), []
         for n, place in enumerate(sites(rng)):
             whole(light, spot, place)
             if n % 3 == 0:
@@ -148,11 +153,44 @@ def overlapping(
     return into
 
 
+@cache
+def least_hidden(spot: Spot) -> float:
+    """Least share of an LED's width whose being hidden its picture can show at all.
+
+    There the difference from the whole LED that fits best is SHOWS times the noise: less than that
+    no look at one picture of the LED tells from a whole one elsewhere.
+    """
+    x, y, step = REACH + 0.1, REACH - 0.2, 1e-2
+    light, (row, column) = spot.part(PATCH, x, y, 0.0), np.mgrid[: PATCH[0], : PATCH[1]] - REACH
+
+    def derivative(of: Callable[[float], Array]) -> Array:
+        return (of(step) - of(-step)) / (2 * step)
+
+    free = [
+        light, np.ones(PATCH), row, column,
+        derivative(lambda s: spot.part(PATCH, x + s, y, 0.0)),
+        derivative(lambda s: spot.part(PATCH, x, y + s, 0.0)),
+        derivative(lambda s: replace(spot, blur=spot.blur + s).part(PATCH, x, y, 0.0)),
+        derivative(lambda s: replace(spot, radius=spot.radius + s).part(PATCH, x, y, 0.0)),
+        derivative(lambda s: spot.part(PATCH, x, y, 0.0, ratio=1 + s)),
+        derivative(lambda s: spot.part(PATCH, x, y, np.pi / 4, ratio=1 + s)),
+    ]  # fmt: skip
+    weight = np.sqrt(Sensor().information(light + FLOOR))
+    columns = np.stack([(weight * part).ravel() for part in free], axis=1)
+    shares = np.linspace(0.0, 0.5, 26)
+    shown = []
+    for share in shares.tolist():
+        off = (weight * (spot.part(PATCH, x, y, 0.3, hidden=share) - light)).ravel()
+        fit = np.linalg.lstsq(columns, off, rcond=None)[0]
+        shown.append(float(np.linalg.norm(off - columns @ fit)))
+    return float(np.interp(SHOWS, shown, shares))
+
+
 def hidden(spot: Spot, share: tuple[float, float], number: int, rng: np.random.Generator) -> Count:
-    """Count LEDs behind an edge."""
+    """Count LEDs behind an edge, of which as much is hidden as can show."""
     into = Count()
     for picture in range(number):
-        light, truth = np.full(SHAPE, 6.0), []
+        light, truth = np.full(SHAPE, FLOOR), []
         for n, place in enumerate(sites(rng)):
             if n % 3:
                 whole(light, spot, place)
@@ -161,7 +199,8 @@ def hidden(spot: Spot, share: tuple[float, float], number: int, rng: np.random.G
             at = place - [x, y] + REACH
             less, side = rng.uniform(*share), rng.uniform(0, 2 * np.pi)
             add(light, spot.part(PATCH, *at, side, hidden=less), x, y)
-            truth.append(place)
+            if less > least_hidden(spot):
+                truth.append(place)
         count(light, np.array(truth), spot.radius + 1, into, picture, rng)
     return into
 

@@ -53,8 +53,8 @@
 #define MIN_STRETCH_SIGMA 15.0 /* of the centre: noise stretches a spot by 2.4 to 3.4 of them */
 /* Two equal lights d apart add d^2/4 to the second moment along their line, and their middle is
  * d/2 off: the widths give that as 0.36 stretch x diameter of Gaussians, 0.13 of discs; half an
- * axis. */
-#define STRETCH_SHARE 0.15
+ * axis. A blurred disc of which an edge leaves less than half is farther off: twice as much. */
+#define STRETCH_SHARE 0.3
 #define MIN_BORDER 1.2     /* half-widths that must be inside the image */
 #define MIN_SEPARATION 0.5 /* diameters of the smaller one: closer spots are one spot found twice */
 #define MAX_PART 0.75      /* of a disc's diameter: a smaller spot on it is a part of it */
