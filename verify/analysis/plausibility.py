@@ -12,15 +12,21 @@ where that leaves a small share of the misfit, and most joints agree.
 
 A clock that is set while a log is written has one offset before and another one after. Each part of
 the session shows its own; the instant is sought at which one of them takes over from another.
+
+Times written by a nominal rate, of pictures or of readings, run at another rate than any clock:
+
+    t_read = t - o + r (t - t_m)        o, r: of a grid in a few seconds, then by Newton's steps
 """
 
 from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
+from robots.transforms import difference
 from verify.analysis.clock.estimate import (
     MAX_PAIRS_COMPARED,
     MAX_STEP,
@@ -29,14 +35,15 @@ from verify.analysis.clock.estimate import (
     motion_squares,
     spread,
 )
-from verify.analysis.clock.search import MOTION_LAG, are_visits
-from verify.analysis.comparison import compare
+from verify.analysis.clock.search import MOTION_LAG, are_visits, coarse_costs
+from verify.analysis.comparison import Comparison, compare
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.joint_errors import error_terms
-from verify.analysis.least_squares import RegressionFit, solve, whiten
+from verify.analysis.least_squares import RegressionFit, Whitener, solve, whiten
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import Mistake, pose_mistakes, refusal
 from verify.core.readings import Readings
+from verify.core.records import Array
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
@@ -59,6 +66,10 @@ PART_TIME = 0.8  # s: of parts that show each its own clock
 MIN_PART, MIN_PARTS, MAX_PARTS = 12, 3, 12  # pairs of a part; parts
 MIN_BESIDE = 8  # pairs, a clock's change
 FAIR_SQUARE = 2.0  # of a motion's misfit
+MIN_RATE, MIN_RUN = 5e-4, 0.05  # , s over a session: more than crystals do; and than is judged well
+RATES = np.linspace(-0.15, 0.15, 61)  # that are tried
+RATE_TIME = 4.0  # s of pairs, by which they are
+TOL_RATE = 0.5  # of a rate, by which halves of a session may differ from it; a step has none there
 
 
 def refuse_radians(
@@ -136,7 +147,8 @@ def refuse_late(session: Session, written: Mistake, offset: float) -> None:
     one clock for all explains the session nothing is wrong.
 
     Raises:
-        InputError: names the joints and their latencies, or how and when the clock was set.
+        InputError: names the joints and their latencies, how fast the clock runs, or how and when
+            it was set.
     """
     log = written.track, written.arm, written.readings, offset
     if are_visits(written.track.t) or are_visits(written.readings.t):
@@ -144,6 +156,13 @@ def refuse_late(session: Session, written: Mistake, offset: float) -> None:
     sample = subset(written.track, spread(len(written.track), MAX_PAIRS_COMPARED))
     if _fit_latencies(sample, *log[1:])[1] < MIN_MISFIT:
         return
+    if (rate := clock_rate(*log)) is not None:
+        others = "frames.csv" if session.instrument is None else session.left.path.name
+        pace = f"{abs(rate) * 100:.3g} % {'fast' if rate > 0 else 'slow'}"
+        runs = f"t_s runs {pace} against {others}"
+        remedy = f"Multiply t_s by {1 / (1 + rate):.5f}, or correct the times in {others}: one of "
+        remedy += "them seems to be written by a nominal rate."
+        raise InputError(written.file, runs, "times of one clock", remedy)
     late, change = late_joints(*log), clock_change(*log)
     found, remedies = [], []
     if late:
@@ -162,6 +181,84 @@ def refuse_late(session: Session, written: Mistake, offset: float) -> None:
     if found:
         written = replace(written, remedy=" Or: ".join(remedies))
         raise refusal(session, written, ", or ".join(found))
+
+
+def clock_rate(track: Track, arm: robots.Arm, readings: Readings, offset: float) -> float | None:
+    """By which share the readings' clock runs faster than the pairs', where no clock does.
+
+    None where the motion does not show it clearly, in both halves alike.
+    """
+    n, pace = len(track), float(np.median(np.diff(track.t)))
+    count = min(max(MIN_PART, round(RATE_TIME / pace)), n)
+    steps = difference(track.base_T_flange[1:], track.base_T_flange[:-1])
+    travel = np.append(0.0, np.cumsum(np.linalg.norm(steps, axis=1)))
+    firsts = spread(n - count + 1, MAX_PARTS)
+    first = int(firsts[np.argmax(travel[firsts + count - 1] - travel[firsts])])
+    near = np.arange(first, first + count)  # where the arm moves most
+    middle = float(track.t[near].mean())
+    line = _coarse_rate(subset(track, near), arm, readings, offset, middle)
+
+    def refined(chosen: NDArray[np.int64], line: Array | None) -> Array | None:
+        few = subset(track, chosen[spread(len(chosen), MAX_PAIRS_COMPARED)])
+        return None if line is None else _refine_rate(few, arm, readings, line, middle)
+
+    line = refined(near, line)
+    while len(near) < n:  # twice as long: the rate is known well enough for that
+        near = np.arange(max(near[0] - len(near) // 2, 0), min(near[-1] + len(near) // 2 + 2, n))
+        line = refined(near, line)
+    if line is None or abs(line[1]) < max(MIN_RATE, MIN_RUN / float(np.ptp(track.t))):
+        return None
+    halves = [refined(half, line) for half in np.array_split(near, 2)]
+    if any(half is None or abs(half[1] / line[1] - 1) > TOL_RATE for half in halves):
+        return None
+    sample = subset(track, spread(n, MAX_PAIRS_COMPARED))
+    fine = _refine_rate(sample, arm, readings, line, middle, resolved=True)
+    line = line if fine is None else fine
+    alone = local_offset(sample, arm, readings, offset)
+    tried = [offset] if alone is None else [offset, alone[0]]
+    plain = min(_fit_latencies(sample, arm, readings, one)[1] for one in tried)
+    left = _fit_latencies(sample, arm, readings, line[0] - line[1] * (sample.t - middle))[1]
+    return float(line[1]) if left < MAX_LEFT_SHARE * plain else None
+
+
+def _coarse_rate(
+    track: Track, arm: robots.Arm, readings: Readings, guess: float, middle: float
+) -> Array | None:
+    """Offset at the instant `middle`, s, and rate of the readings' clock, from RATES."""
+    tried = []
+    for rate in RATES.tolist():
+        run = replace(track, t=track.t + rate * (track.t - middle))
+        curve = coarse_costs(run, arm, readings, guess)
+        best = curve[np.argmin(curve[:, 1])] if len(curve) else (0.0, np.inf)
+        tried.append((best[1], best[0], rate))
+    return np.array(min(tried)[1:])
+
+
+def _refine_rate(
+    track: Track,
+    arm: robots.Arm,
+    readings: Readings,
+    line: Array,
+    middle: float,
+    *,
+    resolved: bool = False,
+) -> Array | None:
+    """Newton on offset and rate, beside joint errors, constant or resolved; None: it goes far."""
+    for _ in range(MAX_STEPS):
+        comparison = compare(track, arm, readings, line[0] - line[1] * (track.t - middle))
+        if len(comparison) < MIN_BESIDE:
+            return None
+        jacobian, white = comparison.jacobian, whiten(comparison)
+        late = -jacobian @ comparison.rate[:, :, None]
+        since = (comparison.t - middle)[:, None, None]
+        errors = _error_columns(comparison, white) if resolved else [white.rows(jacobian)]
+        rows = white.rows(np.concatenate([late, -late * since], axis=2))
+        xi = white.rows(comparison.xi[:, :, None])[:, 0]
+        step = solve(np.concatenate([rows, *errors], axis=1), xi).value[:2]
+        line = line - step * min(1.0, MAX_STEP / max(abs(step[0]), 1e-12))
+        if abs(step[0]) + abs(step[1]) < TOL_LATE:
+            return line
+    return None
 
 
 def late_joints(
@@ -243,17 +340,22 @@ def clock_change(
 
 
 def _fit_latencies(
-    track: Track, arm: robots.Arm, readings: Readings, offset: float
+    track: Track, arm: robots.Arm, readings: Readings, offset: float | Array
 ) -> tuple[RegressionFit, float]:
     """Fit the joints' latencies, first, and errors; the misfit with one latency for all."""
     comparison = compare(track, arm, readings, offset)
     jacobian, white = comparison.jacobian, whiten(comparison)
     latencies = white.rows(-jacobian * comparison.rate[:, None])
-    errors = [
-        white.rows(jacobian[:, :, [j]] * terms[:, None])
-        for j, terms in enumerate(error_terms(comparison)[1] if len(comparison) else ())
-    ]
+    errors = _error_columns(comparison, white)
     xi = white.rows(comparison.xi[:, :, None])[:, 0]
     common = solve(np.concatenate([latencies.sum(axis=1)[:, None], *errors], axis=1), xi)
     fit = solve(np.concatenate([latencies, *errors], axis=1), xi)
     return fit, common.chi2 / max(common.degrees_of_freedom, 1)
+
+
+def _error_columns(comparison: Comparison, white: Whitener) -> list[Array]:
+    """Whitened columns (r, p) of each joint's errors, by angle and direction of travel."""
+    return [
+        white.rows(comparison.jacobian[:, :, [j]] * terms[:, None])
+        for j, terms in enumerate(error_terms(comparison)[1] if len(comparison) else ())
+    ]

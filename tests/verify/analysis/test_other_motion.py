@@ -11,6 +11,7 @@ import pytest
 from scipy.linalg import block_diag
 
 from robots.transforms import rotation_exp
+from tests.support.motions import ARM, HOME, SWING, make_track
 from tests.support.published import write_session
 from tests.support.true_arm import measured, readings, true_arm
 from verify.analysis.clock.estimate import estimate_clock
@@ -18,7 +19,7 @@ from verify.analysis.instrument import MeasuredSession, measure_poses, stated_no
 from verify.analysis.measured import measure_pictures, session_clock, with_shown_noise
 from verify.analysis.mistakes import degrees
 from verify.analysis.other_motion import refuse_other_motion
-from verify.analysis.plausibility import clock_change, late_joints
+from verify.analysis.plausibility import clock_change, clock_rate, late_joints
 from verify.analysis.session import compare_session, session_model
 from verify.calibration.kinematics.poses import build_poses
 from verify.core.readings import Readings
@@ -202,6 +203,56 @@ def test_a_clock_that_runs_fast_or_a_belt_that_slips_is_no_change_of_the_clock(
     for log in (Readings(t * 1.004, q), Readings(t, slipped), Readings(t, q * 1.05)):
         offset = estimate_clock(track, session.arm, log).offset
         assert clock_change(track, session.arm, log, offset) is None
+
+
+@pytest.mark.parametrize("fast", [-0.1, -0.05, -0.02, 0.02, 0.05, 0.1])
+@pytest.mark.parametrize("late", ["readings", "pictures"])
+def test_times_written_by_a_nominal_rate_are_refused(
+    recording: tuple[Session, Track], fast: float, late: str
+) -> None:
+    """Beside a joint that is off, and one with backlash."""
+    session, track = recording
+    t, q = session.encoders.t, session.encoders.q.copy()
+    q[:, 3] += np.deg2rad(0.5) * Readings(t, q).direction(t)[:, 3]
+    if late == "pictures":
+        track = replace(track, t=track.t / (1 + fast))
+    log = Readings(t * (1 + fast) if late == "readings" else t, q)
+    with pytest.raises(InputError, match=r"t_s runs .* against frames\.csv") as refused:
+        refuse_other_motion(session, track, log, session_clock(session, track, log))
+    found = re.search(r"([\d.]+) % (fast|slow).*Multiply t_s by ([\d.]+),", str(refused.value))
+    assert found is not None
+    assert float(found[1]) == pytest.approx(100 * abs(fast), abs=0.05)
+    assert found[2] == ("fast" if fast > 0 else "slow")
+    assert float(found[3]) == pytest.approx(1 / (1 + fast), abs=5e-4)
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seconds", [5.0, pytest.param(40.0, marks=pytest.mark.slow)])
+def test_a_rate_is_found_in_any_motion_and_none_in_faults(seed: int, seconds: float) -> None:
+    rng = np.random.default_rng(seed)
+    period, phase = rng.uniform(2.0, 5.0, 6), rng.uniform(0, 6, 6)
+
+    def motion(t: Array) -> Array:
+        return HOME + SWING * np.sin(2 * np.pi * t[:, None] / period + phase)
+
+    log, swing = np.arange(-1.0, seconds + 1.0, 0.02), np.eye(6)[seed]
+    track = make_track(np.arange(0.0, seconds, 0.1), motion(np.arange(0.0, seconds, 0.1)), rng)
+    q = motion(log)
+    for fast in (-0.07, 0.03):
+        offset = -fast * seconds / 2
+        found = clock_rate(track, ARM, Readings(log * (1 + fast), q), offset)
+        assert found == pytest.approx(fast, rel=0.01)
+    assert clock_rate(track, ARM, Readings(log * 1.0004, q), 0.0) is None
+    for faulty in (
+        q + np.deg2rad(20.0) * swing,
+        q * (1 + 0.1 * swing),
+        q + np.deg2rad(2.0) * np.outer(np.cos(3 * q[:, seed]), swing),
+        np.where(swing > 0, np.roll(q, 5, axis=0), q),
+        np.where(log[:, None] > seconds / 2, q + np.deg2rad(4.0) * swing, q),
+        np.where(log[:, None] > seconds / 2, np.roll(q, 8, axis=0), q),
+        motion(log * 0.5 + 2.0)[:, ::-1],
+    ):
+        assert clock_rate(track, ARM, Readings(log, faulty), 0.0) is None
 
 
 @pytest.mark.parametrize("joint", [0, 3])
