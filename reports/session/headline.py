@@ -19,6 +19,7 @@ LABELS = {
 }
 MAX_CAUSES = 3  # named in the headline; more would hide the first, and the diagnosis lists them all
 MAX_LOST_SHARE = 0.1  # of the pairs, above which the headline says so
+CONTRADICTING = ("outlier", "ambiguous_leds", "unaligned")  # pairs that the files do not explain
 SCOPE = "This covers the poses, directions and speeds that the session shows, and no others."
 WORST_ERROR = uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", "°", k=2)
 # of sources that are no quantity to improve: what would make them smaller
@@ -134,7 +135,16 @@ def contradiction_text(summary: dict[str, Any]) -> str:
         amount = fmt.with_uncertainty(length, led.get("expanded_uncertainty_mm"), "mm", False)
         when = " in the last pairs" if led.get("last_pairs_only") else ""
         return f"LED {led.get('name')} is seen {amount} from its place in marker.toml{when}"
-    return "the pictures contradict rig.toml or marker.toml" * bool(pictures.get("contradict"))
+    contradict = bool(pictures.get("contradict")) or _most_lost_contradict(summary)
+    return "the pictures contradict rig.toml or marker.toml" * contradict
+
+
+def _most_lost_contradict(summary: dict[str, Any]) -> bool:
+    """Tell whether many pairs are lost, half of them or more as no pose explains their LEDs."""
+    rejected = (summary.get("pairs") or {}).get("rejected") or {}
+    contradicting = sum(int(rejected.get(status) or 0) for status in CONTRADICTING)
+    lost = sum(int(count or 0) for count in rejected.values())
+    return bool(lost_pairs_text(summary)) and 2 * contradicting >= lost > 0
 
 
 def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:

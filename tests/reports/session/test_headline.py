@@ -76,6 +76,16 @@ def test_what_contradicts_the_files_is_said_before_any_figure(
     assert "nothing needs to be done" not in sound
 
 
+def test_where_many_pairs_fit_no_pose_that_is_said_before_any_cause() -> None:
+    """Whatever is stated of the rig: without, summary.json has no `pictures`."""
+    lost = {"recorded": 60, "measured": 22, "rejected": {"outlier": 38}}
+    sentence = headline(_with(made.nonconforming(), pairs=lost, pictures=None)).sentence
+    assert sentence.startswith("The pictures contradict rig.toml or marker.toml, and what follows")
+    assert "too high" not in sentence  # no cause as a fact
+    hidden = lost | {"rejected": {"too_few_leds": 30, "outlier": 8}}
+    assert "contradict" not in headline(_with(made.nonconforming(), pairs=hidden)).sentence
+
+
 def test_where_many_pairs_are_lost_no_pose_of_theirs_is_said_to_conform() -> None:
     lost = {"recorded": 60, "measured": 40, "rejected": {"no_encoder": 16, "outlier": 4}}
     message = headline(_with(made.conforming(), pairs=lost))
