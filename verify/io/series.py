@@ -24,6 +24,7 @@ if TYPE_CHECKING:  # imported where a file is read: what measures live reads non
 
 _PAIR_TIMES = ("t_left_s", "t_right_s")
 _PANS = ("pan_left_deg", "pan_right_deg")
+OTHER_UNITS = ("rad", "m", "ms", "us", "ns")  # that a column may be in by mistake
 MAX_NUMBER = 1e20  # in whatever unit; its square is finite
 VISIT_PERIOD = 60.0  # s, of visits without times
 _JOINT = re.compile(r"q[1-9]\d*_deg")
@@ -192,8 +193,12 @@ class CsvTable:
                 )
             if name not in self.header:
                 expected = f"expected are {', '.join(names)}"
-                hint = did_you_mean(name, tuple(n for n in self.header if n not in names))
-                remedy = f"Name the column in the first line.{hint}"
+                others = tuple(n for n in self.header if n not in names)
+                stem, _, unit = name.rpartition("_")
+                alike = [n for n in others if n in {f"{stem}_{u}" for u in OTHER_UNITS}]
+                remedy = f"Name the column in the first line.{did_you_mean(name, others)}"
+                if alike:  # a name alone would pass its numbers off for another unit's
+                    remedy = f"Convert {alike[0]} to {unit}, and name it {name}."
                 raise InputError(f"{self.path}, line 1", f"has no column {name}", expected, remedy)
         places = {name: self.header.index(name) for name in names}
         parsed = self._parsed_fast(places)

@@ -127,6 +127,10 @@ def test_numbers_that_pandas_writes_are_read_exactly(
             "t_s,t_s,q1_deg,q2_deg\n0,0,1,2\n",
             "has two columns t_s; each has a name of its own. Delete",
         ),
+        (
+            "t_s,q1_rad,q2_rad\n0,1,2\n",
+            "q2_deg. Convert q1_rad to deg, and name it q1_deg",
+        ),
         (ENCODERS.replace("t_s", "T_S"), "the column in the first line. Did you mean `T_S`?"),
         (ENCODERS.replace("0.5", '"0.5'), "line 3: has a quote that is not closed"),
         (ENCODERS.replace("0.5", '"0.5') + 20_000 * "9,9,9\n", "line 3: has a quote that is not"),
