@@ -94,8 +94,7 @@ def _draw_panels(drawing: Drawing, chart: Chart, rows: int, top: float) -> None:
         y = top + above[: row + 1].sum() + below[:row].sum() + row * high
         frame = fitted(panel, Frame(x, y, x + wide, y + high, *scales[index]))
         name = x - left[column] + EDGE + text_height(panel.y_label, SIZE) / 2
-        draw_panel(drawing, frame, panel, x - frame.left + name if panel.equal else name,
-                   numbers=shown[index])  # fmt: skip
+        draw_panel(drawing, frame, panel, name + frame.left - x, numbers=shown[index])
 
 
 def panel_scales(

@@ -100,6 +100,20 @@ def test_only_the_last_of_panels_with_one_axis_has_its_numbers() -> None:
     assert words(svg.svg(chart)).count("10") == 1
 
 
+@pytest.mark.parametrize("columns", [1, 2])
+def test_the_name_of_y_stays_beside_a_square_panel(columns: int) -> None:
+    panel = sine(equal=True, x_range=(0.0, 1.0), y_range=(0.0, 1.0))
+    drawing = svg.svg(Chart((panel,) * columns, columns=columns, row_height=2.6))
+    ink = inked(drawing)
+    assert not ink[:, :18].any()
+    assert not ink[:, -18:].any()
+    name = next(
+        float(x) for x in re.findall(r"translate\(([\d.-]+) [\d.]+\) rotate", drawing.decode())
+    )
+    frame = min(float(x) for x in re.findall(r'<rect x="([\d.]+)"', drawing.decode()))
+    assert 0 < frame - name < 40
+
+
 def test_where_one_unit_is_as_long_on_x_as_on_y_a_square_is_square() -> None:
     square = Line(np.array([0.0, 1, 1, 0]), np.array([0.0, 0, 1, 1]), "measured")
     drawing = svg.svg(Chart((Panel((square,), equal=True),))).decode()
