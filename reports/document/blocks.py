@@ -235,13 +235,17 @@ def field(
 
 
 def uncertain_field(
-    key: str, u_key: str, unit: str = "", *, signed: bool = True, k: float = 1.0
+    key: str, u_key: str, unit: str = "", *, signed: bool = True, k: float = 1.0, k_key: str = ""
 ) -> Callable[[Mapping[str, Any]], str]:
-    """Make the writer of a value of an entry with `k` times its uncertainty."""
+    """Make the writer of a value of an entry with `k` times its uncertainty.
+
+    `k_key`: where the entry has a coverage factor of its own, which then counts instead.
+    """
 
     def write(entry: Mapping[str, Any]) -> str:
-        u = fmt.finite(entry.get(u_key))
-        return fmt.with_uncertainty(entry.get(key), None if u is None else k * u, unit, signed)
+        u, own = fmt.finite(entry.get(u_key)), fmt.finite(entry.get(k_key))
+        spread = None if u is None else (own or k) * u
+        return fmt.with_uncertainty(entry.get(key), spread, unit, signed)
 
     return write
 

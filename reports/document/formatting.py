@@ -22,6 +22,13 @@ def expanded(u: Any) -> float | None:
     return None if figure is None else COVERAGE_FACTOR * figure
 
 
+def coverage_text(*factors: Any) -> str:
+    """Say the coverage factors of some uncertainties: k = 2, or k = 2 to 2.19; not known: k = 2."""
+    known = [figure for factor in factors if (figure := finite(factor)) is not None]
+    ends = min(known, default=COVERAGE_FACTOR), max(known, default=COVERAGE_FACTOR)
+    return f"k = {' to '.join(dict.fromkeys(exact_number(round(k, 2)) for k in ends))}"
+
+
 def decimals_of(uncertainty: float | None) -> int:
     """Count the decimals that show an uncertainty's two significant digits (GUM 7.2.6)."""
     if not uncertainty:

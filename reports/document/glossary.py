@@ -26,7 +26,9 @@ TERMS = {
         "the smallest constant offset that is detected: false alarm 0.1 %, power 80 %"
     ),
     "encoder error": "reading less true angle; positive where the encoder reads too high",
-    "expanded uncertainty, U": "k times the standard uncertainty; k = 2 wherever a person reads",
+    "expanded uncertainty, U": (
+        "k times the standard uncertainty; k = 2, or more where few data show the noise"
+    ),
     "flange": "the robot's last DH frame, where tools are mounted and the LEDs sit",
     "largest error": "of a joint: the resolved error of largest magnitude over the measured pairs",
     "LED body": (

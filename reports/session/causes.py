@@ -5,7 +5,6 @@ from typing import Any
 
 from reports.document import formatting as fmt
 
-COVERAGE_NOTE = "(k = 2)"  # of every cause's expanded uncertainty, by docs/results.md
 MAX_RIVALS = 4  # named of an ambiguous cause; summary.json lists all
 CAUSES = {
     "offset": "constant offset",
@@ -199,14 +198,20 @@ def rivals(entry: dict[str, Any], between: str) -> str:
 
 
 def with_expanded_uncertainty(
-    entry: dict[str, Any], known: Any, suffix: str, signed: bool = True
+    entry: dict[str, Any], value: Any, unit: str, signed: bool = True, factor: float = 1.0
 ) -> str:
     """Write a cause's figure ± expanded uncertainty; in a sentence no head of a column says k."""
-    spread = entry.get("expanded_uncertainty")
-    amount = fmt.with_uncertainty(known, spread, suffix, signed)
-    return (
-        amount if amount == fmt.DASH or fmt.finite(spread) is None else f"{amount} {COVERAGE_NOTE}"
-    )
+    known, spread = fmt.finite(value), fmt.finite(entry.get("expanded_uncertainty"))
+    if known is None or spread is None:
+        return fmt.with_uncertainty(None if known is None else factor * known, None, unit, signed)
+    amount = fmt.with_uncertainty(factor * known, factor * spread, unit, signed)
+    return f"{amount} ({fmt.coverage_text(coverage_factor(entry))})"
+
+
+def coverage_factor(entry: dict[str, Any]) -> float | None:
+    """Give the coverage factor of a cause's figure; None where it is not stated."""
+    u, spread = (fmt.finite(entry.get(f"{n}_uncertainty")) for n in ("standard", "expanded"))
+    return spread / u if u and spread is not None else None
 
 
 def _decimals(entry: dict[str, Any]) -> int:
@@ -264,12 +269,11 @@ CAUSE_TEXTS = {
 
 
 def _cause_sentence(text: CauseText, entry: dict[str, Any], value: float) -> str:
-    spread, joint = fmt.finite(entry.get("expanded_uncertainty")), entry.get("joint")
-    scaled = {"expanded_uncertainty": None if spread is None else spread * text.factor}
-    shown = (abs(value) if text.ways else value) * text.factor
-    turns = _turns(entry)
+    joint, shown, turns = entry.get("joint"), abs(value) if text.ways else value, _turns(entry)
     return text.sentence.format(
-        amount=with_expanded_uncertainty(scaled, shown, text.unit or unit_sign(entry), text.signed),
+        amount=with_expanded_uncertainty(
+            entry, shown, text.unit or unit_sign(entry), text.signed, text.factor
+        ),
         joint=joint,
         owner="the arm" if joint is None else f"joint {joint}",
         parameter=entry.get("parameter", "a link parameter"),

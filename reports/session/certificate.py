@@ -39,7 +39,7 @@ def certificate(results: Results) -> doc.Section:
     limits = ", and the tolerance" if _has_tolerance(results.summary) else ""
     overview = doc.Figure(
         "overview",
-        f"Mean and largest error of each joint with U (k = 2){limits}.",
+        f"Mean and largest error of each joint with U ({phrases.coverage(joints)}){limits}.",
         "One place a joint: mean and largest error in degrees with their uncertainties, between "
         "the limits of the tolerance.",
     )
@@ -93,10 +93,13 @@ def _moment(started: str) -> str:
 def overview_chart(joints: list[dict[str, Any]]) -> charts.Chart | None:
     """All joints on one scale: mean and largest error with U, between their tolerances."""
     place = np.arange(len(joints), dtype=float)
-    names = ("mean_error_deg", "standard_uncertainty_deg", "worst_error_deg",
-             "worst_error_standard_uncertainty_deg", "tolerance_deg")  # fmt: skip
+    names = (
+        "mean_error_deg", "standard_uncertainty_deg", "worst_error_deg",
+        "worst_error_standard_uncertainty_deg", "tolerance_deg", "coverage_factor",
+    )  # fmt: skip
     columns = [np.array([fmt.finite(j.get(n)) for j in joints], dtype=float) for n in names]
-    mean, u, worst, u_worst, tolerance = columns
+    mean, u, worst, u_worst, tolerance, factor = columns
+    u, u_worst = (np.nan_to_num(np.nan_to_num(factor, nan=2.0) * s) for s in (u, u_worst))
     if not np.isfinite(mean).any():
         return None
     marks: list[charts.Mark] = [charts.Level(0.0, "muted")]
@@ -108,11 +111,11 @@ def overview_chart(joints: list[dict[str, Any]]) -> charts.Chart | None:
         (-OFFSET, mean, u, "error", "mean error ± U"),
         (OFFSET, worst, u_worst, "resolved", "largest error ± U"),
     ):
-        for x, e, s in zip(place + shift, error, 2 * np.nan_to_num(spread), strict=True):
+        for x, e, s in zip(place + shift, error, spread, strict=True):
             at, low, high = np.array([x]), np.array([e - s]), np.array([e + s])
             marks.append(charts.Band(at, low, high, f"{role}_band"))
         marks.append(charts.Points(place + shift, error, role, name, 3.0))
-    largest = np.nanmax(np.abs([mean, worst]) + 2 * np.nan_to_num([u, u_worst]), initial=0.0)
+    largest = np.nanmax([np.abs(mean) + u, np.abs(worst) + u_worst], initial=0.0)
     reach = max(float(largest) * 1.1, TOLERANCE_ROOM * float(np.nanmax(tolerance, initial=0.0)))
     ticks = tuple((float(x), f"joint {j.get('joint')}") for x, j in zip(place, joints, strict=True))
     panel = charts.Panel(
@@ -123,16 +126,16 @@ def overview_chart(joints: list[dict[str, Any]]) -> charts.Chart | None:
 
 
 def _joint_table(joints: list[dict[str, Any]]) -> doc.Table:
-    mean = doc.uncertain_field("mean_error_deg", "standard_uncertainty_deg", k=2)
-    worst = doc.uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", k=2)
+    mean = phrases.with_expanded("mean_error_deg", "standard_uncertainty_deg")
     columns = (
         doc.Column("Joint", "c", doc.field("joint")),
         doc.Column("Mean error ± U [°]", "r", mean),
-        doc.Column("Largest error ± U [°]", "r", worst),
+        doc.Column("Largest error ± U [°]", "r", phrases.worst_error()),
         doc.Column("Tolerance [°]", "r", lambda j: phrases.tolerance(j.get("tolerance_deg"))),
         doc.Column("Verdict", "l", phrases.verdict_cell, wide=True),
     )
-    return doc.tabulate("Error of each joint: reading less true angle, k = 2.", columns, joints)
+    title = f"Error of each joint: reading less true angle, {phrases.coverage(joints)}."
+    return doc.tabulate(title, columns, joints)
 
 
 def _pose_table(results: Results) -> list[doc.Table]:

@@ -11,7 +11,7 @@ from reports.document import blocks as doc
 from reports.document import formatting as fmt
 from reports.document.charts import Array, records, square
 from reports.results import Results
-from reports.session import causes
+from reports.session import causes, phrases
 
 MIN_RELATIVE_WEIGHT = 0.1  # of the largest weight: left out of a sum's name
 MIN_JOINTS = 2  # joints
@@ -36,6 +36,7 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
         doc.row(
             fmt.text_or_dash(c.get("label")),
             fmt.with_uncertainty(c.get("mean_error_deg"), 2 * c["standard_uncertainty_deg"]),
+            "2",
             "axes are parallel",
         )
         for c in sums
@@ -43,11 +44,13 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     ]
     members = {joint for c in sums for joint in c.get("joints") or []}
     for place, name in enumerate(names):
-        if entries[place].get("joint") in members and np.isfinite(u[place]):
+        joint = entries[place]
+        if joint.get("joint") in members and np.isfinite(u[place]):
             rows.append(
                 doc.row(
                     f"q{name}",
-                    fmt.with_uncertainty(mean[place], 2 * u[place]),
+                    phrases.with_expanded("mean_error_deg", "standard_uncertainty_deg")(joint),
+                    phrases.coverage([joint]).removeprefix("k = "),
                     "a member by itself",
                 )
             )
@@ -56,12 +59,13 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
         label = _combination_name(weights, [names[k] for k in determined])
         # of weights whose largest is one, as a sum of joints has them
         size = float(np.sqrt(max(values[which], 0.0))) / float(np.abs(vectors[:, which]).max())
-        rows.append(doc.row(label, fmt.with_uncertainty(weights @ mean[determined], 2 * size), why))
+        value = fmt.with_uncertainty(weights @ mean[determined], 2 * size)
+        rows.append(doc.row(label, value, "2", why))
     return [
         doc.Table(
-            "Sums of the joints' mean errors (k = 2), those known well beside those known badly.",
-            "lrl",
-            ("Sum", "Mean error ± U [°]", "Why it is given"),
+            "Sums of the joints' mean errors, those known well beside those known badly.",
+            "lrrl",
+            ("Sum", "Mean error ± U [°]", "k", "Why it is given"),
             tuple(rows),
             (_uncertainty_ratio_text(values),),
         )

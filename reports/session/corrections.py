@@ -17,7 +17,7 @@ RULE = (
 )
 NOTHING = "no correction"
 TABLE_NOTE = (
-    "± U with k = 2. Detectable: the smallest offset that is detected. Separable: the "
+    "± U with {factors}. Detectable: the smallest offset that is detected. Separable: the "
     "smallest that can be attributed to this joint alone."
 )
 
@@ -29,7 +29,8 @@ def corrections(results: Results) -> doc.Section:
     rows += [_common_row(entry) for entry in _named(summary) if entry.get("joint") is None]
     head = ("Joint", "Correction ± U", "What it corrects", "When not to apply it, or why")
     title = "Corrections that this session identifies."
-    notes = (TABLE_NOTE, *_condition(summary))
+    factors = fmt.coverage_text(*(causes.coverage_factor(entry) for entry in _named(summary)))
+    notes = (TABLE_NOTE.format(factors=factors), *_condition(summary))
     table = doc.Table(title, "clll", head, tuple(rows), notes, wide=(3,))
     return doc.Section("corrections", "Identified corrections", (doc.Paragraph(RULE), table))
 

@@ -13,8 +13,8 @@ from reports.session.headline import is_hidden
 
 ERROR_NOTE = (
     "The verdict rests on ê, the resolved error: the curve through the errors that noise does not "
-    "follow, causes found included. Mean: of ê over these pairs, with its expanded uncertainty "
-    "(k); worst ê: with k = 2. Max |e|, of single pairs, holds noise and is never judged."
+    "follow, causes found included. Mean: of ê over these pairs. U: expanded by the factor k. "
+    "Max |e|, of single pairs, holds noise and is never judged."
 )
 DETECTABILITY_NOTE = (
     "Visible: share of an offset's signal that is left after the fit. Old: the offset was there "
@@ -79,8 +79,7 @@ def _error_table(entries: list[dict[str, Any]]) -> doc.Table:
         doc.Column("RMS [°]", "r", doc.field("rms_error_deg", fmt.number)),
         doc.Column("Max |e| [°]", "r", doc.field("max_abs_error_deg", fmt.number)),
         doc.Column(
-            "Worst ê ± U [°]", "r",
-            doc.uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", k=2),
+            "Largest ê ± U [°]", "r", phrases.worst_error(),
         ),
         doc.Column("Tolerance [°]", "r", doc.field("tolerance_deg", phrases.tolerance)),
         doc.Column("P(conform)", "r", doc.field("conformance_probability", fmt.probability)),
@@ -111,7 +110,7 @@ def _combination_table(entries: list[dict[str, Any]]) -> doc.Table:
     value = doc.uncertain_field("mean_error_deg", "standard_uncertainty_deg", k=2)
     columns = (
         doc.Column("Sum", "l", doc.field("label")),
-        doc.Column("Mean error ± U [°]", "r", value),
+        doc.Column("Mean error ± U (k = 2) [°]", "r", value),
         doc.Column("Pairs", "r", doc.field("pairs", fmt.count)),
         doc.Column("Why it is given", "l", _coupling, wide=True),
     )
@@ -141,7 +140,9 @@ def diagnosis(results: Results) -> doc.Section:
         doc.Column("Runner-up", "l", _of_one_cause(causes.runner_up), wide=True),
         doc.Column("What to do", "l", causes.remedy, wide=True),
     )
-    table = doc.tabulate("Causes of the errors found.", columns, entries, CAUSE_NOTE)
+    factors = fmt.coverage_text(*(causes.coverage_factor(entry) for entry in entries))
+    title = f"Causes of the errors found, {factors}."
+    table = doc.tabulate(title, columns, entries, CAUSE_NOTE)
     return doc.Section("diagnosis", "Diagnosis", (table, *_outlier_blocks(results)))
 
 

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from reports.document import formatting as fmt
-from reports.document.blocks import Verdict, uncertain_field
+from reports.document.blocks import Verdict
 from reports.results import Results
 from reports.session import causes as session_causes
 from reports.session import phrases
@@ -21,7 +21,7 @@ MAX_CAUSES = 3  # named in the headline; more would hide the first, and the diag
 MAX_LOST_SHARE = 0.1  # of the pairs, above which the headline says so
 CONTRADICTING = ("outlier", "ambiguous_leds", "unaligned")  # pairs that the files do not explain
 SCOPE = "This covers the poses, directions and speeds that the session shows, and no others."
-WORST_ERROR = uncertain_field("worst_error_deg", "worst_error_standard_uncertainty_deg", "°", k=2)
+WORST_ERROR = phrases.worst_error("°")
 # of sources that are no quantity to improve: what would make them smaller
 IMPROVEMENTS = {
     "causes found": "what tells the causes found from the joints' errors (more pairs, in other "
@@ -150,10 +150,12 @@ def _most_lost_contradict(summary: dict[str, Any]) -> bool:
 def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:
     if failing:
         worst = max(failing, key=lambda j: abs(fmt.finite(j.get("worst_error_deg")) or 0.0))
-        text = WORST_ERROR(worst)
+        text, factor = WORST_ERROR(worst), phrases.coverage([worst])
         verb = "exceed" if len(failing) > 1 else "exceeds"
         names = fmt.joint_names([joint.get("joint") for joint in failing])
-        return f"{names} {verb} {tolerance_text(summary, failing)} (worst: {text}, k = 2)"
+        return (
+            f"{names} {verb} {tolerance_text(summary, failing)} (largest error: {text}, {factor})"
+        )
     pose = []
     for name, unit in (("position", "mm"), ("orientation", "deg")):
         entry = summary.get(name) or {}
@@ -296,9 +298,8 @@ def _no_verdict(results: Results) -> str:
     amount = fmt.with_uncertainty(
         worst["mean_error_deg"], worst.get("expanded_uncertainty_deg"), "°"
     )
-    factor = fmt.finite(worst.get("coverage_factor"))
-    if factor is not None:
-        amount = f"{amount} (k = {fmt.exact_number(round(factor, 2))})"
+    if fmt.finite(worst.get("coverage_factor")) is not None:
+        amount = f"{amount} ({phrases.coverage([worst])})"
     return f"{sentence}; the largest mean error is that of joint {worst.get('joint')}, {amount}."
 
 

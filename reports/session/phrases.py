@@ -1,9 +1,27 @@
 """Sentences for machine words: verdicts, reasons, statuses, sources."""
 
+from functools import partial
 from typing import Any
 
-from reports.document.blocks import Cell
-from reports.document.formatting import DASH, exact_number, finite, lookup_label, percent
+from reports.document.blocks import Cell, uncertain_field
+from reports.document.formatting import (
+    DASH,
+    coverage_text,
+    exact_number,
+    finite,
+    lookup_label,
+    percent,
+)
+
+# a joint's error with U = k u, k the joint's own: 2, or more where few pairs show the noise
+with_expanded = partial(uncertain_field, k=2.0, k_key="coverage_factor")
+worst_error = partial(with_expanded, "worst_error_deg", "worst_error_standard_uncertainty_deg")
+
+
+def coverage(joints: list[dict[str, Any]]) -> str:
+    """Say the coverage factors of the joints' errors: k = 2, or k = 2 to 2.19."""
+    return coverage_text(*(joint.get("coverage_factor") for joint in joints))
+
 
 # visible shares of an offset
 MAX_HIDDEN_SHARE = 0.005  # shown as 0 %: nothing of the offset is left

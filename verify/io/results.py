@@ -152,7 +152,7 @@ class Results(reports.Results):
 
         `mean_error_deg` with `expanded_uncertainty_deg` (`coverage_factor` times the standard one);
         `worst_error_deg`, the largest over the session, with `worst_error_expanded_uncertainty_deg`
-        (k = 2).
+        (the same factor).
         """
         entries = self.summary["joints"]
         table = pd.DataFrame(
@@ -162,8 +162,9 @@ class Results(reports.Results):
         figures = [name for name in JOINT_COLUMNS if name not in ("verdict", "reason", "pairs")]
         table[figures] = table[figures].astype(float)
         place = table.columns.get_loc("worst_error_standard_uncertainty_deg")
-        doubled = 2 * table.pop("worst_error_standard_uncertainty_deg")
-        table.insert(int(str(place)), "worst_error_expanded_uncertainty_deg", doubled)
+        u = table.pop("worst_error_standard_uncertainty_deg")
+        expanded = table["coverage_factor"].fillna(2.0) * u
+        table.insert(int(str(place)), "worst_error_expanded_uncertainty_deg", expanded)
         return table
 
     @property
@@ -255,9 +256,10 @@ class Results(reports.Results):
         ]
 
     def _factors(self) -> str:
-        """Say the coverage factors of the joints' errors; the largest errors have k = 2."""
-        known = sorted({f"{k:.3g}" for k in self.joints["coverage_factor"].dropna()})
-        return f"k = {' to '.join({known[0]: None, known[-1]: None})}." if known else "k = 2."
+        """Say the coverage factors of the joints' errors."""
+        from reports.session import phrases
+
+        return f"{phrases.coverage(self.summary['joints'])}."
 
     def _headline(self) -> "Verdict":
         from reports.session.headline import headline

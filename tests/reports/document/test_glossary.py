@@ -24,7 +24,7 @@ def test_reports_explain_terms_as_the_glossary_does() -> None:
         ("Mean error ± U [°]", "Mean error", "mean error"),
         ("Correction ± U", "U", "expanded uncertainty, U"),
         ("Median u [px]", "u", "standard uncertainty, u"),
-        ("Worst ê ± U [°]", "ê", "resolved error"),
+        ("Largest ê ± U [°]", "ê", "resolved error"),
         ("Pairs rejected, and why", "Pairs", "pair"),
         ("P(conform)", "conform", "conform"),
         ("Visible, new offset", "Visible", "visible share"),

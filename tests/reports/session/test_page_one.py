@@ -82,3 +82,29 @@ def test_page_one_of_a_watched_run_holds_its_alarms() -> None:
     alone = replace(laid_out, sections=laid_out.sections[:1])
     first = pdf_text(pages(alone)).split("\f")[0]
     assert "alarms.csv lists every alarm" in first
+
+
+def test_one_figure_has_one_uncertainty_with_its_own_factor_throughout_the_report() -> None:
+    """Of few pairs k is 2.19: 0.0086 times that is 0.019, and not 0.017."""
+    results = made_of("nonconforming")
+    joint = results.summary["joints"][1] | {
+        "mean_error_deg": 0.36, "standard_uncertainty_deg": 0.0086, "coverage_factor": 2.19,
+        "expanded_uncertainty_deg": 2.19 * 0.0086,
+        "worst_error_deg": 0.36, "worst_error_standard_uncertainty_deg": 0.0086,
+    }  # fmt: skip
+    cause = results.summary["diagnosis"][0] | {
+        "value": 0.36, "standard_uncertainty": 0.0086, "expanded_uncertainty": 2.19 * 0.0086,
+    }  # fmt: skip
+    joints = [{**j, "coverage_factor": 2.0} for j in results.summary["joints"]]
+    joints[1] = joint
+    summary = results.summary | {"joints": joints, "diagnosis": [cause]}
+    laid_out = document(replace(results, summary=summary))
+    parts = tuple(s for s in laid_out.sections if s.name != "budget")  # sums have k = 2 there
+    text = strings(to_template_data(parts))
+    stated = [line for line in text if "0.360" in line and "±" in line]
+    assert len(stated) >= 5
+    assert [line for line in stated if "± 0.019" not in line] == []
+    assert "Joint 2 reads 0.360° ± 0.019° (k = 2.19) too high" in " ".join(text)
+    assert "(largest error: +0.360° ± 0.019°, k = 2.19)" in " ".join(text)
+    assert "Causes of the errors found, k = 2.19." in text
+    assert "Error of each joint: reading less true angle, k = 2 to 2.19." in text
