@@ -152,10 +152,10 @@ def _pose_table(results: Results) -> list[doc.Table]:
             rows.append(
                 doc.row(label, rms, largest(entry), place, limit, phrases.verdict_cell(entry))
             )
-    head = ("Error of the flange", "RMS", "Largest error ± U", "Place", "Tolerance", "Verdict")
+    head = ("Error of the flange", "RMS", "Largest ± U", "Place", "Tolerance", "Verdict")
     caption = (
-        "Error of the flange's pose over the measured pairs, k = 2; place in the base's frame, t "
-        "from the first pair."
+        "Error of the flange's pose: RMS of single pairs, noise included; largest resolved error, "
+        "k = 2, its place in the base."
     )
     return [doc.Table(caption, "lrrlrl", head, tuple(rows), wide=(5,))] if rows else []
 
