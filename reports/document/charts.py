@@ -63,7 +63,7 @@ def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
 
 def trace(t: Array, y: Array) -> tuple[Array, Array]:
     """Make a line that is broken by NaN where pairs are missing; extremes survive thinning."""
-    kept, part = _split_at_gaps(t, y)
+    kept, part = split_at_gaps(t, y)
     if len(kept) > MAX_LINE_POINTS:
         chosen = _extremes(y[kept])
         kept, part = kept[chosen], part[chosen]
@@ -73,7 +73,7 @@ def trace(t: Array, y: Array) -> tuple[Array, Array]:
 
 def band(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
     """Make a band's edges, broken as `trace` breaks them; thinned, it is the bins' envelope."""
-    kept, part = _split_at_gaps(t, low + high)
+    kept, part = split_at_gaps(t, low + high)
     t, low, high = t[kept], low[kept], high[kept]
     if len(kept) > MAX_LINE_POINTS:
         starts = _starts(len(kept))
@@ -122,11 +122,12 @@ def unwrap_rotation(rotation_deg: Array, start: Array | None = None) -> Array:
     return chosen
 
 
-def runs(words: list[str]) -> list[tuple[str, int, int]]:
-    """Gather equal neighbours: word, first and last row."""
+def runs(words: list[str], t: Array) -> list[tuple[str, int, int]]:
+    """Gather equal neighbours between which no pairs are missing: word, first and last row."""
     found: list[tuple[str, int, int]] = []
+    broken = [True, *(np.diff(t) > MAX_GAP_RATIO * median_step(t)).tolist()]
     for i, word in enumerate(words):
-        if found and found[-1][0] == word:
+        if found and found[-1][0] == word and not broken[i]:
             found[-1] = (word, found[-1][1], i)
         else:
             found.append((word, i, i))
@@ -165,7 +166,8 @@ def box(points: Array, longer: float, share: float = 0.2, least: float = 0.0) ->
     return tuple((float(m - h), float(m + h)) for m, h in zip(middle, half, strict=True))
 
 
-def _split_at_gaps(t: Array, y: Array) -> tuple[Indices, Indices]:
+def split_at_gaps(t: Array, y: Array) -> tuple[Indices, Indices]:
+    """Find the rows where both are known, and of each the unbroken piece that it belongs to."""
     kept = np.flatnonzero(np.isfinite(t) & np.isfinite(y))
     if not len(kept):
         return kept, kept
@@ -211,6 +213,7 @@ PALETTE = {
     "resolved": ("#d55e00", "#ff9a4d"),
     "resolved_band": ("#d55e0048", "#ff9a4d50"),
     "tolerance": ("#7a1f5c", "#e79bc9"),
+    "start": ("#1c1e21", "#e6e8ea"),
     "beyond": ("#8c1d40", "#ff8fab"),
     "used": ("#0072b2", "#56b4e9"),
     "unused": ("#d55e00", "#ff9a4d"),
@@ -227,6 +230,7 @@ PALETTE = {
     "series_8": ("#999999", "#8a8f96"),
 }
 DASHES = {"encoder": "dash", "tolerance": "dot"}  # told apart without colour too
+HOLLOW = {"start"}  # single points drawn as rings: what lies on them stays to be seen
 STROKES = {"error": 1.1, "resolved": 2.0, "encoder": 1.6, "vector": 0.7}  # px on a screen
 STROKE = 1.4  # px, of every other line
 RED_BLUE = ((0.0, "low"), (0.5, "paper"), (1.0, "high"))

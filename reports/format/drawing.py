@@ -65,6 +65,14 @@ class Drawing:
         shown = text % tuple(places.ravel().tolist())
         self.parts.append(f"<g {paint('fill', role, opacity)}>{shown}</g>")
 
+    def rings(self, places: Array, role: str, radius: float, width: float) -> None:
+        """Draw open circles at (n, 2) places."""
+        self.parts += [
+            f'<circle cx="{x:.2f}" cy="{y:.2f}" r="{radius:g}" fill="none" '
+            f'{paint("stroke", role)} stroke-width="{width:g}"/>'
+            for x, y in places
+        ]
+
     def clip(self, left: float, top: float, right: float, bottom: float) -> None:
         """Show what follows, up to `unclip`, only within a rectangle."""
         self.clips += 1

@@ -214,6 +214,8 @@ def _draw_course(axes: Any, points: charts.Array, role: str, name: str) -> None:
     style = {"color": _colour(role), "linestyle": _line_style(role), "linewidth": 1.2}
     if len(points) == 1:
         style |= {"marker": "o", "linestyle": "", "markersize": 4.0}
+    if role in charts.HOLLOW:
+        style |= {"markerfacecolor": "none", "markersize": 6.5}
     axes.plot(*points.T, label=name, **style)
     alone = isolated_points(points[:, 0], points[:, 1])
     if alone.any() and len(points) > 1:

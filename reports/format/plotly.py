@@ -24,7 +24,7 @@ LABEL_GAP_PX = 16  # more, where a label stands above a title
 TOP_PX, BOTTOM_PX = 34, 44  # for the legend and for the label of the time axis
 MAX_BOX_DIAGONAL = 1.2  # diagonal of a box, its longest side 1, that the nearest view holds
 MAX_TICKS = 6  # of the longest axis in space
-MARKER_PX = 7  # a point that stands for itself
+MARKER_PX, RING_PX = 7, 12  # a point that stands for itself; a ring about one
 
 
 def specification(chart: Chart | Path) -> dict[str, Any]:
@@ -327,10 +327,14 @@ def _line_in_space(points: Array, role: str, name: str) -> dict[str, Any]:
         "name": escape_label(name),
         "legendgroup": escape_label(name),
         "line": {"color": colour(role), "width": 4, "dash": charts.DASHES.get(role, "solid")},
-        "marker": {"color": colour(role), "size": 5 if len(points) == 1 else 2},
+        "marker": {"color": colour(role), "size": 5 if len(points) == 1 else 2} | _ring(role, 9),
         "hovertemplate": "%{x:.2f}, %{y:.2f}, %{z:.2f} mm",
     }
     return trace | {axis: _floats(points[:, i]) for i, axis in enumerate("xyz")}
+
+
+def _ring(role: str, size: int) -> dict[str, Any]:
+    return {"symbol": "circle-open", "size": size} if role in charts.HOLLOW else {}
 
 
 def _mode(points: Array) -> str:
@@ -345,6 +349,7 @@ def _line_from_above(points: Array, role: str, name: str) -> dict[str, Any]:
     trace = _scatter(points[:, 0], points[:, 1], _mode(points), name)
     style = {"color": colour(role), "width": 2.5, "dash": charts.DASHES.get(role, "solid")}
     marker = {"color": colour(role), "size": MARKER_PX if len(points) == 1 else 3}
+    marker |= _ring(role, RING_PX)
     hover = {"hovertemplate": "%{x:.2f}, %{y:.2f} mm"}
     return trace | {"line": style, "marker": marker, "showlegend": False} | hover
 

@@ -10,7 +10,16 @@ from itertools import product
 
 import numpy as np
 
-from reports.document.charts import Array, Line, Panel, Path, Points, isolated_points, pieces
+from reports.document.charts import (
+    HOLLOW,
+    Array,
+    Line,
+    Panel,
+    Path,
+    Points,
+    isolated_points,
+    pieces,
+)
 from reports.format import svg
 from reports.format.drawing import Drawing, dash_of
 from reports.format.lettering import printable, text_height, text_width
@@ -25,7 +34,7 @@ TO_PAPER = np.array([
 ])  # (3, 2), y of the paper points down  # fmt: skip
 MAX_AXIS_STEPS = 5  # between the numbers of the longest axis
 SIDE, FROM_ABOVE = 0.6, 0.66  # of the width: the box, beside a plane; where the plane's room begins
-COURSE_WIDTH, SINGLE = 1.2, 2.5  # pt: of a line; a single point's radius
+COURSE_WIDTH, SINGLE, RING = 1.2, 2.2, 3.6  # pt: of a line; radii of a single point, of a ring
 MAX_NAME_LETTERS = 60  # of a line, in the legend
 # the edge of the box that carries each axis' numbers: its ends as shares of the ranges
 NUMBERED = {0: (None, 0.0, 0.0), 1: (1.0, None, 0.0), 2: (1.0, 1.0, None)}
@@ -115,6 +124,9 @@ def _draw_box(drawing: Drawing, path: Path, room: Array) -> None:
 
 def _draw_course(drawing: Drawing, places: Array, role: str) -> None:
     """Draw a line, (n, 2) on paper; a single point as a dot."""
+    if len(places) == 1 and role in HOLLOW:
+        drawing.rings(places, role, RING, svg.RING_WIDTH)
+        return
     if len(places) == 1:
         drawing.dots(places, role, SINGLE)
         return

@@ -25,6 +25,7 @@ AXIS_WIDTH, GRID_WIDTH = 0.5, 0.4
 BELOW_IN = 0.25  # of the figure's height, for the numbers and the name of the last row's axes
 LEGEND_ROW = 11.0  # pt
 SIGN, SIGN_GAP, LEGEND_GAP = 11.7, 5.2, 9.1  # pt: of the legend, a sign, before its word, behind
+RING_WIDTH = 0.9  # pt
 HALF_SIGN = 2.3  # pt, half the height of an area's
 MAX_LEGEND_COLUMNS = 6
 LOW_STRIP_IN = 0.8  # a row lower than this has room for few numbers
@@ -220,6 +221,8 @@ def draw_legend(drawing: Drawing, entries: list[tuple[str, Mark]]) -> float:
         if isinstance(mark, charts.Band | charts.Bars):
             corners = np.array([[x, -1], [x + SIGN, -1], [x + SIGN, 1], [x, 1]])
             drawing.areas([corners * (1, HALF_SIGN) + (0, y)], role)
+        elif isinstance(mark, charts.Points) and role in charts.HOLLOW:
+            drawing.rings(sign.mean(axis=0, keepdims=True), role, HALF_SIGN, RING_WIDTH)
         elif isinstance(mark, charts.Points):
             drawing.dots(sign.mean(axis=0, keepdims=True), role, DOT)
         else:

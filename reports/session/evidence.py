@@ -56,7 +56,7 @@ FIGURES = {
     ),
     "reprojection": doc.FigurePlan(
         evidence.reprojection,
-        "RMS residual of each pair in pixels, and the number of LEDs seen.",
+        "RMS residual of each pair in pixels, and the number of LEDs that either camera saw.",
         "Two strips against time: rms residual in pixels, number of LEDs.",
         "No pair gave a residual.",
     ),
@@ -68,7 +68,7 @@ FIGURES = {
     ),
     "timeline": doc.FigurePlan(
         evidence.timeline,
-        "When pairs were measured, and when they were not and why.",
+        "When pairs were measured, and when they were not and why. No bar: no pair was recorded.",
         "A timeline with one row an outcome; bars where pairs had that outcome.",
         "The times of the pairs are not known.",
     ),

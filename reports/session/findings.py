@@ -213,8 +213,8 @@ def path(results: Results) -> doc.Section:
     figure = doc.Figure(
         "path",
         "Measured path of the flange in the robot's base frame, in space and from above, coloured "
-        "by its position error, resolved. U: k = 2. Colours that differ by less than U "
-        "show no difference.",
+        "by its position error, resolved; no line where pairs are missing. U: k = 2. Colours that "
+        "differ by less than U show no difference.",
         "The path as a curve in space and from above, coloured by the size of the position error.",
         motion.flange_path(results),
     )

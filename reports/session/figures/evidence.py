@@ -122,7 +122,7 @@ def timeline(results: Results) -> charts.Chart | None:
     if not kinds or not np.isfinite(t).any():
         return None
     half = charts.median_step(t) / 2
-    found = charts.runs(statuses)
+    found = charts.runs(statuses, t)
     marks = []
     for row, kind in enumerate(kinds):
         own = [(first, last) for status, first, last in found if status == kind]

@@ -98,19 +98,22 @@ def flange_path(results: Results) -> charts.Path | None:
     if not np.isfinite(points).any():
         return None
     seen = np.flatnonzero(np.isfinite(points).all(axis=1))
-    marked = [(points[seen[:1]], "series_2", "first pair")]
+    marked = [(points[seen[:1]], "start", "first pair")]
     if np.isfinite(error[seen]).any():
         worst = seen[int(np.nanargmax(error[seen]))]
         spread = charts.column(resolved, "position_resolved_u_mm")[worst]
         name = f"largest, {fmt.with_uncertainty(error[worst], 2 * spread, 'mm', signed=False)}"
         marked.append((points[[worst]], "ink", name))
-    stride = max(1, -(-len(points) // charts.MAX_LINE_POINTS))
-    points, error = points[::stride], error[::stride]
+    kept, part = charts.split_at_gaps(charts.time_axis(frames)[0], points.sum(axis=1))
+    stride = max(1, -(-len(kept) // charts.MAX_LINE_POINTS))
+    kept, part = kept[::stride], part[::stride]
+    breaks = np.flatnonzero(np.diff(part)) + 1
+    points, error = (np.insert(a[kept], breaks, np.nan, axis=0) for a in (points, error))
     limit = fmt.finite((results.summary.get("position") or {}).get("tolerance_mm"))
     lines = [
         (_up_to_the_next(points, inside), role, name)
-        for inside, role, name in _error_classes(error, limit)
-        if inside.any()
+        for named, role, name in _error_classes(error, limit)
+        if (inside := named & np.isfinite(points[:, 0])).any()
     ]
     ranges = charts.box(points, 1 + PANEL_MARGIN, least=0.5)  # mm: the arm may stand still
     labels = ("x [mm]", "y [mm]", "z [mm]")

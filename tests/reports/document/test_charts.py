@@ -99,4 +99,10 @@ def test_times_are_shown_from_the_first_pair(first: float) -> None:
 def test_a_missing_column_is_all_unknown_and_runs_gather_equal_neighbours() -> None:
     assert np.isnan(column(pd.DataFrame({"a": [1, 2]}), "b")).all()
     assert column(pd.DataFrame(), "b").size == 0
-    assert runs(["a", "a", "b", "a"]) == [("a", 0, 1), ("b", 2, 2), ("a", 3, 3)]
+    t = np.arange(4.0)
+    assert runs(["a", "a", "b", "a"], t) == [("a", 0, 1), ("b", 2, 2), ("a", 3, 3)]
+
+
+def test_a_run_ends_where_pairs_are_missing() -> None:
+    t = np.array([0.0, 0.1, 0.2, 0.5, 0.6])
+    assert runs(["a"] * 5, t) == [("a", 0, 2), ("a", 3, 4)]
