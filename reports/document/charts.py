@@ -300,6 +300,7 @@ class Cells:
     low: float
     high: float
     text: tuple[tuple[str, ...], ...] = ()
+    name: str = ""  # of the colours' scale, where no text says what they mean
 
 
 @dataclass(frozen=True)
@@ -404,7 +405,7 @@ def correlation_panel(
     n = len(values)
     places = np.arange(n, dtype=float)
     return Panel(
-        (Cells(values, places, places, RED_BLUE, -1.0, 1.0, text),),
+        (Cells(values, places, places, RED_BLUE, -1.0, 1.0, text, "" if text else "−1 to +1"),),
         x_ticks=columns,
         y_ticks=rows,
         x_range=(-0.5, n - 0.5),

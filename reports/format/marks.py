@@ -2,7 +2,7 @@
 
 import base64
 import io
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import singledispatch
 
 import numpy as np
@@ -15,6 +15,7 @@ from reports.format.scales import HALF_RUN, Scale, edges
 
 NOTE_SIZE, CELL_SIZE = 6.0, 6.5  # pt
 MAX_VECTOR_CELLS = 200  # more are a picture: thousands of rectangles would only be slow
+SHADES = 12  # of a scale in the legend
 PICTURE_SCALE = 4.0  # its dots per pt
 DOT = 1.75  # pt, radius of a point of a line that has no neighbour
 FRONT = {charts.Line: 1, charts.Level: 1, charts.Points: 1, charts.Note: 2}  # areas lie behind
@@ -133,6 +134,15 @@ def _cells(mark: charts.Cells, drawing: Drawing, frame: Frame) -> None:
             f'<rect x="{left:.2f}" y="{top:.2f}" width="{right - left:.2f}" '
             f'height="{bottom - top:.2f}" fill="#{bytes(colours[row, column, :3]).hex()}"/>'
         )
+
+
+def draw_shades(drawing: Drawing, mark: charts.Cells, frame: Frame) -> None:
+    """Fill a frame of 0 to 1 with the colours of a scale, low to high."""
+    shares = (np.arange(SHADES) + 0.5) / SHADES
+    shades = replace(
+        mark, values=mark.low + shares[None] * (mark.high - mark.low), x=shares, y=np.array([0.5])
+    )
+    _cells(shades, drawing, frame)
 
 
 def _picture(frame: Frame, colours: Array, x: Array, y: Array) -> str:

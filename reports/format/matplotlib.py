@@ -48,7 +48,7 @@ def _colour(role: str) -> str:
 
 def _draw_panels(chart: Chart) -> Figure:
     rows = -(-len(chart.panels) // chart.columns)
-    legend = charts.legend(chart)
+    legend = {n: m for n, m in charts.legend(chart).items() if not isinstance(m, charts.Cells)}
     columns = _legend_columns(legend)
     lines = -(-len(legend) // columns)  # rounded up
     height = rows * chart.row_height + 0.25 + LEGEND_IN * lines
@@ -167,10 +167,12 @@ def _draw_cells(axes: Axes, cells: charts.Cells) -> None:
     scale = mpl.colors.LinearSegmentedColormap.from_list(
         "report", [(share, _colour(role)) for share, role in cells.scale]
     )
-    axes.pcolormesh(
+    mesh = axes.pcolormesh(
         cells.x, cells.y, cells.values, cmap=scale, vmin=cells.low, vmax=cells.high,
         rasterized=cells.values.size > 200,  # thousands of vector cells would only be slow
     )  # fmt: skip
+    if cells.name and axes.figure is not None:
+        axes.figure.colorbar(mesh, ax=axes, shrink=0.6)
     roles = charts.letter_roles(cells, 0)
     for row, line in enumerate(cells.text):
         for column_, text in enumerate(line):

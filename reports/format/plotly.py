@@ -188,7 +188,8 @@ def _cells(cells: charts.Cells) -> dict[str, Any]:
         "zmin": cells.low,
         "zmax": cells.high,
         "colorscale": [[share, colour(role)] for share, role in cells.scale],
-        "showscale": False,
+        "showscale": bool(cells.name),
+        "colorbar": {"thickness": 12, "outlinewidth": 0},
         "hoverinfo": "skip",
     }
 

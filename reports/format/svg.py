@@ -13,7 +13,7 @@ from reports.document import charts
 from reports.document.charts import Chart, Mark, Panel, Path
 from reports.format.drawing import Drawing, dash_of, line_width
 from reports.format.lettering import printable, text_height, text_width
-from reports.format.marks import DOT, Frame, draw_marks
+from reports.format.marks import DOT, Frame, draw_marks, draw_shades
 from reports.format.scales import Scale, extent, scale
 
 LINE_WIDTH_PT = 481.7  # 170 mm, what A4 leaves between the margins of the report
@@ -26,6 +26,7 @@ BELOW_IN = 0.25  # of the figure's height, for the numbers and the name of the l
 LEGEND_ROW = 11.0  # pt
 SIGN, SIGN_GAP, LEGEND_GAP = 11.7, 5.2, 9.1  # pt: of the legend, a sign, before its word, behind
 RING_WIDTH = 0.9  # pt
+UNIT = Scale((0.0, 1.0), ())
 HALF_SIGN = 2.3  # pt, half the height of an area's
 MAX_LEGEND_COLUMNS = 6
 LOW_STRIP_IN = 0.8  # a row lower than this has room for few numbers
@@ -221,6 +222,8 @@ def draw_legend(drawing: Drawing, entries: list[tuple[str, Mark]]) -> float:
         if isinstance(mark, charts.Band | charts.Bars):
             corners = np.array([[x, -1], [x + SIGN, -1], [x + SIGN, 1], [x, 1]])
             drawing.areas([corners * (1, HALF_SIGN) + (0, y)], role)
+        elif isinstance(mark, charts.Cells):
+            draw_shades(drawing, mark, Frame(x, y - HALF_SIGN, x + SIGN, y + HALF_SIGN, UNIT, UNIT))
         elif isinstance(mark, charts.Points) and role in charts.HOLLOW:
             drawing.rings(sign.mean(axis=0, keepdims=True), role, HALF_SIGN, RING_WIDTH)
         elif isinstance(mark, charts.Points):

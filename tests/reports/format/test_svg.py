@@ -178,3 +178,14 @@ def test_a_figure_without_data_is_drawn() -> None:
     assert inked(svg.svg(point)).any()
     nothing = Path((), ("x [mm]", "y [mm]", "z [mm]"), ((0.0, 1.0),) * 3, from_above=True)
     assert inked(svg.svg(nothing)).any()
+
+
+def test_shades_without_words_say_in_the_legend_what_they_stand_for() -> None:
+    ticks = ((0.0, "a"), (1.0, "b"))
+    values = np.array([[1.0, -0.4], [-0.4, 1.0]])
+    drawing = svg.svg(Chart((charts.correlation_panel(values, ticks, ticks),)))
+    assert "−1 to +1" in words(drawing)
+    fills = re.findall(r'height="4.60" fill="(#[0-9a-f]+)"', drawing.decode())
+    assert len(set(fills)) > 9  # a scale, from one end to the other
+    written = charts.correlation_panel(values, ticks, ticks, (("1.00", "−0.40"),) * 2)
+    assert "−1 to +1" not in words(svg.svg(Chart((written,))))
