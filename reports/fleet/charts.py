@@ -13,6 +13,7 @@ from reports.document.charts import (
     Array,
     Band,
     Chart,
+    Indices,
     Level,
     Line,
     Mark,
@@ -81,6 +82,7 @@ def false_alarm_text(summary: dict[str, Any]) -> str:
 
 MAX_ARMS = 12  # charts of that many arms; of more, those with a change, then the others
 MAX_TICKS = 7
+DASH_SHARE = 0.3  # of the time from one session to the next: half the level of one session alone
 GROUP_SHIFT = 0.14  # of a joint's latest session from its place, beside those before it
 TICK_STEPS = (1, 2, 3, 6, 12, 24, 60)  # months between two marks of the time axis
 CAPTION = (
@@ -136,7 +138,7 @@ def arm_chart(points: pd.DataFrame, changes: pd.DataFrame) -> Chart | None:
         _panel(points[points["joint"] == joint], changes[changes["joint"] == joint], zero, ticks)
         for joint in numbers
     ]
-    return strips(panels, f"month; days are counted from {format_day(zero)}", row_height=0.86)
+    return strips(panels, f"date; days are counted from {format_day(zero)}", row_height=0.86)
 
 
 def changed_joints(results: Results, most: int) -> Chart | None:
@@ -155,7 +157,7 @@ def changed_joints(results: Results, most: int) -> Chart | None:
         panel = _panel(own, changes, zero, ticks)
         title = f"{fmt.text_or_dash(arm)}, joint {joint}"
         panels.append(replace(panel, title=title, y_label="error [°]", x_range=ends))
-    return strips(panels, f"month; days are counted from {format_day(zero)}", row_height=1.25)
+    return strips(panels, f"date; days are counted from {format_day(zero)}", row_height=1.25)
 
 
 def present_errors(results: Results, arms: list[str]) -> Chart | None:
@@ -226,19 +228,19 @@ def _panel(own: pd.DataFrame, changes: pd.DataFrame, zero: float, ticks: Ticks) 
         Line(*_break_at_calibrations(own, t, low), "tolerance", "control limits"),
         Line(*_break_at_calibrations(own, t, high), "tolerance"),
         *_fitted_course(own, t, changes, zero),
-        Points(t[~odd], error[~odd], "error", "session", size=1.2),
-    ]
-    if odd.any():
-        marks.append(Points(t[odd], error[odd], "series_2", "odd session", size=2.0))
-    steps = changes[changes["term"] == "step"]
-    marks += [
-        Level((float(a) + float(b)) / 2 - zero, "encoder", "step", upright=True)
-        for a, b in zip(steps["t_days"], steps["before_t_days"], strict=True)
     ]
     marks += [
         Level(place, "muted", "new calibration", upright=True)
         for place in _calibration_changes(own, t)
     ]
+    steps = changes[changes["term"] == "step"]
+    marks += [  # in front of a new calibration at the same place
+        Level((float(a) + float(b)) / 2 - zero, "encoder", "step", upright=True)
+        for a, b in zip(steps["t_days"], steps["before_t_days"], strict=True)
+    ]
+    marks.append(Points(t[~odd], error[~odd], "error", "session", size=1.6))
+    if odd.any():
+        marks.append(Points(t[odd], error[odd], "series_2", "odd session", size=2.0))
     return Panel(
         tuple(marks),
         y_label=f"q{int(own['joint'].iloc[0])} [°]",
@@ -249,8 +251,23 @@ def _panel(own: pd.DataFrame, changes: pd.DataFrame, zero: float, ticks: Ticks) 
 
 
 def _break_at_calibrations(own: pd.DataFrame, t: Array, values: Array) -> tuple[Array, Array]:
-    cuts = np.searchsorted(t, _calibration_changes(own, t))
-    return np.insert(t, cuts, np.nan), np.insert(values, cuts, np.nan)
+    return _pieces(t, values, np.searchsorted(t, _calibration_changes(own, t)))
+
+
+def _pieces(t: Array, values: Array, cuts: Indices) -> tuple[Array, Array]:
+    """Cut a line before some of its points; a piece of one point is a short dash, no dot."""
+    half = DASH_SHARE * float(np.diff(np.unique(t)).min(initial=1.0))
+    x, y = [np.empty(0)], [np.empty(0)]
+    for part in np.split(np.arange(len(t)), cuts):
+        if len(part) == 1:
+            x.append(t[part] + np.array([-half, half]))
+            y.append(np.repeat(values[part], 2))
+        else:
+            x.append(t[part])
+            y.append(values[part])
+        x.append(np.array([np.nan]))
+        y.append(np.array([np.nan]))
+    return np.concatenate(x), np.concatenate(y)
 
 
 def _error_bars(t: Array, low: Array, high: Array) -> Band:
@@ -274,7 +291,7 @@ def _fitted_course(own: pd.DataFrame, t: Array, changes: pd.DataFrame, zero: flo
     places = [float(d) - zero for d in changes[changes["term"] == "step"]["t_days"]]
     places += _calibration_changes(own, column(own, "t_days") - zero)
     cuts = np.searchsorted(t, sorted(place - 1e-9 for place in places))
-    return [Line(np.insert(t, cuts, np.nan), np.insert(fitted, cuts, np.nan), "resolved", "level")]
+    return [Line(*_pieces(t, fitted, cuts), "resolved", "level")]
 
 
 def month_ticks(first: float, last: float) -> Ticks:

@@ -10,7 +10,7 @@ import pytest
 
 from reports import render_html, render_pdf
 from reports.document.blocks import Verdict
-from reports.document.charts import Level, Points
+from reports.document.charts import Level, Line, Points, isolated_points
 from reports.document.formatting import DASH, with_uncertainty
 from reports.fleet.charts import MAX_TICKS, arm_chart, format_day, month_ticks, present_errors
 from reports.fleet.document import document
@@ -200,3 +200,18 @@ def test_below_six_sessions_each_of_them_is_drawn_the_latest_apart() -> None:
         own = recent[recent["order"] == order]
         assert points[name].y.tolist() == own["error_deg"].tolist()
     assert recent[recent["order"] == 0]["session"].unique().tolist() == ["lab/arm_a/001"]
+
+
+def test_where_every_session_has_its_own_calibration_levels_are_dashes_behind_the_sessions() -> (
+    None
+):
+    results = made_fleet.changed()
+    points = results.table("points")
+    points = points[points["arm"] == points["arm"].iloc[0]].copy()
+    points["calibration"] = points.groupby("joint").cumcount()
+    chart = arm_chart(points, results.table("changes").iloc[:0])
+    assert chart is not None
+    for panel in chart.panels:
+        lines = [mark for mark in panel.marks if isinstance(mark, Line)]
+        assert not any(isolated_points(mark.x, mark.y).any() for mark in lines)
+        assert isinstance(panel.marks[-1], Points)
