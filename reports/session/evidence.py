@@ -8,12 +8,14 @@ import pandas as pd
 
 from reports.document import blocks as doc
 from reports.document import formatting as fmt
-from reports.document.charts import Band, Chart, Level, Mark, Panel, Points, column, texts
+from reports.document.charts import Array, Band, Chart, Level, Mark, Panel, Points, column, texts
 from reports.results import Results
 from reports.session import phrases
 from reports.session.figures import evidence
+from reports.session.figures.evidence import PANEL_MARGIN
 from reports.session.findings import clock_text
 
+USUAL_SHARE = 0.9  # of the bars, that a frame holds: those near a singularity are far longer
 MEAN_NOTE = (
     "A mean far from zero with a small scatter indicates an LED that is not where the marker file "
     "says, or a calibration that no longer holds."
@@ -41,8 +43,21 @@ def relative_errors(results: Results) -> Chart | None:
             *bars,
             Points(turn, error, "measured", "", 1.5),
         )
-        panels.append(Panel(marks, label, "angle turned [°]" if name == "advance" else ""))
+        x_label = "angle turned [°]" if name == "advance" else ""
+        panels.append(Panel(marks, label, x_label, y_range=_usual_range(error, 2 * u)))
     return Chart(tuple(panels), shared_x=True)
+
+
+def _usual_range(error: Array, half: Array) -> tuple[float, float] | None:
+    """Extent of every error and of all but the widest tenth of the bars, with a margin."""
+    known = np.isfinite(error + half)
+    if not known.any():
+        return None
+    error, half = error[known], half[known]
+    half = np.minimum(half, np.quantile(half, USUAL_SHARE, method="lower"))
+    low, high = float((error - half).min()), float((error + half).max())
+    room = PANEL_MARGIN * (high - low) or 1e-3  # a thousandth of a degree or millimetre
+    return min(low, 0.0) - room, max(high, 0.0) + room
 
 
 FIGURES = {
@@ -75,7 +90,8 @@ FIGURES = {
     "relative": doc.FigurePlan(
         relative_errors,
         "Encoders' less measured turn and advance of each relative motion, against how far it "
-        "turns; the bars are ± 2 standard uncertainties.",
+        "turns; the bars are ± 2 standard uncertainties, of which those near a singularity may "
+        "leave the frame.",
         "Two strips against the angle turned: error of the turn in degrees, of the advance in "
         "millimetres, with bars of two standard uncertainties about zero.",
         "The relative motions were not kept.",

@@ -14,6 +14,7 @@ from reports.document.charts import Band, Line, Path
 from reports.format import pdf, plotly, svg
 from reports.format.lettering import printable
 from reports.session.document import document
+from reports.session.evidence import relative_errors
 from reports.session.figures import motion
 from reports.session.figures.evidence import residuals
 from tests.support.reports import session as made
@@ -145,3 +146,16 @@ def test_the_path_is_coloured_by_classes_that_the_tolerance_parts(
 def test_without_a_tolerance_all_joints_have_one_scale() -> None:
     ranges = {panel.y_range for panel in chart_of("no_tolerance", "joint_errors").panels}
     assert len(ranges) == 1
+
+
+def test_one_long_bar_does_not_set_the_scale_of_the_relative_motions() -> None:
+    results = made_of("nonconforming")
+    relative = results.tables["relative"].copy()
+    usual = 2 * relative["turn_u_deg"].median()
+    relative.loc[relative.index[0], "turn_u_deg"] = 100.0
+    chart = relative_errors(replace(results, tables={**results.tables, "relative": relative}))
+    assert chart is not None
+    low, high = chart.panels[0].y_range or (-np.inf, np.inf)
+    error = relative["turn_error_deg"]
+    assert low < error.min() < error.max() < high
+    assert high - low < np.ptp(error) + 10 * usual
