@@ -213,6 +213,7 @@ PALETTE = {
     "resolved": ("#d55e00", "#ff9a4d"),
     "resolved_band": ("#d55e0048", "#ff9a4d50"),
     "tolerance": ("#7a1f5c", "#e79bc9"),
+    "second_limit": ("#1c1e21", "#e6e8ea"),
     "start": ("#1c1e21", "#e6e8ea"),
     "beyond": ("#8c1d40", "#ff8fab"),
     "used": ("#0072b2", "#56b4e9"),
@@ -229,7 +230,11 @@ PALETTE = {
     "series_7": ("#8c6d31", "#c9a86a"),
     "series_8": ("#999999", "#8a8f96"),
 }
-DASHES = {"encoder": "dash", "tolerance": "dot"}  # told apart without colour too
+DASHES = {
+    "encoder": "dash",
+    "tolerance": "dot",
+    "second_limit": "dash",
+}  # told apart without colour too
 HOLLOW = {"start"}  # single points drawn as rings: what lies on them stays to be seen
 STROKES = {"error": 1.1, "resolved": 2.0, "encoder": 1.6, "vector": 0.7}  # px on a screen
 STROKE = 1.4  # px, of every other line

@@ -7,7 +7,7 @@ import numpy as np
 
 from reports.document import blocks as doc
 from reports.document import formatting as fmt
-from reports.document.charts import column, records
+from reports.document.charts import column, records, texts
 from reports.results import Results
 
 OUTCOMES = {  # by the state: tone, label
@@ -33,10 +33,10 @@ MAX_STAGES = 9  # rows of the table of page one; the appendix has all
 MIN_STAGE_S = 1e-6  # a state that was left at once is no stage
 PICTURES = doc.Figure(
     "pictures",
-    "Both cameras, left and right. Above: the object before the grasp; below: the grasp. Box: "
-    "searched window; ellipse: detected object.",
-    "Pictures of both cameras: the object, and the grasp",
+    "Both cameras, left and right{moments}. Box: searched window; ellipse: detected object.",
+    "Pictures of both cameras: the object, and the hand where it came to it",
 )
+PICTURED = {"following": "the object before the grasp", "closing": "the grasp"}
 
 
 def certificate(results: Results) -> doc.Section:
@@ -50,12 +50,22 @@ def certificate(results: Results) -> doc.Section:
     if summary.get("warnings"):
         blocks.append(doc.Bullets(tuple(summary["warnings"]), "warning"))
     blocks += [
-        doc.block_or_paragraph(PICTURES, picture, "There are no pictures."),
+        doc.block_or_paragraph(_pictures(results), picture, "There are no pictures."),
         *_film(results),
         *_stage_table(results),
         doc.remedies(_actions(summary), _unchecked(summary)),
     ]
     return doc.Section("outcome", "Outcome", tuple(blocks))
+
+
+def _pictures(results: Results) -> doc.Figure:
+    """The figure of both cameras, with what its one or two pairs of pictures show."""
+    states = set(texts(results.table("cycles"), "state"))
+    shown = [words for state, words in PICTURED.items() if state in states]
+    moments = f": {shown[0]}" if shown else ", at the end"
+    if len(shown) > 1:
+        moments = f". Above: {shown[0]}; below: {shown[1]}"
+    return replace(PICTURES, caption=PICTURES.caption.format(moments=moments))
 
 
 def outcome(summary: dict[str, Any]) -> doc.Verdict:
@@ -64,7 +74,8 @@ def outcome(summary: dict[str, Any]) -> doc.Verdict:
     plan, refusal = summary.get("plan"), summary.get("refusal") or {}
     if not summary.get("execute") and plan:
         duration = fmt.number(plan.get("duration_s"), 1)
-        return doc.Verdict("none", "Planned; nothing was moved", f"{plan['branch']}, {duration} s.")
+        sentence = f"A safe way leads to the target, with {plan['branch']}; it takes {duration} s."
+        return doc.Verdict("none", "Planned; nothing was moved", sentence)
     if refusal:
         return doc.Verdict(
             "undecided", "Refused", f"{refusal['reason']}.{_tool_offset_text(summary)}"

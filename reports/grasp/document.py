@@ -94,9 +94,11 @@ def _joints(results: Results) -> doc.Section:
             rows.append(
                 doc.row(stage, fmt.number(t[first], 2), *(fmt.number(q, 2) for q in angles))
             )
-    head = ("beginning of", "t [s]", *(f"joint {n} [°]" for n in range(1, figures.N_JOINTS + 1)))
-    caption = "Joint angles, read, at the beginning of each stage."
-    blocks.append(doc.Table(caption, "l" + "r" * (figures.N_JOINTS + 1), head, tuple(rows)))
+    if rows:
+        numbers = range(1, figures.N_JOINTS + 1)
+        head = ("Beginning of", "t [s]", *(f"Joint {n} [°]" for n in numbers))
+        caption = "Joint angles, read, at the beginning of each stage."
+        blocks.append(doc.Table(caption, "l" + "r" * (len(head) - 1), head, tuple(rows)))
     return doc.Section("joints", "Joint angles", tuple(blocks))
 
 
@@ -117,7 +119,7 @@ def _tool_offset_section(results: Results) -> doc.Section:
             ("its expanded uncertainty (k = 2)", "off_expanded_uncertainty"),
         )
     ]
-    head = ("", "x [mm]", "y [mm]", "z [mm]")
+    head = ("Place", "x [mm]", "y [mm]", "z [mm]")
     caption = f"{hand['measured']} of {hand['pictures']} pairs of pictures showed the flange."
     blocks.append(doc.Table(caption, "lrrr", head, tuple(rows)))
     return doc.Section("hand", "Position of the hand by its LEDs", tuple(blocks))
@@ -134,7 +136,7 @@ def _margins(results: Results) -> doc.Section:
             )
             for what, key in (("sideways", "across"), ("along the approach", "along"))
         )
-        head = ("direction", "clearance [mm]", "needed [mm]")
+        head = ("Direction", "Clearance [mm]", "Needed [mm]")
         blocks.append(doc.Table("Margins of the planned grasp.", "lrr", head, rows))
         raised = fmt.number(margin["raised_mm"], 1)
         text = (
@@ -159,6 +161,6 @@ def _plan(results: Results) -> doc.Section:
         taken = f"taken: score {fmt.significant(plan['score'])} ({parts})"
         rows.insert(0, doc.row(plan["branch"], taken))
     if rows:
-        head = ("posture", "reason")
+        head = ("Posture", "Reason")
         blocks.append(doc.Table("The arm's postures.", "ll", head, tuple(rows), wide=(1,)))
     return doc.Section("plan", "Plan", tuple(blocks))

@@ -11,6 +11,7 @@ N_JOINTS = 6
 N_COLUMNS = 2  # of their panels
 AXIS_EXTENSION = 1.15  # of the data, so that no line runs along the frame
 MIN_BOX_SIDE = 0.8  # of a box in space, against its longest side: a slim one is cut off
+MIN_NAMED_SHARE = 0.02  # of the motion: a shorter part would be named and not seen
 MIN_SPAN_DEG = 2.0  # °, of an axis: what is less is noise
 MAX_MARGIN_RATIO = 1.3  # times what the gripper leaves: an axis shows no more
 SIDES = (("left", "series_1"), ("right", "series_6"))
@@ -98,17 +99,18 @@ def planned_motion(results: Results) -> charts.Chart | None:
     if len(table) < 2:
         return None
     t, parts = charts.column(table, "t_s"), np.array(charts.texts(table, "part"))
+    shortest = MIN_NAMED_SHARE * float(np.ptp(t))
     panels = []
     for joint in range(1, N_JOINTS + 1):
         q = charts.column(table, f"q{joint}_deg")
         marks: list[charts.Mark] = [
-            charts.Line(t[parts == part], q[parts == part], role, name)
+            charts.Line(t[own], q[own], role, name if np.ptp(t[own]) > shortest else "")
             for part, role, name in (
                 ("over", "series_1", "over to it"),
                 ("down", "series_6", "down"),
                 ("up", "series_3", "up"),
             )
-            if (parts == part).any()
+            if (own := parts == part).any()
         ]
         panels.append(_angle_panel(joint, marks))
     return charts.Chart(tuple(panels), columns=N_COLUMNS, row_height=0.95, shared_x=True)
@@ -131,11 +133,13 @@ def margins(results: Results) -> charts.Chart | None:
         return None
     most = 0.0
     margin = (results.summary.get("plan") or {}).get("margin") or {}
-    for what, key in (("sideways", "across"), ("along the approach", "along")):
+    for what, key, role in (
+        ("sideways", "across", "tolerance"), ("along the approach", "along", "second_limit"),
+    ):  # fmt: skip
         allowed = margin.get(f"{key}_mm")
         if allowed:
             most = max(most, MAX_MARGIN_RATIO * float(allowed))
-            marks.append(charts.Level(float(allowed), "tolerance", f"clearance {what}"))
+            marks.append(charts.Level(float(allowed), role, f"clearance {what}"))
     ends = (0.0, most) if most else None
     panel = charts.Panel(tuple(marks), "U [mm]", "time [s]", y_range=ends, unit="mm")
     return charts.Chart((panel,), row_height=1.7)

@@ -7,6 +7,7 @@ import pandas as pd
 import pytest
 
 from reports.document.blocks import Facts, collect_figures
+from reports.document.charts import Level, legend
 from reports.format import html, pdf
 from reports.grasp import figures as grasp_figures
 from reports.grasp.certificate import outcome
@@ -140,3 +141,32 @@ def test_a_film_is_in_the_page_where_it_is_small_enough_else_the_page_says_where
     assert ('src="data:video/mp4;base64,AAAA' in page) is held
     assert '<a href="grab.mp4">grab.mp4</a>' in page
     assert "Film of the grab" in str(pdf.typst_files(document(results))["report.json"])
+
+
+def test_a_plan_alone_is_a_sentence_and_its_pictures_are_not_called_a_grasp() -> None:
+    plan = {"branch": "shoulder facing, elbow +", "duration_s": 4.9}
+    words = "A safe way leads to the target, with shoulder facing, elbow +; it takes 4.9 s."
+    assert outcome({"state": "tracking", "plan": plan}).sentence == words
+    made = replace(grabbed({}), images={"pictures": b""})
+    cycles = made.table("cycles").assign(state="tracking")
+    planned = replace(made, tables={**made.tables, "cycles": cycles})
+    assert "Both cameras, left and right, at the end." in page_one(document(planned))
+    closing = cycles.assign(state=["following"] + ["closing"] * (len(cycles) - 1))
+    executed = replace(made, tables={**made.tables, "cycles": closing})
+    assert "Above: the object before the grasp; below: the grasp." in page_one(document(executed))
+
+
+def test_a_part_of_the_plan_that_is_no_motion_has_no_word_in_the_legend() -> None:
+    made = grabbed({})
+    plan = made.table("plan")
+    once = plan[(plan["part"] != "over") | ~plan["part"].duplicated()]
+    chart = grasp_figures.planned_motion(replace(made, tables={**made.tables, "plan": once}))
+    assert chart is not None
+    assert list(legend(chart)) == ["down", "up"]
+
+
+def test_the_two_clearances_are_told_apart() -> None:
+    chart = grasp_figures.margins(grabbed({"plan": PLAN}))
+    assert chart is not None
+    limits = [mark.role for mark in chart.panels[0].marks if isinstance(mark, Level)]
+    assert len(limits) == len(set(limits)) == 2
