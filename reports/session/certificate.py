@@ -65,14 +65,14 @@ def _has_tolerance(summary: dict[str, Any]) -> bool:
 def _identification(results: Results) -> list[tuple[str, str]]:
     """What was checked, by whom, with what, and when; empty where nobody has said it."""
     session, pairs = results.summary.get("session") or {}, results.summary.get("pairs") or {}
-    stated = session.get("certificate") or {}
+    stated, robot = session.get("certificate") or {}, results.setup.get("robot") or {}
     posed = session.get("instrument")
     instrument = str(stated.get("instrument") or posed or "stereo rig with LEDs")
     if stated.get("calibrated"):
         instrument += f", calibrated {stated['calibrated']}"
     measured = f"{fmt.count(pairs.get('measured'))} of {fmt.count(pairs.get('recorded'))}"
     return [
-        ("Robot", fmt.text_or_dash(session.get("robot"))),
+        ("Robot", fmt.text_or_dash(robot.get("name") or session.get("robot"))),
         ("Session", fmt.text_or_dash(PurePath(session.get("path") or "").name)),
         *((label, str(stated.get(key) or "")) for key, label in FIELDS),
         ("Instrument", instrument),

@@ -108,3 +108,19 @@ def test_one_figure_has_one_uncertainty_with_its_own_factor_throughout_the_repor
     assert "(largest error: +0.360° ± 0.019°, k = 2.19)" in " ".join(text)
     assert "Causes of the errors found, k = 2.19." in text
     assert "Error of each joint: reading less true angle, k = 2 to 2.19." in text
+
+
+def test_a_long_robot_name_stays_on_the_page_and_stands_in_the_certificate() -> None:
+    results = made_of("nonconforming")
+    name = "a_very_long_robot_name_for_the_research_arm_with_two_cameras_and_leds_in_hall_7"
+    setup = results.setup | {"robot": results.setup["robot"] | {"name": name}}
+    session = results.summary["session"] | {"robot": "arm.toml"}
+    named = replace(results, setup=setup, summary=results.summary | {"session": session})
+    laid_out = document(named)
+    alone = replace(laid_out, sections=laid_out.sections[:1])
+    text = pdf_text(pages(alone)).replace("\u200b", "")
+    assert "arm.toml" not in text
+    title = re.search(r"Encoder verification of (\S+)\s+(\S+)", text)
+    assert title is not None
+    assert title[1] + title[2] == name
+    assert len(title[1]) < 40  # letters that the line has room for behind the other words
