@@ -12,7 +12,7 @@ import numpy as np
 
 from reports.document import charts
 from reports.document.charts import Array, Chart, Mark, Panel, Path, isolated_points, pieces
-from reports.format.scales import coverage
+from reports.format.scales import coverage, numbered, widened
 from reports.results import one_line
 
 PIXELS_PER_INCH = 150  # of a chart's height: strips on a screen want more room than on paper
@@ -23,7 +23,8 @@ TITLE_GAP_PX = 18  # more, where a panel has a title
 LABEL_GAP_PX = 16  # more, where a label stands above a title
 TOP_PX, BOTTOM_PX = 34, 44  # for the legend and for the label of the time axis
 MAX_BOX_DIAGONAL = 1.2  # diagonal of a box, its longest side 1, that the nearest view holds
-MAX_TICKS = 6  # of the longest axis in space
+MAX_STEPS = 5  # between the numbers of the longest axis in space
+CORNERS = {"x": 0.05, "y": 0.05, "z": 0.13}  # of an axis in space, free of numbers
 MARKER_PX, RING_PX = 7, 12  # a point that stands for itself; a ring about one
 
 
@@ -299,8 +300,11 @@ def _path(path: Path) -> dict[str, Any]:
         "dragmode": "orbit",
     }
     for axis, label, ends, side in zip("xyz", path.labels, path.ranges, sides, strict=True):
-        ticks = max(2, round(MAX_TICKS * side))  # a short side has no room for more
-        scene[f"{axis}axis"] = {"title": {"text": label}, "range": list(ends), "nticks": ticks}
+        scene[f"{axis}axis"] = {
+            "title": {"text": label},
+            "range": list(ends),
+            **_ticks(ends, side, CORNERS[axis]),
+        }
     layout = {
         "height": 520,
         "margin": {"l": 0, "r": 0, "t": TOP_PX, "b": 0},
@@ -309,7 +313,7 @@ def _path(path: Path) -> dict[str, Any]:
     }
     far = {axis: 1.35 * place for axis, place in scene["camera"]["eye"].items()}
     narrow = layout | {"height": 400, "scene": scene | {"camera": {"eye": far}}}
-    printed = layout | {"height": 320}
+    printed = layout | {"height": 320, "scene": narrow["scene"]}
     if path.from_above:
         data += [_line_from_above(*line) for line in path.lines]
         layout = _beside(layout, path)
@@ -319,6 +323,18 @@ def _path(path: Path) -> dict[str, Any]:
         "data": data, "layout": layout, "narrow": narrow, "printed": printed, "width": 1.0,
         "time": "",
     }  # fmt: skip
+
+
+def _ticks(ends: tuple[float, float], side: float, corner: float) -> dict[str, Any]:
+    """The numbers of an axis in space; none near a corner, where those of two axes would meet."""
+    steps = max(2, round(MAX_STEPS * side))  # a short side has no room for more
+    made = numbered(widened(ends), steps)
+    far = [tick for tick in made.ticks
+           if corner < made.place(tick[0], 0.0, 1.0) < 1 - corner]  # fmt: skip
+    if made.power:
+        return {"nticks": steps}
+    shown = far or made.visible()
+    return {"tickvals": [at for at, _ in shown], "ticktext": [word for _, word in shown]}
 
 
 def _line_in_space(points: Array, role: str, name: str) -> dict[str, Any]:
