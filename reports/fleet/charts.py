@@ -73,10 +73,11 @@ def false_alarm_text(summary: dict[str, Any]) -> str:
     """State the rate of false accusations."""
     share = fmt.finite(summary.get("false_alarm"))
     percent = fmt.exact_number(None if share is None else 100 * share)
+    n_arms = len(summary.get("arms") or [])
+    arms = "its arm" if n_arms == 1 else f"its {fmt.count(n_arms)} arms"
     return (
-        f"In a fleet without any change, the chance that this report names one, in whichever of "
-        f"its {fmt.count(len(summary.get('arms') or []))} arms and all their joints, is at most "
-        f"{percent} %."
+        f"In a fleet without any change, the chance that this report names one, in any joint of "
+        f"{arms}, is at most {percent} %."
     )
 
 

@@ -84,8 +84,8 @@ def _contrast_table(first: str, second: str, entries: list[dict[str, Any]]) -> d
     columns = (
         doc.Column("Arm", "l", doc.field("arm")),
         doc.Column("Joint", "l", doc.field("joint", str)),
-        doc.Column("First [°]", "r", partial(_mean_and_sessions, "first")),
-        doc.Column("Second [°]", "r", partial(_mean_and_sessions, "second")),
+        doc.Column("Before [°]", "r", partial(_mean_and_sessions, "first")),
+        doc.Column("Since [°]", "r", partial(_mean_and_sessions, "second")),
         doc.Column(
             "Difference ± U [°]",
             "r",

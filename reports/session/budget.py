@@ -187,9 +187,9 @@ def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> doc.Table:
         )
     rows += _totals(summary, joints)
     return doc.Table(
-        "Standard uncertainty of each joint's mean error by source, in degrees.",
+        "Standard uncertainty of each joint's mean error by source, in degrees (but ν and k).",
         "llcr" + "r" * len(joints),
-        ("Source", "Kind", "Type", "ν", *(f"q{joint} [°]" for joint in joints)),
+        ("Source", "Kind", "Type", "ν", *(f"q{joint}" for joint in joints)),
         tuple(rows),
         (PARTS_NOTE,),
         wide=(0,),

@@ -193,7 +193,9 @@ def rivals(entry: dict[str, Any], between: str) -> str:
     """Name the causes that an entry cannot tell apart, the likeliest first, few of many."""
     named = [candidate(c) for c in entry.get("candidates") or []]
     more = len(named) - MAX_RIVALS
-    shown = named if more <= 0 else [*named[:MAX_RIVALS], f"{fmt.count(more)} others"]
+    shown = (
+        named if more <= 0 else [*named[:MAX_RIVALS], f"{fmt.count(more)} other{'s' * (more > 1)}"]
+    )
     return between.join(shown) or fmt.DASH
 
 

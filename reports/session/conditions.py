@@ -169,6 +169,8 @@ def _robot(robot: dict[str, Any]) -> list[doc.Block]:
         doc.Column("Limits [°]", "r", _listed("lower_deg", "upper_deg", decimals=1, between=" … ")),
     )
     title = "The arm's joints (standard Denavit-Hartenberg; θ = sign · q + offset)."
+    if urdf:
+        columns, title = (columns[0], columns[-1]), "The arm's joints."
     note = "The arm is described by a URDF, which has no Denavit-Hartenberg table."
     return [doc.tabulate(title, columns, joints, *[note] * urdf), doc.Facts(facts)]
 

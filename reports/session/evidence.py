@@ -160,14 +160,14 @@ def clock(results: Results) -> doc.Section:
 
 def _cost_curve(results: Results) -> doc.Block:
     source = (results.summary.get("clock") or {}).get("source")
-    otherwise = "The offset was not searched for, so there is no curve of its cost."
+    otherwise = "The offset was not searched for, so there is no curve of its misfit."
     if source in (None, "estimated"):
-        otherwise = "No curve of its cost was kept."
+        otherwise = "No curve of its misfit was kept."
     figure = doc.Figure(
         "clock",
         "Misfit between measured and encoder motion for each offset of the encoder clock; the "
-        "upright line is the offset that was used.",
-        "A curve of cost against clock offset in seconds with its lowest point marked.",
+        "vertical line is the offset that was used.",
+        "A curve of misfit against clock offset in seconds with its lowest point marked.",
     )
     return doc.block_or_paragraph(figure, evidence.clock(results), otherwise)
 
@@ -237,8 +237,8 @@ def _test_text(entry: dict[str, Any]) -> str:
     text = (
         f"{fmt.count(entry.get('motions'))} relative motions: turns differ by "
         f"{fmt.number(entry.get('turn_rms_error_deg'), 3)}° rms, advances by "
-        f"{fmt.number(entry.get('advance_rms_error_mm'), 3)} mm rms; noise and stated doubts alone "
-        f"give as much with probability {chance}."
+        f"{fmt.number(entry.get('advance_rms_error_mm'), 3)} mm rms; noise and stated "
+        f"uncertainties alone give as much with probability {chance}."
     )
     if agrees:
         return f"{text} Measured and encoders' motions agree."

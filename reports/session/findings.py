@@ -5,7 +5,7 @@ from typing import Any
 
 from reports.document import blocks as doc
 from reports.document import formatting as fmt
-from reports.document.charts import MAX_LINE_POINTS
+from reports.document.charts import MAX_LINE_POINTS, Chart, legend
 from reports.results import Results
 from reports.session import causes, phrases
 from reports.session.figures import evidence, motion
@@ -169,9 +169,14 @@ def _outlier_blocks(results: Results) -> tuple[doc.Block, ...]:
         else ""
     )
     text = (
-        f"Left out of the diagnosis: {fmt.count(len(pairs))} of the pairs, which lie further off "
-        f"than noise explains (numbers {shown}{more}). They count in every other figure."
+        f"Left out of the diagnosis: {fmt.count(len(pairs))} pairs that lie further off than noise "
+        f"explains (numbers {shown}{more}). They count in every other figure."
     )
+    if len(pairs) == 1:
+        text = (
+            f"Left out of the diagnosis: pair {shown}, which lies further off than noise explains. "
+            "It counts in every other figure."
+        )
     return (doc.Paragraph(text, "note"),)
 
 
@@ -185,11 +190,14 @@ def errors_over_time(results: Results) -> doc.Section:
             "and its largest error; its band is the envelope of the bands, and a gap shorter than "
             "it is not seen."
         )
+    drawing = motion.joint_errors(results)
+    with_band = isinstance(drawing, Chart) and "±2u of a pair" in legend(drawing)
+    band = " with its ±2u band (all sources)" * with_band
     figure = doc.Figure(
         "joint_errors",
-        "Error of each joint over time: of each pair with its ±2u band (all sources), the resolved "
-        "error on which the verdict rests with its own, and the tolerance. Lines break where pairs "
-        "are missing; the band of a pair near a singularity may leave the frame, an error does not."
+        f"Error of each joint over time: of each pair{band}, the resolved error on which the "
+        "verdict rests with its own ±2u band, and the tolerance. Lines break where pairs are "
+        "missing; the band of a pair near a singularity may leave the frame, an error does not."
         + thinned,
         "One strip a joint: error in degrees against time, with uncertainty bands, the resolved "
         "error's curve and the tolerance as dotted lines.",
@@ -203,7 +211,7 @@ def errors_over_time(results: Results) -> doc.Section:
         motion.pose_errors(results),
     )
     otherwise = "There is no measured pair with an encoder reading to draw."
-    block = doc.block_or_paragraph(figure, motion.joint_errors(results), otherwise)
+    block = doc.block_or_paragraph(figure, drawing, otherwise)
     shown = (flange,) if flange.drawing is not None else ()
     return doc.Section("errors", "Errors over time", (block, *shown))
 
@@ -225,8 +233,8 @@ def components(results: Results) -> doc.Section:
     """Show the components of the flange's pose, measured and from the encoders."""
     figure = doc.Figure(
         "pose",
-        "Position (left) and rotation vector (right) of the flange in the robot's base frame, "
-        "measured and computed from the encoders.",
+        "Position (x, y, z) and rotation vector (rx, ry, rz) of the flange in the robot's base "
+        "frame, measured and computed from the encoders.",
         "Six panels against time: x, y, z in millimetres and the three components of the "
         "rotation vector in degrees, each measured and from the encoders.",
         motion.pose(results),

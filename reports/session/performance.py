@@ -87,7 +87,7 @@ AXES = ("rx", "ry", "rz")
 INTERVAL_NOTE = "Numbers in brackets are 95 % intervals."
 BIAS_NOTE = (
     "AP is a length, so noise can only make it longer: the column beside it says how long noise "
-    "and stated doubts alone make it, the next what is left without that."
+    "and stated uncertainties alone make it, the next what is left without that."
 )
 FLOOR_NOTE = (
     "The floor is what the instrument's own noise would show as RP, from its scatter while the "

@@ -102,13 +102,13 @@ def clock(results: Results) -> charts.Chart | None:
     offset, cost = charts.column(curve, "offset_s"), charts.column(curve, "cost")
     if np.isfinite(offset + cost).sum() < 2:
         return None
-    marks: list[charts.Mark] = [charts.Line(offset, cost, "measured", "cost")]
+    marks: list[charts.Mark] = [charts.Line(offset, cost, "measured", "misfit")]
     entry = results.summary.get("clock") or {}
     found = fmt.finite(entry.get("encoder_offset_s"))
     if found is not None:
         name = f"offset {fmt.quantity(found, 's', 4)}"
         marks.append(charts.Level(found, "resolved", name, upright=True))
-    panel = charts.Panel(tuple(marks), "cost", "encoder clock offset [s]")
+    panel = charts.Panel(tuple(marks), "misfit", "encoder clock offset [s]")
     return charts.Chart((panel,), row_height=2.0, width=0.8)
 
 

@@ -83,7 +83,7 @@ def test_the_table_of_causes_names_the_runner_up_and_the_pairs_left_out() -> Non
     assert table.rows[0][4].text == "gain of joint 3 (ΔBIC 953)"
     assert table.rows[1][4].text == "–"
     (note,) = [block for block in section.blocks if isinstance(block, Paragraph)]
-    assert "2 of the pairs" in note.text
+    assert "2 pairs that lie further off" in note.text
     assert "4, 17" in note.text
 
 

@@ -258,6 +258,6 @@ def _conditions(holds: bool, exact: tuple[str, ...]) -> Iterator[str]:
     yield f"No uncertainty is stated for {sources}: taken as exact; the verdict rests on that."
     if not holds:
         yield (
-            "Whether the rig has changed, or these never were as good as taken, could not be "
-            "tested."
+            "Whether the rig has changed, or its calibration never was as good as "
+            "stated, could not be tested."
         )
