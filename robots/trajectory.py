@@ -90,7 +90,8 @@ def limit_violation(limits: JointLimits, motion: JointMotion) -> str:
             joint = first[-1]
             value, low, high = np.degrees([values[first], lower[joint], upper[joint]])
             allowed = f"allowed is {low:g} to {high:g}{unit}"
-            return f"joint {joint + 1} {what} {value:.1f}{unit}, {allowed}"
+            text = f"joint {joint + 1} {what} {value:.1f}{unit}, {allowed}"
+            return text.replace("-", "−")
     return ""
 
 

@@ -204,7 +204,7 @@ def _place_table(summary: dict[str, Any]) -> doc.Table | None:
         notes.append(RegistrationNotes.HELD_LEDS)
     if len(leds) > MAX_LEDS:
         notes.append(f"{fmt.count(len(leds) - MAX_LEDS)} more LEDs are in the marker file.")
-    what = "Base and target" if posed(summary) else "Base and LEDs"
+    what = "Base and target" if posed(summary) else "Base and LEDs" if leds else "Base"
     caption = f"{what}, with expanded uncertainties (k = 2)."
     head = ("Place", *(f"{axis} ± U" for axis in AXES))
     return doc.Table(caption, "lrrr", head, tuple(rows), tuple(notes))

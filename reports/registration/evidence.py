@@ -228,10 +228,11 @@ def residuals(results: Results) -> doc.Section:
     held_out = finite(fit.get("held_out_rms_px")) is not None
     notes = (RegistrationNotes.HOLD_OUT,) if held_out else ()
     blocks: list[doc.Block] = []
+    seen = "board's corners" if results.summary.get("method") == "fixture" else "spots"
     if rows:
         blocks.append(
             doc.Table(
-                "Reprojection of the spots.", "lr", ("Registered on", "rms [px]"), rows, notes
+                f"Reprojection of the {seen}.", "lr", ("Registered on", "rms [px]"), rows, notes
             )
         )
     if finite(fit.get("misfit")) is not None:

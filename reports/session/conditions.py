@@ -169,10 +169,10 @@ def _robot(robot: dict[str, Any]) -> list[doc.Block]:
         doc.Column("Limits [°]", "r", _listed("lower_deg", "upper_deg", decimals=1, between=" … ")),
     )
     title = "The arm's joints (standard Denavit-Hartenberg; θ = sign · q + offset)."
-    if urdf:
-        columns, title = (columns[0], columns[-1]), "The arm's joints."
+    shown = (columns[0], columns[-1]) if urdf else columns
+    title = "The arm's joints." if urdf else title
     note = "The arm is described by a URDF, which has no Denavit-Hartenberg table."
-    return [doc.tabulate(title, columns, joints, *[note] * urdf), doc.Facts(facts)]
+    return [doc.tabulate(title, shown, joints, *[note] * urdf), doc.Facts(facts)]
 
 
 def _joint_name(joint: dict[str, Any]) -> str:

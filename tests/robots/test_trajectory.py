@@ -251,9 +251,9 @@ def changed(key: str, joint: int, value: float) -> JointMotion:
 @pytest.mark.parametrize(
     ("key", "joint", "value", "words"),
     [
-        ("q", 2, np.radians(-20.5), "joint 3 would stand at -20.5°, allowed is -20 to 171°"),
+        ("q", 2, np.radians(-20.5), "joint 3 would stand at −20.5°, allowed is −20 to 171°"),
         ("q", 0, np.nan, "joint 1 would stand at nan°"),
-        ("velocity", 1, -2.0, "joint 2 would turn at -114.6°/s"),
+        ("velocity", 1, -2.0, "joint 2 would turn at −114.6°/s"),
         ("velocity", 4, np.inf, "joint 5 would turn at inf°/s"),
         ("acceleration", 5, 30.0, "joint 6 would speed up by 1718.9°/s²"),
     ],

@@ -16,7 +16,7 @@ P_FALSE_ALARM = 0.05  # of calling a conforming joint nonconform, shared out ove
 RULE = (
     "Conform: |resolved error| + 1.645 u within the tolerance at every measured pair, no lack of "
     "fit (chi-squared, 0.1 %), and the detectable error within the tolerance. Nonconform: "
-    "|resolved error| - z u beyond the tolerance at some pair, z two-sided 5 % with Bonferroni "
+    "|resolved error| − z u beyond the tolerance at some pair, z two-sided 5 % with Bonferroni "
     "over the fitted terms. Else undecided. The verdict covers the poses, directions and speeds "
     "seen, no others."
 )

@@ -25,6 +25,7 @@ from verify.io import fixture as io_fixture
 from verify.io import rig as io_rig
 from verify.io.board.folder import open_board_folder
 from verify.io.files import (
+    digest,
     require_apart,
     require_vacant,
     write_folder_whole,
@@ -70,6 +71,7 @@ def register_by_fixture(
         raise InputError("--rig", "is missing", expected, "Give the rig of `calibrate boards`.")
     rig, rig_warnings = io_rig.read(rig_path, registered=False)
     place, fixture_warnings = io_fixture.read(fixture)
+    others = {str(path): digest(path) for path in (fixture, rig_path)}
     opened = open_board_folder(folder, board)
     require_same_size(opened.folder, opened.image_size, rig)
     with terminal.progress("pairs searched for the board") as progress:
@@ -80,7 +82,7 @@ def register_by_fixture(
     terminal.warn(*warnings)
     made = results.fixture_results(
         replace(found, warnings=warnings),
-        ResultsOrigin(folder.resolve().name, inputs=opened.inputs),
+        ResultsOrigin(folder.resolve().name, inputs=opened.inputs | others),
     )
     with written_together(output.rig):
         io_rig.write(output.rig, found.rig)

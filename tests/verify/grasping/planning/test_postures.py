@@ -74,7 +74,7 @@ def test_among_equal_postures_the_nearer_is_better(made: GraspPlanner) -> None:
     ("point", "words"),
     [
         ([0.9, 0.0, 0.1], "out of reach, however the hand is turned"),
-        ([0.30, 0.0, 0.03], "joint 4 would stand at 180.0°, allowed is -160 to 160°"),
+        ([0.30, 0.0, 0.03], "joint 4 would stand at 180.0°, allowed is −160 to 160°"),
         ([0.45, 0.35, 0.05], "the grip point would be 50 mm outside the workspace box"),
         ([0.45, 0.05, 0.01], "finger tips would come 8 mm too near to the table"),
     ],
