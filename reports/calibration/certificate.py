@@ -19,8 +19,6 @@ from reports.document import formatting as fmt
 from reports.results import Results
 
 Cells = NDArray[np.bool_]
-EMPTY_REGION = 0.5  # share of a region's cells without a corner, from which on it is named
-ROWS, COLUMNS = ("upper", "middle", "lower"), ("left", "middle", "right")
 VALIDITY = (
     "Both figures hold for one LED whose centre is known to {} px in either image, in the frame "
     "of the rig. They are predicted from the fit; no independent length was measured."
@@ -81,11 +79,9 @@ def coverage_limits(results: Results) -> list[str]:
     sentences = []
     if any(shares.values()):
         parts = [
-            f"{fmt.percent(share)} of the {side} image{_bare_regions(bare[side])}"
-            for side, share in shares.items()
-            if share
+            f"{fmt.percent(share)} of the {side} image" for side, share in shares.items() if share
         ]
-        sentences.append(
+        sentences.append(  # the advice names the regions, by the corners in each
             f"No corner lies in {fmt.join_words(parts)}: the lens is extrapolated there."
         )
     elif shares:
@@ -105,16 +101,6 @@ def _bare_cells(results: Results, side: str) -> Cells:
         return np.zeros((0, 0), dtype=bool)
     counts = own.pivot_table(index="y_px", columns="x_px", values="corners")
     return np.asarray(counts.to_numpy() == 0, dtype=np.bool_)
-
-
-def _bare_regions(bare: Cells) -> str:
-    """Name the ninths of an image that are mostly bare, in brackets."""
-    names = []
-    for row, cells in zip(ROWS, np.array_split(bare, 3, axis=0), strict=True):
-        for column, part in zip(COLUMNS, np.array_split(cells, 3, axis=1), strict=True):
-            if part.size and part.mean() >= EMPTY_REGION:
-                names.append("middle" if row == column == "middle" else f"{row} {column}")
-    return f" ({fmt.join_words(names)})" if names else ""
 
 
 def _identification(summary: dict[str, Any]) -> list[tuple[str, str]]:

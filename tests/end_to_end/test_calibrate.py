@@ -1,6 +1,7 @@
 """From pictures of a board to a registered rig and a check, as a user types it."""
 
 import errno
+import json
 import shutil
 import tomllib
 from dataclasses import replace
@@ -132,6 +133,8 @@ def test_a_board_on_the_base_registers_the_robot_and_the_check_holds(
     )  # fmt: skip
     assert message.status == 0, message.err
     assert "not stated" in message.err  # the fixture states no uncertainty: said
+    inputs = json.loads((tmp_path / "registration" / "summary.json").read_text())["inputs"]
+    assert {str(fixture / "board_in_base.toml"), str(calibrated[0])} <= set(inputs)
     found, _ = io_rig.read(out)
     truth = tomllib.loads((fixture / "rig_true.toml").read_text())["robot_base"]
     assert np.allclose(1e3 * found.rig_T_base[:3, 3], truth["position_mm"], atol=2.0)
