@@ -81,8 +81,11 @@ def outcome(summary: dict[str, Any]) -> doc.Verdict:
             "undecided", "Refused", f"{refusal['reason']}.{_tool_offset_text(summary)}"
         )
     if state == "searching":
+        unselected = summary.get("reason") == "no object is selected"
         sentence = (
-            "Nothing of the target's colours was seen by both cameras, or more than one thing."
+            "No object was selected: give --target or --box, or select it on the page."
+            if unselected
+            else "Nothing of the target's colours was seen by both cameras, or more than one thing."
         )
         return doc.Verdict("undecided", "The target was not found", sentence)
     if state not in OUTCOMES:
