@@ -83,7 +83,7 @@ def outcome(summary: dict[str, Any]) -> doc.Verdict:
     if state == "searching":
         unselected = summary.get("reason") == "no object is selected"
         sentence = (
-            "No object was selected: give --target or --box, or select it on the page."
+            "No object was selected: give --target or --roi, or select it on the page."
             if unselected
             else "Nothing of the target's colours was seen by both cameras, or more than one thing."
         )
