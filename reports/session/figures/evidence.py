@@ -25,7 +25,7 @@ def correlation(results: Results) -> charts.Chart | None:
     text = tuple(tuple(fmt.number(v, 2) for v in line) for line in values)
     ticks = tuple((float(place), name) for place, name in enumerate(names))
     panel = charts.correlation_panel(values, ticks, ticks, text)
-    return charts.Chart((panel,), row_height=0.25 + 0.36 * len(names), width=0.62)
+    return charts.Chart((panel,), row_height=0.25 + 0.32 * len(names), width=0.62)
 
 
 def residuals(results: Results) -> charts.Chart | None:

@@ -87,7 +87,7 @@ def pose(results: Results) -> charts.Chart | None:
         panels.append(_pose_panel(t, *rotation, f"r{axis} [°]", "°", last))
     if not any(has_lines(panel) for panel in panels):
         return None
-    return charts.Chart(tuple(panels), columns=2, row_height=1.35, shared_x=True)
+    return charts.Chart(tuple(panels), columns=2, row_height=1.2, shared_x=True)
 
 
 def flange_path(results: Results) -> charts.Path | None:
