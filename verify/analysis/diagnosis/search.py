@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from verify.analysis.diagnosis.faults import Fault
 from verify.analysis.least_squares import residual_products
-from verify.analysis.model import JointErrorModel
+from verify.analysis.model import DETECTION_SIGMA, JointErrorModel
 from verify.core.records import Array
 from verify.core.statistics import chi2_isf
 
@@ -22,7 +22,6 @@ P_FALSE_ALARM = 5e-3  # chance of accusing anybody at all where nothing is wrong
 P_FALSE_BEGIN = 1e-3  # likewise of what begins in the session, whichever it is and whenever
 MIN_SHARE = 0.01  # of the misfit: what explains less is no cause worth a name
 TOL_RANK = 1e-8  # of a normalised Gram matrix: closer columns cannot be told apart at all
-DETECTION_SIGMA = 4.13  # standard deviations: false alarm 0.1 %, power 80 %
 BEAM_WIDTH = 16  # sets that are carried on, of each size
 EXCHANGE_WIDTH = 2  # likewise, when members are exchanged
 MAX_EXCHANGED = 3  # members for which a single one may stand
