@@ -78,9 +78,12 @@ def _conform(results: Results) -> str:
         level = min(int(least * 1000) / 10, 99.9)  # rounded down: never claim more than was found
         sentence += f", each with a probability of at least {fmt.number(level, 1)} %"
     found = results.summary.get("diagnosis") or []
-    if contradiction_text(results.summary) or not found:  # causes may be the pictures' doing
-        return f"{sentence}." if lost or found else f"{sentence}; nothing needs to be done."
-    return f"{sentence}; yet {_findings(found)}."
+    if not found:
+        return f"{sentence}." if lost else f"{sentence}; nothing needs to be done."
+    sure = [entry for entry in found if entry.get("kind") != "ambiguous"]
+    if contradiction_text(results.summary) or not sure:  # causes may be the pictures' doing
+        return f"{sentence}."
+    return f"{sentence}; yet {_findings(sure)}."
 
 
 def _nonconform(results: Results) -> str:

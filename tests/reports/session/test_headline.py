@@ -101,6 +101,8 @@ def test_a_cause_that_is_found_is_something_to_do_and_the_headline_of_a_pose_tha
     message = headline(_with(made.conforming(), diagnosis=[OFFSET]))
     assert "nothing needs to be done" not in message.sentence
     assert "; yet joint 2 reads" in message.sentence
+    unclear = headline(_with(made.conforming(), diagnosis=[{"kind": "ambiguous"}]))
+    assert unclear.sentence.endswith(" %.")
     rows = [row | {"verdict": "conform"} for row in made.conforming().summary["joints"]]
     position = {"verdict": "nonconform", "tolerance_mm": 1.0}
     failing = _with(made.conforming(), verdict="nonconform", joints=rows, position=position,
