@@ -23,7 +23,8 @@ P_FALSE_BEGIN = 1e-3  # likewise of what begins in the session, whichever it is 
 MIN_SHARE = 0.01  # of the misfit: what explains less is no cause worth a name
 TOL_RANK = 1e-8  # of a normalised Gram matrix: closer columns cannot be told apart at all
 BEAM_WIDTH = 16  # sets that are carried on, of each size
-EXCHANGE_WIDTH = 2  # likewise, when members are exchanged
+EXCHANGE_WIDTH = 4  # likewise, when a member is exchanged
+MAX_EXCHANGES = 3  # of a session that nothing explains there is no end soon
 MAX_EXCHANGED = 3  # members for which a single one may stand
 TOL_COST = 1e-9  # rounding
 MAX_CAUSES = 8
@@ -205,16 +206,16 @@ def search_faults(products: FaultProducts) -> FaultSet:
     one may be what a single one explains.
     """
     least, best = _grow(products, (), (), BEAM_WIDTH)
-    better = True
-    while better:
-        better = False
+    for _ in range(MAX_EXCHANGES):
         for removed in _removals(best):
             without = tuple(k for k in best if k not in removed)
-            width = BEAM_WIDTH if len(removed) == 1 else EXCHANGE_WIDTH
+            width = EXCHANGE_WIDTH if len(removed) == 1 else 1
             cost, chosen = _grow(products, without, removed, width)
             if cost < least - TOL_COST:
-                best, least, better = chosen, cost, True
+                best, least = chosen, cost
                 break
+        else:
+            break
     return best
 
 
