@@ -66,7 +66,8 @@ PART_TIME = 0.8  # s: of parts that show each its own clock
 MIN_PART, MIN_PARTS, MAX_PARTS = 12, 3, 12  # pairs of a part; parts
 MIN_BESIDE = 8  # pairs, a clock's change
 FAIR_SQUARE = 2.0  # of a motion's misfit
-MIN_RATE, MIN_RUN = 5e-4, 0.05  # , s over a session: more than crystals do; and than is judged well
+MIN_RATE = 5e-4  # more than crystals do
+MIN_RUN = 0.05  # s over a session: less is judged as drift
 RATES = np.linspace(-0.15, 0.15, 61)  # that are tried
 RATE_TIME = 4.0  # s of pairs, by which they are
 TOL_RATE = 0.5  # of a rate, by which halves of a session may differ from it; a step has none there
@@ -196,13 +197,12 @@ def clock_rate(track: Track, arm: robots.Arm, readings: Readings, offset: float)
     first = int(firsts[np.argmax(travel[firsts + count - 1] - travel[firsts])])
     near = np.arange(first, first + count)  # where the arm moves most
     middle = float(track.t[near].mean())
-    line = _coarse_rate(subset(track, near), arm, readings, offset, middle)
 
     def refined(chosen: NDArray[np.int64], line: Array | None) -> Array | None:
         few = subset(track, chosen[spread(len(chosen), MAX_PAIRS_COMPARED)])
         return None if line is None else _refine_rate(few, arm, readings, line, middle)
 
-    line = refined(near, line)
+    line = refined(near, _coarse_rate(subset(track, near), arm, readings, offset, middle))
     while len(near) < n:  # twice as long: the rate is known well enough for that
         near = np.arange(max(near[0] - len(near) // 2, 0), min(near[-1] + len(near) // 2 + 2, n))
         line = refined(near, line)
@@ -223,7 +223,7 @@ def clock_rate(track: Track, arm: robots.Arm, readings: Readings, offset: float)
 
 def _coarse_rate(
     track: Track, arm: robots.Arm, readings: Readings, guess: float, middle: float
-) -> Array | None:
+) -> Array:
     """Offset at the instant `middle`, s, and rate of the readings' clock, from RATES."""
     tried = []
     for rate in RATES.tolist():
