@@ -63,14 +63,7 @@ class OtherLine:
     fields: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True)
-class InvalidLine:
-    """A line that is not used, and why."""
-
-    reason: str
-
-
-Message = LabencGreeting | LabencAxis | LabencSample | OtherLine | InvalidLine
+Message = LabencGreeting | LabencAxis | LabencSample | OtherLine
 
 
 def frame_line(body: str, checksum: str = "xor") -> bytes:
@@ -80,17 +73,17 @@ def frame_line(body: str, checksum: str = "xor") -> bytes:
     return b"$%s*%0*X\n" % (data, digits, function(data))
 
 
-def parse_line(line: bytes, checksum: str = "xor") -> Message:
-    """Parse one line, without its end."""
+def parse_line(line: bytes, checksum: str = "xor") -> Message | str:
+    """Parse one line, without its end; the reason, where it is not used."""
     digits, function = CHECKSUMS[checksum]
     if len(line) > MAX_LINE_BYTES:
-        return InvalidLine("line too long")
+        return "line too long"
     match = _LINE.fullmatch(line)
     if match is None:
-        return InvalidLine("no whole line")
+        return "no whole line"
     body, total = match[1], match[2]
     if len(total) != digits or int(total, 16) != function(body):
-        return InvalidLine("wrong checksum")
+        return "wrong checksum"
     kind, *fields = body.decode("ascii").split(",")
     match kind:
         case "H":
@@ -120,32 +113,32 @@ def sample_values(
     return tuple(map(float, texts)), int(status, 16)
 
 
-def _parse_greeting(fields: list[str]) -> Message:
+def _parse_greeting(fields: list[str]) -> LabencGreeting | str:
     if len(fields) < 8 or fields[0] != "LABENC":
-        return InvalidLine("greeting of another protocol")
+        return "greeting of another protocol"
     version = _VERSION.fullmatch(fields[1])
     numbers = [fields[3], fields[5], fields[6]]
     if version is None or not all(map(_UNSIGNED.fullmatch, numbers)):
-        return InvalidLine("greeting that is not understood")
+        return "greeting that is not understood"
     axes, tick_rate, _rate = map(int, numbers)
     if not 1 <= axes <= 16 or tick_rate < 1 or fields[4] not in ("deg", "counts"):
-        return InvalidLine("greeting that is not understood")
+        return "greeting that is not understood"
     return LabencGreeting(int(version[1]), int(version[2]), axes, fields[4], tick_rate)
 
 
-def _parse_axis(fields: list[str]) -> Message:
+def _parse_axis(fields: list[str]) -> LabencAxis | str:
     if len(fields) < 4 or not all(map(_WHOLE.fullmatch, fields[:4])):
-        return InvalidLine("axis line that is not understood")
+        return "axis line that is not understood"
     axis, counts, direction, zero = map(int, fields[:4])
     if not 1 <= axis <= 16 or counts < 1 or abs(direction) != 1:
-        return InvalidLine("axis line that is not understood")
+        return "axis line that is not understood"
     return LabencAxis(axis, counts, direction, zero)
 
 
-def _parse_sample(kind: str, fields: list[str]) -> Message:
+def _parse_sample(kind: str, fields: list[str]) -> LabencSample | str:
     if len(fields) < 4 or not all(map(_UNSIGNED.fullmatch, fields[:2])):
-        return InvalidLine("sample that is not understood")
+        return "sample that is not understood"
     sequence, tick = map(int, fields[:2])
     if max(sequence, tick) >= 1 << 32:
-        return InvalidLine("sample that is not understood")
+        return "sample that is not understood"
     return LabencSample(kind, sequence, tick, tuple(fields[2:]))

@@ -122,9 +122,9 @@ class LabencBoard(intake.PortDriver):
     def _take(self, line: bytes, t_host: float) -> list[LabencReading]:
         message = lines.parse_line(line, self._settings.checksum)
         match message:
-            case lines.InvalidLine():
+            case str():
                 if self._greeting is not None:  # before it, a boot loader may print its own
-                    self._drop(message.reason)
+                    self._drop(message)
             case lines.LabencGreeting():
                 self._greet(message)
             case lines.LabencAxis():
