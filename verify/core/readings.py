@@ -70,8 +70,7 @@ class Readings:
         t = self.t[kept]
         inside = np.diff(t, append=np.inf)[np.searchsorted(t, self.t[~kept]) - 1] <= widest
         left_out = np.flatnonzero(~kept)[inside]
-        rows = _as_contiguous(t), _as_contiguous(self.q[kept])
-        curve = kernel.interpolate(*rows, np.inf, _as_contiguous(self.t[left_out]))
+        curve = kernel.interpolate(t, self.q[kept], np.inf, self.t[left_out])
         return np.asarray(np.abs(curve - self.q[left_out]))
 
     def available(self, t: Array) -> NDArray[np.bool_]:
@@ -138,7 +137,7 @@ class Readings:
         """Readings at the instants t (n,), rad, (n, joints); held outside a burst of readings."""
         if len(self.t) < 2:
             return np.repeat(self.q, len(t), axis=0)
-        return kernel.interpolate(*self._contiguous, self.longest, _as_contiguous(t))
+        return kernel.interpolate(*self._contiguous, self.longest, t)
 
     def motion(self, t: Array) -> tuple[Array, Array]:
         """Readings and joint speeds at the instants t (n,), rad and rad/s, (n, joints).
@@ -148,13 +147,12 @@ class Readings:
         if len(self.t) < 2:
             return self.at(t), np.zeros((len(t), self.q.shape[1]))
         known = self._without_gap
-        return kernel.sample_motion(
-            *self._contiguous, self.longest, known, RATE_SPAN, _as_contiguous(t)
-        )
+        return kernel.sample_motion(*self._contiguous, self.longest, known, RATE_SPAN, t)
 
     @cached_property
     def _contiguous(self) -> tuple[Array, Array]:
-        return _as_contiguous(self.t), _as_contiguous(self.q)
+        """Times and readings as the kernels take them without a copy at every call."""
+        return np.ascontiguousarray(self.t), np.ascontiguousarray(self.q)
 
     @cached_property
     def noise(self) -> Array:
@@ -257,7 +255,7 @@ class Readings:
         """
         if len(self.t) < 2:
             return np.zeros((len(t), self.q.shape[1]))
-        return kernel.interpolation_error(*self._contiguous, self.longest, _as_contiguous(t))
+        return kernel.interpolation_error(*self._contiguous, self.longest, t)
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel at the instants t (n,): +1, -1, or 0 before any; (n, joints).
@@ -280,8 +278,3 @@ def _products_of_two(values: Array) -> Array:
     """Sum of the products of any two of a row's values (n, j), (n,)."""
     products: Array = (values.sum(axis=1) ** 2 - np.sum(values**2, axis=1)) / 2
     return products
-
-
-def _as_contiguous(values: Array) -> Array:
-    """Copy to the kind of array that the kernels are compiled for: contiguous, writable."""
-    return np.array(values, dtype=np.float64, order="C")
