@@ -351,15 +351,6 @@ def _entries(folder: Path) -> list[Path]:
     return [entry for entry in folder.iterdir() if not entry.name.startswith(_PARTIAL)]
 
 
-def _rename_folder(partial: Path, target: Path, out: Path) -> None:
-    try:
-        partial.rename(target)
-    except OSError as error:
-        if error.errno in (errno.ENOTEMPTY, errno.EEXIST):
-            raise _written_meanwhile(out) from error
-        raise
-
-
 def _written_meanwhile(out: Path) -> FolderTakenError:
     found, expected = "another run has written there meanwhile", "its files are not overwritten"
     return FolderTakenError(out, found, expected, "Choose another -o.")
@@ -372,7 +363,7 @@ def _put_in_place(out: Path, partial: Path, target: Path, exists: bool) -> None:
             _fsync(file)
         if not exists:
             target.parent.mkdir(parents=True, exist_ok=True)
-            _rename_folder(partial, target, out)
+            partial.rename(target)
         else:
             refuse_obstacles(target, [file.relative_to(partial) for file in files])
             for file in files:
@@ -381,6 +372,8 @@ def _put_in_place(out: Path, partial: Path, target: Path, exists: bool) -> None:
                 file.replace(place)
         _fsync(target)
     except OSError as error:
+        if not exists and error.errno in (errno.ENOTEMPTY, errno.EEXIST):
+            raise _written_meanwhile(out) from error
         raise output_refusal(error.filename2 or out, error) from error
 
 

@@ -97,11 +97,8 @@ class JointRange:
         self.least = np.minimum(self.least, rows.min(axis=0))
         self.greatest = np.maximum(self.greatest, rows.max(axis=0))
 
-    def fits(self, arm: robots.Arm, unit: str) -> bool:
-        """Whether all readings lie within the arm's limits in this unit."""
-        return bool((self._beyond(arm, unit) <= MAX_BEYOND).all())
-
     def _beyond(self, arm: robots.Arm, unit: str) -> Array:
+        """How far the readings in this unit lie beyond the arm's limits, (n,), rad."""
         scale = ANGLE_UNITS[unit]
         return np.maximum(arm.lower - self.least * scale, self.greatest * scale - arm.upper)
 
@@ -124,6 +121,6 @@ class JointRange:
         expected = f"joint {joint + 1} of {arm.name} turns from {low:.5g}° to {high:.5g}°"
         other = RADIANS if unit == DEGREES else DEGREES
         remedy = "Check the robot, the order of the joints and the unit."
-        if self.fits(arm, other):
+        if (self._beyond(arm, other) <= MAX_BEYOND).all():
             remedy = f"All readings fit in {other}: if that is their unit, give {option} {other}."
         raise InputError(place, found, expected, remedy)

@@ -161,11 +161,9 @@ class Results(reports.Results):
         )
         figures = [name for name in JOINT_COLUMNS if name not in ("verdict", "reason", "pairs")]
         table[figures] = table[figures].astype(float)
-        place = table.columns.get_loc("worst_error_standard_uncertainty_deg")
-        u = table.pop("worst_error_standard_uncertainty_deg")
-        expanded = table["coverage_factor"].fillna(2.0) * u
-        table.insert(int(str(place)), "worst_error_expanded_uncertainty_deg", expanded)
-        return table
+        standard = "worst_error_standard_uncertainty_deg"
+        table[standard] *= table["coverage_factor"].fillna(2.0)
+        return table.rename(columns={standard: "worst_error_expanded_uncertainty_deg"})
 
     @property
     def causes(self) -> pd.DataFrame:
@@ -228,14 +226,17 @@ class Results(reports.Results):
 
     def _repr_html_(self) -> str:
         """Show verdict, joints and conditions in a notebook."""
+        from reports.session import phrases
+
         verdict = self._headline()
         head = ("joint", "error ± U", "largest error ± U", "tolerance", "verdict")
         lines = [_html_row("th", head), *(_html_row("td", row) for row in self._rows())]
         conditions = "".join(f"<br><small>{escape(text)}</small>" for text in verdict.remarks)
+        factors = phrases.coverage(self.summary["joints"])
         return (
             f"<p><strong>{escape(verdict.label)}:</strong> {escape(verdict.sentence)}</p>"
             f"<table>{''.join(lines)}</table>"
-            f"<p><small>Errors: reading less true angle. {self._factors()}</small>{conditions}</p>"
+            f"<p><small>Errors: reading less true angle. {factors}.</small>{conditions}</p>"
         )
 
     def _rows(self) -> list[tuple[str, ...]]:
@@ -254,12 +255,6 @@ class Results(reports.Results):
             )
             for joint, row in self.joints.iterrows()
         ]
-
-    def _factors(self) -> str:
-        """Say the coverage factors of the joints' errors."""
-        from reports.session import phrases
-
-        return f"{phrases.coverage(self.summary['joints'])}."
 
     def _headline(self) -> "Verdict":
         from reports.session.headline import headline

@@ -56,10 +56,6 @@ class FrameSeries:
     def __len__(self) -> int:
         return len(self.t_left)
 
-    def first(self, count: int) -> "FrameSeries":
-        """Keep the first pairs alone."""
-        return take_rows(self, slice(count))
-
 
 @dataclass(frozen=True, slots=True)
 class EncoderSeries:

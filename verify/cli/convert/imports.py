@@ -83,7 +83,7 @@ def convert_bag(sources: Sequence[Path], out: Path, options: ImportOptions, *, f
                 (folder / "marker.toml").write_bytes(read_bytes(options.marker))
             name = copy_robot(robot, folder)
             (folder / SESSION_FILE).write_bytes(encode(_bag_keys(name, source, written, options)))
-    terminal.say(f"topics: {', '.join(topics.names)}", *notes, *written.notes)
+    terminal.say(f"topics: {', '.join(topic.name for topic in topics)}", *notes, *written.notes)
     if options.stamps != "header":
         terminal.warn(
             "Times are those of recording, not of exposure: delays of the computer count."
@@ -188,7 +188,7 @@ def _settle(
     else:
         mapping = columns_of.propose_mapping(table, arm, options.joint_names)
     if mapping.has_poses and options.instrument is None:
-        mapping = mapping.only(poses=False)
+        mapping = mapping.without_poses()
         terminal.warn(
             f"{table.path}: its poses are left out. Those that a controller shows come from its "
             "own encoders and prove nothing; --instrument NAME takes another instrument's."

@@ -4,7 +4,7 @@ from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 from rosbags.highlevel import AnyReader
 from rosbags.typesys import Stores, get_typestore
@@ -169,18 +169,12 @@ def _repair(path: Path) -> str:
     return REPAIRS.get(path.suffix, "Repair it by `ros2 bag reindex`, or record it again.")
 
 
-@dataclass(frozen=True, slots=True)
-class ChosenTopics:
+class ChosenTopics(NamedTuple):
     """Topics that a session is made of."""
 
     left: BagTopic
     right: BagTopic
     joints: BagTopic
-
-    @property
-    def names(self) -> tuple[str, str, str]:
-        """Their names: left, right, joints."""
-        return self.left.name, self.right.name, self.joints.name
 
 
 def choose_topics(
@@ -204,7 +198,7 @@ def choose_topics(
     else:
         readings = _only(bag, "--joints", bag.of_kind(JOINT_STATE), "sensor_msgs/JointState")
     chosen = ChosenTopics(sides[0], sides[1], readings)
-    for topic in (chosen.left, chosen.right, chosen.joints):
+    for topic in chosen:
         if not topic.count:
             remedy = "Record it again, or name another topic."
             raise InputError(f"{bag.path}, {topic.name}", "has no messages", "", remedy)

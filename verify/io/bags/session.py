@@ -97,7 +97,7 @@ def write_bag_session(
 
 def _read_outline(bag: Bag, request: BagRequest, progress: Progress) -> BagOutline:
     """First pass: all stamps, the depth of the pictures, the joints' names and range."""
-    left, right, joints = request.topics.names
+    left, right, joints = (topic.name for topic in request.topics)
     times: dict[str, list[int]] = {left: [], right: [], joints: []}
     greatest, joint_names = 0, JointNames(f"{bag.path}, {joints}", request)
     spread = JointRange.empty(request.arm.dof)
@@ -249,7 +249,7 @@ def _write_streams(
     bag: Bag, request: BagRequest, outline: BagOutline, folder: Path, progress: Progress
 ) -> int:
     """Second pass: pictures and readings as they come; returns how many readings were written."""
-    left, right, joints = request.topics.names
+    left, right, joints = (topic.name for topic in request.topics)
     wanted = [set(outline.pairs[:, side].tolist()) for side in (0, 1)]
     rate = SECOND / float(np.median(np.diff(outline.picture_times[0][outline.pairs[:, 0]])))
     with ExitStack() as stack:

@@ -103,10 +103,9 @@ class ColumnMapping:
         """Whether there are positions or points."""
         return bool(self.of(POSITION) or self.of(POINTS))
 
-    def only(self, poses: bool) -> "ColumnMapping":
-        """The mapping without the columns of poses, unless `poses`."""
-        kept = tuple(c for c in self.columns if poses or c.target not in POSE_TARGETS)
-        return ColumnMapping(kept, self.rotation if poses else "")
+    def without_poses(self) -> "ColumnMapping":
+        """The mapping without the columns of poses."""
+        return ColumnMapping(tuple(c for c in self.columns if c.target not in POSE_TARGETS))
 
 
 def parse_name(name: str) -> tuple[str, str]:

@@ -141,11 +141,6 @@ class PosesSessionTable(RunTable, kw_only=True):
     marker: str | None = None
 
 
-class _StretchesTable(msgspec.Struct, kw_only=True):
-    pose: list[TimeInterval] = []
-    path: list[TimeInterval] = []
-
-
 T = TypeVar("T", bound=RunTable)
 
 
@@ -194,7 +189,7 @@ def has_poses(path: Path) -> bool:
 
 def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInterval, ...]]:
     """Read [[pose]] and [[path]] of a session.toml checked before; raises InputError."""
-    table = decode(path, _StretchesTable)[0]
+    table = decode(path, RunTable)[0]
     return tuple(table.pose), tuple(table.path)
 
 

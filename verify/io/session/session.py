@@ -10,7 +10,7 @@ import numpy as np
 
 import robots
 from verify.core.fiducials import Marker
-from verify.core.records import Image, StereoPair
+from verify.core.records import Image, StereoPair, take_rows
 from verify.core.rig import Rig
 from verify.errors import InputError, one_line
 from verify.io import fiducials
@@ -254,8 +254,8 @@ def _common_length(
                 raise InputError(side.path, f"has {count} images", expected, remedy)
         return frames, sides, []
     lengths = f"{len(frames)} rows, {counts[0]} left and {counts[1]} right images"
-    shortest = min(len(frames), *counts)
-    frames, sides, pending = append_unfinished(path.parent, frames.first(shortest), sides)
+    whole = take_rows(frames, slice(min(len(frames), *counts)))
+    frames, sides, pending = append_unfinished(path.parent, whole, sides)
     if not len(frames):
         remedy = "Record it again."
         raise InputError(path.parent, "was cut off before the first whole pair", "", remedy)
