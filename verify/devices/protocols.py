@@ -53,7 +53,6 @@ class DeviceState:
 
     connected: bool
     age: float | None  # s since the last good reading; None before the first
-    readings: int  # good ones so far
     lost: int  # readings that the device numbered and that never came
     bad: Mapping[str, int]  # what was dropped: reason -> how often
     sentence: str  # what there is to say, in words
@@ -118,11 +117,8 @@ class CameraState:
 
     connected: bool
     age: float | None  # s since the last picture; None before the first
-    frames: int  # pictures so far
     lost: int  # pictures that nobody read in time
     sentence: str  # what there is to say, in words
-    size: tuple[int, int] | None = None  # width, height, px, of the last picture
-    rate: float | None = None  # Hz, of the last second
     refused: tuple[RefusedSetting, ...] = ()
     ended: bool = False  # a file that is over: no picture will come
 

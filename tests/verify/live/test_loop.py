@@ -79,7 +79,7 @@ class PlayedCamera:
 
     def state(self) -> CameraState:
         age = None if self._last is None else time.monotonic() - self._last
-        return CameraState(not self._stage.gone(self._name), age, 0, 0, f"played {self._name}")
+        return CameraState(not self._stage.gone(self._name), age, 0, f"played {self._name}")
 
     def close(self) -> None:
         pass
@@ -107,7 +107,7 @@ class PlayedEncoders:
     def state(self) -> DeviceState:
         age = None if self._last is None else time.monotonic() - self._last
         running = self._stage.now() < self._stage.ends_at
-        return DeviceState(True, age, 0, 0, {}, "played encoders", running)
+        return DeviceState(True, age, 0, {}, "played encoders", running)
 
     def close(self) -> None:
         pass

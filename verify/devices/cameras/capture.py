@@ -64,7 +64,7 @@ class CameraCapture:
         self._refused: tuple[protocols.RefusedSetting, ...] = ()
         self._count = self._lost = self._spoilt = 0
         self._size: tuple[int, int] | None = None
-        self._arrivals: deque[float] = deque(maxlen=256)
+        self._arrival: float | None = None  # s, of the last picture
         self._thread = threading.Thread(target=self._run, name=f"camera {name}", daemon=True)
         self._thread.start()
 
@@ -77,20 +77,9 @@ class CameraCapture:
 
     def state(self) -> protocols.CameraState:
         """Say how the camera is."""
-        now = time.monotonic()
-        with self._here:
-            arrivals = list(self._arrivals)
-        age = now - arrivals[-1] if arrivals else None
-        within = sum(t > now - 1.0 for t in arrivals)
+        age = None if self._arrival is None else time.monotonic() - self._arrival
         return protocols.CameraState(
-            self._connected,
-            age,
-            self._count,
-            self._lost,
-            self._sentence(age),
-            self._size,
-            float(within) if within else None,
-            self._refused,
+            self._connected, age, self._lost, self._sentence(age), self._refused
         )
 
     def close(self) -> None:
@@ -154,7 +143,7 @@ class CameraCapture:
             )
             self._frames.append(frame)
             self._count += 1
-            self._arrivals.append(time.monotonic())
+            self._arrival = time.monotonic()
             if len(self._frames) > MAX_QUEUED:
                 self._frames.popleft()
                 self._lost += 1

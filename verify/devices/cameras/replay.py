@@ -1,7 +1,6 @@
 """A video file, or a folder of numbered PNGs, in place of a camera."""
 
 import time
-from collections import deque
 from pathlib import Path
 
 import cv2
@@ -34,8 +33,7 @@ class ReplaySource:
         self._began: float | None = None
         self._next: CameraFrame | None = None
         self._number = 0
-        self._size: tuple[int, int] | None = None
-        self._recent: deque[float] = deque(maxlen=256)
+        self._arrival: float | None = None  # s, of the last picture
         self._fault, self._ended = "", False
 
     def read(self) -> CameraFrame | None:
@@ -51,24 +49,19 @@ class ReplaySource:
             if rest > READ_TIMEOUT:
                 return None
         frame, self._next = self._next, None
-        self._recent.append(time.monotonic())
+        self._arrival = time.monotonic()
         return frame
 
     def state(self) -> CameraState:
         """Say how far the file is."""
-        now = time.monotonic()
-        within = sum(t > now - 1.0 for t in self._recent)
         status = self._fault or (
             f"over after {self._number} pictures" if self._ended else "reading"
         )
         return CameraState(
             connected=not self._ended,
-            age=now - self._recent[-1] if self._recent else None,
-            frames=self._number,
+            age=None if self._arrival is None else time.monotonic() - self._arrival,
             lost=0,
             sentence=f"{self._name}: {status}",
-            size=self._size,
-            rate=float(within) if within else None,
             ended=self._ended,
         )
 
@@ -96,7 +89,6 @@ class ReplaySource:
             return None
         if self._began is None:
             self._began = time.monotonic()
-        self._size = size
         image = one_channel(image, self._settings.grey)
         t = self._began + self._number * self._period
         frame = CameraFrame(t, 0.0, image, None, self._number)

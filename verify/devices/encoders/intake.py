@@ -14,7 +14,6 @@ import numpy as np
 from verify.core.records import Array
 from verify.devices.ports import Chunk, PortLink
 from verify.devices.protocols import DeviceState, EncoderReading
-from verify.errors import InputError
 
 MAX_ADVANCE = 0.1  # s by which a stamp may be early: beyond it the clock has jumped
 MAX_DELAY = 1.0  # s: an older reading is of no use, and may be of a clock that was set back unseen
@@ -140,13 +139,6 @@ class AngleMap:
     sign: Array  # (joints,), +1 or -1
     offset: Array  # (joints,), rad
 
-    def __post_init__(self) -> None:
-        if self.sign.shape != self.offset.shape or not np.all(np.abs(self.sign) == 1.0):
-            raise InputError("encoders, sign", "is not 1 or -1 for each joint", "", "Correct it.")
-        if not np.all(np.isfinite(self.offset)):
-            found = "holds a value that is not a number"
-            raise InputError("encoders, offset_deg", found, "", "Correct it.")
-
     @property
     def joints(self) -> int:
         """How many joints the robot has."""
@@ -158,17 +150,15 @@ class AngleMap:
 
 
 class IntakeCounts:
-    """Counts of the readings, of those dropped, and why."""
+    """Counts of the readings that were lost or dropped, and why."""
 
     def __init__(self) -> None:
         self.bad: Counter[str] = Counter()
-        self.readings = 0
         self.lost = 0
         self._last: float | None = None
 
     def good(self, t_host: float) -> None:
         """Note a good reading."""
-        self.readings += 1
         self._last = t_host
 
     def state(
@@ -197,7 +187,7 @@ class IntakeCounts:
         ]
         sentence = f"{link.name}: " + "; ".join(filter(None, parts))
         return DeviceState(
-            link.connected, age, self.readings, self.lost, dict(self.bad), sentence, program_running
+            link.connected, age, self.lost, dict(self.bad), sentence, program_running
         )
 
 

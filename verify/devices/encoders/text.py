@@ -189,9 +189,6 @@ class TextIntake:
         *,
         in_lumps: bool = False,
     ) -> None:
-        if fields.joints != angles.joints:
-            found = f"name {fields.joints} joints"
-            raise InputError("encoders, columns", found, f"the robot has {angles.joints}")
         self._fields, self._latency, self._counts = fields, latency, counts
         self._intake = intake.ReadingIntake(angles, counts)
         self._clock = intake.ControllerClock(fields.wrap, in_lumps=in_lumps)

@@ -179,7 +179,7 @@ class SimulatedBoardCamera:
     def __init__(self, scene: BoardScene, side: int, rate: float) -> None:
         self._scene, self._side, self._rate = scene, side, rate
         self._number = self._frames = 0
-        self._recent: deque[float] = deque(maxlen=256)
+        self._last: float | None = None  # s, instant of the last picture
         self._closed = False
 
     def read(self) -> protocols.CameraFrame | None:
@@ -193,23 +193,17 @@ class SimulatedBoardCamera:
         image = self._scene.picture(self._side, self._scene.moment(t))
         if image is None:
             return None
-        self._recent.append(t)
+        self._last = t
         self._number, self._frames = self._number + 1, self._frames + 1
         return protocols.CameraFrame(t, 0.0, image, None, self._frames - 1)
 
     def state(self) -> protocols.CameraState:
         """Say how the camera is."""
-        now = self._scene.clock.now()
-        recent = list(self._recent)  # at once: another thread reads the camera meanwhile
-        within = sum(t > now - 1.0 for t in recent)
         return protocols.CameraState(
             connected=not self._closed,
-            age=now - recent[-1] if recent else None,
-            frames=self._frames,
+            age=None if self._last is None else self._scene.clock.now() - self._last,
             lost=0,
             sentence=f"simulated {SIDES[self._side]} camera: reading",
-            size=self._scene.boards.scenario.rig.image_size,
-            rate=float(within) if within else None,
         )
 
     def close(self) -> None:
@@ -224,7 +218,7 @@ class SimulatedBoardPan:
     def __init__(self, scene: BoardScene) -> None:
         self._scene = scene
         self._next = ceil((scene.clock.now() - scene.clock.began) * PAN_RATE)
-        self._count = 0
+        self._any = False  # reading came
 
     def read(self) -> list[protocols.PanReading]:
         """Give what has come since the last call, oldest first; waits for at most 20 ms."""
@@ -236,13 +230,13 @@ class SimulatedBoardPan:
             t = clock.began + number / PAN_RATE
             moment = self._scene.moment(t)
             readings.append(protocols.PanReading(t, t, 0.0, 0, moment.pan, moment.carried))
-        self._next, self._count = max(self._next, newest + 1), self._count + len(readings)
+        self._next, self._any = max(self._next, newest + 1), self._any or bool(readings)
         return readings
 
     def state(self) -> protocols.DeviceState:
         """Say how the bases are."""
-        age = 0.0 if self._count else None
-        return protocols.DeviceState(True, age, self._count, 0, {}, "simulated bases: reading")
+        age = 0.0 if self._any else None
+        return protocols.DeviceState(True, age, 0, {}, "simulated bases: reading")
 
     def close(self) -> None:
         """Leave them alone."""

@@ -1,11 +1,9 @@
 """A simulated camera: looks at the world at its rate, in real time or faster."""
 
-from collections import deque
-
-import cv2
 import numpy as np
 
 from verify.core.records import SIDES, Image
+from verify.devices.cameras.opencv import one_channel
 from verify.devices.protocols import (
     READ_TIMEOUT,
     CameraFrame,
@@ -44,8 +42,8 @@ class SimulatedCameraDevice:
         self._last = self._next - 1
         self._took = (0.0, 0.0)  # s: the last two renderings
         self._ready: CameraFrame | None = None
-        self._frames = self._lost = 0
-        self._arrivals: deque[float] = deque(maxlen=256)
+        self._lost = 0
+        self._arrival: float | None = None  # s, of the last picture
         self._coming = self._closed = False
 
     def read(self) -> CameraFrame | None:
@@ -75,17 +73,15 @@ class SimulatedCameraDevice:
         if not clock.wait_until(arrival, READ_TIMEOUT):
             return None
         frame, self._ready = self._ready, None
-        self._frames += 1
-        self._arrivals.append(clock.now())
+        self._arrival = clock.now()
         return frame
 
     def state(self) -> CameraState:
         """Say how the camera is."""
         now, away = self._scene.clock.now(), self._away()
-        age = now - self._arrivals[-1] if self._arrivals else None
+        age = None if self._arrival is None else now - self._arrival
         if self._coming and away is None:  # this machine may be late: the camera it plays is not
             age = min(age or 0.0, 1 / self._rate)
-        within = [t for t in list(self._arrivals) if t > now - 1.0]
         name = f"simulated {SIDES[self._side]} camera"
         conditions = {"camera_gone": "not connected: it was unplugged", "camera_stalls": "silent"}
         notes = [str(refusal) for refusal in self._refused()]
@@ -95,11 +91,8 @@ class SimulatedCameraDevice:
         return CameraState(
             connected=away != "camera_gone" and not self._closed,
             age=age,
-            frames=self._frames,
             lost=self._lost,
             sentence="; ".join([f"{name}: {conditions.get(away or '', 'reading')}", *notes]),
-            size=self._scene.scenario.rig.image_size,
-            rate=float(len(within)) if within else None,
             refused=self._refused(),
         )
 
@@ -149,9 +142,7 @@ class SimulatedCameraDevice:
         image = self._painter.paint(
             RenderRequest(side, scene.seconds(t), pan, scene.happens("lamp_on", t), hidden, number)
         )
-        if self._settings.grey and image.ndim == 3:
-            return np.asarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY), dtype=np.uint8)
-        return image
+        return one_channel(image, self._settings.grey)
 
     def _refused(self) -> tuple[RefusedSetting, ...]:
         """Settings that a simulation has no use for, and a size that is not the scenario's."""

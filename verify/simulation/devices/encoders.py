@@ -24,7 +24,6 @@ class SimulatedReadings:
         self._scene, self._rate = scene, rate
         # number of the next reading: those before nobody has asked for
         self._next = ceil((scene.clock.now() - scene.clock.began) * rate)
-        self._count = 0
         self._last: float | None = None  # s, when the last one was in hand
         self._closed = False
 
@@ -42,14 +41,14 @@ class SimulatedReadings:
         return [t for t in due if not self._scene.happens(silence, t)]
 
     def _came(self, t: float) -> float:
-        """Count a reading of an instant, s; when it is in hand, s."""
-        self._count, self._last = self._count + 1, t + TRANSFER_TIME
+        """When a reading of an instant, s, is in hand, s; it is the last one then."""
+        self._last = t + TRANSFER_TIME
         return self._last
 
     def _state(self, sentence: str, *, there: bool = True, runs: bool | None = None) -> DeviceState:
         age = None if self._last is None else self._scene.clock.now() - self._last
         connected = there and not self._closed
-        return DeviceState(connected, age, self._count, 0, {}, sentence, runs)
+        return DeviceState(connected, age, 0, {}, sentence, runs)
 
 
 class SimulatedEncoders(SimulatedReadings):

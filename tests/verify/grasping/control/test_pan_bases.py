@@ -103,7 +103,7 @@ class Given:
         self.things, self.closed = deque(things), False
 
     def state(self) -> DeviceState:
-        return DeviceState(not self.closed, None, 0, 0, {}, "gives what it was given")
+        return DeviceState(not self.closed, None, 0, {}, "gives what it was given")
 
     def close(self) -> None:
         self.closed = True

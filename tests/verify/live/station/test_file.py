@@ -264,6 +264,18 @@ def test_bases_follow_on_request_only(tmp_path: Path) -> None:
         ('driver = "labenc"', 'driver = "labenc"\nparity = "X"', "encoders.parity: is X"),
         ('driver = "labenc"', 'driver = "labenc"\nrate_hz = 0.5', "encoders.rate_hz: is 0.5"),
         ('driver = "labenc"', 'driver = "text"', "encoders, columns: name no q1"),
+        (
+            *('driver = "labenc"', 'driver = "labenc"\nsign = [1, -1, 1, 1, 1, 2]'),
+            r"encoders.sign: is \[1.*2\]; 1 or -1 for each",
+        ),
+        (
+            *('driver = "labenc"', 'driver = "labenc"\nsign = [1]'),
+            "encoders.sign: is a list of 1; one for each of the 6 joints",
+        ),
+        (
+            *('driver = "labenc"', 'driver = "labenc"\noffset_deg = [0, 0, 0, 0, 0, nan]'),
+            r"encoders.offset_deg\[5\]: is nan; a finite number",
+        ),
     ],
 )
 def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str) -> None:
