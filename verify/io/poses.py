@@ -92,7 +92,7 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
         np.stack([columns[name] for name in group], axis=1) if group in present else None
         for group in optional[:3]
     )
-    rotation, rounding = None, EXACT[1]
+    rotation, rounding = None, 0.0
     if quaternion is not None:
         _require_unit_length(table, quaternion)
         rotation = Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix()
@@ -112,10 +112,8 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
 
 def _visit_times(count: int, target: Array | None) -> Array:
     """Times of visits that nobody noted, counted for each target by itself."""
-    if target is None:
-        return visit_times(count)
-    t = np.zeros(count)
-    for number in np.unique(target):
+    t = visit_times(count)
+    for number in () if target is None else np.unique(target):
         own = target == number
         t[own] = visit_times(int(own.sum()))
     return t
@@ -130,13 +128,12 @@ def _require_order(table: CsvTable, t: Array, target: Array | None) -> None:
     if len(wrong):
         found = f"target is {target[wrong[0]]:g}"
         raise table.fault(int(wrong[0]), found, "targets are numbered 1, 2, 3, …")
-    for number in np.unique(target):
-        own = np.flatnonzero(target == number)
-        stuck = np.flatnonzero(np.diff(t[own]) <= 0)
-        if len(stuck):
-            row = int(own[stuck[0] + 1])
-            found = f"t_s is {t[row]:.10g} after {t[own[stuck[0]]]:.10g} of target {number:g}"
-            raise table.fault(row, found, "times of a target rise strictly", SORT_REMEDY)
+    rows = np.argsort(target, kind="stable")  # of one target after the other
+    stuck = np.flatnonzero((np.diff(t[rows]) <= 0) & (np.diff(target[rows]) == 0))
+    if len(stuck):
+        before, row = rows[stuck[0] : stuck[0] + 2].tolist()
+        found = f"t_s is {t[row]:.10g} after {t[before]:.10g} of target {target[row]:g}"
+        raise table.fault(row, found, "times of a target rise strictly", SORT_REMEDY)
 
 
 def _require_unit_length(table: CsvTable, quaternion: Array) -> None:

@@ -65,8 +65,7 @@ class McapReader:
         with ExitStack() as stack:
             self._reader = make_reader(stack.enter_context(path.open("rb")))
             summary = self._reader.get_summary()
-            if summary is None:  # has_own_encoding has read one
-                raise InputError(path, "has no summary", "", "Repair it by `mcap recover`.")
+            assert summary is not None  # has_own_encoding has read it
             statistics = summary.statistics
             counts = {} if statistics is None else statistics.channel_message_counts
             self._by_channel: dict[int, McapConnection] = {}

@@ -108,18 +108,16 @@ class RisingTimes:
             return [""] * count, np.ones(count, dtype=bool)
         scale = np.longdouble(columns_of.TIME_UNITS[self._column.unit])
         times = values[self._column.column].astype(np.longdouble) * scale - self._start
-        if (np.abs(times) > MAX_SPAN).any():
-            row = int(np.flatnonzero(np.abs(times) > MAX_SPAN)[0])
-            place = f"{self._table.path}, line {self._table.line_of(first + row)}"
-            found = f"{self._column.column} is {float(times[row]):.4g} s after the start"
-            raise InputError(place, found, f"at most {MAX_SPAN:g} s are plausible",
-                             "Correct this row or the first, or state the unit.")  # fmt: skip
+        if len(far := np.flatnonzero(np.abs(times) > MAX_SPAN)):
+            found = f"{self._column.column} is {float(times[far[0]]):.4g} s after the start"
+            expected = f"at most {MAX_SPAN:g} s are plausible"
+            remedy = "Correct this row or the first, or state the unit."
+            raise InputError(self._table.place_of(first + far[0]), found, expected, remedy)
         steps = np.diff(times, prepend=np.longdouble(self._last))
-        if (steps < 0).any():
-            row = int(np.flatnonzero(steps < 0)[0])
-            place = f"{self._table.path}, line {self._table.line_of(first + row)}"
-            found = f"{self._column.column} goes back by {-float(steps[row]):.6g} s"
-            raise InputError(place, found, "times rise", "Sort the rows, or export one run alone.")
+        if len(back := np.flatnonzero(steps < 0)):
+            found = f"{self._column.column} goes back by {-float(steps[back[0]]):.6g} s"
+            remedy = "Sort the rows, or export one run alone."
+            raise InputError(self._table.place_of(first + back[0]), found, "times rise", remedy)
         self._last = times[-1]
         repeated = np.flatnonzero(steps == 0)
         self.repeats += len(repeated)
@@ -213,8 +211,7 @@ def _read_poses(
     """Positions (m, 3), mm, and quaternions (m, 4) or None."""
     position = _lengths(values, mapping.of(columns_of.POSITION))
     turn = mapping.of(columns_of.QUATERNION) or mapping.of(columns_of.ANGLES)
-    if position is None:
-        raise InputError("--map", "names no x, y, z", "a pose has a position")
+    assert position is not None  # else there are points
     if not turn:
         return position, None
     numbers = [values[c.column] * ANGLE_UNITS.get(c.unit, 1.0) for c in turn]

@@ -127,9 +127,9 @@ class LogTable:
         """Whether a line below the header is a row: not blank, and not cut off."""
         return bool(line.strip()) and not (self.cut_off and line[-1] not in "\r\n")
 
-    def line_of(self, row: int) -> int:
-        """Line of a row, both counted as an editor does; blank lines are no rows."""
-        return next(line for index, (line, _) in enumerate(self._rows()) if index == row)
+    def place_of(self, row: int) -> str:
+        """File and line of a row, which is counted from 0, as an editor counts lines."""
+        return f"{self.path}, line {next(islice(self._rows(), row, None))[0]}"
 
     def _rows(self) -> Iterator[tuple[int, list[str]]]:
         with self.path.open(encoding=self.encoding, errors="replace", newline="") as file:
