@@ -25,7 +25,7 @@ from scipy.spatial.transform import Rotation
 from verify.core.records import Array, Image, Progress
 from verify.core.rig import Camera
 from verify.core.version import __version__
-from verify.io.export.content import ExportContent
+from verify.io.export.content import AngleSeries, ExportContent, PoseSeries
 from verify.io.session.session import Session
 from verify.io.video import Video
 
@@ -74,7 +74,9 @@ def write_mcap(content: ExportContent, path: Path, progress: Progress) -> None:
         InputError: a picture cannot be decoded.
     """
     factory = MessageFactory(content)
-    streams = [*_joint_messages(content, factory), *_pose_messages(content, factory)]
+    names = content.joint_names
+    streams = [_joint_messages(name, s, names, factory) for name, s in content.joints.items()]
+    streams += [_pose_messages(name, s, factory) for name, s in content.poses.items()]
     total = sum(len(series.t) for series in content.joints.values())
     total += sum(len(series) for series in content.poses.values())
     if content.session is not None:
@@ -100,35 +102,28 @@ def write_mcap(content: ExportContent, path: Path, progress: Progress) -> None:
         writer.finish()  # type: ignore[no-untyped-call]  # mcap does not annotate it
 
 
-def _joint_messages(content: ExportContent, factory: MessageFactory) -> list[Iterator[Message]]:
+def _joint_messages(
+    name: str, series: AngleSeries, joints: tuple[str, ...], factory: MessageFactory
+) -> Iterator[Message]:
     none = np.zeros(0)
-
-    def stream(name: str, t: Array, q: Array) -> Iterator[Message]:
-        for instant, angles in zip(t.tolist(), q, strict=True):
-            time = factory.time(instant)
-            message = factory.make(
-                "JointState", header=factory.header(time, ""), name=list(content.joint_names),
-                position=angles, velocity=none, effort=none,
-            )  # fmt: skip
-            yield time, f"/joint_states/{name}", "sensor_msgs/msg/JointState", message
-
-    return [stream(name, series.t, series.q) for name, series in content.joints.items()]
+    for t, angles in zip(series.t.tolist(), series.q, strict=True):
+        time = factory.time(t)
+        message = factory.make(
+            "JointState", header=factory.header(time, ""), name=list(joints),
+            position=angles, velocity=none, effort=none,
+        )  # fmt: skip
+        yield time, f"/joint_states/{name}", "sensor_msgs/msg/JointState", message
 
 
-def _pose_messages(content: ExportContent, factory: MessageFactory) -> list[Iterator[Message]]:
-    def stream(name: str, rows: Array) -> Iterator[Message]:
-        for t, *place in rows.tolist():
-            time = factory.time(t)
-            point = factory.make("Point", x=place[0], y=place[1], z=place[2])
-            turn = factory.make("Quaternion", x=place[3], y=place[4], z=place[5], w=place[6])
-            pose = factory.make("Pose", position=point, orientation=turn)
-            message = factory.make("PoseStamped", header=factory.header(time, BASE), pose=pose)
-            yield time, f"/flange/{name}", "geometry_msgs/msg/PoseStamped", message
-
-    return [
-        stream(name, np.column_stack([series.t, series.position, series.quaternion]))
-        for name, series in content.poses.items()
-    ]
+def _pose_messages(name: str, series: PoseSeries, factory: MessageFactory) -> Iterator[Message]:
+    rows = np.column_stack([series.t, series.position, series.quaternion])
+    for t, *place in rows.tolist():
+        time = factory.time(t)
+        point = factory.make("Point", x=place[0], y=place[1], z=place[2])
+        turn = factory.make("Quaternion", x=place[3], y=place[4], z=place[5], w=place[6])
+        pose = factory.make("Pose", position=point, orientation=turn)
+        message = factory.make("PoseStamped", header=factory.header(time, BASE), pose=pose)
+        yield time, f"/flange/{name}", "geometry_msgs/msg/PoseStamped", message
 
 
 def _still_messages(session: Session, factory: MessageFactory) -> list[Message]:
