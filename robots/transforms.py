@@ -59,3 +59,11 @@ def difference(a_T_b: Array, a_T_c: Array) -> Array:
     """Motion that carries c onto b, in axes of a, (..., 6): m, then rotation vector, rad."""
     turn = a_T_b[..., :3, :3] @ np.swapaxes(a_T_c[..., :3, :3], -1, -2)
     return np.concatenate([a_T_b[..., :3, 3] - a_T_c[..., :3, 3], rotation_log(turn)], axis=-1)
+
+
+def displace(a_T_c: Array, motion: Array) -> Array:
+    """The a_T_b (..., 4, 4) whose `difference` from a_T_c (..., 4, 4) is `motion` (..., 6)."""
+    a_T_b = a_T_c.copy()
+    a_T_b[..., :3, :3] = rotation_exp(motion[..., 3:]) @ a_T_c[..., :3, :3]
+    a_T_b[..., :3, 3] += motion[..., :3]
+    return a_T_b

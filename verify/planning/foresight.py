@@ -16,9 +16,9 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import robots
+from robots.transforms import displace
 from verify.analysis import joint_errors
 from verify.analysis.clock.estimate import ClockEstimate, estimate_clock
 from verify.analysis.comparison import Comparison, compare
@@ -74,21 +74,14 @@ def simulate_clock(
         noise = rng.standard_normal((len(comparison), 6, 1))
         twist = np.zeros((len(track), 6))
         twist[comparison.index] = off + (roots @ noise)[:, :, 0]
-        found = estimate_clock(_move_poses(track, twist), arm, readings)
+        moved = replace(track, base_T_flange=displace(track.base_T_flange, twist))
+        found = estimate_clock(moved, arm, readings)
         # one that is not found in some world is as good as unknown there
         sizes.append(found.standard_uncertainty or np.inf)
     typical = float(np.median(sizes))
     if not np.isfinite(typical):
         return replace(perfect, offset=0.0, standard_uncertainty=None, source="none")
     return replace(perfect, standard_uncertainty=typical)
-
-
-def _move_poses(track: Track, twist: Array) -> Track:
-    """Move every pose by a twist (n, 6), base axes at the flange."""
-    poses = track.base_T_flange.copy()
-    poses[:, :3, :3] = Rotation.from_rotvec(twist[:, 3:]).as_matrix() @ poses[:, :3, :3]
-    poses[:, :3, 3] += twist[:, :3]
-    return replace(track, base_T_flange=poses)
 
 
 @dataclass(frozen=True, slots=True)

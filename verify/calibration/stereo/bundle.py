@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
+from robots.transforms import displace
 from verify.calibration.stereo import gauge
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.gauge import AdjustmentModel
@@ -123,7 +124,7 @@ def normal_equations(
     count, width = len(state.boards), par.N_SHARED
     full, gradient = np.zeros((count, width, width)), np.zeros((count, width))
     prior, across = np.zeros(N_LOCAL), np.zeros((count, N_LOCAL, width))
-    prior[ERRORS] = _finite(model.precision)
+    prior[ERRORS] = np.nan_to_num(model.precision, posinf=0.0)
     block = np.tile(np.diag(prior), (count, 1, 1))
     pull = np.zeros((count, N_LOCAL))
     pull[:, ERRORS] = -prior[ERRORS] * state.errors
@@ -191,14 +192,10 @@ def cost(
     if np.isnan(squares[weight > 0]).any():
         return float("inf")
     total = float(weight @ np.nan_to_num(squares))
-    total += float(np.sum(_finite(model.precision) * state.errors**2))
+    total += float(np.sum(np.nan_to_num(model.precision, posinf=0.0) * state.errors**2))
     if model.lens is not None:
         total += float(np.sum((model.lens @ par.lens_values(state)) ** 2))
     return total
-
-
-def _finite(precision: Array) -> Array:
-    return np.where(np.isfinite(precision), precision, 0.0)
 
 
 def squared_distances(state: par.BundleState, corners: par.CornerStack) -> Array:
@@ -293,9 +290,7 @@ def step_state(
         carried = camera_poses(new, after) @ np.linalg.inv(camera_poses(old, before))
         beyond[mine] -= _motion(old, before, after - before, d, boards[mine, :3, 3])
         boards[mine] = carried @ boards[mine]
-    return par.BundleState(
-        *cameras, par.step_poses(boards, beyond), errors, state.bow + change[par.BOW]
-    )
+    return par.BundleState(*cameras, displace(boards, beyond), errors, state.bow + change[par.BOW])
 
 
 def _cameras(
@@ -309,7 +304,7 @@ def _cameras(
     still = np.zeros(1)
     straight = _motion(state.right, at_right, still, changes[1], before[:, :3, 3])
     with_left = _motion(state.left, at_left, still, changes[0], before[:, :3, 3])
-    wanted = par.step_poses(carried @ before, straight - with_left)
+    wanted = displace(carried @ before, straight - with_left)
     turntable = camera_poses(right, at_right) @ np.linalg.inv(right.mount)
     return left, replace(right, mount=(np.linalg.inv(turntable) @ wanted)[0])
 
@@ -329,13 +324,7 @@ def _motion(camera: Camera, pan: Array, turned_on: Array, change: Array, points:
     shift = (
         change[par.PAR_CENTER]
         + turned @ change[par.PAR_OFFSET]
-        + _cross(about_center, points - camera.pan_center)
-        + _cross(about_camera, points - placed_there[:, :3, 3])
+        + np.cross(about_center, points - camera.pan_center)
+        + np.cross(about_camera, points - placed_there[:, :3, 3])
     )
     return np.concatenate([shift, about_center + about_camera], axis=1)
-
-
-def _cross(turn: Array, arm: Array) -> Array:
-    """Cross products of vectors (b, 3)."""
-    (x, y, z), (u, v, w) = turn.T, arm.T
-    return np.stack([y * w - z * v, z * u - x * w, x * v - y * u], axis=1)

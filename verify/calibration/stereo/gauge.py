@@ -21,7 +21,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from scipy.linalg import null_space
 
-from robots.transforms import cross_matrix
+from robots.transforms import cross_matrix, rotation_exp, rotation_log
 from verify.calibration.stereo import parameters as par
 from verify.core.records import SIDES, Array, rigid_transform
 from verify.core.rig import Camera
@@ -112,7 +112,7 @@ def _change_frame(camera: Camera, new_T_old: Array) -> Camera:
 
 def _align_axis(camera: Camera, pan: float) -> Camera:
     """Give a base that never turned the axis +y; the orientation goes to the mount."""
-    turn = par.rotation_from_vector(-Y_AXIS * pan) @ camera.rig_T_camera(pan)[:3, :3]
+    turn = rotation_exp(-Y_AXIS * pan) @ camera.rig_T_camera(pan)[:3, :3]
     mount = rigid_transform(turn, np.zeros(3))
     return replace(camera, pan_axis=Y_AXIS, pan_zero=0.0, mount=mount)
 
@@ -121,8 +121,8 @@ def _move_turn_to_zero(camera: Camera) -> Camera:
     """Move the mount's turn about the pan axis to the pan zero."""
     axis, mount, zero = camera.pan_axis, camera.mount.copy(), camera.pan_zero
     for _ in range(20):  # converges as the mount's tilt squared
-        spin = float(axis @ par.rotation_vector(mount[:3, :3]))
-        mount[:3] = par.rotation_from_vector(-axis * spin) @ mount[:3]
+        spin = float(axis @ rotation_log(mount[:3, :3]))
+        mount[:3] = rotation_exp(-axis * spin) @ mount[:3]
         zero += spin
         if abs(spin) < 1e-15:
             break
@@ -153,7 +153,7 @@ def _tilt_row(own: Array, camera: Camera, base: str, pan: float) -> Array:
     """Change of the upward direction's z component; (u × w)_z = u_x w_y - u_y w_x for a turn u."""
     up = upward(camera, base, pan)
     if base == BASE_FIXED:
-        turned = par.rotation_from_vector(camera.pan_axis * (pan + camera.pan_zero))
+        turned = rotation_exp(camera.pan_axis * (pan + camera.pan_zero))
         by_turn = np.array([up[1], -up[0], 0.0]) @ turned
         return np.asarray(by_turn @ own[par.PAR_TURN])
     return np.asarray(np.array([up[1], -up[0], 0.0]) @ own[par.PAR_AXIS])
@@ -163,7 +163,7 @@ def _base_rows(own: Array, camera: Camera, base: str) -> list[Array]:
     if base == BASE_FIXED:
         return [*own[par.PAR_AXIS], own[par.PAR_ZERO], *own[par.PAR_OFFSET]]
     axis = camera.pan_axis
-    turn = par.rotation_vector(camera.mount[:3, :3])
+    turn = rotation_log(camera.mount[:3, :3])
     # (d × axis) · w = d · (axis × w): how a step d of the axis changes its product with w
     rows = [
         axis @ own[par.PAR_AXIS],

@@ -20,14 +20,11 @@ how it bent (3: m, added to the bow).
 
 from dataclasses import dataclass, field, replace
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
-from robots.transforms import cross_matrix
-from verify.core.kernels.entries import rotation_vectors
-from verify.core.records import SIDES, Array, rigid_transform
+from robots.transforms import cross_matrix, rotation_exp, rotation_log
+from verify.core.records import SIDES, Array
 from verify.core.rig import Camera
 
 PARAMETER_KEYS = (
@@ -93,18 +90,6 @@ def camera_columns(side: int) -> slice:
     return slice(side * N_CAMERA_PARAMETERS, (side + 1) * N_CAMERA_PARAMETERS)
 
 
-def rotation_from_vector(vector: Array) -> Array:
-    """Rotation matrix (3, 3) of a rotation vector (3,), rad."""
-    return np.asarray(cv2.Rodrigues(vector)[0], dtype=np.float64)
-
-
-def rotation_vector(matrix: Array) -> Array:
-    """Rotation vector (3,), rad, of a rotation matrix (3, 3)."""
-    vector = np.empty(3)
-    rotation_vectors(np.array([matrix]), vector[None])
-    return vector
-
-
 def base_rotations(camera: Camera, pan: Array) -> Array:
     """Rotations (b, 3, 3), rig axes from turntable axes, at pan angles (b,), rad (Rodrigues)."""
     angle = (pan + camera.pan_zero)[:, None, None]
@@ -119,9 +104,9 @@ def step_camera(camera: Camera, step: Array) -> Camera:
     matrix[1, 1] += step[1]
     matrix[:2, 2] += step[PAR_PRINCIPAL]
     mount = camera.mount.copy()
-    mount[:3, :3] = rotation_from_vector(step[PAR_TURN]) @ mount[:3, :3]
+    mount[:3, :3] = rotation_exp(step[PAR_TURN]) @ mount[:3, :3]
     mount[:3, 3] += step[PAR_OFFSET]
-    axis = rotation_from_vector(step[PAR_AXIS]) @ camera.pan_axis
+    axis = rotation_exp(step[PAR_AXIS]) @ camera.pan_axis
     return replace(
         camera,
         matrix=matrix,
@@ -131,12 +116,6 @@ def step_camera(camera: Camera, step: Array) -> Camera:
         pan_zero=camera.pan_zero + float(step[PAR_ZERO]),
         mount=mount,
     )
-
-
-def step_poses(boards: Array, step: Array) -> Array:
-    """Step poses (b, 4, 4) by (b, 6): a translation and a rotation vector, in rig axes."""
-    turned = Rotation.from_rotvec(step[:, 3:]).as_matrix() @ boards[:, :3, :3]
-    return rigid_transform(turned, boards[:, :3, 3] + step[:, :3])
 
 
 def length_parameters(state: BundleState) -> Array:
@@ -169,6 +148,6 @@ def parameter_difference(one: BundleState, other: BundleState) -> Array:
         own[PAR_CENTER] = new.pan_center - old.pan_center
         own[PAR_AXIS] = np.cross(old.pan_axis, new.pan_axis)
         own[PAR_ZERO] = new.pan_zero - old.pan_zero
-        own[PAR_TURN] = rotation_vector(new.mount[:3, :3] @ old.mount[:3, :3].T)
+        own[PAR_TURN] = rotation_log(new.mount[:3, :3] @ old.mount[:3, :3].T)
         own[PAR_OFFSET] = new.mount[:3, 3] - old.mount[:3, 3]
     return step
