@@ -23,7 +23,7 @@ from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import compare
-from verify.analysis.joint_errors import mean_errors, resolve_errors
+from verify.analysis.joint_errors import resolve_errors
 from verify.analysis.model import build_model
 from verify.analysis.session import analyse
 from verify.calibration.corners.find import find_board
@@ -314,5 +314,5 @@ def _at_spots(session: InMemory, noise_seed: int) -> tuple[Array, Array]:
     comparison = compare(track, arm, readings, output[0])
     clock = ClockEstimate(*output, "given", np.zeros((0, 2)))
     model = build_model(comparison, track, rig, marker, clock, parameters)
-    means = mean_errors(model, resolve_errors(model), parameters)
-    return means.mean, means.covariance
+    resolved = resolve_errors(model)
+    return resolved.mean, resolved.mean_covariance

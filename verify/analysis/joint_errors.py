@@ -21,7 +21,6 @@ from verify.analysis.least_squares import RegressionFit, solve
 from verify.analysis.model import JointErrorModel
 from verify.core.records import Array
 from verify.core.statistics import chi2_isf, t_ppf
-from verify.measurement.systematics import Systematics, covariance_root
 
 MIN_SPAN = np.deg2rad(2.0)  # a smaller turn shows no slope worth extrapolating within it
 MIN_SPAN_CIRCULAR = np.deg2rad(60.0)  # docs/results.md: below that sine and cosine are a parabola
@@ -242,27 +241,6 @@ def coverage_factor(degrees: Array) -> Array:
     return np.where(degrees > MIN_LARGE_DOF, 2.0, exact)
 
 
-def mean_errors(
-    model: JointErrorModel, resolved: ResolvedErrors, systematics: Systematics
-) -> MeanErrors:
-    """Means over the pairs of the resolved errors, where a plan has no budget of sources yet.
-
-    `systematics` has the degrees of freedom that the calibration states.
-    """
-    by_row = mean_sensitivities(model, resolved)
-    random = np.sum(by_row**2, axis=1)  # whitened rows have unit variance
-    degrees = effective_degrees(
-        np.diag(resolved.mean_covariance),
-        random,
-        max(float(resolved.fit.degrees_of_freedom), 1.0),
-        _calibration_variance(by_row @ model.prior, systematics),
-        systematics.degrees_of_freedom,
-    )
-    return MeanErrors(
-        resolved.mean, resolved.mean_covariance, np.sqrt(random), coverage_factor(degrees)
-    )
-
-
 def mean_sensitivities(model: JointErrorModel, resolved: ResolvedErrors) -> Array:
     """Derivative of the mean errors by the whitened rows, (j, r); nan where not determined.
 
@@ -280,21 +258,3 @@ def mean_sensitivities(model: JointErrorModel, resolved: ResolvedErrors) -> Arra
     weighted = design.T - (design.T @ held) @ inner
     found: Array = free @ resolved.fit.covariance @ weighted
     return np.where(np.isnan(resolved.mean)[:, None], np.nan, found)
-
-
-def _calibration_variance(moved: Array, systematics: Systematics) -> Array:
-    """Variance (j,) of the plain means from all that one calibration found.
-
-    `moved` (j, p): of columns of unit variance, those of the stated parameters first. A session's
-    budget knows the rig file and counts its parameters; here their names tell: LED positions are
-    the calibration's where no LED body is stated beside them.
-    """
-    body = "LED body" in systematics.sources
-    own = {"rig", "robot base"} if body else {"rig", "robot base", "LED positions"}
-    found = np.array([source in own for source in systematics.sources], dtype=float)
-    unit = covariance_root(systematics.covariance)
-    sensitivity = moved[:, : unit.shape[1]] @ np.linalg.pinv(unit)
-    variance: Array = np.einsum(
-        "jp,pq,jq->j", sensitivity * found, systematics.covariance, sensitivity * found
-    )
-    return variance

@@ -30,8 +30,16 @@ from verify.analysis.model import (
     prior_columns,
     visibility,
 )
+from verify.analysis.uncertainty.budget import (
+    BudgetLine,
+    calibration_variance,
+    pair_sensitivities,
+    systematic_lines,
+)
+from verify.analysis.uncertainty.sources import systematic_sources
 from verify.core.readings import Readings
 from verify.core.records import Array, Image, Measurement, Noise, Spots, StereoPair
+from verify.core.rig import Rig
 from verify.measurement.alignment import MAX_GAP, spot_instants
 from verify.measurement.chain import Setup, measure
 from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
@@ -90,6 +98,7 @@ class PredictedSession:
 
     t: Array  # (n,), s
     q: Array  # (n, j), rad
+    rig: Rig
     measurements: list[Measurement]
     track: Track  # m pairs
     systematics: Systematics
@@ -103,6 +112,7 @@ class PredictedAnalysis:
     """The analysis of a predicted session."""
 
     means: joint_errors.MeanErrors
+    systematic: tuple[BudgetLine, ...]  # what of the means' uncertainty does not average out
     resolved: joint_errors.ResolvedErrors
     visibility: Observability
 
@@ -141,7 +151,7 @@ def simulate_session(
     comparison = add_pan_noise(comparison, track, systematics)
     model = build_model(comparison, track, setup.rig, setup.marker, clock, systematics)
     return PredictedSession(
-        t, motion(t), measurements, track, systematics, clock, comparison, model
+        t, motion(t), setup.rig, measurements, track, systematics, clock, comparison, model
     )
 
 
@@ -149,8 +159,22 @@ def estimate_means(session: PredictedSession) -> PredictedAnalysis:
     """Estimate mean errors and their uncertainty as `verify run` does."""
     model = session.model
     resolved = joint_errors.resolve_errors(model)
-    means = joint_errors.mean_errors(model, resolved, session.systematics)
-    return PredictedAnalysis(means, resolved, visibility(model))
+    by_row = joint_errors.mean_sensitivities(model, resolved)
+    by_pair = pair_sensitivities(model, by_row)
+    held = systematic_sources(
+        model.comparison, session.track, session.clock, session.systematics, session.rig
+    )
+    random = np.sum(by_row**2, axis=1)  # whitened rows have unit variance
+    degrees = joint_errors.effective_degrees(
+        np.diag(resolved.mean_covariance), random,
+        max(float(resolved.fit.degrees_of_freedom), 1.0), *calibration_variance(held, by_pair),
+    )  # fmt: skip
+    means = joint_errors.MeanErrors(
+        resolved.mean, resolved.mean_covariance, np.sqrt(random),
+        joint_errors.coverage_factor(degrees),
+    )  # fmt: skip
+    lines = tuple(systematic_lines(held, by_pair))
+    return PredictedAnalysis(means, lines, resolved, visibility(model))
 
 
 class _SyntheticPairs:

@@ -8,9 +8,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from verify.analysis.joint_errors import mean_sensitivities
 from verify.analysis.least_squares import residual_products, solve
 from verify.analysis.model import DETECTION_SIGMA, JointErrorModel, clock_effect, prior_columns
+from verify.analysis.results.entries import finite_number
+from verify.analysis.uncertainty.sources import CLOCK, PAN
 from verify.analysis.verdict import GUARD_FACTOR
 from verify.calibration.kinematics.identifiability import (
     Identifiability,
@@ -19,23 +20,23 @@ from verify.calibration.kinematics.identifiability import (
     observability_indices,
 )
 from verify.core.records import Array
-from verify.planning.design import FaultKind, fault_kind, geometry_columns
+from verify.planning.design import fault_kind, geometry_columns
 from verify.planning.foresight import PredictedAnalysis, PredictedSession
 from verify.planning.request import FAULT_KINDS, PlanningSetup
 
 JOINT_KINDS = tuple(name for name in FAULT_KINDS if name not in ("kinematics", "clock"))
-RANDOM_SOURCE, CLOCK_SOURCE, PAN_SOURCE = "pixels, alignment, readings", "clock", "pan angle"
+RANDOM_SOURCE = "pixels, alignment, readings"
 TOL_COLUMN = 1e-6  # of a column's squared length: rounding
 TOL_LEVER = 1e-6  # m: rounding of a flange that lies on the axis
 GROUPS = {
     RANDOM_SOURCE: "pixels",
     "rig": "calibration",
-    PAN_SOURCE: "calibration",
+    PAN: "calibration",
     "robot base": "registration",
     "LED body": "registration",
     "LED positions": "leds",
     "apparent LED centre": "leds",
-    CLOCK_SOURCE: "clock",
+    CLOCK: "clock",
 }
 
 
@@ -78,31 +79,27 @@ def predict_faults(model: JointErrorModel, observe: tuple[str, ...]) -> list[Fau
     joints = model.joints.shape[1]
     found, start = [], 0
     for one in kinds:
-        places = [
-            slice(start + joints * k, start + joints * (k + 1)) for k in range(len(one.columns))
-        ]
-        start += joints * len(one.columns)
         uncertainty = np.full(joints, np.nan)
         for j in range(joints):
-            own = [place.start + j for place in places]
+            own = start + j + joints * np.arange(len(one.columns))
             if fit.estimable[own].all():
                 uncertainty[j] = np.sqrt(np.linalg.eigvalsh(fit.covariance[np.ix_(own, own)])[-1])
+        start += joints * len(one.columns)
+        detectable = [
+            _detectable(np.stack(alike, axis=1), model.fitted, model.prior)
+            for alike in zip(*(part.T for part in one.columns), strict=True)
+        ]
         found.append(
-            FaultPrediction(one.name, one.unit, one.scale, uncertainty, _detectable(model, one))
+            FaultPrediction(one.name, one.unit, one.scale, uncertainty, np.array(detectable))
         )
     return found
 
 
-def _detectable(model: JointErrorModel, one: FaultKind) -> Array:
-    """Smallest detectable fault of each joint alone, at its worst phase, (j,)."""
-    joints = model.joints.shape[1]
-    smallest = np.full(joints, np.nan)
-    for j in range(joints):
-        columns = np.stack([part[:, j] for part in one.columns], axis=1)
-        left = np.linalg.eigvalsh(residual_products(model.fitted, model.prior, [columns]))[0]
-        if left > TOL_COLUMN * np.sum(columns**2) > 0:
-            smallest[j] = DETECTION_SIGMA / np.sqrt(left)
-    return smallest
+def _detectable(columns: Array, free: Array, held: Array) -> float:
+    """Smallest detectable fault of columns (r, c), at its worst phase; nan where it is hidden."""
+    left = np.linalg.eigvalsh(residual_products(free, held, [columns]))[0]
+    visible = left > TOL_COLUMN * np.sum(columns**2) > 0
+    return DETECTION_SIGMA / float(np.sqrt(left)) if visible else np.nan
 
 
 def predict_clock(session: PredictedSession) -> ClockPrediction:
@@ -112,9 +109,7 @@ def predict_clock(session: PredictedSession) -> ClockPrediction:
         return ClockPrediction(clock.standard_uncertainty, None, clock.source)
     column = model.white.rows(clock_effect(session.comparison))
     others = np.concatenate([model.offsets, model.fitted], axis=1)
-    left = float(residual_products(others, model.prior, [column])[0, 0])
-    visible = left > TOL_COLUMN * float(np.sum(column**2)) > 0
-    smallest = DETECTION_SIGMA / float(np.sqrt(left)) if visible else None
+    smallest = finite_number(_detectable(column, others, model.prior))
     return ClockPrediction(clock.standard_uncertainty, smallest, clock.source)
 
 
@@ -134,36 +129,16 @@ def predict_geometry(setup: PlanningSetup, model: JointErrorModel) -> PredictedI
     return PredictedIdentifiability(spread, supported, indexes)
 
 
-def uncertainty_sources(session: PredictedSession, analysis: PredictedAnalysis) -> dict[str, Array]:
+def uncertainty_sources(analysis: PredictedAnalysis) -> dict[str, Array]:
     """Split the mean errors' uncertainties by source: the squares add up where all are stated.
 
     Standard uncertainty (j,), rad, each; nan where the mean is not known.
     """
     found = {RANDOM_SOURCE: analysis.means.random}
-    by_row = mean_sensitivities(session.model, analysis.resolved)
-    for name, columns in _columns(session).items():
-        share: Array = np.linalg.norm(by_row @ session.model.white.rows(columns), axis=1)
-        if np.any(share > 0):
-            found[name] = share
+    for line in analysis.systematic:
+        if line.source in GROUPS and np.any(line.variance > 0):
+            found[line.source] = np.sqrt(np.maximum(line.variance, 0.0))
     return found
-
-
-def _columns(session: PredictedSession) -> dict[str, Array]:
-    """Each source's columns of unit variance (n, 6, p)."""
-    comparison, clock = session.comparison, session.clock
-    parts: dict[str, Array] = {}
-    stated, exact = session.systematics, replace(clock, standard_uncertainty=None)
-    still = replace(comparison, alignment_error=np.zeros_like(comparison.alignment_error))
-    still_pan = np.full(2, np.nan)
-    for source in dict.fromkeys(stated.sources):
-        keep = np.array([one == source for one in stated.sources])
-        own = replace(stated, covariance=stated.covariance * np.outer(keep, keep), pan=still_pan)
-        parts[source] = prior_columns(still, session.track, exact, own)
-    none = replace(stated, covariance=np.zeros_like(stated.covariance))
-    parts[PAN_SOURCE] = prior_columns(still, session.track, exact, none)
-    if clock.source == "given" and clock.standard_uncertainty:  # else the means' fit frees it
-        parts[CLOCK_SOURCE] = clock_effect(comparison) * clock.standard_uncertainty
-    return parts
 
 
 def flange_uncertainty(session: PredictedSession) -> tuple[float, float]:
@@ -193,8 +168,7 @@ def group_sources(sources: dict[str, Array]) -> dict[str, Array]:
     """Add up the sources by what is to be done about them: standard uncertainty (j,), rad, each."""
     variance: dict[str, Array] = {}
     for name, share in sources.items():
-        group = GROUPS.get(name, "calibration")
-        variance[group] = variance.get(group, np.zeros(len(share))) + share**2
+        variance[GROUPS[name]] = variance.get(GROUPS[name], np.zeros(len(share))) + share**2
     return {name: np.sqrt(of) for name, of in variance.items()}
 
 

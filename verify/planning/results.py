@@ -22,7 +22,6 @@ from verify.planning.selection import PERIOD, TimedMotion
 
 MAX_DRAWN_ARMS = 6  # of the poses, in the picture of the path
 FLANGE_STEP = 0.25  # s between the points of the flange's path
-FROM_DEG, FROM_MM = float(np.deg2rad(1.0)), 1e-3
 
 
 def trajectory_table(timed: TimedMotion) -> pd.DataFrame:
@@ -137,7 +136,7 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
     """Turn a plan into summary and tables as docs/plan.md lists them."""
     predicted, timed = made.prediction, made.timed
     session = predicted.session
-    sources = prediction.uncertainty_sources(session, predicted.analysis)
+    sources = prediction.uncertainty_sources(predicted.analysis)
     summary: dict[str, Any] = {
         "format": 1,
         "kind": "plan",
@@ -316,7 +315,7 @@ def _geometry(found: prediction.PredictedIdentifiability) -> dict[str, Any]:
             {
                 "name": parameter.name,
                 "unit": "deg" if parameter.angular else "mm",
-                "standard_uncertainty": float(u / (FROM_DEG if parameter.angular else FROM_MM)),
+                "standard_uncertainty": float(u / parameter.tolerance),
             }
             for parameter, u in zip(supported, found.standard_uncertainty, strict=True)
         ],

@@ -182,7 +182,7 @@ def test_pictures_taken_one_after_the_other_give_the_same_poses(
 
 def test_the_sources_make_up_the_uncertainty(made: SessionPlan) -> None:
     foretold = made.prediction
-    parts = uncertainty_sources(foretold.session, foretold.analysis)
+    parts = uncertainty_sources(foretold.analysis)
     assert set(parts) >= {RANDOM_SOURCE, "rig", "robot base", "LED body"}
     whole = sum(share**2 for share in parts.values())
     np.testing.assert_allclose(whole, np.diag(foretold.analysis.means.covariance), rtol=1e-9)

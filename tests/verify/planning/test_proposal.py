@@ -97,7 +97,7 @@ def test_a_flange_that_looks_down_leaves_no_place_for_cameras() -> None:
 
 def test_groups_make_up_the_mean_s_uncertainty(made: SessionPlan) -> None:
     foretold = made.prediction
-    groups = group_sources(uncertainty_sources(foretold.session, foretold.analysis))
+    groups = group_sources(uncertainty_sources(foretold.analysis))
     whole = sum(u**2 for u in groups.values())
     np.testing.assert_allclose(whole, np.diag(foretold.analysis.means.covariance), rtol=1e-9)
 

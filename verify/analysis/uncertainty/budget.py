@@ -67,7 +67,9 @@ class Budget:
 
 
 @dataclass(frozen=True, slots=True)
-class _BudgetLine:
+class BudgetLine:
+    """A source and what it contributes; j joints."""
+
     source: str
     kind: str
     type: str
@@ -87,18 +89,21 @@ def budget(
     the track's pairs.
     """
     by_row = mean_sensitivities(model, resolved)
-    by_pair = _by_pair(model, by_row)
+    by_pair = pair_sensitivities(model, by_row)
     varying = random_sources(model, compared)
-    held = systematic_sources(model.comparison, compared)
+    held = systematic_sources(
+        model.comparison, compared.track, compared.clock, compared.systematics,
+        compared.session.rig,
+    )  # fmt: skip
     exact = unstated_sources(compared.systematics, compared.clock)
     own = np.full(len(resolved.mean), max(float(resolved.fit.degrees_of_freedom), 1.0))
-    lines = [*_random_lines(varying, by_pair, own), *_systematic_lines(held, by_pair)]
+    lines = [*_random_lines(varying, by_pair, own), *systematic_lines(held, by_pair)]
     if resolved.common.shape[1]:
         common = np.sum((by_row @ resolved.common) ** 2, axis=1)
-        lines.append(_BudgetLine(CAUSES, "systematic", "A", common, own))
+        lines.append(BudgetLine(CAUSES, "systematic", "A", common, own))
     if resolved.misfit > 1:
         lacking = (resolved.misfit - 1) * sum(line.variance for line in lines)
-        lines.append(_BudgetLine(LACK_OF_FIT, "random", "A", np.asarray(lacking), own))
+        lines.append(BudgetLine(LACK_OF_FIT, "random", "A", np.asarray(lacking), own))
     known = ~np.isnan(resolved.mean)
     random, systematic = (
         np.where(known, sum((li.variance for li in lines if li.kind == k), 0.0), np.nan)
@@ -106,7 +111,7 @@ def budget(
     )
     noise = [li.variance for li in lines if li.kind == "random" and li.degrees is own]
     degrees = effective_degrees(
-        random + systematic, np.sum(noise, axis=0), own, *_calibration_variance(held, by_pair)
+        random + systematic, np.sum(noise, axis=0), own, *calibration_variance(held, by_pair)
     )
     return Budget(
         lines=_table(lines, random + systematic),
@@ -120,7 +125,7 @@ def budget(
     )
 
 
-def _by_pair(model: JointErrorModel, by_row: Array) -> Array:
+def pair_sensitivities(model: JointErrorModel, by_row: Array) -> Array:
     """Take derivatives by whitened rows (j, r) to those by the pairs' twists, (n, j, 6)."""
     factors = model.white.factors
     ends = np.cumsum([len(f) for f in factors])
@@ -128,31 +133,32 @@ def _by_pair(model: JointErrorModel, by_row: Array) -> Array:
     return np.array([part @ factor for part, factor in zip(parts, factors, strict=True)])
 
 
-def _random_lines(sources: list[RandomSource], by_pair: Array, own: Array) -> Iterator[_BudgetLine]:
+def _random_lines(sources: list[RandomSource], by_pair: Array, own: Array) -> Iterator[BudgetLine]:
     for source in sources:
         variance = np.einsum("njk,nkl,njl->j", by_pair, source.covariance, by_pair)
         degrees = own if source.type == "A" else np.full(len(own), np.inf)
-        yield _BudgetLine(source.source, "random", source.type, variance, degrees)
+        yield BudgetLine(source.source, "random", source.type, variance, degrees)
 
 
-def _systematic_lines(held: SystematicSources, by_pair: Array) -> Iterator[_BudgetLine]:
+def systematic_lines(held: SystematicSources, by_pair: Array) -> Iterator[BudgetLine]:
+    """Carry what does not average out to the means, source by source; `by_pair` (n, j, 6)."""
     sensitivity = np.einsum("njk,nkp->jp", by_pair, held.columns)
     for source in dict.fromkeys(held.sources):
         mine = np.flatnonzero([s == source for s in held.sources])
         part = sensitivity[:, mine]
         variance = np.einsum("jp,pq,jq->j", part, held.covariance[np.ix_(mine, mine)], part)
         degrees = np.full(len(part), held.degrees[mine].min())
-        yield _BudgetLine(source, "systematic", held.types[mine[0]], variance, degrees)
+        yield BudgetLine(source, "systematic", held.types[mine[0]], variance, degrees)
     alike = np.array(held.sources)[:, None] == np.array(held.sources)[None]
     between = np.where(alike, 0.0, held.covariance) if len(held.sources) else held.covariance
     if between.any():
         variance = np.einsum("jp,pq,jq->j", sensitivity, between, sensitivity)
-        yield _BudgetLine(
+        yield BudgetLine(
             CORRELATION_SOURCE, "systematic", "B", variance, np.full(len(variance), np.inf)
         )
 
 
-def _calibration_variance(held: SystematicSources, by_pair: Array) -> tuple[Array, float]:
+def calibration_variance(held: SystematicSources, by_pair: Array) -> tuple[Array, float]:
     """Variance from all that one calibration found, and its degrees of freedom."""
     mine = np.flatnonzero(np.isfinite(held.degrees))
     part = np.einsum("njk,nkp->jp", by_pair, held.columns[:, :, mine])
@@ -160,7 +166,7 @@ def _calibration_variance(held: SystematicSources, by_pair: Array) -> tuple[Arra
     return variance, float(held.degrees[mine].min(initial=np.inf))
 
 
-def _table(lines: list[_BudgetLine], total: Array) -> pd.DataFrame:
+def _table(lines: list[BudgetLine], total: Array) -> pd.DataFrame:
     rows = []
     for line in lines:
         with np.errstate(invalid="ignore", divide="ignore"):

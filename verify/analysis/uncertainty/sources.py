@@ -13,8 +13,10 @@ from verify.analysis.instrument import CALIBRATION_SOURCE, instrument_sensitivit
 from verify.analysis.instrument import NOISE as INSTRUMENT_NOISE
 from verify.analysis.model import JointErrorModel, SessionComparison, clock_effect, pan_columns
 from verify.core.records import POSE_NAMES, Array, Measurement
+from verify.core.rig import Rig
 from verify.measurement.sensitivities import AXES
 from verify.measurement.systematics import PAN_READINGS, SOURCES, Systematics, sensitivities
+from verify.measurement.track import Track
 
 PIXELS, INSTRUMENT, SKEW = "pixels", "instrument", "camera skew"
 NOISE, RESOLUTION, TIME_STAMPS = "readings' noise", "encoder resolution", "encoder time stamps"
@@ -174,13 +176,14 @@ def pan_reading_covariance(comparison: Comparison, compared: SessionComparison) 
             yield effect[:, :, None] * effect[:, None, :]
 
 
-def systematic_sources(comparison: Comparison, compared: SessionComparison) -> SystematicSources:
+def systematic_sources(
+    comparison: Comparison, track: Track, clock: ClockEstimate, systematics: Systematics, rig: Rig
+) -> SystematicSources:
     """List everything stated or estimated once for the session, parameter by parameter.
 
-    The comparison is the model's; the session's rig tells which parameters share the calibration's
-    degrees of freedom.
+    The comparison is the model's; the rig tells which parameters share the calibration's degrees of
+    freedom.
     """
-    rig, clock, systematics = compared.session.rig, compared.clock, compared.systematics
     count = len(systematics.names)
     given = set(rig.covariance.parameters) if rig.covariance is not None else set()
     names, sources = list(systematics.names), list(systematics.sources)
@@ -201,7 +204,7 @@ def systematic_sources(comparison: Comparison, compared: SessionComparison) -> S
         columns.append(comparison.alignment_error[:, :, None])
         variances.append(np.ones(1))
     for side, camera in enumerate(("left", "right")):
-        group = pan_columns(comparison, compared.track, systematics, side)  # of unit variance
+        group = pan_columns(comparison, track, systematics, side)  # of unit variance
         sigma = systematics.pan[side]
         names += [f"{camera}.pan_deg"] * group.shape[2]  # one error a reading, all of one size
         sources += [PAN] * group.shape[2]

@@ -27,7 +27,12 @@ from verify.analysis.comparison import (
     solve_joints,
 )
 from verify.analysis.diagnosis.diagnose import thin_model
-from verify.analysis.joint_errors import MeanErrors, error_terms, mean_errors, resolve_errors
+from verify.analysis.joint_errors import (
+    ResolvedErrors,
+    error_terms,
+    mean_sensitivities,
+    resolve_errors,
+)
 from verify.analysis.measured import measure_pictures, session_clock
 from verify.analysis.model import (
     JointErrorModel,
@@ -61,9 +66,8 @@ class Made:
 
     model: JointErrorModel
     plain: Comparison
-    means: MeanErrors
+    resolved: ResolvedErrors
     found: Budget
-    systematics: Systematics
 
 
 def made(
@@ -114,9 +118,7 @@ def made(
         encoder_resolution=1e-4, encoder_time_standard_uncertainty=1e-4,
     )  # fmt: skip
     resolved = resolve_errors(model)
-    means = mean_errors(model, resolved, systematics)
-    found = budget(model, compared, resolved, [])
-    return Made(model, plain, means, found, systematics)
+    return Made(model, plain, resolved, budget(model, compared, resolved, []))
 
 
 CASES: dict[str, dict[str, Any]] = {
@@ -137,7 +139,7 @@ def test_the_lines_add_up_to_the_stated_uncertainty(case: str) -> None:
     lines = this.found.lines
     signed = lines["standard_uncertainty_deg"] * lines["standard_uncertainty_deg"].abs()
     total = signed.groupby(lines["joint"]).sum(min_count=1).to_numpy()
-    stated = np.rad2deg(np.sqrt(np.diag(this.means.covariance)))
+    stated = np.rad2deg(np.sqrt(np.diag(this.resolved.mean_covariance)))
     known = ~np.isnan(stated)
     assert known.any()
     assert_allclose(np.sqrt(total[known]), stated[known], rtol=1e-8)
@@ -170,7 +172,7 @@ def test_a_sensitivity_is_what_the_mean_does_when_the_parameter_is_moved(case: s
     for p, name in enumerate(NAMES):
         step = 1e-3 * SIGMA[p]
         moved = this.plain.systematic[:, :, p] * step
-        shift = np.rad2deg(_mean_with(this, moved) - this.means.mean) / step
+        shift = np.rad2deg(_mean_with(this, moved) - this.resolved.mean) / step
         scale = {"px": 1.0, "mm": 1e-3, "deg": np.pi / 180}[name.rsplit("_", 1)[-1]]
         known = ~np.isnan(shift)
         assert_allclose(table[name].to_numpy()[known], (shift * scale)[known], rtol=1e-5, atol=1e-9)
@@ -259,10 +261,12 @@ def test_degrees_of_freedom_by_welch_and_satterthwaite_and_student_below_fifty()
 def test_what_averages_out_falls_with_the_pairs_and_the_rest_does_not() -> None:
     this = made()
     half = thin_model(this.model, np.arange(0, len(PAIRS), 2))
-    few = mean_errors(half, resolve_errors(half), this.systematics)
-    assert np.all(few.random > 1.2 * this.found.random)
+    few = np.linalg.norm(mean_sensitivities(half, resolve_errors(half)), axis=1)
+    assert np.all(few > 1.2 * this.found.random)
     assert_allclose(
-        this.found.random**2 + this.found.systematic**2, np.diag(this.means.covariance), rtol=1e-9
+        this.found.random**2 + this.found.systematic**2,
+        np.diag(this.resolved.mean_covariance),
+        rtol=1e-9,
     )
 
 
