@@ -16,7 +16,7 @@ interpolated readings is a weighted sum of single readings' noise, which two ins
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 import robots
 from robots.transforms import rigid_columns
 from verify.calibration.registration.body_poses import BodyPose
-from verify.core.readings import MAX_GAP, Readings
+from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.core.rig import Camera, Rig, distort_with_jacobian
 from verify.measurement.pose import perturb
@@ -41,43 +41,14 @@ def reading_variance(readings: Readings, resolution: float | None) -> Array:
 def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int64], Array]:
     """Express readings interpolated at t (n,), s, controller's clock, as weighted sums of readings.
 
-    Returns indices (n, 4) and weights (n, 4) with readings.at(t) = sum of weight · q[index]. Where
-    there are no four about an instant, the nearest alone.
+    Returns indices (n, 4) and weights (n, 4) with readings.at(t) = sum of weight · q[index].
     """
     last = len(readings.t) - 1
-    after = np.clip(np.searchsorted(readings.t, t), min(1, last), last)
-    before = np.maximum(after - 1, 0)
-    early = t - readings.t[before] < readings.t[after] - t
-    index = np.repeat(np.where(early, before, after)[:, None], 4, axis=1)
-    weight = np.tile([1.0, 0.0, 0.0, 0.0], (len(t), 1))
-    start = np.searchsorted(readings.t, t, side="right") - 1
-    rows = np.flatnonzero((start >= 1) & (start + 2 <= last))
-    around = start[rows][:, None] + np.arange(-1, 3)
-    times = readings.t[around]
-    whole = (np.diff(times, axis=1) <= MAX_GAP).all(axis=1)
-    rows, around, times = rows[whole], around[whole], times[whole]
-    index[rows] = around
-    weight[rows] = _hermite(times, t[rows])
-    return index, weight
-
-
-def _hermite(times: Array, t: Array) -> Array:
-    """Weights of four readings (n, 4) in a cubic whose slopes are second-order differences."""
-    before, span, after = np.diff(times, axis=1).T
-    u = (t - times[:, 1]) / span
-    early, late = _slope(before, span), _slope(span, after)
-    weight = np.zeros((len(t), 4))
-    weight[:, 1] = 2 * u**3 - 3 * u**2 + 1
-    weight[:, 2] = 3 * u**2 - 2 * u**3
-    weight[:, :3] += ((u**3 - 2 * u**2 + u) * span)[:, None] * early
-    weight[:, 1:] += ((u**3 - u**2) * span)[:, None] * late
-    return weight
-
-
-def _slope(before: Array, after: Array) -> Array:
-    """Weights of three readings in the slope at the middle one, (n, 3), as numpy.gradient's."""
-    scale = before * after * (before + after)
-    return np.stack([-(after**2), after**2 - before**2, before**2], axis=1) / scale[:, None]
+    first = np.clip(np.searchsorted(readings.t, t, side="right") - 2, 0, max(last - 3, 0))
+    around = first[:, None] + np.arange(4)
+    # a reading weighs what it gives where it alone is 1; four neighbours are marked differently
+    marks = replace(readings, q=np.eye(4)[np.arange(last + 1) % 4])
+    return np.minimum(around, last), np.take_along_axis(marks.at(t), around % 4, axis=1)
 
 
 def shared_noise(index: NDArray[np.int64], weight: Array) -> Array:
