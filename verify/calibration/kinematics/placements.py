@@ -17,10 +17,11 @@ from verify.calibration.kinematics.chain import AXES
 from verify.calibration.kinematics.fit import KinematicFit
 from verify.calibration.kinematics.sessions import CombinedPoses
 from verify.calibration.origin import DEG, MM, POSE_UNITS
+from verify.calibration.registration.uncertainty import BASE_NAMES
+from verify.calibration.stereo.records import extend_covariance
 from verify.core.fiducials import Marker
 from verify.core.records import POSE_NAMES, Array
-from verify.core.rig import Covariance, Rig
-from verify.core.statistics import correlation
+from verify.core.rig import Rig
 from verify.io import rig as io_rig
 from verify.io.fiducials import encode_marker
 from verify.io.session.session import Session
@@ -99,15 +100,12 @@ def moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
     """The rig with the robot where it was found: the rows are in the base as the rig had it."""
     moved = rig.rig_T_base @ fit.state.base[place]
     turn = block_diag(moved[:3, :3], moved[:3, :3])
-    found = turn @ _covariance(fit, "base", place) @ turn.T
-    sigma, shared = np.sqrt(np.diag(found)), correlation(found)
-    names, known = tuple(f"robot_base.{key}" for key in POSE_NAMES), rig.covariance
+    own = turn @ (_covariance(fit, "base", place) / np.outer(POSE_UNITS, POSE_UNITS)) @ turn.T
+    known, across = rig.covariance, np.zeros((6, 0))
     if known is not None:
-        kept = [i for i, n in enumerate(known.parameters) if not n.startswith("robot_base.")]
-        names = (*(known.parameters[i] for i in kept), *names)
-        sigma = np.concatenate([known.standard_uncertainty[kept], sigma])
-        shared = block_diag(known.correlation[np.ix_(kept, kept)], shared)
-    covariance = Covariance(names, sigma, shared)
+        kept = [i for i, n in enumerate(known.parameters) if n not in BASE_NAMES]
+        known, across = known.take(kept), np.zeros((6, len(kept)))
+    covariance = extend_covariance(known, BASE_NAMES, across, own)
     return replace(
         rig, rig_T_base=moved, base_source="motion", registration=None, absorption=None,
         covariance=covariance,
