@@ -4,7 +4,7 @@ An LED counts where both cameras see it inside the picture, within its angle of 
 the other LEDs' images.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -60,15 +60,19 @@ class LinkChain:
 
     def points(self, frames: Array) -> Array:
         """Points along the links of `robots.link_frames` (m, j + 1, 4, 4): (m, p, 3), m."""
-        corners = [np.zeros((len(frames), 3)), frames[:, 0, :3, 3]]
-        for j, along in enumerate(self._along):
-            origin, axis = frames[:, j, :3, 3], frames[:, j, :3, 2]
-            corners += [origin + along * axis, frames[:, j + 1, :3, 3]]
-        whole = np.stack(corners, axis=1)
+        whole = self._corners(frames)
         share, before = self._shares
         points: Array = whole[:, before] * (1 - share)[:, None]
         points += whole[:, before + 1] * share[:, None]
         return points
+
+    def _corners(self, frames: Array) -> Array:
+        """Ends of the straight pieces, from the base on, (m, 2 j + 2, 3), m."""
+        corners = [np.zeros((len(frames), 3)), frames[:, 0, :3, 3]]
+        for j, along in enumerate(self._along):
+            origin, axis = frames[:, j, :3, 3], frames[:, j, :3, 2]
+            corners += [origin + along * axis, frames[:, j + 1, :3, 3]]
+        return np.stack(corners, axis=1)
 
     @cached_property
     def way(self) -> Array:
@@ -99,12 +103,8 @@ class LinkChain:
     @cached_property
     def _lengths(self) -> Array:
         """Lengths of the straight pieces between the corners, (2 j + 1,), m."""
-        frames = self._rest
-        lengths = [float(np.linalg.norm(frames[0, :3, 3]))]
-        for j, along in enumerate(self._along.tolist()):
-            across = frames[j + 1, :3, 3] - frames[j, :3, 3] - along * frames[j, :3, 2]
-            lengths += [abs(along), float(np.linalg.norm(across))]
-        return np.array(lengths)
+        pieces = np.diff(self._corners(self._rest[None])[0], axis=0)
+        return np.asarray(np.linalg.norm(pieces, axis=1))
 
     @cached_property
     def _shares(self) -> tuple[Array, Array]:
@@ -188,17 +188,14 @@ class PostureConstraints:
 
     setup: PlanningSetup
     request: PlanRequest
-    lower: Array = field(init=False)  # (j,), rad
-    upper: Array = field(init=False)
 
-    def __post_init__(self) -> None:
-        arm, near = self.setup.arm, self.request.near
-        lower, upper = arm.lower, arm.upper
-        if near is not None:
-            lower = np.maximum(lower, near - self.request.within)
-            upper = np.minimum(upper, near + self.request.within)
-        object.__setattr__(self, "lower", lower)
-        object.__setattr__(self, "upper", upper)
+    @cached_property
+    def limits(self) -> tuple[Array, Array]:
+        """Least and greatest joint angles, (j,) each, rad."""
+        arm, near, within = self.setup.arm, self.request.near, self.request.within
+        if near is None:
+            return arm.lower, arm.upper
+        return np.maximum(arm.lower, near - within), np.minimum(arm.upper, near + within)
 
     @cached_property
     def skeleton(self) -> LinkChain:
@@ -234,7 +231,8 @@ class PostureConstraints:
 
     def good(self, q: Array, *, passing: bool = False) -> Flags:
         """Whether each posture (m, j) keeps the joint limits and all constraints, (m,)."""
-        inside = np.all((q >= self.lower - TOL_LIMIT) & (q <= self.upper + TOL_LIMIT), axis=1)
+        lower, upper = self.limits
+        inside = np.all((q >= lower - TOL_LIMIT) & (q <= upper + TOL_LIMIT), axis=1)
         inside[inside] = self.reason(q[inside], passing=passing) < 0
         return np.asarray(inside, dtype=bool)
 

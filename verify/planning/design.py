@@ -92,11 +92,11 @@ def geometry_columns(
 
 @dataclass(frozen=True, slots=True)
 class DesignInformation:
-    """Rows of n candidate poses, six each: of the requested parameters, and of everything else."""
+    """Rows of n candidate poses, six each: of the requested parameters, then of everything else."""
 
-    requested: Array  # (n, 6, a), in units
-    others: Array  # (n, 6, o): fitted or held
+    rows: Array  # (n, 6, a + o), in units; the others are fitted or held
     prior: Array  # (a + o,), information that there is beforehand
+    requested: int  # a
 
 
 def design_information(
@@ -125,7 +125,7 @@ def design_information(
     laid[model.white.pair, place] = rows
     counts = [part.shape[1] for part in (requested, fitted, model.prior)]
     prior = np.repeat([PRIOR_SIGMA**-2, PRIOR_SHARE, 1.0], counts)
-    return DesignInformation(laid[:, :, : counts[0]], laid[:, :, counts[0] :], prior)
+    return DesignInformation(laid, prior, counts[0])
 
 
 def log_information(information: DesignInformation, chosen: list[int], times: float = 1.0) -> float:
@@ -133,9 +133,8 @@ def log_information(information: DesignInformation, chosen: list[int], times: fl
 
     `times` is the pairs of each chosen pose, over those that the rows were weighted for.
     """
-    a = information.requested.shape[2]
-    rows = np.concatenate([information.requested[chosen], information.others[chosen]], axis=2)
-    flat = rows.reshape(-1, rows.shape[2])
+    a = information.requested
+    flat = information.rows[chosen].reshape(-1, len(information.prior))
     whole = np.diag(information.prior) + times * flat.T @ flat
     return float(np.linalg.slogdet(whole)[1] - np.linalg.slogdet(whole[a:, a:])[1])
 
@@ -143,7 +142,7 @@ def log_information(information: DesignInformation, chosen: list[int], times: fl
 def choose_poses(information: DesignInformation, count: int) -> list[int]:
     """Choose so many poses; which ones, (count,)."""
     chosen: list[int] = []
-    for _ in range(min(count, len(information.requested))):
+    for _ in range(min(count, len(information.rows))):
         chosen.append(_best(information, chosen))
     for _ in range(MAX_ROUNDS):
         changed = False
@@ -166,20 +165,14 @@ def _best(information: DesignInformation, chosen: list[int], standing: int | Non
 
 def _gain(information: DesignInformation, chosen: list[int]) -> Array:
     """What each pose adds to ln det of the requested, given everything else, (n,)."""
-    every = np.concatenate([information.requested, information.others], axis=2)
-    a = information.requested.shape[2]
-    whole = _added_information(every, every[chosen], information.prior)
-    alone = _added_information(
-        information.others, information.others[chosen], information.prior[a:]
-    )
-    return whole - alone
+    others, prior = information.rows[:, :, information.requested :], information.prior
+    whole = _added_information(information.rows, chosen, prior)
+    return whole - _added_information(others, chosen, prior[information.requested :])
 
 
-def _added_information(rows: Array, chosen: Array, prior: Array) -> Array:
+def _added_information(rows: Array, chosen: list[int], prior: Array) -> Array:
     """Increase of ln det by six more rows, by the matrix determinant lemma, (n,)."""
-    if not rows.shape[2]:
-        return np.zeros(len(rows))
-    flat = chosen.reshape(-1, rows.shape[2])
+    flat = rows[chosen].reshape(6 * len(chosen), len(prior))
     inverse = np.linalg.inv(np.diag(prior) + flat.T @ flat)
     added = rows @ inverse @ np.swapaxes(rows, 1, 2)
     return np.asarray(np.linalg.slogdet(np.eye(6) + added)[1])

@@ -79,7 +79,7 @@ def _reject_singular(constraints: PostureConstraints, q: Array) -> Array:
 def _draw_postures(
     constraints: PostureConstraints, rng: np.random.Generator
 ) -> tuple[Array, int, dict[str, int]]:
-    lower, upper = constraints.lower, constraints.upper
+    lower, upper = constraints.limits
     found = np.zeros((0, len(lower)))
     counts = np.zeros(len(REASONS), dtype=np.int64)
     tried = 0

@@ -161,8 +161,7 @@ class PoseSelection:
         """The motion through the best poses, and how much it tells: ln det of the information."""
         setup, request = self.constraints.setup, self.constraints.request
         rows = self.rows
-        part = design.DesignInformation(rows.requested[among], rows.others[among], rows.prior)
-        chosen = among[design.choose_poses(part, count)]
+        chosen = among[design.choose_poses(replace(rows, rows=rows.rows[among]), count)]
         stops = plan_tour(
             self.constraints, self.roadmap, self.node[chosen].tolist(), back=request.there_and_back
         )

@@ -18,12 +18,13 @@ from verify.planning.selection import PACES, joint_limits, schedule
 def drawn(seed: int, poses: int = 9) -> DesignInformation:
     rng = np.random.default_rng(seed)
     asked, others = rng.normal(size=(poses, 6, 4)), rng.normal(size=(poses, 6, 3))
-    return DesignInformation(asked * rng.uniform(0.1, 3, (poses, 1, 1)), others, np.full(7, 0.1))
+    rows = np.concatenate([asked * rng.uniform(0.1, 3, (poses, 1, 1)), others], axis=2)
+    return DesignInformation(rows, np.full(7, 0.1), 4)
 
 
 def plainly(known: DesignInformation, chosen: tuple[int, ...]) -> float:
     """Ln det of what is asked for, everything else taken out, written down plainly."""
-    rows = np.concatenate([known.requested, known.others], axis=2)[list(chosen)].reshape(-1, 7)
+    rows = known.rows[list(chosen)].reshape(-1, 7)
     covariance = np.linalg.inv(rows.T @ rows + np.diag(known.prior))
     return -float(np.linalg.slogdet(covariance[:4, :4])[1])
 
@@ -44,11 +45,10 @@ def test_no_single_exchange_betters_the_choice(seed: int) -> None:
 
 def test_what_only_confounds_is_not_chosen() -> None:
     """A pose that shows what is asked for only together with what is open says nothing."""
-    asked = np.zeros((3, 6, 1))
-    others = np.zeros((3, 6, 1))
-    asked[:, 0, 0] = [10.0, 1.0, 1.0]
-    others[0, 0, 0] = 1e4
-    assert set(choose_poses(DesignInformation(asked, others, np.array([0.01, 1e-9])), 2)) == {1, 2}
+    rows = np.zeros((3, 6, 2))  # asked for, and open
+    rows[:, 0, 0] = [10.0, 1.0, 1.0]
+    rows[0, 0, 1] = 1e4
+    assert set(choose_poses(DesignInformation(rows, np.array([0.01, 1e-9]), 1), 2)) == {1, 2}
 
 
 def test_the_motion_keeps_every_limit(bench: PlanningSetup, made: SessionPlan) -> None:
