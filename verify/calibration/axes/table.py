@@ -139,8 +139,8 @@ def axes_from_sweeps(session: Session, measurements: Sequence[Measurement]) -> S
             "a sweep must show one axis",
             "Leave out --sweeps, or use `verify identify`.",
         )
-    measured = [m for m in measurements if m.status == "measured" and m.pose is not None]
-    measured = [m for m in measured if m.pose is not None and m.pose.known_dof == 6]
+    posed = [m for m in measurements if m.status == "measured"]
+    measured = [m for m in posed if m.pose is not None and m.pose.known_dof == 6]
     readings = Readings.of_log(session.encoders.t, session.encoders.q)
     offset = _clock(session, measured, readings) if measured else 0.0
     t = np.array([m.t for m in measured]) - offset

@@ -155,10 +155,12 @@ def _by_points(measured: Array, flange: Array) -> tuple[Array, Array]:
     """Fit the base by a rigid motion of points, the tool by least squares, in turn."""
     if len(flange) < 3:
         raise ValueError("three positions or more are needed")
-    base, tool = np.eye(4), np.eye(4)
+    tool, centre = np.eye(4), measured.mean(axis=0)
     for _ in range(MAX_ITERATIONS):
         points = flange[:, :3, :3] @ tool[:3, 3] + flange[:, :3, 3]
-        base[:3, :3], base[:3, 3] = _rigid(points, measured)
+        middle = points.mean(axis=0)  # carried nearest to the measured ones (Kabsch, 1976)
+        turn = nearest_rotation((measured - centre).T @ (points - middle))
+        base = rigid_transform(turn, centre - turn @ middle)
         wanted = (measured - base[:3, 3]) @ base[:3, :3] - flange[:, :3, 3]
         found = np.einsum("nij,ni->j", flange[:, :3, :3], wanted) / len(flange)
         step = found - tool[:3, 3]
@@ -166,10 +168,3 @@ def _by_points(measured: Array, flange: Array) -> tuple[Array, Array]:
         if np.linalg.norm(step) < TOL_STEP:
             break
     return base, tool
-
-
-def _rigid(points: Array, measured: Array) -> tuple[Array, Array]:
-    """Rotation and translation that carry points nearest to the measured ones (Kabsch, 1976)."""
-    middle, centre = points.mean(axis=0), measured.mean(axis=0)
-    turn = nearest_rotation((measured - centre).T @ (points - middle))
-    return turn, centre - turn @ middle

@@ -38,19 +38,13 @@ def parameter_derivatives(
     """
 
     def at(name: str, step: float) -> Array:
-        return function(move_parameter(rig, name, step))
+        side, _, key = name.partition(".")
+        change = step * np.eye(len(PARAMETER_KEYS))[PARAMETER_KEYS.index(key)]
+        if side == "left":
+            return function(replace(rig, left=step_camera(rig.left, change)))
+        return function(replace(rig, right=step_camera(rig.right, change)))
 
-    rows = [(at(name, STEP) - at(name, -STEP)) / 2 / STEP for name in names]
-    return np.array(rows).reshape(len(names), *np.shape(function(rig)))
-
-
-def move_parameter(rig: Rig, name: str, amount: float) -> Rig:
-    """Change one parameter of one camera, SI units and pixels; turns act on the left."""
-    side, _, key = name.partition(".")
-    step = amount * np.eye(len(PARAMETER_KEYS))[PARAMETER_KEYS.index(key)]
-    if side == "left":
-        return replace(rig, left=step_camera(rig.left, step))
-    return replace(rig, right=step_camera(rig.right, step))
+    return np.array([(at(name, STEP) - at(name, -STEP)) / 2 / STEP for name in names])
 
 
 @dataclass(frozen=True, slots=True)

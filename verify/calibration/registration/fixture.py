@@ -249,12 +249,9 @@ def _pan(seen: list[Measurement], effects: list[Array], parameters: Systematics)
             continue
         views = [m.left if side == 0 else m.right for m in seen]
         reading = np.array([v.pan if v is not None else np.nan for v in views])
-        effect = [e[:, len(parameters.names) + side] * parameters.pan[side] for e in effects]
-        for value in np.unique(reading):
-            shared = np.concatenate(
-                [e * float(r == value) for e, r in zip(effect, reading, strict=True)]
-            )
-            total += np.outer(shared, shared)
+        effect = np.concatenate([e[:, len(parameters.names) + side] for e in effects])
+        alike = (reading[:, None] == reading).repeat(6, axis=0).repeat(6, axis=1)
+        total += alike * np.outer(effect, effect) * parameters.pan[side] ** 2
     return total
 
 

@@ -32,11 +32,7 @@ from verify.calibration.registration.outcome import (
     FixedParameters,
     registration_outcome,
 )
-from verify.calibration.registration.records import (
-    MotionRegistration,
-    SpotResiduals,
-    order_like_marker,
-)
+from verify.calibration.registration.records import MotionRegistration, order_like_marker
 from verify.calibration.registration.start import RegistrationStart, start_registration
 from verify.core.fiducials import Marker
 from verify.core.readings import RATE_SPAN, Readings
@@ -44,8 +40,6 @@ from verify.core.records import Array, Progress, no_progress
 from verify.errors import InputError
 from verify.io.session.session import Recording
 from verify.measurement.triangulation import fit_rigid
-
-__all__ = ["MotionRegistration", "SpotResiduals", "register_motion"]
 
 MIN_PAIRS = 6  # three poses determine base and LEDs, as many check them
 TYPICAL_DIAMETER = 5e-3  # m, of an LED, before its image is measured

@@ -282,7 +282,6 @@ def _covariances(found: estimate.Estimate, board: Board) -> tuple[Array, Array]:
         scaled = share * par.length_parameters(found.state)
         full = full + np.outer(scaled, scaled)
         shift = share * found.state.boards[:, :3, 3]
-        boards = boards.copy()
         boards[:, :3, :3] += shift[:, :, None] * shift[:, None, :]
     return full, boards
 
