@@ -12,7 +12,7 @@ J. Mechanisms and Robotics 5(3), 2013: vec(R_X) and vec(R_Y) are the first right
 vectors of the sum of R_B ⊗ R_A; the translations follow by least squares.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,9 +21,6 @@ from robots.transforms import difference
 from verify.core.records import Array, rigid_transform
 
 MIN_POSES = 3  # poses: two relative motions about different axes
-# The second singular value over the first: 1 where the motions leave a turn open. A turn of all
-# poses by an angle a about every axis leaves 1 - a² / 3.
-MAX_RANK_RATIO = 1 - 1e-7
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +31,6 @@ class HandEye:
     y: Array  # (4, 4)
     residual: Array  # (n, 6), A X less Y B: m and rad, in the axes of A and Y
     mirrored: bool  # the poses fit a mirror image: A was observed in a mirror
-    open: bool  # all turns are about one axis, or there are none: x and y are not determined
 
 
 def solve_hand_eye(a: Array, b: Array) -> HandEye:
@@ -50,7 +46,7 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
         raise ValueError(f"needs {MIN_POSES} poses or more, twice; got {len(a)} and {len(b)}")
     turns_a, turns_b = a[:, :3, :3], b[:, :3, :3]
     kronecker = np.einsum("nij,nkl->ikjl", turns_b, turns_a).reshape(9, 9)
-    u, size, vt = np.linalg.svd(kronecker)
+    u, _, vt = np.linalg.svd(kronecker)
     x_like, y_like = (v.reshape(3, 3).T for v in (vt[0], u[:, 0]))  # vec stacks columns
     x_turn, y_turn = (
         nearest_rotation(like * np.sign(np.linalg.det(like))) for like in (x_like, y_like)
@@ -59,13 +55,7 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
     # the turns fit X and Y as well as -X and -Y, a mirror image; the translations decide
     mirrored = _translations(a, b, -y_turn)[1] < misfit
     x, y = rigid_transform(x_turn, places[:3]), rigid_transform(y_turn, places[3:])
-    return HandEye(
-        x=x,
-        y=y,
-        residual=difference(a @ x, y @ b),
-        mirrored=mirrored,
-        open=bool(size[1] > MAX_RANK_RATIO * size[0]),
-    )
+    return HandEye(x, y, difference(a @ x, y @ b), mirrored)
 
 
 def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[np.bool_]]:
@@ -81,7 +71,7 @@ def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[n
         limit = worst * np.median(size[:, good], axis=1, keepdims=True)
         kept = good & (size <= limit).all(axis=0)
         if kept.sum() in (good.sum(), *range(MIN_POSES)):
-            return HandEye(solved.x, solved.y, off, solved.mirrored, solved.open), good
+            return replace(solved, residual=off), good
         good = kept
 
 

@@ -99,7 +99,7 @@ def _solve_loop(a: Array, b: Array, x: Array | None, y: Array | None) -> HandEye
         x = mean_motion(invert(a) @ y @ b)
     else:
         raise ValueError("one of the two has to be known")
-    return HandEye(x, y, difference(a @ x, y @ b), mirrored=False, open=False)
+    return HandEye(x, y, difference(a @ x, y @ b), mirrored=False)
 
 
 def mean_motion(motions: Array) -> Array:
