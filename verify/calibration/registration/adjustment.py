@@ -30,7 +30,7 @@ TOL_STEP = 1e-9  # of a step in units of m, rad and s: a hundredth of any uncert
 # a joint fault must not pass for wrong spots: poses are left open
 JOINT_PRIOR_SIGMA = np.deg2rad(1.0)
 MAX_ROUNDS = 8  # of rejection
-TOL_RANK = 1e-12  # of an information matrix with unit diagonal: rounding
+TOL_RANK = 1e-12  # of the largest eigenvalue, with unit diagonal: rounding
 
 
 @dataclass(frozen=True, slots=True)
@@ -264,8 +264,6 @@ def invert_information(information: Array) -> Array:
     """Inverse of an information matrix in units of very different size; its rounding left out."""
     scale = np.sqrt(np.diag(information))
     scale[scale == 0] = 1.0
-    values, vectors = np.linalg.eigh(information / np.outer(scale, scale))
-    known = values > TOL_RANK
-    inverse = (vectors[:, known] / values[known]) @ vectors[:, known].T
+    inverse = np.linalg.pinv(information / np.outer(scale, scale), TOL_RANK, hermitian=True)
     unscaled: Array = inverse / np.outer(scale, scale)
     return unscaled

@@ -8,7 +8,7 @@ import numpy as np
 
 from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
 from verify.calibration.registration.model import predict_spots
-from verify.calibration.registration.records import MotionRegistration, SpotResiduals, build_marker
+from verify.calibration.registration.records import MotionRegistration, build_marker
 from verify.calibration.registration.start import RegistrationStart
 from verify.calibration.registration.uncertainty import (
     absorption,
@@ -88,14 +88,8 @@ def registration_outcome(
         misfit=adjusted.chi2 / max(adjusted.degrees_of_freedom, 1),
         pairs_used=len(np.unique(spotted.pair[spotted.used])),
         left_out=found.left_out,
-        residuals=SpotResiduals(
-            frame=spotted.frame[spotted.pair],
-            camera=spotted.side,
-            led=spotted.led,
-            observed=spotted.centre,
-            residual=adjusted.predicted.residual,
-            used=spotted.used,
-        ),
+        spots=spotted,
+        residual=adjusted.predicted.residual,
         decisions=tuple(_decisions(recording, named, held, adjusted, diameter)),
         warnings=tuple(map(one_line, _warnings(adjusted, found.start, shown))),
     )

@@ -5,9 +5,9 @@ from itertools import permutations
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.calibration.registration.led_tracks import MAX_LEDS
+from verify.calibration.registration.model import SpotStack
 from verify.core.fiducials import Marker
 from verify.core.records import Array
 from verify.core.rig import Rig
@@ -16,18 +16,6 @@ from verify.measurement.triangulation import fit_rigid
 
 MAX_MATCH_RMS = 4e-3  # m, rms: LEDs found to a millimetre or two, a marker measured with a ruler
 LED_NAMES = "ABCDEF"
-
-
-@dataclass(frozen=True, slots=True)
-class SpotResiduals:
-    """Every spot that was assigned to an LED, one row each."""
-
-    frame: NDArray[np.int64]  # (r,)
-    camera: NDArray[np.int64]  # (r,), 0 left, 1 right
-    led: NDArray[np.int64]  # (r,), index into the marker's LEDs
-    observed: Array  # (r, 2), px
-    residual: Array  # (r, 2), px, observed less predicted
-    used: NDArray[np.bool_]  # (r,), false: the others contradict it
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,7 +35,8 @@ class MotionRegistration:
     misfit: float  # chi² a degree of freedom, before uncertainties were enlarged by it
     pairs_used: int
     left_out: dict[int, str]  # by frame: why a pair does not count
-    residuals: SpotResiduals
+    spots: SpotStack  # every one that was assigned to an LED
+    residual: Array  # (s, 2), px, observed less predicted
     decisions: tuple[str, ...]
     warnings: tuple[str, ...]
 

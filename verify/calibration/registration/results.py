@@ -179,16 +179,16 @@ def _time(offset: float, uncertainty: float | None) -> dict[str, Any]:
 
 
 def _residuals(found: MotionRegistration) -> pd.DataFrame:
-    spots = found.residuals
+    spots = found.spots
     return pd.DataFrame(
         {
-            "frame": spots.frame,
-            "camera": [SIDES[c] for c in spots.camera.tolist()],
+            "frame": spots.frame[spots.pair],
+            "camera": [SIDES[c] for c in spots.side.tolist()],
             "led": [found.marker.names[i] for i in spots.led.tolist()],
-            "x_px": spots.observed[:, 0],
-            "y_px": spots.observed[:, 1],
-            "residual_x_px": spots.residual[:, 0],
-            "residual_y_px": spots.residual[:, 1],
+            "x_px": spots.centre[:, 0],
+            "y_px": spots.centre[:, 1],
+            "residual_x_px": found.residual[:, 0],
+            "residual_y_px": found.residual[:, 1],
             "used": spots.used,
         }
     )
