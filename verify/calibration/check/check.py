@@ -177,9 +177,7 @@ def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResu
         found = replace(found, systematic=systematic, by_source=by_source)
     scale, u = float(1 + found.value[0]), float(found.uncertainty[0])
     square = (board.square, board.square * scale, board.square * u)
-    none = np.zeros(0)
-    nothing = Lengths((), none, none, none, np.zeros(0, dtype=np.int64))
-    return _result(found, nothing, square, poses, exact)
+    return _result(found, measured_lengths([], rig, marker, parameters), square, poses, exact)
 
 
 def figure_limit(found: rig_check.RigConsistency) -> float:

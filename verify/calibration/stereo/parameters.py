@@ -142,12 +142,10 @@ def lens_values(state: BundleState) -> Array:
 def parameter_difference(one: BundleState, other: BundleState) -> Array:
     """The step (47,) of the shared parameters from the other state to the one."""
     step = lens_values(one) - lens_values(other)
-    step[BOW] = one.bow - other.bow
+    step += length_parameters(one) - length_parameters(other)
     for side, (new, old) in enumerate(zip(one.cameras, other.cameras, strict=True)):
         own = step[camera_columns(side)]
-        own[PAR_CENTER] = new.pan_center - old.pan_center
         own[PAR_AXIS] = np.cross(old.pan_axis, new.pan_axis)
         own[PAR_ZERO] = new.pan_zero - old.pan_zero
         own[PAR_TURN] = rotation_log(new.mount[:3, :3] @ old.mount[:3, :3].T)
-        own[PAR_OFFSET] = new.mount[:3, 3] - old.mount[:3, 3]
     return step
