@@ -3,6 +3,7 @@ import pytest
 
 from tests.support.devices.bench import gather, kept, running, same_angles
 from verify.devices.encoders.intake import AngleMap
+from verify.devices.encoders.labenc.protocol import MOVING
 from verify.devices.encoders.labenc.reader import LabencSettings
 from verify.devices.pan import PanReader, PanServo
 from verify.simulation.emulators.encoders import LabencOptions, PanEngine
@@ -61,3 +62,15 @@ def test_a_missing_servo_is_reported() -> None:
         gather(servo, lambda _: not servo.state().connected)
         assert not servo.turn_to(0.1, 0.1)
         gather(servo, lambda found: len(found) >= 1)
+
+
+@pytest.mark.parametrize(("first", "then"), [(8.22, -13.81), (21.79, 2.49), (-12.02, -4.64)])
+def test_a_base_that_has_arrived_is_not_moving_and_stands_where_it_was_sent(
+    first: float, then: float
+) -> None:
+    engine = PanEngine(OPTIONS)
+    engine.go(1, first, 0.0)
+    engine.go(1, then, 10.0)
+    assert engine.status(10.1) == MOVING
+    assert engine.status(20.0) == 0
+    assert engine.angles(20.0)[0] == np.deg2rad(then)

@@ -11,6 +11,7 @@ from verify.live.station.keys import SimEvent
 from verify.simulation.devices.painting import LocalPainter
 from verify.simulation.scenario import Scenario
 from verify.simulation.session.simulate import START_OFFSET, SimulatedSession
+from verify.simulation.world.motion import move_towards
 from verify.simulation.world.world import SimulatedWorld
 
 
@@ -105,9 +106,7 @@ class DeviceScene:
         """What the bases' encoders show at an instant, (2,) rad, and whether they move."""
         with self._lock:
             at, start, stop = next(way for way in reversed(self._ways) if way[0] <= t)
-        way = stop - start
-        gone = np.minimum(np.abs(way), PAN_SPEED * min(t - at, 1e3))  # 1e3 s: long since there
-        angles: Array = start + np.sign(way) * gone
+        angles = move_towards(start, stop, PAN_SPEED * (t - at))
         return angles, bool(np.any(angles != stop))
 
     def pan(self, t: float) -> Array:

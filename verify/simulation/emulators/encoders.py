@@ -9,6 +9,7 @@ from verify.devices.encoders.labenc.protocol import MAX_LINE_BYTES, MOVING
 from verify.devices.ports import CHECKSUMS, LineBuffer
 from verify.simulation.emulators.server import TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
+from verify.simulation.world.motion import move_towards
 
 COUNTS_PER_TURN = 98304  # gear included
 MAX_SAMPLE_BYTES = 91  # bytes of a six-axis J
@@ -180,10 +181,7 @@ class PanEngine(LabencEngine):
 
     def angles(self, t: float) -> Array:
         """What the encoders on the axes show, (2,), rad."""
-        way = self._to - self._from
-        gone = np.minimum(np.abs(way), PAN_SPEED * max(t - self._ordered_at, 0.0))
-        angles: Array = self._from + np.sign(way) * gone
-        return angles
+        return move_towards(self._from, self._to, PAN_SPEED * max(t - self._ordered_at, 0.0))
 
     def status(self, t: float) -> int:
         """Status bits: moving, until both have arrived."""

@@ -11,6 +11,7 @@ from enum import IntEnum
 import numpy as np
 
 from verify.core.records import Array
+from verify.simulation.world.motion import move_towards
 
 N_BYTES = 16  # of outputs and of inputs; the last of each is not used
 STROKE_MM = 155.0  # between the fingertips at position 0; taken as linear in the position
@@ -128,7 +129,8 @@ class GripperHand:
         self._note_fault()
         halted = self.on_demand in MAJOR_FAULTS or self.fault is GripperFault.RELEASED
         if self.fault is GripperFault.RELEASING:
-            self._move(OPEN_LIMIT, np.array([RELEASE_SPEED] * 3 + [0.0]), seconds)
+            reach = seconds * np.array([RELEASE_SPEED] * 3 + [0.0])
+            self.position = move_towards(self.position, OPEN_LIMIT, reach)
         elif self.stage is GripperStage.ACTIVATING:
             # it closes and opens over the whole travel
             left = np.clip((self._ready_at - t) / self._activation, 0.0, 1.0)
@@ -137,7 +139,7 @@ class GripperHand:
         elif self.stage is GripperStage.CHANGING_MODE:
             rest = self.position.copy()
             rest[3] = SCISSOR_POSITIONS[self._mode]
-            self._move(rest, np.array([0.0, 0.0, 0.0, SCISSOR_SPEED]), seconds)
+            self.position = move_towards(self.position, rest, SCISSOR_SPEED * seconds)
         elif self.stage is GripperStage.READY and self._orders.go and not halted:
             self._status = self._towards_request(seconds)
 
@@ -191,18 +193,13 @@ class GripperHand:
 
     def _towards_request(self, seconds: float) -> Array:
         """Move; give the axes' status: 0 moving, 2 contact while closing, 3 at the request."""
-        orders, before = self._orders, self.position.copy()
+        orders, before = self._orders, self.position
         driven = np.array(orders.driven)
         goal = np.where(driven, np.clip(orders.request, OPEN_LIMIT, CLOSED_LIMIT), before)
         reachable = np.where(before <= self.contacts, np.minimum(goal, self.contacts), goal)
-        self._move(reachable, orders.speed, seconds)
+        self.position = move_towards(before, reachable, orders.speed * seconds)
         arrived = self.position == reachable
         return np.where(arrived, np.where(reachable < goal, 2, 3), 0)
-
-    def _move(self, goal: Array, speed: Array | float, seconds: float) -> None:
-        step = np.clip(goal - self.position, -speed * seconds, speed * seconds)
-        close = np.abs(goal - self.position) <= speed * seconds
-        self.position = np.where(close, goal, self.position + step)
 
     def _overall(self, codes: Array) -> int:
         """GSTA of the axes that are driven: 0 moving, 1 some stopped, 2 all stopped, 3 there."""

@@ -184,6 +184,12 @@ def minimum_jerk(share: Array) -> Array:
     return s**3 * (10 - 15 * s + 6 * s * s)
 
 
+def move_towards(start: Array, goal: Array, reach: float | Array) -> Array:
+    """Go from start to goal, each number by `reach` at most; what has arrived is at the goal."""
+    way = goal - start
+    return np.where(np.abs(way) <= reach, goal, start + np.clip(way, -reach, reach))
+
+
 def direction_sign(speed: Array) -> Array:
     """Give -1 where the speed is negative, else +1."""
     return np.where(speed < 0, -1.0, 1.0)

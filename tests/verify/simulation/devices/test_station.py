@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from numpy.testing import assert_allclose
+from numpy.testing import assert_allclose, assert_array_equal
 
 from tests.support.devices.bench import gather
 from verify.core.records import Image
@@ -239,6 +239,16 @@ def test_bases_turn_at_their_speed_and_report_motion() -> None:
     assert_allclose(angles[-1], start + np.deg2rad([10.0, -5.0]))
     assert pan.turn_to(2.0, 0.0)
     assert "refused" in pan.state().sentence
+
+
+def test_bases_that_have_arrived_are_at_rest_where_they_were_sent() -> None:
+    made = station()
+    for wanted in np.deg2rad([[8.22, 21.79], [-13.81, 2.49]]):
+        made.scene.turn(wanted)
+        gather(made.pan(), lambda found: len(found) >= 120)  # 2.4 s: longer than the way
+    angles, moving = made.scene.pan_reading(made.scene.clock.now())
+    assert not moving
+    assert_array_equal(angles, wanted)
 
 
 def test_missing_bases_report_nothing_and_accept_nothing() -> None:
