@@ -9,7 +9,7 @@ no point moves farther than travel = sum_j |dq_j| reach_j, so with margins m1 an
 A path is checked along its whole length by halving it until this bound is above -RESOLUTION.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 
@@ -58,7 +58,10 @@ class Workspace:
         """
         table, hand = self.cell.table, self.cell.gripper
         radius, away = self.cell.moving.link_radius, self.cell.moving.camera_clearance
-        joints, flange, grip = self._skeleton(q)
+        frames = robots.link_frames(self.arm, q)
+        # from the shoulder to the wrist (m, 3) each, and the flange
+        *joints, flange = (frames[:, i, :3, 3] for i in (1, 2, 3, 4, -1))
+        grip = frames[:, -1] @ hand.flange_T_grip
         axis = grip[:, :3, 2]
         tips = grip[:, :3, 3] + hand.tips * axis
         palm = grip[:, :3, 3] - (hand.finger_length - hand.tips) * axis
@@ -132,21 +135,6 @@ class Workspace:
         # a joint's own d lies on its axis
         farthest: Array = np.abs(self.arm.a) + beyond + max(tool, self.cell.moving.link_radius)
         return farthest
-
-    def _skeleton(self, q: Array) -> tuple[list[Array], Array, Array]:
-        """Joints from the shoulder to the wrist (m, 3) each, the flange, and base_T_grip."""
-        joints = [robots.forward(cut, q)[:, :3, 3] for cut in self._cut]
-        flange = robots.forward(self.arm, q)
-        return joints, flange[:, :3, 3], flange @ self.cell.gripper.flange_T_grip
-
-    @cached_property
-    def _cut(self) -> list[DhArm]:
-        """The arm without what follows frames 1 to 4: their origins are where it then ends."""
-        cut = []
-        for frame in range(1, 5):
-            kept = np.arange(6) < frame
-            cut.append(replace(self.arm, a=self.arm.a * kept, d=self.arm.d * kept))
-        return cut
 
 
 def _distance(point: Array, a: Array, b: Array) -> Array:

@@ -96,10 +96,13 @@ def test_no_point_of_the_arm_moves_farther_than_its_joints_reach(workspace: Work
     start = random_postures(200, seed=6)
     end = start + random.normal(0, 0.05, start.shape)
     farthest = np.zeros(len(start))
-    (j0, f0, g0), (j1, f1, g1) = workspace._skeleton(start), workspace._skeleton(end)
+    joints, moved = (
+        np.swapaxes(robots.link_frames(workspace.arm, q)[:, 1:, :3, 3], 0, 1) for q in (start, end)
+    )
+    g0, g1 = workspace.grip(start), workspace.grip(end)
     hand = workspace.cell.gripper
     rim = np.array([[hand.radius, 0, hand.tips, 1], [0, -hand.radius, hand.tips, 1.0]])
-    pairs = [*zip(j0, j1, strict=True), (f0, f1)]
+    pairs = [*zip(joints, moved, strict=True)]
     pairs += [((g0 @ point)[:, :3], (g1 @ point)[:, :3]) for point in rim]
     for a, b in pairs:
         farthest = np.maximum(farthest, np.linalg.norm(a - b, axis=1))
