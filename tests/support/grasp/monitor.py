@@ -7,7 +7,6 @@ import numpy as np
 from robots.trajectory import JointLimits
 from verify.core.records import Array
 from verify.simulation.cell.grab import CellRun
-from verify.simulation.cell.render import joint_points
 
 
 @dataclass
@@ -63,8 +62,7 @@ class GraspMonitor:
         self._wait()
         world = self._world
         q = world.arm.q(world.t)
-        _, flange = joint_points(world.setup.planner.arm, q)  # limits are of the ordered angles
-        grip = flange @ world.setup.cell.gripper.flange_T_grip
+        grip = world.setup.planner.workspace.grip(q)  # limits are of the ordered angles
         self.limits.see(world.t, q, grip[:3, 3])
 
 

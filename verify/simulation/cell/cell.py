@@ -2,12 +2,14 @@
 
 import numpy as np
 
+from robots import forward
 from robots.transforms import carry, invert
 from verify.core.records import Array, StereoPair, rigid_transform
 from verify.devices.protocols import EncoderReading, PanReading
+from verify.live.page.scene import joint_origins
 from verify.simulation.cell.arm import CellArm
 from verify.simulation.cell.hand import CellHand
-from verify.simulation.cell.render import CellCamera, RenderedArm, RenderedCap, joint_points
+from verify.simulation.cell.render import CellCamera, RenderedArm, RenderedCap
 from verify.simulation.cell.scene import DUSK_TIME, CellScene, EventKind
 from verify.simulation.cell.setup import CellSetup
 
@@ -157,10 +159,10 @@ class CellWorld:
         q = self.arm.q(self.t)
         if self.scene.joint_errors:
             q = q + np.array(self.scene.joint_errors)
-        points, flange = joint_points(self.setup.planner.arm, q)
-        moved = flange.copy()
-        moved[:3, 3] += self._off
-        return RenderedArm(points + self._off, moved, self.hand.opening)
+        arm = self.setup.planner.arm
+        flange = forward(arm, q)
+        flange[:3, 3] += self._off
+        return RenderedArm(joint_origins(arm, q) + self._off, flange, self.hand.opening)
 
     def _light(self, t: float) -> float:
         if not self.happened("dusk"):

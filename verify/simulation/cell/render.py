@@ -7,7 +7,6 @@ from typing import NamedTuple
 import cv2
 import numpy as np
 
-from robots import DhArm, link_frames
 from robots.transforms import carry, invert
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Image
@@ -233,14 +232,3 @@ def _draw_led(picture: Image, centre: Array, radius: float) -> None:
     share = np.clip(radius + 0.5 - away, 0.0, 1.0)[..., None]
     patch = picture[y - reach : y + reach + 1, x - reach : x + reach + 1]
     patch[:] = np.rint((1 - share) * patch + share * LED).astype(np.uint8)
-
-
-def joint_points(arm: DhArm, q: Array) -> tuple[Array, Array]:
-    """Points that the links go through (k, 3), m, and base_T_flange (4, 4), by the DH table."""
-    frames = link_frames(arm, q[None])[0]
-    points = [np.zeros(3)]
-    for before, frame, d, a in zip(frames[:-1], frames[1:], arm.d, arm.a, strict=True):
-        if d and a:  # a corner between the two
-            points.append(carry(before, np.array([0.0, 0.0, d])))
-        points.append(frame[:3, 3])
-    return np.array(points), frames[-1]
