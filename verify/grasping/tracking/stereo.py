@@ -8,11 +8,12 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from scipy.linalg import block_diag
 
-from verify.core.records import Array, StereoPair
-from verify.core.rig import Camera, Rig, distort_with_jacobian
+from verify.core.records import SIDES, Array, StereoPair
+from verify.core.rig import Camera, Covariance, Rig, distort_with_jacobian
 from verify.measurement.sensitivities import camera_derivatives
-from verify.measurement.systematics import CAMERA_KEYS, unit
+from verify.measurement.systematics import CAMERA_KEYS, PAN_READINGS, covariance_in_si
 
 # of a patch's extent, standard: by as much its centroid misses the object's middle, differently in
 # either picture: reflections, shading, the side a camera sees. It does not average out.
@@ -181,38 +182,18 @@ def _systematic_covariance(
     sights: tuple[LineOfSight, LineOfSight], point: Array, slope: Array, rig: Rig
 ) -> Array:
     """Covariance of both lines of sight from the rig's own and the pan readings', (4, 4)."""
-    total = np.zeros((4, 4))
-    given = rig.covariance
-    if given is not None:
-        parts = {name: name.partition(".") for name in given.parameters}
-        sides = {n: key for n, (head, _, key) in parts.items() if head in ("left", "right")}
-        names = [name for name, key in sides.items() if CAMERA_KEYS.match(key)]
-        chosen = [given.parameters.index(n) for n in names]
-        units = np.array([unit(name) for name in names])
-        sigma = given.standard_uncertainty[chosen] * units
-        moved = np.zeros((4, len(names)))
-        for column, name in enumerate(names):
-            head, _, key = parts[name]
-            moved[:, column] = _parameter_derivative(sights, point, slope, head, key)
-        correlation = given.correlation[np.ix_(chosen, chosen)]
-        total += moved @ (correlation * np.outer(sigma, sigma)) @ moved.T
-    for head, camera in (("left", rig.left), ("right", rig.right)):
-        if camera.pan_standard_uncertainty:
-            turned = _parameter_derivative(sights, point, slope, head, "pan_zero_deg")
-            total += np.outer(turned, turned) * camera.pan_standard_uncertainty**2
+    given = rig.covariance or Covariance((), np.zeros(0), np.zeros((0, 0)))
+    names = [name.partition(".") for name in (*given.parameters, *PAN_READINGS)]
+    moved = np.zeros((4, len(names)))
+    for i, (side, sight) in enumerate(zip(SIDES, sights, strict=True)):
+        rows, placed = slice(2 * i, 2 * i + 2), sight.placed
+        known = [
+            n for n, (head, _, key) in enumerate(names) if head == side and CAMERA_KEYS.match(key)
+        ]
+        keys = tuple(names[n][2] for n in known)
+        places = placed.inside(point)[None], point[None], (sight.lens @ slope[rows])[None]
+        pixels = camera_derivatives(keys, placed.camera, placed.pan, *places)[:, 0]
+        moved[rows, known] = np.linalg.solve(sight.lens, pixels.T)
+    pans = np.diag([(c.pan_standard_uncertainty or 0.0) ** 2 for c in (rig.left, rig.right)])
+    total: Array = moved @ block_diag(covariance_in_si(given), pans) @ moved.T
     return total
-
-
-def _parameter_derivative(
-    sights: tuple[LineOfSight, LineOfSight], point: Array, slope: Array, head: str, key: str
-) -> Array:
-    """Derivative of both lines of sight by one parameter of one camera, (4,), SI units."""
-    i = 0 if head == "left" else 1
-    sight, rows = sights[i], slice(2 * i, 2 * i + 2)
-    by_point = (sight.lens @ slope[rows])[None]
-    inside = sight.placed.inside(point)[None]
-    placed = sight.placed
-    pixels = camera_derivatives((key,), placed.camera, placed.pan, inside, point[None], by_point)[0]
-    moved = np.zeros(4)
-    moved[rows] = np.linalg.solve(sight.lens, pixels[0])
-    return moved
