@@ -208,9 +208,8 @@ class Aim:
         approach = self._setup.cell.approach
         pose = robots.forward(self._setup.arm, q)
         pose[:3, 3] += approach.height * approach.direction
-        answers = robots.inverse(self._setup.arm, pose, hold=q).q
-        away = np.abs(answers - q).max(axis=1)
-        return q if np.isnan(away).all() else answers[int(np.nanargmin(away))]
+        end, reached = robots.nearest(self._setup.arm, pose, q)
+        return end if reached else q
 
 
 def tool_offset_text(hand: ToolOffset) -> str:

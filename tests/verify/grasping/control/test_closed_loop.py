@@ -6,9 +6,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import robots
 from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
 from tests.support.grasp.monitor import MonitoredRun, monitored
 from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.control.aim import Aim
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspState
 from verify.grasping.tool_offset.offset import FlangeMeasurement, OffsetMeasurement
@@ -132,3 +134,14 @@ def test_moving_encoders_end_the_measurement() -> None:
     assert len(sights) == MAX_PICTURES  # at home the LEDs are out of sight
     assert {sight.status for sight in sights} <= {"too_few_leds", "ambiguous_leds"}
     assert read is None
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 170.0, 200.0, -300.0])
+def test_a_line_down_ends_in_the_wrist_posture_in_which_it_begins(turn_deg: float) -> None:
+    approach, start = SETUP.cell.approach, SETUP.home.copy()
+    start[5] = np.deg2rad(turn_deg)
+    end, step = start, approach.height / 500 * np.append(approach.direction, np.zeros(3))
+    for _ in range(500):
+        end = end + np.linalg.solve(robots.jacobian(SETUP.planner.arm, end), step)
+    found = Aim(SETUP.planner, SETUP.rig)._end(start)
+    np.testing.assert_allclose(found, end, atol=2e-3)
