@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from robots import forward, inverse, trajectory
+from robots.inverse import near
 from verify.core.records import Array
 from verify.grasping.actuators.protocols import (
     ACCEPTING_STATES,
@@ -101,7 +102,7 @@ class SimMover:
         self._require_rest(q)
         arm, approach = self._setup.arm, self._setup.cell.approach
         start, end = forward(arm, self._ordered), forward(arm, q)
-        answers = inverse(arm, start, hold=self._ordered).q
+        answers = near(inverse(arm, start, hold=self._ordered).q, self._ordered)
         branch = int(np.nanargmin(np.abs(answers - self._ordered).max(axis=1)))
         path = line_path(arm, ApproachLine(start, end[:3, 3] - start[:3, 3]), branch, self._ordered)
         if isinstance(path, str):

@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+import robots
 from verify.grasping.actuators.protocols import (
     ExecutePermission,
     Gripper,
@@ -13,6 +14,7 @@ from verify.grasping.actuators.protocols import (
     Mover,
     MoverState,
 )
+from verify.simulation.cell.arm import CellArm, SimMover
 from verify.simulation.cell.cell import RATE, CellWorld
 from verify.simulation.cell.grab import CellSource
 from verify.simulation.cell.hand import CellHand, SimGripper
@@ -42,6 +44,26 @@ def test_the_arm_is_late_by_its_delay_and_starts_from_where_it_stood() -> None:
     source.wait()
     source.wait()
     np.testing.assert_allclose(world.arm.q(world.t), goal)
+
+
+@pytest.mark.parametrize("turn_deg", [0.0, 200.0, -300.0])
+def test_a_straight_move_begins_where_the_arm_stands_whatever_the_turn_of_its_wrist(
+    turn_deg: float,
+) -> None:
+    arm, start, t = SETUP.planner.arm, SETUP.home.copy(), 0.0
+    start[5] = np.deg2rad(turn_deg)
+    moved = CellArm(start, 0.0)
+    mover = SimMover(moved, SETUP.planner, lambda: t, RIGHT)
+    mover.take_controls()
+    t = 1.0
+    mover.step()
+    goal = start + np.linalg.solve(robots.jacobian(arm, start), [0, 0, -0.01, 0, 0, 0])
+    mover.move_line(goal)
+    while mover.step().state is MoverState.MOVING:
+        np.testing.assert_allclose(moved.q(t), start, atol=0.1)
+        t += 0.02
+    shift = robots.forward(arm, moved.q(t))[:3, 3] - robots.forward(arm, start)[:3, 3]
+    np.testing.assert_allclose(shift, [0.0, 0.0, -0.01], atol=1e-3)
 
 
 def test_the_devices_are_those_of_the_protocols_and_need_the_right() -> None:
