@@ -9,7 +9,7 @@ from verify.devices.protocols import EncoderReading, PanReading
 from verify.live.page.scene import joint_origins
 from verify.simulation.cell.arm import CellArm
 from verify.simulation.cell.hand import CellHand
-from verify.simulation.cell.render import CellCamera, RenderedArm, RenderedCap
+from verify.simulation.cell.render import CellCamera, RenderedArm
 from verify.simulation.cell.scene import DUSK_TIME, CellScene, EventKind
 from verify.simulation.cell.setup import CellSetup
 
@@ -82,7 +82,7 @@ class CellWorld:
         pictures = []
         for camera, t in zip(self._cameras, (self.t, self.t + RIGHT_DELAY), strict=True):
             caps = [
-                RenderedCap(cap.colour, place, cap.radius, cap.height)
+                (cap, place)
                 for number, cap in enumerate(scene.caps)
                 if (place := self.cap(number, t)) is not None
             ]

@@ -12,7 +12,7 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array, Image
 from verify.core.rig import Camera
 from verify.grasping.cell import GripperGeometry
-from verify.simulation.cell.scene import COLOURS
+from verify.simulation.cell.scene import COLOURS, Cap
 
 ARM_COLOUR, PALM_COLOUR, FINGER_COLOUR = (206, 210, 212), (70, 70, 72), (150, 152, 155)  # BGR
 COLLAR_COLOUR, LED = (24, 24, 25), 220.0
@@ -36,16 +36,6 @@ class Shape(NamedTuple):
 
 
 Part = tuple[float, list[Shape]]  # m, how far from the camera, and what hides what is behind it
-
-
-@dataclass(frozen=True, slots=True)
-class RenderedCap:
-    """A cap as it stands."""
-
-    colour: str
-    base_T_cap: Array  # (4, 4), its axis is z
-    radius: float  # m
-    height: float  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -88,7 +78,7 @@ class CellCamera:
 
     def picture(
         self,
-        caps: Sequence[RenderedCap],
+        caps: Sequence[tuple[Cap, Array]],
         posed: RenderedArm,
         light: float,
         noise: float,
@@ -96,11 +86,11 @@ class CellCamera:
     ) -> Image:
         """Draw the cell: the arm, caps that stand about, a board that hides what is behind it.
 
-        The light is a share of the usual one, the noise a pixel's standard deviation, DN, the board
-        its corners, (4, 3), m.
+        With each cap comes base_T_cap (4, 4), z along its axis. The light is a share of the usual
+        one, the noise a pixel's standard deviation, DN, the board its corners, (4, 3), m.
         """
         picture = self._background.copy()
-        parts = [(self._away(cap.base_T_cap[:3, 3]), self._cap(cap)) for cap in caps]
+        parts = [(self._away(pose[:3, 3]), self._cap(cap, pose)) for cap, pose in caps]
         parts += self._arm(posed)
         if board is not None:
             parts.append((self._away(board.mean(axis=0)), [Shape(board, FINGER_COLOUR)]))
@@ -165,18 +155,18 @@ class CellCamera:
                 found.append(Shape(at[None], (LED,), radius))
         return found
 
-    def _cap(self, cap: RenderedCap) -> list[Shape]:
+    def _cap(self, cap: Cap, base_T_cap: Array) -> list[Shape]:
         """A short cylinder: a lit top, a darker side, darker still to the right, a reflection."""
         circle = np.cos(RIM_ANGLES), np.sin(RIM_ANGLES), np.zeros_like(RIM_ANGLES)
         ring = cap.radius * np.stack(circle, axis=1)
         up = np.array([0.0, 0.0, cap.height / 2])
-        top, bottom = carry(cap.base_T_cap, ring + up), carry(cap.base_T_cap, ring - up)
+        top, bottom = carry(base_T_cap, ring + up), carry(base_T_cap, ring - up)
         colour = np.array(COLOURS[cap.colour], dtype=float)
         shade = ring[:, 1] > 0.3 * cap.radius
         eye = invert(self._camera_T_base)[:3, 3]
-        aside = carry(invert(cap.base_T_cap), eye)[1]
+        aside = carry(invert(base_T_cap), eye)[1]
         shift = np.array([0.3 * cap.radius, 0.5 * aside * cap.radius, 0.0])
-        shine = carry(cap.base_T_cap, 0.18 * ring + up + shift)
+        shine = carry(base_T_cap, 0.18 * ring + up + shift)
         return [
             Shape(np.vstack([top, bottom]), 0.72 * colour),
             Shape(np.vstack([top[shade], bottom[shade]]), 0.55 * colour),
