@@ -4,7 +4,7 @@ import threading
 from collections import deque
 from concurrent.futures import Future, ThreadPoolExecutor, wait
 from dataclasses import dataclass, replace
-from math import ceil, floor
+from math import floor
 
 import msgspec
 import numpy as np
@@ -18,6 +18,7 @@ from verify.live.station.keys import SimSettings
 from verify.simulation import library
 from verify.simulation.boards.render import PrintedBoard
 from verify.simulation.boards.simulate import SimulatedBoards, simulate_boards
+from verify.simulation.devices.encoders import PAN_RATE, SimulatedReadings
 from verify.simulation.devices.scene import SimClock
 from verify.simulation.scenario import (
     BoardRig,
@@ -33,7 +34,6 @@ CARRY_TIME, N_CARRY_STEPS = 1.2, 3  # s on the way to the next place, and in how
 HOLD_TIME = 2.0  # s
 MAX_MOMENTS = 8  # moments: pictures and readings look back a little
 DEFAULT_RATE = 10.0  # Hz, where the station file gives none
-PAN_RATE = 50.0  # Hz
 TRANSFER_TIME = 0.002  # s
 PAN_TURN_DEG = 20.0  # either way, where a robot's scenario does not say how the bases turn
 
@@ -212,34 +212,24 @@ class SimulatedBoardCamera:
         self._scene.close()
 
 
-class SimulatedBoardPan:
+class SimulatedBoardPan(SimulatedReadings):
     """Both bases, which are turned while the board is carried."""
 
     def __init__(self, scene: BoardScene) -> None:
+        super().__init__(scene.clock, PAN_RATE)
         self._scene = scene
-        self._next = ceil((scene.clock.now() - scene.clock.began) * PAN_RATE)
-        self._any = False  # reading came
 
     def read(self) -> list[protocols.PanReading]:
         """Give what has come since the last call, oldest first; waits for at most 20 ms."""
-        clock = self._scene.clock
-        clock.wait_until(clock.began + self._next / PAN_RATE, 1 / PAN_RATE)
-        newest = floor((clock.now() - clock.began) * PAN_RATE)
-        readings = []
-        for number in range(self._next, newest + 1):
-            t = clock.began + number / PAN_RATE
-            moment = self._scene.moment(t)
-            readings.append(protocols.PanReading(t, t, 0.0, 0, moment.pan, moment.carried))
-        self._next, self._any = max(self._next, newest + 1), self._any or bool(readings)
-        return readings
+        moments = [(t, self._scene.moment(t)) for t in self._due()]
+        return [
+            protocols.PanReading(t, self._came(t), 0.0, 0, moment.pan, moment.carried)
+            for t, moment in moments
+        ]
 
     def state(self) -> protocols.DeviceState:
         """Say how the bases are."""
-        age = 0.0 if self._any else None
-        return protocols.DeviceState(True, age, 0, {}, "simulated bases: reading")
-
-    def close(self) -> None:
-        """Leave them alone."""
+        return self._state("simulated bases: reading")
 
 
 def _board_scenario(session: session_simulate.SimulatedSession) -> BoardScenario:

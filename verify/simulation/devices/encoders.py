@@ -6,7 +6,7 @@ import numpy as np
 
 from verify.core.records import Array
 from verify.devices.protocols import DeviceState, EncoderReading, PanReading
-from verify.simulation.devices.scene import MAX_PAN, DeviceScene
+from verify.simulation.devices.scene import MAX_PAN, DeviceScene, SimClock
 from verify.simulation.session.simulate import noisy_readings, quantised
 from verify.simulation.world.motion import RandomStream, generator
 
@@ -20,10 +20,10 @@ RESET_TIME = 1.0  # s: what the controller's clock shows after a reset
 class SimulatedReadings:
     """What simulated encoders and bases have in common: readings at a rate, Hz."""
 
-    def __init__(self, scene: DeviceScene, rate: float) -> None:
-        self._scene, self._rate = scene, rate
+    def __init__(self, clock: SimClock, rate: float) -> None:
+        self._clock, self._rate = clock, rate
         # number of the next reading: those before nobody has asked for
-        self._next = ceil((scene.clock.now() - scene.clock.began) * rate)
+        self._next = ceil((clock.now() - clock.began) * rate)
         self._last: float | None = None  # s, when the last one was in hand
         self._closed = False
 
@@ -31,14 +31,13 @@ class SimulatedReadings:
         """Leave them alone."""
         self._closed = True
 
-    def _due(self, silence: str) -> list[float]:
-        """Instants since the last call, s, without those of an event; waits for at most 20 ms."""
-        clock, period = self._scene.clock, 1.0 / self._rate
+    def _due(self) -> list[float]:
+        """Instants since the last call, s; waits for at most 20 ms."""
+        clock, period = self._clock, 1.0 / self._rate
         clock.wait_until(clock.began + self._next * period + TRANSFER_TIME, READ_TIMEOUT)
         newest = floor((clock.now() - clock.began - TRANSFER_TIME) * self._rate + TOL_PERIOD)
         numbers, self._next = range(self._next, newest + 1), max(self._next, newest + 1)
-        due = [] if self._closed else [clock.began + number * period for number in numbers]
-        return [t for t in due if not self._scene.happens(silence, t)]
+        return [] if self._closed else [clock.began + number * period for number in numbers]
 
     def _came(self, t: float) -> float:
         """When a reading of an instant, s, is in hand, s; it is the last one then."""
@@ -46,7 +45,7 @@ class SimulatedReadings:
         return self._last
 
     def _state(self, sentence: str, *, there: bool = True, runs: bool | None = None) -> DeviceState:
-        age = None if self._last is None else self._scene.clock.now() - self._last
+        age = None if self._last is None else self._clock.now() - self._last
         connected = there and not self._closed
         return DeviceState(connected, age, 0, {}, sentence, runs)
 
@@ -55,13 +54,13 @@ class SimulatedEncoders(SimulatedReadings):
     """Joint readings of the simulated arm."""
 
     def __init__(self, scene: DeviceScene, rate: float | None) -> None:
-        self._table = scene.scenario.encoders
-        super().__init__(scene, rate or self._table.rate_hz)
+        self._scene, self._table = scene, scene.scenario.encoders
+        super().__init__(scene.clock, rate or self._table.rate_hz)
         self._chance = generator(scene.scenario.seed, RandomStream.ENCODERS, 1)
 
     def read(self) -> list[EncoderReading]:
         """Give what has come since the last call, oldest first; waits for at most 20 ms."""
-        t = self._due("encoder_silent")
+        t = [t for t in self._due() if not self._scene.happens("encoder_silent", t)]
         return [self._reading(*row) for row in self._rows(np.array(t))] if t else []
 
     def state(self) -> DeviceState:
@@ -101,13 +100,15 @@ class SimulatedPan(SimulatedReadings):
     """Both bases."""
 
     def __init__(self, scene: DeviceScene) -> None:
-        super().__init__(scene, PAN_RATE)
-        self._refusal = ""
+        super().__init__(scene.clock, PAN_RATE)
+        self._scene, self._refusal = scene, ""
 
     def read(self) -> list[PanReading]:
         """Give what has come since the last call, oldest first; waits for at most 20 ms."""
         readings = []
-        for t in self._due("pan_gone"):
+        for t in self._due():
+            if self._scene.happens("pan_gone", t):
+                continue
             angles, moving = self._scene.pan_reading(t)
             readings.append(PanReading(t, self._came(t), LATCH_HALF_WIDTH, 0, angles, moving))
         return readings
