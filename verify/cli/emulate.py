@@ -183,7 +183,7 @@ def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
     limits = np.deg2rad(np.tile([-360.0, 360.0], (joints, 1)))
     if idle and arm is not None:  # a recorded motion may be another robot's: nothing limits that
         limits = np.column_stack([arm.lower, arm.upper])
-    moved = MelfaArm(load(motion, joints), joints, limits, arm=arm, idle=idle)
+    moved = MelfaArm(load(motion, joints), limits, arm=arm, idle=idle)
     return MelfaEngine(moved, ControllerOptions(), seed)
 
 

@@ -77,7 +77,7 @@ def _server(
     else:
         limits = np.deg2rad(np.tile([-360.0, 360.0], (6, 1)))
         # what the cameras see is the arm itself: no lag behind it
-        arm = MelfaArm(followed, 6, limits, follows="command")
+        arm = MelfaArm(followed, limits, follows="command")
         engine = MelfaEngine(arm, ControllerOptions(), 0)
     return EmulatorServer(open_front(port, SerialLine()), engine, faults, None, 0)
 

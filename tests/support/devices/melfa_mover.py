@@ -1,7 +1,7 @@
 """A mover before an emulated controller."""
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from functools import partial
 
 import numpy as np
@@ -29,7 +29,7 @@ def controller(
     idle: bool = True, limits: Array = LIMITS, follows: str = "feedback", **options: object
 ) -> MelfaEngine:
     assert isinstance(ARM, robots.DhArm)
-    arm = MelfaArm(trajectory.load("hold", 6), 6, limits, follows, ARM, idle)
+    arm = MelfaArm(trajectory.load("hold", 6), limits, follows, ARM, idle)
     return MelfaEngine(arm, ControllerOptions(**options))  # type: ignore[arg-type]
 
 
@@ -47,12 +47,13 @@ def mover(
 ) -> Iterator[MelfaMover]:
     address = emulated if isinstance(emulated, str) else emulated.address
     chosen = {"robot_type": "RV-3SD", "pause": FAST} | settings
-    with MelfaMover(
+    found = MelfaMover(
         MotionSettings(address, **chosen),  # type: ignore[arg-type]
         angles or same_angles(6),
         moving or limits(),
         RIGHT,
-    ) as found:
+    )
+    with closing(found):
         yield found
 
 

@@ -247,9 +247,8 @@ def _open_devices(
         np.column_stack([planner.limits.lower, planner.limits.upper]), override=override
     )
     angles = angle_map(station.path, "encoders", table.encoders, station.arm.dof)
-    mover = stack.enter_context(
-        MelfaMover(settings, angles, limits, right, melfa if emulated else None)
-    )
+    mover = MelfaMover(settings, angles, limits, right, melfa if emulated else None)
+    stack.callback(mover.close)
     gripper = GripperDriver(gripping, right, hand if emulated else None)
     stack.callback(gripper.close)
 

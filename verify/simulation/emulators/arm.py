@@ -191,7 +191,6 @@ class MelfaArm:
     def __init__(
         self,
         trajectory: EmulatedTrajectory,
-        joints: int,
         limits: Array,
         follows: str = "feedback",
         arm: DhArm | None = None,
@@ -199,7 +198,7 @@ class MelfaArm:
     ) -> None:
         self.alarm = 0
         self.right = False
-        self._trajectory, self._joints, self._limits = trajectory, joints, limits
+        self._trajectory, self._limits = trajectory, limits
         self._lag = SERVO_LAG if follows == "feedback" else 0.0
         self._now = self._played = 0.0  # s
         self.running = not idle
@@ -322,7 +321,7 @@ class MelfaArm:
 
     def _position(self, t: float, axes: int) -> str:
         shown = np.zeros(axes)
-        shown[: self._joints] = np.rad2deg(self.joints(t, self._lag))
+        shown[: len(self._limits)] = np.rad2deg(self.joints(t, self._lag))
         words = [f"J{axis};{angle:.2f}" for axis, angle in enumerate(shown, start=1)]
         return f"{';'.join(words)};;****,****;{self._tail(t)}"
 

@@ -30,7 +30,7 @@ FAST = 0.01  # s, pause: tests cannot wait
 
 
 def controller(options: ControllerOptions | None = None, follows: str = "command") -> MelfaEngine:
-    return MelfaEngine(MelfaArm(Ramp(), 6, LIMITS, follows), options or ControllerOptions())
+    return MelfaEngine(MelfaArm(Ramp(), LIMITS, follows), options or ControllerOptions())
 
 
 def driver(address: str, pause: float = FAST, **settings: object) -> MelfaEncoders:
@@ -141,7 +141,7 @@ class Dawdling(MelfaEngine):
 
 @pytest.mark.realtime
 def test_a_late_answer_is_not_taken_for_the_next_one() -> None:
-    engine = Dawdling(MelfaArm(Ramp(), 6, LIMITS, "command"), ControllerOptions())
+    engine = Dawdling(MelfaArm(Ramp(), LIMITS, "command"), ControllerOptions())
     with running(engine) as emulated:
         encoders = driver(emulated.address, timeout=0.1)
         readings = gather(encoders, for_seconds(4.0))

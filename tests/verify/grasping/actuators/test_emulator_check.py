@@ -45,7 +45,7 @@ class Replayed(RealMelfa):
     """Answers what an emulator said once, to somebody else."""
 
     identity = MelfaEngine(
-        MelfaArm(trajectory.load("hold", 6), 6, LIMITS), ControllerOptions()
+        MelfaArm(trajectory.load("hold", 6), LIMITS), ControllerOptions()
     )._identity("verify")
 
 
@@ -64,7 +64,7 @@ class Echo(MelfaEngine):
 
 
 def melfa(kind: type[MelfaEngine] = MelfaEngine) -> MelfaEngine:
-    return kind(MelfaArm(trajectory.load("hold", 6), 6, LIMITS), ControllerOptions())
+    return kind(MelfaArm(trajectory.load("hold", 6), LIMITS), ControllerOptions())
 
 
 def gripper(kind: type[GripperEngine] = GripperEngine, *, exceptions: bool = True) -> GripperEngine:

@@ -24,7 +24,7 @@ def reply(engine: MelfaEngine, command: str, t: float = 1.0) -> str:
 
 def controller(opened: bool = True) -> MelfaEngine:
     hold = trajectory.load("hold", 6)
-    engine = MelfaEngine(MelfaArm(hold, 6, LIMITS), ControllerOptions())
+    engine = MelfaEngine(MelfaArm(hold, LIMITS), ControllerOptions())
     if opened:
         reply(engine, "OPEN=test", 0.5)
     return engine

@@ -49,12 +49,6 @@ class MelfaMover:
         self._open_port = port or partial(open_port, settings.port, settings.line)
         self._reset()
 
-    def __enter__(self) -> "MelfaMover":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
-
     def take_controls(self) -> None:
         """Connect, check, take the right and power the servo. See `Mover.take_controls`."""
         if self._controls.state not in FINAL_STATES:
