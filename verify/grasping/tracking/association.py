@@ -193,7 +193,8 @@ class TargetIdentity:
         self._others = [o for o in self._others if t - o.t < MEMORY_TIME]
         self._tentative = [o for o in self._tentative if t - o.t < SHORT_MEMORY_TIME]
         if self.target is None:
-            self._meet_others(t, candidates, associate(self._others, candidates, t, self._density))
+            who = associate(self._others, candidates, t, self._density)
+            self._meet_others(t, candidates, who, candidates)
             return self._search(t, candidates)
         who = associate([self.target, *self._others], candidates, t, self._density)
         rest = ObjectAssignment(who.choice[1:], who.margin[1:], who.way[1:])
@@ -270,12 +271,12 @@ class TargetIdentity:
         t: float,
         candidates: list[StereoObject],
         who: ObjectAssignment,
-        strange: list[StereoObject] | None = None,
+        strange: list[StereoObject],
     ) -> None:
-        """Update the others and the tentative ones."""
+        """Update the others, and the tentative ones by those candidates that are strange."""
         taken = [candidates[c] for c in who.choice if c >= 0]
         self._others = self._renewed(t, self._others, candidates, who)
-        left = [c for c in (candidates if strange is None else strange) if c not in taken]
+        left = [c for c in strange if c not in taken]
         new = associate(self._tentative, left, t, self._density)
         tentative = self._renewed(t, self._tentative, left, new)
         tentative += [self._new(t, c) for i, c in enumerate(left) if i not in new.choice]

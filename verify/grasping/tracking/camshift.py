@@ -23,9 +23,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.records import Array, Image
-from verify.grasping.tracking.colour import ColourModel, to_hsv
+from verify.grasping.tracking.colour import MIN_WEIGHT, ColourModel, to_hsv
 
-MIN_WEIGHT = 127  # of 255: a pixel above it belongs to the target rather than not
 STOP_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 1.0)  # iterations, px
 MIN_PIXELS = 12  # pixels; less is noise
 # by a pixel's weight p: what it counts for inside the outline, where a hole is the target's in

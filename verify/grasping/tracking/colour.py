@@ -106,7 +106,7 @@ def colour_histogram(hsv: Image, mask: Mask) -> NDArray[np.float32]:
 
 
 SMOOTHING_SIGMA = (2.0, 14.0)  # hue steps, DN of saturation: noise, shading and interpolated chroma
-MIN_WEIGHT = 127  # of 255
+MIN_WEIGHT = 127  # of 255: a pixel above it belongs to the target rather than not
 MIN_KEPT_SHARE = 0.85  # of the target, at least, by a gate of the value
 MIN_GATE_GAIN = 0.1  # of the target's pixels: what a tight gate must keep out beyond what it costs
 WIDE_GATE_RATIO = 0.5  # where the gate is loose, of the target's darkest pixels

@@ -78,8 +78,7 @@ def pair_blobs(
             things[i, j] = thing
             unlike = math.log(thing.areas[0] / thing.areas[1]) / MAX_LOG_AREA_RATIO
             cost[i, j] = thing.place.mismatch**2 + (3 * unlike) ** 2
-    rows, columns = linear_sum_assignment(cost)
-    best = [(int(i), int(j)) for i, j in zip(rows, columns, strict=True)]
+    best = np.transpose(linear_sum_assignment(cost)).tolist()
     chosen = {i: j for i, j in best if (i, j) in things}
     _put_in_order(chosen, things, lefts, rights)
     return [things[i, j] for i, j in chosen.items()]

@@ -6,8 +6,8 @@ import numpy as np
 from verify.core.records import Image, StereoPair
 from verify.core.rig import Rig
 from verify.errors import InputError
-from verify.grasping.tracking.camshift import MIN_WEIGHT, Box, camshift, clip_box, find_blobs
-from verify.grasping.tracking.colour import ColourModel, learn_colour, to_hsv
+from verify.grasping.tracking.camshift import Box, camshift, clip_box, find_blobs
+from verify.grasping.tracking.colour import MIN_WEIGHT, ColourModel, learn_colour, to_hsv
 from verify.grasping.tracking.pairing import StereoObject, pair_blobs
 from verify.grasping.tracking.target import BoxSelection, TrackingOptions
 
