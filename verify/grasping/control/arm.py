@@ -49,6 +49,14 @@ class OrderedArm(ABC):
         """The controller has given its controls, and has not failed."""
         return self._state in self.order_states
 
+    def step(self) -> MoverStatus:
+        """Let the controller go on."""
+        status = self.mover.step()
+        self._state = status.state
+        if self.q is None and status.state in ACCEPTING_STATES:
+            self.q = status.q
+        return status
+
     def arrived(self, q_read: Array) -> bool:
         """Nothing is under way, and the arm is where it was ordered, by angles read (n,), rad."""
         return self.q is not None and self.resting and np.abs(q_read - self.q).max() < TOL_ARRIVAL
@@ -73,14 +81,6 @@ class StreamedArm(OrderedArm):
         self._elapsed = 0.0  # s along the first trajectory
         self._holding = False
         self._detour_goal: Array | None = None  # (n,), rad: to which a transfer was planned last
-
-    def step(self) -> MoverStatus:
-        """Let the controller go on."""
-        status = self.mover.step()
-        self._state = status.state
-        if self.q is None and status.state in ACCEPTING_STATES:
-            self.q = status.q
-        return status
 
     @property
     def resting(self) -> bool:
@@ -189,11 +189,10 @@ class SteppedArm(OrderedArm):
         self._sent = False  # the first of the moves was ordered
 
     def step(self) -> MoverStatus:
-        """Let the controller go on."""
-        status = self.mover.step()
-        self._state = status.state
-        if status.state in ACCEPTING_STATES and not self._moves:
-            self.q = status.q if self.q is None or status.state is MoverState.HELD else self.q
+        """Let the controller go on; where it was stopped counts as ordered."""
+        status = super().step()
+        if status.state is MoverState.HELD and not self._moves:
+            self.q = status.q
         return status
 
     @property
