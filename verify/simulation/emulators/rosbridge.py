@@ -116,7 +116,7 @@ class RosbridgeEngine:
             operation = json.loads(received)
             kind, topic = operation["op"], operation.get("topic")
         except (ValueError, KeyError, TypeError, AttributeError):
-            return _status("error", "invalid message")
+            return _error("invalid message")
         self.log.append(str(kind))
         if kind == "subscribe" and topic == self._options.topic:
             self._subscribed, self._next = True, t
@@ -124,7 +124,7 @@ class RosbridgeEngine:
         if kind == "unsubscribe":
             self._subscribed = False
             return b""
-        return _status("error", f"{kind} {topic} failed")
+        return _error(f"{kind} {topic} failed")
 
     def _joint_state(self, t: float) -> bytes:
         joints = {
@@ -147,5 +147,5 @@ class RosbridgeEngine:
         return json.dumps({"op": "publish", "topic": self._options.topic, "msg": body}).encode()
 
 
-def _status(level: str, text: str) -> bytes:
-    return json.dumps({"op": "status", "level": level, "msg": text}).encode()
+def _error(text: str) -> bytes:
+    return json.dumps({"op": "status", "level": "error", "msg": text}).encode()

@@ -137,6 +137,6 @@ def _package(kind: str, payload: bytes) -> bytes:
     return _HEADER.pack(_HEADER.size + len(payload), ord(kind)) + payload
 
 
-def _text(text: str, source: str = "RTDE") -> bytes:
-    parts = b"".join(bytes([len(part)]) + part for part in (text.encode(), source.encode()))
+def _text(text: str) -> bytes:
+    parts = b"".join(bytes([len(part)]) + part for part in (text.encode(), b"RTDE"))
     return _package("M", parts + bytes([ERROR_LEVEL]))

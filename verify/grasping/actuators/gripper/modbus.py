@@ -8,7 +8,7 @@ two bytes a register, the first in the high half.
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from enum import IntEnum, StrEnum
+from enum import IntEnum
 from typing import Final
 
 from pymodbus.exceptions import ModbusException
@@ -163,16 +163,15 @@ N_INPUTS = 8
 CLOSED_POSITION = 255  # position byte; 0 is open
 
 
-class GripMode(StrEnum):
-    """How the fingers stand to each other."""
+class GripMode(IntEnum):
+    """How the fingers stand to each other, by rMOD and gMOD."""
 
-    BASIC = "basic"
-    PINCH = "pinch"
-    WIDE = "wide"
-    SCISSOR = "scissor"
+    BASIC = 0
+    PINCH = 1
+    WIDE = 2
+    SCISSOR = 3
 
 
-MODES: Final = tuple(GripMode)  # in the order of rMOD
 RESET_OUTPUTS: Final = (0, 0, 0)  # clears faults and the activation
 # gFLT -> meaning
 FAULT_MEANINGS: Final[Mapping[int, str]] = {
@@ -222,7 +221,7 @@ class GripperCommand:
 
     def registers(self) -> list[int]:
         """Word it for registers 1000 to 1002."""
-        action = 1 | MODES.index(self.mode) << 1 | int(self.go) << 3
+        action = 1 | self.mode << 1 | int(self.go) << 3
         return [action << 8, self.position, self.speed << 8 | self.force]
 
 
@@ -251,7 +250,7 @@ def parse_inputs(registers: Sequence[int]) -> GripperInputs | None:
     if len(registers) != N_INPUTS:
         return None
     data = b"".join(register.to_bytes(2, "big") for register in registers)
-    status, each, mode = data[0], data[1], MODES[data[0] >> 1 & 3]
+    status, each, mode = data[0], data[1], GripMode(data[0] >> 1 & 3)
     moved = (3,) if mode is GripMode.SCISSOR else (0, 1, 2)
     return GripperInputs(
         bool(status & 1),
