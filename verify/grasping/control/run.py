@@ -99,13 +99,11 @@ def run(
 def _release(loop: GraspLoop, source: PairSource, on_cycle: CycleCallback) -> int:
     """Come to rest and give the controls back; says in how many cycles."""
     loop.machine.tell(GraspEvent.INTERRUPT)
-    began, count, now = None, 0, 0.0
-    while loop.machine.state is GraspState.RELEASING and (
-        began is None or now - began < RELEASE_TIMEOUT
-    ):
+    began, count = loop.machine.since, 0
+    now = began
+    while loop.machine.state is GraspState.RELEASING and now - began < RELEASE_TIMEOUT:
         source.wait()
         cycle = loop.cycle(source.pair())
         on_cycle(cycle)
         now, count = cycle.t, count + 1
-        began = now if began is None else began
     return count

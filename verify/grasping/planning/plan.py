@@ -183,11 +183,10 @@ def planner_with_cameras(arm: Arm, cell: Cell, rig: Rig, *, turning: bool) -> Gr
     Raises:
         InputError: see `make_planner`.
     """
-    cameras = (rig.left, rig.right)
-    if not turning:
-        centres = np.array([camera.rig_T_camera(camera.pan)[:3, 3] for camera in cameras])
-        return make_planner(arm, cell, carry(invert(rig.rig_T_base), centres))
-    circles = [_camera_circle(camera) for camera in cameras]
+    circles = [
+        _camera_circle(camera) if turning else (camera.rig_T_camera(camera.pan)[:3, 3], 0.0)
+        for camera in (rig.left, rig.right)
+    ]
     wider = cell.moving.camera_clearance + max(radius for _, radius in circles)
     kept = replace(cell, moving=replace(cell.moving, camera_clearance=wider))
     middles = np.array([middle for middle, _ in circles])
