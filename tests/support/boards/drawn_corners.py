@@ -5,9 +5,9 @@ import numpy as np
 from verify.core.fiducials import BoardPair, BoardView
 from verify.core.records import Array
 from verify.core.rig import Rig
-from verify.simulation.boards.simulate import SimulatedBoards, inside, simulate_boards
+from verify.simulation.boards.simulate import MIN_BORDER_PX, SimulatedBoards, simulate_boards
 from verify.simulation.scenario import BoardScenario
-from verify.simulation.world.bench import transform
+from verify.simulation.world.bench import inside, transform
 from verify.simulation.world.motion import RandomStream, generator
 
 
@@ -37,5 +37,5 @@ def _view(scenario: BoardScenario, corners: Array, side: int, index: int) -> Boa
     u = scenario.boards.corner_noise_px
     rng = generator(scenario.seed, RandomStream.PIXELS, side, index)
     noisy = corners + u * rng.standard_normal(corners.shape)
-    corner = np.flatnonzero(inside(corners, scenario.rig.image_size))
+    corner = np.flatnonzero(inside(corners, scenario.rig.image_size, MIN_BORDER_PX))
     return BoardView(corner, noisy[corner], np.tile(u**2 * np.eye(2), (len(corner), 1, 1)))

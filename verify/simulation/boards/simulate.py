@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.fiducials import Board
 from verify.core.records import Array, Image, rigid_transform
@@ -15,6 +14,7 @@ from verify.simulation.scenario import BoardScenario
 from verify.simulation.world.bench import (
     SimulatedCamera,
     build_cameras,
+    inside,
     rigid,
     rigid_from_table,
     transform,
@@ -171,11 +171,4 @@ def _is_in_view(
         rim = [[low, low, 0], [wide, low, 0], [wide, high, 0], [low, high, 0]]
         points = board.square * np.array(rim, dtype=float)
     pixels = camera.project(transform(rig_T_board, points), pan)
-    return bool(np.mean(inside(pixels, camera.image_size)) >= share)
-
-
-def inside(pixels: Array, image_size: tuple[int, int]) -> NDArray[np.bool_]:
-    """Which of (..., 2) px lie in the picture, clear of its edge; NaN, out of sight, do not."""
-    limit = np.array(image_size) - 1 - MIN_BORDER_PX
-    within: NDArray[np.bool_] = np.all((pixels > MIN_BORDER_PX) & (pixels < limit), axis=-1)
-    return within
+    return bool(np.mean(inside(pixels, camera.image_size, MIN_BORDER_PX)) >= share)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from verify.simulation.emulators.arm import MelfaArm
+from verify.simulation.emulators.arm import SERVO_LAG, MelfaArm
 from verify.simulation.emulators.server import TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
 
@@ -140,7 +140,6 @@ class MelfaEngine:
 
 CYCLE = 64 / 9 * 1e-3  # s
 TIMEOUT = 0.5  # s without a packet: error 7820, the stream ends (parameter MXTTOUT)
-SERVO_LAG = 0.02  # s by which the arm follows its command
 PULSES_PER_RADIAN = 2_000_000.0  # gears and encoders are not public
 CYCLE_MODULUS = 1 << 32
 COMMANDED, COMMANDED_PULSES, MEASURED, MEASURED_PULSES = 2, 3, 8, 9

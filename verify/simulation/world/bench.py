@@ -9,6 +9,7 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
+from numpy.typing import NDArray
 
 from verify.core.records import Array
 from verify.errors import InputError
@@ -211,10 +212,16 @@ def _all_inside(bench: Bench, pan: Array, points: Array) -> bool:
     """Tell if both cameras have every LED well inside the picture in every pair."""
     in_rig = transform(bench.rig_T_base, points)
     for side, camera in enumerate(bench.cameras):
-        limit = np.array(camera.image_size) - 1 - MARGIN_PX
         turns, pairs = np.unique(pan[:, side], return_inverse=True)
         for i, turn in enumerate(turns):  # fixed bases: one projection of all pairs
             pixels = camera.project(in_rig[pairs == i], turn)
-            if not np.all((pixels > MARGIN_PX) & (pixels < limit)):  # NaN fails too
+            if not inside(pixels, camera.image_size, MARGIN_PX).all():
                 return False
     return True
+
+
+def inside(pixels: Array, image_size: tuple[int, int], border_px: float) -> NDArray[np.bool_]:
+    """Which of (..., 2) px lie in the picture, clear of its edge; NaN, out of sight, do not."""
+    limit = np.array(image_size) - 1 - border_px
+    within: NDArray[np.bool_] = np.all((pixels > border_px) & (pixels < limit), axis=-1)
+    return within

@@ -21,7 +21,7 @@ from verify.io import rig as io_rig
 from verify.io.board.folder import open_board_folder
 from verify.simulation import library
 from verify.simulation.boards.render import PrintedBoard
-from verify.simulation.boards.simulate import inside, simulate_boards
+from verify.simulation.boards.simulate import MIN_BORDER_PX, simulate_boards
 from verify.simulation.scenario import (
     BoardImage,
     BoardRig,
@@ -30,6 +30,7 @@ from verify.simulation.scenario import (
     BoardScenarioTable,
     ScenarioBoards,
 )
+from verify.simulation.world.bench import inside
 
 # A lamp so far in front that the light is even, and next to no noise.
 BUILT_IN = Path(library.__file__).parent / "scenarios"
@@ -96,7 +97,7 @@ def test_the_board_is_whole_its_first_corner_at_the_top_left_and_bases_turn_in_s
     assert_allclose(fixed, np.tile([7.5, -7.5], (20, 1)))
     for side in range(2):
         seen = true_corners(boards, side)
-        assert np.all(inside(seen, (1280, 720)))
+        assert np.all(inside(seen, (1280, 720), MIN_BORDER_PX))
         grid = seen.reshape(len(boards), 7, 9, 2)
         assert np.all(np.diff(grid[..., 0], axis=2) > 0)
         assert np.all(np.diff(grid[..., 1], axis=1) > 0)
