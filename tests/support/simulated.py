@@ -11,6 +11,7 @@ from typing import Any
 
 import msgspec
 import numpy as np
+from msgspec.inspect import ListType, StructType, UnionType, type_info
 
 import robots
 from tests.support.leds.truth import true_spots
@@ -207,3 +208,19 @@ board_position_mm = [150.0, -105.0, 320.0]
 base_rotation_deg = [77.4, 64.4, -53.8]
 base_position_mm = [0.0, 250.0, 1150.0]
 """
+
+
+def keys_of(scenario: type[msgspec.Struct]) -> set[str]:
+    """Every key that a scenario's file may hold, as TABLE.KEY."""
+    keys: set[str] = set()
+    waiting: list[Any] = [type_info(scenario)]
+    while waiting:
+        match waiting.pop():
+            case StructType(cls=cls, fields=fields):
+                keys |= {f"{cls.__name__}.{field.encode_name}" for field in fields}
+                waiting += [field.type for field in fields]
+            case ListType(item_type=item):
+                waiting.append(item)
+            case UnionType(types=types):
+                waiting += types
+    return keys

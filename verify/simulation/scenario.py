@@ -97,17 +97,22 @@ class ScenarioPlacement(ScenarioTable, frozen=True):
     pan_deg: tuple[float, float]  # left, right
 
 
-class ScenarioRig(ScenarioTable, frozen=True):
-    """The two cameras and their place; "auto" looks for one from which every LED is seen."""
+class BoardRig(ScenarioTable, frozen=True):
+    """The two cameras."""
 
     image_size: tuple[Pixels, Pixels] = (1280, 720)
     baseline_mm: Positive = 170.0
+    left: ScenarioCamera = ScenarioCamera()
+    right: ScenarioCamera = ScenarioCamera()
+
+
+class ScenarioRig(BoardRig, frozen=True):
+    """The two cameras and their place; "auto" looks for one from which every LED is seen."""
+
     distance_mm: Positive = 650.0  # wanted between rig and LEDs; auto may step back
     bases: Literal["fixed", "follow"] = "fixed"
     pan_step_deg: Positive = 0.05
     placement: Literal["auto"] | ScenarioPlacement = "auto"
-    left: ScenarioCamera = ScenarioCamera()
-    right: ScenarioCamera = ScenarioCamera()
 
 
 class ScenarioLed(ScenarioTable, frozen=True):
@@ -247,11 +252,7 @@ Corners = Annotated[int, msgspec.Meta(ge=3)]
 Angle = Annotated[float, msgspec.Meta(ge=0, lt=80)]
 
 
-class BoardScenarioTable(ScenarioTable, frozen=True):
-    """One table of a scenario with boards."""
-
-
-class ScenarioBoards(BoardScenarioTable, frozen=True):
+class ScenarioBoards(ScenarioTable, frozen=True):
     """The board, and how it is held before the cameras."""
 
     pairs: Count
@@ -267,7 +268,7 @@ class ScenarioBoards(BoardScenarioTable, frozen=True):
     corner_noise_px: NotNegative = 0.03  # where corners are drawn without pictures
 
 
-class BoardScenarioBases(BoardScenarioTable, frozen=True):
+class BoardScenarioBases(ScenarioTable, frozen=True):
     """How the bases are turned: about `middle_deg`, from pair to pair by whole steps."""
 
     middle_deg: tuple[float, float] = (0.0, 0.0)  # left, right
@@ -276,16 +277,7 @@ class BoardScenarioBases(BoardScenarioTable, frozen=True):
     standard_uncertainty_deg: NotNegative = 0.0  # of each reading; the truth is drawn about it
 
 
-class BoardRig(BoardScenarioTable, frozen=True):
-    """The two cameras."""
-
-    image_size: tuple[Pixels, Pixels] = (1280, 720)
-    baseline_mm: Positive = 170.0
-    left: ScenarioCamera = ScenarioCamera()
-    right: ScenarioCamera = ScenarioCamera()
-
-
-class BoardScenarioFixture(BoardScenarioTable, frozen=True):
+class BoardScenarioFixture(ScenarioTable, frozen=True):
     """The board stands still on the robot's base instead of being carried about."""
 
     board_rotation_deg: Vector  # rotation vector of base_T_board
@@ -294,7 +286,7 @@ class BoardScenarioFixture(BoardScenarioTable, frozen=True):
     base_position_mm: Vector
 
 
-class BoardImage(BoardScenarioTable, frozen=True):
+class BoardImage(ScenarioTable, frozen=True):
     """From light to numbers: lamp, paper, lens, sensor."""
 
     white_dn: Positive = 190.0  # of paper in full light
@@ -307,7 +299,7 @@ class BoardImage(BoardScenarioTable, frozen=True):
     black_level_dn: float = 0.0  # added before clipping at 0 and 255
 
 
-class BoardScenario(BoardScenarioTable, frozen=True):
+class BoardScenario(ScenarioTable, frozen=True):
     """One set of board pictures to simulate."""
 
     format: Literal[1]

@@ -21,7 +21,6 @@ from verify.simulation.boards.simulate import SimulatedBoards, simulate_boards
 from verify.simulation.devices.encoders import PAN_RATE, SimulatedReadings
 from verify.simulation.devices.scene import SimClock
 from verify.simulation.scenario import (
-    BoardRig,
     BoardScenario,
     BoardScenarioBases,
     Scenario,
@@ -235,16 +234,13 @@ class SimulatedBoardPan(SimulatedReadings):
 def _board_scenario(session: session_simulate.SimulatedSession) -> BoardScenario:
     """Carry boards of the usual kind about before the cameras of a session with a robot."""
     scenario = session.scenario
-    rig = scenario.rig
     middle = np.rad2deg(session.pan[0]).tolist()
     return BoardScenario(
         format=1,
         seed=scenario.seed,
         boards=ScenarioBoards(pairs=40),
         bases=BoardScenarioBases(middle_deg=(middle[0], middle[1]), range_deg=PAN_TURN_DEG),
-        rig=BoardRig(
-            image_size=rig.image_size, baseline_mm=rig.baseline_mm, left=rig.left, right=rig.right
-        ),
+        rig=scenario.rig,
     )
 
 

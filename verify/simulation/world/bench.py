@@ -19,7 +19,6 @@ from verify.simulation.scenario import (
     Scenario,
     ScenarioCamera,
     ScenarioPlacement,
-    ScenarioRig,
 )
 
 
@@ -99,7 +98,7 @@ class Bench:
         return self.left, self.right
 
 
-def build_cameras(rig: ScenarioRig | BoardRig) -> tuple[SimulatedCamera, SimulatedCamera]:
+def build_cameras(rig: BoardRig) -> tuple[SimulatedCamera, SimulatedCamera]:
     """Build the left and right camera, whose pan centres lie on the rig's x axis."""
     half = rig.baseline_mm / 2000
     return (
