@@ -42,6 +42,14 @@ AWKWARD = ScenarioCamera(
 )  # fmt: skip
 
 
+def rendered(session: SimulatedSession) -> Iterator[StereoPair]:
+    """Render all pairs of a session, one at a time."""
+    for index, (times, pans) in enumerate(
+        zip(session.t.tolist(), session.pan.tolist(), strict=True)
+    ):
+        yield StereoPair(index, *times, *pans, session.image(0, index), session.image(1, index))
+
+
 @dataclass(frozen=True)
 class InMemory(Session):
     """A session whose pictures are rendered as they are asked for."""
@@ -50,7 +58,7 @@ class InMemory(Session):
 
     def pairs(self) -> Generator[StereoPair]:
         """Render the pairs."""
-        yield from self.simulated.pairs()
+        yield from rendered(self.simulated)
 
     @property
     def truth(self) -> Array:

@@ -7,11 +7,13 @@ import subprocess
 import sys
 from collections.abc import Iterator
 from contextlib import closing
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support.simulated import rendered
 from verify.core.processes import ChildProcess, SharedPicture, location_of, picture_at
 from verify.core.records import Array, Measurement, StereoPair
 from verify.live.measuring_process import MeasuringProcess
@@ -34,7 +36,7 @@ def here(session: SimulatedSession) -> list[Measurement]:
 
 
 def pairs(session: SimulatedSession) -> Iterator[StereoPair]:
-    return (session.pair(index) for index in range(PAIRS))
+    return islice(rendered(session), PAIRS)
 
 
 def nothing(_t: float) -> list[Array]:
@@ -140,7 +142,7 @@ def test_a_prepared_pair_is_the_one_that_is_measured(
 ) -> None:
     def prepared(process: MeasuringProcess) -> Iterator[StereoPair]:
         for pair in pairs(session):
-            process.prepare(session.pair(0))  # of which nothing came
+            process.prepare(next(rendered(session)))  # of which nothing came
             process.prepare(pair)
             yield pair
 

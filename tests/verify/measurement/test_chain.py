@@ -2,6 +2,7 @@
 
 from dataclasses import fields, is_dataclass, replace
 from functools import cache, partial
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from robots.transforms import difference
 from tests.support.leds.truth import true_spots
-from tests.support.simulated import HOME_DEG, in_memory, marker_of, scene
+from tests.support.simulated import HOME_DEG, in_memory, marker_of, rendered, scene
 from tests.support.spot_level import SpotRun, facing_rig, picture, without_pictures
 from verify.analysis.session import analyse
 from verify.core.records import Array, Measurement, Spots, StereoPair, take_rows
@@ -51,7 +52,7 @@ def played(**changes: object) -> tuple[SimulatedSession, list[Measurement]]:
 
 def measured(scenario: Scenario) -> tuple[SimulatedSession, list[Measurement]]:
     session = simulate_session(scenario)
-    return session, list(measure(session.pairs(), Setup(session.rig, session.marker)))
+    return session, list(measure(rendered(session), Setup(session.rig, session.marker)))
 
 
 def wrong(session: SimulatedSession, measurements: list[Measurement]) -> Array:
@@ -273,7 +274,7 @@ def test_an_led_that_one_camera_does_not_see_is_not_replaced_by_a_blob(
     )
     blobs = partial(with_blobs, u_px, peak_dn)
     setup = Setup(session.rig, session.marker, detect=blobs)
-    measurements = list(measure(session.pairs(), setup))
+    measurements = list(measure(rendered(session), setup))
     assert [m.status for m in measurements] == ["measured"] * 12
     assert np.abs(wrong(session, measurements)[:, :3]).max() < 1e-3
 
@@ -406,7 +407,7 @@ def strided(value: Any) -> Any:
 
 def test_arrays_of_any_layout_measure_the_same() -> None:
     session = simulate_session(scene(marker=FOUR, rig=SMALL))
-    pairs = list(session.pairs())[:4]
+    pairs = list(islice(rendered(session), 4))
     apart = [replace(p, left=strided(p.left), right=strided(p.right)) for p in pairs]
     setup = Setup(strided(session.rig), strided(session.marker))
     assert not setup.rig.left.matrix.flags.c_contiguous

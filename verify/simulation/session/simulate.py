@@ -1,13 +1,13 @@
 """A simulated session: world, pictures, readings with encoder faults, stated rig and marker."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 import robots
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Image, StereoPair
+from verify.core.records import Array, Image
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.simulation.scenario import Scenario, ScenarioFault, ScenarioUncertainty
@@ -80,16 +80,6 @@ class SimulatedSession:
         lights = visible_lights(self.world, side, t, pan, hidden)
         turned_px = pan * self.world.bench.cameras[side].matrix[0, 0]
         return self.renderers[side].render(lights, number, turned_px)
-
-    def pair(self, index: int) -> StereoPair:
-        """Render one stereo pair."""
-        (t_left, t_right), (left, right) = self.t[index].tolist(), self.pan[index].tolist()
-        images = self.image(0, index), self.image(1, index)
-        return StereoPair(index, t_left, t_right, left, right, *images)
-
-    def pairs(self) -> Iterator[StereoPair]:
-        """Render all pairs, one at a time."""
-        return map(self.pair, range(len(self)))
 
 
 def simulate_session(scenario: Scenario) -> SimulatedSession:
