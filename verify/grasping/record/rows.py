@@ -17,7 +17,6 @@ from verify.grasping.tracking.camshift import Blob
 
 _MM = 1e3  # mm/m
 PLAN_PERIOD = 0.02  # s between two rows of a plan
-PLAN_PARTS = ("over", "down", "up")
 
 
 def cycle_row(cycle: LoopCycle, workspace: Workspace) -> dict[str, Any]:
@@ -62,14 +61,13 @@ def plan_table(plan: GraspPlan | None, workspace: Workspace) -> pd.DataFrame:
         return pd.DataFrame()
     rows: list[dict[str, Any]] = []
     began = 0.0
-    for part, ways in zip(PLAN_PARTS, (plan.over, (plan.down,), (plan.up,)), strict=True):
-        for way in ways:
-            times, motion = way.sampled(PLAN_PERIOD)
-            grips = workspace.grip(motion.q)[:, :3, 3]
-            for t, q, grip in zip(times, motion.q, grips, strict=True):
-                row: dict[str, Any] = {"t_s": began + float(t), "part": part}
-                rows.append(row | _joints("q{}_deg", q) | _point("grip", grip))
-            began += way.duration
+    for part, way in (*(("over", way) for way in plan.over), ("down", plan.down), ("up", plan.up)):
+        times, motion = way.sampled(PLAN_PERIOD)
+        grips = workspace.grip(motion.q)[:, :3, 3]
+        for t, q, grip in zip(times, motion.q, grips, strict=True):
+            row: dict[str, Any] = {"t_s": began + float(t), "part": part}
+            rows.append(row | _joints("q{}_deg", q) | _point("grip", grip))
+        began += way.duration
     return pd.DataFrame(rows)
 
 

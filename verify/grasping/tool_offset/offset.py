@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 import robots
 from robots import DhArm
-from robots.transforms import difference
+from robots.transforms import carry, difference
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Image, Measurement, Sighting, Spots, StereoPair
 from verify.core.rig import Camera, Rig
@@ -204,8 +204,7 @@ def _search_window(
     ordered: Array, marker: Marker, camera: Camera, pan: float, image: Image
 ) -> Array:
     """One box around all LEDs, (1, 4) px: x0, y0, x1, y1; pan is rad, as read."""
-    camera_T_flange = camera.camera_T_rig(pan) @ ordered
-    points = marker.leds @ camera_T_flange[:3, :3].T + camera_T_flange[:3, 3]
+    points = carry(camera.camera_T_rig(pan) @ ordered, marker.leds)
     points = points[points[:, 2] > 0]  # behind the camera there is nothing to find
     if not len(points):
         return np.zeros((0, 4))

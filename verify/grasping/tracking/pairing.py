@@ -41,7 +41,7 @@ class StereoObject:
     right: Blob
     place: stereo.StereoPoint
     areas: Array  # (2,), m², as the left and the right picture have it
-    reaches: Array  # (2,), m², with what is connected with it
+    reach: float  # m², the larger of the two areas with what is connected
     size: Array  # (2,), m, width and height
     size_uncertainty: Array  # (2,), m
 
@@ -49,11 +49,6 @@ class StereoObject:
     def area(self) -> float:
         """The smaller of the two areas, m²."""
         return float(self.areas.min())
-
-    @property
-    def reach(self) -> float:
-        """The larger of the two areas with what is connected, m²."""
-        return float(self.reaches.max())
 
     @property
     def spread(self) -> Array:
@@ -117,7 +112,7 @@ def join_blobs(
         right,
         place,
         np.array([left.area, right.area]) * worth,
-        np.array([left.reach, right.reach]) * worth,
+        float((np.array([left.reach, right.reach]) * worth).max()),
         metres,
         uncertainty,
     )

@@ -4,7 +4,6 @@ import time
 from dataclasses import dataclass
 
 from verify.core.records import StereoPair
-from verify.devices.protocols import EncoderReading
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import DrivenArm, SteppedArm, StreamedArm
@@ -50,10 +49,6 @@ class CellSource:
         self._bases.add(reading)
         pans = self._bases.at(reading.t)
         return None if pans is None else self._world.pair(pans)
-
-    def joints(self) -> EncoderReading | None:
-        """Read the joints."""
-        return self._world.encoders()
 
     def wait(self) -> None:
         """Let a camera's period pass."""
@@ -115,5 +110,7 @@ def cell_grab(
         if mode.closed:
             watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker)
     aim = Aim(setup.planner, setup.rig, watch)
-    loop = GraspLoop(setup.planner, tracker, aim, actuators, cell.joints, world.now, auto=mode.auto)
+    loop = GraspLoop(
+        setup.planner, tracker, aim, actuators, world.encoders, world.now, auto=mode.auto
+    )
     return CellRun(world, cell, loop)

@@ -27,9 +27,9 @@ BLOB = Blob(
 def seen(*place: float, area: float = AREA, reach: float | None = None) -> StereoObject:
     noise = np.eye(3) * 0.0005**2
     point = StereoPoint(np.array(place), noise, noise, 0.0, np.full(2, place[2]))
-    areas, reaches = np.full(2, area), np.full(2, area if reach is None else reach)
+    areas, reach = np.full(2, area), area if reach is None else reach
     size = np.full(2, 0.04)
-    return StereoObject(BLOB, BLOB, point, areas, reaches, size, np.full(2, 1e-3))
+    return StereoObject(BLOB, BLOB, point, areas, reach, size, np.full(2, 1e-3))
 
 
 class Film:
