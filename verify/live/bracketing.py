@@ -50,7 +50,6 @@ class Bracketing:
         self, subject: MonitoredRobot, book: ReadingBuffer, keeper: ClockKeeper, *, turning: bool
     ) -> None:
         self._subject, self._book, self._keeper = subject, book, keeper
-        self._turning = turning
         self._comparer = Comparer(
             subject.arm, subject.rig, subject.marker, subject.resolution, turning=turning
         )

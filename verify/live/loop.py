@@ -13,7 +13,7 @@ import robots
 from verify.core.records import Array, Measurement, StereoPair
 from verify.devices.protocols import CapturedPair, EncoderReading
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
-from verify.live.alarms.loss import DeviceWatch, TargetWatch
+from verify.live.alarms.loss import LOSS_TIMEOUT, DeviceWatch, TargetWatch
 from verify.live.bracketing import (
     MAX_PAIRS_TOGETHER,
     MAX_QUEUED,
@@ -92,7 +92,7 @@ class LiveLoop:
         self._bracketing = Bracketing(subject, self._book, self._keeper, turning=turning)
         self._numbers = numbers = itertools.count(1)
         self._joints = JointAlarms(subject.arm.dof, plan.limits, numbers)
-        self._target = TargetWatch(plan.limits.lost_after, numbers)
+        self._target = TargetWatch(LOSS_TIMEOUT, numbers)
         self._lost = DeviceWatch(SILENCE_TIMEOUT, numbers)
         self._measuring = computation.measure or self._here
         self._prepare = computation.prepare

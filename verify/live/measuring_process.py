@@ -6,7 +6,6 @@ starts a process for the right one.
 """
 
 import gc
-import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import ExitStack
@@ -59,7 +58,6 @@ class ParallelDetector:
         )
         self._process.wait_until_ready()
         self._picture = processes.SharedPicture()
-        self._lock = threading.Lock()
 
     def __call__(
         self, pair: StereoPair, left_windows: Array | None, right_windows: Array | None
@@ -84,11 +82,10 @@ class ParallelDetector:
 
     def close(self) -> None:
         """End the second process."""
-        with self._lock:
-            if self._process is not None:
-                self._process.stop()
-                self._process = None
-            self._picture.close()
+        if self._process is not None:
+            self._process.stop()
+            self._process = None
+        self._picture.close()
 
 
 def _detect_shared_picture(request: DetectionRequest) -> Spots:

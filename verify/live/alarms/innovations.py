@@ -111,9 +111,9 @@ class InnovationFilter:
             self._begin(evidence)
         before = (self._t, self._clock)
         self._past.append(_FilterStep(t, evidence, clock, self._x, self._p.copy(), before))
-        residual, joints, by_noise, _ = self._update(t, evidence, clock)
+        innovation, by_noise, _ = self._update(t, evidence, clock)
         self._learn_spread(by_noise)
-        return Innovation(residual, joints)
+        return innovation
 
     def suppose(self, joint: int, pairs: int, late: int = 0) -> Supposition:
         """Suppose that a joint's reading changed some pairs ago, and see how well that explains.
@@ -166,19 +166,19 @@ class InnovationFilter:
         for number, moment in enumerate(moments):
             if number == late:
                 self._p[opened, opened] += U_FAULTY_JOINT**2
-            residual, columns, _, size = self._update(moment.t, moment.evidence, moment.clock)
-            cost += float(residual @ residual) + size
+            innovation, _, size = self._update(moment.t, moment.evidence, moment.clock)
+            cost += float(innovation.residual @ innovation.residual) + size
             if number >= late:
-                news.append(Innovation(residual, columns))
+                news.append(innovation)
         return cost, news
 
     def _update(
         self, t: float, evidence: Evidence, clock: object
-    ) -> tuple[Array, Array, Array, float]:
+    ) -> tuple[Innovation, Array, float]:
         """Predict, compare, learn.
 
-        Returns the whitened news, the joints' columns likewise, the news by the noise alone, and
-        the logarithm of its covariance's determinant.
+        Returns the news, the same by the noise alone, and the logarithm of its covariance's
+        determinant.
         """
         self._advance(t, evidence, clock)
         design = np.concatenate(
@@ -191,12 +191,12 @@ class InnovationFilter:
         white = np.linalg.cholesky(cross @ design.T + noise)
         whiten = np.linalg.inv(white)
         residual: Array = whiten @ new
-        joints: Array = whiten @ evidence.jacobian
         learned = whiten @ cross
         self._x = self._x + residual @ learned
         self._p = self._p - learned.T @ learned
         by_noise = np.asarray(np.linalg.solve(lower, new), dtype=np.float64)
-        return residual, joints, by_noise, 2 * float(np.sum(np.log(np.diagonal(white))))
+        size = 2 * float(np.sum(np.log(np.diagonal(white))))
+        return Innovation(residual, whiten @ evidence.jacobian), by_noise, size
 
     def reset(self) -> None:
         """Forget what was learned: the robot's clock or place is another one now."""
@@ -204,15 +204,6 @@ class InnovationFilter:
         self._recent.clear()
         self._past.clear()
         self._factors = INITIAL_INFLATION
-
-    @property
-    def learned(self) -> Array:
-        """Errors of joints that an alarm has named, as they are now, (j,), rad; nan for others."""
-        errors = np.full(self._joints, np.nan)
-        if len(self._x):
-            named = sorted(self._open)
-            errors[named] = self._x[self._prior_width + 1 :][named]
-        return errors
 
     @property
     def inflation(self) -> float:
@@ -231,28 +222,20 @@ class InnovationFilter:
 
     def _advance(self, t: float, evidence: Evidence, clock: object) -> None:
         """Let time pass: what is stated wanders within its uncertainty, likewise the clock."""
-        place, width = self._prior_width, self._prior_width
+        width = self._prior_width
         elapsed = 0.0 if self._t is None else max(t - self._t, 0.0)
-        self._t = t
-        keep = math.exp(-elapsed / SYSTEMATIC_TIME)
-        factor = np.ones(len(self._x))
-        factor[:width] = keep
-        fading = math.exp(-elapsed / ALIGNMENT_TIME)
-        factor[-6:] = fading
-        if clock != self._clock:
-            factor[place] = 0.0
-            self._x[place] = 0.0
-        else:
-            factor[place] = math.exp(-elapsed / CLOCK_TIME)
-        self._clock = clock
+        keep, fading = (math.exp(-elapsed / time) for time in (SYSTEMATIC_TIME, ALIGNMENT_TIME))
+        kept_clock = math.exp(-elapsed / CLOCK_TIME) if clock == self._clock else 0.0
+        self._t, self._clock = t, clock
+        factor = np.repeat([keep, kept_clock, 1.0, fading], [width, 1, self._joints, 6])
         self._x = factor * self._x
         self._p = np.multiply.outer(factor, factor) * self._p
         diagonal = np.einsum("ii->i", self._p)
         diagonal[:width] += 1.0 - keep**2
         self._p[-6:, -6:] += (1.0 - fading**2) * (evidence.alignment + MODEL_COVARIANCE)
-        diagonal[place] += (1.0 - factor[place] ** 2) * evidence.clock_uncertainty**2
+        diagonal[width] += (1.0 - kept_clock**2) * evidence.clock_uncertainty**2
         for joint in self._open:
-            diagonal[place + 1 + joint] += FAULT_RANDOM_WALK**2 * elapsed
+            diagonal[width + 1 + joint] += FAULT_RANDOM_WALK**2 * elapsed
 
     def _learn_spread(self, by_noise: Array) -> None:
         """Measure how far the innovations exceed and repeat each other; every so many pairs."""

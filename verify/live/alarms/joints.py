@@ -104,7 +104,6 @@ class ToleranceWatch:
         return Alarm(next(self._numbers), "tolerance", now, row.t, text, (j + 1,), mean, doubt)
 
 
-LOSS_TIMEOUT = 1.0  # s without a measured pair
 MAX_ONSET_PAIRS = 30  # pairs after which the sum of an initial fault has left zero
 REVIEW_PAIRS = (2, 5, 12, 30)  # pairs after an alarm, which may tell its rivals apart
 REPEAT_TIME = 60.0  # s for which it is not said again that no joint alone explains the readings
@@ -118,14 +117,13 @@ class AlarmLimits:
     false_alarms_per_hour: float
     rate: float  # pairs a second
     tolerance: Array | None  # (j,), rad
-    lost_after: float = LOSS_TIMEOUT  # s
 
 
 class JointAlarms:
     """Watches the joints' errors, pair by pair."""
 
     def __init__(self, joints: int, limits: AlarmLimits, numbers: "itertools.count[int]") -> None:
-        self._limits, self._numbers = limits, numbers
+        self._numbers = numbers
         self._innovations = InnovationFilter(joints)
         # half of the false alarms are the sums' to spend, half the tolerance's
         share = limits.false_alarms_per_hour / (1 if limits.tolerance is None else 2)

@@ -10,6 +10,8 @@ from statistics import median
 from verify.live.joint_row import JointRow
 from verify.live.protocols import Alarm
 
+LOSS_TIMEOUT = 1.0  # s without a measured pair
+
 
 class TargetWatch:
     """Raises an alarm when no pair was measured for `lost_after` s, and says why."""
