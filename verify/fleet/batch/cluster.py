@@ -6,6 +6,7 @@ from typing import Any
 
 from verify.core.version import __version__
 from verify.errors import InputError
+from verify.fleet.batch.finding import cluster_package
 from verify.fleet.batch.records import MAX_ATTEMPTS, Task, WorkerDied, perform
 
 CONNECT_TIMEOUT = 30  # s, for a scheduler to answer and a worker to be there
@@ -20,7 +21,7 @@ class Cluster:
     """
 
     def __init__(self, address: str) -> None:
-        distributed = _distributed()
+        distributed = cluster_package("distributed", "--scheduler")
         try:
             self._client = distributed.Client(
                 address, timeout=CONNECT_TIMEOUT, set_as_default=False
@@ -50,7 +51,7 @@ class Cluster:
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
         """Perform tasks; as `WorkerPool` says; the scheduler replaces a worker that dies."""
-        distributed = _distributed()
+        distributed = cluster_package("distributed", "--scheduler")
         done = distributed.as_completed(loop=self._client.loop, raise_errors=False)
         under_way: dict[str, Task] = {}
         died: Counter[int] = Counter()
@@ -98,16 +99,6 @@ class Cluster:
 def worker_version() -> str:
     """Tell a worker's version of the program."""
     return __version__
-
-
-def _distributed() -> Any:
-    try:
-        import distributed
-    except ImportError as error:
-        raise InputError(
-            "--scheduler", "needs the package distributed", "", "Install verify-robot[cluster]."
-        ) from error
-    return distributed
 
 
 def _cluster_error(address: str, found: str) -> InputError:

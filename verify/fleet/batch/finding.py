@@ -5,7 +5,9 @@ import os
 import tempfile
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib import import_module
 from pathlib import Path, PurePosixPath
+from types import ModuleType
 from typing import Any
 
 from verify.errors import InputError, one_line
@@ -84,13 +86,17 @@ def _files(system: Any, root: str) -> list[str]:
     return [f for f in inside if PurePosixPath(f).name not in EXCLUDED_FILES]
 
 
-def _filesystem(url: str) -> tuple[Any, str]:
+def cluster_package(name: str, place: str) -> ModuleType:
+    """Import a package of verify-robot[cluster]; InputError about the place: it is not there."""
     try:
-        import fsspec
+        return import_module(name)
     except ImportError as error:
-        raise InputError(
-            url, "needs the package fsspec", "", "Install verify-robot[cluster]."
-        ) from error
+        remedy = "Install verify-robot[cluster]."
+        raise InputError(place, f"needs the package {name}", "", remedy) from error
+
+
+def _filesystem(url: str) -> tuple[Any, str]:
+    fsspec = cluster_package("fsspec", url)
     with _storage_errors(url):
         system, path = fsspec.core.url_to_fs(url)
     return system, path.rstrip("/")

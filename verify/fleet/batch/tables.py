@@ -311,15 +311,11 @@ def _write_groups(path: Path, columns: pa.Schema, tables: Iterator[pa.Table], mo
 
 
 def _session_frames(session: str, place: Path, columns: pa.Schema) -> pa.Table:
+    """Read a session's pairs; columns that its table lacks are null."""
     own = _read_table(place / RESULTS / "frames.parquet")
-    count = len(own)
-    arrays: list[Any] = [pa.repeat(pa.scalar(session, pa.string()), count)]
-    for field in list(columns)[1:]:
-        if field.name in own.column_names:
-            arrays.append(own[field.name].combine_chunks().cast(field.type))
-        else:
-            arrays.append(pa.nulls(count, field.type))
-    return pa.table(arrays, schema=columns)
+    own = own.add_column(0, columns[0], [pa.repeat(session, len(own))])
+    whole = pa.concat_tables([columns.empty_table(), own], promote_options="permissive")
+    return whole.select(columns.names).cast(columns)
 
 
 def _read_results(place: Path, only: Sequence[str]) -> reports.Results:

@@ -136,10 +136,11 @@ def _design(series: JointSeries, terms: list[TrendTerm]) -> Array:
     return np.column_stack([np.ones(len(series)), *(_column(series, t) for t in terms)])
 
 
-def _bic_penalty(series: JointSeries, term: TrendTerm) -> float:
-    """What a term's parameters cost (BIC): a size, and a place unless it is the beginning."""
-    free = 1 if term == TrendTerm("drift", 0) else 2
-    return free * float(np.log(len(series)))
+def _bic_penalties(series: JointSeries, terms: list[TrendTerm]) -> Array:
+    """What each term's parameters cost (BIC): a size, and a place unless it is the beginning."""
+    free = [1 if term == TrendTerm("drift", 0) else 2 for term in terms]
+    penalties: Array = np.log(len(series)) * np.array(free, dtype=float)
+    return penalties
 
 
 def _add_terms(series: JointSeries, every: list[TrendTerm], threshold: float) -> list[TrendTerm]:
@@ -149,7 +150,7 @@ def _add_terms(series: JointSeries, every: list[TrendTerm], threshold: float) ->
         gain = _candidate_gains(series, terms, every)
         if not len(gain) or gain.max() < threshold:
             break
-        worth = _candidate_worth(series, terms, every)
+        worth = gain - _bic_penalties(series, every)
         terms = _prune(series, [*terms, every[int(np.argmax(worth))]], every, threshold)
     if len(terms) < 2:
         return terms
@@ -178,7 +179,7 @@ def _prune(
 
 def _bic(series: JointSeries, terms: list[TrendTerm]) -> float:
     """BIC, up to a constant."""
-    return fit(series, _design(series, terms)).chi2 + sum(_bic_penalty(series, t) for t in terms)
+    return fit(series, _design(series, terms)).chi2 + float(_bic_penalties(series, terms).sum())
 
 
 def _refine(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> list[TrendTerm]:
@@ -213,9 +214,7 @@ def _candidate_gains(series: JointSeries, terms: list[TrendTerm], every: list[Tr
 
 def _candidate_worth(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> Array:
     """That, less what its parameters cost (BIC)."""
-    penalty = np.array([_bic_penalty(series, t) for t in every])
-    worth: Array = _candidate_gains(series, terms, every) - penalty
-    return worth
+    return _candidate_gains(series, terms, every) - _bic_penalties(series, every)
 
 
 def _change(
@@ -227,11 +226,11 @@ def _change(
 ) -> TrendChange:
     term = terms[index]
     gain = _candidate_gains(series, [t for t in terms if t != term], every)
-    worth = gain - np.array([_bic_penalty(series, t) for t in every])
+    worth = gain - _bic_penalties(series, every)
     kind = np.array([t.kind == term.kind for t in every])
     place = np.array([t.place for t in every])
-    own = gain[[t == term for t in every]][0]
-    dated = place[kind & (gain >= own - MAX_CHI2_DATE)]
+    own = every.index(term)
+    dated = place[kind & (gain >= gain[own] - MAX_CHI2_DATE)]
     rival = worth[~kind].max(initial=-np.inf)
     return TrendChange(
         term=term,
@@ -239,7 +238,7 @@ def _change(
         standard_uncertainty=float(np.sqrt(found.covariance[index + 1, index + 1])),
         earliest=int(dated.min()),
         latest=int(dated.max()),
-        clearer_by=float(own - _bic_penalty(series, term) - rival),
+        clearer_by=float(worth[own] - rival),
     )
 
 

@@ -175,19 +175,15 @@ def scan(series: JointSeries, months: Array, design: Array, found: SeriesFit) ->
     products of such columns with V⁻¹ are sums over the sessions from k on. `months` (n,) is the
     sessions' time, in order, `design` (n, p) holds the columns of the fit.
     """
-    by_weight = apply_inverse_covariance(series, design)
-    step_signal, drift_signal = _tail_sums(months, found.residual_weighted)
-    step_common, drift_common = _tail_sums(months, by_weight)
-    step_own, drift_own = _squares(series, months)
-    return {
-        "step": _gain(step_signal, step_common, step_own, found),
-        "drift": _gain(drift_signal, drift_common, drift_own, found),
-    }
+    weighted = apply_inverse_covariance(series, design)
+    columns = np.column_stack([found.residual_weighted, weighted])
+    sums = zip(_tail_sums(months[:, None], columns), _squares(series, months), strict=True)
+    step, drift = (_gain(tail[:, 0], tail[:, 1:], own, found) for tail, own in sums)
+    return {"step": step, "drift": drift}
 
 
-def _tail_sums(months: Array, values: Array) -> tuple[Array, Array]:
+def _tail_sums(t: Array, values: Array) -> tuple[Array, Array]:
     """Σ v and Σ (t - t_k) v over the sessions from each k on."""
-    t = months if values.ndim == 1 else months[:, None]
     plain = _suffix_sums(values)
     return plain, _suffix_sums(t * values) - t * plain
 
