@@ -255,8 +255,7 @@ def stop_on_signal() -> Iterator[threading.Event]:
 
 def _print_summary(state: LiveState) -> None:
     now = state.snapshot()
-    whole = state.latency.of_all()
-    p50, p99 = whole.p50, whole.p99
+    p50, p99 = state.latency.of_all() or (None, None)
     terminal.record(
         "watched",
         pairs=now.pairs,

@@ -73,8 +73,8 @@ class Bracketing:
             return BracketedPair(taken, None, taken.arrived)
         longest = max(MIN_READING_TIMEOUT, TIMEOUT_PERIODS * (self._book.period() or 0.0))
         patience = 0.0 if queued >= MAX_QUEUED else longest
-        reading = self._book.wait_past(there, time.monotonic() + patience)
-        since = taken.arrived if reading is None else max(taken.arrived, reading.t_host)
+        came = self._book.wait_past(there, time.monotonic() + patience)
+        since = taken.arrived if came is None else max(taken.arrived, came)
         return BracketedPair(taken, clock, since)
 
     def at_once(self, taken: MeasuredPair) -> BracketedPair | None:
@@ -82,10 +82,8 @@ class Bracketing:
         there, clock = self._placed(taken)
         if clock is None or taken.measurement.status != "measured":
             return BracketedPair(taken, clock, taken.arrived)
-        reading = self._book.wait_past(there, 0.0)
-        if reading is None:
-            return None
-        return BracketedPair(taken, clock, max(taken.arrived, reading.t_host))
+        came = self._book.wait_past(there, 0.0)
+        return None if came is None else BracketedPair(taken, clock, max(taken.arrived, came))
 
     def compare(self, pairs: Sequence[BracketedPair]) -> list[tuple[JointRow, float]]:
         """Compare pairs, each by itself, in their order; each row with the pair's `since`."""

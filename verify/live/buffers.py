@@ -3,59 +3,54 @@
 import threading
 import time
 from collections import deque
-from itertools import takewhile
 
 import numpy as np
 
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import Array
 from verify.devices.protocols import EncoderReading, PanReading
+from verify.live.pairing import FramePair
 
 INITIAL_CAPACITY = 256  # readings
+TIME, ARRIVAL, HALF_WIDTH, ANGLES = 0, 1, 2, slice(3, None)  # columns of a series
 
 
 class ReadingSeries:
-    """Rising times and their joint angles; not locked."""
+    """Readings with rising times as rows of one array; not locked."""
 
     def __init__(self) -> None:
-        self._t: Array = np.empty(0)
-        self._q: Array = np.empty((0, 0))
+        self._kept: Array = np.empty((0, 3))
         self._first, self._end = 0, 0
 
     @property
-    def t(self) -> Array:
-        """Times, (m,), s; a view that the next reading may move."""
-        return self._t[self._first : self._end]
+    def rows(self) -> Array:
+        """Readings, (m, 3 + joints), s and rad; a view that the next reading may move."""
+        return self._kept[self._first : self._end]
 
-    def add(self, t: float, q: Array) -> None:
-        """Append a reading: s, and (joints,), rad."""
-        if self._end == len(self._t):
-            self._make_room(len(q))
-        self._t[self._end], self._q[self._end] = t, q
+    @property
+    def t(self) -> Array:
+        """Times, (m,), s; likewise a view."""
+        return self._kept[self._first : self._end, TIME]
+
+    def add(self, reading: EncoderReading) -> None:
+        """Append a reading."""
+        row = (reading.t, reading.t_host, reading.half_width, *reading.q)
+        if self._end == len(self._kept):  # move what is there into twice the room
+            rows = self.rows.reshape(-1, len(row))
+            self._kept = np.empty((max(2 * len(rows), INITIAL_CAPACITY), len(row)))
+            self._kept[: len(rows)] = rows
+            self._first, self._end = 0, len(rows)
+        self._kept[self._end] = row
         self._end += 1
 
     def drop_before(self, t: float) -> None:
         """Drop the readings before an instant."""
-        while self._first < self._end and self._t[self._first] < t:
-            self._first += 1
+        self._first += int(np.searchsorted(self.t, t))
 
     def copied(self, begin: int) -> Readings | None:
         """Readings from one of them on, counted from the oldest; None where there is none."""
-        chosen = slice(self._first + begin, self._end)
-        if chosen.start >= chosen.stop:
-            return None
-        return Readings(self._t[chosen].copy(), self._q[chosen].copy())
-
-    def _make_room(self, joints: int) -> None:
-        """Move the readings to the beginning of arrays of twice their length."""
-        kept = slice(self._first, self._end)
-        t, q = self._t[kept], self._q[kept]
-        room = max(2 * len(t), INITIAL_CAPACITY)
-        self._t, self._q = np.empty(room), np.empty((room, joints))
-        self._t[: len(t)] = t
-        if len(t):
-            self._q[: len(t)] = q
-        self._first, self._end = 0, len(t)
+        rows = self.rows[begin:]
+        return Readings(rows[:, TIME].copy(), rows[:, ANGLES].copy()) if len(rows) else None
 
 
 READING_SPAN = 90.0  # s of readings: the clock's window and its margins
@@ -90,8 +85,7 @@ class ReadingBuffer:
 
     def __init__(self) -> None:
         self._arrived = threading.Condition()
-        self._readings: deque[EncoderReading] = deque()
-        self._series = ReadingSeries()  # the same, as arrays
+        self._series = ReadingSeries()
         self._delay = LeastDelay()
         self.segment: int | None = None
 
@@ -99,16 +93,12 @@ class ReadingBuffer:
         """Take a reading, and wake those who wait for one."""
         with self._arrived:
             if reading.segment != self.segment:
-                self._readings.clear()
                 self._series, self._delay = ReadingSeries(), LeastDelay()
                 self.segment = reading.segment
-            if self._readings and reading.t <= self._readings[-1].t:
+            if self._reached(reading.t):
                 return  # a driver promises rising times; a spline needs them
-            self._readings.append(reading)
-            self._series.add(reading.t, reading.q)
+            self._series.add(reading)
             self._delay.add(reading)
-            while self._readings[0].t < reading.t - READING_SPAN:
-                self._readings.popleft()
             self._series.drop_before(reading.t - READING_SPAN)
             self._arrived.notify_all()
 
@@ -120,20 +110,23 @@ class ReadingBuffer:
     def period(self) -> float | None:
         """Time between readings, s, the median of the latest; None with fewer than three."""
         with self._arrived:
-            latest = [self._readings[-i].t for i in range(1, min(len(self._readings), 20) + 1)]
-        return float(np.median(-np.diff(latest))) if len(latest) > 2 else None
+            latest = self._series.t[-20:].copy()
+        return float(np.median(np.diff(latest))) if len(latest) > 2 else None
 
-    def wait_past(self, t: float, deadline: float) -> EncoderReading | None:
+    def wait_past(self, t: float, deadline: float) -> float | None:
         """Wait for the first reading at or after t, s, controller's clock; None: it came too late.
 
-        The deadline is in s of the host's monotonic clock.
+        Returns when that was in hand; this and the deadline in s of the host's monotonic clock.
         """
         with self._arrived:
-            self._arrived.wait_for(
-                lambda: self._readings and self._readings[-1].t >= t, deadline - time.monotonic()
-            )
-            later = list(takewhile(lambda reading: reading.t >= t, reversed(self._readings)))
-            return later[-1] if later else None
+            self._arrived.wait_for(lambda: self._reached(t), deadline - time.monotonic())
+            if not self._reached(t):
+                return None
+            return float(self._series.rows[np.searchsorted(self._series.t, t), ARRIVAL])
+
+    def _reached(self, t: float) -> bool:
+        """Whether there is a reading at or after an instant; called with the lock held."""
+        return bool(np.any(self._series.t[-1:] >= t))
 
     def about(self, t: float) -> Readings | None:
         """Readings about an instant t (s, controller's clock), for its angle and speed.
@@ -159,18 +152,16 @@ class ReadingBuffer:
 
         A controller's answers take different times, so the newest does not stand for the others.
         """
-        after = 0.0
         with self._arrived:
-            for reading in reversed(self._readings):
-                if reading.t < t:
-                    return max(after, reading.half_width)
-                after = reading.half_width
-        return after
+            after = int(np.searchsorted(self._series.t, t))
+            beside = self._series.rows[max(after - 1, 0) : after + 1]
+            return float(beside[:, HALF_WIDTH].max()) if len(beside) else 0.0
 
     def half_width(self) -> float:
         """Half-width within which the newest reading was taken, s."""
         with self._arrived:
-            return self._readings[-1].half_width if self._readings else 0.0
+            newest = self._series.rows[-1:]
+            return float(newest[0, HALF_WIDTH]) if len(newest) else 0.0
 
 
 PAN_SPAN = 5.0  # s
@@ -223,3 +214,8 @@ class PanBuffer:
             return None
         nearest = min(about, key=lambda r: abs(r.t + delay - t))
         return float(nearest.pan[0]), float(nearest.pan[1])
+
+    def of_pair(self, pair: FramePair) -> tuple[float, float] | None:
+        """Angles of left and right base, rad, each at its own picture's instant; else None."""
+        left, right = self.at(pair.left.t), self.at(pair.right.t)
+        return None if left is None or right is None else (left[0], right[1])

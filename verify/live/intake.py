@@ -239,7 +239,7 @@ class DeviceIntake:
         """
         frame = 0
         while (pair := self._queue.take()) is not None:
-            pan = self._pans(pair)
+            pan = self._standing if self._devices.pan is None else self._pan.of_pair(pair)
             if pan is None:
                 self._queue.drop(BASE_TURNING)
                 continue
@@ -267,9 +267,3 @@ class DeviceIntake:
         """Close all devices."""
         for device in self.named.values():
             device.close()
-
-    def _pans(self, pair: FramePair) -> tuple[float, float] | None:
-        if self._devices.pan is None:
-            return self._standing
-        left, right = self._pan.at(pair.left.t), self._pan.at(pair.right.t)
-        return None if left is None or right is None else (left[0], right[1])

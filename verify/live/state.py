@@ -18,12 +18,7 @@ MAX_RESULTS = 1800  # results: a minute at 30 pairs a second
 BIN_WIDTH, N_BINS = 1e-4, 20_000  # s, and how many: what took longer than 2 s counts as that
 
 
-@dataclass(frozen=True, slots=True)
-class LatencyPercentiles:
-    """Median and 99th percentile of the latency, s; None before the first result."""
-
-    p50: float | None
-    p99: float | None
+Percentiles = tuple[float, float] | None  # median and 99th, s; None before the first result
 
 
 class Latency:
@@ -38,23 +33,21 @@ class Latency:
         self._values.append(seconds)
         self._counts[min(max(int(seconds / BIN_WIDTH), 0), N_BINS - 1)] += 1
 
-    def percentiles(self) -> LatencyPercentiles:
+    def percentiles(self) -> Percentiles:
         """Percentiles of the last results."""
         values = list(self._values)
         if not values:
-            return LatencyPercentiles(None, None)
+            return None
         p50, p99 = np.percentile(values, [50, 99]).tolist()
-        return LatencyPercentiles(p50, p99)
+        return p50, p99
 
-    def of_all(self) -> LatencyPercentiles:
+    def of_all(self) -> Percentiles:
         """Percentiles of the whole run, to a tenth of a millisecond."""
         until = np.cumsum(self._counts)
         if not until[-1]:
-            return LatencyPercentiles(None, None)
-        p50, p99 = (
-            (int(np.searchsorted(until, q * until[-1])) + 1) * BIN_WIDTH for q in (0.5, 0.99)
-        )
-        return LatencyPercentiles(p50, p99)
+            return None
+        p50, p99 = (np.searchsorted(until, [0.5 * until[-1], 0.99 * until[-1]]) + 1) * BIN_WIDTH
+        return float(p50), float(p99)
 
 
 MAX_ALARMS = 200  # remembered; the JSON lines have all
@@ -90,7 +83,7 @@ class LiveSnapshot:
     pairs: int
     measured: int
     dropped: Mapping[str, int]
-    latency: LatencyPercentiles
+    latency: Percentiles
     devices: tuple[DeviceStatus, ...]
     alarms: tuple[Alarm, ...]  # newest first
     alarm_counts: Mapping[str, int]  # all of the run, by kind

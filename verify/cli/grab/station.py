@@ -69,7 +69,7 @@ class LivePairs:
         rate: float,
         began: float,
     ) -> None:
-        self._rig, self._period, self._began = rig, 1 / rate, began
+        self._standing, self._period, self._began = (rig.left.pan, rig.right.pan), 1 / rate, began
         self._pairing, self._lock = Pairing(1 / rate), threading.Lock()
         self._newest: tuple[FramePair, tuple[float, float]] | None = None
         self._cameras, self._pan, self._angles = cameras, pan, PanBuffer()
@@ -121,7 +121,7 @@ class LivePairs:
 
     def _keep(self, pair: FramePair) -> None:
         """Keep a pair whose bases stood; in the camera's thread, as their angles may come late."""
-        pans = self._pans(pair)
+        pans = self._standing if self._pan is None else self._angles.of_pair(pair)
         if pans is None:
             if not self._warned:
                 terminal.warn(PAN_UNKNOWN)
@@ -131,13 +131,6 @@ class LivePairs:
         with self._lock:
             if self._newest is None or self._newest[0].left.t < pair.left.t:
                 self._newest = (pair, pans)
-
-    def _pans(self, pair: FramePair) -> tuple[float, float] | None:
-        """Angles of the left and right base, rad, each at its own picture's instant."""
-        if self._pan is None:
-            return self._rig.left.pan, self._rig.right.pan
-        left, right = self._angles.at(pair.left.t), self._angles.at(pair.right.t)
-        return None if left is None or right is None else (left[0], right[1])
 
 
 def _report_defect(name: str, error: Exception) -> None:

@@ -24,8 +24,8 @@ def exposition(state: LiveState) -> str:
                 [({"reason": r}, n) for r, n in sorted(now.dropped.items())]),
         _family("verify_pair_rate_hertz", "gauge", "Pairs per second.", [({}, now.rate)]),
         _family("verify_latency_seconds", "gauge", "Latency from the evidence to the joint error.",
-                [({"quantile": q}, value) for q, value in
-                 (("0.5", now.latency.p50), ("0.99", now.latency.p99)) if value is not None]),
+                [({"quantile": q}, value)
+                 for q, value in zip(("0.5", "0.99"), now.latency or (), strict=False)]),
         _family("verify_device_up", "gauge", "1 where a device delivers data.",
                 [({"device": line.name}, int(line.well)) for line in now.devices]),
         _family("verify_alarms_total", "counter", "Alarms so far, by kind.",

@@ -97,9 +97,9 @@ def _bar(error: float, u: float, tolerance: float | None) -> Text:
 
 
 def _line(now: LiveSnapshot) -> Text:
-    p50, p99 = now.latency.p50, now.latency.p99
-    latency = "" if p50 is None or p99 is None else f", {p50 * 1e3:.0f}/{p99 * 1e3:.0f} ms p50/p99"
-    text = f"{now.measured} of {now.pairs} pairs measured, {now.rate:.1f}/s{latency}"
+    text = f"{now.measured} of {now.pairs} pairs measured, {now.rate:.1f}/s"
+    if now.latency is not None:
+        text += ", {:.0f}/{:.0f} ms p50/p99".format(*(p * 1e3 for p in now.latency))
     if now.row is not None and now.row.clock is not None:
         text += f"; clock {now.row.clock.words()}"
     if now.dropped:

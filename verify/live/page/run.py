@@ -68,7 +68,7 @@ class RunPageSource:
     def state(self) -> dict[str, Any]:
         """How everything is."""
         now = self._state.snapshot()
-        p50, p99 = now.latency.p50, now.latency.p99
+        p50, p99 = now.latency or (None, None)
         return {
             "rate_hz": round(now.rate, 1),
             "pairs": now.pairs,
