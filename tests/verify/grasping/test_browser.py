@@ -23,7 +23,7 @@ YELLOW = """id => { const c = document.getElementById(id);
 
 @contextmanager
 def looking(browser: Browser, cell: Cell, *size: int, scheme: str = "light") -> Iterator[Tab]:
-    with browser.open(cell.page.url, *size, scheme=scheme) as tab:
+    with browser.open(cell.page._page.url, *size, scheme=scheme) as tab:
         tab.until("document.querySelector('#connection')?.textContent === 'live'")
         tab.until("document.querySelector('#left').ariaLabel.includes('target')")
         yield tab

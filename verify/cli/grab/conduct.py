@@ -56,11 +56,6 @@ class GraspPage:
             loop.look_for(None)
             terminal.say("Select the object on the page: drag a rectangle around it.")
 
-    @property
-    def url(self) -> str:
-        """Address for a browser."""
-        return self._page.url
-
     def show(self, cycle: LoopCycle) -> None:
         """Show a cycle of the loop."""
         self._pair = cycle.pair

@@ -23,13 +23,6 @@ from verify.planning.request import PlanningSetup
 from verify.planning.results import PlanProvenance, plan_results
 
 RIG_FILE, MARKER_FILE = "rig.toml", "marker.toml"
-GROUP_NAMES = {
-    "pixels": "pixels",
-    "calibration": "calibration",
-    "registration": "registration",
-    "leds": "LED places",
-    "clock": "clock",
-}
 MIN_DIRECTION_SHARE = 0.1  # share of pairs of one direction of travel: below, worth a warning
 MIN_MEASURED_SHARE = 0.8  # share of pairs that are measured: below, worth a warning
 
@@ -184,8 +177,8 @@ def _print_summary(results: Results, target: Path) -> None:
 def _joint_table(joints: list[dict[str, Any]]) -> list[str]:
     """Lines of a table, a joint each; U with k = 2."""
     groups = list(joints[0]["parts_deg"])
-    heads = ["joint", "mean error", "at the flange", *(GROUP_NAMES[group] for group in groups)]
-    rows = [[*heads, "detectable"]]
+    heads = ["joint", "mean error", "at the flange", *groups, "detectable"]
+    rows = [["LED places" if head == "leds" else head for head in heads]]
     for joint in joints:
         u, lever = joint["standard_uncertainty_deg"], joint["lever_mm"]
         at_flange = None if u is None else math.radians(u) * lever

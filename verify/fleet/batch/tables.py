@@ -281,9 +281,12 @@ def _text_cell(text: str) -> str:
 def _write_sessions(path: Path, kept: Sequence[tuple[str, Path]]) -> int:
     """Write sessions.parquet; give the number of joints of the longest arm."""
     places = [place for _, place in kept]
-    joints = max(len(_read_results(place, ()).summary["joints"]) for place in places)
+    joints = max(len(reports.read(place / RESULTS, ()).summary["joints"]) for place in places)
     columns = sessions_schema(joints)
-    rows = (session_row(_read_results(p, ("budget",)), f"{p.parent.name}/{p.name}") for p in places)
+    rows = (
+        session_row(reports.read(place / RESULTS, ("budget",)), f"{place.parent.name}/{place.name}")
+        for place in places
+    )
     every = (pa.Table.from_pylist([row], schema=columns) for row in rows)
     _write_groups(path, columns, every, MAX_SESSIONS_PER_GROUP)
     return joints
@@ -316,7 +319,3 @@ def _session_frames(session: str, place: Path, columns: pa.Schema) -> pa.Table:
     own = own.add_column(0, columns[0], [pa.repeat(session, len(own))])
     whole = pa.concat_tables([columns.empty_table(), own], promote_options="permissive")
     return whole.select(columns.names).cast(columns)
-
-
-def _read_results(place: Path, only: Sequence[str]) -> reports.Results:
-    return reports.read(place / RESULTS, only)
