@@ -16,7 +16,7 @@ from verify.io.files import refused_as_input_error
 from verify.live.outputs.terminal import TerminalDisplay
 from verify.live.recording.recorder import RecorderState
 from verify.live.registration import show
-from verify.live.registration.loop import RecordedRobot, RecordingLoop, warm_up
+from verify.live.registration.loop import RecordingLoop, warm_up
 from verify.live.station.station import (
     RecordingSettings,
     RecordingStation,
@@ -58,8 +58,7 @@ def record_session(
         devices = open_devices(station)
         recorder = station.open_recorder(MAX_LAG, MAX_LAG)
         stack.callback(recorder.close)
-        robot = RecordedRobot(station.arm, station.rig)
-        loop = RecordingLoop(robot, devices, recorder, state, terminal.warn)
+        loop = RecordingLoop(station.arm, station.rig, devices, recorder, state, terminal.warn)
         look = stack.enter_context(show_state(partial(_draw, state), shown, _printer(state)))
         defects = loop.run(stack.enter_context(stop_on_signal()), duration, look)
     _conclude(station, recorder.state(), state.snapshot(), defects)

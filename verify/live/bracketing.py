@@ -68,22 +68,24 @@ class Bracketing:
         if now is not None:
             return now
         meanwhile(taken.measurement.frame)
-        there, clock = self._placed(taken)
-        if clock is None:
-            return BracketedPair(taken, None, taken.arrived)
         longest = max(MIN_READING_TIMEOUT, TIMEOUT_PERIODS * (self._book.period() or 0.0))
-        patience = 0.0 if queued >= MAX_QUEUED else longest
-        came = self._book.wait_past(there, time.monotonic() + patience)
-        since = taken.arrived if came is None else max(taken.arrived, came)
-        return BracketedPair(taken, clock, since)
+        return self._bracketed(taken, 0.0 if queued >= MAX_QUEUED else longest)[0]
 
     def at_once(self, taken: MeasuredPair) -> BracketedPair | None:
         """Give a pair that needs no wait; None for another."""
-        there, clock = self._placed(taken)
-        if clock is None or taken.measurement.status != "measured":
-            return BracketedPair(taken, clock, taken.arrived)
-        came = self._book.wait_past(there, 0.0)
-        return None if came is None else BracketedPair(taken, clock, max(taken.arrived, came))
+        pair, ready = self._bracketed(taken, 0.0)
+        return pair if ready else None
+
+    def _bracketed(self, taken: MeasuredPair, patience: float) -> tuple[BracketedPair, bool]:
+        """Give a pair after so many s at most, and whether nothing is missing for it."""
+        measurement = taken.measurement
+        clock = self._keeper.at(measurement.t, taken.doubt)
+        if clock is None or measurement.status != "measured":
+            return BracketedPair(taken, clock, taken.arrived), True
+        there = measurement.t - clock.offset  # on the readings' clock
+        came = self._book.wait_past(there, time.monotonic() + patience)
+        since = taken.arrived if came is None else max(taken.arrived, came)
+        return BracketedPair(taken, clock, since), came is not None
 
     def compare(self, pairs: Sequence[BracketedPair]) -> list[tuple[JointRow, float]]:
         """Compare pairs, each by itself, in their order; each row with the pair's `since`."""
@@ -103,9 +105,3 @@ class Bracketing:
         if stated is not None:
             return np.full(len(there), stated)
         return np.round([self._book.half_width_about(t) / 3**0.5 for t in there], 6)
-
-    def _placed(self, taken: MeasuredPair) -> tuple[float, LiveClock | None]:
-        """Where a pair stands on the readings' clock, s, and that clock; None before a reading."""
-        measurement = taken.measurement
-        clock = self._keeper.at(measurement.t, taken.doubt)
-        return (0.0, None) if clock is None else (measurement.t - clock.offset, clock)

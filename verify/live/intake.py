@@ -193,6 +193,11 @@ class DeviceIntake:
         self._queue, self._pan = PairQueue(Pairing()), PanBuffer()
         self.troubles: dict[str, str] = {}  # defects of this program, by thread
         self._ran = False
+        self.named: dict[str, Device[object, DeviceState | CameraState]] = {
+            "left camera": devices.left,
+            "right camera": devices.right,
+            "encoders": devices.encoders,
+        }
         files, queue = devices.files, self._queue
         steps = [
             ("left camera", camera_step(devices.left, 0, queue, patient=files, differ=not files)),
@@ -200,19 +205,9 @@ class DeviceIntake:
             ("encoders", readings_step(devices.encoders, take)),
         ]
         if devices.pan is not None:
+            self.named["pan bases"] = devices.pan
             steps.append(("pan bases", readings_step(devices.pan, self._pan.add, before_pan)))
         self._threads = [PollingThread(name, step, self.fail) for name, step in steps]
-
-    @property
-    def named(self) -> dict[str, Device[object, DeviceState | CameraState]]:
-        """The devices by their names."""
-        devices = self._devices
-        named: dict[str, Device[object, DeviceState | CameraState]] = {
-            "left camera": devices.left,
-            "right camera": devices.right,
-            "encoders": devices.encoders,
-        }
-        return named if devices.pan is None else named | {"pan bases": devices.pan}
 
     def fail(self, name: str, error: BaseException) -> None:
         """Take note of a defect; the threads go on."""

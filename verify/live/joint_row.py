@@ -103,18 +103,13 @@ class Comparer:
         Returns:
             A row a pair; its status says why there is no error where there is none.
         """
-        measured = [i for i, (m, _) in enumerate(pairs) if m.status == "measured"]
-        rows = {
-            i: self._row(m, m.status, clock)
-            for i, (m, clock) in enumerate(pairs)
-            if m.status != "measured"
-        }
-        if measured:
-            told = self._rows_of_measured(
-                [pairs[i] for i in measured], readings, time_doubts[measured]
-            )
-            rows |= dict(zip(measured, told, strict=True))
-        return [rows[i] for i in range(len(pairs))]
+        of = [i for i, (m, _) in enumerate(pairs) if m.status == "measured"]
+        measured = [pairs[i] for i in of]
+        told = iter(self._rows_of_measured(measured, readings, time_doubts[of]) if of else ())
+        return [
+            next(told) if m.status == "measured" else self._row(m, m.status, clock)
+            for m, clock in pairs
+        ]
 
     def _rows_of_measured(
         self,

@@ -29,7 +29,6 @@ from verify.live.pan_follow import PanFollower
 from verify.live.protocols import Alarm, ExpectedPoses, Listener, LiveDevices, MonitoredRobot
 from verify.live.recording.recorder import SessionRecorder
 from verify.live.state import SILENCE_TIMEOUT, DeviceStatus, LiveState, device_status
-from verify.measurement.chain import Setup, measure
 
 DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
 JOIN_TIMEOUT = 3.0  # s
@@ -50,7 +49,7 @@ class LoopComputation:
     """What other processes compute for the loop."""
 
     estimate_clock: Estimator
-    measure: Callable[[Iterator[StereoPair], ExpectedPoses], Iterator[Measurement]] | None = None
+    measure: Callable[[Iterator[StereoPair], ExpectedPoses], Iterator[Measurement]]
     prepare: Callable[[StereoPair], None] = lambda _: None  # called while a pair is recorded
 
 
@@ -62,9 +61,9 @@ class LiveLoop:
         devices: open; the loop closes them.
         recorder: open; the loop closes it.
         plan: duration and alarm limits.
-        computation: None for `measure`: pairs are measured in a thread of the loop.
+        computation: by other processes.
         listeners: called with every row and alarm in the loop's threads: they must not wait.
-        state: where the loop writes its state; None makes one.
+        state: where the loop writes its state.
     """
 
     def __init__(
@@ -74,10 +73,10 @@ class LiveLoop:
         recorder: SessionRecorder,
         plan: LoopSettings,
         computation: LoopComputation,
-        listeners: Sequence[Listener] = (),
-        state: LiveState | None = None,
+        listeners: Sequence[Listener],
+        state: LiveState,
     ) -> None:
-        self.state = LiveState() if state is None else state
+        self.state = state
         self._subject, self._devices, self._recorder = subject, devices, recorder
         self._plan, self._listeners = plan, listeners
         self._book = ReadingBuffer()
@@ -94,7 +93,7 @@ class LiveLoop:
         self._joints = JointAlarms(subject.arm.dof, plan.limits, numbers)
         self._target = TargetWatch(LOSS_TIMEOUT, numbers)
         self._lost = DeviceWatch(SILENCE_TIMEOUT, numbers)
-        self._measuring = computation.measure or self._here
+        self._measuring = computation.measure
         self._prepare = computation.prepare
         self._arrivals: dict[float, tuple[float, float, CapturedPair]] = {}
         self._measured: deque[MeasuredPair] = deque()
@@ -194,9 +193,6 @@ class LiveLoop:
             with self._wake:
                 self._measuring_ended = True
                 self._wake.notify_all()
-
-    def _here(self, pairs: Iterator[StereoPair], expected: ExpectedPoses) -> Iterator[Measurement]:
-        return measure(pairs, Setup(self._subject.rig, self._subject.marker, expected), causal=True)
 
     def _taken(self) -> Iterator[CapturedPair]:
         """Pairs as they come; pictures of those that are through are let go."""

@@ -30,7 +30,7 @@ from verify.live.measuring_process import ParallelDetector
 from verify.live.outputs.listeners import AlarmCommand, JsonLines, ListenerThread
 from verify.live.outputs.terminal import render_snapshot
 from verify.live.pairing import Pairing
-from verify.live.protocols import Alarm, LiveDevices, MonitoredRobot
+from verify.live.protocols import Alarm, ExpectedPoses, LiveDevices, MonitoredRobot
 from verify.live.state import DeviceStatus, LiveState
 from verify.measurement.chain import Setup, measure
 from verify.measurement.detection.detect import detect
@@ -170,7 +170,12 @@ def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Listener]:
     recorder, listener = Memory(), Listener()
     subject = MonitoredRobot(run.arm, run.rig, run.marker, None)
     plan = LoopSettings(AlarmLimits(0.1, RATE, None), duration=seconds)
-    live = LiveLoop(subject, devices, recorder, plan, LoopComputation(estimate_offset), [listener])
+
+    def here(pairs: Iterator[StereoPair], expected: ExpectedPoses) -> Iterator[Measurement]:
+        return measure(pairs, Setup(run.rig, run.marker, expected), causal=True)
+
+    computation = LoopComputation(estimate_offset, here)
+    live = LiveLoop(subject, devices, recorder, plan, computation, [listener], LiveState())
     with without_pictures():
         live.run(threading.Event())
     assert not live._intake.troubles, "a defect is told and outlived by a run, but not by its test"
@@ -193,7 +198,7 @@ def test_a_step_or_thread_that_fails_raises_an_alarm_and_is_named_at_the_end(apa
     subject, heard = MonitoredRobot(here.run.arm, here.run.rig, here.run.marker, None), Listener()
     plan = LoopSettings(AlarmLimits(0.1, RATE, None), duration=60.0)
     computation = LoopComputation(estimate_offset, fail)
-    live = LiveLoop(subject, devices, Memory(), plan, computation, [heard])
+    live = LiveLoop(subject, devices, Memory(), plan, computation, [heard], LiveState())
     with without_pictures():
         live.run(threading.Event())
     assert [alarm.kind for alarm in heard.alarms] == ["defect"]

@@ -55,9 +55,8 @@ def render_snapshot(now: LiveSnapshot, tolerance_deg: list[float] | None) -> Ren
 
 def _joints(now: LiveSnapshot, tolerance_deg: list[float] | None) -> Table:
     table = Table(box=None, pad_edge=False)
-    for title, side in (("joint", "right"), ("error", "right"), ("± U", "right"), ("", "left")):
-        table.add_column(title, justify="right" if side == "right" else "left")
-    table.add_column("alarm", justify="right")
+    for title in ("joint", "error", "± U", "", "alarm"):
+        table.add_column(title, justify="right" if title else "left")
     row = now.row
     if row is None:
         return table

@@ -138,10 +138,8 @@ class PictureFormat:
 
 def picture_format(image: Image, raw: bytes | None) -> PictureFormat:
     """Say what kind of file a picture belongs to."""
-    height, width = image.shape[:2]
-    if raw is not None:
-        return PictureFormat(JPEG, width, height)
-    return PictureFormat(GREY if image.ndim == 2 else COLOUR, width, height)
+    coding = JPEG if raw is not None else GREY if image.ndim == 2 else COLOUR
+    return PictureFormat(coding, image.shape[1], image.shape[0])
 
 
 def picture_formats(pair: CapturedPair) -> tuple[PictureFormat, PictureFormat]:

@@ -28,12 +28,11 @@ JOIN_TIMEOUT = 10.0  # s: files that are being written are finished
 
 @dataclass(frozen=True, slots=True)
 class RecorderState:
-    """Counts of a recording, and a sentence for people."""
+    """Counts of a recording, of all its folders, and a sentence for people."""
 
     recording: bool
-    folder: Path | None  # the newest; None before the first pair
-    folders: tuple[Path, ...]  # all of this run: one for each segment of the controller's clock
-    pairs: int  # on the disk, in all folders
+    folders: tuple[Path, ...]  # one for each segment of the controller's clock
+    pairs: int  # on the disk
     readings: int
     dropped: int  # pairs whose times did not rise
     late: int  # pairs that were measured before they were on the disk
@@ -127,11 +126,10 @@ class SessionRecorder:
 
     def state(self) -> RecorderState:
         """Describe the recording."""
-        folder = self._folders[-1] if self._folders else None
         recording = not (self._trouble or self._closing)
-        folders, sentence = tuple(self._folders), self._sentence(folder)
         counts = (self._pairs, self._readings, self._dropped, self._late)
-        return RecorderState(recording, folder, folders, *counts, self._trouble, sentence)
+        folders = tuple(self._folders)
+        return RecorderState(recording, folders, *counts, self._trouble, self._sentence())
 
     def close(self) -> None:
         """Write what is under way and close the session."""
@@ -142,16 +140,16 @@ class SessionRecorder:
         if self._thread.is_alive():
             self._trouble = self._trouble or "the disk does not answer; the session stays open"
 
-    def _sentence(self, folder: Path | None) -> str:
+    def _sentence(self) -> str:
         whole = f"{self._pairs} pairs are whole"
         if self._trouble:
             return f"recording has stopped: {self._trouble}; {whole}"
         if self._closing:
             return f"recording closed: {whole}"
-        if folder is None:
+        if not self._folders:
             return "recording begins with the first pair"
         late = f"; {self._late} were measured before they were on the disk" if self._late else ""
-        return f"recording to {folder}: {whole}{late}"
+        return f"recording to {self._folders[-1]}: {whole}{late}"
 
     def _hand_over(self, content: CapturedPair | EncoderReading) -> _WriteItem | None:
         now = time.monotonic()

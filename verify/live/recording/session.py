@@ -9,6 +9,7 @@ import os
 import shutil
 from collections.abc import Mapping
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -228,15 +229,9 @@ class SessionWriter:
             OSError, InputError: the system refuses it; the session stays "open" and can be read.
         """
         self._other.shutdown(wait=True)
-        failure: OSError | None = None
-        files: list[GrowingFile] = [side.file for side in self._sides]
-        for file in (*files, self._frames, self._encoders):
-            try:
-                file.close()
-            except OSError as error:
-                failure = error
-        if failure is not None:
-            raise failure
+        with ExitStack() as stack:  # all are closed, whatever the disk says of one
+            for file in (self._encoders, self._frames, *(side.file for side in self._sides)):
+                stack.callback(file.close)
         if self._ring is not None:
             self._ring.close(keep=self._aside > 0)
         if not self._aside:

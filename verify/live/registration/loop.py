@@ -5,7 +5,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -31,19 +30,6 @@ MAX_APART = 0.25  # s between a pair and the reading that came nearest to it
 READINGS_SPAN = 2.0  # s of readings that are remembered
 
 
-@dataclass(frozen=True, slots=True)
-class RecordedRobot:
-    """The robot whose motion is recorded."""
-
-    arm: robots.Arm
-    rig: Rig | None  # None: the cameras are not calibrated
-
-    @property
-    def standing(self) -> tuple[float, float]:
-        """Angles of bases that no device reads, left and right, rad."""
-        return (0.0, 0.0) if self.rig is None else (self.rig.left.pan, self.rig.right.pan)
-
-
 def warm_up(arm: robots.Arm) -> None:
     """Load what looks for spots and counts postures: loading it later would hold all threads up."""
     chain.warm_up()
@@ -58,7 +44,8 @@ class RecordingLoop:
     """Records until it is stopped, the time is up, or the robot's program, pictures or room end.
 
     Args:
-        robot: whose motion it is.
+        arm: whose motion it is.
+        rig: the cameras; None where they are not calibrated.
         devices: open; the loop closes them.
         recorder: open; the loop closes it.
         state: where the loop writes its state.
@@ -67,15 +54,17 @@ class RecordingLoop:
 
     def __init__(
         self,
-        robot: RecordedRobot,
+        arm: robots.Arm,
+        rig: Rig | None,
         devices: LiveDevices,
         recorder: SessionRecorder,
         state: RecordingState,
         warn: Callable[[str], None],
     ) -> None:
-        self._robot, self._recorder, self._state, self._warn = robot, recorder, state, warn
-        self._intake = DeviceIntake(devices, robot.standing, self._add_reading)
-        self._coverage, self._lock = MotionCoverage(robot.arm), threading.Lock()
+        self._rig, self._recorder, self._state, self._warn = rig, recorder, state, warn
+        standing = (0.0, 0.0) if rig is None else (rig.left.pan, rig.right.pan)
+        self._intake = DeviceIntake(devices, standing, self._add_reading)
+        self._coverage, self._lock = MotionCoverage(arm), threading.Lock()
         self._readings: deque[tuple[float, Array]] = deque()  # when each came, s, and joints, rad
         self._lost = DeviceWatch(SILENCE_TIMEOUT, itertools.count(1))
         self._newest: CapturedPair | None = None
@@ -154,7 +143,7 @@ class RecordingLoop:
             spots=spots,
             height=pair.left.shape[0],
         )
-        leds = leds_seen(found, self._robot.rig)
+        leds = leds_seen(found, self._rig)
         with self._lock:
             apart, q = min(
                 ((abs(t - pair.t_left), q) for t, q in self._readings),

@@ -351,7 +351,7 @@ def test_a_second_recording_never_touches_the_first(tmp_path: Path) -> None:
     record(tmp_path, pairs_at_thirty_hertz(3))
     recorder = record(tmp_path, pairs_at_thirty_hertz(4))
     assert [len(open_session(tmp_path / name)) for name in ("session", "session-2")] == [3, 4]
-    assert recorder.state().folder == tmp_path / "session-2"
+    assert recorder.state().folders == (tmp_path / "session-2",)
 
 
 def test_a_recording_without_a_pair_leaves_no_folder(tmp_path: Path) -> None:
@@ -359,7 +359,7 @@ def test_a_recording_without_a_pair_leaves_no_folder(tmp_path: Path) -> None:
     recorder.reading(reading(1.0))
     recorder.close()
     assert list(tmp_path.iterdir()) == []
-    assert recorder.state().folder is None
+    assert recorder.state().folders == ()
 
 
 def test_room_is_kept_to_close_the_session(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

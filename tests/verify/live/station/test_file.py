@@ -336,7 +336,7 @@ def test_a_recording_holds_the_stations_settings(tmp_path: Path) -> None:
     recorder.reading(reading(1.0))
     list(recorder.keep(iter([pair(n, 1.0 + n / 30) for n in range(3)])))
     recorder.close()
-    folder = recorder.state().folder
+    folder = recorder.state().folders[-1]
     assert folder.parent == tmp_path / "recordings"
     assert re.fullmatch(r"iust_6r-\d{4}-\d\d-\d\d-\d{6}", folder.name)
     session = open_session(folder)
