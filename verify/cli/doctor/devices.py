@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 from verify.cli.doctor.machine import Finding
-from verify.core.records import Array
+from verify.core.records import SIDES, Array
 from verify.devices.melfa.reader import MelfaEncoders
 from verify.devices.protocols import CameraDevice, Device, EncoderDevice, PanDevice
 from verify.errors import InputError
@@ -22,27 +22,22 @@ WATCH_TIME = 1.0  # s from then on
 
 def check_devices(station: Station) -> list[Finding]:
     """Try all devices at once, as a run does: cameras share a bus."""
-    found: dict[str, Finding] = {}
-    cameras: tuple[CameraDevice, CameraDevice] | None = None
-    trials: dict[str, Callable[[], Finding]] = {}
+    found: list[Finding] = []
+    trials: list[Callable[[], Finding]] = []
     try:
-        cameras = station.open_cameras()
+        for side, camera in zip(SIDES, station.open_cameras(), strict=True):
+            trials.append(partial(_try_camera, f"{side} camera", camera, station))
     except InputError as error:
-        found["cameras"] = Finding("cameras", "fails", str(error))
-    for side, camera in zip(("left camera", "right camera"), cameras or (), strict=False):
-        trials[side] = partial(_try_camera, side, camera, station)
-    encoders, pan = station.open_encoders(), station.open_pan()
-    trials["encoders"] = partial(_try_encoders, encoders)
-    if pan is not None:
-        trials["pan bases"] = partial(_try_pan, pan)
+        found.append(Finding("cameras", "fails", str(error)))
+    trials.append(partial(_try_encoders, station.open_encoders()))
+    if (pan := station.open_pan()) is not None:
+        trials.append(partial(_try_pan, pan))
     with ThreadPoolExecutor(len(trials)) as pool:
-        running = {name: pool.submit(trial) for name, trial in trials.items()}
-    found |= {name: trial.result() for name, trial in running.items()}
+        running = [pool.submit(trial) for trial in trials]
+    found += [trial.result() for trial in running]
     if pan is None:
-        text = "fixed, as the rig's calibration has them"
-        found["pan bases"] = Finding("pan bases", "works", text)
-    order = ("cameras", "left camera", "right camera", "encoders", "pan bases")
-    return [found[name] for name in order if name in found]
+        found.append(Finding("pan bases", "works", "fixed, as the rig's calibration has them"))
+    return found
 
 
 def _try_camera(name: str, camera: CameraDevice, station: Station) -> Finding:

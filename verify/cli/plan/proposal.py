@@ -59,8 +59,7 @@ def proposed_rigs(
     cameras = [_camera(text) for text in values["--camera"]]
     leds = [_leds(text) for text in values["--led"]]
     baselines, distances = (
-        [_length(name, text, MIN_LENGTH, MAX_LENGTH) for text in values[name]]
-        for name in ("--baseline", "--distance")
+        [_length(name, text) for text in values[name]] for name in ("--baseline", "--distance")
     )
     return [
         proposal.ProposedRig(size, field, baseline, distance, count, circle, u)
@@ -211,13 +210,13 @@ def _leds(text: str) -> tuple[int, float]:
     return count, circle
 
 
-def _length(option: str, text: str, least: float, most: float) -> float:
+def _length(option: str, text: str) -> float:
     """Read metres, or a length with its unit; m."""
     parts = re.fullmatch(r"\s*([0-9.]+)\s*(m|mm)?\s*", text)
     value = _number(parts[1]) * (1e-3 if parts[2] == "mm" else 1.0) if parts else math.nan
-    if not least <= value <= most:
+    if not MIN_LENGTH <= value <= MAX_LENGTH:
         raise InputError(
-            option, f'"{text}"', f"a length of {least:g} to {most:g} m is expected",
+            option, f'"{text}"', f"a length of {MIN_LENGTH:g} to {MAX_LENGTH:g} m is expected",
             f"Example: {option} 0.4 (metres) or {option} 400mm",
         )  # fmt: skip
     return value

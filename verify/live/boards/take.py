@@ -109,10 +109,11 @@ class BoardCapture:
         return enough or self._devices.left.state().ended or self._devices.right.state().ended
 
     def _lines(self) -> tuple[DeviceStatus, ...]:
-        left, right, pan = self._devices.left, self._devices.right, self._devices.pan
-        states = {"left camera": left.state(), "right camera": right.state()}
-        lines = [device_status(name, state) for name, state in states.items()]
-        lines += [] if pan is None else [device_status("bases", pan.state())]
+        devices = self._devices
+        named = {"left camera": devices.left, "right camera": devices.right, "bases": devices.pan}
+        lines = [
+            device_status(n, device.state()) for n, device in named.items() if device is not None
+        ]
         return tuple(
             replace(line, sentence=self._troubles.get(line.name, line.sentence)) for line in lines
         )
