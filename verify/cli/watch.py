@@ -25,7 +25,7 @@ from verify.io.series import ALARM_COLUMNS
 from verify.io.session.keys import Tolerance
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import ESTIMATE_TIMEOUT, ClockRequest, estimate_offset
-from verify.live.loop import LiveLoop, LoopComputation, LoopSettings
+from verify.live.loop import LiveLoop, LoopComputation
 from verify.live.measuring_process import MeasuringProcess
 from verify.live.outputs import listeners as outputs
 from verify.live.outputs.metrics import MetricsServer
@@ -107,10 +107,12 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         computation = LoopComputation(
             lambda request: clock.ask(request, ESTIMATE_TIMEOUT), chain.measure, chain.prepare
         )
-        devices, settings = open_devices(station), LoopSettings(limits, options.duration)
+        devices = open_devices(station)
         if station.follow and isinstance(devices.pan, PanDrive):
             devices = replace(devices, turn=devices.pan.turn_to)
-        live = LiveLoop(subject, devices, recorder, settings, computation, listeners, state)
+        live = LiveLoop(
+            subject, devices, recorder, limits, options.duration, computation, listeners, state
+        )
         stack.enter_context(_frozen_garbage_collector())
         degrees = None if joints is None else np.rad2deg(joints).tolist()
         look = stack.enter_context(

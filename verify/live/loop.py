@@ -37,14 +37,6 @@ MAX_PAIRS_IN_PROGRESS = 8  # pairs between the cameras and the comparison, at mo
 
 
 @dataclass(frozen=True, slots=True)
-class LoopSettings:
-    """Limits and duration of a run."""
-
-    limits: AlarmLimits
-    duration: float | None = None  # s; None: until it is stopped
-
-
-@dataclass(frozen=True, slots=True)
 class LoopComputation:
     """What other processes compute for the loop."""
 
@@ -60,7 +52,8 @@ class LiveLoop:
         subject: the robot and the cameras.
         devices: open; the loop closes them.
         recorder: open; the loop closes it.
-        plan: duration and alarm limits.
+        limits: of the alarms.
+        duration: s; None: until it is stopped.
         computation: by other processes.
         listeners: called with every row and alarm in the loop's threads: they must not wait.
         state: where the loop writes its state.
@@ -71,14 +64,15 @@ class LiveLoop:
         subject: MonitoredRobot,
         devices: LiveDevices,
         recorder: SessionRecorder,
-        plan: LoopSettings,
+        limits: AlarmLimits,
+        duration: float | None,
         computation: LoopComputation,
         listeners: Sequence[Listener],
         state: LiveState,
     ) -> None:
         self.state = state
         self._subject, self._devices, self._recorder = subject, devices, recorder
-        self._plan, self._listeners = plan, listeners
+        self._duration, self._listeners = duration, listeners
         self._book = ReadingBuffer()
         self._keeper = ClockKeeper(
             subject.arm, subject.rig, self._book, subject.clock, computation.estimate_clock
@@ -90,7 +84,7 @@ class LiveLoop:
         turning = devices.pan is not None
         self._bracketing = Bracketing(subject, self._book, self._keeper, turning=turning)
         self._numbers = numbers = itertools.count(1)
-        self._joints = JointAlarms(subject.arm.dof, plan.limits, numbers)
+        self._joints = JointAlarms(subject.arm.dof, limits, numbers)
         self._target = TargetWatch(LOSS_TIMEOUT, numbers)
         self._lost = DeviceWatch(SILENCE_TIMEOUT, numbers)
         self._measuring = computation.measure
@@ -164,7 +158,7 @@ class LiveLoop:
     def _over(self, begin: float, stop: threading.Event) -> bool:
         if stop.is_set() or self._measuring_ended:
             return True
-        if self._plan.duration is not None and time.monotonic() - begin >= self._plan.duration:
+        if self._duration is not None and time.monotonic() - begin >= self._duration:
             return True
         return self._intake.over()
 

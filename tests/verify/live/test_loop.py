@@ -25,7 +25,7 @@ from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import estimate_offset
 from verify.live.intake import MAX_QUEUED_PAIRS, REPEATED, PairQueue, PollingThread, camera_step
 from verify.live.joint_row import JointRow
-from verify.live.loop import LiveLoop, LoopComputation, LoopSettings
+from verify.live.loop import LiveLoop, LoopComputation
 from verify.live.measuring_process import ParallelDetector
 from verify.live.outputs.listeners import AlarmCommand, JsonLines, ListenerThread
 from verify.live.outputs.terminal import render_snapshot
@@ -169,13 +169,15 @@ def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Listener]:
     devices = LiveDevices(PlayedCamera(stage, 0), PlayedCamera(stage, 1), PlayedEncoders(stage))
     recorder, listener = Memory(), Listener()
     subject = MonitoredRobot(run.arm, run.rig, run.marker, None)
-    plan = LoopSettings(AlarmLimits(0.1, RATE, None), duration=seconds)
+    limits = AlarmLimits(0.1, RATE, None)
 
     def here(pairs: Iterator[StereoPair], expected: ExpectedPoses) -> Iterator[Measurement]:
         return measure(pairs, Setup(run.rig, run.marker, expected), causal=True)
 
     computation = LoopComputation(estimate_offset, here)
-    live = LiveLoop(subject, devices, recorder, plan, computation, [listener], LiveState())
+    live = LiveLoop(
+        subject, devices, recorder, limits, seconds, computation, [listener], LiveState()
+    )
     with without_pictures():
         live.run(threading.Event())
     assert not live._intake.troubles, "a defect is told and outlived by a run, but not by its test"
@@ -196,9 +198,9 @@ def test_a_step_or_thread_that_fails_raises_an_alarm_and_is_named_at_the_end(apa
     here = stage()
     devices = LiveDevices(PlayedCamera(here, 0), PlayedCamera(here, 1), PlayedEncoders(here))
     subject, heard = MonitoredRobot(here.run.arm, here.run.rig, here.run.marker, None), Listener()
-    plan = LoopSettings(AlarmLimits(0.1, RATE, None), duration=60.0)
+    limits = AlarmLimits(0.1, RATE, None)
     computation = LoopComputation(estimate_offset, fail)
-    live = LiveLoop(subject, devices, Memory(), plan, computation, [heard], LiveState())
+    live = LiveLoop(subject, devices, Memory(), limits, 60.0, computation, [heard], LiveState())
     with without_pictures():
         live.run(threading.Event())
     assert [alarm.kind for alarm in heard.alarms] == ["defect"]

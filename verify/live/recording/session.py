@@ -119,7 +119,7 @@ class SessionWriter:
     ) -> None:
         self._folder, self._kinds = folder, matroska.picture_formats(first)
         self._facts, self._started = facts, started
-        self._begin: float | None = None
+        self._begin = first.t_left
         self._last_t = float("-inf")
         self._half_widths = 0.0  # s², sum of squares
         folder.mkdir(parents=True)
@@ -186,8 +186,6 @@ class SessionWriter:
             OSError: the system refuses it; the session is as before.
         """
         self._check_disk(pair)
-        if self._begin is None:
-            self._begin = pair.t_left
         t = pair.t_left - self._begin
         left, right = self._sides
         of_right = self._other.submit(right.attempt, pair.right, pair.right_raw, t)
