@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from verify.core.records import Array
 from verify.live.alarms.innovations import MAX_REPEATED, Innovation, InnovationFilter
 
 DIRECTIONS = np.array([[1.0], [-1.0]])
@@ -43,14 +42,8 @@ class Cusum:
 
     def take(self, innovation: Innovation) -> None:
         """Add a pair."""
-        length = np.sqrt(np.sum(innovation.joints**2, axis=0))
-        score: Array = np.divide(
-            innovation.residual @ innovation.joints,
-            length,
-            out=np.zeros_like(length),
-            where=length > 0,
-        )
-        self.sums = np.maximum(self.sums + DIRECTIONS * score - REFERENCE, 0.0)
+        score = DIRECTIONS * innovation.along_joints
+        self.sums = np.maximum(self.sums + score - REFERENCE, 0.0)
         self._since = np.where(self.sums > 0, self._since + 1, 0)
         self.count += 1
 

@@ -60,6 +60,14 @@ class Innovation:
     residual: Array  # (d,)
     joints: Array  # (d, j), of an offset of each joint, a rad
 
+    @property
+    def along_joints(self) -> Array:
+        """How far the residual goes along each joint's column, (j,); 0 where that is zero."""
+        length = np.sqrt(np.sum(self.joints**2, axis=0))
+        along: Array = np.zeros_like(length)
+        np.divide(self.residual @ self.joints, length, out=along, where=length > 0)
+        return along
+
 
 @dataclass(frozen=True, slots=True)
 class Supposition:
@@ -70,12 +78,6 @@ class Supposition:
     standard_uncertainty: float  # rad, if it is constant
     misfit: float  # chi² a direction of the pairs from the change on; 1 where it explains them
     own_share: float  # of that chi²: what another size in each pair would explain
-
-
-def project_on(residual: Array, column: Array) -> float:
-    """How far a residual goes along a column, 0 where the column is."""
-    length = math.sqrt(column @ column)
-    return float(residual @ column) / length if length > 0 else 0.0
 
 
 class InnovationFilter:
@@ -112,23 +114,27 @@ class InnovationFilter:
         before = (self._t, self._clock)
         self._past.append(_FilterStep(t, evidence, clock, self._x, self._p.copy(), before))
         innovation, by_noise, _ = self._update(t, evidence, clock)
-        self._learn_spread(by_noise)
+        self._recent.append(by_noise)
+        self._count += 1
+        if self._count % RENEWAL_PERIOD == 0:
+            self._renew_spread()
         return innovation
 
-    def suppose(self, joint: int, pairs: int, late: int = 0) -> Supposition:
+    def suppose(self, joint: int, pairs: int, late: int) -> Supposition:
         """Suppose that a joint's reading changed some pairs ago, and see how well that explains.
 
         The joint is counted from 0; `pairs` are gone through again, the first `late` of them came
         before the change.
         """
         kept = (self._x, self._p, self._t, self._clock)
-        cost, news = self._again((joint,), self._last(pairs), late)
+        moments = list(self._past)[-pairs:]
+        cost, news = self._again((joint,), moments, late)
         place = self._prior_width + 1 + joint
-        before = self._last(pairs)[0].x[place]  # of a joint that was known to be off already
+        before = moments[0].x[place]  # of a joint that was known to be off already
         size, spread = float(self._x[place] - before), float(self._p[place, place])
         self._x, self._p, self._t, self._clock = kept
         chi2 = sum(float(one.residual @ one.residual) for one in news)
-        own = sum(project_on(one.residual, one.joints[:, joint]) ** 2 for one in news)
+        own = sum(float(one.along_joints[joint]) ** 2 for one in news)
         directions = max(sum(len(one.residual) for one in news), 1)  # none: another prior since
         share = own / chi2 if chi2 > 0 else 1.0
         return Supposition(cost, size, math.sqrt(spread), chi2 / directions, share)
@@ -140,14 +146,11 @@ class InnovationFilter:
         and base take its blame.
         """
         self._open.update(joints)
-        self._again(joints, self._last(pairs))
+        self._again(joints, list(self._past)[-pairs:])
         self._past.clear()
         for _ in range(min(pairs, len(self._recent))):
             self._recent.pop()  # a fault's pairs say nothing of the noise
         self._renew_spread()
-
-    def _last(self, pairs: int) -> list[_FilterStep]:
-        return list(self._past)[-pairs:] if pairs else []
 
     def _again(
         self, joints: tuple[int, ...], moments: list[_FilterStep], late: int = 0
@@ -156,12 +159,9 @@ class InnovationFilter:
 
         Returns -2 log likelihood (but for a constant), and what those pairs brought from then on.
         """
-        if moments:
-            self._x, self._p = moments[0].x, moments[0].p.copy()
-            self._t, self._clock = moments[0].before
+        self._x, self._p = moments[0].x, moments[0].p.copy()
+        self._t, self._clock = moments[0].before
         opened = [self._prior_width + 1 + joint for joint in joints]
-        if not moments:
-            self._p[opened, opened] += U_FAULTY_JOINT**2
         cost, news = 0.0, []
         for number, moment in enumerate(moments):
             if number == late:
@@ -237,14 +237,8 @@ class InnovationFilter:
         for joint in self._open:
             diagonal[width + 1 + joint] += FAULT_RANDOM_WALK**2 * elapsed
 
-    def _learn_spread(self, by_noise: Array) -> None:
-        """Measure how far the innovations exceed and repeat each other; every so many pairs."""
-        self._recent.append(by_noise)
-        self._count += 1
-        if self._count % RENEWAL_PERIOD == 0:
-            self._renew_spread()
-
     def _renew_spread(self) -> None:
+        """Measure how far the innovations exceed and repeat each other."""
         if len(self._recent) < MIN_INNOVATIONS:
             return
         rows = np.array(self._recent)
