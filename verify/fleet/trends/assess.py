@@ -282,8 +282,7 @@ def _day(moment: Any) -> str | None:
 def _summary(
     sessions: pd.DataFrame, failures: pd.DataFrame, request: TrendRequest, every: list[JointSeries]
 ) -> dict[str, Any]:
-    dated = sessions["started"].dropna()
-    verdicts = sessions["verdict"].value_counts()
+    started, verdicts = sessions["started"], sessions["verdict"].value_counts()
     return {
         "kind": "fleet",
         "format": 1,
@@ -292,9 +291,9 @@ def _summary(
             "measured": len(sessions),
             "failed": int((failures["kind"] != COPY).sum()),
             "copies": int((failures["kind"] == COPY).sum()),
-            "undated": len(sessions) - len(dated),
-            "first": _day(dated.min()) if len(dated) else None,
-            "last": _day(dated.max()) if len(dated) else None,
+            "undated": int(started.isna().sum()),
+            "first": _day(started.min()),
+            "last": _day(started.max()),
             "pairs_recorded": int(sessions["pairs_recorded"].sum()),
             "pairs_measured": int(sessions["pairs_measured"].sum()),
         },
