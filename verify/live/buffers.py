@@ -1,5 +1,6 @@
 """Buffers of the latest encoder readings and base angles: look up an instant, or wait for it."""
 
+import math
 import threading
 import time
 from collections import deque
@@ -34,18 +35,19 @@ class ReadingSeries:
 
     def add(self, reading: EncoderReading) -> None:
         """Append a reading."""
-        row = (reading.t, reading.t_host, reading.half_width, *reading.q)
         if self._end == len(self._kept):  # move what is there into twice the room
-            rows = self.rows.reshape(-1, len(row))
-            self._kept = np.empty((max(2 * len(rows), INITIAL_CAPACITY), len(row)))
+            rows = self.rows.reshape(-1, 3 + len(reading.q))
+            self._kept = np.empty((max(2 * len(rows), INITIAL_CAPACITY), rows.shape[1]))
             self._kept[: len(rows)] = rows
             self._first, self._end = 0, len(rows)
-        self._kept[self._end] = row
+        self._kept[self._end, :3] = reading.t, reading.t_host, reading.half_width
+        self._kept[self._end, ANGLES] = reading.q
         self._end += 1
 
     def drop_before(self, t: float) -> None:
         """Drop the readings before an instant."""
-        self._first += int(np.searchsorted(self.t, t))
+        while self._first < self._end and self._kept[self._first, TIME] < t:
+            self._first += 1
 
     def copied(self, begin: int) -> Readings | None:
         """Readings from one of them on, counted from the oldest; None where there is none."""
@@ -86,6 +88,7 @@ class ReadingBuffer:
     def __init__(self) -> None:
         self._arrived = threading.Condition()
         self._series = ReadingSeries()
+        self._newest = -math.inf  # s, controller's clock
         self._delay = LeastDelay()
         self.segment: int | None = None
 
@@ -94,9 +97,10 @@ class ReadingBuffer:
         with self._arrived:
             if reading.segment != self.segment:
                 self._series, self._delay = ReadingSeries(), LeastDelay()
-                self.segment = reading.segment
-            if self._reached(reading.t):
+                self.segment, self._newest = reading.segment, -math.inf
+            if reading.t <= self._newest:
                 return  # a driver promises rising times; a spline needs them
+            self._newest = reading.t
             self._series.add(reading)
             self._delay.add(reading)
             self._series.drop_before(reading.t - READING_SPAN)
@@ -119,14 +123,9 @@ class ReadingBuffer:
         Returns when that was in hand; this and the deadline in s of the host's monotonic clock.
         """
         with self._arrived:
-            self._arrived.wait_for(lambda: self._reached(t), deadline - time.monotonic())
-            if not self._reached(t):
+            if not self._arrived.wait_for(lambda: self._newest >= t, deadline - time.monotonic()):
                 return None
             return float(self._series.rows[np.searchsorted(self._series.t, t), ARRIVAL])
-
-    def _reached(self, t: float) -> bool:
-        """Whether there is a reading at or after an instant; called with the lock held."""
-        return bool(np.any(self._series.t[-1:] >= t))
 
     def about(self, t: float) -> Readings | None:
         """Readings about an instant t (s, controller's clock), for its angle and speed.
