@@ -28,6 +28,8 @@ MAX_GAUGE_STEPS = 12  # Newton on a turn: from half a turn away it takes six
 TOL_GAUGE = 1e-9  # rad
 NO_WEIGHT = 1e8  # on a covariance: less than what any session could tell
 TOL_SINGULAR = 1e-9  # of the largest singular value: what a singularity leaves of one
+GROSS_ERROR = np.deg2rad(3.0)  # of a joint: first order says it to some per mille
+MAX_APART, LEVELS = np.deg2rad(1.0), 2  # of pairs about such an error; before and after a step
 MAX_PLAIN = 1e4  # product of entries' sizes: no singular value is near TOL_SINGULAR
 # A direction that moves a joint less than this share of the most moved one is rounding.
 MIN_MOTION = 1e-6
@@ -164,18 +166,26 @@ def propagate(jacobian: Array, variance: Array) -> Array:
     return np.asarray((jacobian * variance[:, None]) @ jacobian.swapaxes(1, 2))
 
 
-def relinearise(comparison: Comparison, arm: robots.Arm, error: Array) -> Comparison:
+def relinearise(comparison: Comparison, arm: robots.Arm, error: Array, gross: Array) -> Comparison:
     """Take the Jacobian halfway between readings and truth, for such errors, (j,) or (n, j).
 
-    There the first order is exact to the third: a joint that is 3° off accuses no neighbour.
+    There the first order is exact to the third: a joint that is 3° off accuses no neighbour. Of
+    what joints are grossly off by, `gross` (n, j), it is taken at the truth, and xi is what J
+    makes of that beside the rest.
     """
-    flange, jacobian = robots.forward_and_jacobian(arm, comparison.q - error / 2)
-    rough = comparison.local_noise**2 - comparison.reading_noise**2  # lies along the Jacobian, too
-    moved = propagate(jacobian, rough) - propagate(comparison.jacobian, rough)
+    flange, jacobian = robots.forward_and_jacobian(arm, comparison.q - (error + gross) / 2)
+    xi = comparison.xi
+    if gross.any():
+        rest = robots.forward(arm, comparison.q - gross)
+        xi = twist_difference(rest, comparison.base_T_measured)
+        xi = xi + (jacobian @ gross[:, :, None])[:, :, 0]
+    noise = comparison.local_noise**2  # lies along the Jacobian, too
+    moved = propagate(jacobian, noise) - propagate(comparison.jacobian, noise)
     return replace(
         comparison,
         jacobian=jacobian,
         base_T_jacobian=flange,
+        xi=xi,
         covariance=comparison.covariance + moved,
     )
 
@@ -257,6 +267,25 @@ def twist_transport(shift: Array) -> Array:
     carry = np.broadcast_to(np.eye(6), (*shift.shape[:-1], 6, 6)).copy()
     carry[..., :3, :] = rigid_columns(shift)  # rho + phi x shift
     return carry
+
+
+def gross_errors(error: Array) -> Array:
+    """What joints are off by where first order does not say it well, (n, j); elsewhere 0.
+
+    `error` (n, j), rad; nan where not known. Taken are levels at which a joint stays: of most
+    pairs, and of most of the others. What changes from pair to pair is no error of a reading.
+    """
+    gross = np.zeros(error.shape)
+    for j, own in enumerate(error.T):
+        left = ~np.isnan(own)
+        for _ in range(LEVELS):
+            level = np.median(own[left]) if left.any() else 0.0
+            near = left & (np.abs(own - level) < MAX_APART)
+            if 2 * near.sum() < left.sum() or not left.any():
+                break
+            gross[near, j] = level if abs(level) > GROSS_ERROR else 0.0
+            left &= ~near
+    return gross
 
 
 @lru_cache(maxsize=4)  # a search for the clock's offset asks for the same tracks

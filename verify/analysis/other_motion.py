@@ -23,8 +23,14 @@ import numpy as np
 
 import robots
 from robots.transforms import carry, difference, invert
-from verify.analysis.clock.estimate import ClockEstimate, estimate_clock, shown_offset
+from verify.analysis.clock.estimate import (
+    ClockEstimate,
+    estimate_clock,
+    gross_zeros,
+    shown_offset,
+)
 from verify.analysis.clock.search import are_visits, coarse_costs
+from verify.analysis.diagnosis.faults import MAX_OFFSET
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import (
     LEVER,
@@ -54,7 +60,6 @@ MIN_REACHED = 0.5  # of the pairs
 MIN_CONDITION = 0.5  # of the typical one, as singular values go: a wrist stretched out tells little
 HIGH = 0.9  # quantile over pairs: a joint is near 0 in most poses, and there its sign is nothing
 MAX_STRAY = np.deg2rad(2.0)  # that faults and the clock leave, of joints and of screw motions
-MAX_OFFSET = np.deg2rad(45.0)  # of an encoder that is at fault
 MAX_GAIN = 0.1  # likewise; more is a wrong unit or ratio
 MIN_TRAVEL = np.deg2rad(5.0)  # of a joint whose gain is sought
 FAULT_STEP = np.deg2rad(5.0)  # from one offset that is tried to the next
@@ -82,10 +87,15 @@ def refuse_other_motion(
     if _is_frozen(written, clock.offset):
         raise refusal(session, written, "the readings never change while the flange moves")
     _refuse_standing(session, written, clock, part=True)
-    refuse_late(session, written, clock.offset)
+    gross = gross_zeros(track, arm, readings, clock.offset)
+    plain = replace(written, readings=Readings(readings.t, readings.q - gross))
+    zeros = bool(gross.any()) and _large_error(plain, clock.offset) < CLEAR_ERROR
+    refuse_late(session, plain if zeros else written, clock.offset)
     typical = _large_error(written, clock.offset)
     if typical < MAX_ERROR:
         return
+    if zeros and np.count_nonzero(gross) == 1 and np.abs(gross).max() < MAX_OFFSET:
+        return  # one encoder's zero
     shown = shown_offset(track, arm, readings, clock)
     if shown is not None and _large_error(written, shown) < MAX_LEFT_SHARE * typical:
         return  # a clock that is somewhat off is a cause like others

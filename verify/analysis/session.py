@@ -13,6 +13,7 @@ from verify.analysis.comparison import (
     Comparison,
     ReadingUncertainty,
     compare,
+    gross_errors,
     inflate_covariance,
     relinearise,
     solve_joints,
@@ -236,7 +237,8 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
     # a step, readings that stand or a rough stretch leave some pairs far from what is typical
     rough = start.local_noise > 2 * start.reading_noise
     far = known & (rough | (np.abs(error - typical) > MIN_FAR))
-    middle = relinearise(start, session.arm, np.where(far, error, typical))
+    expected, gross = np.where(far, error, typical), gross_errors(joints.error)
+    middle = relinearise(start, session.arm, expected, gross)
     middle = replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
 
     def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:

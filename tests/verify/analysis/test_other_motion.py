@@ -326,6 +326,29 @@ def test_an_offset_and_a_slipped_belt_are_faults(
         judge(recording, q)
 
 
+@pytest.mark.parametrize("zeros_deg", [(0, 20, 0, 0, 0, 0), (25, 0, -15, 0, 0, 0)])
+@pytest.mark.parametrize("given", [False, True])
+def test_zeros_that_are_tens_of_degrees_off_are_named_and_accuse_nobody_else(
+    seen: tuple[Session, MeasuredSession], zeros_deg: tuple[float, ...], given: bool
+) -> None:
+    """Far beyond what first order about the readings says."""
+    session, fault = seen[0], np.array([0, 0.35, 0, 0, 0, 0])
+    session = replace(session, clock=Clock(0.085, 1e-4) if given else None)
+    log = Readings(session.encoders.t, session.encoders.q + np.deg2rad(zeros_deg))
+    clock = session_clock(session, seen[1].track, log)
+    assert clock.offset == pytest.approx(0.085, abs=2e-4)
+    refuse_other_motion(session, seen[1].track, log, clock)
+    compared, _ = compare_session(session, seen[1], log, clock)
+    _, found, resolved = session_model(compared)
+    truth = fault + zeros_deg
+    assert [cause.kind for cause in found.causes] == ["offset"] * np.count_nonzero(truth)
+    for cause in found.causes:
+        off = cause.value - np.deg2rad(truth[(cause.joint or 0) - 1])
+        assert abs(off) < 4 * cause.standard_uncertainty
+    assert np.rad2deg(resolved.mean) == pytest.approx(truth, abs=0.01)
+    assert np.rad2deg(np.diag(resolved.mean_covariance) ** 0.5).max() < 0.01
+
+
 @pytest.mark.parametrize("size_deg", [5.0, pytest.param(15.0, marks=pytest.mark.slow)])
 def test_a_belt_that_slips_hides_no_clock_and_accuses_nobody_else(
     seen: tuple[Session, MeasuredSession], size_deg: float

@@ -31,7 +31,7 @@ from verify.analysis.clock.search import (
     coarse_costs,
     dips,
 )
-from verify.analysis.comparison import Comparison, compare
+from verify.analysis.comparison import Comparison, compare, gross_errors
 from verify.analysis.least_squares import autocorrelation, whiten
 from verify.core.readings import Readings
 from verify.core.records import Array
@@ -129,6 +129,11 @@ def _search(
     if not len(curve):
         return open_clock
     sample = subset(track, spread(len(track), MAX_PAIRS_COMPARED))
+    lowest = float(curve[np.argmin(curve[:, 1]), 0])
+    gross = gross_zeros(sample, arm, readings, lowest)
+    if gross.any():
+        readings = Readings(readings.t, readings.q - gross)
+        curve = coarse_costs(track, arm, readings, guess, overlap)
     likely = sorted(dips(curve), key=lambda o: _penalty(track.t, readings, o, arrival))[:MAX_DIPS]
     fits = (_refine(sample, arm, readings, o, likely[:n], TOL_START) for n, o in enumerate(likely))
     starts = _merge([fit[0] for fit in fits if fit is not None])
@@ -142,6 +147,18 @@ def _search(
     if fine is None or fine[1] > MAX_UNCERTAINTY:
         return open_clock
     return ClockEstimate(*fine, "ambiguous" if rivals else "estimated", curve, rivals)
+
+
+def gross_zeros(track: Track, arm: robots.Arm, readings: Readings, offset: float) -> Array:
+    """What readings are off by in most pairs, (j,), rad; 0 where it is no gross error, or open."""
+    whole = readings.available(track.t - offset) & (track.known_dof == 6)
+    if arm.dof != 6 or not whole.any():
+        return np.zeros(arm.dof)
+    q = readings.at((track.t - offset)[whole])
+    measured, reached = robots.nearest(arm, track.base_T_flange[whole], q)
+    apart = (q - measured)[reached]
+    wrapped = np.arctan2(np.sin(apart), np.cos(apart))
+    return np.median(gross_errors(wrapped), axis=0) if len(wrapped) else np.zeros(arm.dof)
 
 
 def _unshown_offset(

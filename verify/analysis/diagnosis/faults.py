@@ -41,6 +41,7 @@ from verify.measurement.systematics import sensitivities, spot_columns
 
 Name = tuple[str, int | None, str | None]
 Wave = tuple[int, float, float]  # a turn, and coefficients of cosine and sine, rad
+MAX_OFFSET = np.deg2rad(45.0)  # of an encoder's zero: more is another branch or another robot
 # beyond this, first order says nothing, and a column is what rounding leaves; m, rad, ratio
 MAX_SIZE = {"deg": np.deg2rad(20.0), "mm": 0.05, "ratio": 0.3}
 MAX_SHIFT = 1.0  # m, of base or LED body, whose effect has no other order
@@ -103,6 +104,8 @@ class Fault:
         """Largest coefficients that may be told, (p,), SI; infinite where there is no bound."""
         if self.freedom == WHOLE_POSE and self.unit == "mm":  # three shifts and three turns
             return np.repeat([MAX_SHIFT, MAX_SIZE["deg"]], 3)
+        if self.kind == "offset":
+            return np.full(1, MAX_OFFSET)
         if self.unit not in MAX_SIZE and self.shape is not None and self.shape.any():
             return np.asarray(MAX_SIZE["deg"] / np.abs(self.shape).max(axis=0))  # of its error
         return np.full(self.freedom, MAX_SIZE.get(self.unit, np.inf))

@@ -7,7 +7,7 @@ of the faults' columns and of the errors; any set is then solved in a few small 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations
+from itertools import combinations, islice
 
 import numpy as np
 from numpy.typing import NDArray
@@ -60,8 +60,7 @@ class FaultProducts:
         scale = np.where(whole > 0, whole, 1.0)
         size = np.append(scale, 1.0)
         products /= np.outer(size, size)
-        ends = np.cumsum([f.freedom for f in faults])
-        places = [np.arange(end - f.freedom, end) for f, end in zip(faults, ends, strict=True)]
+        places = _places(faults)
         gram = products[:-1, :-1].copy()
         least, narrowest = np.empty(len(faults)), np.empty(len(faults))
         for which, at in _group_by_columns(places):
@@ -82,6 +81,16 @@ class FaultProducts:
         return replace(
             self, moment=self.moment / root, power=self.power / misfit, scale=self.scale / root
         )
+
+    def of_some(self, chosen: list[int]) -> "FaultProducts":
+        """The same of some faults alone, each at the price that it has among all."""
+        at, kept = self.columns(tuple(chosen)), np.array(chosen, dtype=np.int64)
+        faults = [self.faults[i] for i in chosen]
+        return replace(
+            self, faults=faults, gram=self.gram[np.ix_(at, at)], moment=self.moment[at],
+            scale=self.scale[at], places=_places(faults), visible=self.visible[kept],
+            price=self.price[kept],
+        )  # fmt: skip
 
     @cached_property
     def largest(self) -> Array:
@@ -150,6 +159,12 @@ class FaultProducts:
     def cost(self, chosen: FaultSet) -> float:
         """The criterion: misfit and the prices of what is listed."""
         return self.chi2(chosen) + float(self.price[list(chosen)].sum())
+
+
+def _places(faults: list[Fault]) -> list[NDArray[np.int64]]:
+    """Columns of each fault, one after the other."""
+    ends = np.cumsum([f.freedom for f in faults])
+    return [np.arange(end - f.freedom, end) for f, end in zip(faults, ends, strict=True)]
 
 
 def _least_eigenvalue(block: Array) -> Array:
@@ -235,7 +250,7 @@ def _grow(
     least, best = products.cost(start), start
     beam, idle = [(least, best)], 0
     while len(beam[0][1]) < MAX_CAUSES and idle < MAX_SIZES_WITHOUT_GAIN:
-        beam = [(products.cost(c), c) for c in _extend_sets(products, beam, barred, width)]
+        beam = _extend_sets(products, beam, barred, width)
         if not beam:
             break
         idle += 1
@@ -247,8 +262,12 @@ def _grow(
 
 def _extend_sets(
     products: FaultProducts, beam: list[tuple[float, FaultSet]], barred: FaultSet, width: int
-) -> list[FaultSet]:
-    """The best sets with one fault more than those of known cost."""
+) -> list[tuple[float, FaultSet]]:
+    """The best sets with one fault more than those of known cost, and what they cost.
+
+    Large errors leave many sets of which a member is larger than may be told: they keep no others
+    from the beam.
+    """
     found: dict[FaultSet, float] = {}
     for cost, chosen in beam:
         lowered = products.added(chosen)
@@ -256,4 +275,5 @@ def _extend_sets(
         for i in np.argsort(products.price - lowered)[:width].tolist():
             if lowered[i] > 0:
                 found[tuple(sorted((*chosen, i)))] = cost - lowered[i] + float(products.price[i])
-    return sorted(found, key=lambda c: found[c])[:width]
+    costs = ((products.cost(c), c) for c in sorted(found, key=lambda c: found[c]))
+    return list(islice((one for one in costs if np.isfinite(one[0])), width))

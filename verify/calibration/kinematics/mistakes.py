@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from robots import Arm, forward
+from verify.analysis.diagnosis.faults import MAX_OFFSET
 from verify.analysis.mistakes import LEVER, joint_mistakes, pose_mistakes
-from verify.analysis.other_motion import MAX_OFFSET
 from verify.calibration.kinematics.chain import (
     Parameter,
     chain_of,

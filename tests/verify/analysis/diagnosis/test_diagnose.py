@@ -142,8 +142,10 @@ def test_no_drift_is_told_by_which_a_joint_would_be_20_degrees_off() -> None:
 
 
 def test_an_eccentricity_comes_with_its_phase_and_number_of_waves() -> None:
-    entry = cause_entry(found(2, FAULTS["eccentricity"][1]).causes[0])
+    seen = found(2, FAULTS["eccentricity"][1])
+    entry = cause_entry(seen.causes[0])
     assert entry["per_turn"] == 3
+    assert len(detectable(seen.products)) == len(detectable(found(2).products))
     turn = (entry["phase_deg"] - np.rad2deg(0.4) + 60) % 120 - 60  # the same again after 120°
     assert abs(turn) < 3
 
