@@ -57,7 +57,7 @@ class Cell:
 
     @property
     def port(self) -> int:
-        return int(self.page.url.split(":")[2].split("/")[0])
+        return int(self.page._page.url.split(":")[2].split("/")[0])
 
     def line(self, **settings: Any) -> Any:
         """A viewer's line, from the page's own origin; it takes what comes without being read."""

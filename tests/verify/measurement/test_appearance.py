@@ -8,7 +8,7 @@ from numpy.testing import assert_allclose
 
 from robots.transforms import difference
 from tests.bench.coverage import before_a_room
-from tests.support.simulated import in_memory, marker_of, scene
+from tests.support.simulated import in_memory, marker_of, rendered, scene
 from verify.core.records import Array
 from verify.measurement.alignment import RawSightings
 from verify.measurement.appearance import WIDTH_FADING, Appearance
@@ -112,7 +112,7 @@ def test_poses_from_half_leds_before_texture_are_as_uncertain_as_they_say() -> N
         truth = session.world.rig_T_flange(session.t[:, 0])
         chi2 = [
             off @ np.linalg.solve(m.pose.covariance, off) / 6
-            for m in measure(session.pairs(), Setup(session.rig, session.marker))
+            for m in measure(rendered(session), Setup(session.rig, session.marker))
             if m.pose is not None
             for off in [difference(m.pose.rig_T_flange, truth[m.frame])]
         ]
