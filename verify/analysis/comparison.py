@@ -28,11 +28,11 @@ MAX_GAUGE_STEPS = 12  # Newton on a turn: from half a turn away it takes six
 TOL_GAUGE = 1e-9  # rad
 NO_WEIGHT = 1e8  # on a covariance: less than what any session could tell
 TOL_SINGULAR = 1e-9  # of the largest singular value: what a singularity leaves of one
-GROSS_ERROR = np.deg2rad(3.0)  # of a joint: first order says it to some per mille
-MAX_APART, LEVELS = np.deg2rad(1.0), 2  # of pairs about such an error; before and after a step
 MAX_PLAIN = 1e4  # product of entries' sizes: no singular value is near TOL_SINGULAR
 # A direction that moves a joint less than this share of the most moved one is rounding.
 MIN_MOTION = 1e-6
+GROSS_ERROR = np.deg2rad(3.0)  # of a joint: first order says it to some per mille
+MAX_APART, LEVELS = np.deg2rad(1.0), 2  # of pairs about such an error; before and after a step
 
 
 @dataclass(frozen=True, slots=True)
@@ -279,9 +279,11 @@ def gross_errors(error: Array) -> Array:
     for j, own in enumerate(error.T):
         left = ~np.isnan(own)
         for _ in range(LEVELS):
-            level = np.median(own[left]) if left.any() else 0.0
+            if not left.any():
+                break
+            level = np.median(own[left])
             near = left & (np.abs(own - level) < MAX_APART)
-            if 2 * near.sum() < left.sum() or not left.any():
+            if 2 * near.sum() < left.sum():
                 break
             gross[near, j] = level if abs(level) > GROSS_ERROR else 0.0
             left &= ~near

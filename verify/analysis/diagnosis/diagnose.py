@@ -129,10 +129,10 @@ def find_causes(
     fit = min((_settle(model, faults, moving, start) for start in starts), key=lambda f: f.cost)
     causes = [build_cause(fit.products, fit.best, i) for i in fit.best]
     causes.sort(key=lambda c: -c.explains)
-    # waves of every number are sought beside those found: what is tried for is told of the usual
+    # beside a wave that is found every number is tried; what is detectable is told of the usual
     usual = {(f.name, f.per_turn) for f in faults}
     tried = enumerate((f.name, f.per_turn) in usual for f in fit.products.faults)
-    products = fit.products.of_some([i for i, one in tried if one or i in fit.best])
+    products = fit.products.subset([i for i, one in tried if one or i in fit.best])
     return Diagnosis(merge_ambiguous(causes), chosen[fit.outlying], fit.misfit, products)
 
 

@@ -82,7 +82,7 @@ class FaultProducts:
             self, moment=self.moment / root, power=self.power / misfit, scale=self.scale / root
         )
 
-    def of_some(self, chosen: list[int]) -> "FaultProducts":
+    def subset(self, chosen: list[int]) -> "FaultProducts":
         """The same of some faults alone, each at the price that it has among all."""
         at, kept = self.columns(tuple(chosen)), np.array(chosen, dtype=np.int64)
         faults = [self.faults[i] for i in chosen]
