@@ -1,10 +1,12 @@
 """The joint angles that reach a pose and lie nearest to given ones."""
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
 from robots.arm import Arm, DhArm, UrdfArm
-from robots.inverse import inverse, near, near_within
+from robots.inverse import FAMILIES, inverse, near, near_within
 from robots.kinematics import forward, jacobian
 from robots.transforms import Array, difference
 
@@ -31,7 +33,9 @@ def nearest(
     poses = np.asarray(base_T_flange, dtype=float)
     seeds = np.broadcast_to(np.asarray(q_near, dtype=float), (*poses.shape[:-2], arm.dof))
     if isinstance(arm, DhArm):
-        return _nearest_branch(arm, poses, seeds, limits)
+        single = seeds.size == arm.dof and arm.linkage is None and not limits
+        found = _nearest_of_one(arm, poses, seeds) if single else None
+        return found or _nearest_branch(arm, poses, seeds, limits)
     assert isinstance(arm, UrdfArm)
     q, reached = np.full(seeds.shape, np.nan), np.zeros(seeds.shape[:-1], dtype=np.bool_)
     if arm.closed_form and arm.dof == 6 and not arm.closed_form.searched:
@@ -43,6 +47,21 @@ def nearest(
         if not reached[place]:
             q[place] = _damped_least_squares(arm, poses[place], seeds[place], limits)
     return q, np.isfinite(q).all(axis=-1)
+
+
+def _nearest_of_one(arm: DhArm, pose: Array, seed: Array) -> tuple[Array, NDArray[np.bool_]] | None:
+    """The nearest branch of one pose in plain floats; None where a singularity is met."""
+    start = arm.theta(seed).ravel().tolist()
+    way, least = [math.nan] * arm.dof, math.inf
+    for _, theta, exists, flags in FAMILIES[arm.family].solve(arm, pose.ravel().tolist(), start):
+        if flags:
+            return None
+        turns = [math.remainder(a - b, math.tau) for a, b in zip(theta, start, strict=True)]
+        distance = math.hypot(*turns)
+        if exists and distance < least:
+            way, least = turns, distance
+    reached = np.full(seed.shape[:-1], least < math.inf)
+    return seed + arm.sign * np.array(way), reached
 
 
 def _nearest_branch(

@@ -144,8 +144,10 @@ def contradiction_text(summary: dict[str, Any]) -> str:
 
 def _most_lost_contradict(summary: dict[str, Any]) -> bool:
     """Tell whether many pairs are lost, half of them or more as no pose explains their LEDs."""
-    rejected = (summary.get("pairs") or {}).get("rejected") or {}
+    pairs = summary.get("pairs") or {}
+    rejected = pairs.get("rejected") or {}
     contradicting = sum(int(rejected.get(status) or 0) for status in CONTRADICTING)
+    contradicting -= int(pairs.get("repeated") or 0)  # a camera's doing
     lost = sum(int(count or 0) for count in rejected.values())
     return bool(lost_pairs_text(summary)) and 2 * contradicting >= lost > 0
 

@@ -336,7 +336,6 @@ class JointComparison:
     q: Array  # (n, j), measured; nan where the LEDs or a self-motion leave a joint open
     error: Array  # (n, j), readings less measured
     covariance: Array  # (n, j, j), of the error, from pair to pair
-    covariance_measured: Array  # (n, j, j), of the measured angle
     inverse: Array  # (n, j, 6), d q / d pose
     reached: NDArray[np.bool_]  # (n,), the arm can stand in the measured pose
     coupling: tuple[robots.Coupling | None, ...]  # joints that a singularity near by couples
@@ -367,12 +366,10 @@ def solve_joints(comparison: Comparison, arm: robots.Arm) -> JointComparison:
             q[i, _undetermined_joints(inverse[i], jacobian[i], determined)] = np.nan
     error = comparison.q - q
     couplings = robots.couplings(arm, comparison.q, comparison.base_T_encoder)
-    turned = inverse.swapaxes(1, 2)
     return JointComparison(
         q=q,
         error=np.arctan2(np.sin(error), np.cos(error)),
-        covariance=inverse @ comparison.covariance @ turned,
-        covariance_measured=inverse @ comparison.covariance_measured @ turned,
+        covariance=inverse @ comparison.covariance @ inverse.swapaxes(1, 2),
         inverse=inverse,
         reached=reached,
         coupling=tuple(

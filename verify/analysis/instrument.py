@@ -61,6 +61,8 @@ class MeasuredSession:
     track: Track
     systematics: Systematics
     preview: bytes | None = None  # PNG of a pair; an instrument's poses have none
+    alike: tuple[int, ...] = ()  # frames of which a picture is that of the pair before
+    repeated: tuple[int, ...] = ()  # of these, those left out, as the readings move
 
 
 def instrument_setup(session: Session, instrument: Instrument) -> dict[str, Any]:

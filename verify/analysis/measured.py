@@ -4,7 +4,7 @@ One pair of pictures is kept with its LEDs marked, for the report.
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,7 +28,15 @@ from verify.analysis.instrument import (
 from verify.analysis.results.warnings import rig_moved
 from verify.core.fiducials import Marker
 from verify.core.readings import MAX_GAP, Readings
-from verify.core.records import Array, Image, Measurement, Progress, Sighting, StereoPair
+from verify.core.records import (
+    Array,
+    Image,
+    Measurement,
+    Progress,
+    Sighting,
+    StereoPair,
+    no_progress,
+)
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
@@ -55,6 +63,8 @@ MAX_NAME_LETTERS = 12  # of an LED, in a picture
 SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
 SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
 MAX_CANDIDATES = 200
+MAX_FRAMES_NAMED = 5
+ROW_STEP = 45  # of rows that show whether pictures differ: a camera's noise is in each
 Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 
@@ -108,19 +118,23 @@ def setup_of(session: Session) -> Setup:
     return Setup(session.rig, session.marker, _expected_poses(session, readings))
 
 
-def measure_pictures(session: Session, progress: Progress, chain: Chain) -> MeasuredSession:
+def measure_pictures(
+    session: Session, progress: Progress, chain: Chain, left_out: Container[int] = ()
+) -> MeasuredSession:
     """Stream a session's pictures through the chain; only numbers are kept.
 
-    `progress` is called with pairs done and pairs in all.
+    `progress` is called with pairs done and pairs in all; `left_out`: frames to pass over.
     """
     setup = setup_of(session)
     turning = bool(np.ptp(session.frames.pan_left) or np.ptp(session.frames.pan_right))
     systematics = stated_systematics(session.rig, session.marker, turning)
     measurements: list[Measurement] = []
     effects: list[Array] = []
+    alike: list[int] = []
     recent: deque[StereoPair] = deque(maxlen=2)
     preview: bytes | None = None
-    for m in chain(_remember_pairs(session.pairs(), recent), setup):
+    pairs = (pair for pair in session.pairs() if pair.frame not in left_out)
+    for m in chain(_remember_pairs(pairs, recent, alike), setup):
         measurements.append(m)
         if m.status == "measured":
             effects.append(sensitivities(systematics, m, session.rig, session.marker))
@@ -128,9 +142,38 @@ def measure_pictures(session: Session, progress: Progress, chain: Chain) -> Meas
                 pair = next((p for p in recent if p.frame == m.frame), None)
                 preview = draw_pair(pair, m, session.marker) if pair is not None else None
         progress(len(measurements), len(session))
-    return MeasuredSession(
-        measurements, collect_track(measurements, session.rig, effects), systematics, preview
-    )
+    track = collect_track(measurements, session.rig, effects)
+    return MeasuredSession(measurements, track, systematics, preview, tuple(alike))
+
+
+def without_repeats(
+    session: Session,
+    measured: MeasuredSession,
+    readings: Readings,
+    offset: float,
+    chain: Chain,
+) -> MeasuredSession:
+    """Measure again without pairs that show an earlier instant, if there are any.
+
+    A picture that is the one before while the readings move, `offset` s on the cameras' clock, was
+    not taken anew. Such pairs keep a row, unaligned: nobody knows their instant.
+    """
+    t = np.array([m.t for m in measured.measurements]) - offset
+    known, q = readings.available(t), readings.at(t)
+    moves = (np.abs(np.diff(q, axis=0)) > readings.resolved).any(axis=1)
+    rows = np.flatnonzero(moves & known[1:] & known[:-1]) + 1
+    moving = {measured.measurements[i].frame for i in rows}
+    repeated = tuple(frame for frame in measured.alike if frame in moving)
+    if not repeated:
+        return measured
+    again = measure_pictures(session, no_progress, chain, repeated)
+    lost = [
+        replace(m, status="unaligned", pose=None, left=None, right=None, choice="")
+        for m in measured.measurements
+        if m.frame in repeated
+    ]
+    measurements = sorted([*again.measurements, *lost], key=lambda m: m.frame)
+    return replace(again, measurements=measurements, repeated=repeated)
 
 
 def measure_instrument(
@@ -161,10 +204,23 @@ def measure_instrument(
     return seen, clock
 
 
-def _remember_pairs(pairs: Iterator[StereoPair], recent: deque[StereoPair]) -> Iterator[StereoPair]:
+def _remember_pairs(
+    pairs: Iterable[StereoPair], recent: deque[StereoPair], alike: list[int]
+) -> Iterator[StereoPair]:
+    """Pass pairs on, the last ones kept; frames with a picture of the pair before are listed."""
     for pair in pairs:
+        if recent and (
+            _same_picture(recent[-1].left, pair.left) or _same_picture(recent[-1].right, pair.right)
+        ):
+            alike.append(pair.frame)
         recent.append(pair)
         yield pair
+
+
+def _same_picture(one: Image, other: Image) -> bool:
+    """Whether pictures are the same in every pixel, and show anything."""
+    same = np.array_equal(one[::ROW_STEP], other[::ROW_STEP]) and np.array_equal(one, other)
+    return same and bool(np.ptp(one))
 
 
 def _expected_poses(session: Session, readings: Readings) -> Callable[[float], Sequence[Array]]:
@@ -287,6 +343,21 @@ def with_shown_noise(session: Session, readings: Readings) -> Session:
     told = readings.time_noise <= session.encoders.late  # of the rows that repeat
     warnings = session.warnings if told else (*session.warnings, warning)
     return replace(session, encoder_time_standard_uncertainty=noise, warnings=warnings)
+
+
+def with_repeats_named(session: Session, repeated: Sequence[int]) -> Session:
+    """The session, with a warning where pairs were left out that show an earlier instant."""
+    if not repeated:
+        return session
+    named = ", ".join(map(str, repeated[:MAX_FRAMES_NAMED]))
+    more = f" and {len(repeated) - MAX_FRAMES_NAMED} more" * (len(repeated) > MAX_FRAMES_NAMED)
+    warning = (
+        f"{len(repeated)} of {len(session)} pairs have a picture of the pair before while the "
+        f"readings move, and are left out: frames {named}{more}. A camera repeats pictures where "
+        "its exposure is longer than the time between pairs, or the line is too slow: expose "
+        "shorter, or record fewer pairs a second."
+    )
+    return replace(session, warnings=(*session.warnings, warning))
 
 
 def with_gaps_named(session: Session, readings: Readings, silent: Array, count: int) -> Session:

@@ -39,7 +39,9 @@ from verify.analysis.measured import (
     session_clock,
     setup_of,
     with_gaps_named,
+    with_repeats_named,
     with_shown_noise,
+    without_repeats,
 )
 from verify.analysis.mistakes import refuse_exchanged_cameras
 from verify.analysis.model import (
@@ -109,6 +111,7 @@ def analyse(
     readings = Readings.of_log(session.encoders.t, session.encoders.q)
     session = with_shown_noise(session, readings)
     measured, clock = measure_session(session, readings, progress, chain or measure)
+    session = with_repeats_named(session, measured.repeated)
     compared, unreachable = compare_session(session, measured, readings, clock)
     tolerance = tolerance or NO_TOLERANCE
     found = _estimate(compared, measured, tolerance, unreachable)
@@ -156,6 +159,9 @@ def measure_session(
             refuse_exchanged_cameras(session)
             raise measurement_refusal(session, measured)
         clock = session_clock(session, measured.track, readings)
+        measured = without_repeats(session, measured, readings, clock.offset, chain)
+        if measured.repeated:
+            clock = session_clock(session, measured.track, readings)
     else:
         measured, clock = measure_instrument(session, instrument, readings)
         progress(len(session), len(session))
@@ -335,6 +341,7 @@ def _estimate(
         model=model,
         tolerance=replace(session.tolerance or NO_TOLERANCE, **stated),
         status=_statuses(measured, compared.comparison, unreachable),
+        repeated=len(measured.repeated),
         choices=dict(Counter(m.choice for m in measured.measurements if m.choice)),
         errors=errors,
         means=means,
@@ -348,7 +355,9 @@ def _estimate(
         diagnosis=diagnosis,
         flange=_flange(model, clock_uncertainty, diagnosis.outlying),
         pictures=pictures,
-        warnings=result_warnings(compared, seen, model, pictures),
+        warnings=result_warnings(
+            compared, [m for m in seen if m.frame not in measured.repeated], model, pictures
+        ),
     )
 
 

@@ -58,7 +58,7 @@ class Readings:
             if len(missed) < MIN_TRIED * (count - 1):
                 break
             off = np.quantile(missed, MISSED_SHARE, axis=0)
-            if np.any(off > np.maximum(log._resolved, 2 * log.step)):
+            if np.any(off > np.maximum(log.resolved, 2 * log.step)):
                 good = max(good, 1)
                 break
             good = count
@@ -110,14 +110,14 @@ class Readings:
         apart = np.diff(self.t, prepend=-np.inf, append=np.inf)
         gap: NDArray[np.bool_] = apart > self.longest
         if self.longest < MAX_GAP:
-            moves = np.any(np.abs(np.diff(self.q, axis=0)) > self._resolved, axis=1)
+            moves = np.any(np.abs(np.diff(self.q, axis=0)) > self.resolved, axis=1)
             inner = gap[1:-1] & (moves | (apart[1:-1] > MAX_GAP))
             beside = np.convolve(inner, [1, 0, 1], "same") > 0
             gap[1:-1] = inner | (beside & moves)
         return ~gap
 
     @cached_property
-    def _resolved(self) -> Array:
+    def resolved(self) -> Array:
         """Travel that noise and last digit do not explain, (joints,), rad."""
         return np.asarray(np.maximum(5 * self.noise, MIN_TRAVEL))
 
@@ -130,7 +130,7 @@ class Readings:
             burst = slice(first, last + 1)
             for edge in (first, last):
                 near = np.abs(self.t[burst] - self.t[edge]) <= HOLD_TIME
-                rests[edge] = np.all(np.abs(self.q[burst][near] - self.q[edge]) <= self._resolved)
+                rests[edge] = np.all(np.abs(self.q[burst][near] - self.q[edge]) <= self.resolved)
         return rests
 
     def at(self, t: Array) -> Array:
@@ -270,7 +270,7 @@ class Readings:
     def _directions(self) -> Array:
         """Last direction of travel after each reading, (m, joints)."""
         # at rest, the highest of thousands of readings and the lowest are both noise
-        turned = 2 * self._resolved
+        turned = 2 * self.resolved
         return kernel.travel_directions(self._contiguous[1], turned).astype(np.float64)
 
 

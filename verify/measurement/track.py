@@ -60,13 +60,15 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
     base_T_rig, turn = _base(rig.rig_T_base.tobytes())
     n = len(measured)
     poses = [m.pose for m in measured if m.pose is not None]
+    spread = np.array([[p.covariance_pixels, p.covariance_alignment] for p in poses])
+    pixels, alignment = turn @ spread.reshape(n, 2, 6, 6).swapaxes(0, 1) @ turn.T
     return Track(
         frame=np.array([m.frame for m in measured], dtype=np.int64),
         t=np.array([m.t for m in measured]),
         pan=np.array([[_pan(m.left), _pan(m.right)] for m in measured]).reshape(n, 2),
         base_T_flange=np.array([base_T_rig @ p.rig_T_flange for p in poses]).reshape(n, 4, 4),
-        covariance_pixels=_rotate_blocks(turn, [p.covariance_pixels for p in poses]),
-        covariance_alignment=_rotate_blocks(turn, [p.covariance_alignment for p in poses]),
+        covariance_pixels=pixels,
+        covariance_alignment=alignment,
         acceleration_prior=np.array([p.acceleration_prior for p in poses]).reshape(n, 2),
         order=np.array([_lowest_order(m) for m in measured], dtype=np.int64),
         alignment_error=_alignment_errors(measurements) @ turn.T
@@ -169,8 +171,3 @@ def _lowest_order(measurement: Measurement) -> int:
 
 def _pan(sighting: Sighting | None) -> float:
     return sighting.pan if sighting is not None else float("nan")
-
-
-def _rotate_blocks(turn: Array, matrices: list[Array]) -> Array:
-    stack = np.array(matrices).reshape(-1, 6, 6)
-    return turn @ stack @ turn.T

@@ -55,6 +55,7 @@ class SessionAnalysis:
     model: JointErrorModel
     tolerance: Tolerance
     status: list[str]  # a pair each
+    repeated: int  # pairs of them, unaligned, in which a camera repeated a picture
     choices: dict[str, int]
     errors: JointErrors
     means: MeanErrors
@@ -113,6 +114,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
             "recorded": len(judged.status),
             "measured": measured,
             "rejected": dict(sorted(counts.items())),
+            **({"repeated": judged.repeated} if judged.repeated else {}),
         },
         "pictures": _pictures(judged.pictures),
         "clock": _clock(judged.compared.clock),

@@ -44,7 +44,8 @@ def frames_table(measurements: list[Measurement], found: SessionAnalysis) -> pd.
     encoder = tuple(name.replace("_", "_encoder_") for name in POSE_NAMES)
     columns |= _pose_columns(comparison.base_T_encoder, encoder)
     undetermined = np.isnan(joints.q)
-    own = np.sqrt(np.diagonal(joints.covariance_measured, axis1=1, axis2=2))
+    spread = joints.inverse @ comparison.covariance_measured @ joints.inverse.swapaxes(1, 2)
+    own = np.sqrt(np.diagonal(spread, axis1=1, axis2=2))
     for suffix, values in (
         ("measured_deg", joints.q),
         ("encoder_deg", comparison.q),
