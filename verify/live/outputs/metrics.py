@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 
 from verify.errors import InputError
+from verify.live.page.access import PageAccess, is_loopback
 from verify.live.state import LiveState
 
 Labels = Mapping[str, str]
@@ -79,7 +80,7 @@ class MetricsServer:
             expected = "HOST:PORT is expected"
             raise InputError("alarm.prometheus", f'is "{address}"', expected, "Correct it.")
         try:
-            self._server = ThreadingHTTPServer((host.strip("[]"), int(port)), _handler(text))
+            self._server = ThreadingHTTPServer((host.strip("[]"), int(port)), _handler(host, text))
         except (OSError, OverflowError) as error:
             remedy = "Choose another port."
             found = f"cannot be served: {error}"
@@ -101,13 +102,19 @@ class MetricsServer:
         self._server.server_close()
 
 
-def _handler(text: Callable[[], str]) -> type[BaseHTTPRequestHandler]:
+def _handler(host: str, text: Callable[[], str]) -> type[BaseHTTPRequestHandler]:
+    local = is_loopback(host.strip("[]"))
+
     class Handler(BaseHTTPRequestHandler):
         timeout = REQUEST_TIMEOUT
 
         def do_GET(self) -> None:
-            """Give the metrics; no script of a web page may read them."""
-            foreign = self.headers.get("Origin") is not None
+            """Give the metrics; no script of a web page may read them, whatever name it takes."""
+            headers = {name.lower(): value for name, value in self.headers.items()}
+            access = PageAccess(host.strip("[]"), int(self.connection.getsockname()[1]), None)
+            foreign = "origin" in headers or (
+                local and access.refusal(headers, None, script=False) is not None
+            )
             status = 403 if foreign else 200 if self.path == "/metrics" else 404
             body = text().encode() if status == 200 else b""
             self.send_response(status)

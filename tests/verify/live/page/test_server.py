@@ -275,6 +275,8 @@ def test_metrics_have_an_address_of_their_own_where_no_page_is_wanted() -> None:
     text = "verify_pairs_total 1\n"
     for path, origin, status in (
         ("/metrics", {}, 200), ("/", {}, 404), ("/metrics", {"Origin": "http://x"}, 403),
+        ("/metrics", {"Host": f"localhost:{server.port}"}, 200),
+        ("/metrics", {"Host": f"evil.example:{server.port}"}, 403),
     ):  # fmt: skip
         answer = get(server.port, path, **origin)
         assert (answer.status, answer.text) == (status, text if status == 200 else "")
