@@ -13,7 +13,7 @@ from robots import intersecting_axes, offset_wrist, parallel_axes, spherical_wri
 from robots.arm import Arm, DhArm, TableForm, UrdfArm
 from robots.closed_form import SHOULDER, WRIST, Family
 from robots.kinematics import forward, link_frames
-from robots.transforms import Array, difference, invert
+from robots.transforms import Array, difference, invert, turn_z
 
 FAMILIES: dict[str, Family] = {
     "spherical_wrist": spherical_wrist,
@@ -101,7 +101,7 @@ def _inverse_by_table(arm: UrdfArm, poses: Array, hold: Array) -> Branches:
     moved = poses @ invert(arm.rest_frames[-1])
     if arm.dof == 7:  # undo the last joint
         axis = arm.rest_frames[6]
-        moved = moved @ axis @ _turned(-hold[..., 6]) @ invert(axis)
+        moved = moved @ axis @ turn_z(-hold[..., 6]) @ invert(axis)
     ordered, held = moved, hold[..., :6]
     if form.reverse:
         ordered, held = invert(moved), held[..., ::-1]
@@ -159,18 +159,8 @@ def form_pose(arm: UrdfArm, q: Array) -> Array:
     moved = invert(moved) if form.reverse else moved
     if arm.dof == 7:
         axis = arm.rest_frames[6]
-        moved = moved @ axis @ _turned(q[:, 6]) @ invert(axis)
+        moved = moved @ axis @ turn_z(q[:, 6]) @ invert(axis)
     return np.asarray(moved @ arm.rest_frames[-1])
-
-
-def _turned(angle: Array) -> Array:
-    """RotZ (..., 4, 4) of angles (...), rad."""
-    turn = np.zeros((*angle.shape, 4, 4))
-    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(angle)
-    turn[..., 1, 0] = np.sin(angle)
-    turn[..., 0, 1] = -turn[..., 1, 0]
-    turn[..., 2, 2] = turn[..., 3, 3] = 1
-    return turn
 
 
 def _refined(arm: UrdfArm, q: Array, poses: Array) -> Array:

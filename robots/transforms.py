@@ -25,6 +25,16 @@ def carry(a_T_b: Array, points_b: Array) -> Array:
     return np.squeeze(a_T_b[..., :3, :3] @ points_b[..., None], -1) + a_T_b[..., :3, 3]
 
 
+def turn_z(angle: Array | float) -> Array:
+    """RotZ (..., 4, 4) of angles (...), rad."""
+    turn = np.zeros((*np.shape(angle), 4, 4))
+    turn[..., 0, 0] = turn[..., 1, 1] = np.cos(angle)
+    turn[..., 1, 0] = np.sin(angle)
+    turn[..., 0, 1] = -turn[..., 1, 0]
+    turn[..., 2, 2] = turn[..., 3, 3] = 1
+    return turn
+
+
 def cross_matrix(vectors: Array) -> Array:
     """Matrices (..., 3, 3) of v x . for vectors (..., 3)."""
     matrix = np.zeros((*vectors.shape, 3))

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 import robots
-from robots.transforms import invert, rotation_exp
+from robots.transforms import invert, rotation_exp, turn_z
 from verify.core.records import Array, rigid_transform
 
 MIN_AXIS_ANGLE = np.radians(10.0)  # below, DH's common normal is badly placed, and β takes over
@@ -100,12 +100,6 @@ def link_transforms(chain: KinematicChain) -> Array:
     """What follows each joint's turn: TransZ(d) TransX(a) RotX(α) RotY(β), (n, 4, 4)."""
     rows = zip(chain.d, chain.a, chain.alpha, chain.beta, strict=True)
     return np.array([_link_transform(*row) for row in rows])
-
-
-def turn_z(angle: float) -> Array:
-    """RotZ, (4, 4)."""
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, -s, 0.0, 0.0], [s, c, 0.0, 0.0], [0.0, 0.0, 1.0, 0.0], [0, 0, 0, 1.0]])
 
 
 def _first_frame(turn: Array, point: Array) -> Array:

@@ -7,7 +7,8 @@ import numpy as np
 
 import robots
 from robots.export import WrittenJoint, urdf_text
-from verify.calibration.kinematics.chain import KinematicChain, link_transforms, turn_z
+from robots.transforms import turn_z
+from verify.calibration.kinematics.chain import KinematicChain, link_transforms
 from verify.errors import one_line
 from verify.io.toml import encode, encode_numbers
 

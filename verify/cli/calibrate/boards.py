@@ -10,7 +10,7 @@ from verify.calibration.corners.folder import find_boards, middle_pair
 from verify.calibration.origin import ResultsOrigin
 from verify.calibration.quality.results import calibration_results
 from verify.calibration.stereo.calibrate import calibrate
-from verify.calibration.stereo.records import Calibration
+from verify.calibration.stereo.records import Calibration, rms
 from verify.cli.options import CornerCounts
 from verify.cli.terminal import report_files, terminal
 from verify.core.fiducials import Board
@@ -110,8 +110,8 @@ def require_same_size(folder: Path, size: tuple[int, int], rig: Rig) -> None:
 
 def _print_calibration(found: Calibration, out: Path, target: Path) -> None:
     used = found.residuals.used
-    rms = float(np.sqrt(np.mean(np.sum(found.residuals.residual[used] ** 2, axis=1))))
-    terminal.say(f"{len(found.frames)} pairs, {int(used.sum())} corners, {rms:.3f} px rms.")
+    left = rms(found.residuals.residual[used])
+    terminal.say(f"{len(found.frames)} pairs, {int(used.sum())} corners, {left:.3f} px rms.")
     terminal.say(*(f"  {sentence}" for sentence in found.decisions))
     terminal.say(f"Rig: {out}; report: {report_files(target)}")
     terminal.record(
@@ -119,6 +119,6 @@ def _print_calibration(found: Calibration, out: Path, target: Path) -> None:
         out=str(out),
         report=str(target),
         pairs=len(found.frames),
-        rms_px=rms,
+        rms_px=left,
         decisions=list(found.decisions),
     )
