@@ -113,7 +113,7 @@ def candidates(series: JointSeries) -> list[TrendTerm]:
     drifts = [
         TrendTerm("drift", k)
         for k in range(max(n - MIN_SESSIONS, 0))
-        if k == 0 or k >= MIN_SESSIONS
+        if (k == 0 or k >= MIN_SESSIONS) and series.t[k] < series.t[-1]  # time must pass
     ]
     return [*drifts, *steps] if n > MIN_SESSIONS else []
 

@@ -190,6 +190,14 @@ def test_a_series_too_short_for_a_change_has_none() -> None:
     assert find_changes(series, 0.01).changes == ()
 
 
+def test_sessions_of_one_time_show_no_drift() -> None:
+    sessions = monthly(np.array([0.0, 9.0, 0.1, 5.0, 5.0, 0.1, 0.3, -7.0, 3.0]), seed=4)
+    sessions["started"] = pd.Timestamp(BEGIN)
+    series = series_of(sessions, "a", 5)
+    assert {term.kind for term in candidates(series)} == {"step"}
+    assert assessed(sessions).table("joints")["state"].tolist()[4] == "scattered"
+
+
 def test_before_and_after_a_day_compares_each_joint() -> None:
     table = assessed(rows(10, step=0.3), since=date(2025, 6, 10)).table("contrasts")
     assert len(table) == 18
