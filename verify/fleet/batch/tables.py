@@ -60,6 +60,7 @@ CAUSE_TYPE = pa.struct(
         ("candidates", pa.list_(pa.struct([("joint", COUNT), ("kind", TEXT)]))),
         ("parameter", TEXT),
         ("per_turn", COUNT),
+        ("per_turn_candidates", pa.list_(COUNT)),
         ("t_s", NUMBER),
         ("phase_deg", NUMBER),
         ("turn_deg", NUMBER),

@@ -2,6 +2,7 @@
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
@@ -68,6 +69,20 @@ def test_a_shorter_arm_leaves_the_further_columns_empty(tmp_path: Path) -> None:
     assert table["q5_mean_error_deg"].isna().tolist() == [True, False]
     frames = pd.read_parquet(folder / "frames.parquet")
     assert frames[frames["session"] == "four"]["q6_error_deg"].isna().all()
+
+
+def test_waves_that_explain_the_errors_alike_are_all_in_the_table_of_sessions(
+    tmp_path: Path,
+) -> None:
+    waves = made.cause(5, "eccentricity", 0.12, 0.02, "deg")
+    waves |= {"per_turn": 39, "per_turn_candidates": [38, 39, 40, 80]}
+    one = made.nonconforming()
+    results = {"one": replace(one, summary=one.summary | {"diagnosis": [waves]})}
+    folder = written(keep(tmp_path, results), tmp_path / "out", ["one"])
+    (kept,) = pq.read_table(folder / "sessions.parquet")["diagnosis"].to_pylist()[0]
+    assert kept["per_turn_candidates"] == [38, 39, 40, 80]
+    explained = (ROOT / "docs" / "batch.md").read_text()
+    assert [name for name in kept if f"`{name}`" not in explained] == []
 
 
 def test_kept_results_are_trusted_only_while_they_are_whole(store: ResultStore) -> None:
