@@ -191,12 +191,14 @@ def errors_over_time(results: Results) -> doc.Section:
             "it is not seen."
         )
     drawing = motion.joint_errors(results)
-    with_band = isinstance(drawing, Chart) and "±2u of a pair" in legend(drawing)
-    band = " with its ±2u band (all sources)" * with_band
+    named = legend(drawing) if isinstance(drawing, Chart) else {}
+    band = " with its ±2u band (all sources)" * ("±2u of a pair" in named)
+    # single pairs do not determine the joints of an arm of more than six
+    pairs = f"of each pair{band}, " * ("error of a pair" in named)
     figure = doc.Figure(
         "joint_errors",
-        f"Error of each joint over time: of each pair{band}, the resolved error on which the "
-        "verdict rests with its own ±2u band, and the tolerance. Lines break where pairs are "
+        f"Error of each joint over time: {pairs}the resolved error on which the verdict "
+        "rests with its own ±2u band, and the tolerance. Lines break where pairs are "
         "missing; the band of a pair near a singularity may leave the frame, an error does not."
         + thinned,
         "One strip a joint: error in degrees against time, with uncertainty bands, the resolved "

@@ -17,6 +17,7 @@ from reports.session.document import document
 from reports.session.evidence import relative_errors
 from reports.session.figures import motion
 from reports.session.figures.evidence import residuals
+from reports.session.findings import errors_over_time
 from tests.support.reports import session as made
 from tests.support.reports.page import chart_of, drawing_of, made_of
 
@@ -36,6 +37,18 @@ def test_the_band_of_a_pair_is_two_standard_uncertainties_of_all_sources() -> No
     band = next(m for m in chart.panels[2].marks if isinstance(m, Band))
     high = band.high[np.isfinite(band.high)]
     np.testing.assert_allclose(high, frames["q3_error_deg"] + 2 * frames["q3_error_u_deg"])
+
+
+@pytest.mark.parametrize("shown", [True, False])
+def test_a_caption_names_the_errors_of_pairs_only_where_the_figure_has_them(shown: bool) -> None:
+    results = made_of("seven_joints")
+    frames = results.tables["frames"].copy()
+    if not shown:  # as of a real arm of seven joints: a pair determines six sums of them
+        frames.loc[:, [f"q{n}_error_deg" for n in range(1, 8)]] = np.nan
+    results = replace(results, tables={**results.tables, "frames": frames})
+    captions = [getattr(block, "caption", "") for block in errors_over_time(results).blocks]
+    assert any("of each pair with its ±2u band" in caption for caption in captions) == shown
+    assert any("the resolved error on which the verdict rests" in c for c in captions)
 
 
 def test_no_error_of_a_pair_leaves_its_frame() -> None:
