@@ -1,5 +1,6 @@
 """The parts of a report in any format: sections, paragraphs, tables, figures; provenance."""
 
+import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from typing import Any, ClassVar
@@ -7,6 +8,12 @@ from typing import Any, ClassVar
 from reports.document import formatting as fmt
 from reports.document.charts import Chart, Path
 from reports.results import Results, one_line
+
+# spaces at which no line breaks: before a figure's unit, and in a coverage factor
+UNBROKEN = re.compile(
+    r"(?<=\d) (?=(?:mm|px|m|s|ms|rad|ppm|%|Hz|°/h|°/m)(?![\w/]))"
+    r"|(?<=\bk) (?== \d)|(?<=\bk =) (?=\d)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -195,7 +202,7 @@ def collect_films(document: Document) -> dict[str, bytes]:
 def to_template_data(value: Any) -> Any:
     """A document for a template: plain dicts and lists, texts on one line, kinds, no drawings."""
     if isinstance(value, str):
-        return one_line(value)
+        return UNBROKEN.sub("\N{NO-BREAK SPACE}", one_line(value))
     if isinstance(value, list | tuple):
         return [to_template_data(item) for item in value]
     if is_dataclass(value):

@@ -8,6 +8,7 @@ import pytest
 import typst
 
 import reports
+from reports.document import blocks
 from reports.format import pdf as pdf_format
 from reports.session.certificate import certificate
 from tests.support.reports.page import (
@@ -16,6 +17,7 @@ from tests.support.reports.page import (
     files_of,
     made_of,
     pdf_of,
+    pdf_text,
     pdf_text_of,
     tables,
 )
@@ -94,3 +96,29 @@ def test_page_one_is_the_certificate_whole_and_what_nobody_stated_is_a_line_to_f
     assert (facts["Serial number"], facts["Date of issue"]) == ("B3-0471", "2026-11-25")
     assert facts["Instrument"] == "stereo rig with LEDs, calibrated 2026-10-02"
     assert facts["Owner"] == ""
+
+
+@pytest.mark.parametrize("lines_before", range(28, 52))
+def test_no_row_of_a_table_stands_alone_on_a_page(lines_before: int) -> None:
+    rows = tuple(blocks.row(f"row{i}", "1.0") for i in range(12))
+    table = blocks.Table("Rows.", "lr", ("Name", "Size"), rows)
+    filled = tuple(blocks.Paragraph("above") for _ in range(lines_before))
+    section = blocks.Section("one", "One", (*filled, table))
+    pages = pdf_text(pdf_format.pages(blocks.lay_out("T", "S", "F", [section]))).split("\f")
+    counts = [len(re.findall(r"\brow\d", page)) for page in pages]
+    assert sum(counts) == 12
+    assert 1 not in counts
+
+
+@pytest.mark.parametrize(
+    "text", ["at 1.0 s", "±0.3 mm apart", "within 5 % of it", "U (k = 2)", "3 °/h"]
+)
+def test_no_line_breaks_between_a_figure_and_its_unit(text: str) -> None:
+    (said,) = blocks.to_template_data([text])
+    assert said.replace("\N{NO-BREAK SPACE}", " ") == text
+    assert not re.search(r"[\d=] | =", said)
+
+
+def test_other_spaces_let_a_line_break() -> None:
+    text = "20 markers of 5 sizes in 2026 say so"
+    assert blocks.to_template_data(text) == text
