@@ -106,6 +106,7 @@ def over_pairs(results: Results) -> charts.Chart | None:
                 tuple(marks),
                 f"{SHORT_NAMES[figure]} [mm/m]",
                 x_range=ends,
+                x_ticks=charts.count_ticks(frames[valid]),
                 y_range=_range_with_zero(values[valid], together),
                 unit="mm/m",
             )

@@ -61,6 +61,18 @@ def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
     return t - valid[0], "since first pair [s]"
 
 
+def count_ticks(numbers: Array, most: int = 8) -> "Ticks":
+    """Choose ticks for an axis that counts, no more than `most` steps: whole numbers alone."""
+    known = numbers[np.isfinite(numbers)]
+    if not len(known):
+        return ()
+    least = max(float(np.ptp(known)) / most, 1.0)
+    magnitude = 10.0 ** np.floor(np.log10(least))
+    step = int(next(s * magnitude for s in (1, 2, 5, 10) if s * magnitude >= least))
+    first, last = -(-int(known.min()) // step), int(known.max()) // step
+    return tuple((float(n * step), str(n * step)) for n in range(first, last + 1))
+
+
 def trace(t: Array, y: Array) -> tuple[Array, Array]:
     """Make a line that is broken by NaN where pairs are missing; extremes survive thinning."""
     kept, part = split_at_gaps(t, y)

@@ -57,6 +57,7 @@ def residuals_over_time(results: Results) -> charts.Chart | None:
                 (charts.Line(*charts.trace(pairs, rms), role, f"{camera} camera"),),
                 "rms [px]",
                 "pair" if camera == "right" else "",
+                x_ticks=charts.count_ticks(frames[valid]),
                 y_range=(0.0, 1.08 * float(rms.max())) if len(rms) else None,
                 unit="px",
             )
@@ -77,7 +78,10 @@ def pose_residuals(results: Results) -> charts.Chart | None:
         if own.any():
             line = charts.Line(*charts.trace(number[own], size[own]), "measured", label)
             top = 1.08 * float(size[own].max())
-            panels.append(charts.Panel((line,), label, "pose", y_range=(0.0, top), unit=unit))
+            ticks = charts.count_ticks(number[used])
+            panels.append(
+                charts.Panel((line,), label, "pose", y_range=(0.0, top), x_ticks=ticks, unit=unit)
+            )
     return charts.Chart(tuple(panels), row_height=1.1, shared_x=True) if panels else None
 
 
@@ -92,8 +96,9 @@ def fixture_differences(results: Results) -> charts.Chart | None:
     if not any(np.isfinite(mark.y).any() for mark in marks):
         return None
     panel = charts.Panel(
-        (charts.Level(0.0, "muted"), *marks), "less the common place [mm]", "pair", unit="mm"
-    )
+        (charts.Level(0.0, "muted"), *marks), "less the common place [mm]", "pair",
+        x_ticks=charts.count_ticks(frames), unit="mm",
+    )  # fmt: skip
     return charts.Chart((panel,), row_height=2.2)
 
 

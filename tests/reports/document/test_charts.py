@@ -11,6 +11,7 @@ from reports.document.charts import (
     N_BINS,
     band,
     column,
+    count_ticks,
     isolated_points,
     pieces,
     runs,
@@ -26,6 +27,22 @@ def test_a_line_breaks_where_a_pair_was_not_measured_or_has_no_row() -> None:
     assert np.isnan(x[2])
     t = np.array([0.0, 0.1, 0.2, 0.9, 1.0])
     assert_allclose(trace(t, np.arange(5.0))[1], [0, 1, 2, np.nan, 3, 4])
+
+
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [
+        ([1.0, 2.0], ["1", "2"]),
+        ([3.0], ["3"]),
+        ([0.0, np.nan, 19.0], ["0", "5", "10", "15"]),
+        ([1.0, 12.0], ["2", "4", "6", "8", "10", "12"]),
+        ([np.nan], []),
+    ],
+)
+def test_an_axis_that_counts_has_whole_numbers(numbers: list[float], words: list[str]) -> None:
+    ticks = count_ticks(np.array(numbers))
+    assert [word for _, word in ticks] == words
+    assert [place for place, _ in ticks] == [float(word) for word in words]
 
 
 def test_a_point_without_neighbours_is_not_lost() -> None:
