@@ -199,20 +199,25 @@ def collect_films(document: Document) -> dict[str, bytes]:
     }
 
 
-def to_template_data(value: Any) -> Any:
+def to_template_data(value: Any, write: Callable[[str], str] = one_line) -> Any:
     """A document for a template: plain dicts and lists, texts on one line, kinds, no drawings."""
     if isinstance(value, str):
-        return UNBROKEN.sub("\N{NO-BREAK SPACE}", one_line(value))
+        return write(value)
     if isinstance(value, list | tuple):
-        return [to_template_data(item) for item in value]
+        return [to_template_data(item, write) for item in value]
     if is_dataclass(value):
         data = {
-            f.name: to_template_data(getattr(value, f.name))
+            f.name: to_template_data(getattr(value, f.name), write)
             for f in fields(value)
             if f.name != "drawing"
         }
         return data | {"kind": kind} if (kind := getattr(value, "kind", None)) else data
     return value
+
+
+def unbroken(text: str) -> str:
+    """Write a text on one line that does not break between a figure and its unit."""
+    return UNBROKEN.sub("\N{NO-BREAK SPACE}", one_line(text))
 
 
 def block_or_paragraph(

@@ -19,6 +19,7 @@ from reports.document.blocks import (
     collect_figures,
     collect_films,
     to_template_data,
+    unbroken,
 )
 from reports.format import plotly as format_plotly
 from reports.format.branding import DEFAULT_BRANDING, LANGUAGE, WORDS, Look
@@ -40,7 +41,7 @@ def page(document: Document, look: Look = DEFAULT_BRANDING) -> str:
     }
     compacted = {n: compact(png) for n, png in drawings.items() if isinstance(png, bytes)}
     data = {
-        "document": to_template_data(document),
+        "document": to_template_data(document, unbroken),
         "palette": {role: {"light": a, "dark": b} for role, (a, b) in charts.PALETTE.items()},
         "plots": _for_script({"palette": charts.PALETTE, "plots": plots}),
         "pictures": {name: _base64(picture) for name, (_, picture) in compacted.items()},

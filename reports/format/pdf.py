@@ -11,7 +11,7 @@ from typing import Any, cast
 
 import typst
 
-from reports.document.blocks import Document, collect_figures, to_template_data
+from reports.document.blocks import Document, collect_figures, to_template_data, unbroken
 from reports.format import svg
 from reports.format.branding import DEFAULT_BRANDING, LANGUAGE, WORDS, Look
 from reports.format.lettering import FONTS as FONTS_FOLDER
@@ -87,7 +87,7 @@ def typst_files(document: Document, look: Look = DEFAULT_BRANDING) -> dict[str, 
             look.logo.content if look.logo.is_svg else _png_in_svg(look.logo.content)
         )
     data = {
-        "document": to_template_data(document),
+        "document": to_template_data(document, unbroken),
         "figures": drawn,
         "words": WORDS,
         "language": LANGUAGE,

@@ -7,7 +7,7 @@ from html import unescape
 import pytest
 
 import reports
-from reports.document.blocks import to_template_data
+from reports.document.blocks import to_template_data, unbroken
 from reports.document.charts import PALETTE
 from reports.session.document import ANSWERS, APPENDIX
 from tests.support.reports import session as made
@@ -32,7 +32,7 @@ def test_every_text_of_the_document_is_on_the_page_in_its_sections(name: str) ->
     page = Page(html_of(name))
     assert page.open == []
     text = "".join(page.text)
-    for part in strings(to_template_data(document_of(name))):
+    for part in strings(to_template_data(document_of(name), unbroken)):
         assert part in text
     titles = [section.title for section in document_of(name).sections]
     heads = re.findall(r"<h2[^>]*>.*?</span> (.*?)</h2>", html_of(name))

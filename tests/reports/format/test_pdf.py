@@ -114,11 +114,11 @@ def test_no_row_of_a_table_stands_alone_on_a_page(lines_before: int) -> None:
     "text", ["at 1.0 s", "±0.3 mm apart", "within 5 % of it", "U (k = 2)", "3 °/h"]
 )
 def test_no_line_breaks_between_a_figure_and_its_unit(text: str) -> None:
-    (said,) = blocks.to_template_data([text])
+    said = blocks.unbroken(text)
     assert said.replace("\N{NO-BREAK SPACE}", " ") == text
     assert not re.search(r"[\d=] | =", said)
 
 
 def test_other_spaces_let_a_line_break() -> None:
     text = "20 markers of 5 sizes in 2026 say so"
-    assert blocks.to_template_data(text) == text
+    assert blocks.unbroken(text) == text
