@@ -308,9 +308,11 @@ def _actions(results: Results) -> list[str]:
     """List what to do, what is worst first."""
     actions = []
     if (results.summary.get("verdicts") or {}).get("nonconform"):
+        listed = results.table("worst")
+        missing = " (run the batch with --reports)" * (not listed["reported"].all())
         actions.append(
-            "Read the reports of the sessions that do not conform (run the batch with --reports): "
-            "they name the cause and the correction."
+            f"Read the reports of the sessions that do not conform{missing}: they name the cause "
+            "and the correction."
         )
     if len(results.table("changes")):
         actions.append(

@@ -185,7 +185,8 @@ def present_errors(results: Results, arms: list[str]) -> Chart | None:
             panels.append(_error_panel(arm, own, groups))
     if not panels:
         return None
-    return Chart(tuple(panels), columns=min(2, len(panels)), row_height=1.9)
+    # lower where there are several rows: page one is to hold them, and what to do below
+    return Chart(tuple(panels), min(2, len(panels)), row_height=1.9 if len(panels) < 3 else 1.45)
 
 
 Group = tuple[str, str, Array, Array, Array]  # name, role, joints, mean errors and their u, degrees

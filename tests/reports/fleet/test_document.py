@@ -94,6 +94,10 @@ def test_sessions_that_do_not_conform_are_the_headline_where_nothing_changed() -
         "of 18 joints: too few sessions",
     ):
         assert words in first
+    for reported in (False, True):
+        worst = table.assign(reported=reported)
+        first = page_one(document(replace(failing, tables=failing.tables | {"worst": worst})))
+        assert ("run the batch with --reports" in first) != reported
 
 
 def test_a_quiet_fleet_is_called_that_and_one_too_young_is_not() -> None:
