@@ -186,12 +186,18 @@ def _remedies(summary: dict[str, Any], entries: list[dict[str, Any]]) -> list[st
         found.append(f"measure the place of LED {led.get('name')} again")
     elif contradiction_text(summary):
         found.append("find out why the pictures contradict rig.toml or marker.toml")
-    found += [causes.remedy(entry) for entry in entries]
+    found += [_remedy_of(entry, len(entries) > 1) for entry in entries]
     if not _has_tolerance(summary):
         found.append("give a tolerance (--tolerance, or session.toml) to get a verdict")
     if lost_pairs_text(summary):
         found.append("find out why so many pairs are not counted")
     return found or (["nothing"] if summary.get("verdict") == "conform" else [])
+
+
+def _remedy_of(entry: dict[str, Any], one_of_several: bool) -> str:
+    """What to do about one cause; beside others, of which joint it is said."""
+    text, joint = causes.remedy(entry), entry.get("joint")
+    return f"joint {joint}: {text}" if one_of_several and joint is not None else text
 
 
 def _alarm_blocks(results: Results) -> tuple[doc.Block, ...]:

@@ -6,7 +6,7 @@ from typing import Any
 import pandas as pd
 import pytest
 
-from reports.document.blocks import Bullets, Paragraph, Section, Table
+from reports.document.blocks import Bullets, Facts, Paragraph, Section, Table
 from reports.results import Results
 from reports.session import causes as session_causes
 from reports.session import findings
@@ -40,6 +40,19 @@ def test_every_kind_has_its_remedy() -> None:
         assert session_causes.remedy(entry) != "–", entry["kind"]
         assert ":" in session_causes.finding(entry)
         assert "None" not in message.sentence, entry["kind"]
+
+
+def test_beside_others_a_remedy_on_page_one_names_its_joint() -> None:
+    for several in (True, False):
+        others = [KINDS["clock"], KINDS["offset"] | {"joint": 6, "value": 3.0}] if several else []
+        facts = certificate(with_causes([KINDS["offset"], *others])).blocks
+        told = [
+            text for b in facts if isinstance(b, Facts) for k, text in b.items if k == "What to do"
+        ]
+        first = "add −0.400° to its reading"
+        joint_6 = "; joint 6: add −3.000° to its reading"
+        assert told[0].startswith(f"joint 2: {first}; add −" if several else first)
+        assert (joint_6 in told[0]) == several
 
 
 def test_what_begins_in_the_session_is_stated_with_its_instant() -> None:
