@@ -34,7 +34,7 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     sums = [c for c in summary.get("combinations") or [] if c.get("why") == "well_known"]
     rows = [
         doc.row(
-            fmt.text_or_dash(c.get("label")),
+            fmt.text_or_dash(c.get("label")).replace("-", fmt.MINUS),
             fmt.with_uncertainty(c.get("mean_error_deg"), 2 * c["standard_uncertainty_deg"]),
             "2",
             "axes are parallel",

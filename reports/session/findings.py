@@ -109,7 +109,7 @@ def _detectability_table(entries: list[dict[str, Any]]) -> doc.Table:
 def _combination_table(entries: list[dict[str, Any]]) -> doc.Table:
     value = doc.uncertain_field("mean_error_deg", "standard_uncertainty_deg", k=2)
     columns = (
-        doc.Column("Sum", "l", doc.field("label")),
+        doc.Column("Sum", "l", lambda e: fmt.text_or_dash(e.get("label")).replace("-", fmt.MINUS)),
         doc.Column("Mean error ± U (k = 2) [°]", "r", value),
         doc.Column("Pairs", "r", doc.field("pairs", fmt.count)),
         doc.Column("Why it is given", "l", _coupling, wide=True),

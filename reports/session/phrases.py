@@ -49,7 +49,7 @@ STATUSES = {
     "no_encoder": "no encoder reading at that time",
     "unreachable": "pose out of the arm's reach",
     "outlier": "LEDs do not fit the marker",
-    "unaligned": "left and right could not be brought to one instant",
+    "unaligned": "left and right not at one instant",
 }
 
 CHOICES = {

@@ -13,6 +13,7 @@ from reports.document.blocks import collect_figures
 from reports.document.charts import Band, Line, Path
 from reports.format import pdf, plotly, svg
 from reports.format.lettering import printable
+from reports.session import phrases
 from reports.session.document import document
 from reports.session.evidence import relative_errors
 from reports.session.figures import motion
@@ -154,6 +155,10 @@ def test_the_path_is_coloured_by_classes_that_the_tolerance_parts(
     inside = np.array([own for own, _, _ in classes])
     assert inside.sum(axis=0).tolist() == [1] * 4  # each pair is in one of them
     assert classes[-1][0].tolist() == [False, False, False, True]
+
+
+def test_the_timeline_cuts_no_outcome() -> None:
+    assert [word for word in phrases.STATUSES.values() if printable(word) != word] == []
 
 
 def test_without_a_tolerance_all_joints_have_one_scale() -> None:
