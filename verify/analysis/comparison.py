@@ -190,6 +190,20 @@ def relinearise(comparison: Comparison, arm: robots.Arm, error: Array, gross: Ar
     )
 
 
+def flange_error(comparison: Comparison, arm: robots.Arm, error: Array) -> Array:
+    """Carry joint errors (n, j) to the flange: readings' pose less the true one, (n, 6), m and rad.
+
+    By the Jacobian, but of gross errors by the poses themselves.
+    """
+    twist: Array = np.einsum("nij,nj->ni", comparison.jacobian, error)
+    gross = (np.abs(error) > GROSS_ERROR).any(axis=1)
+    if gross.any():
+        q = comparison.q[gross]
+        true = robots.forward(arm, q - error[gross])
+        twist[gross] = twist_difference(robots.forward(arm, q), true)
+    return twist
+
+
 def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:
     """Let pairs that repeat each other's errors count for fewer.
 

@@ -12,6 +12,7 @@ import scipy
 
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.combinations import Combination
+from verify.analysis.comparison import flange_error
 from verify.analysis.diagnosis.causes import Cause
 from verify.analysis.diagnosis.diagnose import Diagnosis
 from verify.analysis.joint_errors import JointErrors, MeanErrors, ResolvedErrors
@@ -298,8 +299,9 @@ def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:
 
 def _flange_verdicts(judged: SessionAnalysis) -> tuple[Verdict, Verdict]:
     """The resolved joint errors carried through the arm, judged by the same rule."""
-    jacobian, resolved = judged.model.comparison.jacobian, judged.resolved
-    twist = np.einsum("nij,nj->ni", jacobian, resolved.error)
+    comparison, resolved = judged.model.comparison, judged.resolved
+    twist = flange_error(comparison, judged.compared.session.arm, resolved.error)
+    jacobian = comparison.jacobian
     spread = jacobian @ resolved.covariance @ np.swapaxes(jacobian, 1, 2)
     terms = sum(len(t) for t in resolved.terms)
     tolerance = judged.tolerance

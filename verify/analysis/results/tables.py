@@ -7,7 +7,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.comparison import Comparison
+from verify.analysis.comparison import Comparison, flange_error
 from verify.analysis.instrument import instrument_setup
 from verify.analysis.joint_errors import ResolvedErrors
 from verify.analysis.model import vector_length
@@ -102,7 +102,9 @@ def spots_table(measurements: list[Measurement], marker: Marker) -> pd.DataFrame
     return pd.DataFrame(rows, columns=names)
 
 
-def resolved_table(comparison: Comparison, resolved: ResolvedErrors, frame: Array) -> pd.DataFrame:
+def resolved_table(
+    comparison: Comparison, arm: robots.Arm, resolved: ResolvedErrors, frame: Array
+) -> pd.DataFrame:
     """The resolved error of each joint, and of the flange, at each compared pair."""
     table: dict[str, Array] = {
         "frame": frame,
@@ -111,7 +113,7 @@ def resolved_table(comparison: Comparison, resolved: ResolvedErrors, frame: Arra
     for j in range(resolved.error.shape[1]):
         table[f"q{j + 1}_resolved_deg"] = np.rad2deg(resolved.error[:, j])
         table[f"q{j + 1}_resolved_u_deg"] = np.rad2deg(resolved.uncertainty[:, j])
-    twist = np.einsum("nij,nj->ni", comparison.jacobian, resolved.error)
+    twist = flange_error(comparison, arm, resolved.error)
     spread = comparison.jacobian @ resolved.covariance @ np.swapaxes(comparison.jacobian, 1, 2)
     for name, part, unit in (
         ("position_resolved{}_mm", PLACE, 1e3),
