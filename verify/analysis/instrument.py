@@ -61,7 +61,7 @@ class MeasuredSession:
     track: Track
     systematics: Systematics
     preview: bytes | None = None  # PNG of a pair; an instrument's poses have none
-    alike: tuple[int, ...] = ()  # frames of which a picture is that of the pair before
+    alike: tuple[int, ...] = ()  # frames of which a picture is that of an earlier pair
     repeated: tuple[int, ...] = ()  # of these, those left out, as the readings move
 
 

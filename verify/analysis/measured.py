@@ -155,7 +155,7 @@ def without_repeats(
 ) -> MeasuredSession:
     """Measure again without pairs that show an earlier instant, if there are any.
 
-    A picture that is the one before while the readings move, `offset` s on the cameras' clock, was
+    A picture that is an earlier one while the readings move, `offset` s on the cameras' clock, was
     not taken anew. Such pairs keep a row, unaligned: nobody knows their instant.
     """
     t = np.array([m.t for m in measured.measurements]) - offset
@@ -207,14 +207,17 @@ def measure_instrument(
 def _remember_pairs(
     pairs: Iterable[StereoPair], recent: deque[StereoPair], alike: list[int]
 ) -> Iterator[StereoPair]:
-    """Pass pairs on, the last ones kept; frames with a picture of the pair before are listed."""
+    """Pass pairs on, the last ones kept; frames with a picture of one of these are listed."""
     for pair in pairs:
-        if recent and (
-            _same_picture(recent[-1].left, pair.left) or _same_picture(recent[-1].right, pair.right)
-        ):
+        if any(_shares_picture(before, pair) for before in recent):  # or a buffer two pairs old
             alike.append(pair.frame)
         recent.append(pair)
         yield pair
+
+
+def _shares_picture(before: StereoPair, pair: StereoPair) -> bool:
+    """Whether a camera gave the same picture in both pairs."""
+    return _same_picture(before.left, pair.left) or _same_picture(before.right, pair.right)
 
 
 def _same_picture(one: Image, other: Image) -> bool:
@@ -352,7 +355,7 @@ def with_repeats_named(session: Session, repeated: Sequence[int]) -> Session:
     named = ", ".join(map(str, repeated[:MAX_FRAMES_NAMED]))
     more = f" and {len(repeated) - MAX_FRAMES_NAMED} more" * (len(repeated) > MAX_FRAMES_NAMED)
     warning = (
-        f"{len(repeated)} of {len(session)} pairs have a picture of the pair before while the "
+        f"{len(repeated)} of {len(session)} pairs have a picture of an earlier pair while the "
         f"readings move, and are left out: frames {named}{more}. A camera repeats pictures where "
         "its exposure is longer than the time between pairs, or the line is too slow: expose "
         "shorter, or record fewer pairs a second."

@@ -1,5 +1,6 @@
 """The picture of a pair with its LEDs marked; pictures that a camera repeats."""
 
+from collections import deque
 from collections.abc import Generator, Iterable
 from dataclasses import dataclass, fields, replace
 
@@ -12,6 +13,7 @@ from verify.analysis.measured import (
     HEIGHT,
     RING_COLOUR,
     WIDTH,
+    _remember_pairs,
     draw_pair,
     measure_pictures,
     without_repeats,
@@ -97,7 +99,7 @@ def repeating(scenario: Scenario, repeats: Iterable[int], both: bool) -> Repeati
 def test_pairs_in_which_a_camera_repeats_its_picture_are_left_out(both: bool) -> None:
     scenario, repeats = sample(pairs=40), (3, 11, 12, 25, 34)
     plain, result = (analyse(repeating(scenario, r, both)) for r in ((), repeats))
-    assert not any("picture of the pair before" in w for w in plain.summary["warnings"])
+    assert not any("picture of an earlier pair" in w for w in plain.summary["warnings"])
     assert any("5 of 40 pairs have a picture" in w for w in result.summary["warnings"])
     assert result.summary["pairs"]["rejected"] == {"unaligned": 5}
     assert result.summary["pairs"]["repeated"] == 5
@@ -109,6 +111,15 @@ def test_pairs_in_which_a_camera_repeats_its_picture_are_left_out(both: bool) ->
         assert joint["expanded_uncertainty_deg"] < 1.3 * healthy["expanded_uncertainty_deg"]
         true = fault.offset_deg * (joint["joint"] == fault.joint)
         assert abs(joint["mean_error_deg"] - true) < 1.5 * joint["expanded_uncertainty_deg"]
+
+
+def test_a_picture_out_of_a_buffer_two_pairs_old_is_found() -> None:
+    session = in_memory(scene(recording=ScenarioRecording(pairs=8, rate_hz=10.0)))
+    taken = list(session.pairs())
+    pairs = [replace(taken[k], left=taken[k - 2 * (k == 5)].left) for k in range(8)]
+    alike: list[int] = []
+    assert len(list(_remember_pairs(pairs, deque(maxlen=2), alike))) == 8
+    assert alike == [5]
 
 
 def test_pictures_without_noise_are_alike_while_the_arm_stands_and_stay() -> None:
