@@ -29,6 +29,7 @@ MAX_PAIRS = 60  # that are compared for each mistake
 MIN_EXCHANGED = 0.5  # of the pairs, that can be measured with the cameras exchanged
 MAX_EXCHANGED_PAIRS = 40  # that are tried
 MIN_TURNED = np.deg2rad(5.0)  # by which a base or body is elsewhere, or shifted as far at LEVER
+MIN_SIGN_LEAP = np.deg2rad(4.0)  # of a reading to its mirrored angle, from one to the next
 LEVER = 0.3  # m: a distance over it counts as an angle
 CAMERAS_EXCHANGED = (
     "left and right exchanged",
@@ -60,7 +61,10 @@ def sample(mistake: Mistake, offset: float) -> tuple[Array, Array]:
 
 def joint_mistakes(readings: Readings) -> Iterator[tuple[str, str, Readings]]:
     """The usual mistakes of one joint, or two: name, remedy, the readings without it."""
-    for name, remedy, columns in _column_mistakes(readings.q):
+    for name, remedy, columns in (
+        *_column_mistakes(readings.q),
+        *_sign_changes(readings.t, readings.q),
+    ):
         q = readings.q.copy()
         for joint, column in columns.items():
             q[:, joint] = column
@@ -91,6 +95,19 @@ def _column_mistakes(q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
     for i, k in combinations(joints, 2):
         exchange = f"Exchange the columns q{i + 1}_deg and q{k + 1}_deg."
         yield f"joints {i + 1} and {k + 1} exchanged", exchange, {i: q[:, k], k: q[:, i]}
+
+
+def _sign_changes(t: Array, q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
+    """Joints whose largest leap is to their mirrored angle: without, either side mirrored back."""
+    leap = np.diff(q, axis=0)
+    for j in range(q.shape[1] if len(leap) else 0):
+        k = int(np.argmax(np.abs(leap[:, j])))
+        if np.abs(leap[k, j]) < MIN_SIGN_LEAP or np.abs(q[k, j] + q[k + 1, j]) > MIN_SIGN_LEAP / 2:
+            continue
+        for side, sign in (("before", -1.0), ("from there on", 1.0)):
+            without = q[:, j] * np.where(np.arange(len(q)) > k, -sign, sign)
+            name = f"joint {j + 1} with its sign changed at t_s = {t[k + 1]:.2f}"
+            yield name, f"Multiply the column q{j + 1}_deg by -1 {side}.", {j: without}
 
 
 def pose_mistakes(poses: Array, *, alone: bool) -> Iterator[tuple[str, str, Array]]:

@@ -54,6 +54,10 @@ def reverse_first(q: Array) -> Array:
     return q * [-1, 1, 1, 1, 1, 1]
 
 
+def mirror_fourth_halfway(q: Array) -> Array:
+    return np.where((np.arange(6) == 3) & (np.arange(len(q)) >= 168)[:, None], -q, q)
+
+
 def freeze(q: Array) -> Array:
     return np.tile(q[0], (len(q), 1))
 
@@ -92,6 +96,10 @@ def delay_second_and_fourth(q: Array) -> Array:
         (stop_fifth_halfway, r"joint 5 stand still from t_s = 2\.\d* to 5\.\d* while it turns by"),
         (stall, r"joints 1, .* stand still from t_s = 2\.82 to 3\.20 while they turn by"),
         (reverse_first, r"encoders\.csv: .*joint 1 reversed fits.* column q1_deg by -1"),
+        (
+            mirror_fourth_halfway,
+            r"joint 4 with its sign changed at t_s = 3\.\d+ fits.* q4_deg by -1 from there on",
+        ),
         (stop_third, r"joint 3 never change while it turns.* column q3_deg"),
         pytest.param(freeze, "readings never change", marks=pytest.mark.slow),
     ],
