@@ -55,6 +55,7 @@ FULL_TURN = 2 * np.pi
 MAX_POSE_DIFFERENCE = (0.05, np.deg2rad(8.0))  # m, rad
 MAX_POINT_DIFFERENCE = 0.1  # m: of a position alone the readings' own turn moves the point, too
 MIN_AGREEING = 0.9  # of the poses: where a flange points down, half may agree by chance
+WHOLE_PAIRS = 0.05  # of the time between pairs, by which a step is off a whole number of them
 MIN_LATE = 0.005  # s; less may be an elastic gear, and moves little
 MIN_RATIO = 5.0  # of it, and of a latency, to their standard uncertainties
 MAX_LEFT_SHARE = 0.25  # of the misfit, with the joints' latencies
@@ -179,6 +180,13 @@ def refuse_late(session: Session, written: Mistake, offset: float) -> None:
             f"their clock was set by {size:+.3f} s between t_s = {since:.2f} and {until:.2f}"
         )
         remedies.append(f"Add {-size:+.3f} s to t_s from there on, or judge each part by itself.")
+        count = abs(size) / float(np.median(np.diff(written.track.t)))
+        if round(count) and abs(count - round(count)) < WHOLE_PAIRS and session.instrument is None:
+            what = "lost" if size > 0 else "repeated"
+            remedies.append(
+                f"If both cameras {what} {round(count)} of their pictures there, which shows the "
+                "same, correct frames.csv from there on."
+            )
     if found:
         written = replace(written, remedy=" Or: ".join(remedies))
         raise refusal(session, written, ", or ".join(found))

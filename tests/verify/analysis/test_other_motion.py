@@ -28,7 +28,7 @@ from verify.errors import InputError
 from verify.io.session.keys import Clock
 from verify.io.session.session import Session, open_session
 from verify.measurement.chain import measure
-from verify.measurement.track import Track
+from verify.measurement.track import Track, subset
 
 SAMPLE = Path(__file__).parents[3] / "sample_sessions" / "multi_joint_fault_6r"
 
@@ -200,6 +200,19 @@ def test_a_clock_that_is_set_in_the_session_is_named(
         refuse_other_motion(session, track, log, clock)
     since, until = map(float, re.findall(r"\d\.\d\d(?= and|;)", str(refusal.value)))
     assert 2.85 < since <= 3.0 <= until < 3.3
+
+
+@pytest.mark.parametrize(("ahead", "what"), [(1, "lost 1"), (-2, "repeated 2")])
+def test_pictures_that_both_cameras_lose_or_repeat_are_told_beside_the_clock(
+    recording: tuple[Session, Track], ahead: int, what: str
+) -> None:
+    """From a row on, both pictures are those of a later or an earlier instant."""
+    session, track = recording
+    rows = np.arange(2, len(track) - 2)
+    shown = rows + ahead * (rows >= len(track) // 2)
+    shifted = replace(subset(track, rows), base_T_flange=track.base_T_flange[shown])
+    with pytest.raises(InputError, match=rf"clock was set .* both cameras {what} .* frames\.csv"):
+        judge((session, shifted), session.encoders.q)
 
 
 def test_a_clock_that_runs_fast_or_a_belt_that_slips_is_no_change_of_the_clock(
