@@ -51,11 +51,11 @@ class Mistake:
     arm: robots.Arm
 
 
-def sample(mistake: Mistake, offset: float) -> tuple[Array, Array]:
-    """Poses (n, 4, 4) of some pairs as measured, and their readings (n, j), rad."""
+def sample(mistake: Mistake, offset: float, most: int = MAX_PAIRS) -> tuple[Array, Array]:
+    """Poses (n, 4, 4) of at `most` so many pairs as measured, and their readings (n, j), rad."""
     track = mistake.track
     known = np.flatnonzero(mistake.readings.available(track.t - offset))
-    few = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), MAX_PAIRS)).astype(int))]
+    few = known[np.unique(np.linspace(0, len(known) - 1, min(len(known), most)).astype(int))]
     return track.base_T_flange[few], mistake.readings.at(track.t[few] - offset)
 
 

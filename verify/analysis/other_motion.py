@@ -34,6 +34,7 @@ from verify.analysis.diagnosis.faults import MAX_OFFSET
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import (
     LEVER,
+    MAX_PAIRS,
     Mistake,
     degrees,
     joint_mistakes,
@@ -68,6 +69,7 @@ MAX_CARRIED = 4  # mistakes, to the joints
 MIN_PLACES = 6  # by which positions alone are judged
 MAX_FROZEN = np.deg2rad(0.01)  # by which readings of a standing log differ
 MIN_STANDING = 4  # pairs at which readings stand
+MAX_STANDING_PAIRS = 1000  # among which they are sought: a hold is short
 
 
 def refuse_other_motion(
@@ -231,12 +233,12 @@ def _best_by_joints(
     return (named, best) if named is not None else (faulty, beside)
 
 
-def _joint_errors(mistake: Mistake, offset: float) -> tuple[Array, Array]:
+def _joint_errors(mistake: Mistake, offset: float, most: int = MAX_PAIRS) -> tuple[Array, Array]:
     """Reading less measured angle at some pairs, and that angle, (n, j) each, rad.
 
     No rows where they are unknown, or where the arm is near a singularity.
     """
-    poses, q = sample(mistake, offset)
+    poses, q = sample(mistake, offset, most)
     none = np.zeros((0, mistake.arm.dof))
     if len(q) < 3:
         return none, none
@@ -300,7 +302,7 @@ def _refuse_standing(
     """
     unknown = clock.source == "none" and len(clock.curve)  # standing readings hide the clock
     offset = clock.curve[np.argmin(clock.curve[:, 1]), 0] if unknown else clock.offset
-    error, angle = _joint_errors(written, float(offset))
+    error, angle = _joint_errors(written, float(offset), MAX_STANDING_PAIRS)
     t, found = written.readings.t, []
     for joint, q in enumerate(written.readings.q.T if len(error) else ()):
         runs = np.append(np.flatnonzero(np.diff(q, prepend=np.nan)), len(q))

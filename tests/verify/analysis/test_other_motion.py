@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.linalg import block_diag
 
+import robots
 from robots.transforms import rotation_exp
 from tests.support.motions import ARM, HOME, SWING, make_track
 from tests.support.published import write_session
@@ -200,6 +201,23 @@ def test_a_clock_that_is_set_in_the_session_is_named(
         refuse_other_motion(session, track, log, clock)
     since, until = map(float, re.findall(r"\d\.\d\d(?= and|;)", str(refusal.value)))
     assert 2.85 < since <= 3.0 <= until < 3.3
+
+
+def test_a_joint_that_holds_twice_for_a_few_pairs_of_many_is_named(
+    recording: tuple[Session, Track],
+) -> None:
+    session, track = recording
+    t = np.linspace(track.t[0], track.t[-1], 2 * len(track))
+    told = Readings(session.encoders.t, session.encoders.q)
+    flange = robots.forward(session.arm, told.at(t - 0.085))
+    many = replace(subset(track, np.arange(len(t)) // 2), t=t, base_T_flange=flange)
+    speed = np.abs(np.gradient(told.q[:, 5]))
+    q = session.encoders.q.copy()
+    for half in (slice(40, 120), slice(140, 220)):
+        start = half.start + int(np.argmax(speed[half])) - 5
+        q[start : start + 12, 5] = q[start, 5]
+    with pytest.raises(InputError, match=r"those of joint 6 stand still from .* while it turns by"):
+        judge((session, many), q)
 
 
 @pytest.mark.parametrize(("ahead", "what"), [(1, "lost 1"), (-2, "repeated 2")])
