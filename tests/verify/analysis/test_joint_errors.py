@@ -21,7 +21,7 @@ from tests.support.motions import (
     read,
     swinging,
 )
-from verify.analysis.comparison import compare
+from verify.analysis.comparison import compare, flange_error
 from verify.analysis.joint_errors import ResolvedErrors, resolve_errors
 from verify.analysis.least_squares import solve
 from verify.analysis.model import visibility
@@ -129,3 +129,14 @@ def test_a_prior_column_is_generalised_least_squares() -> None:
     assert_allclose(fit.covariance, expected, atol=1e-10)
     rest = target - rows @ value
     assert_allclose(fit.chi2, rest @ weight @ rest, rtol=1e-10)
+
+
+@pytest.mark.parametrize(("size_deg", "tolerance"), [(0.3, 1e-4), (30.0, 1e-12)])
+def test_the_flange_is_off_as_far_as_the_poses_are_apart(size_deg: float, tolerance: float) -> None:
+    _, comparison = compared(1)
+    error = np.tile(np.deg2rad([size_deg, 0, -size_deg, 0, size_deg / 2, 0]), (len(comparison), 1))
+    reading, true = robots.forward(ARM, comparison.q), robots.forward(ARM, comparison.q - error)
+    found = flange_error(comparison, ARM, error)
+    turned = Rotation.from_matrix(reading[:, :3, :3] @ true[:, :3, :3].swapaxes(1, 2))
+    assert_allclose(found[:, :3], reading[:, :3, 3] - true[:, :3, 3], atol=tolerance)
+    assert_allclose(found[:, 3:], turned.as_rotvec(), atol=tolerance)
