@@ -138,16 +138,22 @@ def design_effect(share: Array, pull: Array) -> tuple[float, float]:
     """
     if len(pull) < MIN_PAIRS:
         return 1.0, np.inf
-    # the gradients of two pairs are correlated through the parameters that both determine
-    own = share - share @ share
-    expected = float(np.einsum("bii->", own))
-    spread = 2 * float(np.einsum("bij,bji->", own, own))
-    if expected <= 0 or spread <= 0:
+    # the gradients of two pairs are correlated through the parameters that both determine: of their
+    # covariance M, blocks share_b less share_b share_c, the traces of M, M² and M³
+    square = share @ share
+    one, two, three, four = (
+        np.sum(power, axis=0) for power in (share, square, share @ square, square @ square)
+    )
+    expected = float(np.trace(one - two))
+    spread = 2 * float(np.trace(two - 2 * three + two @ two))
+    skew = 8 * float(np.trace(three - 3 * four + 3 * three @ two - two @ two @ two))
+    if expected <= 0 or spread <= 0 or skew <= 0:
         return 1.0, np.inf
-    degrees = 2 * expected**2 / spread
-    factor = float(np.sum(pull**2)) / expected
-    if factor <= 1 or factor * degrees <= chi2_ppf(1 - P_FALSE_CLUSTERING, degrees):
+    found, degrees = float(np.sum(pull**2)), 8 * spread**3 / skew**2
+    unlikely = chi2_ppf(1 - P_FALSE_CLUSTERING, degrees)
+    if found <= expected + (unlikely - degrees) * np.sqrt(spread / (2 * degrees)):
         return 1.0, np.inf
+    factor, degrees = found / expected, 2 * expected**2 / spread
     return factor, float(degrees)
 
 
