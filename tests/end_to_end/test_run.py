@@ -170,6 +170,7 @@ def test_figures_of_the_table_and_of_the_summary_agree(faulty: Run) -> None:
 def test_one_number_for_one_thing(faulty: Run) -> None:
     """The mean of the resolved error: in summary.json, table, terminal and headline."""
     page = (faulty.out / "report.html").read_text(encoding="utf-8")
+    page = page.replace("\N{NO-BREAK SPACE}", " ")
     resolved = pd.read_parquet(faulty.out / "results" / "resolved.parquet")
     for joint in faulty.summary["joints"]:
         mean, expanded = joint["mean_error_deg"], joint["expanded_uncertainty_deg"]
