@@ -62,7 +62,7 @@ class MeasuredSession:
     systematics: Systematics
     preview: bytes | None = None  # PNG of a pair; an instrument's poses have none
     alike: tuple[int, ...] = ()  # frames of which a picture is that of an earlier pair
-    repeated: tuple[int, ...] = ()  # of these, those left out, as the readings move
+    repeated: frozenset[int] = frozenset()  # of these, those left out, as the readings move
 
 
 def instrument_setup(session: Session, instrument: Instrument) -> dict[str, Any]:

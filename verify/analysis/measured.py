@@ -4,7 +4,7 @@ One pair of pictures is kept with its LEDs marked, for the report.
 """
 
 from collections import Counter, deque
-from collections.abc import Callable, Container, Iterable, Iterator, Sequence
+from collections.abc import Callable, Container, Iterable, Iterator, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
@@ -36,6 +36,7 @@ from verify.core.records import (
     Sighting,
     StereoPair,
     no_progress,
+    same_picture,
 )
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
@@ -64,7 +65,6 @@ SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
 SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
 MAX_CANDIDATES = 200
 MAX_FRAMES_NAMED = 5
-ROW_STEP = 45  # of rows that show whether pictures differ: a camera's noise is in each
 Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 
@@ -163,7 +163,7 @@ def without_repeats(
     moves = (np.abs(np.diff(q, axis=0)) > readings.resolved).any(axis=1)
     rows = np.flatnonzero(moves & known[1:] & known[:-1]) + 1
     moving = {measured.measurements[i].frame for i in rows}
-    repeated = tuple(frame for frame in measured.alike if frame in moving)
+    repeated = moving.intersection(measured.alike)
     if not repeated:
         return measured
     again = measure_pictures(session, no_progress, chain, repeated)
@@ -173,7 +173,7 @@ def without_repeats(
         if m.frame in repeated
     ]
     measurements = sorted([*again.measurements, *lost], key=lambda m: m.frame)
-    return replace(again, measurements=measurements, repeated=repeated)
+    return replace(again, measurements=measurements, repeated=frozenset(repeated))
 
 
 def measure_instrument(
@@ -217,13 +217,8 @@ def _remember_pairs(
 
 def _shares_picture(before: StereoPair, pair: StereoPair) -> bool:
     """Whether a camera gave the same picture in both pairs."""
-    return _same_picture(before.left, pair.left) or _same_picture(before.right, pair.right)
-
-
-def _same_picture(one: Image, other: Image) -> bool:
-    """Whether pictures are the same in every pixel, and show anything."""
-    same = np.array_equal(one[::ROW_STEP], other[::ROW_STEP]) and np.array_equal(one, other)
-    return same and bool(np.ptp(one))
+    both = (before.left, pair.left), (before.right, pair.right)
+    return any(same_picture(one, other) and np.ptp(one) for one, other in both)  # shows anything
 
 
 def _expected_poses(session: Session, readings: Readings) -> Callable[[float], Sequence[Array]]:
@@ -348,11 +343,11 @@ def with_shown_noise(session: Session, readings: Readings) -> Session:
     return replace(session, encoder_time_standard_uncertainty=noise, warnings=warnings)
 
 
-def with_repeats_named(session: Session, repeated: Sequence[int]) -> Session:
+def with_repeats_named(session: Session, repeated: Set[int]) -> Session:
     """The session, with a warning where pairs were left out that show an earlier instant."""
     if not repeated:
         return session
-    named = ", ".join(map(str, repeated[:MAX_FRAMES_NAMED]))
+    named = ", ".join(map(str, sorted(repeated)[:MAX_FRAMES_NAMED]))
     more = f" and {len(repeated) - MAX_FRAMES_NAMED} more" * (len(repeated) > MAX_FRAMES_NAMED)
     warning = (
         f"{len(repeated)} of {len(session)} pairs have a picture of an earlier pair while the "

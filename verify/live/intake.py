@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from verify.core.records import Image
+from verify.core.records import Image, same_picture
 from verify.devices.protocols import (
     CameraDevice,
     CameraFrame,
@@ -146,7 +146,7 @@ def camera_step(
         if frame is None:
             return False
         last, before = before, frame.image
-        if differ and np.array_equal(last, before):
+        if differ and same_picture(last, before):
             queue.drop(REPEATED)
         else:
             queue.add(side, frame, time.monotonic())

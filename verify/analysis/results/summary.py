@@ -78,6 +78,13 @@ class SessionAnalysis:
         """Number of each compared pair, (n,)."""
         return self.compared.track.frame[self.model.comparison.index]
 
+    def resolved_flange(self) -> tuple[Array, Array]:
+        """The resolved joint errors at the flange, (n, 6), m and rad, and its covariance."""
+        comparison, resolved = self.model.comparison, self.resolved
+        jacobian = comparison.jacobian
+        twist = flange_error(comparison, self.compared.session.arm, resolved.error)
+        return twist, jacobian @ resolved.covariance @ np.swapaxes(jacobian, 1, 2)
+
     @property
     def error_uncertainty(self) -> Array:
         """Standard uncertainty of each pair's joint errors from all sources, (n, j), rad."""
@@ -299,10 +306,7 @@ def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:
 
 def _flange_verdicts(judged: SessionAnalysis) -> tuple[Verdict, Verdict]:
     """The resolved joint errors carried through the arm, judged by the same rule."""
-    comparison, resolved = judged.model.comparison, judged.resolved
-    twist = flange_error(comparison, judged.compared.session.arm, resolved.error)
-    jacobian = comparison.jacobian
-    spread = jacobian @ resolved.covariance @ np.swapaxes(jacobian, 1, 2)
+    (twist, spread), resolved = judged.resolved_flange(), judged.resolved
     terms = sum(len(t) for t in resolved.terms)
     tolerance = judged.tolerance
     return (

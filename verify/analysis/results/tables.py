@@ -7,9 +7,7 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.comparison import Comparison, flange_error
 from verify.analysis.instrument import instrument_setup
-from verify.analysis.joint_errors import ResolvedErrors
 from verify.analysis.model import vector_length
 from verify.analysis.relative_motion import RelativeMotion
 from verify.analysis.results.entries import finite_number
@@ -102,19 +100,17 @@ def spots_table(measurements: list[Measurement], marker: Marker) -> pd.DataFrame
     return pd.DataFrame(rows, columns=names)
 
 
-def resolved_table(
-    comparison: Comparison, arm: robots.Arm, resolved: ResolvedErrors, frame: Array
-) -> pd.DataFrame:
+def resolved_table(found: SessionAnalysis) -> pd.DataFrame:
     """The resolved error of each joint, and of the flange, at each compared pair."""
+    comparison, resolved = found.model.comparison, found.resolved
     table: dict[str, Array] = {
-        "frame": frame,
+        "frame": found.frame,
         "t_s": np.where(comparison.timed, comparison.t, np.nan),
     }
     for j in range(resolved.error.shape[1]):
         table[f"q{j + 1}_resolved_deg"] = np.rad2deg(resolved.error[:, j])
         table[f"q{j + 1}_resolved_u_deg"] = np.rad2deg(resolved.uncertainty[:, j])
-    twist = flange_error(comparison, arm, resolved.error)
-    spread = comparison.jacobian @ resolved.covariance @ np.swapaxes(comparison.jacobian, 1, 2)
+    twist, spread = found.resolved_flange()
     for name, part, unit in (
         ("position_resolved{}_mm", PLACE, 1e3),
         ("orientation_resolved{}_deg", TURN, 180 / np.pi),

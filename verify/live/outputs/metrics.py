@@ -79,8 +79,9 @@ class MetricsServer:
         if not host or not port.isdecimal():
             expected = "HOST:PORT is expected"
             raise InputError("alarm.prometheus", f'is "{address}"', expected, "Correct it.")
+        host = host.strip("[]")
         try:
-            self._server = ThreadingHTTPServer((host.strip("[]"), int(port)), _handler(host, text))
+            self._server = ThreadingHTTPServer((host, int(port)), _handler(host, text))
         except (OSError, OverflowError) as error:
             remedy = "Choose another port."
             found = f"cannot be served: {error}"
@@ -103,7 +104,7 @@ class MetricsServer:
 
 
 def _handler(host: str, text: Callable[[], str]) -> type[BaseHTTPRequestHandler]:
-    local = is_loopback(host.strip("[]"))
+    local = is_loopback(host)
 
     class Handler(BaseHTTPRequestHandler):
         timeout = REQUEST_TIMEOUT
@@ -111,7 +112,7 @@ def _handler(host: str, text: Callable[[], str]) -> type[BaseHTTPRequestHandler]
         def do_GET(self) -> None:
             """Give the metrics; no script of a web page may read them, whatever name it takes."""
             headers = {name.lower(): value for name, value in self.headers.items()}
-            access = PageAccess(host.strip("[]"), int(self.connection.getsockname()[1]), None)
+            access = PageAccess(host, int(self.connection.getsockname()[1]), None)
             foreign = "origin" in headers or (
                 local and access.refusal(headers, None, script=False) is not None
             )
