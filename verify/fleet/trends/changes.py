@@ -109,7 +109,11 @@ def _course(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm])
 def candidates(series: JointSeries) -> list[TrendTerm]:
     """List every change that a series could show."""
     n = len(series)
-    steps = [TrendTerm("step", k) for k in range(MIN_SESSIONS, n - MIN_SESSIONS + 1)]
+    steps = [
+        TrendTerm("step", k)
+        for k in range(MIN_SESSIONS, n - MIN_SESSIONS + 1)
+        if series.t[k] > series.t[k - 1]  # sessions of one start have no order
+    ]
     drifts = [
         TrendTerm("drift", k)
         for k in range(max(n - MIN_SESSIONS, 0))

@@ -193,9 +193,17 @@ def test_a_series_too_short_for_a_change_has_none() -> None:
 def test_sessions_of_one_time_show_no_drift() -> None:
     sessions = monthly(np.array([0.0, 9.0, 0.1, 5.0, 5.0, 0.1, 0.3, -7.0, 3.0]), seed=4)
     sessions["started"] = pd.Timestamp(BEGIN)
-    series = series_of(sessions, "a", 5)
-    assert {term.kind for term in candidates(series)} == {"step"}
+    assert not candidates(series_of(sessions, "a", 5))  # nor a step: nothing puts them in order
     assert assessed(sessions).table("joints")["state"].tolist()[4] == "scattered"
+
+
+def test_a_step_lies_between_two_starts() -> None:
+    sessions = monthly(np.repeat([0.0, 1.0, 0.0, 1.0], 4), seed=4)
+    starts = pd.Series(np.repeat([0, 30], 8))  # days; of either day half the sessions are off
+    sessions["started"] = pd.Timestamp(BEGIN) + pd.to_timedelta(starts, "D")
+    places = [one.place for one in candidates(series_of(sessions, "a", 5)) if one.kind == "step"]
+    assert places == [8]
+    assert not len(changes(sessions))
 
 
 def test_before_and_after_a_day_compares_each_joint() -> None:
