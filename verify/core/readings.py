@@ -92,7 +92,7 @@ class Readings:
 
     def _bracketed(self, t: Array) -> NDArray[np.bool_]:
         """Whether readings stand at both sides of the instants t (n,), no gap between them."""
-        marks: NDArray[np.bool_] = self._without_gap[np.searchsorted(self.t, t)] | (t == self.t[0])
+        marks: NDArray[np.bool_] = self._without_gap[self.t.searchsorted(t)] | (t == self.t[0])
         return marks
 
     def instants(self, step: float) -> Array:
@@ -175,8 +175,12 @@ class Readings:
 
         That of the log, or what readings scatter by in a rough stretch, where that is far more.
         """
-        after = np.minimum(np.searchsorted(self.t, t), len(self.t) - 1)
-        return np.asarray(np.maximum(self.noise, self.roughness[after]))
+        return self._noise_there[self.t[:-1].searchsorted(t)]
+
+    @cached_property
+    def _noise_there(self) -> Array:
+        """The same of each reading, (m, joints), rad."""
+        return np.asarray(np.maximum(self.noise, self.roughness))
 
     @cached_property
     def roughness(self) -> Array:
@@ -263,8 +267,7 @@ class Readings:
         A joint has turned back once it is further from its extreme than the readings' noise can
         explain; at rest the last direction is kept.
         """
-        held = np.maximum(self.t.searchsorted(t, side="right") - 1, 0)
-        return self._directions[held]
+        return self._directions[self.t[1:].searchsorted(t, side="right")]
 
     @cached_property
     def _directions(self) -> Array:
