@@ -9,6 +9,7 @@ angles of measured poses come from the inverse, the branch nearest the readings.
 import contextlib
 from dataclasses import dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -102,23 +103,24 @@ def compare(
     if known is None:
         known = readings.available(there)
     index = known.nonzero()[0]
-    there = there[index]
+    some: Any = index if len(index) < len(known) else slice(None)  # all: without a copy
+    there = there[some]
     q, rate = readings.motion(there)
     encoder, jacobian = robots.forward_and_jacobian(arm, q)
     measured, determined, carry = _complete_poses(
-        track.base_T_flange[index], encoder, tuple(track.determined[i] for i in index)
+        track.base_T_flange[some], encoder, tuple(track.determined[i] for i in index.tolist())
     )
     noise = readings.noise_at(there)
     spread = _reading_covariance(noise, stated, index, jacobian, rate)
     scale = alignment_scale(track)[:, None, None]
-    own = (scale * track.covariance_alignment + track.covariance_pixels)[index]
-    systematic, missed = -track.systematic[index], -track.alignment_error[index]
+    own = (scale * track.covariance_alignment + track.covariance_pixels)[some]
+    systematic, missed = -track.systematic[some], -track.alignment_error[some]
     if carry is not None:
         own, systematic = carry @ own @ np.swapaxes(carry, 1, 2), carry @ systematic
         missed = (carry @ missed[:, :, None])[:, :, 0]
     return Comparison(
         index=index,
-        t=track.t[index],
+        t=track.t[some],
         q=q,
         rate=rate,
         direction=readings.direction(there),
