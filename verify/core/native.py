@@ -190,10 +190,11 @@ def _library() -> tuple[Any, Any, Callable[[Sequence[Any]], list[Any]]]:
     """The interface, the library, and what makes values what entries take."""
     interface, functions = load(library_folder())
     pointer, kinds = interface.ffi.from_buffer, TYPES.items()
-    types = {np.dtype(kind).char: interface.ffi.typeof(f"{name}[]") for kind, name in kinds}
+    types = {np.dtype(kind): interface.ffi.typeof(f"{name}[]") for kind, name in kinds}
+    plain = np.ndarray  # a hundred of them a pair: what takes longest is asked last
 
     def arguments(values: Sequence[Any]) -> list[Any]:
-        return [pointer(types[v.dtype.char], v) if isinstance(v, np.ndarray) else v for v in values]
+        return [pointer(types[v.dtype], v) if type(v) is plain else v for v in values]
 
     return interface, functions, arguments
 
@@ -228,7 +229,7 @@ def entry(name: str) -> Callable[..., int]:
 def _copied(values: Sequence[Any], inputs: dict[int, str]) -> list[Any]:
     """Copy arrays that are only read to what is declared."""
     return [
-        v.astype(inputs[n], order="C", casting="same_kind")
+        v.astype(inputs[n], order="C", casting="same_kind", subok=False)
         if n in inputs and isinstance(v, np.ndarray)
         else v
         for n, v in enumerate(values)
