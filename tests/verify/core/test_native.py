@@ -101,7 +101,8 @@ def strided(array: NDArray[Any]) -> NDArray[Any]:
 def test_what_an_entry_reads_may_be_of_any_layout_and_what_it_fills_may_not() -> None:
     turns = Rotation.from_rotvec([[0.1, -0.2, 0.3], [0.4, 0.0, -0.5]]).as_matrix()
     vectors, found = entry("rotation_vectors"), np.empty((2, 3))
-    for kind in (strided(turns), np.asfortranarray(turns), turns.astype(np.float32)):
+    foreign = turns.astype(">f8"), turns.view(np.memmap)  # another byte order, another class
+    for kind in (strided(turns), np.asfortranarray(turns), turns.astype(np.float32), *foreign):
         found[:] = np.nan
         vectors(2, kind, found)
         np.testing.assert_allclose(found, [[0.1, -0.2, 0.3], [0.4, 0.0, -0.5]], atol=1e-6)
