@@ -30,6 +30,7 @@ MIN_EXCHANGED = 0.5  # of the pairs, that can be measured with the cameras excha
 MAX_EXCHANGED_PAIRS = 40  # that are tried
 MIN_TURNED = np.deg2rad(5.0)  # by which a base or body is elsewhere, or shifted as far at LEVER
 MIN_SIGN_LEAP = np.deg2rad(4.0)  # of a reading to its mirrored angle, from one to the next
+MAX_MIRRORED = 0.01  # m, of an LED from its mirrored place: base and joints are off, too
 LEVER = 0.3  # m: a distance over it counts as an angle
 CAMERAS_EXCHANGED = (
     "left and right exchanged",
@@ -261,12 +262,25 @@ def _misplaced(
         return None
     what = "the robot's base" if of_base else "the body on the flange"
     holder = session.rig_file if of_base or posed else session.marker_file
+    axis = None if of_base or posed else _mirrored_axis(session.marker.leds, moved)
+    mirrored = f"LEDs of reversed {axis} lie there, too: check its signs in position_mm, or "
     return replace(
         written,
         file=holder or session.folder / "session.toml",
         name=f"{what} turned by {degrees(turn)} and shifted by {shift * 1e3:.0f} mm",
-        remedy="Nothing can be judged by that registration: register again.",
+        remedy=f"{mirrored}register again."
+        if axis
+        else "Nothing can be judged by that registration: register again.",
     )
+
+
+def _mirrored_axis(leds: Array, moved: Array) -> str | None:
+    """The axis whose sign puts three LEDs (n, 3), m, where they are, too: mirrored, they fit."""
+    for axis, mirror in zip("xyz", 1 - 2 * np.eye(3), strict=True):
+        apart = np.linalg.norm(carry(moved, leds) - leds * mirror, axis=1)
+        if np.count_nonzero(apart < MAX_MIRRORED) >= 3:
+            return axis
+    return None
 
 
 def _middle(poses: Array) -> Array:

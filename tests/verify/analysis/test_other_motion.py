@@ -340,6 +340,20 @@ def test_the_rig_that_was_given_is_blamed_and_not_the_session_s_own(
         judge((wrong, moved), session.encoders.q)
 
 
+def test_leds_with_a_sign_reversed_are_named() -> None:
+    session = open_session(SAMPLE)
+    marker = replace(session.marker, leds=session.marker.leds * [-1.0, 1.0, 1.0])
+    wrong = replace(session, marker=marker)
+    track = measure_pictures(wrong, lambda _done, _total: None, measure).track
+    with pytest.raises(InputError, match=r"marker\.toml: .*reversed x lie there.* or register"):
+        judge((wrong, track), session.encoders.q)
+    turned = block_diag(rotation_exp(np.radians([83.0, 0, 0])), 1)
+    track = measure_pictures(session, lambda _done, _total: None, measure).track
+    moved = replace(track, base_T_flange=track.base_T_flange @ turned)
+    with pytest.raises(InputError, match=r"turned by 83°.*Nothing can be judged"):
+        judge((session, moved), session.encoders.q)
+
+
 def test_a_registration_that_shows_the_same_is_named_with_a_zero(
     recording: tuple[Session, Track],
 ) -> None:
