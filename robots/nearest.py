@@ -73,7 +73,8 @@ def _nearest_branch(
     distance = (away * away).sum(axis=-1)
     distance[np.isnan(distance)] = np.inf
     best = distance.argmin(axis=-1).ravel()
-    chosen = q.reshape(best.size, -1, arm.dof)[np.arange(best.size), best].reshape(seeds.shape)
+    rows = q.reshape(best.size, q.shape[-2], arm.dof)
+    chosen = rows[np.arange(best.size), best].reshape(seeds.shape)
     return chosen, np.isfinite(chosen[..., 0])
 
 

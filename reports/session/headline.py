@@ -190,6 +190,8 @@ def _undecided(results: Results) -> str:
 
 def _first_improvement(results: Results, open_joints: list[dict[str, Any]]) -> str:
     """Say what would have to improve first; the reason that bars most comes first."""
+    if any(j.get("reason") == "pairs_lost" for j in open_joints):
+        return "most pairs were lost: first find out why"
     unseen = [j for j in open_joints if j.get("reason") == "not_observable"]
     if unseen:
         freed = hiding_parameter(results, unseen[0])[1]

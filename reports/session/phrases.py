@@ -38,6 +38,7 @@ REASONS = {
     "clock_ambiguous": "depends on which of several clock offsets is right",
     "not_detectable": "an error of the tolerance's size could go unnoticed",
     "lack_of_fit": "errors follow no known curve",
+    "pairs_lost": "the pairs that could be measured do not bear a verdict",
     "not_observable": "cannot show in this session",
     "no_tolerance": "no tolerance given",
 }

@@ -1,11 +1,12 @@
-"""Conform, nonconform or undecided: docs/results.md's rule with guard bands."""
+"""Conform, nonconform or undecided: docs/measuring.md's rule with guard bands."""
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from verify.analysis.joint_errors import ResolvedErrors
+from verify.analysis.joint_errors import MIN_PAIRS, ResolvedErrors
 from verify.analysis.model import vector_length
 from verify.core.records import Array
 from verify.core.statistics import chi2_isf, norm_cdf, norm_isf
@@ -18,8 +19,11 @@ RULE = (
     "fit (chi-squared, 0.1 %), and the detectable error within the tolerance. Nonconform: "
     "|resolved error| − z u beyond the tolerance at some pair, z two-sided 5 % with Bonferroni "
     "over the fitted terms. Else undecided. The verdict covers the poses, directions and speeds "
-    "seen, no others."
+    "seen, no others. Undecided as well: all, where more pairs contradict rig.toml and marker.toml "
+    f"than were measured; what would conform, where most pairs were lost and under {MIN_PAIRS} are "
+    "left."
 )
+CONTRADICTING = ("outlier", "ambiguous_leds", "unaligned", "unreachable")  # of a pair's statuses
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,6 +87,21 @@ def _judge(
     if reason:
         return Verdict("undecided", reason, value, doubt, probability)
     return Verdict("conform", "within_tolerance", value, doubt, probability)
+
+
+def borne_verdict(verdict: Verdict, status: Counter[str]) -> Verdict:
+    """The verdict as far as the pairs that are left bear it; `status` counts all pairs.
+
+    Where more contradict rig and marker than were measured, those left may be the wrong ones. Where
+    most are lost and under MIN_PAIRS left, no scatter beside slope and direction says whether
+    these are sound.
+    """
+    measured = status["measured"]
+    against = sum(status[word] for word in CONTRADICTING) > measured
+    few = verdict.verdict == "conform" and measured < MIN_PAIRS and 2 * measured < status.total()
+    if verdict.verdict is None or not (against or few):
+        return verdict
+    return replace(verdict, verdict="undecided", reason="pairs_lost")
 
 
 def agreed_verdict(verdicts: Sequence[Verdict]) -> Verdict:

@@ -36,6 +36,7 @@ from verify.analysis.verdict import (
     RULE,
     Verdict,
     agreed_verdict,
+    borne_verdict,
     judge_joint,
     judge_norm,
     overall_verdict,
@@ -101,10 +102,10 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
     """Word the judgement as summary.json."""
     session = judged.compared.session
     counts = Counter(judged.status)
+    told = counts - Counter(unaligned=judged.repeated)  # a camera's repeats contradict nothing
+    agreed = map(agreed_verdict, zip(*map(_verdicts, (judged, *judged.by_clock)), strict=True))
+    *per_joint, position, orientation = (borne_verdict(verdict, told) for verdict in agreed)
     measured = counts.pop("measured", 0)
-    *per_joint, position, orientation = map(
-        agreed_verdict, zip(*map(_verdicts, (judged, *judged.by_clock)), strict=True)
-    )
     verdicts = [*(v.verdict for v in per_joint), position.verdict, orientation.verdict]
     return {
         "format": 1,

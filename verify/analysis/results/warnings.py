@@ -11,13 +11,13 @@ from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.rig_check.check import consistency, moved_warning
 from verify.analysis.rig_check.leds import PictureMisfit, misfit_warning
 from verify.analysis.uncertainty.sources import unstated_sources
+from verify.analysis.verdict import CONTRADICTING
 from verify.core.records import Measurement
 from verify.io.session.session import Session
 from verify.measurement.systematics import Systematics
 
 MAX_LOST_SHARE = 0.1  # of the pairs: fewer may be hidden LEDs
 MIN_LASTING = 0.8  # of the pairs from the first lost one on, where something has moved then
-CONTRADICTING = ("outlier", "ambiguous_leds", "unaligned")
 CONTRADICTION_ADVICE = (
     "The pictures contradict rig.toml and marker.toml there: errors and causes found in the other "
     "pairs may come from that and not from the robot. Check that both files belong to the "
