@@ -4,7 +4,7 @@ Small scenarios that several tests start from.
 """
 
 from collections.abc import Generator, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -57,8 +57,10 @@ class InMemory(Session):
     simulated: SimulatedSession
 
     def pairs(self) -> Generator[StereoPair]:
-        """Render the pairs."""
-        yield from rendered(self.simulated)
+        """Render the pairs; pan readings are the session's."""
+        pans = zip(self.frames.pan_left.tolist(), self.frames.pan_right.tolist(), strict=True)
+        for pair, (left, right) in zip(rendered(self.simulated), pans, strict=True):
+            yield replace(pair, pan_left=left, pan_right=right)
 
     @property
     def truth(self) -> Array:

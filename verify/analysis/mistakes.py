@@ -4,7 +4,7 @@ A joint's sign, zero or unit, two joints exchanged, a link that turns with two; 
 another order or inverted, cameras exchanged; a base inverted, in metres or elsewhere; another arm.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations, islice
 from pathlib import Path
@@ -17,8 +17,9 @@ from robots.library import example_names, names
 from robots.transforms import carry
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.measured import session_clock, setup_of
+from verify.analysis.results.warnings import MAX_LOST_SHARE
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Measurement
 from verify.errors import InputError
 from verify.io.poses import POSITION, QUATERNION
 from verify.io.session.session import Session
@@ -27,11 +28,12 @@ from verify.measurement.track import Track, collect_track
 
 MAX_PAIRS = 60  # that are compared for each mistake
 MIN_EXCHANGED = 0.5  # of the pairs, that can be measured with the cameras exchanged
-MAX_EXCHANGED_PAIRS = 40  # that are tried
+MAX_TRIED_PAIRS = 40  # with the cameras exchanged, or other pan readings
 MIN_TURNED = np.deg2rad(5.0)  # by which a base or body is elsewhere, or shifted as far at LEVER
 MIN_SIGN_LEAP = np.deg2rad(4.0)  # of a reading to its mirrored angle, from one to the next
 MAX_MIRRORED = 0.01  # m, of an LED from its mirrored place: base and joints are off, too
 LEVER = 0.3  # m: a distance over it counts as an angle
+MAX_LEFT_LOST = 0.25  # of lost pairs, with a mistake in the pan readings taken back
 CAMERAS_EXCHANGED = (
     "left and right exchanged",
     "Exchange the pictures of left and right in session.toml.",
@@ -177,9 +179,14 @@ def session_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
 def exchanged_track(session: Session) -> Track:
     """The first pairs as they would be measured with left and right exchanged."""
     exchanged = replace(session, left=session.right, right=session.left)
-    pairs = islice(exchanged.pairs(), MAX_EXCHANGED_PAIRS)
-    measured = [m for m in measure(pairs, setup_of(session)) if m.status == "measured"]
+    measured = _measured_pairs(exchanged, 0)
     return collect_track(measured, session.rig, [np.zeros((6, 0))] * len(measured))
+
+
+def _measured_pairs(session: Session, first: int) -> list[Measurement]:
+    """A few pairs from the one at `first` on: those that can be measured."""
+    pairs = islice(session.pairs(), first, first + MAX_TRIED_PAIRS)
+    return [m for m in measure(pairs, setup_of(session)) if m.status == "measured"]
 
 
 def refuse_exchanged_cameras(session: Session) -> None:
@@ -188,11 +195,56 @@ def refuse_exchanged_cameras(session: Session) -> None:
     Raises:
         InputError: left and right are exchanged.
     """
-    count, tried = len(exchanged_track(session)), min(len(session), MAX_EXCHANGED_PAIRS)
+    count, tried = len(exchanged_track(session)), min(len(session), MAX_TRIED_PAIRS)
     if count >= max(MIN_EXCHANGED * tried, 3):
         found = f"no pair could be measured; {CAMERAS_EXCHANGED[0]} fits: {count} of {tried}"
         expected = "the left camera's pictures, of the rig's left camera"
         raise InputError(session.left.path, found, expected, CAMERAS_EXCHANGED[1])
+
+
+def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -> None:
+    """Refuse pan readings whose usual mistakes, taken back, give lost pairs again: where most are.
+
+    Raises:
+        InputError: names the columns, and what is wrong in them.
+    """
+    lost, frames = np.array([m.status != "measured" for m in measurements]), session.frames
+    pan = np.stack([frames.pan_left, frames.pan_right], axis=1)
+    if lost.sum() <= MAX_LOST_SHARE * len(lost) or not np.ptp(pan, axis=0).any():
+        return
+    size = min(MAX_TRIED_PAIRS, len(lost))
+    there = np.convolve(lost, np.ones(size), "valid")
+    first, fits = int(np.argmax(there)), []
+    for name, remedy, (left, right) in _pan_mistakes(pan.T):
+        without = replace(session, frames=replace(frames, pan_left=left, pan_right=right))
+        fits.append((len(_measured_pairs(without, first)), name, remedy))
+    most = max(fits)[0]
+    if size - most <= MAX_LEFT_LOST * there[first]:
+        _, named, remedies = zip(*(fit for fit in fits if fit[0] == most), strict=True)
+        raise InputError(
+            session.folder / "frames.csv",
+            f"the pictures do not agree with the pan readings; {' or '.join(named)} fits: "
+            f"{most} of {size} pairs from frame {first} on can be measured, not "
+            f"{size - there[first]:.0f}",
+            "degrees at which the bases stood when that pair was taken, in rig.toml's sense",
+            " Or: ".join(remedies),
+        )
+
+
+def _pan_mistakes(pan: Array) -> Iterator[tuple[str, str, Array]]:
+    """The usual mistakes in pan readings (2, n), rad: name, remedy, the readings without it."""
+    columns = "pan_left_deg", "pan_right_deg"
+    for sides, name in (([0, 1], " and ".join(columns)), *(([k], columns[k]) for k in (0, 1))):
+        for what, remedy, without in (
+            ("reversed", "Multiply {} by -1.", -pan),
+            ("in radians", "Multiply {} by 180/π.", np.rad2deg(pan)),
+            ("a row too late", "Move {} up by one row.", np.roll(pan, -1, axis=1)),
+            ("a row too early", "Move {} down by one row.", np.roll(pan, 1, axis=1)),
+        ):
+            mended = pan.copy()
+            mended[sides] = without[sides]
+            yield f"{name} {what}", remedy.format(name), mended
+    yield f"{' and '.join(columns)} exchanged", "Exchange these two columns.", pan[::-1]
 
 
 def registration_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:

@@ -43,7 +43,7 @@ from verify.analysis.measured import (
     with_shown_noise,
     without_repeats,
 )
-from verify.analysis.mistakes import refuse_exchanged_cameras
+from verify.analysis.mistakes import refuse_exchanged_cameras, refuse_misread_pans
 from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
@@ -157,6 +157,8 @@ def measure_session(
         measured = measure_pictures(session, progress, chain)
         if not len(measured.track):
             refuse_exchanged_cameras(session)
+        refuse_misread_pans(session, measured.measurements)
+        if not len(measured.track):
             raise measurement_refusal(session, measured)
         clock = session_clock(session, measured.track, readings)
         measured = without_repeats(session, measured, readings, clock.offset, chain)

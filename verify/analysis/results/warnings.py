@@ -106,7 +106,19 @@ def _contradictions(
     moved = rig_moved(session, measurements, systematics)
     told = moved is not None or CONTRADICTION_ADVICE in (lost or "")
     misfit = None if pictures is None else misfit_warning(pictures, told=told)
-    yield from filter(None, [lost, moved, misfit])
+    yield from filter(None, [lost, lost and _standing_pans(session), moved, misfit])
+
+
+def _standing_pans(session: Session) -> str:
+    """Name pan readings that never change, of a base that seems to turn."""
+    frames, cameras = session.frames, (session.rig.left, session.rig.right)
+    pans = {"pan_left_deg": frames.pan_left, "pan_right_deg": frames.pan_right}
+    standing = [name for name, pan in pans.items() if not np.ptp(pan)]
+    turning = len(standing) < len(pans) or any(c.pan_standard_uncertainty for c in cameras)
+    text = (
+        f"frames.csv: no two readings of {' and of '.join(standing)} differ. If that base turns, "
+    )
+    return f"{text}pairs are lost by it: check how it is recorded." * bool(standing and turning)
 
 
 def _unused_leds(session: Session, measurements: list[Measurement]) -> list[str]:

@@ -1,0 +1,78 @@
+"""Pan readings with a usual mistake, in a session whose bases follow the arm."""
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+
+from tests.support.simulated import InMemory, in_memory, marker_of, scene
+from verify.analysis.measured import measure_pictures
+from verify.analysis.mistakes import refuse_misread_pans
+from verify.analysis.results.warnings import lost_pairs_warning
+from verify.analysis.session import analyse
+from verify.core.records import Array, no_progress
+from verify.errors import InputError
+from verify.measurement.chain import measure
+from verify.simulation.scenario import ScenarioCamera, ScenarioRecording, ScenarioRig
+
+LENS = ScenarioCamera(focal_px=(505.0, 505.0), principal_point_px=(319.5, 179.5))
+RIG = ScenarioRig(image_size=(640, 360), bases="follow", left=LENS, right=LENS)
+
+
+@cache
+def recorded() -> InMemory:
+    return in_memory(
+        scene(rig=RIG, marker=marker_of("ABCD"), recording=ScenarioRecording(pairs=14, rate_hz=8.0))
+    )
+
+
+def spoiled(change: Callable[[Array, Array], tuple[Array, Array]]) -> InMemory:
+    """The session with other pan readings, rad."""
+    session = recorded()
+    left, right = change(session.frames.pan_left, session.frames.pan_right)
+    return replace(session, frames=replace(session.frames, pan_left=left, pan_right=right))
+
+
+def late(pan: Array) -> Array:
+    """Each pair has the reading of the one before."""
+    return np.append(pan[0], pan[:-1])
+
+
+@pytest.mark.parametrize(
+    ("change", "found", "remedy"),
+    [
+        (lambda left, right: (-left, right), "pan_left_deg reversed", "by -1"),
+        (lambda left, right: (right, left), "pan_right_deg exchanged", "Exchange"),
+        (lambda left, right: (left, late(right)), "pan_right_deg a row too late", "up by one row"),
+        (lambda left, right: (late(left), late(right)), "deg a row too late", "up by one row"),
+        (lambda left, right: (np.deg2rad(left), np.deg2rad(right)), "in radians", "by 180/π"),
+    ],
+)  # fmt: skip
+def test_a_usual_mistake_in_pan_readings_is_named_with_its_columns(
+    change: Callable[[Array, Array], tuple[Array, Array]], found: str, remedy: str
+) -> None:
+    with pytest.raises(InputError) as caught:
+        analyse(spoiled(change))
+    text = str(caught.value)
+    assert re.match(r"\S*frames\.csv: the pictures do not agree with the pan readings; ", text)
+    assert found in text
+    assert remedy in text
+
+
+def test_right_pan_readings_are_not_refused_where_pairs_are_lost() -> None:
+    session = recorded()
+    measurements = measure_pictures(session, no_progress, measure).measurements
+    assert {m.status for m in measurements} == {"measured"}
+    hidden = [replace(m, status="too_few_leds") if m.frame % 2 else m for m in measurements]
+    refuse_misread_pans(session, hidden)
+    assert "lit and in view" in (lost_pairs_warning(hidden) or "")
+
+
+def test_readings_that_stand_while_pairs_are_lost_are_named() -> None:
+    warnings = analyse(spoiled(lambda left, right: (left, 0 * right + right[0]))).summary[
+        "warnings"
+    ]
+    assert any("no two readings of pan_right_deg differ" in one for one in warnings)
