@@ -22,6 +22,7 @@ CAUSES = {
     "camera_skew": "late right pictures",
     "camera_turned": "turned right camera",
     "base_moved": "moved robot base or rig",
+    "base_drift": "creeping robot base or rig",
     "led_body_slipped": "slipped LED body",
 }
 
@@ -38,10 +39,12 @@ REMEDIES = {
     "clock_drift": "take both times from one clock, or keep sessions short",
     "camera_turned": "calibrate the rig again",
     "base_moved": "register the robot base again",
+    "base_drift": "fix what the base and both cameras stand on (a tripod sinks or tilts, a mount "
+    "gives way), register the robot base again and record again",
     "led_body_slipped": "fix the LED body, and measure or register it again",
 }
 
-# what no motion tells from an offset or a link's error at the first axis, and at the last
+# what no motion tells from an offset, a drift or a link's error at the first axis and at the last
 SAME_AS = {
     "base_turned": "the robot base, turned as much about this axis,",
     "base_shifted": "the robot base, shifted as much along this axis,",
@@ -153,7 +156,7 @@ def remedy(entry: dict[str, Any]) -> str:
     if kind == "dh":
         place = f"{entry.get('parameter', 'the parameter')} in the robot file"
         return f"correct {place} by {change} {unit_sign(entry)}".strip() + same
-    return REMEDIES.get(str(kind), fmt.DASH)
+    return REMEDIES.get(str(kind), fmt.DASH) + same
 
 
 def same_as(entry: dict[str, Any]) -> str:
@@ -265,6 +268,11 @@ CAUSE_TEXTS = {
     ),
     "base_moved": CauseText(
         "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}", "mm"
+    ),
+    "base_drift": CauseText(
+        "the robot's base, or the whole rig, creeps: by {amount} and {turn}° from the first pair "
+        "to the last",
+        "mm",
     ),
     "led_body_slipped": CauseText("the LED body has moved by {amount} and {turn}° {since}", "mm"),
 }

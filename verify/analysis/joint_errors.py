@@ -28,7 +28,7 @@ MIN_PAIRS_PER_DIRECTION = 3
 MIN_PAIRS = 4  # fewer visits leave nothing to tell a slope from chance by
 MIN_PAIRS_CIRCULAR = 8  # likewise with five terms a joint
 TOL_SHAPE = 1e-6  # of a shape: what other terms leave of it by rounding
-DISPLACEMENTS = ("base_moved", "led_body_slipped")  # three shifts, three turns
+DISPLACEMENTS = ("base_moved", "base_drift", "led_body_slipped")  # three shifts, three turns
 P_LACK_OF_FIT = 1e-3  # chance of calling a sound fit bad
 P_TWO_SIGMA = 0.97725  # coverage of k = 2, one-sided
 MIN_LARGE_DOF = 50  # effective degrees of freedom above which k = 2 stands for 95 %

@@ -212,6 +212,10 @@ def _seen(watched: Watched, fault: Injected | None) -> tuple[tuple[Measurement, 
         )
     elif fault.kind == "base_moved":
         pose = _displaced(fault) @ pose
+    elif fault.kind == "base_drift":
+        shares = (track.t - track.t[0]) / (track.t[-1] - track.t[0])
+        moved = [_displaced(replace(fault, size=share * fault.size)) for share in shares.tolist()]
+        pose = np.array(moved) @ pose
     elif fault.kind == "led_body_slipped":
         pose = pose @ _displaced(fault)
     return found, replace(track, base_T_flange=pose)

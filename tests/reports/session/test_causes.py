@@ -86,6 +86,15 @@ def test_signs_are_stated_as_corrections() -> None:
     assert "lag the other joints' by 0.01990 ± 0.00040 s" in finding("latency")
     assert "lead the other joints' by 0.01990 ± 0.00040 s" in finding("latency", -1)
     assert "moved by 1.20 ± 0.12 mm (k = 2) and 0.081°" in finding("base_moved")
+    assert (
+        "the whole rig, creeps: by 0.900 ± 0.090 mm (k = 2) and 0.064° from the first pair to the "
+        "last: fix what the base and both cameras stand on"
+    ) in finding("base_drift")
+
+
+def test_a_drift_of_the_first_joint_is_said_to_show_as_a_turn_of_the_base_does() -> None:
+    text = session_causes.finding(KINDS["drift"] | {"joint": 1, "same_as": "base_turned"})
+    assert text.endswith("(the robot base, turned as much about this axis, would show the same)")
 
 
 def test_the_table_of_causes_names_the_runner_up_and_the_pairs_left_out() -> None:

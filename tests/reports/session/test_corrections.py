@@ -46,6 +46,7 @@ def test_the_correction_of_an_offset_is_its_negative_with_its_uncertainty() -> N
         ("camera_skew", "+0.00310 ± 0.00031 s, added to t_right_s"),
         ("backlash", "no correction"),
         ("base_moved", "no correction"),
+        ("base_drift", "no correction"),
         ("geometry", "no correction"),
     ],
 )

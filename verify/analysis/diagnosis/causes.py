@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.analysis.diagnosis.faults import Fault, Name, fault_figures
-from verify.analysis.diagnosis.search import FaultProducts, FaultSet
+from verify.analysis.diagnosis.search import FaultProducts, FaultSet, base_drifts
 from verify.core.records import Array
 
 MIN_ADVANTAGE = 15.0  # in chi-squared over every rival with as many coefficients
@@ -14,6 +14,7 @@ MIN_BIC_ADVANTAGE = 10.0  # over rivals with more or fewer, by Schwarz's criteri
 # What would tell two faults apart, by the first kind that either has.
 SEPARATING_MOTIONS = (
     ("geometry", "other_postures"),
+    ("base_drift", "other_postures"),
     ("base_moved", "independent_registration"),
     ("led_body_slipped", "independent_registration"),
     ("camera_turned", "other_distances"),
@@ -95,10 +96,12 @@ def build_cause(products: FaultProducts, best: FaultSet, i: int) -> Cause:
     suspects = [(k, worse) for k, worse in close if worse < (without - least) / 2] or close[:1]
     candidates = [CauseCandidate(fault, value, uncertainty, 0.0)]
     candidates += [_candidate(products, best, i, k, worse) for k, worse in suspects]
-    motion, joints = separating_motion(candidates) if close else (None, ())
+    candidates += _contesting(products, best, i)
+    unclear = len(candidates) > 1
+    motion, joints = separating_motion(candidates) if unclear else (None, ())
     return Cause(
-        kind="ambiguous" if close else fault.kind,
-        joint=None if close else fault.joint,
+        kind="ambiguous" if unclear else fault.kind,
+        joint=None if unclear else fault.joint,
         unit=fault.unit,
         value=value,
         standard_uncertainty=uncertainty,
@@ -106,11 +109,36 @@ def build_cause(products: FaultProducts, best: FaultSet, i: int) -> Cause:
         fault=fault,
         details=details,
         runner_up=_candidate(products, best, i, *others[0]) if others else None,
-        candidates=_first_by_name(candidates) if close else (),
+        candidates=_first_by_name(candidates) if unclear else (),
         motion=motion,
         joints=joints,
         waves=tuple(sorted(products.faults[k].per_turn or 1 for k in waves)),
     )
+
+
+def _contesting(products: FaultProducts, best: FaultSet, i: int) -> list[CauseCandidate]:
+    """Drifts of joints that together explain as much as one of the base, or it as much as they.
+
+    By how well they fit alone: that their coefficients are fewer makes several joints that drift at
+    once no likelier than one tripod that sinks.
+    """
+    drifts = {k for k, f in enumerate(products.faults) if f.kind == "drift" and products.visible[k]}
+    bases = set(base_drifts(products))
+    if i in bases:
+        rival = tuple(sorted({*best, *drifts} - bases))
+    elif i in drifts and len(drifts & {*best}) > 1:
+        rival = tuple(sorted({*best, *bases} - drifts))
+    else:
+        return []
+    if products.chi2(rival) - products.chi2(best) >= MIN_ADVANTAGE:
+        return []
+    worse = products.schwarz(rival) - products.schwarz(best)
+    figures = {k: fault_figures(products.faults[k], *products.estimate(rival, k)) for k in rival}
+    return [
+        CauseCandidate(products.faults[k], value, u, worse)
+        for k, (value, u, _) in figures.items()
+        if k not in best
+    ]
 
 
 def _other_waves(products: FaultProducts, best: FaultSet, i: int) -> dict[int, float]:

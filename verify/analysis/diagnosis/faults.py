@@ -252,9 +252,12 @@ def common_faults(model: JointErrorModel, rig: Rig | None) -> list[Fault]:
     comparison = model.comparison
     short = -clock_effect(comparison, steady=True)  # of an offset that wants a second more
     elapsed = comparison.elapsed[:, None, None]
+    moved = -base_motion(comparison.base_T_jacobian)
     columns: list[tuple[str, str, Array]] = [
         *([("clock_drift", "ppm", short * elapsed)] if comparison.timed else []),
-        ("base_moved", "mm", -base_motion(comparison.base_T_jacobian)),
+        ("base_moved", "mm", moved),
+        # a unit of it is what has gathered from the first pair to the last
+        ("base_drift", "mm", moved * elapsed / (elapsed[-1] if elapsed.any() else 1.0)),
         ("led_body_slipped", "mm", -body_motion(comparison.base_T_jacobian)),
         ("camera_turned", "deg", -comparison.systematic[:, :, [-1]]),
     ]

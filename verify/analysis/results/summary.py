@@ -200,8 +200,10 @@ def _same_as(cause: Cause, dof: int) -> str | None:
     """
     same: dict[tuple[str, int | None, str | None], str] = {
         ("offset", 1, None): "base_turned",
+        ("drift", 1, None): "base_turned",
         ("dh", 1, "d1"): "base_shifted",
         ("offset", dof, None): "led_body_turned",
+        ("drift", dof, None): "led_body_turned",
         ("dh", dof, f"d{dof}"): "led_body_shifted",
         ("dh", dof, f"a{dof}"): "led_body_shifted",
         ("dh", dof, f"alpha{dof}"): "led_body_tilted",
