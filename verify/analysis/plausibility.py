@@ -65,6 +65,7 @@ MAX_STEPS = 8
 TOL_LATE = 1e-5  # s
 PART_TIME = 0.8  # s: of parts that show each its own clock
 MIN_PART, MIN_PARTS, MAX_PARTS = 12, 3, 12  # pairs of a part; parts
+PART_SHARES = np.arange(2, 8) / 8  # of a track, in which a first change is sought
 MIN_BESIDE = 8  # pairs, a clock's change
 FAIR_SQUARE = 2.0  # of a motion's misfit
 MIN_RATE = 5e-4  # more than crystals do
@@ -165,7 +166,7 @@ def refuse_late(session: Session, written: Mistake, offset: float) -> None:
         remedy = f"Multiply t_s by {1 / (1 + rate):.5f}, or correct the times in {others}: one of "
         remedy += "them seems to be written by a nominal rate."
         raise InputError(written.file, runs, "times of one clock", remedy)
-    late, change = late_joints(*log), clock_change(*log)
+    late, changes = late_joints(*log), clock_changes(*log)
     found, remedies = [], []
     if late:
         named = [
@@ -174,12 +175,12 @@ def refuse_late(session: Session, written: Mistake, offset: float) -> None:
         moves = ", ".join(f"q{j}_deg by {-d:+.3f} s" for j, d in late.items())
         found.append(f"those of {' and '.join(named)} are out of step with the others")
         remedies.append(f"Move {moves} against t_s, or record all joints at one instant.")
-    if change is not None:
-        since, until, size = change
-        found.append(
-            f"their clock was set by {size:+.3f} s between t_s = {since:.2f} and {until:.2f}"
-        )
-        remedies.append(f"Add {-size:+.3f} s to t_s from there on, or judge each part by itself.")
+    if changes:
+        size = changes[0][2]
+        steps = [f"by {d:+.3f} s between t_s = {a:.2f} and {b:.2f}" for a, b, d in changes]
+        found.append(f"their clock was set {', and '.join(steps)}")
+        adds = ", and ".join(f"{-change[2]:+.3f} s" for change in changes)
+        remedies.append(f"Add {adds} to t_s from there on, or judge each part by itself.")
         count = abs(size) / float(np.median(np.diff(written.track.t)))
         if round(count) and abs(count - round(count)) < WHOLE_PAIRS and session.instrument is None:
             what = "lost" if size > 0 else "repeated"
@@ -298,6 +299,18 @@ def late_joints(
     apart = late - np.median(late[known])
     found = np.flatnonzero(known & (np.abs(apart) > MIN_LATE))
     return {k + 1: float(apart[k]) for k in found.tolist()} if 2 * len(found) < known.sum() else {}
+
+
+def clock_changes(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float
+) -> list[tuple[float, float, float]]:
+    """Each `clock_change` in turn; the first is sought in first parts where it is taken back."""
+    for share in (1.0, *PART_SHARES):
+        part = subset(track, np.arange(int(share * len(track))))
+        if (change := clock_change(part, arm, readings, offset)) is not None:
+            rest = subset(track, np.flatnonzero(track.t - offset > change[1]))
+            return [change, *clock_changes(rest, arm, readings, offset)]
+    return []
 
 
 def clock_change(

@@ -20,7 +20,7 @@ from verify.analysis.instrument import MeasuredSession, measure_poses, stated_no
 from verify.analysis.measured import measure_pictures, session_clock, with_shown_noise
 from verify.analysis.mistakes import degrees
 from verify.analysis.other_motion import refuse_other_motion
-from verify.analysis.plausibility import clock_change, clock_rate, late_joints
+from verify.analysis.plausibility import clock_changes, clock_rate, late_joints
 from verify.analysis.session import compare_session, session_model
 from verify.calibration.kinematics.poses import build_poses
 from verify.core.readings import Readings
@@ -233,6 +233,22 @@ def test_pictures_that_both_cameras_lose_or_repeat_are_told_beside_the_clock(
         judge((session, shifted), session.encoders.q)
 
 
+@pytest.mark.parametrize("stretch", [(0.3, 0.7), (0.5, 0.75)])
+def test_pictures_that_are_late_in_a_stretch_are_two_changes_of_the_clock(
+    recording: tuple[Session, Track], stretch: tuple[float, float]
+) -> None:
+    session, track = recording
+    since, until = (int(share * len(track)) for share in stretch)
+    rows = np.arange(len(track))
+    shown = rows - 2 * ((rows >= since) & (rows < until))
+    shifted = replace(track, base_T_flange=track.base_T_flange[shown])
+    step = 2 * float(np.median(np.diff(track.t)))
+    with pytest.raises(InputError, match=r"clock was set by .*, and by ") as refused:
+        judge((session, shifted), session.encoders.q)
+    said = [float(size) for size in re.findall(r"by ([-+][\d.]+) s between", str(refused.value))]
+    assert said == pytest.approx([-step, step], abs=0.005)
+
+
 def test_a_clock_that_runs_fast_or_a_belt_that_slips_is_no_change_of_the_clock(
     recording: tuple[Session, Track],
 ) -> None:
@@ -241,7 +257,7 @@ def test_a_clock_that_runs_fast_or_a_belt_that_slips_is_no_change_of_the_clock(
     slipped = q + np.deg2rad(3.0) * np.outer(t > 3.0, np.eye(6)[4])
     for log in (Readings(t * 1.004, q), Readings(t, slipped), Readings(t, q * 1.05)):
         offset = estimate_clock(track, session.arm, log).offset
-        assert clock_change(track, session.arm, log, offset) is None
+        assert clock_changes(track, session.arm, log, offset) == []
 
 
 @pytest.mark.parametrize("fast", [-0.1, -0.05, -0.02, 0.02, 0.05, 0.1])
