@@ -39,8 +39,8 @@ REMEDIES = {
     "clock_drift": "take both times from one clock, or keep sessions short",
     "camera_turned": "calibrate the rig again",
     "base_moved": "register the robot base again",
-    "base_drift": "fix what the base and both cameras stand on (a tripod sinks or tilts, a mount "
-    "gives way), register the robot base again and record again",
+    "base_drift": "fix what base and cameras stand on (a tripod may sink or tilt), register the "
+    "robot base and record again",
     "led_body_slipped": "fix the LED body, and measure or register it again",
 }
 
@@ -270,7 +270,7 @@ CAUSE_TEXTS = {
         "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}", "mm"
     ),
     "base_drift": CauseText(
-        "the robot's base, or the whole rig, creeps: by {amount} and {turn}° from the first pair "
+        "the robot's base, or the whole rig, has crept by {amount} and {turn}° from the first pair "
         "to the last",
         "mm",
     ),

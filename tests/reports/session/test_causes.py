@@ -87,8 +87,8 @@ def test_signs_are_stated_as_corrections() -> None:
     assert "lead the other joints' by 0.01990 ± 0.00040 s" in finding("latency", -1)
     assert "moved by 1.20 ± 0.12 mm (k = 2) and 0.081°" in finding("base_moved")
     assert (
-        "the whole rig, creeps: by 0.900 ± 0.090 mm (k = 2) and 0.064° from the first pair to the "
-        "last: fix what the base and both cameras stand on"
+        "the whole rig, has crept by 0.900 ± 0.090 mm (k = 2) and 0.064° from the first pair to "
+        "the last: fix what base and cameras stand on"
     ) in finding("base_drift")
 
 
