@@ -64,6 +64,11 @@ def in_radians(folder: Path) -> None:
     np.deg2rad(readings).to_csv(folder / "encoders.csv", float_format="%.6f")
 
 
+def pairs_in_milliseconds(folder: Path) -> None:
+    frames = pd.read_csv(folder / "frames.csv", index_col=0)
+    (frames * 1e3).to_csv(folder / "frames.csv", float_format="%.3f")
+
+
 def without_leds(folder: Path) -> None:
     dark = np.random.default_rng(1).normal(6, 1.5, (720, 1280)).clip(0, 255).astype(np.uint8)
     for side in ("left", "right"):
@@ -95,6 +100,7 @@ CASES = {
         edit("marker.toml", r"led_diameter_mm = ", "led_diameter_mm == "), "line"),
     "another format": (edit("session.toml", "format = 1", "format = 7"), "format"),
     "readings in radians": (in_radians, "radians"),
+    "pairs in milliseconds": (pairs_in_milliseconds, "The pairs' times look like milliseconds"),
     "pictures without an LED": (without_leds, "4 LEDs"),
     "a huge file as a cut video": (huge_cut_video, "left.mkv: is not a video"),
     "keys within keys": (edit("rig.toml", "format = 1", "format = 1\n" + '"a".' * 20_000 + "b = 1"),

@@ -298,17 +298,17 @@ def _apart(folder: Path, t: Array, reading_t: Array) -> tuple[Path, str, str]:
 
 
 def refuse_time_unit(folder: Path, t: Array, reading_t: Array) -> None:
-    """Raise InputError for readings whose times (m,) fit the pairs' (n,), s, in another unit."""
+    """Raise InputError where the times of readings (m,) or pairs (n,), s, are in another unit."""
     if min(len(t), len(reading_t)) < 2:
         return
     step = float(np.median(np.diff(reading_t)))
-    if step <= max(MAX_GAP, MIN_STEP_RATIO * float(np.median(np.diff(t)))):
-        return
+    coarse = step > max(MAX_GAP, MIN_STEP_RATIO * float(np.median(np.diff(t))))
     ratio = float(np.ptp(reading_t) / np.ptp(t))
     for unit, size in TIME_UNITS.items():
-        if 0.5 < ratio / size < 2:
-            remedy = f"The times look like {unit}: divide them by {size:.0f}."
-            raise InputError(*_apart(folder, t, reading_t), remedy)
+        for whose, longer in ("The times", ratio * coarse), ("The pairs' times", 1 / ratio):
+            if 0.5 < longer / size < 2:
+                remedy = f"{whose} look like {unit}: divide them by {size:.0f}."
+                raise InputError(*_apart(folder, t, reading_t), remedy)
 
 
 def with_shown_noise(session: Session, readings: Readings) -> Session:

@@ -36,6 +36,7 @@ from verify.analysis.measured import (
     measure_instrument,
     measure_pictures,
     measurement_refusal,
+    refuse_time_unit,
     session_clock,
     setup_of,
     with_gaps_named,
@@ -154,6 +155,7 @@ def measure_session(
     """
     instrument = session.instrument
     if instrument is None:
+        refuse_time_unit(session.folder, session.frames.t_left, readings.t)
         measured = measure_pictures(session, progress, chain)
         if not len(measured.track):
             refuse_exchanged_cameras(session)
