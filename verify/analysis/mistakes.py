@@ -28,7 +28,8 @@ from verify.measurement.track import Track, collect_track
 
 MAX_PAIRS = 60  # that are compared for each mistake
 MIN_EXCHANGED = 0.5  # of the pairs, that can be measured with the cameras exchanged
-MAX_TRIED_PAIRS = 40  # with the cameras exchanged, or other pan readings
+MAX_EXCHANGED_PAIRS = 40  # that are tried
+MAX_PAN_PAIRS = 16  # in a row, that are tried with other pan readings
 MIN_TURNED = np.deg2rad(5.0)  # by which a base or body is elsewhere, or shifted as far at LEVER
 MIN_SIGN_LEAP = np.deg2rad(4.0)  # of a reading to its mirrored angle, from one to the next
 MAX_MIRRORED = 0.01  # m, of an LED from its mirrored place: base and joints are off, too
@@ -179,13 +180,13 @@ def session_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
 def exchanged_track(session: Session) -> Track:
     """The first pairs as they would be measured with left and right exchanged."""
     exchanged = replace(session, left=session.right, right=session.left)
-    measured = _measured_pairs(exchanged, 0)
+    measured = _measured_pairs(exchanged, 0, MAX_EXCHANGED_PAIRS)
     return collect_track(measured, session.rig, [np.zeros((6, 0))] * len(measured))
 
 
-def _measured_pairs(session: Session, first: int) -> list[Measurement]:
-    """A few pairs from the one at `first` on: those that can be measured."""
-    pairs = islice(session.pairs(), first, first + MAX_TRIED_PAIRS)
+def _measured_pairs(session: Session, first: int, count: int) -> list[Measurement]:
+    """Of `count` pairs from the one at `first` on, those that can be measured."""
+    pairs = islice(session.pairs(), first, first + count)
     return [m for m in measure(pairs, setup_of(session)) if m.status == "measured"]
 
 
@@ -195,7 +196,7 @@ def refuse_exchanged_cameras(session: Session) -> None:
     Raises:
         InputError: left and right are exchanged.
     """
-    count, tried = len(exchanged_track(session)), min(len(session), MAX_TRIED_PAIRS)
+    count, tried = len(exchanged_track(session)), min(len(session), MAX_EXCHANGED_PAIRS)
     if count >= max(MIN_EXCHANGED * tried, 3):
         found = f"no pair could be measured; {CAMERAS_EXCHANGED[0]} fits: {count} of {tried}"
         expected = "the left camera's pictures, of the rig's left camera"
@@ -212,12 +213,12 @@ def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -
     pan = np.stack([frames.pan_left, frames.pan_right], axis=1)
     if lost.sum() <= MAX_LOST_SHARE * len(lost) or not np.ptp(pan, axis=0).any():
         return
-    size = min(MAX_TRIED_PAIRS, len(lost))
+    size = min(MAX_PAN_PAIRS, len(lost))
     there = np.convolve(lost, np.ones(size), "valid")
     first, fits = int(np.argmax(there)), []
     for name, remedy, (left, right) in _pan_mistakes(pan.T):
         without = replace(session, frames=replace(frames, pan_left=left, pan_right=right))
-        fits.append((len(_measured_pairs(without, first)), name, remedy))
+        fits.append((len(_measured_pairs(without, first, size)), name, remedy))
     most = max(fits)[0]
     if size - most <= MAX_LEFT_LOST * there[first]:
         _, named, remedies = zip(*(fit for fit in fits if fit[0] == most), strict=True)
