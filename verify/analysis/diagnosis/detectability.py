@@ -102,9 +102,26 @@ def _sizes(products: FaultProducts, ways: list[_FaultVariant]) -> tuple[Array, A
         closest = among[:, needed >= size].sum(axis=1)
         if closest.any():
             rival[k] = int(chance.fault[np.argmax(closest)])
+        if products.faults[ways[k].fault].kind == "base_drift":
+            size = max(size, _beside_drifts(products, ways[k]))
         if size <= min(MAX_RIVAL_RATIO * listed[k], products.largest[ways[k].first]):
             named[k] = max(size, listed[k])  # at the worst phase, listing asks for more
     return listed, named, rival
+
+
+def _beside_drifts(products: FaultProducts, way: _FaultVariant) -> float:
+    """Least size, SI, at which a drift of the base is listed beside drifts of all joints.
+
+    Several of them at once are its rivals as well, and fewer of them have fewer coefficients.
+    """
+    told = zip(products.faults, products.visible, products.places, strict=True)
+    at = [int(place[0]) for f, visible, place in told if f.kind == "drift" and visible]
+    gram, own = products.gram, way.first
+    left = gram[own, own] - gram[own, at] @ np.linalg.pinv(gram[np.ix_(at, at)]) @ gram[at, own]
+    if left <= TOL_ALIKE * gram[own, own]:
+        return float("inf")
+    needed = np.sqrt(products.price[way.fault]) + POWER_SIGMA
+    return float(needed / (np.sqrt(left) * products.scale[own]))
 
 
 @dataclass(frozen=True)

@@ -23,6 +23,7 @@ from tests.support.simulated import (
     measured_at_spots,
     scene,
 )
+from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis
 from verify.analysis.session import analyse
 from verify.core.records import Array, Measurement
@@ -171,3 +172,21 @@ def test_a_base_that_turns_about_the_first_axis_is_said_to_show_as_that_joint_s_
         assert (cause["kind"], cause["joint"], cause["same_as"]) == ("drift", 1, "base_turned")
         rate = -turn * 3600 / (59 / 7.5)
         assert_allclose(cause["value"], rate, atol=1.25 * cause["expanded_uncertainty"])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_size_at_which_a_creep_is_named_counts_that_all_joints_may_drift(seed: int) -> None:
+    """By plain algebra on the whitened rows, as of single rivals."""
+    model, seen, _ = judged(watched(seed), None)
+    drifts = np.hstack([f.columns for f in seen.products.faults if f.kind == "drift"])
+    (base,) = [f.columns for f in seen.products.faults if f.kind == "base_drift"]
+    beside = np.hstack([drifts, model.fitted, model.prior])
+    held = np.zeros((model.prior.shape[1], beside.shape[1]))
+    held[:, drifts.shape[1] + model.fitted.shape[1] :] = np.eye(model.prior.shape[1])
+    rows, own = np.vstack([beside, held]), np.vstack([base, np.zeros((len(held), 6))])
+    left = np.linalg.norm(own - rows @ np.linalg.lstsq(rows, own)[0], axis=0)
+    table = detectable(seen.products)
+    stated = table[table["kind"] == "base_drift"]["separable"].to_numpy()[:3]
+    known = stated[~np.isnan(stated)]
+    assert len(known)
+    assert np.all(known >= 1e3 * (np.sqrt(15.0) + 0.84) / left[:3][~np.isnan(stated)])
