@@ -233,7 +233,7 @@ def test_pictures_that_both_cameras_lose_or_repeat_are_told_beside_the_clock(
         judge((session, shifted), session.encoders.q)
 
 
-@pytest.mark.parametrize("stretch", [(0.3, 0.7), (0.5, 0.75)])
+@pytest.mark.parametrize("stretch", [(0.3, 0.7), (0.5, 0.75), (0.4, 0.7)])
 def test_pictures_that_are_late_in_a_stretch_are_two_changes_of_the_clock(
     recording: tuple[Session, Track], stretch: tuple[float, float]
 ) -> None:
@@ -255,7 +255,8 @@ def test_a_clock_that_runs_fast_or_a_belt_that_slips_is_no_change_of_the_clock(
     session, track = recording
     t, q = session.encoders.t, session.encoders.q
     slipped = q + np.deg2rad(3.0) * np.outer(t > 3.0, np.eye(6)[4])
-    for log in (Readings(t * 1.004, q), Readings(t, slipped), Readings(t, q * 1.05)):
+    twice = q + np.deg2rad(3.0) * np.outer((t > 2.5) & (t < 4.0), np.eye(6)[4])
+    for log in (*(Readings(t, one) for one in (slipped, twice, q * 1.05)), Readings(t * 1.004, q)):
         offset = estimate_clock(track, session.arm, log).offset
         assert clock_changes(track, session.arm, log, offset) == []
 
