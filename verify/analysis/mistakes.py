@@ -315,15 +315,14 @@ def _misplaced(
         return None
     what = "the robot's base" if of_base else "the body on the flange"
     holder = session.rig_file if of_base or posed else session.marker_file
-    axis = None if of_base or posed else _mirrored_axis(session.marker.leds, moved)
-    mirrored = f"LEDs of reversed {axis} lie there, too: check its signs in position_mm, or "
+    remedy = "Nothing can be judged by that registration: register again."
+    if not (of_base or posed) and (axis := _mirrored_axis(session.marker.leds, moved)):
+        remedy = f"LEDs of reversed {axis} lie there, too: check its signs, or register again."
     return replace(
         written,
         file=holder or session.folder / "session.toml",
         name=f"{what} turned by {degrees(turn)} and shifted by {shift * 1e3:.0f} mm",
-        remedy=f"{mirrored}register again."
-        if axis
-        else "Nothing can be judged by that registration: register again.",
+        remedy=remedy,
     )
 
 

@@ -158,15 +158,13 @@ def _opcua(
 
 def _rosbridge(motion: str, joints: int, robot: str | None, rate: int) -> "RosbridgeEngine":
     import robots
-    from verify.errors import InputError
+    from verify.io.files import restated
     from verify.live.station.template import joint_names
     from verify.simulation.emulators.rosbridge import RosbridgeEngine, RosbridgeOptions
     from verify.simulation.emulators.trajectory import load
 
-    try:
+    with restated(robots.RobotError, place="--robot"):
         names = joint_names(joints if robot is None else robots.load(robot))
-    except robots.RobotError as error:
-        raise InputError("--robot", error.found, error.expected, error.remedy) from error
     return RosbridgeEngine(load(motion, len(names)), RosbridgeOptions(names, rate=rate))
 
 

@@ -83,14 +83,18 @@ def refused_as_input_error(path: str | Path) -> Iterator[None]:
 
 
 @contextmanager
-def restated(kind: type[Exception], before: str = "") -> Iterator[None]:
-    """Turn errors in an InputError's four parts into one, with `before` before their place."""
+def restated(kind: type[Exception], before: str = "", place: str | None = None) -> Iterator[None]:
+    """Turn errors in an InputError's four parts into one, with `before` before their place.
+
+    Or at another `place`; theirs is then part of what was found.
+    """
     try:
         yield
     except kind as error:
         parts: Any = error
-        place = f"{before}{parts.place}"
-        raise InputError(place, parts.found, parts.expected, parts.remedy) from error
+        own = f"{before}{parts.place}"
+        found = parts.found if place is None else f"{own} {parts.found}"
+        raise InputError(place or own, found, parts.expected, parts.remedy) from error
 
 
 def output_refusal(path: str | Path, error: OSError) -> InputError:

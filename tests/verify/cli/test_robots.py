@@ -43,4 +43,4 @@ def test_a_urdfs_closed_form_is_named() -> None:
 
 def test_an_emulator_of_an_unknown_robot_is_refused_in_one_line() -> None:
     refusal = verify("emulate", "rosbridge", "--port", "tcp:0", "--robot", "ur11").refusal
-    assert "--robot: is not known" in refusal
+    assert '--robot: robot "ur11" is not known' in refusal

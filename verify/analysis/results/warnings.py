@@ -113,12 +113,12 @@ def _standing_pans(session: Session) -> str:
     """Name pan readings that never change, of a base that seems to turn."""
     frames, cameras = session.frames, (session.rig.left, session.rig.right)
     pans = {"pan_left_deg": frames.pan_left, "pan_right_deg": frames.pan_right}
-    standing = [name for name, pan in pans.items() if not np.ptp(pan)]
-    turning = len(standing) < len(pans) or any(c.pan_standard_uncertainty for c in cameras)
+    standing = " and of ".join(name for name, pan in pans.items() if not np.ptp(pan))
+    turning = " and " not in standing or any(c.pan_standard_uncertainty for c in cameras)
     text = (
-        f"frames.csv: no two readings of {' and of '.join(standing)} differ. If that base turns, "
+        f"frames.csv: no two readings of {standing} differ. If that base turns, pairs are lost by "
     )
-    return f"{text}pairs are lost by it: check how it is recorded." * bool(standing and turning)
+    return f"{text}it: check how it is recorded." if standing and turning else ""
 
 
 def _unused_leds(session: Session, measurements: list[Measurement]) -> list[str]:

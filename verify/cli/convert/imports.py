@@ -18,7 +18,7 @@ from verify.io import rig as io_rig
 from verify.io.bags.bag import choose_topics, open_bag
 from verify.io.bags.cameras import rig_from_bag
 from verify.io.bags.session import BagRequest, BagSession, write_bag_session
-from verify.io.files import read_bytes, require_apart, write_folder_whole
+from verify.io.files import read_bytes, require_apart, restated, write_folder_whole
 from verify.io.joints import RADIANS
 from verify.io.logs import mapping as columns_of
 from verify.io.logs import session as logs
@@ -122,11 +122,8 @@ def _load_robot(robot: str | None, out: Path) -> tuple[robots.Arm, str]:
         table = read_keys(path, RunTable)[0]
         is_file = Path(table.robot).suffix in ROBOT_FILES
         return load_arm(path, table), str(out / table.robot) if is_file else table.robot
-    try:
+    with restated(robots.RobotError, place="--robot"):
         return robots.load(robot), robot
-    except robots.RobotError as error:
-        found = f"{error.place} {error.found}"
-        raise InputError("--robot", found, error.expected, error.remedy) from error
 
 
 @dataclass(frozen=True, slots=True)

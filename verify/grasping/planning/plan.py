@@ -26,6 +26,7 @@ from verify.grasping.planning.object import (
     grip_point,
 )
 from verify.grasping.planning.workspace import Workspace
+from verify.io.files import restated
 
 MAX_SLOWDOWN = 4.0  # times slower than the cell asks; more is needed beside a singularity only
 TOL_SAME_POSTURE = 0.15  # rad: no other branch and no other turn of the hand is so near
@@ -69,10 +70,8 @@ def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
     if not isinstance(arm, DhArm):
         expected = "an arm with a closed form is needed to grasp"
         raise InputError(f'robot "{arm.name}"', "is a URDF", expected, "Write its DH table.")
-    try:
+    with restated(RobotError):
         limits = trajectory.joint_limits(arm, cell.moving.share)
-    except RobotError as error:
-        raise InputError(error.place, error.found, error.expected, error.remedy) from error
     return GraspPlanner(Workspace(arm, cell, cameras), limits)
 
 

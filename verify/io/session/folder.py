@@ -9,7 +9,7 @@ import msgspec
 import robots
 from verify.core.rig import Rig
 from verify.errors import InputError
-from verify.io.files import digest, read_bytes, refused_as_input_error, require_folder
+from verify.io.files import digest, read_bytes, refused_as_input_error, require_folder, restated
 from verify.io.session import keys
 from verify.io.session.keys import RunTable
 from verify.io.toml import key_error, listed, shorten
@@ -75,13 +75,8 @@ def load_arm(path: Path, table: RunTable) -> robots.Arm:
     """Load the robot that session.toml names; InputError: no such name, or its file is no robot."""
     file = _robot_file(path, table.robot)
     chain = table.robot_frames
-    try:
+    with restated(robots.RobotError, place=f"{path}, robot" if file is None else None):
         return robots.load(str(file or table.robot), base=chain.base, tip=chain.tip)
-    except robots.RobotError as error:
-        if file is not None:
-            raise InputError(error.place, error.found, error.expected, error.remedy) from error
-        found = f"{error.place} {error.found}"
-        raise InputError(f"{path}, robot", found, error.expected, error.remedy) from error
 
 
 def file_digests(path: Path, robot: str, files: Mapping[str, Path]) -> dict[str, str]:

@@ -18,7 +18,7 @@ from verify.devices.protocols import CameraDevice, EncoderDevice, PanDevice
 from verify.errors import InputError, one_line
 from verify.io import fiducials
 from verify.io import rig as io_rig
-from verify.io.files import read_bytes
+from verify.io.files import read_bytes, restated
 from verify.io.session import keys
 from verify.io.session.folder import ROBOT_FILES
 from verify.io.session.keys import Clock, Tolerance
@@ -244,11 +244,8 @@ def _arm(path: Path, table: StationTable, sim: SimulatedHardware | None) -> robo
     chain = table.robot_frames
     is_file = Path(table.robot).suffix in ROBOT_FILES
     named = str(path.parent / table.robot) if is_file else table.robot
-    try:
+    with restated(robots.RobotError, place=f"{path}, robot"):
         return robots.load(named, base=chain.base, tip=chain.tip)
-    except robots.RobotError as error:
-        found = f"{error.place} {error.found}"
-        raise InputError(f"{path}, robot", found, error.expected, error.remedy) from error
 
 
 def _rig(

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import robots
 from verify.errors import InputError
+from verify.io.files import restated
 from verify.io.session.folder import ROBOT_FILES
 from verify.io.toml import did_you_mean
 from verify.live.station import file
@@ -53,10 +54,8 @@ def station_template(
         known = tuple(ENCODER_KEYS)
         remedy = f"Name one of them.{did_you_mean(driver, known)}"
         raise InputError("--driver", f'is "{driver}"', f"known are {', '.join(known)}", remedy)
-    try:
+    with restated(robots.RobotError, place="--robot"):
         arm = robots.load(robot)
-    except robots.RobotError as error:
-        raise InputError(f"--robot {robot}", error.found, error.expected, error.remedy) from error
     text = file.template()
     if robot != SIM_ROBOT:
         named = os.path.relpath(robot, folder) if Path(robot).suffix in ROBOT_FILES else robot

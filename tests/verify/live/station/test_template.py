@@ -71,7 +71,7 @@ def test_a_robots_own_file_is_named_from_where_the_station_is(tmp_path: Path) ->
     ("robot", "driver", "words"),
     [
         (SIM_ROBOT, "rtd", r'--driver: is "rtd"; known are .* Did you mean `rtde`\?'),
-        ("ur55", "rtde", "--robot ur55: .*did you mean"),
+        ("ur55", "rtde", '--robot: robot "ur55" is not known, did you mean'),
         ("ur10", None, '--robot: "ur10" is not simulated'),
     ],
 )
