@@ -19,7 +19,7 @@ from verify.analysis.diagnosis import steps
 from verify.analysis.diagnosis.causes import Cause, build_cause, merge_ambiguous
 from verify.analysis.diagnosis.faults import Fault, Name, Wave, every_wave, waves_of
 from verify.analysis.diagnosis.link_faults import fault_dictionary
-from verify.analysis.diagnosis.search import FaultProducts, FaultSet, search_faults
+from verify.analysis.diagnosis.search import FaultProducts, FaultSet, against_drifts, search_faults
 from verify.analysis.joint_errors import ResolvedErrors, predict_errors, resolve_errors
 from verify.analysis.least_squares import Whitener, solve
 from verify.analysis.model import JointErrorModel, WhitenedColumns
@@ -264,7 +264,7 @@ def _best_set(
         before, misfit = misfit, left / degrees if lacking else 1.0
         if misfit <= before * (1 + TOL_MISFIT):
             break
-    return products, best, before
+    return products, against_drifts(products, best), before
 
 
 def _residual(

@@ -223,37 +223,37 @@ def search_faults(products: FaultProducts) -> FaultSet:
     faults that together resemble a third one are still found. Then members are exchanged: one of
     many coefficients absorbs the first of several faults, and up to MAX_EXCHANGED that came one by
     one may be what a single one explains.
-
-    A base that drifts and joints that do look alike where the arm swings little. Each joint pays
-    for being one of many faults, the base for being one: so Schwarz's criterion tells which it is.
     """
-    best = _search_without(products, ())
-    bases = base_drifts(products)
-    if not set(bases) & set(best):
-        return best
-    rival = _search_without(products, bases)
-    return rival if products.schwarz(rival) < products.schwarz(best) else best
-
-
-def base_drifts(products: FaultProducts) -> FaultSet:
-    """The drift of the base among the faults, if it was tried."""
-    return tuple(i for i, f in enumerate(products.faults) if f.kind == "base_drift")
-
-
-def _search_without(products: FaultProducts, barred: FaultSet) -> FaultSet:
-    """The set of least cost without the barred faults."""
-    least, best = _grow(products, (), barred, BEAM_WIDTH)
+    least, best = _grow(products, (), (), BEAM_WIDTH)
     for _ in range(MAX_EXCHANGES):
         for removed in _removals(best):
             without = tuple(k for k in best if k not in removed)
             width = EXCHANGE_WIDTH if len(removed) == 1 else 1
-            cost, chosen = _grow(products, without, (*removed, *barred), width)
+            cost, chosen = _grow(products, without, removed, width)
             if cost < least - TOL_COST:
                 best, least = chosen, cost
                 break
         else:
             break
     return best
+
+
+def against_drifts(products: FaultProducts, best: FaultSet) -> FaultSet:
+    """The set of least cost, or the best one without a drift of the base.
+
+    That and drifts of joints look alike where the arm swings little. Each joint pays for being one
+    of many faults, the base for being one: so Schwarz's criterion tells which it is.
+    """
+    bases = base_drifts(products)
+    if not set(bases) & set(best):
+        return best
+    _, rival = _grow(products, (), bases, BEAM_WIDTH)
+    return min(best, rival, key=products.schwarz)
+
+
+def base_drifts(products: FaultProducts) -> FaultSet:
+    """The drift of the base among the faults, if it was tried."""
+    return tuple(i for i, f in enumerate(products.faults) if f.kind == "base_drift")
 
 
 def _removals(best: FaultSet) -> Iterator[FaultSet]:
