@@ -225,8 +225,8 @@ def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -
         raise InputError(
             session.folder / "frames.csv",
             f"the pictures do not agree with the pan readings; {' or '.join(named)} fits: "
-            f"{most} of {size} pairs from frame {first} on can be measured, not "
-            f"{size - there[first]:.0f}",
+            f"{most} of {size} pairs from frame {measurements[first].frame} on can be measured, "
+            f"not {size - there[first]:.0f}",
             "degrees at which the bases stood when that pair was taken, in rig.toml's sense",
             " Or: ".join(remedies),
         )
