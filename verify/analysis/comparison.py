@@ -9,7 +9,6 @@ angles of measured poses come from the inverse, the branch nearest the readings.
 import contextlib
 from dataclasses import dataclass, replace
 from functools import lru_cache
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -103,7 +102,8 @@ def compare(
     if known is None:
         known = readings.available(there)
     index = known.nonzero()[0]
-    some: Any = index if len(index) < len(known) else slice(None)  # all: without a copy
+    # all of them without a copy
+    some: NDArray[np.int64] | slice = index if len(index) < len(known) else slice(None)
     there = there[some]
     q, rate = readings.motion(there)
     encoder, jacobian = robots.forward_and_jacobian(arm, q)

@@ -115,10 +115,8 @@ def _standing_pans(session: Session) -> str:
     pans = {"pan_left_deg": frames.pan_left, "pan_right_deg": frames.pan_right}
     standing = " and of ".join(name for name, pan in pans.items() if not np.ptp(pan))
     turning = " and " not in standing or any(c.pan_standard_uncertainty for c in cameras)
-    text = (
-        f"frames.csv: no two readings of {standing} differ. If that base turns, pairs are lost by "
-    )
-    return f"{text}it: check how it is recorded." if standing and turning else ""
+    text = f"frames.csv: no two readings of {standing} differ. If that base turns, pairs are lost "
+    return f"{text}by it: check how it is recorded." if standing and turning else ""
 
 
 def _unused_leds(session: Session, measurements: list[Measurement]) -> list[str]:
