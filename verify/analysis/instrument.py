@@ -331,5 +331,4 @@ def _residual_squares(t: Array, values: Array, first: NDArray[np.int64]) -> Arra
     basis = np.linalg.qr(np.stack([np.ones_like(at), at, at**2], axis=2))[0]
     inside = values[rows]
     left = inside - basis @ (np.swapaxes(basis, 1, 2) @ inside)
-    squares: Array = np.sum(left**2, axis=1)
-    return squares
+    return np.asarray(np.sum(left**2, axis=1))

@@ -231,8 +231,7 @@ def effective_degrees(
     freedom has no bound.
     """
     below = np.asarray(noise**2 / own + calibrated**2 / stated)
-    degrees: Array = np.divide(total**2, below, out=np.full(len(total), np.inf), where=below > 0)
-    return degrees
+    return np.asarray(np.divide(total**2, below, out=np.full(len(total), np.inf), where=below > 0))
 
 
 def coverage_factor(degrees: Array) -> Array:

@@ -195,8 +195,7 @@ def pan_columns(comparison: Comparison, track: Track, systematics: Systematics, 
         return np.zeros((n, 6, 0))
     effect = comparison.systematic[:, :, len(systematics.names) + side] * sigma
     chosen = group[:, None] == np.arange(len(distinct))
-    columns: Array = effect[:, :, None] * chosen[:, None, :]
-    return columns
+    return np.asarray(effect[:, :, None] * chosen[:, None, :])
 
 
 def add_pan_noise(comparison: Comparison, track: Track, systematics: Systematics) -> Comparison:

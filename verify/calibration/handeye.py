@@ -78,8 +78,7 @@ def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[n
 def nearest_rotation(matrix: Array) -> Array:
     """Find the rotation nearest to a matrix (3, 3), by the Frobenius norm."""
     u, _, vt = np.linalg.svd(matrix)
-    rotation: Array = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
-    return rotation
+    return np.asarray(u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt)
 
 
 def _translations(a: Array, b: Array, y_rotation: Array) -> tuple[Array, float]:

@@ -152,8 +152,7 @@ def body_uncertainty(path: Path, key: str, table: BodyUncertaintyTable | None) -
         return None
     for name, value in msgspec.structs.asdict(table).items():
         not_negative(path, f"{key}.{name}", value)
-    vector: Array = np.array(msgspec.structs.astuple(table)) * BODY_UNITS
-    return vector
+    return np.asarray(np.array(msgspec.structs.astuple(table)) * BODY_UNITS)
 
 
 class BoardTable(msgspec.Struct, kw_only=True):

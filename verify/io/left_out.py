@@ -76,8 +76,7 @@ def find_stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> NDArra
             parts = np.concatenate([[0], np.cumsum(alone[:, joint])])
             inside = np.bincount(parts, ~outside[:, joint]) > 0
             outside[:, joint] &= ~inside[parts]
-    stray: NDArray[np.bool_] = outside & (outside.mean(axis=0) <= 0.5)
-    return stray
+    return np.asarray(outside & (outside.mean(axis=0) <= 0.5))
 
 
 def warn_of_spikes(spike: NDArray[np.bool_]) -> Iterator[str]:

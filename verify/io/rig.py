@@ -323,5 +323,4 @@ def _absorption(path: Path, rows: list[list[float]] | None) -> Array | None:
     if len(rows) != 12 or len(widths) != 1 or 0 in widths:
         expected = "12 rows are expected, six of the base and six of the LEDs, one column a joint"
         raise toml.key_error(path, "robot_base.absorption", f"has {len(rows)} rows", expected)
-    absorption: Array = np.array(rows) * ABSORPTION_UNITS
-    return absorption
+    return np.asarray(np.array(rows) * ABSORPTION_UNITS)

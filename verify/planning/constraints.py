@@ -79,8 +79,7 @@ class LinkChain:
         """How far along the links each point is from the base, (p,), m."""
         share, before = self._shares
         along = np.concatenate([[0.0], np.cumsum(self._lengths)])
-        way: Array = along[before] + share * self._lengths[before]
-        return way
+        return np.asarray(along[before] + share * self._lengths[before])
 
     @cached_property
     def moving(self) -> NDArray[np.bool_]:
@@ -90,15 +89,13 @@ class LinkChain:
     @cached_property
     def _rest(self) -> Array:
         """Frames at q = 0, (j + 1, 4, 4), m."""
-        rest: Array = robots.link_frames(self.arm, np.zeros((1, self.arm.dof)))[0]
-        return rest
+        return np.asarray(robots.link_frames(self.arm, np.zeros((1, self.arm.dof)))[0])
 
     @cached_property
     def _along(self) -> Array:
         """How far each link goes along its joint's axis, (j,), m."""
         steps = np.diff(self._rest[:, :3, 3], axis=0)
-        along: Array = np.sum(steps * self._rest[:-1, :3, 2], axis=1)
-        return along
+        return np.asarray(np.sum(steps * self._rest[:-1, :3, 2], axis=1))
 
     @cached_property
     def _lengths(self) -> Array:

@@ -110,8 +110,7 @@ def work_posture(arm: robots.Arm, floor: float) -> Array:
             "plan", f"no posture of {arm.name} reaches out level above the floor",
             "the cameras stand before such a posture", "Give a posture with --near.",
         )  # fmt: skip
-    chosen: Array = q[best]
-    return chosen
+    return np.asarray(q[best])
 
 
 def build_setup(arm: robots.Arm, proposed: ProposedRig, work: Array, floor: float) -> PlanningSetup:

@@ -111,8 +111,7 @@ def _legs(constraints: PostureConstraints, q: Array) -> Array:
     ends = np.stack([np.repeat(np.arange(len(q)), count), near.reshape(-1)], axis=1)
     ends = np.unique(np.sort(ends, axis=1), axis=0)
     ends = ends[ends[:, 0] != ends[:, 1]]
-    kept: Array = ends[clear_legs(constraints, q[ends[:, 0]], q[ends[:, 1]])]
-    return kept
+    return np.asarray(ends[clear_legs(constraints, q[ends[:, 0]], q[ends[:, 1]])])
 
 
 def clear_legs(constraints: PostureConstraints, start: Array, end: Array) -> Array:

@@ -259,8 +259,7 @@ def _pair_squares(
     # the last diagonal entry of R is what the other columns leave of the last one
     triangle = np.asarray(np.linalg.qr(both, mode="r"), dtype=np.float64)
     rows_left = max(2 * int(np.median([len(f) for f in white.factors])) - dof, 1)
-    square: Array = triangle[:, dof, dof] ** 2 / rows_left
-    return square
+    return np.asarray(triangle[:, dof, dof] ** 2 / rows_left)
 
 
 def _choose(candidates: list[_Candidate]) -> tuple[float, tuple[float, ...]]:

@@ -61,8 +61,7 @@ def dips(curve: Array) -> Array:
     offset, cost = curve.T
     padded = np.concatenate([[np.inf], cost, [np.inf]])
     lowest = (cost <= padded[:-2]) & (cost <= padded[2:])
-    chosen: Array = offset[lowest & (cost <= cost.min() + MAX_DIP_EXCESS)]
-    return chosen
+    return np.asarray(offset[lowest & (cost <= cost.min() + MAX_DIP_EXCESS)])
 
 
 def are_visits(t: Array) -> bool:
@@ -173,5 +172,4 @@ def _motion_within_a_step(
 ) -> Array:
     """Variance of angle and distance (2,) by the search's step: the grid is never met exactly."""
     speed = sizes / np.maximum(track.t[late] - track.t[early], COARSE_STEP)[:, None]
-    variance: Array = 2 * np.mean(speed**2, axis=0) * COARSE_STEP**2 / 12
-    return variance
+    return np.asarray(2 * np.mean(speed**2, axis=0) * COARSE_STEP**2 / 12)

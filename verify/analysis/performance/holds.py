@@ -36,8 +36,7 @@ class Visit:
 def at_rest(comparison: Comparison) -> NDArray[np.bool_]:
     """Which pairs were taken while every joint stood, by the readings, (n,)."""
     limit = MAX_REST_SPEED + MAX_SPEED_SIGMA * np.sqrt(comparison.rate_variance)
-    standing: NDArray[np.bool_] = np.all(np.abs(comparison.rate) < limit, axis=1)
-    return standing
+    return np.asarray(np.all(np.abs(comparison.rate) < limit, axis=1))
 
 
 def find_holds(comparison: Comparison, readings: Readings, offset: float) -> list[Rows]:

@@ -214,8 +214,7 @@ def spread_interval(values: Array) -> Interval:
 def square_root(covariance: Array) -> Array:
     """A matrix (3, 3) whose square is the covariance, which may be singular."""
     values, vectors = np.linalg.eigh(covariance)
-    root: Array = vectors * np.sqrt(np.clip(values, 0.0, None))
-    return root
+    return np.asarray(vectors * np.sqrt(np.clip(values, 0.0, None)))
 
 
 @cache

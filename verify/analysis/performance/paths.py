@@ -160,8 +160,7 @@ def assess_path(
 
 def _normal_part(vectors: Array, tangent: Array) -> Array:
     """What of vectors (..., 3) lies in the plane normal to the path: the rest is timing."""
-    across: Array = vectors - np.sum(vectors * tangent, axis=-1, keepdims=True) * tangent
-    return across
+    return np.asarray(vectors - np.sum(vectors * tangent, axis=-1, keepdims=True) * tangent)
 
 
 def _noise_path_accuracy(off: Array) -> float:

@@ -291,5 +291,4 @@ def _systematic_along(measured: MeasuredPoints, runs: Sequence[Rows], t: Array) 
         rows[np.argmin(np.abs(measured.comparison.t[rows] - one[:, None]), axis=1)]
         for rows, one in zip(runs, t.T, strict=True)
     ]
-    doubt: Array = np.mean([measured.systematic[rows, :3] for rows in nearest], axis=0)
-    return doubt
+    return np.asarray(np.mean([measured.systematic[rows, :3] for rows in nearest], axis=0))

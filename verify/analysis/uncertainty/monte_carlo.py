@@ -48,8 +48,7 @@ class MonteCarlo:
         near = (np.abs(self.ratio - 1) <= MAX_RATIO_ERROR - P_CHANCE) & (
             np.abs(self.shift) <= MAX_SHIFT
         )
-        holds: NDArray[np.bool_] = near & (self.unreachable == 0)[:, None]
-        return holds
+        return np.asarray(near & (self.unreachable == 0)[:, None])
 
 
 def monte_carlo(
@@ -110,8 +109,7 @@ def _linear(compared: SessionComparison) -> Array:
     given = replace(compared.clock, source="given")
     moved = joints.inverse @ prior_columns(comparison, compared.track, given, compared.systematics)
     own = joints.inverse @ comparison.covariance @ np.swapaxes(joints.inverse, 1, 2)
-    total: Array = np.sqrt(np.diagonal(own, axis1=1, axis2=2) + np.sum(moved**2, axis=2))
-    return total
+    return np.asarray(np.sqrt(np.diagonal(own, axis1=1, axis2=2) + np.sum(moved**2, axis=2)))
 
 
 def _compare_draws(
@@ -153,5 +151,4 @@ def _compare_draws(
 def _ratio(part: Array, whole: Array) -> Array:
     """A quotient; nan where nothing varies."""
     nothing = np.full(whole.shape, np.nan)
-    quotient: Array = np.divide(part, whole, out=nothing, where=whole > 0)
-    return quotient
+    return np.asarray(np.divide(part, whole, out=nothing, where=whole > 0))

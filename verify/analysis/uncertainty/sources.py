@@ -106,8 +106,7 @@ def _unstated_columns(
         columns = np.array([moves(asked, m, session.rig, session.marker) for m in there])
         place = compared.track.base_T_flange[comparison.index, :3, 3]
         carry = twist_transport(comparison.base_T_measured[:, :3, 3] - place)
-        carried: Array = carry @ columns[:, :, : len(names)]
-        return carried
+        return np.asarray(carry @ columns[:, :, : len(names)])
 
     head = {name: key for key, name in SOURCES.items()}.get(source, "body")
     if source == CLOCK:

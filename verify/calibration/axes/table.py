@@ -111,8 +111,7 @@ def _joint_covariance(one: JointSweepResult, other: JointSweepResult) -> Array:
     """Of two axes' eight parameters: they share the rig's errors."""
     random = np.asarray(block_diag(one.axis.covariance, other.axis.covariance), dtype=np.float64)
     both = np.concatenate([one.by_source, other.by_source])
-    total: Array = random + both @ both.T
-    return total
+    return np.asarray(random + both @ both.T)
 
 
 @dataclass(frozen=True, slots=True)

@@ -140,8 +140,7 @@ def corner_covariances(results: Array) -> Array:
     variance = results[:, COL_VARIANCE]
     each = results[:, [COL_XX, COL_XY, COL_XY, COL_YY]].reshape(-1, 2, 2)
     noise = found / expected * np.maximum(variance, np.median(variance))
-    scaled: Array = each * noise[:, None, None]
-    return scaled
+    return np.asarray(each * noise[:, None, None])
 
 
 def marker_margins(board: Board, corner: NDArray[np.int64]) -> Array:

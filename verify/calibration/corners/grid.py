@@ -87,8 +87,7 @@ def _apply_map(parameters: Array, squares: Array) -> Array:
     flat = squares @ parameters[[[0, 3], [1, 4]]] + parameters[[2, 5]]
     xy = flat / (squares @ parameters[6:8] + 1)[:, None]
     r2 = (xy[:, 0] ** 2 + xy[:, 1] ** 2)[:, None]
-    bent: Array = xy * (1 + r2 * (parameters[8] + r2 * parameters[9]))
-    return bent
+    return np.asarray(xy * (1 + r2 * (parameters[8] + r2 * parameters[9])))
 
 
 def _map_slopes(parameters: Array, squares: Array) -> Array:

@@ -256,8 +256,7 @@ def _covariance(known: Array, parameters: tuple[Parameter, ...]) -> Array:
     prior = np.diag(tolerance / _priors(parameters))
     _, size, vt = np.linalg.svd(np.vstack([known, prior]), full_matrices=False)
     root = vt.T / size * tolerance[:, None]
-    found: Array = root @ root.T
-    return found
+    return np.asarray(root @ root.T)
 
 
 def _rows(blocks: Array) -> Array:

@@ -34,8 +34,7 @@ class NoiseScale:
     def of(self, poses: IdentificationPoses) -> Array:
         """Scale the whitener: (n, 6, 6)."""
         factors = np.array([self.position] * 3 + [self.orientation] * 3)
-        scaled: Array = poses.whitener / factors
-        return scaled
+        return np.asarray(poses.whitener / factors)
 
     def whiten(self, poses: IdentificationPoses, twists: Array) -> Array:
         """Twists (n, 6) in units of their standard uncertainty, (n, 6)."""

@@ -83,8 +83,7 @@ def target_in_flange(session: Session, fit: KinematicFit, place: int = 0) -> Arr
     """Pose of a session's target in the flange frame, (4, 4), m."""
     tool, instrument = fit.state.tool[place], session.instrument
     posed = instrument is not None and not instrument.positions_alone
-    body: Array = tool @ instrument.flange_T_body if instrument and posed else tool
-    return body
+    return np.asarray(tool @ instrument.flange_T_body if instrument and posed else tool)
 
 
 def _covariance(fit: KinematicFit, kind: str, place: int) -> Array:

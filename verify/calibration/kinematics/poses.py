@@ -32,8 +32,7 @@ class IdentificationPoses:
     @property
     def dimensions(self) -> Rows:
         """How many numbers each row determines, (n,)."""
-        known: Rows = np.any(self.whitener != 0, axis=2).sum(axis=1)
-        return known
+        return np.asarray(np.any(self.whitener != 0, axis=2).sum(axis=1))
 
 
 def build_poses(

@@ -134,5 +134,4 @@ def board_orientation(frame: int, view_T_board: Array, board: Board) -> BoardOri
 def board_middle(view_T_board: Array, board: Board) -> Array:
     """Where the middle of the corners lies, (3,), m."""
     middle = (board.points[0] + board.points[-1]) / 2
-    found: Array = view_T_board[:3, :3] @ middle + view_T_board[:3, 3]
-    return found
+    return np.asarray(view_T_board[:3, :3] @ middle + view_T_board[:3, 3])

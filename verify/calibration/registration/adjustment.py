@@ -265,5 +265,4 @@ def invert_information(information: Array) -> Array:
     scale = np.sqrt(np.diag(information))
     scale[scale == 0] = 1.0
     inverse = np.linalg.pinv(information / np.outer(scale, scale), TOL_RANK, hermitian=True)
-    unscaled: Array = inverse / np.outer(scale, scale)
-    return unscaled
+    return np.asarray(inverse / np.outer(scale, scale))

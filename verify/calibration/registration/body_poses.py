@@ -150,5 +150,4 @@ def _refine_leds(leds: Array, poses: list[BodyPose]) -> Array:
     values, vectors = np.linalg.eigh(information)
     known = values > 1e-9 * values[-1]  # the body's own frame is a gauge
     step = vectors[:, known] @ ((vectors[:, known].T @ wanted) / values[known])
-    better: Array = leds + step.reshape(n, 3)
-    return better
+    return np.asarray(leds + step.reshape(n, 3))

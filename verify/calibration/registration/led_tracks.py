@@ -67,8 +67,7 @@ class PointCloud:
     @cached_property
     def distances(self) -> Array:
         """From each point to each, (m, m), m."""
-        apart: Array = np.linalg.norm(self.points[:, None] - self.points[None], axis=2)
-        return apart
+        return np.asarray(np.linalg.norm(self.points[:, None] - self.points[None], axis=2))
 
 
 def find_spots(recording: Recording, progress: Progress) -> list[PairSpots]:
@@ -103,8 +102,7 @@ def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
     apart = np.linalg.norm(found[i][:, None] - np.concatenate(others)[None], axis=2)
     begin = np.cumsum([0, *map(len, others[:-1])])
     again = np.logical_or.reduceat(apart < MAX_STILL_PX, begin, axis=1).sum(axis=1)
-    still: NDArray[np.bool_] = again > MIN_STILL_SHARE * len(alike)
-    return still
+    return np.asarray(again > MIN_STILL_SHARE * len(alike))
 
 
 def find_leds(pairs: Sequence[PairSpots], rig: Rig, leds: int | None, place: str) -> Array:
@@ -170,8 +168,7 @@ def find_rigid_body(clouds: Sequence[PointCloud], most: int) -> Array | None:
     if not grown:
         return None
     leds, _, _ = max(grown, key=lambda g: (round(g[1], 1), -g[2]))
-    centred: Array = leds - leds.mean(axis=0)
-    return centred
+    return np.asarray(leds - leds.mean(axis=0))
 
 
 GrownBody = tuple[Array, float, float]  # LEDs (n, 3); LEDs a pair, on average; misfit, m, rms

@@ -57,8 +57,7 @@ def shared_noise(index: NDArray[np.int64], weight: Array) -> Array:
     `index` and `weight` (..., m, k): the k samples that each is interpolated from.
     """
     same = index[..., :, None, :, None] == index[..., None, :, None, :]
-    shared: Array = np.einsum("...abkl,...ak,...bl->...ab", same, weight, weight)
-    return shared
+    return np.asarray(np.einsum("...abkl,...ak,...bl->...ab", same, weight, weight))
 
 
 @dataclass(frozen=True, slots=True)

@@ -65,8 +65,7 @@ def _information(arm: robots.Arm, q: Array, noise: tuple[float, float]) -> Array
     columns[:, 3:, 3:6] = np.eye(3)
     columns[:, :3, 6:9] = columns[:, 3:, 9:] = flange[:, :3, :3]
     rows = columns / np.repeat(noise, 3)[:, None] * np.tile(np.repeat(MAX_UNCERTAINTY, 3), 2)
-    information: Array = np.einsum("nij,nik->jk", rows, rows)
-    return information
+    return np.asarray(np.einsum("nij,nik->jk", rows, rows))
 
 
 def _open_directions(information: Array) -> Array:

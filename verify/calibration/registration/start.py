@@ -167,5 +167,4 @@ def _angle_pairs(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
 def _angles(one: Array, other: Array) -> Array:
     """Angles between rotations, (n,), rad: the Frobenius norm is sqrt(8) sin(angle / 2)."""
     apart = np.sqrt(np.sum((one - other) ** 2, axis=(1, 2)) / 8)
-    angles: Array = 2 * np.arcsin(np.minimum(apart, 1.0))
-    return angles
+    return np.asarray(2 * np.arcsin(np.minimum(apart, 1.0)))

@@ -126,14 +126,12 @@ def _column(series: JointSeries, term: TrendTerm) -> Array:
     if term.kind == "step":
         return (np.arange(len(series)) >= term.place).astype(float)
     months = _months(series)
-    late: Array = np.maximum(months - months[term.place], 0.0)
-    return late
+    return np.asarray(np.maximum(months - months[term.place], 0.0))
 
 
 def _months(series: JointSeries) -> Array:
     """Time since the first session."""
-    months: Array = (series.t - series.t[0]) / DAYS_PER_MONTH
-    return months
+    return np.asarray((series.t - series.t[0]) / DAYS_PER_MONTH)
 
 
 def _design(series: JointSeries, terms: list[TrendTerm]) -> Array:
@@ -143,8 +141,7 @@ def _design(series: JointSeries, terms: list[TrendTerm]) -> Array:
 def _bic_penalties(series: JointSeries, terms: list[TrendTerm]) -> Array:
     """What each term's parameters cost (BIC): a size, and a place unless it is the beginning."""
     free = [1 if term == TrendTerm("drift", 0) else 2 for term in terms]
-    penalties: Array = np.log(len(series)) * np.array(free, dtype=float)
-    return penalties
+    return np.asarray(np.log(len(series)) * np.array(free, dtype=float))
 
 
 def _add_terms(series: JointSeries, every: list[TrendTerm], threshold: float) -> list[TrendTerm]:

@@ -133,8 +133,7 @@ class Workspace:
         lengths = np.hypot(self.arm.a, self.arm.d)
         beyond = np.cumsum(lengths[::-1])[::-1] - lengths
         # a joint's own d lies on its axis
-        farthest: Array = np.abs(self.arm.a) + beyond + max(tool, self.cell.moving.link_radius)
-        return farthest
+        return np.asarray(np.abs(self.arm.a) + beyond + max(tool, self.cell.moving.link_radius))
 
 
 def _distance(point: Array, a: Array, b: Array) -> Array:

@@ -133,5 +133,4 @@ def _resting_angles(read: list[Array]) -> Array | None:
     """The mean of joint angles that agree; None: they do not, or there are none."""
     if not read or np.ptp(read, axis=0).max() > TOL_REST:
         return None
-    mean: Array = np.mean(read, axis=0)
-    return mean
+    return np.asarray(np.mean(read, axis=0))

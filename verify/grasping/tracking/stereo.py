@@ -63,8 +63,7 @@ class LineOfSight:
     @property
     def ray(self) -> Array:
         """Direction in the rig, of unit depth in the camera, (3,)."""
-        direction: Array = self.placed.rig_T_camera[:3, :3] @ np.append(self.xy, 1.0)
-        return direction
+        return np.asarray(self.placed.rig_T_camera[:3, :3] @ np.append(self.xy, 1.0))
 
     @property
     def slant(self) -> Array:
@@ -195,5 +194,4 @@ def _systematic_covariance(
         pixels = camera_derivatives(keys, placed.camera, placed.pan, *places)[:, 0]
         moved[rows, known] = np.linalg.solve(sight.lens, pixels.T)
     pans = np.diag([(c.pan_standard_uncertainty or 0.0) ** 2 for c in (rig.left, rig.right)])
-    total: Array = moved @ block_diag(covariance_in_si(given), pans) @ moved.T
-    return total
+    return np.asarray(moved @ block_diag(covariance_in_si(given), pans) @ moved.T)

@@ -229,8 +229,7 @@ def _lambert(u: Array, v: Array, lamp: Array, rim: tuple[Array, Array]) -> Array
     """
     least = np.sum((np.clip(lamp[:2], *rim) - lamp[:2]) ** 2) + lamp[2] ** 2
     squared = (u - lamp[0]) ** 2 + (v - lamp[1]) ** 2 + lamp[2] ** 2
-    light: Array = AMBIENT_SHARE + (1 - AMBIENT_SHARE) * (least / squared) ** 1.5
-    return light
+    return np.asarray(AMBIENT_SHARE + (1 - AMBIENT_SHARE) * (least / squared) ** 1.5)
 
 
 def _level_nodes(nodes: Array) -> Array:

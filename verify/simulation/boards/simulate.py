@@ -135,8 +135,7 @@ def _pan(scenario: BoardScenario, rng: np.random.Generator) -> Array:
     bases = scenario.bases
     steps = int(bases.range_deg / bases.step_deg + 1e-9)  # 1e-9: 20 / 5 is 4 whatever rounding says
     turned = bases.step_deg * rng.integers(-steps, steps + 1, 2)
-    pan: Array = np.radians(np.asarray(bases.middle_deg) + turned)
-    return pan
+    return np.asarray(np.radians(np.asarray(bases.middle_deg) + turned))
 
 
 def _draw_pose(

@@ -114,8 +114,7 @@ class CellCamera:
             paper = np.array([(x + a, y + b, 0.0) for a, b in ((0, 0), (0.06, 0), (0.06, 0.05))])
             shapes.append(Shape(np.vstack([paper, [x, y + 0.05, 0.0]]), colour))
         self._draw(picture, shapes)
-        mixed: Image = np.clip(picture + self._pattern, 0, 255).astype(np.uint8)
-        return mixed
+        return np.asarray(np.clip(picture + self._pattern, 0, 255).astype(np.uint8))
 
     def _arm(self, posed: RenderedArm) -> list[Part]:
         parts: list[Part] = []

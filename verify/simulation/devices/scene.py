@@ -111,8 +111,7 @@ class DeviceScene:
 
     def pan(self, t: float) -> Array:
         """True angles of both bases, (2,), rad."""
-        shown: Array = self.pan_reading(t)[0] + self._departure
-        return shown
+        return np.asarray(self.pan_reading(t)[0] + self._departure)
 
     def turn(self, wanted: Array) -> None:
         """Send both bases to angles (2,), rad, as read."""

@@ -37,15 +37,13 @@ def load(motion: str, joints: int) -> EmulatedTrajectory:
 def _sweep(home: Array, t: float) -> Array:
     """All joints go to and fro about home at constant speed, up first."""
     phase = (t * SWEEP_SPEED / SWEEP_AMPLITUDE + 1.0) % 4.0
-    swing: Array = home + SWEEP_AMPLITUDE * (1.0 - abs(phase - 2.0))
-    return swing
+    return np.asarray(home + SWEEP_AMPLITUDE * (1.0 - abs(phase - 2.0)))
 
 
 def _sines(home: Array, t: float) -> Array:
     """Each joint swings about home, no two alike."""
     frequency = MIN_FREQUENCY * (1.0 + np.arange(len(home)) / 7.0)
-    swing: Array = home + SWEEP_AMPLITUDE * np.sin(2 * np.pi * frequency * t)
-    return swing
+    return np.asarray(home + SWEEP_AMPLITUDE * np.sin(2 * np.pi * frequency * t))
 
 
 NAMES = {"hold": lambda home, _t: home, "sweep": _sweep, "sines": _sines}
@@ -56,5 +54,4 @@ def _recorded(readings: Readings, t: float) -> Array:
     begin, end = readings.t[[0, -1]].tolist()
     length = end - begin
     place = length - abs(t % (2 * length) - length) if length else 0.0
-    joints: Array = readings.at(np.array([begin + place]))[0]
-    return joints
+    return np.asarray(readings.at(np.array([begin + place]))[0])

@@ -178,8 +178,7 @@ def _rank_eyes(eyes: Array, points: Array, normals: Array) -> Array:
     toward /= np.linalg.norm(toward, axis=-1, keepdims=True)
     worst = np.sum(toward * normals, axis=-1).min(axis=(1, 2))
     order = np.argsort(-worst, kind="stable")
-    best: Array = order[worst[order] > MIN_COSINE]
-    return best
+    return np.asarray(order[worst[order] > MIN_COSINE])
 
 
 def _pans(scenario: Scenario, bench: Bench, points: Array) -> Array:
@@ -190,8 +189,7 @@ def _pans(scenario: Scenario, bench: Bench, points: Array) -> Array:
         means = np.tile(means.mean(axis=0), (len(means), 1))
     step = np.radians(rig.pan_step_deg)
     pans = np.stack([_pan_towards(camera, means) for camera in bench.cameras], axis=1)
-    stepped: Array = np.round(pans / step) * step
-    return stepped
+    return np.asarray(np.round(pans / step) * step)
 
 
 def _pan_towards(camera: SimulatedCamera, targets: Array) -> Array:
@@ -222,5 +220,4 @@ def _all_inside(bench: Bench, pan: Array, points: Array) -> bool:
 def inside(pixels: Array, image_size: tuple[int, int], border_px: float) -> NDArray[np.bool_]:
     """Which of (..., 2) px lie in the picture, clear of its edge; NaN, out of sight, do not."""
     limit = np.array(image_size) - 1 - border_px
-    within: NDArray[np.bool_] = np.all((pixels > border_px) & (pixels < limit), axis=-1)
-    return within
+    return np.asarray(np.all((pixels > border_px) & (pixels < limit), axis=-1))

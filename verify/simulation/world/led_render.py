@@ -221,8 +221,7 @@ class Renderer:
         )
         pattern = cv2.resize(coarse, (2 * width, height), interpolation=cv2.INTER_CUBIC)
         pattern *= table.texture_dn / pattern.std()
-        room: Picture = np.maximum(table.background_dn + pattern, 0).astype(np.float32)
-        return room
+        return np.asarray(np.maximum(table.background_dn + pattern, 0).astype(np.float32))
 
     def _view(self, turned_px: float) -> Picture:
         width = self.image_size[0]

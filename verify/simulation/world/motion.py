@@ -64,8 +64,7 @@ class SumOfSines:
     def angles(self, t: Array) -> Array:
         """Sum the sines."""
         turn = np.asarray(t)[..., None, None] * self.frequency + self.phase
-        total: Array = self.home + np.sum(self.amplitude * np.sin(turn), axis=-1)
-        return total
+        return np.asarray(self.home + np.sum(self.amplitude * np.sin(turn), axis=-1))
 
     def direction(self, t: Array) -> Array:
         """Give the sign of the speed."""
