@@ -216,7 +216,10 @@ def _candidate(
 ) -> _Candidate:
     """A refined offset, with what speaks for it."""
     penalty = _penalty(track.t, readings, offset, arrival)
-    early, later = _difference_ends(track)
+    # residuals are compared with those some tenths of a second later
+    lag = min(max(round(MOTION_LAG / float(np.median(np.diff(track.t)))), 1), len(track) - 1)
+    early = spread(len(track) - lag, MAX_PAIRS_COMPARED)
+    later = early + lag
     square = np.full(len(track), np.nan)
     chosen = np.union1d(early, later)
     comparison = compare(subset(track, chosen), arm, readings, offset)
@@ -235,14 +238,6 @@ def _penalty(t: Array, readings: Readings, offset: float, arrival: ArrivalClock 
         distance = (offset - arrival.offset) / arrival.reach
         penalty += min(distance**2, MAX_ARRIVAL_PENALTY)
     return penalty
-
-
-def _difference_ends(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Pairs whose residuals are compared, and those some tenths of a second later."""
-    lag = max(round(MOTION_LAG / float(np.median(np.diff(track.t)))), 1)
-    lag = min(lag, len(track) - 1)
-    early = spread(len(track) - lag, MAX_PAIRS_COMPARED)
-    return early, early + lag
 
 
 def _pair_squares(
@@ -359,12 +354,6 @@ def _refine_by_parts(
     return found, float(np.sqrt(max(misfit, 1.0) / weight.sum()))
 
 
-def _basis(columns: Array) -> Array:
-    """An orthonormal basis of what the columns (r, c) span, (r, rank)."""
-    left, size, _ = np.linalg.svd(columns, full_matrices=False)
-    return left[:, size > 1e-9 * size[0]]
-
-
 def _step(comparison: Comparison) -> tuple[float, float] | None:
     """Correction of the offset and its standard uncertainty, or None where nothing shows it."""
     # a later clock reads the joints where they were earlier: d xi / d offset = - J rate
@@ -372,7 +361,8 @@ def _step(comparison: Comparison) -> tuple[float, float] | None:
     white = whiten(comparison)
     rows, joints = white.rows(effect)[:, 0], white.rows(comparison.jacobian)
     xi = white.rows(comparison.xi[:, :, None])[:, 0]
-    basis = _basis(joints)
+    spanned, length, _ = np.linalg.svd(joints, full_matrices=False)
+    basis = spanned[:, length > 1e-9 * length[0]]
     left = rows - basis @ (basis.T @ rows)
     size = float(np.linalg.norm(left))
     by_noise = float(np.sum(joints**2, axis=0) @ comparison.rate_variance)

@@ -105,8 +105,14 @@ def _costs_by_motion(
         return np.zeros((0, 2))
     sizes = np.empty((len(early), 2))
     motion_sizes(track.base_T_flange[early], track.base_T_flange[late], sizes)
-    variance = np.square(MODEL_ERROR) + _invariant_variance(track, early, late)
-    variance = variance + _motion_within_a_step(track, early, late, sizes)
+    by_noise = [
+        np.trace(track.covariance_pixels[:, block, block], axis1=1, axis2=2) / 3
+        for block in (slice(3, 6), slice(0, 3))
+    ]
+    variance = np.square(MODEL_ERROR) + np.stack([v[early] + v[late] for v in by_noise], axis=1)
+    # by the search's step: the grid is never met exactly
+    speed = sizes / np.maximum(track.t[late] - track.t[early], COARSE_STEP)[:, None]
+    variance = variance + 2 * np.mean(speed**2, axis=0) * COARSE_STEP**2 / 12
     # poses along the whole log once; every offset then only looks them up
     grid_t = readings.instants(COARSE_STEP)
     poses = robots.forward(arm, readings.at(grid_t))
@@ -157,19 +163,3 @@ def _motion_ends(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         chosen = np.linspace(0, len(early) - 1, MAX_MOTIONS).astype(int)
         early, late = early[chosen], late[chosen]
     return early, late
-
-
-def _invariant_variance(track: Track, early: NDArray[np.int64], late: NDArray[np.int64]) -> Array:
-    trace = [
-        np.trace(track.covariance_pixels[:, block, block], axis1=1, axis2=2) / 3
-        for block in (slice(3, 6), slice(0, 3))
-    ]
-    return np.stack([v[early] + v[late] for v in trace], axis=1)
-
-
-def _motion_within_a_step(
-    track: Track, early: NDArray[np.int64], late: NDArray[np.int64], sizes: Array
-) -> Array:
-    """Variance of angle and distance (2,) by the search's step: the grid is never met exactly."""
-    speed = sizes / np.maximum(track.t[late] - track.t[early], COARSE_STEP)[:, None]
-    return np.asarray(2 * np.mean(speed**2, axis=0) * COARSE_STEP**2 / 12)
