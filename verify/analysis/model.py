@@ -108,7 +108,9 @@ def build_model(
     hidden, fitted = jacobian, clock_columns
     if rig.absorption is not None and (base or body):
         full = np.concatenate([base_motion(flange), body_motion(flange)], axis=2)
-        hidden = jacobian - full @ _in_base_axes(rig) @ rig.absorption
+        carried = np.eye(12)  # base motion in rig axes, body motion in flange axes: to base axes
+        carried[:3, :3] = carried[3:6, 3:6] = rig.rig_T_base[:3, :3].T
+        hidden = jacobian - full @ carried @ rig.absorption
     elif base or body:
         parts = [*([base_motion(flange)] * base), *([body_motion(flange)] * body)]
         fitted = np.concatenate([clock_columns, *parts], axis=2)
@@ -161,14 +163,6 @@ def body_motion(base_T_flange: Array) -> Array:
     motion = np.zeros((len(base_T_flange), 6, 6))
     motion[:, :3, :3] = motion[:, 3:, 3:] = base_T_flange[:, :3, :3]
     return motion
-
-
-def _in_base_axes(rig: Rig) -> Array:
-    """Carry (base motion in rig axes, body motion in flange axes) to base axes, (12, 12)."""
-    base_R_rig = rig.rig_T_base[:3, :3].T
-    carried = np.eye(12)
-    carried[:3, :3] = carried[3:6, 3:6] = base_R_rig
-    return carried
 
 
 def prior_columns(

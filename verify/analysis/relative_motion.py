@@ -60,10 +60,12 @@ def compare_relative_motions(model: JointErrorModel) -> RelativeMotion | None:
         for by, rows in ((by_early, early), (by_late, late))
     )
     shared = by_early @ model.prior_columns[early] + by_late @ model.prior_columns[late]
-    weight = np.asarray(
-        np.linalg.inv(_motion_covariance(np.asarray(own), shared)), dtype=np.float64
-    )
     flat = error.reshape(-1)
+    covariance = np.zeros((len(early), 2, len(early), 2))  # of all turns and advances
+    np.einsum("iaib->iab", covariance)[:] = own
+    columns = shared.reshape(len(flat), -1)
+    total = covariance.reshape(len(flat), -1) + columns @ columns.T
+    weight = np.asarray(np.linalg.inv(total), dtype=np.float64)
     chi2 = float(flat @ weight @ flat)
     spread = np.einsum("naa->na", own) + np.sum(shared**2, axis=2)
     begin, end = by_early @ comparison.jacobian[early], by_late @ comparison.jacobian[late]
@@ -137,15 +139,6 @@ def _partners(
     _, early, late = best
     thinned = np.linspace(0, len(early) - 1, min(len(early), MAX_MOTIONS)).round().astype(np.int64)
     return early[thinned], late[thinned]
-
-
-def _motion_covariance(own: Array, shared: Array) -> Array:
-    """Covariance of all turns and advances, (2 m, 2 m)."""
-    count = len(own)
-    whole = np.zeros((count, 2, count, 2))
-    np.einsum("iaib->iab", whole)[:] = own
-    columns = shared.reshape(2 * count, -1)
-    return whole.reshape(2 * count, -1) + columns @ columns.T
 
 
 def _detectable(begin: Array, end: Array, weight: Array) -> Array:

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from verify.analysis.clock.estimate import ClockEstimate, shown_offset
+from verify.analysis.clock.estimate import ClockEstimate, shown_offset, spread
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
     Comparison,
@@ -119,8 +119,8 @@ def analyse(
     others = [
         _estimate(at_other, measured, tolerance, unreached)
         for at_other, unreached in (
-            compare_session(session, measured, readings, replace(clock, offset=offset))
-            for offset in _spread_rivals(clock.rivals)
+            compare_session(session, measured, readings, replace(clock, offset=clock.rivals[i]))
+            for i in spread(len(clock.rivals), MAX_RIVALS_JUDGED)
         )
     ]
     results = _results(replace(found, by_clock=tuple(others)), measured)
@@ -128,12 +128,6 @@ def analyse(
         results.tables["alarms"] = alarms
         results.summary["inputs"][ALARMS] = digest(session.folder / ALARMS)
     return results
-
-
-def _spread_rivals(rivals: tuple[float, ...]) -> list[float]:
-    """A few of the offsets that fit as well, the farthest ones among them."""
-    chosen = np.linspace(0, len(rivals) - 1, min(len(rivals), MAX_RIVALS_JUDGED)).astype(int)
-    return [rivals[i] for i in chosen]
 
 
 def measure_session(

@@ -4,7 +4,6 @@ Degrees, and the units of docs/results.md; null for what is not known.
 """
 
 import math
-from collections.abc import Hashable
 from typing import Any
 
 import numpy as np
@@ -30,7 +29,8 @@ SWEEP_COLUMNS = [
 
 def budget_entry(found: Budget) -> dict[str, Any]:
     """What summary.json says of the budget: a joint's lines, their sum, and what is not in it."""
-    lines = found.lines.to_dict("records")
+    lines, words = found.lines.to_dict("records"), ("source", "kind", "type")
+    figures = ("standard_uncertainty_deg", "degrees_of_freedom", "share")
     joints = [
         {
             "joint": j + 1,
@@ -38,7 +38,11 @@ def budget_entry(found: Budget) -> dict[str, Any]:
             "systematic_standard_uncertainty_deg": finite_number(np.rad2deg(found.systematic[j])),
             "effective_degrees_of_freedom": finite_number(found.degrees[j]),
             "coverage_factor": finite_number(found.coverage_factor[j]),
-            "sources": [_source_entry(line) for line in lines if line["joint"] == j + 1],
+            "sources": [
+                {key: line[key] for key in words} | {k: finite_number(line[k]) for k in figures}
+                for line in lines
+                if line["joint"] == j + 1
+            ],
         }
         for j in range(len(found.random))
     ]
@@ -50,18 +54,6 @@ def budget_entry(found: Budget) -> dict[str, Any]:
         for effect in found.unstated
     ]  # fmt: skip
     return {"uncounted": list(found.uncounted), "unstated": unstated, "joints": joints}
-
-
-def _source_entry(line: dict[Hashable, Any]) -> dict[str, Any]:
-    """One line of a joint's budget."""
-    return {
-        "source": line["source"],
-        "kind": line["kind"],
-        "type": line["type"],
-        "standard_uncertainty_deg": finite_number(line["standard_uncertainty_deg"]),
-        "degrees_of_freedom": finite_number(line["degrees_of_freedom"]),
-        "share": finite_number(line["share"]),
-    }
 
 
 def monte_carlo_entry(found: MonteCarlo | None, frame: Array) -> dict[str, Any] | None:

@@ -23,16 +23,15 @@ PLACE, TURN = slice(0, 3), slice(3, 6)  # of a twist
 def frames_table(measurements: list[Measurement], found: SessionAnalysis) -> pd.DataFrame:
     """docs/results.md's frames.csv: one row a stereo pair, empty figures where not measured."""
     status, comparison, joints = found.status, found.compared.comparison, found.compared.joints
+    poses = [m.pose if s == "measured" else None for m, s in zip(measurements, status, strict=True)]
+    known_dof = [pd.NA if pose is None else pose.known_dof for pose in poses]
     table: dict[str, Any] = {
         "frame": [m.frame for m in measurements],
         "t_s": [m.t if comparison.timed else np.nan for m in measurements],
         "status": status,
         "leds_seen": [m.leds_seen for m in measurements],
-        "known_dof": _known_dof(measurements, status),
-        "reprojection_rms_px": [
-            m.pose.reprojection_rms_px if s == "measured" and m.pose is not None else np.nan
-            for m, s in zip(measurements, status, strict=True)
-        ],
+        "known_dof": pd.Series(known_dof, dtype="Int64"),  # empty, not 0, where not measured
+        "reprojection_rms_px": [np.nan if p is None else p.reprojection_rms_px for p in poses],
     }
     # where LEDs leave directions open, a pose is partly the readings': it is not written
     place = np.flatnonzero([m.status == "measured" for m in measurements])[comparison.index]
@@ -63,14 +62,6 @@ def frames_table(measurements: list[Measurement], found: SessionAnalysis) -> pd.
         labels[row] = coupling.label if coupling is not None else ""
     table["ambiguous_joints"] = labels
     return pd.DataFrame(table)
-
-
-def _known_dof(measurements: list[Measurement], status: list[str]) -> pd.Series:
-    known = [
-        m.pose.known_dof if m.pose is not None and s == "measured" else pd.NA
-        for m, s in zip(measurements, status, strict=True)
-    ]
-    return pd.Series(known, dtype="Int64")  # empty, not 0, where nothing was measured
 
 
 def _pose_columns(poses: Array, names: tuple[str, ...]) -> dict[str, Array]:
