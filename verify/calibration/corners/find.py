@@ -11,6 +11,8 @@ All pixels weigh the same. The noise s and the correlation of neighbouring pixel
 scatters) are estimated from the residuals of all corners of a view.
 """
 
+from collections.abc import Iterable
+
 import cv2
 import numpy as np
 from numpy.typing import NDArray
@@ -68,7 +70,7 @@ def find_board(image: Image, board: Board) -> BoardView | None:
             return None
         view = refine_corners(grey, board, np.arange(len(board)), found)
         return view if view is not None and len(view) >= MIN_CORNER_SHARE * len(board) else None
-    corner, start = find_charuco(grey, board)
+    corner, start = find_charuco(((grey, 1.0), *picture_variants(grey)), board)
     if len(corner) < MIN_CORNERS or is_degenerate(board.points[corner, :2]):
         return None
     return refine_corners(grey, board, corner, start)
@@ -156,10 +158,15 @@ def marker_margins(board: Board, corner: NDArray[np.int64]) -> Array:
     return np.stack([np.full(len(corner), margin), 2.0 * parity - 1], axis=1)
 
 
-def find_charuco(grey: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
-    """Corners of a ChArUco board in view: index (n,), and place (n, 2), px, to a pixel or so."""
+def find_charuco(
+    variants: Iterable[tuple[Image, float]], board: Board
+) -> tuple[NDArray[np.int64], Array]:
+    """Corners of a ChArUco board in view: index (n,), and place (n, 2), px, to a pixel or so.
+
+    Of the first variant of the picture, each with its scale, that shows enough of them.
+    """
     detector = cv2.aruco.CharucoDetector(charuco_board(board))
-    for picture, scale in ((grey, 1.0), *picture_variants(grey)):
+    for picture, scale in variants:
         corners, identity, _, _ = detector.detectBoard(picture)
         if identity is not None and len(identity) >= MIN_CORNERS:
             order = np.argsort(identity.ravel())

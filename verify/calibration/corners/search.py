@@ -96,15 +96,9 @@ def _find_whole(
     grid_map = grids.fit_grid_map(grey, grid)
     if grid_map is None or not grids.is_whole(grey, grid_map, *counts):
         return None
-    return grid if _map_error(grid, grid_map) < max_error else None
-
-
-def _map_error(grid: Array, grid_map: grids.CornerMap) -> float:
-    """How far a corner lies from where the map through all puts it, at most, squares."""
-    rows, columns = grid.shape[:2]
-    mapped = grid_map(grids.block_points((0, 0, columns, rows))).reshape(grid.shape)
+    mapped = grid_map(grids.block_points((0, 0, *counts))).reshape(grid.shape)
     square = min(np.linalg.norm(np.diff(grid, axis=k), axis=2).min() for k in (0, 1))
-    return float(np.linalg.norm(grid - mapped, axis=2).max() / square)
+    return grid if np.linalg.norm(grid - mapped, axis=2).max() / square < max_error else None
 
 
 def picture_variants(grey: Image) -> Iterator[tuple[Image, float]]:

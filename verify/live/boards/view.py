@@ -8,10 +8,10 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.calibration.corners.find import is_degenerate, to_grey
+from verify.calibration.corners.find import find_charuco, is_degenerate, to_grey
 from verify.calibration.corners.grid import orient_grid
 from verify.calibration.corners.search import to_8_bits, undo_scale
-from verify.core.fiducials import Board, BoardView, charuco_board
+from verify.core.fiducials import Board, BoardView
 from verify.core.records import Array, Image
 
 MAX_SIDE_PX = 640  # px of the longer side: larger pictures are looked at in a smaller scale
@@ -28,34 +28,26 @@ def find_board_coarsely(image: Image, board: Board) -> BoardView | None:
     grey = to_grey(image)
     scale = min(MAX_SIDE_PX / max(grey.shape), 1.0)
     small = to_8_bits(cv2.resize(grey, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA))
-    corner, found = (
-        _charuco_corners(small, board)
-        if board.markers is not None
-        else _checkerboard_corners(small, board)
-    )
+    if board.markers is not None:
+        corner, found = find_charuco([(small, scale)], board)
+    else:
+        corner, found = _checkerboard_corners(small, scale, board)
     if len(corner) < MIN_CORNERS or is_degenerate(board.points[corner, :2]):
         return None
     covariance = np.tile(U_CORNER_PX**2 * np.eye(2), (len(corner), 1, 1))
-    return BoardView(corner, undo_scale(found, scale), covariance)
+    return BoardView(corner, found, covariance)
 
 
-def _checkerboard_corners(small: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
+def _checkerboard_corners(
+    small: Image, scale: float, board: Board
+) -> tuple[NDArray[np.int64], Array]:
     found, corners = cv2.findChessboardCornersSB(small, (board.columns, board.rows))
     if found:
         grid = np.asarray(corners, dtype=float).reshape(board.rows, board.columns, 2)
         placed = orient_grid(small, grid, board.columns, board.rows)
         if placed is not None:
-            return np.arange(len(board)), placed
+            return np.arange(len(board)), undo_scale(placed, scale)
     return np.empty(0, dtype=np.int64), np.empty((0, 2))
-
-
-def _charuco_corners(small: Image, board: Board) -> tuple[NDArray[np.int64], Array]:
-    corners, identity, _, _ = cv2.aruco.CharucoDetector(charuco_board(board)).detectBoard(small)
-    if identity is None:
-        return np.empty(0, dtype=np.int64), np.empty((0, 2))
-    order = np.argsort(identity.ravel())
-    places = np.asarray(corners, dtype=float).reshape(-1, 2)[order]
-    return identity.ravel()[order].astype(np.int64), places
 
 
 MAX_MOTION_PX = 0.3  # rms over the corners, about their means; noise is half at most
