@@ -25,7 +25,7 @@ from verify.calibration.axes.joint import (
     tilt_between,
 )
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement
+from verify.core.records import Measurement
 from verify.core.statistics import chi2_isf, norm_isf
 from verify.errors import InputError
 from verify.io.session.session import Session
@@ -77,7 +77,8 @@ def _pair(
 ) -> AxisPair:
     table = _in_base(arm, one, other)
     lines, across = (one.line, other.line), (one.axis.across, other.axis.across)
-    covariance = _joint_covariance(one, other)
+    both = np.concatenate([one.by_source, other.by_source])  # they share the rig's errors
+    covariance = block_diag(one.axis.covariance, other.axis.covariance) + both @ both.T
     side_by_side = are_parallel(*table)
 
     by_distance = line_derivative(distance_between, lines, across)
@@ -105,13 +106,6 @@ def _pair(
         distance_uncertainty=distance_u,
         agrees=bool(straight and abs(seen - known) < norm_isf(limit / 2) * distance_u),
     )
-
-
-def _joint_covariance(one: JointSweepResult, other: JointSweepResult) -> Array:
-    """Of two axes' eight parameters: they share the rig's errors."""
-    random = np.asarray(block_diag(one.axis.covariance, other.axis.covariance), dtype=np.float64)
-    both = np.concatenate([one.by_source, other.by_source])
-    return np.asarray(random + both @ both.T)
 
 
 @dataclass(frozen=True, slots=True)

@@ -76,7 +76,14 @@ def register_poses(
     chain = chain_of(session.arm)
     known = gathered.state(chain) if keep_base or keep_target else None
     fit = register(chain, rows, options, known)
-    _refuse_strange(session, _rms(_residuals(fit, gathered), fit))
+    farthest = _rms(_residuals(fit, gathered), fit)[0]
+    if farthest > MAX_RESIDUAL:
+        raise InputError(
+            place,
+            f"{farthest * MM:.3g} mm (rms) of the poses are left, wherever base and target are",
+            f"{MAX_RESIDUAL * MM:.0f} mm are the worst that joint errors explain",
+            f'Check that "{session.robot}" is the robot that moved, and units, signs and order.',
+        )
     if known is None and not rows.position_only:
         refuse_undetermined(session.arm, rows.q[fit.used], _noise(fit, gathered), place)
     gathered = deflate_repetition(gathered, fit)
@@ -127,17 +134,6 @@ def _residuals(fit: KinematicFit, gathered: CombinedPoses) -> Array:
 def _rms(left: Array, fit: KinematicFit) -> tuple[float, float]:
     place, turn = (np.linalg.norm(part, axis=1)[fit.used] for part in np.split(left, 2, axis=1))
     return float(np.sqrt(np.mean(place**2))), float(np.sqrt(np.mean(turn**2)))
-
-
-def _refuse_strange(session: Session, rms: tuple[float, float]) -> None:
-    """Refuse poses that lie farther from the readings', m, than joint errors explain."""
-    if rms[0] > MAX_RESIDUAL:
-        raise InputError(
-            session.folder / "encoders.csv",
-            f"{rms[0] * MM:.3g} mm (rms) of the poses are left, wherever base and target are",
-            f"{MAX_RESIDUAL * MM:.0f} mm are the worst that joint errors explain",
-            f'Check that "{session.robot}" is the robot that moved, and units, signs and order.',
-        )
 
 
 def _noise(fit: KinematicFit, gathered: CombinedPoses) -> tuple[float, float]:

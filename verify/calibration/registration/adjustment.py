@@ -4,7 +4,6 @@ The readings' own noise moves all spots of a pair together, so each pair's pixel
 covariance: the spots' own and, through the arm's Jacobian, the readings'.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -129,7 +128,9 @@ def whiten_pairs(spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetu
     kinds = seen.by_flange, seen.residual[..., None], seen.design, seen.by_joint
     columns = np.concatenate([kind[used] for kind in kinds], axis=2)
     rows, place = np.empty((len(used), 2, columns.shape[2] - 6)), np.empty((len(used), 2), np.int64)
-    for mine in _pairs_alike(spotted.pair[used]):
+    begin, size = np.unique(spotted.pair[used], return_index=True, return_counts=True)[1:]
+    for spots in np.unique(size):  # all pairs with as many spots at once
+        mine = begin[size == spots, None] + np.arange(spots)
         pairs, count = len(mine), 2 * mine.shape[1]
         lower = np.linalg.cholesky(_covariance(spotted, seen, setup, used[mine]))
         white = np.linalg.solve(lower, columns[mine].reshape(pairs, count, -1))
@@ -150,13 +151,6 @@ def whiten_pairs(spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetu
         design=design,
         joints=joints,
     )
-
-
-def _pairs_alike(pair: NDArray[np.int64]) -> Iterator[NDArray[np.int64]]:
-    """Places of the spots of all pairs with m spots, (p, m), for each m; `pair` (s,), rising."""
-    begin, size = np.unique(pair, return_index=True, return_counts=True)[1:]
-    for count in np.unique(size):
-        yield begin[size == count, None] + np.arange(count)
 
 
 def _covariance(

@@ -18,7 +18,6 @@ from verify.calibration.registration.uncertainty import (
 )
 from verify.calibration.stereo.records import rms
 from verify.core.fiducials import Marker
-from verify.core.rig import Rig
 from verify.errors import one_line
 from verify.io import fiducials
 from verify.io import rig as io_rig
@@ -69,14 +68,17 @@ def registration_outcome(
         base_source=recording.rig.base_source if held.base else "motion",
         absorption=absorption(adjusted, before),
         covariance=covariance,
+        registration=None,
     )
-    rig, marker = _with_digest(rig, marker)
+    marker = replace(marker, registration=None)
+    digest = hashlib.sha256(io_rig.encode(rig) + fiducials.encode_marker(marker)).hexdigest()
+    registration = f"sha256:{digest}"  # of what both files hold: they cannot be mixed up
     fit_rms, held_out = _hold_out_rms(adjusted, setup)
     shown = [float(np.sqrt(adjusted.covariance[k, k])) if adjusted.free[k] else None
              for k in (-2, -1)]  # fmt: skip
     return MotionRegistration(
-        rig=rig,
-        marker=marker,
+        rig=replace(rig, registration=registration),
+        marker=replace(marker, registration=registration),
         clock_offset=at.clock,
         clock_standard_uncertainty=shown[0],
         skew=at.skew,
@@ -93,14 +95,6 @@ def registration_outcome(
         decisions=tuple(_decisions(recording, named, held, adjusted, diameter)),
         warnings=tuple(map(one_line, _warnings(adjusted, found.start, shown))),
     )
-
-
-def _with_digest(rig: Rig, marker: Marker) -> tuple[Rig, Marker]:
-    """Give both files the digest of what they hold, so that they cannot be mixed up."""
-    rig, marker = replace(rig, registration=None), replace(marker, registration=None)
-    digest = hashlib.sha256(io_rig.encode(rig) + fiducials.encode_marker(marker)).hexdigest()
-    name = f"sha256:{digest}"
-    return replace(rig, registration=name), replace(marker, registration=name)
 
 
 def _hold_out_rms(
