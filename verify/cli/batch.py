@@ -62,7 +62,7 @@ def batch(
     from verify.core.version import __version__
     from verify.fleet.batch.finding import find_sessions
     from verify.fleet.batch.records import BatchOptions
-    from verify.fleet.batch.run import measure_all
+    from verify.fleet.batch.run import measure_all, report_all
     from verify.fleet.batch.store import require_writable
     from verify.fleet.batch.tasks import require_joints
     from verify.fleet.trends.assess import require_folders
@@ -81,7 +81,8 @@ def batch(
         with _show_progress() as watch:
             done = measure_all(found, failures, out, options, pool, watch)
     if reports:
-        _session_reports(done, workers)
+        with closing(_worker_pool(workers, None)) as pool, terminal.progress("reports") as counter:
+            report_all(done, pool, counter)
     return _finish(done, out, request)
 
 
@@ -149,15 +150,6 @@ def _note(progress: "BatchProgress", rate: float | None, left: float | None) -> 
     if progress.failures:
         parts.append(f"{len(progress.failures)} failed")
     return ", ".join(parts)
-
-
-def _session_reports(done: "BatchResult", workers: int | None) -> None:
-    from verify.fleet.batch.run import report_all
-    from verify.fleet.batch.workers import ProcessPool, available_cpus
-
-    pool = ProcessPool(workers or available_cpus())
-    with closing(pool), terminal.progress("reports") as counter:
-        report_all(done, pool, counter)
 
 
 def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:

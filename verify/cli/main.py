@@ -74,14 +74,9 @@ app.add_typer(calibrate, name="calibrate", epilog=GLOBAL_OPTIONS_HELP)
 @app.callback()
 def _verify() -> None:
     """Is my robot where it says it is? Two cameras and a few LEDs check an arm's encoders."""
-    _require_environment()
-
-
-def _require_environment() -> None:
-    """Refuse, by an InputError, values that libraries fail by; an empty one counts as none."""
     for name, (form, expected) in ENVIRONMENT.items():
         value = os.environ.get(name, "")
-        if not value:
+        if not value:  # an empty one counts as none
             os.environ.pop(name, None)
         elif not re.fullmatch(form, value, re.ASCII):
             remedy = "Correct or unset this environment variable."

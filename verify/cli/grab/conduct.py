@@ -180,7 +180,10 @@ def conduct(stage: GraspRun, stop: StopConditions, out: Path, *, force: bool) ->
         if page is not None:
             results = page.name_target(results)
         write_report_folder(results, folder, force=True)
-    _print_outcome(results, out)
+    verdict = outcome(results.summary)
+    terminal.say(f"{verdict.label}: {verdict.sentence}")
+    terminal.say(f"Report: {report_files(out)}; film: {out / VIDEO_FILE}")
+    terminal.record("result", out=str(out), summary=to_json_value(results.summary))
     lifted = ended.state is GraspState.LIFTED and not seen_left_behind(results.summary)
     good = lifted or (not context.execute and aim.plan is not None)
     if interrupted and not good:
@@ -265,10 +268,3 @@ class OperatorKeys:
                 self._pressed.append(KEY_EVENTS[key])
             else:
                 terminal.warn(f'"{word}" is no key: {", ".join(KEY_EVENTS)} or {QUIT_KEY}')
-
-
-def _print_outcome(results: Results, out: Path) -> None:
-    verdict = outcome(results.summary)
-    terminal.say(f"{verdict.label}: {verdict.sentence}")
-    terminal.say(f"Report: {report_files(out)}; film: {out / VIDEO_FILE}")
-    terminal.record("result", out=str(out), summary=to_json_value(results.summary))
