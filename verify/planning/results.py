@@ -160,7 +160,11 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
             )
         ],
         "joint_error_correlation": correlation_entry(predicted.analysis.means.covariance),
-        "clock": _clock(predicted),
+        "clock": {
+            "source": predicted.clock.source,
+            "standard_uncertainty_s": predicted.clock.standard_uncertainty,
+            "minimum_detectable_error_s": predicted.clock.detectable,
+        },
         "geometry": None if predicted.geometry is None else _geometry(predicted.geometry),
         "through_encoders": session.model.through_encoders,
         "uncounted": list(session.systematics.uncounted),
@@ -294,15 +298,6 @@ def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, 
         }
         for j in range(len(spread))
     ]
-
-
-def _clock(predicted: SessionPrediction) -> dict[str, Any]:
-    clock = predicted.clock
-    return {
-        "source": clock.source,
-        "standard_uncertainty_s": clock.standard_uncertainty,
-        "minimum_detectable_error_s": clock.detectable,
-    }
 
 
 def _geometry(found: prediction.PredictedIdentifiability) -> dict[str, Any]:

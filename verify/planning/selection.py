@@ -125,8 +125,11 @@ class PoseSelection:
             return self._made(every, min(request.poses, len(every)))[0]
         duration = request.duration or 0.0
         best, most, shortest = None, -np.inf, np.inf
-        for among in self._reaches():
-            timed, tells = self._fullest(among, duration)
+        away = self.roadmap.time[np.ix_(self.node, self.node)]
+        near = np.argsort(away[int(np.argmin(away.mean(axis=1)))], kind="stable")
+        for share in NEAR_SHARES:  # about the one that is nearest to the others
+            size = max(int(share * len(near)), min(MIN_POSES, len(near)))
+            timed, tells = self._fullest(near[:size].astype(np.int64), duration)
             shortest = min(shortest, timed.duration)
             if timed.duration <= duration and tells > most:
                 best, most = timed, tells
@@ -136,13 +139,6 @@ class PoseSelection:
                 "Give more time, a higher --speed-deg-s or a shorter --hold-s.",
             )  # fmt: skip
         return best
-
-    def _reaches(self) -> list[Rows]:
-        """All candidates, and shares of them about the one that is nearest to the others."""
-        away = self.roadmap.time[np.ix_(self.node, self.node)]
-        near = np.argsort(away[int(np.argmin(away.mean(axis=1)))], kind="stable")
-        sizes = [max(int(share * len(near)), min(MIN_POSES, len(near))) for share in NEAR_SHARES]
-        return [near[:size].astype(np.int64) for size in sizes]
 
     def _fullest(self, among: Rows, duration: float) -> tuple[TimedMotion, float]:
         """As many poses as the duration allows, by halving; at least MIN_POSES."""

@@ -90,7 +90,7 @@ def _course(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm])
     found = fit(series, _design(series, terms))
     changes = [_change(series, terms, i, found, every) for i in range(len(terms))]
     last = _design(series, terms)[-1]
-    slope, slope_uncertainty = _slope(terms, found)
+    drifting = np.array([0.0, *(t.kind == "drift" for t in terms)])  # all drifts add up at the end
     alone = replace(series, shared=np.zeros(len(series)))  # what sessions share left out
     unshared = fit(alone, _design(alone, terms)).covariance
     return JointTrend(
@@ -100,8 +100,8 @@ def _course(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm])
         level_uncertainty=float(np.sqrt(last @ found.covariance @ last)),
         reference=float(found.coefficients[0]),
         reference_uncertainty=float(np.sqrt(unshared[0, 0])),
-        slope=slope,
-        slope_uncertainty=slope_uncertainty,
+        slope=float(drifting @ found.coefficients),
+        slope_uncertainty=float(np.sqrt(drifting @ found.covariance @ drifting)),
         series=series,
     )
 
@@ -241,10 +241,3 @@ def _change(
         latest=int(dated.max()),
         clearer_by=float(worth[own] - rival),
     )
-
-
-def _slope(terms: list[TrendTerm], found: SeriesFit) -> tuple[float, float]:
-    """What all drifts add up to at the end, degrees a month, and its standard uncertainty."""
-    drifting = np.array([0.0, *(t.kind == "drift" for t in terms)])
-    variance = float(drifting @ found.covariance @ drifting)
-    return float(drifting @ found.coefficients), float(np.sqrt(variance))

@@ -245,7 +245,10 @@ class StateMachine:
                 now = self._clock()
                 reason = reason or way.because
                 self.log.append(StateChange(now, self.state, event, way.target, reason))
-                self._update_hand_state(event, way.target)
+                approaches = way.target is GraspState.APPROACHING
+                lets_go = event in (GraspEvent.NOTHING_HELD, GraspEvent.OPENED)
+                self.low = event is not GraspEvent.AT_TOP and (self.low or approaches)
+                self.carrying = event is GraspEvent.HELD or (self.carrying and not lets_go)
                 self.state, self.since, self.reason = way.target, now, reason
                 return True
         return False
@@ -266,13 +269,3 @@ class StateMachine:
             TransitionCondition.CARRYING: self.carrying,
             TransitionCondition.EMPTY: not self.carrying,
         }[need]
-
-    def _update_hand_state(self, event: GraspEvent, target: GraspState) -> None:
-        if target is GraspState.APPROACHING:
-            self.low = True
-        if event is GraspEvent.AT_TOP:
-            self.low = False
-        if event is GraspEvent.HELD:
-            self.carrying = True
-        if event in (GraspEvent.NOTHING_HELD, GraspEvent.OPENED):
-            self.carrying = False

@@ -136,8 +136,11 @@ def grip_margin(thing: GraspObject, cell: Cell) -> GripMargin | GraspRefusal:
         return GraspRefusal("unknown", "the target's place is not known")
     if not np.isfinite([thing.width, thing.length]).all():
         return GraspRefusal("unknown", "the target's size is not known")
-    if (outside := _workspace_refusal(thing.position, cell)) is not None:
-        return outside
+    beyond = np.maximum(cell.lower - thing.position, thing.position - cell.upper)
+    axis = int(np.argmax(beyond))
+    if beyond[axis] > 0:
+        reason = f"it lies {_mm(beyond[axis])} outside the workspace box in {'xyz'[axis]}"
+        return GraspRefusal("workspace", reason)
     one, two = float(norm_ppf((1 + coverage) / 2)), float(np.sqrt(chi2_ppf(coverage, 2)))
     if thing.width > hand.opening:
         reason = f"it is {_mm(thing.width)} wide; the gripper opens {_mm(hand.opening)}"
@@ -197,15 +200,6 @@ def _margin_refusal(
             reason = f"target and robot together are known {within}; the gripper leaves {_mm(left)}"
             return GraspRefusal("uncertainty", reason)
     return None
-
-
-def _workspace_refusal(point: Array, cell: Cell) -> GraspRefusal | None:
-    beyond = np.maximum(cell.lower - point, point - cell.upper)
-    axis = int(np.argmax(beyond))
-    if beyond[axis] <= 0:
-        return None
-    reason = f"it lies {_mm(beyond[axis])} outside the workspace box in {'xyz'[axis]}"
-    return GraspRefusal("workspace", reason)
 
 
 def _grip_uncertainty(thing: GraspObject, cell: Cell) -> tuple[float, float]:
