@@ -94,7 +94,11 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
     )
     rotation, rounding = None, 0.0
     if quaternion is not None:
-        _require_unit_length(table, quaternion)
+        length = np.linalg.norm(quaternion, axis=1)
+        wrong = np.flatnonzero(np.abs(length - 1) > TOL_NORM)
+        if len(wrong):
+            found = f"the quaternion has the length {length[wrong[0]]:.6g}"
+            raise table.fault(int(wrong[0]), found, "a turn's, qw, qx, qy, qz, has the length 1")
         rotation = Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix()
         # the quaternion's vector is the sine of half the angle: half the angle's error
         rounding = 2 * _rounding(quaternion)
@@ -134,14 +138,6 @@ def _require_order(table: CsvTable, t: Array, target: Array | None) -> None:
         before, row = rows[stuck[0] : stuck[0] + 2].tolist()
         found = f"t_s is {t[row]:.10g} after {t[before]:.10g} of target {target[row]:g}"
         raise table.fault(row, found, "times of a target rise strictly", SORT_REMEDY)
-
-
-def _require_unit_length(table: CsvTable, quaternion: Array) -> None:
-    length = np.linalg.norm(quaternion, axis=1)
-    wrong = np.flatnonzero(np.abs(length - 1) > TOL_NORM)
-    if len(wrong):
-        found = f"the quaternion has the length {length[wrong[0]]:.6g}"
-        raise table.fault(int(wrong[0]), found, "a turn's, qw, qx, qy, qz, has the length 1")
 
 
 def _rounding(values: Array) -> float:

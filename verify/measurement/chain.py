@@ -325,7 +325,9 @@ def _measure_causally(
     """Measure a pair by the one before; the first of a burst by the one after."""
     measurement = _fit(assigned, (*around[:2], None), setup, settled=False)
     pose = measurement.pose
-    kept = assigned if pose is None else _without_rejected(assigned, pose)
+    kept = assigned
+    if pose is not None and np.count_nonzero(pose.rejected):  # the next pair must not rest on them
+        kept = replace(assigned, raw=assigned.raw.take(~pose.rejected))
     if pose is None or not pose.consistent:
         return _CausalPair(assigned, kept, around, measurement, None)
     before = Appearance.unknown(len(setup.marker)) if memory is None else memory.appearance
@@ -383,13 +385,6 @@ def _stack(aligned: AlignedSightings, setup: Setup) -> SightingStack:
         raw.led, setup.marker.leds[raw.led], aligned.centre, aligned.covariance, aligned.velocity,
         aligned.lever, camera_rows(rig.left, rig.right, *raw.pans), raw.left,
     )  # fmt: skip
-
-
-def _without_rejected(assigned: _AssignedPair, pose: Pose) -> _AssignedPair:
-    """Leave out spots that the pose fit rejected: the next pair must not rest on them."""
-    if not np.count_nonzero(pose.rejected):
-        return assigned
-    return replace(assigned, raw=assigned.raw.take(~pose.rejected))
 
 
 def _predict(memory: _Memory | None, t: float) -> PosePrediction | None:

@@ -162,7 +162,10 @@ class PictureEncoder:
         self._codec.pix_fmt, self._codec.time_base = pixels, MILLISECOND
         self._codec.thread_count = 1  # a second core has the other camera's pictures
         self._codec.open()
-        private = _bitmap_header(kind, fourcc, bits, self._codec.extradata or b"")
+        # the BITMAPINFOHEADER by which Matroska carries codecs that it has no name for
+        extra, size = self._codec.extradata or b"", kind.width * kind.height * bits // 8
+        fields = (40 + len(extra), kind.width, kind.height, 1, bits, fourcc, size, 0, 0, 0, 0)
+        private = struct.pack("<IiiHH4sIiiII", *fields) + extra
         self.track = MatroskaTrack("V_MS/VFW/FOURCC", kind.width, kind.height, private)
 
     def encode(self, image: Image, raw: bytes | None) -> bytes:
@@ -181,11 +184,3 @@ def _frame(image: Image) -> av.VideoFrame:
         room = rows.reshape(-1, plane.line_size)[: image.shape[0], : image.shape[1]]
         np.copyto(room, cv2.extractChannel(image, channel))
     return frame
-
-
-def _bitmap_header(kind: PictureFormat, fourcc: bytes, bits: int, extra: bytes) -> bytes:
-    """Make the BITMAPINFOHEADER by which Matroska carries codecs that it has no name for."""
-    size = 40 + len(extra)
-    pixels = kind.width * kind.height * bits // 8
-    fields = (size, kind.width, kind.height, 1, bits, fourcc, pixels, 0, 0, 0, 0)
-    return struct.pack("<IiiHH4sIiiII", *fields) + extra
