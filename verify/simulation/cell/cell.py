@@ -87,7 +87,11 @@ class CellWorld:
                 if (place := self.cap(number, t)) is not None
             ]
             board = self._board() if self.happened("hidden") else None
-            pictures.append(camera.picture(caps, posed, self._light(t), scene.noise, board))
+            light = scene.light
+            if self.happened("dusk"):
+                gone = np.clip((t - self._spans["dusk"][0]) / DUSK_TIME, 0.0, 1.0)
+                light = float(light * (1 - 0.5 * gone))
+            pictures.append(camera.picture(caps, posed, light, scene.noise, board))
         pan_readings = (rig.left.pan, rig.right.pan) if pans is None else pans
         times = self.t, self.t + RIGHT_DELAY
         pair = StereoPair(self._frame, *times, *pan_readings, pictures[0], pictures[1])
@@ -163,12 +167,6 @@ class CellWorld:
         flange = forward(arm, q)
         flange[:3, 3] += self._off
         return RenderedArm(joint_origins(arm, q) + self._off, flange, self.hand.opening)
-
-    def _light(self, t: float) -> float:
-        if not self.happened("dusk"):
-            return self.scene.light
-        gone = np.clip((t - self._spans["dusk"][0]) / DUSK_TIME, 0.0, 1.0)
-        return float(self.scene.light * (1 - 0.5 * gone))
 
     def _board(self) -> Array:
         """A board between the target and the cameras."""

@@ -120,7 +120,12 @@ class CellCamera:
         parts: list[Part] = []
 
         def capsule(a: Array, b: Array, radius: float, colour: tuple[int, int, int]) -> None:
-            parts.append((self._away((a + b) / 2), self._capsule(a, b, radius, colour)))
+            # an outline by two circles that face the camera, and a lighter streak along it
+            disc, lit = self._disc, 0.55 * radius * self._disc + [0.0, 0.0, 0.25 * radius]
+            rim = np.vstack([a + radius * disc, b + radius * disc])
+            outline = Shape(rim, np.array(colour) * 0.8)
+            streak = Shape(np.vstack([a + lit, b + lit]), colour)
+            parts.append((self._away((a + b) / 2), [outline, streak]))
 
         for a, b in zip(posed.joints[:-1], posed.joints[1:], strict=True):
             capsule(a, b, LINK_RADIUS, ARM_COLOUR)
@@ -172,15 +177,6 @@ class CellCamera:
             Shape(top, colour),
             Shape(shine, 0.4 * colour + 0.6 * 255),
         ]
-
-    def _capsule(
-        self, a: Array, b: Array, radius: float, colour: tuple[int, int, int]
-    ) -> list[Shape]:
-        """Its outline by two circles that face the camera, and a lighter streak along it."""
-        disc, lit = self._disc, 0.55 * radius * self._disc + [0.0, 0.0, 0.25 * radius]
-        outline = np.vstack([a + radius * disc, b + radius * disc])
-        streak = np.vstack([a + lit, b + lit])
-        return [Shape(outline, np.array(colour) * 0.8), Shape(streak, colour)]
 
     def _away(self, point: Array) -> float:
         """How far a point (3,) of the base is from the camera, m."""

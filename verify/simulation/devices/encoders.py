@@ -80,17 +80,13 @@ class SimulatedEncoders(SimulatedReadings):
         return list(zip(t.tolist(), quantised(q, self._table.resolution_deg), strict=True))
 
     def _reading(self, t: float, q: Array) -> EncoderReading:
-        stamp, segment = self._stamp(t)
-        return EncoderReading(stamp, self._came(t), LATCH_HALF_WIDTH, segment, q)
-
-    def _stamp(self, t: float) -> tuple[float, int]:
-        """What the controller's clock shows, s, and how often it was reset."""
-        began = self._scene.clock.began
-        resets = self._scene.resets(t)
+        """A reading with what the controller's clock shows, and how often that was reset."""
+        began, resets = self._scene.clock.began, self._scene.resets(t)
         drift = 1 - self._table.clock_drift_ppm * 1e-6
+        stamp = began + (t - began) * drift - self._table.clock_offset_s
         if resets:
-            return RESET_TIME + (t - max(resets)) * drift, len(resets)
-        return began + (t - began) * drift - self._table.clock_offset_s, 0
+            stamp = RESET_TIME + (t - max(resets)) * drift
+        return EncoderReading(stamp, self._came(t), LATCH_HALF_WIDTH, len(resets), q)
 
 
 PAN_RATE = 50.0  # Hz

@@ -67,7 +67,9 @@ class SimulatedCamera:
         # Far outside the lens's field the distortion polynomial folds back into the picture.
         sane = points[:, 2] > 0.01  # m: nothing is that close to a lens
         tangent = np.hypot(points[:, 0], points[:, 1]) / np.where(sane, points[:, 2], 1.0)
-        sane &= tangent < 1.3 * self._corner_tangent()  # 1.3: room for barrel distortion
+        middle, focal = self.matrix[:2, 2], np.diagonal(self.matrix)[:2]
+        corner = np.hypot(*(np.maximum(middle, self.image_size - middle) / focal))
+        sane &= tangent < 1.3 * corner  # 1.3: room for barrel distortion
         pixels = np.full((len(points), 2), np.nan)
         if np.any(sane):
             image, _ = cv2.projectPoints(
@@ -75,12 +77,6 @@ class SimulatedCamera:
             )
             pixels[sane] = image[:, 0]
         return np.reshape(pixels, (*np.shape(points_rig)[:-1], 2))
-
-    def _corner_tangent(self) -> float:
-        width, height = self.image_size
-        x = max(self.matrix[0, 2], width - self.matrix[0, 2]) / self.matrix[0, 0]
-        y = max(self.matrix[1, 2], height - self.matrix[1, 2]) / self.matrix[1, 1]
-        return float(np.hypot(x, y))
 
 
 @dataclass(frozen=True, slots=True)
