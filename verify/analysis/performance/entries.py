@@ -5,11 +5,10 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from verify.analysis.performance import poses
+from verify.analysis.performance import indices, poses
 from verify.analysis.performance.indices import Interval
 from verify.analysis.performance.paths import PathIndices
 from verify.analysis.performance.session import Performance
-from verify.core.records import Array
 
 MM, DEG = 1e3, 180 / np.pi
 AXES = ("rx", "ry", "rz")
@@ -167,15 +166,9 @@ def _stations(found: Performance | None) -> pd.DataFrame:
         off = places.attained - places.commanded[:, None]
         m = len(places.along)
         columns: list[Any] = [[p.name] * m, np.arange(1, m + 1), places.along * MM]
-        columns += [*(places.commanded * MM).T, *_band(off)]
+        barycentre = np.linalg.norm(off.mean(axis=1), axis=1)
+        furthest = np.linalg.norm(off, axis=2).max(axis=1)
+        columns += [*(places.commanded * MM).T, barycentre * MM]
+        columns += [indices.repeatability(off) * MM, furthest * MM]
         parts.append(pd.DataFrame(dict(zip(names, columns, strict=True))))
     return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=names)
-
-
-def _band(off: Array) -> tuple[Array, Array, Array]:
-    """How far the barycentre, the radius about it, and the furthest passage are off; mm."""
-    mean = off.mean(axis=1)
-    length = np.linalg.norm(off - mean[:, None], axis=2)
-    radius = length.mean(axis=1) + 3 * length.std(axis=1, ddof=1)
-    furthest = np.linalg.norm(off, axis=2).max(axis=1)
-    return np.linalg.norm(mean, axis=1) * MM, radius * MM, furthest * MM

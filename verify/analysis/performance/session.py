@@ -101,7 +101,11 @@ def performance(
     visits, names, empty = _visits(measured, named_poses)
     if not visits and not named_paths:
         return NO_HOLDS
-    noise = _noise(measured, visits)
+    stated = measured.comparison.covariance_measured[measured.whole].mean(axis=0)
+    off = measured.off
+    noise = static_noise(
+        [v.rows for v in visits], off[:, :3], off[:, 3:], (stated[:3, :3], stated[3:, 3:])
+    )
     counts = [sum(v.pose == i for v in visits) for i in range(len(names))]
     by_pose = [
         _visits_of_poses(measured, [v for v in visits if v.pose == i], names[i])
@@ -163,14 +167,6 @@ def _at_point(
         comparison, arm, readings, offset, attained, read, systematic, difference(attained, read),
         whole, measured_point is None,
     )  # fmt: skip
-
-
-def _noise(measured: MeasuredPoints, visits: Sequence[Visit]) -> HoldNoise:
-    stated = measured.comparison.covariance_measured[measured.whole].mean(axis=0)
-    off = measured.off
-    return static_noise(
-        [v.rows for v in visits], off[:, :3], off[:, 3:], (stated[:3, :3], stated[3:, 3:])
-    )
 
 
 def _visits_of_poses(measured: MeasuredPoints, visits: Sequence[Visit], name: str) -> PoseVisits:
