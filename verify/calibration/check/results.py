@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
+from numpy.typing import ArrayLike
 
 from reports import Results
 from verify.analysis.rig_check.check import FIGURES, RigConsistency
 from verify.calibration.check.check import P_CONFIDENCE, CheckResult, figure_limit
 from verify.calibration.origin import DEG, MM, ResultsOrigin
-from verify.core.records import Array
 
 UNITS = np.array([1e3, 1.0, DEG])  # of the figures in the results; mm_per_m leads to one unit
 NAMES = ("scale_permille", "vertical_px", "roll_deg")
@@ -40,7 +40,11 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
             "decisions": list(found.decisions),
         },
         setup={},
-        tables={"lengths": _lengths(found), "pairs": _pairs(figures), "sources": _sources(figures)},
+        tables={
+            "lengths": _lengths(found),
+            "pairs": _table("frame", figures.frame, figures.series),
+            "sources": _table("source", [*figures.by_source], [*figures.by_source.values()]),
+        },
     )
 
 
@@ -73,15 +77,7 @@ def _lengths(found: CheckResult) -> pd.DataFrame:
     )
 
 
-def _pairs(found: RigConsistency) -> pd.DataFrame:
-    """The figures of single pairs, in their order."""
-    values: Array = found.series.reshape(-1, len(NAMES)) * UNITS
-    columns = {name: values[:, i] for i, name in enumerate(NAMES)}
-    return pd.DataFrame({"frame": found.frame, **columns})
-
-
-def _sources(found: RigConsistency) -> pd.DataFrame:
-    """Standard uncertainty of each figure from each source."""
-    rows = np.array(list(found.by_source.values())).reshape(-1, len(NAMES)) * UNITS
-    columns = {name: rows[:, i] for i, name in enumerate(NAMES)}
-    return pd.DataFrame({"source": list(found.by_source), **columns})
+def _table(key: str, of: ArrayLike, figures: ArrayLike) -> pd.DataFrame:
+    """Lay out figures, a row for each pair or standard uncertainties for each source."""
+    columns = np.reshape(figures, (-1, len(NAMES))) * UNITS
+    return pd.DataFrame({key: of, **dict(zip(NAMES, columns.T, strict=True))})
