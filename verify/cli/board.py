@@ -44,10 +44,8 @@ def board(
     Example: verify board --corners 9x7 --square-mm 25 --paper A3
     """
     from verify.calibration.board import drawing
-    from verify.calibration.board.drawing import lay_out
     from verify.errors import InputError
     from verify.io import fiducials
-    from verify.io.fiducials import BoardTable, build_board
     from verify.io.files import write_folder_whole
     from verify.io.toml import FORMAT
 
@@ -55,21 +53,21 @@ def board(
         raise InputError("--marker-mm", "a plain board has no markers", "", "Give --charuco too.")
     if charuco is not None and marker_mm is None:
         marker_mm = MARKER_SHARE * square_mm
-    table = BoardTable(
+    table = fiducials.BoardTable(
         format=FORMAT,
         inner_corners=(corners.columns, corners.rows),
         square_mm=square_mm,
         markers=charuco,
         marker_mm=marker_mm,
     )
-    drawn = build_board(OPTIONS_PLACE, table)
+    drawn = fiducials.build_board(OPTIONS_PLACE, table)
     if drawn.four_fold:
         terminal.warn(
             f"--corners: {corners}: this board looks the same after a quarter turn, so nothing "
             "tells which corner is the first; hold it with the arrow up in every picture. "
             f"{drawn.columns + 1}x{drawn.rows} cannot be mistaken."
         )
-    layout = lay_out(drawn, paper)
+    layout = drawing.lay_out(drawn, paper)
     with write_folder_whole(out, force) as folder:
         (folder / "board.pdf").write_bytes(drawing.pdf(drawn, layout))
         (folder / "board.png").write_bytes(drawing.png(drawn, layout))

@@ -244,7 +244,9 @@ def write(
         ReportError: results that were kept are damaged.
     """
     joints = _write_sessions(folder / "sessions.parquet", kept)
-    _write_frames(folder / "frames.parquet", kept, joints)
+    columns = frames_schema(joints)
+    every = (_session_frames(session, place, columns) for session, place in kept)
+    _write_groups(folder / "frames.parquet", columns, every, MAX_PAIRS_PER_GROUP)
     write_failures(folder, failures)
 
 
@@ -291,12 +293,6 @@ def _write_sessions(path: Path, kept: Sequence[tuple[str, Path]]) -> int:
     every = (pa.Table.from_pylist([row], schema=columns) for row in rows)
     _write_groups(path, columns, every, MAX_SESSIONS_PER_GROUP)
     return joints
-
-
-def _write_frames(path: Path, kept: Sequence[tuple[str, Path]], joints: int) -> None:
-    columns = frames_schema(joints)
-    every = (_session_frames(session, place, columns) for session, place in kept)
-    _write_groups(path, columns, every, MAX_PAIRS_PER_GROUP)
 
 
 def _write_groups(path: Path, columns: pa.Schema, tables: Iterator[pa.Table], most: int) -> None:

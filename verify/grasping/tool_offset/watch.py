@@ -90,7 +90,8 @@ class FlangeWatch:
                 rest.sights.append(sight)
         measured = sum(sight.base_T_flange is not None for sight in rest.sights)
         if measured >= MIN_PICTURES or len(rest.sights) >= MAX_PICTURES:
-            return tuple(rest.sights), _resting_angles(rest.read)
+            moved = not rest.read or np.ptp(rest.read, axis=0).max() > TOL_REST
+            return tuple(rest.sights), None if moved else np.asarray(np.mean(rest.read, axis=0))
         pair, earliest = self._pair, rest.since + SETTLING_TIME
         if pair is not None and pair.t_left >= earliest and pair.t_left > rest.taken:
             rest.taken = pair.t_left
@@ -127,10 +128,3 @@ class FlangeWatch:
             turn @ pose.covariance @ turn.T,
             by @ spread @ by.T + pans @ pans.T,
         )
-
-
-def _resting_angles(read: list[Array]) -> Array | None:
-    """The mean of joint angles that agree; None: they do not, or there are none."""
-    if not read or np.ptp(read, axis=0).max() > TOL_REST:
-        return None
-    return np.asarray(np.mean(read, axis=0))

@@ -76,7 +76,9 @@ def simulate_boards(scenario: BoardScenario) -> SimulatedBoards:
     if farthest < nearest:
         raise InputError("boards.distance_mm", "ends before it begins", "the nearest comes first")
     cameras = build_cameras(scenario.rig)
-    board = _board(scenario)
+    keys = ("inner_corners", "square_mm", "markers", "marker_mm")
+    pattern = {key: getattr(table, key) for key in keys}
+    board = build_board("boards", BoardTable(format=1, **pattern))  # checked as board.toml's is
     rig_T_base, still = _fixture(scenario)
     drawn = [_draw(scenario, board, cameras, pair, still) for pair in range(table.pairs)]
     pan = np.array([pan for pan, _ in drawn])
@@ -84,13 +86,6 @@ def simulate_boards(scenario: BoardScenario) -> SimulatedBoards:
     true_pan = pan + np.radians(scenario.bases.standard_uncertainty_deg) * noise
     poses = np.array([rig_T_board for _, rig_T_board in drawn])
     return SimulatedBoards(scenario, board, cameras, pan, true_pan, poses, rig_T_base)
-
-
-def _board(scenario: BoardScenario) -> Board:
-    """Check the pattern as board.toml's is checked."""
-    keys = ("inner_corners", "square_mm", "markers", "marker_mm")
-    pattern = {key: getattr(scenario.boards, key) for key in keys}
-    return build_board("boards", BoardTable(format=1, **pattern))
 
 
 def _fixture(scenario: BoardScenario) -> tuple[Array | None, Array | None]:
