@@ -3,14 +3,13 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import qr
 
 import robots
 from verify.analysis.comparison import Comparison, JointComparison
 from verify.analysis.joint_errors import JointErrors, MeanErrors
 from verify.analysis.model import JointErrorModel, SessionComparison
-from verify.core.records import Array
+from verify.core.records import Array, Index
 
 MIN_WEIGHT = 0.005  # of a weight: less than what its two decimals in the label can show
 POSE_DOF = 6  # degrees of freedom of a pose
@@ -153,7 +152,7 @@ def _pose_sums(
 
 
 def _uncertainty(
-    weights: Array, errors: JointErrors, places: NDArray[np.intp], clock_uncertainty: float | None
+    weights: Array, errors: JointErrors, places: Index, clock_uncertainty: float | None
 ) -> float:
     """Standard uncertainty of a sum's mean over some pairs; (n, j) weights, rad."""
     n = len(places)

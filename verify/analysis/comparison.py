@@ -11,14 +11,13 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import rigid_columns
 from verify.core.kernels.entries import rotation_vectors
 from verify.core.readings import RATE_SPAN, Readings
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.measurement.alignment import MAX_GAP
 from verify.measurement.kernels.entries import MOTION_RATE
 from verify.measurement.track import Track, difference_weights
@@ -39,7 +38,7 @@ MAX_APART, LEVELS = np.deg2rad(1.0), 2  # of pairs about such an error; before a
 class Comparison:
     """n pairs that have both a pose and a reading; arm with j joints."""
 
-    index: NDArray[np.int64]  # (n,), rows of the track
+    index: Index  # (n,), rows of the track
     t: Array  # (n,), s
     q: Array  # (n, j), rad, readings at the left camera's instant
     rate: Array  # (n, j), rad/s
@@ -90,7 +89,7 @@ def compare(
     offset: float | Array,
     *,
     stated: ReadingUncertainty = ReadingUncertainty(),
-    known: NDArray[np.bool_] | None = None,
+    known: Flags | None = None,
 ) -> Comparison:
     """Set the readings at each pair's instant against its measured pose.
 
@@ -103,7 +102,7 @@ def compare(
         known = readings.available(there)
     index = known.nonzero()[0]
     # all of them without a copy
-    some: NDArray[np.int64] | slice = index if len(index) < len(known) else slice(None)
+    some: Index | slice = index if len(index) < len(known) else slice(None)
     there = there[some]
     q, rate = readings.motion(there)
     encoder, jacobian = robots.forward_and_jacobian(arm, q)
@@ -142,7 +141,7 @@ def compare(
 def _reading_covariance(
     noise: Array,
     stated: ReadingUncertainty,
-    index: NDArray[np.int64],
+    index: Index,
     jacobian: Array,
     rate: Array,
 ) -> Array:
@@ -221,7 +220,7 @@ def inflate_covariance(comparison: Comparison, factors: Array) -> Comparison:
     return replace(comparison, covariance=covariance)
 
 
-def without_weight(comparison: Comparison, pairs: NDArray[np.int64]) -> Comparison:
+def without_weight(comparison: Comparison, pairs: Index) -> Comparison:
     """Let some pairs count for nothing, and keep them."""
     covariance = comparison.covariance.copy()
     covariance[pairs] *= NO_WEIGHT
@@ -353,11 +352,11 @@ class JointComparison:
     error: Array  # (n, j), readings less measured
     covariance: Array  # (n, j, j), of the error, from pair to pair
     inverse: Array  # (n, j, 6), d q / d pose
-    reached: NDArray[np.bool_]  # (n,), the arm can stand in the measured pose
+    reached: Flags  # (n,), the arm can stand in the measured pose
     coupling: tuple[robots.Coupling | None, ...]  # joints that a singularity near by couples
 
     @property
-    def coupled(self) -> NDArray[np.bool_]:
+    def coupled(self) -> Flags:
         """Joints that a singularity near by couples, (n, j)."""
         coupled = np.zeros(self.error.shape, dtype=bool)
         for i, coupling in enumerate(self.coupling):
@@ -408,7 +407,7 @@ def pseudo_inverse(jacobian: Array) -> Array:
     return np.asarray(np.linalg.pinv(jacobian, rcond=TOL_SINGULAR), dtype=np.float64)
 
 
-def _undetermined_joints(inverse: Array, jacobian: Array, determined: Array) -> NDArray[np.bool_]:
+def _undetermined_joints(inverse: Array, jacobian: Array, determined: Array) -> Flags:
     """Joints that the undetermined directions, or the arm's self-motion, move; (j,)."""
     dof = jacobian.shape[1]
     moved = np.zeros(dof)

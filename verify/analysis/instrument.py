@@ -10,7 +10,6 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
@@ -18,7 +17,7 @@ from robots.transforms import rigid_columns
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare, twist_transport
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
-from verify.core.records import POSE_NAMES, Array, Measurement, Pose
+from verify.core.records import POSE_NAMES, Array, Index, Measurement, Pose
 from verify.core.rig import Rig
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
@@ -315,7 +314,7 @@ def _full_model_variances(
     return total, float(np.sqrt(2 / freedom))
 
 
-def _windows(t: Array) -> NDArray[np.int64]:
+def _windows(t: Array) -> Index:
     """Where WINDOW poses follow each other without a gap: the first of each, (w,)."""
     if len(t) < WINDOW:
         return np.zeros(0, dtype=np.int64)
@@ -323,7 +322,7 @@ def _windows(t: Array) -> NDArray[np.int64]:
     return np.flatnonzero(close.all(axis=1))
 
 
-def _residual_squares(t: Array, values: Array, first: NDArray[np.int64]) -> Array:
+def _residual_squares(t: Array, values: Array, first: Index) -> Array:
     """Sums of squares that a parabola in time leaves of (n, 6) values in each window, (w, 6)."""
     rows = first[:, None] + np.arange(WINDOW)
     at = t[rows] - t[rows].mean(axis=1, keepdims=True)

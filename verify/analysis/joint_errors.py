@@ -13,13 +13,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.comparison import Comparison
 from verify.analysis.diagnosis.faults import Fault
 from verify.analysis.least_squares import RegressionFit, solve
 from verify.analysis.model import JointErrorModel
-from verify.core.records import Array
+from verify.core.records import Array, Flags
 from verify.core.statistics import chi2_isf, t_ppf
 
 MIN_SPAN = np.deg2rad(2.0)  # a smaller turn shows no slope worth extrapolating within it
@@ -172,9 +171,7 @@ def _column_offsets(columns: list[Array]) -> list[int]:
     return [0, *np.cumsum([c.shape[1] for c in columns]).tolist()]
 
 
-def _errors_at(
-    carried: Array, values: Array, spread: Array, known: NDArray[np.bool_]
-) -> tuple[Array, Array]:
+def _errors_at(carried: Array, values: Array, spread: Array, known: Flags) -> tuple[Array, Array]:
     """Errors and their covariance; nan where a term that counts there is not determined."""
     error = carried @ values
     covariance = carried @ spread @ np.swapaxes(carried, 1, 2)
@@ -185,7 +182,7 @@ def _errors_at(
 
 
 def _half_range(
-    columns: list[Array], values: Array, spread: Array, known: NDArray[np.bool_]
+    columns: list[Array], values: Array, spread: Array, known: Flags
 ) -> tuple[Array, Array]:
     """Half the range of each joint's error less its constant, with its uncertainty."""
     places = _column_offsets(columns)

@@ -10,10 +10,9 @@ from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.comparison import Comparison
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 
 State = TypeVar("State")
 Solution = TypeVar("Solution")
@@ -29,7 +28,7 @@ class Whitener:
     """Turns (n, 6, c) columns into rows of unit variance, undetermined directions left out."""
 
     factors: tuple[Array, ...]  # n of (d, 6)
-    pair: NDArray[np.int64]  # (rows,), which pair each row belongs to
+    pair: Index  # (rows,), which pair each row belongs to
 
     def rows(self, columns: Array) -> Array:
         """Whiten (n, 6, c) to (rows, c)."""
@@ -71,7 +70,7 @@ class RegressionFit:
 
     value: Array  # (c,)
     covariance: Array  # (c, c), everything stated included; of use on estimable columns alone
-    estimable: NDArray[np.bool_]  # (c,), the data determine this column's coefficient
+    estimable: Flags  # (c,), the data determine this column's coefficient
     chi2: float  # of the rows and the prior together
     degrees_of_freedom: int
     held: Array  # (p,), coefficients of the prior columns, in their standard deviations

@@ -22,7 +22,6 @@ from dataclasses import replace
 from itertools import permutations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 import robots
@@ -43,7 +42,7 @@ from verify.analysis.least_squares import RegressionFit, Whitener, solve, whiten
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import Mistake, pose_mistakes, refusal
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
@@ -207,7 +206,7 @@ def clock_rate(track: Track, arm: robots.Arm, readings: Readings, offset: float)
     near = np.arange(first, first + count)  # where the arm moves most
     middle = float(track.t[near].mean())
 
-    def refined(chosen: NDArray[np.int64], line: Array | None) -> Array | None:
+    def refined(chosen: Index, line: Array | None) -> Array | None:
         few = subset(track, chosen[spread(len(chosen), MAX_PAIRS_COMPARED)])
         return None if line is None else _refine_rate(few, arm, readings, line, middle)
 

@@ -9,11 +9,10 @@ where the base stands and how the LEDs are mounted cancel; cameras, clock and ar
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from verify.analysis.model import DETECTION_SIGMA, JointErrorModel
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.core.statistics import chi2_sf
 
 MIN_TURN, MAX_TURN = np.deg2rad([10.0, 170.0])  # outside, a screw's axis is hardly known
@@ -28,8 +27,8 @@ MAX_OFFSET = np.deg2rad(20.0)  # of an offset that first order may speak of
 class RelativeMotion:
     """m relative motions, no pair of pictures in two of them; arm with j joints."""
 
-    early: NDArray[np.int64]  # (m,), rows of the comparison
-    late: NDArray[np.int64]
+    early: Index  # (m,), rows of the comparison
+    late: Index
     turn: Array  # (m,), rad, by the encoders
     error: Array  # (m, 2), encoders' less measured: turn, rad, and advance, m
     uncertainty: Array  # (m, 2), standard
@@ -120,11 +119,9 @@ def screw_derivatives(a_T_early: Array, a_T_late: Array) -> tuple[Array, Array]:
     return by_early, by_late
 
 
-def _partners(
-    base_T_flange: Array, rows: NDArray[np.int64]
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _partners(base_T_flange: Array, rows: Index) -> tuple[Index, Index]:
     """Pairs of rows, none in two of them, that turn far enough: of a few ways the richest."""
-    best: tuple[float, NDArray[np.int64], NDArray[np.int64]] = (-1.0, rows[:0], rows[:0])
+    best: tuple[float, Index, Index] = (-1.0, rows[:0], rows[:0])
     for part in PARTNER_SHIFTS:
         shift = len(rows) // part
         if shift == 0:

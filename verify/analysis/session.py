@@ -5,7 +5,6 @@ from dataclasses import asdict, replace
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from verify.analysis.clock.estimate import ClockEstimate, shown_offset, spread
 from verify.analysis.combinations import combinations
@@ -72,7 +71,7 @@ from verify.analysis.sweeps.sweeps import judge_sweeps
 from verify.analysis.uncertainty.budget import budget
 from verify.analysis.uncertainty.monte_carlo import monte_carlo
 from verify.core.readings import Readings
-from verify.core.records import Array, Progress, no_progress
+from verify.core.records import Array, Index, Progress, no_progress
 from verify.errors import InputError
 from verify.io.files import digest
 from verify.io.results import Results
@@ -382,7 +381,7 @@ def _results(found: SessionAnalysis, measured: MeasuredSession) -> Results:
 
 
 def _flange(
-    model: JointErrorModel, clock_uncertainty: float | None, left_out: NDArray[np.int64]
+    model: JointErrorModel, clock_uncertainty: float | None, left_out: Index
 ) -> tuple[Array, Array]:
     """Mean twist of the flange over the pairs but those left out, and its covariance."""
     comparison = model.comparison

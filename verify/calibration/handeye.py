@@ -15,10 +15,9 @@ vectors of the sum of R_B ⊗ R_A; the translations follow by least squares.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.transforms import difference
-from verify.core.records import Array, rigid_transform
+from verify.core.records import Array, Flags, rigid_transform
 
 MIN_POSES = 3  # poses: two relative motions about different axes
 
@@ -58,7 +57,7 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
     return HandEye(x, y, difference(a @ x, y @ b), mirrored)
 
 
-def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, NDArray[np.bool_]]:
+def solve_robustly(a: Array, b: Array, worst: float) -> tuple[HandEye, Flags]:
     """Solve again without poses whose residual is `worst` times the median, until none is.
 
     Returns the solution with residuals for all n poses, and which poses it rests on, (n,).

@@ -4,9 +4,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array
+from verify.core.records import Array, Index
 
 COLOURS = ("white", "red", "green", "blue", "infrared")
 
@@ -71,7 +70,7 @@ class Board:
 class BoardView:
     """Corners of one board found in one image."""
 
-    corner: NDArray[np.int64]  # (n,), index into board.points
+    corner: Index  # (n,), index into board.points
     centre: Array  # (n, 2), px, distorted
     covariance: Array  # (n, 2, 2), px², from the image's own noise
 

@@ -5,10 +5,9 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from numpy.typing import NDArray
 
 from verify.core.kernels import entries as kernel
-from verify.core.records import Array
+from verify.core.records import Array, Flags
 from verify.core.statistics import MAD_TO_SIGMA
 
 # Between readings further apart than this the motion is not known: single visits, logged in bursts.
@@ -73,7 +72,7 @@ class Readings:
         curve = kernel.interpolate(t, self.q[kept], np.inf, self.t[left_out])
         return np.asarray(np.abs(curve - self.q[left_out]))
 
-    def available(self, t: Array) -> NDArray[np.bool_]:
+    def available(self, t: Array) -> Flags:
         """Whether there are values at the instants t (n,): between readings, or held at rest.
 
         In a gap there are within HOLD_TIME of a burst whose readings show the arm at rest (or of a
@@ -90,9 +89,9 @@ class Readings:
             available[gaps] = (np.minimum(since, until) <= HOLD_TIME) & self._at_rest[nearest]
         return available
 
-    def _bracketed(self, t: Array) -> NDArray[np.bool_]:
+    def _bracketed(self, t: Array) -> Flags:
         """Whether readings stand at both sides of the instants t (n,), no gap between them."""
-        marks: NDArray[np.bool_] = self._without_gap[self.t.searchsorted(t)] | (t == self.t[0])
+        marks: Flags = self._without_gap[self.t.searchsorted(t)] | (t == self.t[0])
         return marks
 
     def instants(self, step: float) -> Array:
@@ -101,14 +100,14 @@ class Readings:
         return np.concatenate([np.arange(b[0], b[-1] + step, step) for b in bursts])
 
     @cached_property
-    def _without_gap(self) -> NDArray[np.bool_]:
+    def _without_gap(self) -> Flags:
         """Whether readings are known before each one, and after the last, (m + 1,).
 
         Not in a gap that a log's arm moves in, nor, if it does there, in the interval beside one:
         the speed at that end is not known.
         """
         apart = np.diff(self.t, prepend=-np.inf, append=np.inf)
-        gap: NDArray[np.bool_] = apart > self.longest
+        gap: Flags = apart > self.longest
         if self.longest < MAX_GAP:
             moves = np.any(np.abs(np.diff(self.q, axis=0)) > self.resolved, axis=1)
             inner = gap[1:-1] & (moves | (apart[1:-1] > MAX_GAP))
@@ -122,10 +121,10 @@ class Readings:
         return np.asarray(np.maximum(5 * self.noise, MIN_TRAVEL))
 
     @cached_property
-    def _at_rest(self) -> NDArray[np.bool_]:
+    def _at_rest(self) -> Flags:
         """Whether the arm stood still at a reading beside a gap, as its burst shows, (m,)."""
         gaps = np.flatnonzero(np.diff(self.t) > self.longest)
-        rests: NDArray[np.bool_] = np.zeros(len(self.t), dtype=np.bool_)
+        rests: Flags = np.zeros(len(self.t), dtype=np.bool_)
         for first, last in zip([0, *(gaps + 1)], [*gaps, len(self.t) - 1], strict=True):
             burst = slice(first, last + 1)
             for edge in (first, last):

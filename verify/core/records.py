@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 Image = NDArray[np.uint8]
+Flags = NDArray[np.bool_]
+Index = NDArray[np.int64]
 ROW_STEP = 45  # of rows that show whether pictures differ: a camera's noise is in each
 Record = TypeVar("Record")
 SIDES = ("left", "right")  # of the cameras
@@ -36,7 +38,7 @@ def rigid_transform(rotation: NDArray[Any], translation: NDArray[Any]) -> Array:
     return a_T_b
 
 
-def take_rows(record: Record, rows: NDArray[np.intp] | NDArray[np.bool_] | slice) -> Record:
+def take_rows(record: Record, rows: Index | Flags | slice) -> Record:
     """Take some rows of each array of a dataclass, by index or mask; other fields stay."""
     kind: Any = type(record)
     values = ((name, getattr(record, name)) for name in _field_names(kind))
@@ -81,8 +83,8 @@ class Spots:
     peak: Array  # (n,), DN above background of the fitted profile (may exceed 255 when saturated)
     diameter: Array  # (n,), px, full width at half height of the fitted profile, mean of both axes
     misfit: Array  # (n,), reduced chi² of the profile fit: near 1 for one clean LED
-    saturated: NDArray[np.bool_]  # (n,), some pixels are at the sensor's limit
-    merged: NDArray[np.bool_]  # (n,), shape or misfit show that it is not one clean spot
+    saturated: Flags  # (n,), some pixels are at the sensor's limit
+    merged: Flags  # (n,), shape or misfit show that it is not one clean spot
     colour: Array  # (n, 3), mean B, G, R above background; equal for a grey image
     noise: Noise
 
@@ -94,7 +96,7 @@ class Spots:
 class Sighting:
     """LEDs found in one camera's image, by their index in the marker."""
 
-    led: NDArray[np.int64]  # (m,), index into marker.leds
+    led: Index  # (m,), index into marker.leds
     centre: Array  # (m, 2), px, distorted, carried to the instant t
     covariance: Array  # (m, 2, 2), px²
     t: float  # s, the instant that `centre` belongs to
@@ -128,7 +130,7 @@ class Pose:
     curvature: Array  # (s, 2), px/s²: image acceleration of a steady twist, already corrected for
     residual: Array  # (s, 2), px, measured less predicted
     spot_uncertainty: Array  # (s,), px a coordinate: noise, and what alignment adds to it
-    rejected: NDArray[np.bool_]  # (s,), sightings that the fit rejected as outliers
+    rejected: Flags  # (s,), sightings that the fit rejected as outliers
     consistent: bool  # no spots left contradict the others
     chi2: float  # whitened residual sum of squares
     degrees_of_freedom: int

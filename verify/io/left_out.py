@@ -9,10 +9,9 @@ one digit at a time; an arm at rest, for far longer than a period.
 from collections.abc import Iterator
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.readings import MAX_GAP
-from verify.core.records import Array
+from verify.core.records import Array, Flags
 
 MAX_SPIKE = 2  # readings in a row
 MAX_SPEED = 20.0  # rad/s; wrists of small arms turn at up to 13
@@ -28,14 +27,14 @@ REST_PERIODS = 3.0  # of renewal: a value that stays for longer is rest
 KEPT_PERIODS = 1.5  # after which a value that stays was renewed
 
 
-def _is_too_fast(t: Array, q: Array, lag: int) -> NDArray[np.bool_]:
+def _is_too_fast(t: Array, q: Array, lag: int) -> Flags:
     """Whether q (m, j), rad, changes faster over `lag` readings than an arm turns, (m - lag, j)."""
     fastest = np.maximum(MAX_SPEED * (t[lag:] - t[:-lag])[:, None], MIN_SPIKE)
     typical = np.median(np.abs(np.diff(q, axis=0)), axis=0)
     return np.abs(q[lag:] - q[:-lag]) > np.maximum(fastest, MIN_SPIKE_RATIO * typical)
 
 
-def _is_too_bent(t: Array, q: Array, length: int) -> NDArray[np.bool_]:
+def _is_too_bent(t: Array, q: Array, length: int) -> Flags:
     """Whether `length` readings are off the line through those beside, (m - length - 1, j).
 
     All alike, by more than an arm's acceleration puts them, and than any as near are.
@@ -52,7 +51,7 @@ def _is_too_bent(t: Array, q: Array, length: int) -> NDArray[np.bool_]:
     return np.asarray(bend > np.maximum(limit, 1.5 * np.maximum(beside[2:], beside[:-2])))
 
 
-def find_spikes(t: Array, q: Array) -> NDArray[np.bool_]:
+def find_spikes(t: Array, q: Array) -> Flags:
     """Readings (m, j) that jump away and come back, while those beside them agree."""
     spikes = np.zeros(q.shape, dtype=bool)
     for length in range(1, min(MAX_SPIKE, len(t) - 2) + 1):
@@ -65,7 +64,7 @@ def find_spikes(t: Array, q: Array) -> NDArray[np.bool_]:
     return spikes
 
 
-def find_stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> NDArray[np.bool_]:
+def find_stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> Flags:
     """Readings (m, j) far outside the limits that no motion leads to; none where most are."""
     if limits is None:
         return np.zeros(q.shape, dtype=bool)
@@ -79,7 +78,7 @@ def find_stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> NDArra
     return np.asarray(outside & (outside.mean(axis=0) <= 0.5))
 
 
-def warn_of_spikes(spike: NDArray[np.bool_]) -> Iterator[str]:
+def warn_of_spikes(spike: Flags) -> Iterator[str]:
     """Name the readings (m, j) that are left out, where there are any."""
     rows, joints = np.nonzero(spike)
     if len(rows):
@@ -91,7 +90,7 @@ def warn_of_spikes(spike: NDArray[np.bool_]) -> Iterator[str]:
         )
 
 
-def find_repeats(t: Array, q: Array) -> tuple[NDArray[np.bool_], float]:
+def find_repeats(t: Array, q: Array) -> tuple[Flags, float]:
     """Rows of t (m,), s, and q (m, j) that repeat the one before (m,), and the period, s.
 
     None, and 0, where the log does not have them regularly.
@@ -115,7 +114,7 @@ def find_repeats(t: Array, q: Array) -> tuple[NDArray[np.bool_], float]:
     return stale, period
 
 
-def warn_of_repeats(repeats: NDArray[np.bool_], period: float) -> Iterator[str]:
+def warn_of_repeats(repeats: Flags, period: float) -> Iterator[str]:
     """Tell how many rows repeat (m,), where any do, and how often readings are renewed, s."""
     if repeats.any():
         yield (

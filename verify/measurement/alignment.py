@@ -19,9 +19,8 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array, Sighting, Spots, take_rows
+from verify.core.records import Array, Flags, Index, Sighting, Spots, take_rows
 from verify.core.rig import Camera, Rig
 from verify.measurement.kernels.entries import SpotView, align_spots
 
@@ -36,14 +35,14 @@ NOTHING: SpotView = (
 class RawSightings:
     """LEDs in both pictures of a pair, the left one's first, each at its own instant."""
 
-    led: NDArray[np.int64]  # (s,), index into marker.leds
+    led: Index  # (s,), index into marker.leds
     centre: Array  # (s, 2), px, distorted
     covariance: Array  # (s, 2, 2), px²
     peak: Array  # (s,), DN
     taken: Array  # (s,), s, the instant of each spot (differs by row with a rolling shutter)
     depth: Array  # (s,), m, rough distance along the optical axis
     width: Array  # (s,), px, full width at half height
-    merged: NDArray[np.bool_]  # (s,), the width may not be that of the LED alone
+    merged: Flags  # (s,), the width may not be that of the LED alone
     left: int  # spots of the left picture
     instants: tuple[float, float]  # s, of the pictures' middle rows, left and right
     pans: tuple[float, float]  # rad, as read
@@ -56,7 +55,7 @@ class RawSightings:
         """Rows of the left picture and of the right one."""
         return slice(0, self.left), slice(self.left, len(self.led))
 
-    def take(self, keep: NDArray[np.bool_]) -> "RawSightings":
+    def take(self, keep: Flags) -> "RawSightings":
         """Keep some of the spots, (s,)."""
         return replace(take_rows(self, keep), left=int(np.count_nonzero(keep[: self.left])))
 
@@ -93,7 +92,7 @@ def spot_instants(t: float, centre: Array, camera: Camera, height: int) -> Array
 
 def raw_sightings(
     spots: tuple[Spots, Spots],
-    found: tuple[tuple[NDArray[np.int64], NDArray[np.int64]], ...],
+    found: tuple[tuple[Index, Index], ...],
     rig: Rig,
     taken: tuple[tuple[float, float], tuple[float, float], int],
     depths: tuple[Array, Array],

@@ -13,9 +13,8 @@ Each LED is remembered for either picture, as its brightness and width fade.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array, Spots, take_rows
+from verify.core.records import Array, Index, Spots, take_rows
 from verify.measurement.alignment import RawSightings
 
 # Standard uncertainty of a spot that may be an LED. Texture of a room gives blobs of 1 to 4 px,
@@ -79,7 +78,7 @@ class Appearance:
         wider = raw.covariance + np.square(moved)[:, None, None] * np.eye(2)
         return replace(raw, covariance=wider)
 
-    def _places(self, raw: RawSightings) -> NDArray[np.int64]:
+    def _places(self, raw: RawSightings) -> Index:
         """Where a pair's LEDs stand, (s,), in the flattened arrays."""
         at = raw.led.copy()
         at[raw.left :] += self.peak.shape[1]

@@ -24,12 +24,11 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from robots.transforms import difference
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Pose, Sighting
+from verify.core.records import Array, Flags, Index, Pose, Sighting
 from verify.core.rig import Camera, Rig
 from verify.core.statistics import chi2_bound
 from verify.measurement.kernels import entries as kernel
@@ -48,7 +47,7 @@ MIN_SPOTS = 5  # ten coordinates for six unknowns: below that none can be accuse
 class SightingStack:
     """The sightings of both cameras: s spots, left ones first."""
 
-    led: NDArray[np.int64]  # (s,)
+    led: Index  # (s,)
     points: Array  # (s, 3), m, LEDs in the flange frame
     centre: Array  # (s, 2), px
     covariance: Array  # (s, 2, 2), px²
@@ -170,22 +169,20 @@ def motion_columns(by_pose: Array, lever: Array, prior: tuple[float, float]) -> 
 class _PoseFit:
     """A fitted pose, and what `kernels.entries.fit_spots` returns beside it."""
 
-    rows: NDArray[np.int64]  # (2 k,), which of the coordinates are those of kept spots
+    rows: Index  # (2 k,), which of the coordinates are those of kept spots
     rig_T_flange: Array  # (4, 4)
     judgement: kernel.Judgement  # under the tolerance
     predicted: tuple[Array, Array, Array]  # residual, derivatives by the point and by the pose
     spread: Array  # (2, 2 s, 2 s), covariance from pixels and from alignment
     gain: Array  # (6, 2 s), 0 for spots that are not kept
-    directions: tuple[Array, NDArray[np.bool_]]  # of the pose, and whether spots determine them
+    directions: tuple[Array, Flags]  # of the pose, and whether spots determine them
     twist: Array  # (6,)
     prior: tuple[float, float]
     curvature: Array  # (s, 2), px/s²
     figures: tuple[Array, Array, Array, float]  # covariances, uncertainty and chi² of that
 
 
-def _gauss_newton(
-    views: SightingStack, keep: NDArray[np.bool_], start: Array, tolerance: Array
-) -> _PoseFit:
+def _gauss_newton(views: SightingStack, keep: Flags, start: Array, tolerance: Array) -> _PoseFit:
     pose = np.array(start, dtype=float, order="C")
     spots = views.covariance, views.velocity, views.lever
     rows = keep.repeat(2).nonzero()[0]
@@ -202,7 +199,7 @@ def _chi2_bounds(count: int) -> Array:
 
 def _likelier_fit(
     views: SightingStack,
-    keep: NDArray[np.bool_],
+    keep: Flags,
     start: Array,
     leds: Array,
     tolerance: Array,
@@ -308,7 +305,7 @@ def _tolerance(
     return np.diag(np.repeat(variance, 2))
 
 
-def _pose(fit: _PoseFit, keep: NDArray[np.bool_], consistent: bool, doubt: Array | None) -> Pose:
+def _pose(fit: _PoseFit, keep: Flags, consistent: bool, doubt: Array | None) -> Pose:
     residual, by_point, _ = fit.predicted
     pixels, alignment, uncertainty, chi2 = fit.figures
     determined = _determined_functionals(fit)

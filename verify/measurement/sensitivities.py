@@ -7,10 +7,10 @@ import cv2
 import numpy as np
 
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Sighting
+from verify.core.records import Array, Index, Sighting
 from verify.core.rig import Camera, Rig
 from verify.measurement.kernels import entries as kernel
-from verify.measurement.kernels.entries import Index, StatedCamera
+from verify.measurement.kernels.entries import StatedCamera
 
 AXES = ("x", "y", "z")
 LENS = ("k1", "k2", "p1", "p2", "k3")

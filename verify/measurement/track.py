@@ -6,9 +6,8 @@ from dataclasses import dataclass, fields, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array, Measurement, Sighting, take_rows
+from verify.core.records import Array, Index, Measurement, Sighting, take_rows
 from verify.core.rig import Rig
 from verify.measurement.alignment import MAX_GAP
 
@@ -24,7 +23,7 @@ class Track:
     covariance_pixels: Array  # (n, 6, 6), m and rad
     covariance_alignment: Array  # (n, 6, 6)
     acceleration_prior: Array  # (n, 2), m/s², rad/s²
-    order: NDArray[np.int64]  # (n,), of the lowest derivative that alignment misses, from 2
+    order: Index  # (n,), of the lowest derivative that alignment misses, from 2
     alignment_error: Array  # (n, 6), what the motion about a pair leaves of alignment
     systematic: Array  # (n, 6, p): d measured pose / d parameter of `Systematics`
     determined: tuple[Array, ...]  # n of (6, d)
@@ -39,7 +38,7 @@ class Track:
         return np.array([b.shape[1] for b in self.determined], dtype=np.int64)
 
 
-def subset(track: Track, chosen: NDArray[np.int64]) -> Track:
+def subset(track: Track, chosen: Index) -> Track:
     """Some of the pairs, by their place in the track."""
     determined = tuple(track.determined[i] for i in chosen)
     return replace(take_rows(track, chosen), determined=determined)
@@ -154,7 +153,7 @@ def difference_weights(t: Array) -> Array:
     return weights
 
 
-def _centres_of(leds: NDArray[np.int64], sighting: Sighting) -> Array:
+def _centres_of(leds: Index, sighting: Sighting) -> Array:
     """Centres of some LEDs in a sighting, (m, 2), px; nan where they are not in it."""
     row = np.searchsorted(sighting.led, leds, sorter=(order := np.argsort(sighting.led)))
     row = order[np.minimum(row, len(order) - 1)]

@@ -8,16 +8,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from robots.coupling import LENGTH_SCALE
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.rig import Camera
 from verify.planning.request import PlanningSetup, PlanRequest
-
-Flags = NDArray[np.bool_]
-Rows = NDArray[np.int64]
 
 MAX_CORNER_RATIO = 1.1  # of the picture's corner: farther out the lens' polynomial may fold back
 MIN_DEPTH = 0.1  # m: no camera of this kind focuses nearer
@@ -82,7 +78,7 @@ class LinkChain:
         return np.asarray(along[before] + share * self._lengths[before])
 
     @cached_property
-    def moving(self) -> NDArray[np.bool_]:
+    def moving(self) -> Flags:
         """Which points some joint moves, (p,): not those on the first axis."""
         return np.asarray(self.way > self._lengths[:2].sum() + SPACING / 10)
 
@@ -200,7 +196,7 @@ class PostureConstraints:
         return LinkChain(self.setup.arm)
 
     @cached_property
-    def _apart(self) -> tuple[Rows, Rows]:
+    def _apart(self) -> tuple[Index, Index]:
         """Pairs of points that are far from each other along the links: first (n,), second (n,)."""
         way = self.skeleton.way
         first, second = np.nonzero(np.triu(np.abs(way[:, None] - way) > MIN_LINK_SEPARATION))
@@ -214,7 +210,7 @@ class PostureConstraints:
         placed = [c.rig_T_camera(c.pan) for c in (rig.left, rig.right)]
         return np.array([(base_T_rig @ one)[:3, 3] for one in placed])
 
-    def reason(self, q: Array, *, passing: bool = False) -> Rows:
+    def reason(self, q: Array, *, passing: bool = False) -> Index:
         """Find the first of REASONS that excludes each posture q (m, j), rad: (m,), -1 for none.
 
         Postures are within the joints' limits; `passing` between two poses, the rim and
@@ -233,7 +229,7 @@ class PostureConstraints:
         inside[inside] = self.reason(q[inside], passing=passing) < 0
         return np.asarray(inside, dtype=bool)
 
-    def _reason(self, q: Array, passing: bool) -> Rows:
+    def _reason(self, q: Array, passing: bool) -> Index:
         margin = MARGIN_PX / 2 if passing else MARGIN_PX
         frames = robots.link_frames(self.setup.arm, q)
         left, right = visible_leds(self.setup, frames[:, -1], margin, self.request.view_angle)
@@ -246,7 +242,7 @@ class PostureConstraints:
         reason[left_over] = self._arm_reason(frames[left_over], passing)
         return reason
 
-    def _arm_reason(self, frames: Array, passing: bool) -> Rows:
+    def _arm_reason(self, frames: Array, passing: bool) -> Index:
         """Check the arm itself: floor, cameras, its own links, singularities."""
         points = self.skeleton.points(frames)
         raised = points[:, self.skeleton.moving]

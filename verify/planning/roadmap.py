@@ -16,9 +16,9 @@ from scipy.sparse.csgraph import connected_components, dijkstra
 from scipy.spatial import KDTree
 
 import robots
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.errors import InputError
-from verify.planning.constraints import REASONS, REMEDIES, PostureConstraints, Rows
+from verify.planning.constraints import REASONS, REMEDIES, PostureConstraints
 
 N_BATCH = 20_000  # postures drawn at a time
 MAX_DRAWN = 400_000
@@ -37,7 +37,7 @@ class Roadmap:
 
     q: Array  # (n, j), rad
     time: Array  # (n, n), of the shortest path, in turns of the slowest joint, rad
-    before: Rows  # (n, n): the posture before the column's on the path from the row's
+    before: Index  # (n, n): the posture before the column's on the path from the row's
     tried: int  # postures drawn
     excluded: dict[str, int]  # of them, by what excludes them
 
@@ -189,7 +189,7 @@ def plan_tour(
     return stops + stops[-2::-1] if back else stops
 
 
-def _nearest(length: Array, start: int) -> Rows:
+def _nearest(length: Array, start: int) -> Index:
     order, left = [start], set(range(len(length))) - {start}
     while left:
         order.append(min(left, key=lambda k: length[order[-1], k]))
@@ -197,7 +197,7 @@ def _nearest(length: Array, start: int) -> Rows:
     return np.array(order, dtype=np.int64)
 
 
-def _improve_tour(order: Rows, length: Array) -> Rows:
+def _improve_tour(order: Index, length: Array) -> Index:
     n = len(order)
     for _ in range(MAX_ROUNDS):
         before = _tour_length(order, length)
@@ -211,7 +211,7 @@ def _improve_tour(order: Rows, length: Array) -> Rows:
     return order
 
 
-def _tour_length(order: Rows, length: Array) -> float:
+def _tour_length(order: Index, length: Array) -> float:
     return float(length[order[:-1], order[1:]].sum())
 
 

@@ -10,10 +10,10 @@ import numpy as np
 
 from robots import Arm
 from robots.trajectory import JointLimits, Trajectory, joint_path, time_path
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.errors import InputError
 from verify.planning import design
-from verify.planning.constraints import PostureConstraints, Rows
+from verify.planning.constraints import PostureConstraints
 from verify.planning.foresight import simulate_session
 from verify.planning.request import SessionConditions
 from verify.planning.roadmap import MotionStop, Roadmap, plan_tour
@@ -111,7 +111,7 @@ class PoseSelection:
     roadmap: Roadmap
     conditions: SessionConditions
     rows: design.DesignInformation
-    node: Rows  # of each candidate, its posture in the roadmap
+    node: Index  # of each candidate, its posture in the roadmap
 
     def motion(self) -> TimedMotion:
         """Choose poses and time them: the requested number, or as many as the duration allows.
@@ -140,7 +140,7 @@ class PoseSelection:
             )  # fmt: skip
         return best
 
-    def _fullest(self, among: Rows, duration: float) -> tuple[TimedMotion, float]:
+    def _fullest(self, among: Index, duration: float) -> tuple[TimedMotion, float]:
         """As many poses as the duration allows, by halving; at least MIN_POSES."""
         best = self._made(among, MIN_POSES)
         low, high = MIN_POSES, min(MAX_POSES, len(among)) + 1
@@ -153,7 +153,7 @@ class PoseSelection:
                 high = middle
         return best
 
-    def _made(self, among: Rows, count: int) -> tuple[TimedMotion, float]:
+    def _made(self, among: Index, count: int) -> tuple[TimedMotion, float]:
         """The motion through the best poses, and how much it tells: ln det of the information."""
         setup, request = self.constraints.setup, self.constraints.request
         rows = self.rows

@@ -21,7 +21,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from verify.analysis.clock.search import (
@@ -34,7 +33,7 @@ from verify.analysis.clock.search import (
 from verify.analysis.comparison import Comparison, compare, gross_errors
 from verify.analysis.least_squares import autocorrelation, whiten
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.measurement.track import Track, subset
 
 MEAN_DELIVERY = 0.005  # s: how late the quickest delivery is taken to be, and its uncertainty
@@ -240,9 +239,7 @@ def _penalty(t: Array, readings: Readings, offset: float, arrival: ArrivalClock 
     return penalty
 
 
-def _pair_squares(
-    comparison: Comparison, early: NDArray[np.int64], later: NDArray[np.int64]
-) -> Array:
+def _pair_squares(comparison: Comparison, early: Index, later: Index) -> Array:
     """Squared misfit of two pairs (n,) beside constant joint errors of their own, a row of it."""
     white = whiten(comparison)
     dof = comparison.jacobian.shape[2]
@@ -300,7 +297,7 @@ def _merge(offsets: list[float]) -> list[float]:
     return apart
 
 
-def spread(count: int, most: int) -> NDArray[np.int64]:
+def spread(count: int, most: int) -> Index:
     """At most so many of `count` places, evenly."""
     return np.unique(np.linspace(0, count - 1, min(count, most)).astype(np.int64))
 

@@ -11,14 +11,13 @@ to a visit is tried, and poses are compared instead.
 """
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from verify.analysis.comparison import compare
 from verify.analysis.least_squares import solve, whiten
 from verify.core.kernels.entries import motion_misfits, motion_sizes
 from verify.core.readings import HOLD_TIME, MAX_GAP, Readings
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.measurement.track import Track, subset
 
 MAX_MOTIONS = 400  # enough to find the offset; more only cost time
@@ -152,7 +151,7 @@ def _costs_by_pose(
     return np.array(curve).reshape(-1, 2)
 
 
-def _motion_ends(track: Track) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _motion_ends(track: Track) -> tuple[Index, Index]:
     """First and last pair of each motion that is compared."""
     full = np.flatnonzero(track.known_dof == 6)
     if len(full) < 3:

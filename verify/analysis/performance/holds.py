@@ -4,11 +4,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.comparison import Comparison
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.io.session.keys import TimeInterval
 from verify.measurement.alignment import MAX_GAP
 
@@ -20,7 +19,6 @@ MAX_HOLD_TRAVEL = np.deg2rad(
 MIN_HOLD_TIME = 0.2  # s: shorter is turning back, not standing
 MAX_POSE_DISTANCE = np.deg2rad(0.5)  # rad of any joint: commanded poses of a test lie further apart
 
-Rows = NDArray[np.int64]
 MIN_DOF = 20  # of the scatter within holds: fewer know it worse than what is stated
 
 
@@ -29,17 +27,17 @@ class Visit:
     """One visit of the arm, its pose, and the pose that it came from."""
 
     pose: int
-    rows: Rows  # of the comparison
+    rows: Index  # of the comparison
     came_from: int  # -1 where that is not known
 
 
-def at_rest(comparison: Comparison) -> NDArray[np.bool_]:
+def at_rest(comparison: Comparison) -> Flags:
     """Which pairs were taken while every joint stood, by the readings, (n,)."""
     limit = MAX_REST_SPEED + MAX_SPEED_SIGMA * np.sqrt(comparison.rate_variance)
     return np.asarray(np.all(np.abs(comparison.rate) < limit, axis=1))
 
 
-def find_holds(comparison: Comparison, readings: Readings, offset: float) -> list[Rows]:
+def find_holds(comparison: Comparison, readings: Readings, offset: float) -> list[Index]:
     """Gather pairs that were taken in one visit: rows of each hold, in time's order.
 
     The readings tell whether the arm left in between; `offset`, s, is added to their time to get
@@ -68,7 +66,7 @@ def _stays_at_rest(
     return not len(between) or bool(np.abs(between - q).max() <= MAX_HOLD_TRAVEL)
 
 
-def _long_enough(t: Array, rows: Rows) -> bool:
+def _long_enough(t: Array, rows: Index) -> bool:
     if t[rows[-1]] - t[rows[0]] >= MIN_HOLD_TIME:
         return True
     before = t[rows[0]] - t[rows[0] - 1] if rows[0] > 0 else np.inf
@@ -76,7 +74,7 @@ def _long_enough(t: Array, rows: Rows) -> bool:
     return bool(min(before, after) > MAX_GAP)
 
 
-def number_visits(comparison: Comparison, holds: Sequence[Rows]) -> list[Visit]:
+def number_visits(comparison: Comparison, holds: Sequence[Index]) -> list[Visit]:
     """Number the poses that the holds are visits of, by the readings, in order of first visit.
 
     A hold is of the pose at whose first visit every joint read the same within 0.5°, so that no two
@@ -135,7 +133,7 @@ class HoldNoise:
 
 
 def static_noise(
-    holds: Sequence[Rows], positions: Array, turns: Array, stated: tuple[Array, Array]
+    holds: Sequence[Index], positions: Array, turns: Array, stated: tuple[Array, Array]
 ) -> HoldNoise:
     """Pool the scatter within the holds, of positions (n, 3), m, and turns (n, 3), rad.
 

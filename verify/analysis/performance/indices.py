@@ -9,10 +9,9 @@ from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.core.statistics import chi2_ppf, t_ppf
 
 REPEATABILITY_SIGMAS = 3.0  # standard deviations that repeatability counts
@@ -75,7 +74,7 @@ def path_repeatability(attained: Array) -> tuple[float, int]:
     return float(radius[worst]), worst
 
 
-def drift(attained: Array, commanded: Array, starts: NDArray[np.int64]) -> Array:
+def drift(attained: Array, commanded: Array, starts: Index) -> Array:
     """Largest change of AP and of RP from the first block of visits to any other: (..., 2), m.
 
     dAP and dRP, of `attained` (..., n, 3), in time's order, `commanded` (3,); `starts` (b,): the

@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 from itertools import islice, pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from robots.transforms import difference
@@ -15,7 +14,6 @@ from verify.analysis.performance.holds import (
     MAX_HOLD_TRAVEL,
     MAX_POSE_DISTANCE,
     HoldNoise,
-    Rows,
     Visit,
     find_holds,
     named_visits,
@@ -34,7 +32,7 @@ from verify.analysis.performance.poses import (
     mean_pose,
 )
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.io.session.keys import TimeInterval
 from verify.measurement.alignment import MAX_GAP
 
@@ -73,7 +71,7 @@ class MeasuredPoints:
     read: Array  # (n, 4, 4)
     systematic: Array  # (n, 6, p), d pose at the point / d unit of what does not average out
     off: Array  # (n, 6), attained less read, m and rad
-    whole: NDArray[np.bool_]  # (n,), pairs whose pose (or point) is wholly determined
+    whole: Flags  # (n,), pairs whose pose (or point) is wholly determined
     oriented: bool  # whether the orientation was measured
 
 
@@ -192,18 +190,18 @@ def _distances(by_pose: Sequence[PoseVisits]) -> tuple[DistanceIndices, ...]:
     return tuple(islice((one for one in judged if one is not None), MAX_DISTANCES))
 
 
-def _named_runs(measured: MeasuredPoints, named: Sequence[TimeInterval]) -> dict[str, list[Rows]]:
+def _named_runs(measured: MeasuredPoints, named: Sequence[TimeInterval]) -> dict[str, list[Index]]:
     """Rows of each passage that is named, by the path's name."""
     t = measured.comparison.t
-    runs: dict[str, list[Rows]] = {}
+    runs: dict[str, list[Index]] = {}
     for one in named:
         runs.setdefault(one.name, []).append(np.flatnonzero((t >= one.start) & (t <= one.end)))
     return runs
 
 
-def _runs_between(visits: Sequence[Visit], names: Sequence[str]) -> dict[str, list[Rows]]:
+def _runs_between(visits: Sequence[Visit], names: Sequence[str]) -> dict[str, list[Index]]:
     """Rows of each passage from one pose to another, by a name that both poses give."""
-    runs: dict[str, list[Rows]] = {}
+    runs: dict[str, list[Index]] = {}
     for before, after in pairwise(visits):
         if before.pose != after.pose:
             name = f"{names[before.pose]} → {names[after.pose]}"
@@ -213,7 +211,7 @@ def _runs_between(visits: Sequence[Visit], names: Sequence[str]) -> dict[str, li
 
 
 def _paths(
-    measured: MeasuredPoints, paths: dict[str, list[Rows]], floor: float
+    measured: MeasuredPoints, paths: dict[str, list[Index]], floor: float
 ) -> tuple[PathIndices, ...]:
     """Judge every path with five passages or more; `floor`: m, what noise alone repeats to."""
     t = measured.comparison.t
@@ -233,7 +231,7 @@ def _paths(
     return tuple(found)
 
 
-def _same_way(comparison: Comparison, runs: Sequence[Rows]) -> list[Rows]:
+def _same_way(comparison: Comparison, runs: Sequence[Index]) -> list[Index]:
     """Keep passages that go the same way, within what poses may differ, as most of them."""
     if len(runs) < MIN_VISITS:
         return []
@@ -252,7 +250,7 @@ def _same_way(comparison: Comparison, runs: Sequence[Rows]) -> list[Rows]:
     ]
 
 
-def _passage(measured: MeasuredPoints, rows: Rows) -> PathRun:
+def _passage(measured: MeasuredPoints, rows: Index) -> PathRun:
     """Follow the readings' path closely, with what the pairs are off it taken in between."""
     t = measured.comparison.t[rows]
     fine = np.arange(t[0], t[-1] + PATH_STEP / 2, PATH_STEP)
@@ -281,7 +279,7 @@ def _motion_range(q: Array) -> slice:
     return slice(max(int(left[0]) - 1, 0), int(short[-1]) + 2)
 
 
-def _systematic_along(measured: MeasuredPoints, runs: Sequence[Rows], t: Array) -> Array:
+def _systematic_along(measured: MeasuredPoints, runs: Sequence[Index], t: Array) -> Array:
     """What does not average out at each station (m, 3, p), of the pairs nearest in time."""
     nearest = [
         rows[np.argmin(np.abs(measured.comparison.t[rows] - one[:, None]), axis=1)]

@@ -15,12 +15,11 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.rig_check.pair import PairEquations, invert_shown, rows_of
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Measurement
+from verify.core.records import Array, Index, Measurement
 from verify.core.rig import Rig
 from verify.core.statistics import MAD_TO_SIGMA
 from verify.measurement.pose import MODEL_ERROR_PX
@@ -59,7 +58,7 @@ class RigConsistency:
     by_source: dict[str, Array]  # (3,) standard uncertainty of each figure from each source
     by_change: dict[str, Array]  # (3,) change of each figure, a m, rad or px of each of CHANGES
     focal_length: float  # px, of the right camera, upright: what carries vertical into space
-    frame: NDArray[np.int64]  # (n,), pairs that were used
+    frame: Index  # (n,), pairs that were used
     series: Array  # (n, 3), the figures of single pairs; nan where a pair does not show one
     left_out: tuple[int, ...]  # frames that contradict all others
 

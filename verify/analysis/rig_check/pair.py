@@ -7,11 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.transforms import rigid_columns
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Measurement, Pose, Sighting
+from verify.core.records import Array, Flags, Index, Measurement, Pose, Sighting
 from verify.measurement.pose import motion_columns
 
 TOL_RANK = 1e-9  # singular values of a whitened pose design below this are rounding
@@ -26,7 +25,7 @@ class PairEquations:
     """One pair's normal equations for the figures, and what its pixels do to them."""
 
     seen: Measurement
-    led: tuple[NDArray[np.int64], NDArray[np.int64]]  # of each spot, left and right
+    led: tuple[Index, Index]  # of each spot, left and right
     pan: tuple[float, float]  # rad, as read
     information: Array  # (3, 3); 0 for a figure that the pair does not show
     wanted: Array  # (3,)
@@ -53,7 +52,7 @@ def rows_of(pairs: Sequence[Measurement], marker: Marker) -> list[PairEquations]
     return [found[number] for number in sorted(found)]
 
 
-def _used_spots(pose: Pose) -> NDArray[np.bool_]:
+def _used_spots(pose: Pose) -> Flags:
     """Spots that count, (s,): those that the fit kept, or every one where no pose explains them."""
     return ~pose.rejected if pose.consistent else np.ones_like(pose.rejected)
 
@@ -128,7 +127,7 @@ def project_onto(design: Array, columns: Array) -> Array:
     return basis @ (np.swapaxes(basis, -1, -2) @ columns)
 
 
-def _indistinguishable(left_of: Array, figure: Array) -> NDArray[np.bool_]:
+def _indistinguishable(left_of: Array, figure: Array) -> Flags:
     """Figures (..., 3) that a pair of few spots cannot tell from its others: it shows none."""
     found = np.zeros((*figure.shape[:-2], figure.shape[-1]), dtype=bool)
     for k in range(figure.shape[-1]):

@@ -19,12 +19,11 @@ No base, LED position or table of the arm enters: each only says in which frame 
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.transforms import difference, rotation_exp, rotation_log
 from verify.analysis.joint_errors import MIN_PAIRS_PER_DIRECTION
 from verify.analysis.least_squares import RegressionFit, autocorrelation, gauss_newton, solve
-from verify.core.records import Array
+from verify.core.records import Array, Flags
 from verify.core.statistics import chi2_sf
 
 N_FREE = 10  # parameters of the axis and of the start pose
@@ -51,7 +50,7 @@ class AxisFit:
 
     value: Array  # (k,), of the terms
     covariance: Array  # (k, k)
-    estimable: NDArray[np.bool_]  # (k,)
+    estimable: Flags  # (k,)
     turned: Array  # (n,), rad, the fitted angle about the axis, zero as the reading's
     angle_left: Array  # (n,), rad, measured angle less fitted
     angle_variance: Array  # (n,), rad², of that, the reading's own included

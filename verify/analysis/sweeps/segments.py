@@ -9,11 +9,10 @@ from dataclasses import dataclass
 from itertools import groupby
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.comparison import Comparison
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Index
 
 MIN_SPAN = np.deg2rad(10.0)  # a shorter arc hardly shows where its axis lies
 MIN_PAIRS = 8  # an axis and its start pose have ten unknowns, each pair shows six
@@ -35,7 +34,7 @@ class SweepSegment:
     """Pairs in order of time during which one joint alone moved."""
 
     joint: int  # from 0
-    rows: NDArray[np.int64]  # (n,), of the compared or measured pairs
+    rows: Index  # (n,), of the compared or measured pairs
     q: Array  # (n, joints), rad, readings at those pairs
 
     @property
@@ -79,9 +78,7 @@ def comparison_segments(
     return sorted(found, key=lambda one: (int(one[0].rows[0]), one[0].joint))
 
 
-def find_sweeps(
-    readings: Readings, t: Array, frame: NDArray[np.int64]
-) -> tuple[list[SweepSegment], list[str]]:
+def find_sweeps(readings: Readings, t: Array, frame: Index) -> tuple[list[SweepSegment], list[str]]:
     """Find where one joint moves alone, however little, and name joints that move together.
 
     t (n,), s: the pairs' instants on the readings' clock; `frame` (n,): their numbers, for the
@@ -146,7 +143,7 @@ def travel_directions(segment: SweepSegment, band: float) -> Array:
     return directions
 
 
-def _rests(q: Array, limit: float) -> NDArray[np.int64]:
+def _rests(q: Array, limit: float) -> Index:
     """Where from each pair on (n,) a joint first leaves a band of `limit`, (n,)."""
     ends = np.zeros(len(q), dtype=np.int64)
     high: deque[int] = deque()
@@ -189,7 +186,7 @@ def _trim_ends(
     return start + margin * (first > 0), stop - margin * (end < len(q))
 
 
-def _widest(q: Array, ends: NDArray[np.int64], limits: SegmentLimits) -> list[tuple[int, int]]:
+def _widest(q: Array, ends: Index, limits: SegmentLimits) -> list[tuple[int, int]]:
     """Of the runs [first, ends[first]) those in which q (n,) turns far, the widest first."""
 
     def enough(run: tuple[int, int]) -> bool:

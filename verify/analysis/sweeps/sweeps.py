@@ -9,7 +9,6 @@ constant offset of the joint does not show.
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.comparison import alignment_scale
 from verify.analysis.joint_errors import MIN_SPAN_CIRCULAR, P_LACK_OF_FIT
@@ -24,7 +23,7 @@ from verify.analysis.sweeps.axis import (
 )
 from verify.analysis.sweeps.segments import SweepSegment, comparison_segments
 from verify.analysis.uncertainty.sources import pan_reading_covariance
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.statistics import chi2_isf, chi2_sf
 from verify.measurement.track import Track, subset
 
@@ -39,8 +38,8 @@ class JointSweep:
     """One joint turned alone; n pairs. Angles in rad, errors are reading less true angle."""
 
     joint: int  # from 0
-    rows: NDArray[np.int64]  # (n,), of the comparison
-    outlying: NDArray[np.int64]  # rows that were left out: off the circle beyond chance
+    rows: Index  # (n,), of the comparison
+    outlying: Index  # rows that were left out: off the circle beyond chance
     q: Array  # (n,), reading
     direction: Array  # (n,), of travel, +1 or -1
     error: Array  # (n,), about their mean: a constant does not show
@@ -106,7 +105,7 @@ def _sweep_pairs(
     return _SweepPairs(swept, rows, joint, direction[chosen], None if given else rate)
 
 
-def _own_noise(track: Track, segment: NDArray[np.int64], rows: NDArray[np.int64]) -> Array:
+def _own_noise(track: Track, segment: Index, rows: Index) -> Array:
     """Covariance of some of a segment's poses, (n, 6, 6), by its own accelerations.
 
     A shoulder swept alone accelerates the flange ten times as much as a wrist: the session's mean
@@ -124,12 +123,12 @@ class _SweepPairs:
     """A sweep's pairs, n of them."""
 
     swept: SweepData
-    rows: NDArray[np.int64]
+    rows: Index
     joint: int
     direction: Array
     rate: Array | None  # of a clock that is fitted along
 
-    def without(self, left_out: NDArray[np.bool_]) -> "_SweepPairs":
+    def without(self, left_out: Flags) -> "_SweepPairs":
         """The other pairs."""
         parts = {f.name: getattr(self.swept, f.name)[~left_out] for f in fields(SweepData)}
         rate = None if self.rate is None else self.rate[~left_out]
@@ -138,7 +137,7 @@ class _SweepPairs:
         )
 
 
-def _outliers(case: _SweepPairs) -> NDArray[np.bool_]:
+def _outliers(case: _SweepPairs) -> Flags:
     """Pairs that lie off the circle by more than all others, (n,): a spot that was bitten, say.
 
     A flange that leaves its circle again and again is no outlier: then none is left out.
@@ -151,7 +150,7 @@ def _outliers(case: _SweepPairs) -> NDArray[np.bool_]:
     return far if few else np.zeros(count, dtype=bool)
 
 
-def _judge_sweep(case: _SweepPairs, outlying: NDArray[np.int64]) -> JointSweep:
+def _judge_sweep(case: _SweepPairs, outlying: Index) -> JointSweep:
     swept, rows, direction, rate = case.swept, case.rows, case.direction, case.rate
     terms, fit = fit_terms(swept, direction, rate, circular=False)
     eccentricity, phase, eccentric = NO_FIGURE, NO_FIGURE, False

@@ -10,13 +10,12 @@ draws is free of most of the chance that either holds: that is what is compared.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from verify.analysis.comparison import Comparison, JointComparison, alignment_scale
 from verify.analysis.model import SessionComparison, prior_columns
 from verify.analysis.uncertainty.draws import WorldDraws
-from verify.core.records import Array, Measurement
+from verify.core.records import Array, Flags, Index, Measurement
 
 N_PAIRS = 20  # spread over the session, beside the worst known ones
 N_DRAWS = 200
@@ -31,19 +30,19 @@ N_JOINTS = 6
 class MonteCarlo:
     """m pairs of a session, j joints; a joint's error less its linear propagation, over draws."""
 
-    pairs: NDArray[np.int64]  # (m,), rows of the comparison
+    pairs: Index  # (m,), rows of the comparison
     draws: int
     linear: Array  # (m, j), standard uncertainty by linear propagation, rad
     drawn: Array  # (m, j), the same times the ratio below
     scatter: Array  # (m, j), standard deviation over the draws as they fell, rad
     ratio: Array  # (m, j), drawn over linear standard deviation of the same draws
     shift: Array  # (m, j), of the mean, in standard uncertainties
-    coupled: NDArray[np.bool_]  # (m, j), a singularity near by couples this joint
+    coupled: Flags  # (m, j), a singularity near by couples this joint
     unreachable: Array  # (m,), share of draws in which the arm cannot stand in the pose
     mean_ratio: Array  # (j,), the same ratio of the mean over the pairs that tell a joint
 
     @property
-    def holds(self) -> NDArray[np.bool_]:
+    def holds(self) -> Flags:
         """Where linear propagation holds, (m, j)."""
         near = (np.abs(self.ratio - 1) <= MAX_RATIO_ERROR - P_CHANCE) & (
             np.abs(self.shift) <= MAX_SHIFT
@@ -91,7 +90,7 @@ def monte_carlo(
     return _compare_draws(chosen, bent, straight, linear, joints.coupled[chosen])
 
 
-def _select_pairs(comparison: Comparison, joints: JointComparison, pairs: int) -> NDArray[np.int64]:
+def _select_pairs(comparison: Comparison, joints: JointComparison, pairs: int) -> Index:
     """Pairs spread over the session, and of each joint the one that is known worst."""
     whole = np.array([d.shape[1] == N_JOINTS for d in comparison.determined], dtype=bool)
     usable = np.flatnonzero(whole & joints.reached & np.isfinite(joints.error).all(axis=1))
@@ -113,11 +112,11 @@ def _linear(compared: SessionComparison) -> Array:
 
 
 def _compare_draws(
-    chosen: NDArray[np.int64],
+    chosen: Index,
     bent: Array,
     straight: Array,
     linear: Array,
-    coupled: NDArray[np.bool_],
+    coupled: Flags,
 ) -> MonteCarlo:
     """Set draws (m, d, j) of the whole chain against those of linear propagation."""
     lost = np.any(np.isnan(bent), axis=2)

@@ -4,7 +4,6 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 import robots
@@ -13,7 +12,7 @@ from verify.analysis.rig_check.check import drop_registration
 from verify.analysis.sweeps import axis as circles
 from verify.analysis.sweeps.segments import SweepSegment
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement
+from verify.core.records import Array, Index, Measurement
 from verify.io.session.session import Session
 from verify.measurement.systematics import covariance_root, sensitivities, stated_systematics
 
@@ -166,7 +165,7 @@ class JointSweepResult:
     """One sweep: the joint's axis, and its turn against the encoder."""
 
     joint: int  # counted from 1
-    frames: NDArray[np.int64]  # (n,)
+    frames: Index  # (n,)
     q: Array  # (n, joints), rad, readings
     axis: SweepAxis
     by_source: Array  # (4, p), the axis's parameters by one standard deviation of each source

@@ -15,14 +15,13 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.rig_check import check as rig_check
 from verify.calibration.board.pose import board_marker, board_poses
 from verify.calibration.check.lengths import BarTracker, Lengths, measured_lengths
 from verify.calibration.stereo.records import rms
 from verify.core.fiducials import Board, BoardPair, Marker
-from verify.core.records import Measurement, Progress, StereoPair, no_progress
+from verify.core.records import Flags, Measurement, Progress, StereoPair, no_progress
 from verify.core.rig import Rig
 from verify.core.statistics import norm_isf, norm_ppf
 from verify.errors import InputError
@@ -226,9 +225,7 @@ def _visible(found: rig_check.RigConsistency, limit: float) -> tuple[DetectableC
     return tuple(rows)
 
 
-def _decisions(
-    found: rig_check.RigConsistency, beyond: NDArray[np.bool_], limit: float
-) -> Iterator[str]:
+def _decisions(found: rig_check.RigConsistency, beyond: Flags, limit: float) -> Iterator[str]:
     for text, exceeded, value in zip(
         rig_check.figures_text(found), beyond, found.value, strict=True
     ):

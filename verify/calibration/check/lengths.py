@@ -9,12 +9,11 @@ from dataclasses import dataclass, field
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from verify.analysis.least_squares import autocorrelation
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Measurement, StereoPair, rigid_transform
+from verify.core.records import Array, Index, Measurement, StereoPair, rigid_transform
 from verify.core.rig import Rig
 from verify.measurement.chain import detect_in_turn
 from verify.measurement.pose import MODEL_ERROR_PX
@@ -30,7 +29,7 @@ class Lengths:
     known: Array  # (k,), m
     measured: Array  # (k,), m
     uncertainty: Array  # (k,), m, of the difference, all stated sources included
-    pairs: NDArray[np.int64]  # (k,), how many stereo pairs show it
+    pairs: Index  # (k,), how many stereo pairs show it
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,7 +15,6 @@ from collections.abc import Iterable
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from verify.calibration.corners.grid import axes, fit_map, orient_grid
@@ -28,7 +27,7 @@ from verify.calibration.corners.search import (
 )
 from verify.core.fiducials import Board, BoardView, charuco_board
 from verify.core.native import entry
-from verify.core.records import Array, Image
+from verify.core.records import Array, Flags, Image, Index
 
 MIN_CORNERS = 4  # corners that fix a homography
 N_PASSES = 2  # the second with the plane and lens that the first found
@@ -107,9 +106,7 @@ def to_grey(image: Image) -> Image:
     return image if image.ndim == 2 else to_8_bits(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY))
 
 
-def refine_corners(
-    grey: Image, board: Board, corner: NDArray[np.int64], start: Array
-) -> BoardView | None:
+def refine_corners(grey: Image, board: Board, corner: Index, start: Array) -> BoardView | None:
     """Refine corners (n,) from where they were found (n, 2)."""
     squares = board.points[corner, :2] / board.square
     pixels, markers = np.array(grey, order="C"), marker_margins(board, corner)
@@ -145,7 +142,7 @@ def corner_covariances(results: Array) -> Array:
     return np.asarray(each * noise[:, None, None])
 
 
-def marker_margins(board: Board, corner: NDArray[np.int64]) -> Array:
+def marker_margins(board: Board, corner: Index) -> Array:
     """Distance of markers from edges, squares, and where white is, for each corner (n, 2).
 
     White is where u · v (from the corner, board's axes) has the sign given; 0: a plain board.
@@ -158,9 +155,7 @@ def marker_margins(board: Board, corner: NDArray[np.int64]) -> Array:
     return np.stack([np.full(len(corner), margin), 2.0 * parity - 1], axis=1)
 
 
-def find_charuco(
-    variants: Iterable[tuple[Image, float]], board: Board
-) -> tuple[NDArray[np.int64], Array]:
+def find_charuco(variants: Iterable[tuple[Image, float]], board: Board) -> tuple[Index, Array]:
     """Corners of a ChArUco board in view: index (n,), and place (n, 2), px, to a pixel or so.
 
     Of the first variant of the picture, each with its scale, that shows enough of them.
@@ -184,7 +179,7 @@ def _fit(
     grey: Image,
     at: tuple[Array, Array, Array],
     markers: Array,
-    fitted: NDArray[np.bool_],
+    fitted: Flags,
     parameters: Array,
     results: Array,
 ) -> None:

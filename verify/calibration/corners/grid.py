@@ -15,10 +15,9 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 from scipy.optimize import least_squares
 
-from verify.core.records import Array, Image
+from verify.core.records import Array, Flags, Image
 
 PRIOR_RADIAL = 0.3  # at half the image's width: a strongly distorting lens
 PRIOR_RESIDUAL = 0.5  # px: how well few corners would have to fit before they speak on the lens
@@ -122,7 +121,7 @@ def fit_grid_map(grey: Image, grid: Array) -> CornerMap | None:
     return fit_map(block_points((0, 0, columns, rows)), grid.reshape(-1, 2), grey.shape)
 
 
-def crossings(grey: Image, places: Array) -> tuple[Array, NDArray[np.bool_]]:
+def crossings(grey: Image, places: Array) -> tuple[Array, Flags]:
     """Contrast of crossings, and whether each is one, by places in their four squares (..., 4, 2).
 
     The squares, px in the image (h, w), in order: lower x and y, higher ones, lower x and higher y,
@@ -142,9 +141,7 @@ def crossings(grey: Image, places: Array) -> tuple[Array, NDArray[np.bool_]]:
     return contrast, inside & (4 * np.abs(contrast) > MIN_CROSSING_CONTRAST * unlike)
 
 
-def block_crossings(
-    grey: Image, grid_map: CornerMap, block: Block
-) -> tuple[Array, NDArray[np.bool_]]:
+def block_crossings(grey: Image, grid_map: CornerMap, block: Block) -> tuple[Array, Flags]:
     """Contrast of a block's crossings, and whether each is one, (rows, columns)."""
     around = (block_points(block)[:, None] + AROUND).reshape(-1, 2)
     return crossings(grey, grid_map(around).reshape(block[3], block[2], 4, 2))
@@ -165,7 +162,7 @@ def has_crossings(grey: Image, grid_map: CornerMap, block: Block) -> bool:
     return alternate(*block_crossings(grey, grid_map, block))
 
 
-def alternate(contrast: Array, there: NDArray[np.bool_]) -> bool:
+def alternate(contrast: Array, there: Flags) -> bool:
     """Whether every row and column (rows, columns) has crossings whose colours alternate."""
     signed = _checkered(contrast)
     good = there & (signed * np.sign(signed.sum()) > 0)

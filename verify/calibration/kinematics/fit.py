@@ -22,7 +22,6 @@ where more lie that far off, the noise is not what it was taken for, and grows.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.transforms import difference
 from verify.analysis.least_squares import gauss_newton
@@ -36,7 +35,7 @@ from verify.calibration.kinematics.noise import (
     residual_scale,
 )
 from verify.calibration.kinematics.poses import IdentificationPoses
-from verify.core.records import Array, take_rows
+from verify.core.records import Array, Flags, take_rows
 from verify.core.statistics import chi2_isf, t_isf
 
 P_FALSE_ALARM = 1e-3  # over all rows: a row beyond it is outlying
@@ -61,7 +60,7 @@ class KinematicFit:
     state: ArmState
     scale: NoiseScale
     distance: Array  # (n,), squared Mahalanobis length of what is left in each row
-    used: NDArray[np.bool_]  # (n,)
+    used: Flags  # (n,)
     scatter: float | None = None  # of parameters between recordings, over u; None: one recording
 
     @property
@@ -185,7 +184,7 @@ def minimise(
 
 def _outlying_rows(
     state: ArmState, poses: IdentificationPoses, parameters: tuple[Parameter, ...]
-) -> tuple[NDArray[np.bool_], NoiseScale]:
+) -> tuple[Flags, NoiseScale]:
     """Tell which rows belong together, (n,), by fits and the median of what they leave."""
     used, scale = np.ones(len(poses), dtype=bool), initial_scale(poses)
     limit = chi2_isf(P_FALSE_ALARM / len(poses), np.maximum(poses.dimensions, 1))
@@ -208,7 +207,7 @@ def without_nuisances(
     left: Array,
     poses: IdentificationPoses,
     scale: NoiseScale,
-    used: NDArray[np.bool_] | None = None,
+    used: Flags | None = None,
 ) -> Array:
     """Residuals (n, 6) less the most likely effect of the nuisances on the used rows."""
     extra = poses.nuisance.shape[2]

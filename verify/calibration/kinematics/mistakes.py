@@ -12,7 +12,6 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots import Arm, forward
 from verify.analysis.diagnosis.faults import MAX_OFFSET
@@ -30,7 +29,7 @@ from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.sessions import CombinedPoses
 from verify.calibration.kinematics.terms import P_FALSE, TermFit, explain, fit_terms
 from verify.core.readings import Readings
-from verify.core.records import Array, take_rows
+from verify.core.records import Array, Flags, take_rows
 from verify.core.statistics import chi2_isf
 from verify.errors import InputError
 
@@ -134,10 +133,10 @@ def refuse_unfit(
 
 def _refuse_disagreeing(
     gathered: CombinedPoses,
-    some: NDArray[np.bool_],
+    some: Flags,
     left: Array,
     most: float,
-    fit: Callable[[NDArray[np.bool_]], TermFit],
+    fit: Callable[[Flags], TermFit],
 ) -> None:
     """Refuse one of several sessions without which a fit to the rows kept misfits less than `most`.
 
@@ -167,7 +166,7 @@ def _misfit(fit: TermFit, rows: IdentificationPoses) -> float:
     return _length(fit.left, rows) * float(np.sqrt(factor)) if factor < 2 else np.inf
 
 
-def _some(gathered: CombinedPoses) -> tuple[NDArray[np.bool_], Array]:
+def _some(gathered: CombinedPoses) -> tuple[Flags, Array]:
     """Which rows are looked at, (n,) of all, some of each session; their instants, s."""
     t = np.concatenate([one.comparison.t for one in gathered.sessions])
     some, each = np.zeros(len(t), dtype=bool), max(MAX_ROWS // len(gathered.sessions), MIN_ROWS)

@@ -10,13 +10,12 @@ axis and the point that it passes: together the columns of the geometric Jacobia
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.transforms import invert
 from verify.calibration.handeye import nearest_rotation, solve_hand_eye
 from verify.calibration.kinematics.chain import AXES, ArmState, KinematicChain, Parameter
 from verify.calibration.kinematics.poses import IdentificationPoses
-from verify.core.records import Array, rigid_transform
+from verify.core.records import Array, Index, rigid_transform
 
 X, Y, Z = 0, 1, 2
 MAX_ITERATIONS = 100  # of base and tool in turn; the fit does the rest
@@ -62,9 +61,7 @@ class _JacobianBuilder:
         return rigid_transform(np.stack(self.axes, axis=2), self.origin)
 
 
-def predict_poses(
-    state: ArmState, q: Array, base: NDArray[np.int64], tool: NDArray[np.int64]
-) -> Array:
+def predict_poses(state: ArmState, q: Array, base: Index, tool: Index) -> Array:
     """Place the target at readings q (n, j), rad: world_T_target (n, 4, 4), m.
 
     `base` (n,) and `tool` (n,) tell which of the state's each row belongs to.
@@ -75,8 +72,8 @@ def predict_poses(
 def predict_with_jacobian(
     state: ArmState,
     q: Array,
-    base: NDArray[np.int64],
-    tool: NDArray[np.int64],
+    base: Index,
+    tool: Index,
     parameters: tuple[Parameter, ...],
 ) -> tuple[Array, Array]:
     """Place the target and differentiate its pose by L parameters.
@@ -98,9 +95,7 @@ def predict_with_jacobian(
     return walk.pose(), columns
 
 
-def _walk(
-    state: ArmState, q: Array, base: NDArray[np.int64], tool: NDArray[np.int64]
-) -> _JacobianBuilder:
+def _walk(state: ArmState, q: Array, base: Index, tool: Index) -> _JacobianBuilder:
     chain = state.chain
     walk = _JacobianBuilder(np.tile(np.eye(4), (len(q), 1, 1)))
     walk.fixed(state.base[base])

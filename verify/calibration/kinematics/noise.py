@@ -11,10 +11,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.calibration.kinematics.poses import IdentificationPoses
-from verify.core.records import Array
+from verify.core.records import Array, Flags
 from verify.core.statistics import chi2_ppf
 
 MIN_EXCESS_SIGMA = 3.0  # standard deviations by which residuals must exceed what was stated
@@ -80,7 +79,7 @@ def residual_scale(
     return _by_parts(poses, estimate, at)
 
 
-def median_scale(left: Array, poses: IdentificationPoses, used: NDArray[np.bool_]) -> NoiseScale:
+def median_scale(left: Array, poses: IdentificationPoses, used: Flags) -> NoiseScale:
     """Estimate the noise by the median of the residuals (n, 6), which outlying rows do not move."""
 
     def estimate(part: slice, _factor: float) -> tuple[float, float]:

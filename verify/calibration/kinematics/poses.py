@@ -3,11 +3,8 @@
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array, rigid_transform
-
-Rows = NDArray[np.int64]
+from verify.core.records import Array, Index, rigid_transform
 
 
 @dataclass(frozen=True, slots=True)
@@ -18,10 +15,10 @@ class IdentificationPoses:
     world_T_target: Array  # (n, 4, 4), m; where only positions were measured, no turn
     whitener: Array  # (n, 6, 6): times a twist, unit variance; zero rows where nothing is known
     stated: bool  # the covariances were stated; else only their proportions count
-    base: Rows  # (n,), from 0: which placing of the robot in the world
-    tool: Rows  # (n,), from 0: which mounting of the target
-    recording: Rows  # (n,), which of several the row is from
-    block: Rows  # (n,): rows of one block are held out together, as they repeat each other
+    base: Index  # (n,), from 0: which placing of the robot in the world
+    tool: Index  # (n,), from 0: which mounting of the target
+    recording: Index  # (n,), which of several the row is from
+    block: Index  # (n,): rows of one block are held out together, as they repeat each other
     nuisance: Array  # (n, 6, p), of unit variance: what does not average out
     position_only: bool
 
@@ -30,7 +27,7 @@ class IdentificationPoses:
         return len(self.q)
 
     @property
-    def dimensions(self) -> Rows:
+    def dimensions(self) -> Index:
         """How many numbers each row determines, (n,)."""
         return np.asarray(np.any(self.whitener != 0, axis=2).sum(axis=1))
 

@@ -14,7 +14,6 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from robots.transforms import cross_matrix
@@ -32,7 +31,7 @@ from verify.calibration.kinematics.sessions import CombinedPoses, deflate_repeti
 from verify.calibration.origin import DEG, MM
 from verify.calibration.registration.refusals import MAX_UNCERTAINTY, refuse_undetermined
 from verify.calibration.registration.uncertainty import MIN_VISIBLE_SHARE
-from verify.core.records import Array, take_rows
+from verify.core.records import Array, Index, take_rows
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io.session.session import Session
@@ -49,7 +48,7 @@ class PosesRegistration:
     rig: Rig  # the robot's base in the instrument's frame, with its covariance and absorption
     text: bytes  # session.toml with base and target as found
     visible_fractions: Array  # (j,), of a constant offset that was there already
-    frame: NDArray[np.int64]  # (n,), number of each pose
+    frame: Index  # (n,), number of each pose
     residual: Array  # (n, 6), m and rad: measured less registered
     rms: tuple[float, float]  # m, rad, of the poses used
     left_out: tuple[int, ...]  # numbers of poses that do not belong to the others

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 import robots
 from reports import Results
@@ -16,7 +15,7 @@ from verify.calibration.kinematics.placements import placement_entries
 from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.validation import statistics
 from verify.calibration.origin import DEG, MM, ResultsOrigin
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.core.statistics import correlation
 
 
@@ -35,8 +34,8 @@ class IdentificationProvenance:
 
     arm: robots.Arm
     names: Sequence[str]  # of the sources
-    source: NDArray[np.int64]  # (n,), which of them each row is from
-    frame: NDArray[np.int64]  # (n,), its number there
+    source: Index  # (n,), which of them each row is from
+    frame: Index  # (n,), its number there
     free_base: bool
     free_tool: bool
     description: str = ""

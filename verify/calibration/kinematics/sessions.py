@@ -5,7 +5,6 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.transforms import rigid_columns
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare
@@ -17,7 +16,7 @@ from verify.calibration.kinematics.chain import ArmState, KinematicChain
 from verify.calibration.kinematics.fit import KinematicFit, pose_residuals
 from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 from verify.core.readings import Readings
-from verify.core.records import Array, Progress
+from verify.core.records import Array, Index, Progress
 from verify.errors import InputError
 from verify.io.series import FrameSeries
 from verify.io.session.session import Session
@@ -33,7 +32,7 @@ class SessionPoses:
 
     session: Session
     comparison: Comparison
-    frame: NDArray[np.int64]  # (n,), number of each pair or pose
+    frame: Index  # (n,), number of each pair or pose
     stated: Array  # (n, 6, p), unit variance: what rig and marker state of themselves
     own: Array  # (n, 6, r), unit variance: clock, alignment, pan readings
     uncounted: tuple[str, ...]
@@ -59,8 +58,8 @@ class CombinedPoses:
 
     poses: IdentificationPoses
     sessions: tuple[SessionPoses, ...]
-    source: NDArray[np.int64]  # (n,), which session
-    frame: NDArray[np.int64]  # (n,), number of the pair or pose in its session
+    source: Index  # (n,), which session
+    frame: Index  # (n,), number of the pair or pose in its session
     tools: Array  # (h, 4, 4), flange_T_target as the sessions have them
     free_base: bool  # the base was found through these encoders: its place proves nothing
     free_tool: bool
@@ -253,14 +252,12 @@ def deflate_repetition(gathered: CombinedPoses, fit: KinematicFit) -> CombinedPo
     return replace(gathered, poses=replace(rows, whitener=whitener))
 
 
-def _groups(keys: Iterable[bytes]) -> NDArray[np.int64]:
+def _groups(keys: Iterable[bytes]) -> Index:
     known: dict[bytes, int] = {}
     return np.array([known.setdefault(key, len(known)) for key in keys], dtype=np.int64)
 
 
-def _nuisances(
-    sessions: Sequence[SessionPoses], bases: NDArray[np.int64], tools: NDArray[np.int64]
-) -> Array:
+def _nuisances(sessions: Sequence[SessionPoses], bases: Index, tools: Index) -> Array:
     """Place every session's columns: shared ones above each other, its own to the right."""
     shared: dict[tuple[int, int, int], int] = {}
     places, width = [], 0

@@ -22,7 +22,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import stdtrit
 
 from verify.calibration.kinematics.fit import (
@@ -34,7 +33,7 @@ from verify.calibration.kinematics.fit import (
 )
 from verify.calibration.kinematics.noise import NoiseScale
 from verify.calibration.kinematics.poses import IdentificationPoses
-from verify.core.records import Array, take_rows
+from verify.core.records import Array, Flags, Index, take_rows
 
 MAX_CHI2 = 25.0  # that a row may bring: noise brings a full pose's beyond it in 3 of 10,000
 MAX_PRIOR_SHARE = 0.5  # of a prior's standard deviation: a recording that leaves more says nothing
@@ -62,9 +61,7 @@ class CrossValidation:
     chi2: Array  # (n,), capped, a measured number; nan: never held out
 
 
-def split(
-    poses: IdentificationPoses, share: float, generator: np.random.Generator
-) -> NDArray[np.bool_]:
+def split(poses: IdentificationPoses, share: float, generator: np.random.Generator) -> Flags:
     """Hold out a share of the blocks of every base; (n,), True where held out."""
     held = np.zeros(len(poses), dtype=bool)
     for base in np.unique(poses.base):
@@ -118,7 +115,7 @@ def hold_out(
     )
 
 
-def best_model(found: Sequence[CrossValidation | None], block: NDArray[np.int64]) -> int:
+def best_model(found: Sequence[CrossValidation | None], block: Index) -> int:
     """Choose the model that predicts best, the smaller where that makes no clear difference.
 
     The smallest model stands first; one without is not chosen. Rows of one block (n,) repeat each

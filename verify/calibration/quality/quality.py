@@ -8,7 +8,6 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.calibration.quality import accuracy
 from verify.calibration.quality.coverage import (
@@ -19,7 +18,7 @@ from verify.calibration.quality.coverage import (
 )
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.records import Calibration, Residuals, camera_covariance, rms
-from verify.core.records import SIDES, Array, Image
+from verify.core.records import SIDES, Array, Flags, Image
 from verify.core.rig import Camera, Rig
 from verify.core.statistics import MAD_TO_SIGMA
 from verify.measurement.systematics import covariance_in_si
@@ -214,7 +213,7 @@ def view_residuals(residuals: Residuals) -> tuple[ViewQuality, ...]:
     return tuple(views)
 
 
-def outlying_views(values: Array) -> NDArray[np.bool_]:
+def outlying_views(values: Array) -> Flags:
     """Find the rms values (n,) that stand out among the others.
 
     Location and scale are median and median absolute deviation, so nearly half of the views may be

@@ -7,7 +7,6 @@ covariance: the spots' own and, through the arm's Jacobian, the readings'.
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from verify.analysis.least_squares import autocorrelation, gauss_newton
@@ -19,7 +18,7 @@ from verify.calibration.registration.model import (
     shared_noise,
 )
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.rig import Rig
 from verify.measurement.pose import MAX_SPOT_CHI2, MODEL_ERROR_PX
 
@@ -48,9 +47,9 @@ class AdjustmentSetup:
 class WhitenedRows:
     """A session whitened: r rows, of unit variance if the stated noise is all there is."""
 
-    pair: NDArray[np.int64]  # (r,)
-    pose: NDArray[np.bool_]  # (r,), rows that a motion of the flange explains; others: the shape
-    place: NDArray[np.int64]  # (r,), which of a pair's six pose rows; -1 for others
+    pair: Index  # (r,)
+    pose: Flags  # (r,), rows that a motion of the flange explains; others: the shape
+    place: Index  # (r,), which of a pair's six pose rows; -1 for others
     residual: Array  # (r,)
     design: Array  # (r, size)
     joints: Array  # (r, j)
@@ -61,7 +60,7 @@ class AdjustedRegistration:
     """An adjusted registration."""
 
     at: RegistrationParameters
-    free: NDArray[np.bool_]  # (size,), parameters that were adjusted
+    free: Flags  # (size,), parameters that were adjusted
     spotted: SpotStack
     predicted: PredictedSpots
     rows: WhitenedRows
@@ -77,7 +76,7 @@ def adjust(
     spotted: SpotStack,
     setup: AdjustmentSetup,
     start: RegistrationParameters,
-    free: NDArray[np.bool_],
+    free: Flags,
 ) -> AdjustedRegistration:
     """Adjust what is `free` (size,) to all spots, refusing those that the others contradict."""
     at = start
@@ -92,7 +91,7 @@ def adjust(
 
 
 def _fit_parameters(
-    spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: NDArray[np.bool_]
+    spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: Flags
 ) -> RegistrationParameters:
     def solve_step(at: RegistrationParameters) -> tuple[Array, None]:
         predicted = predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
@@ -110,7 +109,7 @@ def _fit_parameters(
 def _append_stated_clock(
     design: Array,
     residual: Array,
-    free: NDArray[np.bool_],
+    free: Flags,
     setup: AdjustmentSetup,
     at: RegistrationParameters,
 ) -> tuple[Array, Array]:
@@ -154,7 +153,7 @@ def whiten_pairs(spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetu
 
 
 def _covariance(
-    spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup, mine: NDArray[np.int64]
+    spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup, mine: Index
 ) -> Array:
     """Of a pair's pixels, (..., 2 m, 2 m): the spots' noise, and the readings' that they share.
 
@@ -177,7 +176,7 @@ def block_diagonal(blocks: Array) -> Array:
     return matrix.reshape(*lead, 2 * n, 2 * n)
 
 
-def _worst_spots(spotted: SpotStack, seen: PredictedSpots) -> NDArray[np.bool_]:
+def _worst_spots(spotted: SpotStack, seen: PredictedSpots) -> Flags:
     """The worst spot of each pair that the others, with the pose left open, contradict."""
     refused = np.zeros(len(spotted.pair), dtype=bool)
     for i in range(len(spotted)):
@@ -198,7 +197,7 @@ def _worst_spots(spotted: SpotStack, seen: PredictedSpots) -> NDArray[np.bool_]:
 
 
 def _estimate_covariance(
-    spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: NDArray[np.bool_]
+    spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: Flags
 ) -> AdjustedRegistration:
     """Covariance of what was adjusted: the stated noise, and what the residuals show beside it."""
     seen = predict_spots(spotted, setup.rig, setup.arm, setup.readings, at)
@@ -235,7 +234,7 @@ def _estimate_covariance(
 
 
 def _weighted_design(
-    spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup, free: NDArray[np.bool_]
+    spotted: SpotStack, seen: PredictedSpots, setup: AdjustmentSetup, free: Flags
 ) -> Array:
     """Design' S⁻¹, (size, 2 s), pair by pair."""
     weighted = np.zeros((len(free), len(spotted.pair), 2))

@@ -14,9 +14,8 @@ from functools import cached_property
 from itertools import combinations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array, Progress, Spots, take_rows
+from verify.core.records import Array, Flags, Index, Progress, Spots, take_rows
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io.session.session import Recording
@@ -61,7 +60,7 @@ class PointCloud:
     """The candidate points of one pair."""
 
     points: Array  # (m, 3), m
-    spots: NDArray[np.int64]  # (m, 2), the left and the right spot behind each
+    spots: Index  # (m, 2), the left and the right spot behind each
     play: float  # m, how far a distance between two of them may be off
 
     @cached_property
@@ -93,7 +92,7 @@ def drop_still_spots(pairs: Sequence[PairSpots]) -> list[PairSpots]:
     return [replace(pair, spots=(left, right)) for pair, left, right in each]
 
 
-def _still_spots(i: int, found: list[Array], pan: Array) -> NDArray[np.bool_]:
+def _still_spots(i: int, found: list[Array], pan: Array) -> Flags:
     """Which spots of pair i are where others with the same pan reading have one, too."""
     alike = [j for j in np.flatnonzero(pan == pan[i]).tolist() if j != i]
     others = [found[j] for j in alike if len(found[j])]
@@ -213,7 +212,7 @@ def _usable(corners: Array) -> bool:
     )
 
 
-def _match(cloud: PointCloud, corners: Array) -> NDArray[np.int64] | None:
+def _match(cloud: PointCloud, corners: Array) -> Index | None:
     """Find the three points of a pair that form the triangle best, (3,), or None."""
     wanted = [np.linalg.norm(corners[i] - corners[j]) for i, j in ((0, 1), (0, 2), (1, 2))]
     first, second, third = (np.abs(cloud.distances - w) for w in wanted)
@@ -260,7 +259,7 @@ def _grow(corners: Array, clouds: Sequence[PointCloud], most: int) -> GrownBody 
     return _refine_body(np.array(leds), clouds)
 
 
-def _in_body(cloud: PointCloud, index: NDArray[np.int64], leds: Array) -> tuple[Array, Array]:
+def _in_body(cloud: PointCloud, index: Index, leds: Array) -> tuple[Array, Array]:
     """Fit the body by some points of a pair: its pose (4, 4), all points in its frame (m, 3)."""
     pose = fit_rigid(cloud.points[index], leds)
     return pose, (cloud.points - pose[:3, 3]) @ pose[:3, :3]

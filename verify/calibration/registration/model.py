@@ -19,13 +19,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from robots.transforms import rigid_columns
 from verify.calibration.registration.body_poses import BodyPose
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.rig import Camera, Rig, distort_with_jacobian
 from verify.measurement.pose import perturb
 
@@ -38,7 +37,7 @@ def reading_variance(readings: Readings, resolution: float | None) -> Array:
     return np.maximum(readings.noise**2, (resolution or 0.0) ** 2 / 12)
 
 
-def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int64], Array]:
+def interpolation_weights(readings: Readings, t: Array) -> tuple[Index, Array]:
     """Express readings interpolated at t (n,), s, controller's clock, as weighted sums of readings.
 
     Returns indices (n, 4) and weights (n, 4) with readings.at(t) = sum of weight · q[index].
@@ -51,7 +50,7 @@ def interpolation_weights(readings: Readings, t: Array) -> tuple[NDArray[np.int6
     return np.minimum(around, last), np.take_along_axis(marks.at(t), around % 4, axis=1)
 
 
-def shared_noise(index: NDArray[np.int64], weight: Array) -> Array:
+def shared_noise(index: Index, weight: Array) -> Array:
     """Covariance (..., m, m) of readings at instants (..., m) by noise of unit variance.
 
     `index` and `weight` (..., m, k): the k samples that each is interpolated from.
@@ -88,16 +87,16 @@ class RegistrationParameters:
 class SpotStack:
     """The spots of a session, pair by pair (s spots, n pairs)."""
 
-    pair: NDArray[np.int64]  # (s,), 0 … n - 1, rising
-    frame: NDArray[np.int64]  # (n,)
-    side: NDArray[np.int64]  # (s,), 0 left, 1 right
-    led: NDArray[np.int64]  # (s,)
+    pair: Index  # (s,), 0 … n - 1, rising
+    frame: Index  # (n,)
+    side: Index  # (s,), 0 left, 1 right
+    led: Index  # (s,)
     centre: Array  # (s, 2), px
     covariance: Array  # (s, 2, 2), px²
     t: Array  # (s,), s, as stamped
     pan: Array  # (s,), rad
     camera_T_rig: Array  # (s, 4, 4)
-    used: NDArray[np.bool_]  # (s,)
+    used: Flags  # (s,)
 
     def __len__(self) -> int:
         """Count the pairs."""
@@ -138,7 +137,7 @@ class PredictedSpots:
     by_joint: Array  # (s, 2, j), the readings
     design: Array  # (s, 2, size), the parameters
     rate: Array  # (s, j), rad/s
-    readings: tuple[NDArray[np.int64], Array]  # (s, 4) each: what an instant's joints come from
+    readings: tuple[Index, Array]  # (s, 4) each: what an instant's joints come from
 
 
 def predict_spots(

@@ -7,7 +7,6 @@ the pixels. What that hides of the robot's own joint errors is computed too (see
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from verify.analysis.clock.estimate import MAX_UNCERTAINTY, MIN_SIGNAL_TO_NOISE
@@ -36,7 +35,7 @@ from verify.calibration.registration.records import MotionRegistration, order_li
 from verify.calibration.registration.start import RegistrationStart, start_registration
 from verify.core.fiducials import Marker
 from verify.core.readings import RATE_SPAN, Readings
-from verify.core.records import Array, Progress, no_progress
+from verify.core.records import Array, Flags, Progress, no_progress
 from verify.errors import InputError
 from verify.io.session.session import Recording
 from verify.measurement.triangulation import fit_rigid
@@ -201,7 +200,7 @@ def _noise(poses: list[BodyPose], q: Array, setup: AdjustmentSetup) -> tuple[flo
 
 
 def _adjust_observable(
-    spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: NDArray[np.bool_]
+    spotted: SpotStack, setup: AdjustmentSetup, at: RegistrationParameters, free: Flags
 ) -> AdjustedRegistration:
     """Adjust with clock and skew free, then hold those that the motion does not determine."""
     adjusted = adjust(spotted, setup, at, free)

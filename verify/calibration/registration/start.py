@@ -11,13 +11,12 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from robots.transforms import difference, invert
 from verify.calibration.handeye import MIN_POSES, HandEye, nearest_rotation, solve_robustly
 from verify.core.readings import Readings
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 
 TIME_STEP = 0.02  # s; brisk joints turn half a degree in it
 MAX_PAIR_DISTANCE = 8  # pairs that angles are taken over: 1, 2, 4, …
@@ -40,7 +39,7 @@ class RegistrationStart:
     clock: float  # s
     rivals: tuple[float, ...]  # s, other offsets that fit as well
     solved: HandEye  # x: body_T_flange, y: rig_T_base; residuals of all n poses, nan: no reading
-    good: NDArray[np.bool_]  # (n,), poses that it rests on
+    good: Flags  # (n,), poses that it rests on
 
 
 def start_registration(
@@ -153,7 +152,7 @@ def _minima(offsets: Array, cost: Array) -> list[float]:
     return kept
 
 
-def _angle_pairs(n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+def _angle_pairs(n: int) -> tuple[Index, Index]:
     """Which pairs to take the angle between."""
     lags = [lag for lag in (1, 2, 4, MAX_PAIR_DISTANCE) if lag < n]
     early = np.concatenate([np.arange(n - lag) for lag in lags])

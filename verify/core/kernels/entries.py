@@ -4,7 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.native import entry
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 
 _rotation_vectors = entry("rotation_vectors")
 _motion_misfits = entry("motion_misfits")
@@ -21,8 +21,8 @@ def rotation_vectors(turns: Array, vectors: Array) -> None:
 
 
 def motion_misfits(
-    ends: NDArray[np.int64],
-    known: NDArray[np.bool_],
+    ends: Index,
+    known: Flags,
     poses: Array,
     measured: tuple[Array, Array],
     most: float,
@@ -55,7 +55,7 @@ def interpolate(t: Array, q: Array, longest: float, instants: Array) -> Array:
 
 
 def sample_motion(
-    t: Array, q: Array, longest: float, without_gap: NDArray[np.bool_], span: float, instants: Array
+    t: Array, q: Array, longest: float, without_gap: Flags, span: float, instants: Array
 ) -> tuple[Array, Array]:
     """Readings as by `interpolate`, and joint speeds over twice `span`, s: rad and rad/s, (n, j).
 

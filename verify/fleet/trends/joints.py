@@ -5,9 +5,8 @@ from typing import Any
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.statistics import chi2_isf, t_isf
 from verify.fleet.trends import changes
 from verify.fleet.trends.series import JointSeries
@@ -16,7 +15,7 @@ N_NEIGHBOURS = 3  # sessions on either side that one is held against
 MEDIAN_VARIANCE = {1: 1.0, 2: 0.5, 3: 0.449}  # of so many, in that of one (normal)
 
 
-def find_outliers(series: JointSeries, false_alarm: float) -> NDArray[np.bool_]:
+def find_outliers(series: JointSeries, false_alarm: float) -> Flags:
     """Tell which of a joint's sessions stand apart from both sides, (n,).
 
     `false_alarm` is the chance that any is named where all are alike.
@@ -69,9 +68,9 @@ class JointAssessment:
     """What a joint's sessions say together."""
 
     series: JointSeries
-    odd: NDArray[np.bool_]  # (n,), sessions that stand apart
+    odd: Flags  # (n,), sessions that stand apart
     course: changes.JointTrend  # of the others
-    ordinary: NDArray[np.int64]  # (m,), the others' places in the series
+    ordinary: Index  # (m,), the others' places in the series
     half: Array  # (n,), degrees: how far from its place a session lies if nothing changed
     scattered: bool  # far beyond what is stated, and by more than chance
 

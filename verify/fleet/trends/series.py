@@ -12,9 +12,8 @@ from itertools import compress
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.statistics import t_isf
 
 SECONDS_PER_DAY = 86_400.0  # s
@@ -36,7 +35,7 @@ class JointSeries:
     error: Array  # (n,), mean error
     own: Array  # (n,), standard uncertainty that every session draws anew, as stated
     shared: Array  # (n,), standard uncertainty that sessions of one calibration share
-    group: NDArray[np.int64]  # (n,), sessions with the same number share a calibration
+    group: Index  # (n,), sessions with the same number share a calibration
     excess: float = 1.0  # factor on `own`: how far the sessions scatter beyond it
     about: int = 0  # coefficients of the level about which that was found; 0: of neighbours
 
@@ -56,7 +55,7 @@ class JointSeries:
             return np.inf
         return float(max(len(self) - self.about if self.about else EFFICIENCY * len(self), 1.0))
 
-    def chosen(self, which: NDArray[np.bool_]) -> "JointSeries":
+    def chosen(self, which: Flags) -> "JointSeries":
         """Keep the sessions that `which` (n,) marks."""
         arrays = {name: getattr(self, name)[which] for name in _BY_SESSION}
         return replace(self, session=tuple(compress(self.session, which)), **arrays)
@@ -125,7 +124,7 @@ def apply_inverse_covariance(series: JointSeries, columns: Array) -> Array:
     return result
 
 
-def _calibration_blocks(series: JointSeries) -> Iterator[tuple[NDArray[np.bool_], float]]:
+def _calibration_blocks(series: JointSeries) -> Iterator[tuple[Flags, float]]:
     """Each calibration's sessions, and the variance that they share."""
     for group in np.unique(series.group):
         inside = series.group == group
@@ -228,7 +227,7 @@ class Contrast:
         return abs(self.difference) > self.limit
 
 
-def contrast(series: JointSeries, second: NDArray[np.bool_], false_alarm: float) -> Contrast:
+def contrast(series: JointSeries, second: Flags, false_alarm: float) -> Contrast:
     """Compare the sessions that are `second` (n,) with the others; neither set is empty.
 
     `false_alarm` is the chance that a difference is shown where there is none.

@@ -13,18 +13,15 @@ Model: of each branch of the inverse and each of N_TURNS turns of the hand about
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from robots.coupling import LENGTH_SCALE
 from robots.inverse import near, near_within
 from robots.trajectory import JointLimits, limit_violation, rest_motion
 from robots.transforms import invert
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.grasping.planning.approach import hand_poses, nearest_turn
 from verify.grasping.planning.workspace import LINKS, RESOLUTION, Workspace
-
-IntArray = NDArray[np.int64]
 
 N_TURNS = 24  # of the hand about the approach, 15° apart; the first is the one it has now
 MIN_SINGULAR_VALUE = 0.02  # least singular value of J, lengths over 143 mm: below, joints race
@@ -79,7 +76,7 @@ class _PostureTable:
     room: Array  # m, likewise, of those links alone in which the branches differ
 
     @property
-    def stage(self) -> IntArray:
+    def stage(self) -> Index:
         """How far each came: 0 no answer, 1 beyond limits, 2 singular, 3 not clear, 4 good."""
         passed = (
             np.isfinite(self.beyond),

@@ -20,13 +20,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from robots import DhArm
 from robots.transforms import carry, difference
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Image, Measurement, Sighting, Spots, StereoPair
+from verify.core.records import Array, Image, Index, Measurement, Sighting, Spots, StereoPair
 from verify.core.rig import Camera, Rig
 from verify.core.statistics import chi2_ppf
 from verify.grasping.cell import Cell
@@ -184,9 +183,7 @@ def measure_resting_flange(
     return Measurement(pair.frame, pair.t_left, status, n_leds, pose, left, right, found.choice)
 
 
-def _sighting(
-    spots: Spots, led: NDArray[np.int64], spot: NDArray[np.int64], t: float, pan: float
-) -> Sighting:
+def _sighting(spots: Spots, led: Index, spot: Index, t: float, pan: float) -> Sighting:
     """Make a sighting of LEDs at rest: all rows of the picture count as one instant."""
     return Sighting(
         led=led,

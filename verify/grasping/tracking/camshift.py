@@ -20,10 +20,9 @@ from typing import Any
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.records import Array, Image
-from verify.grasping.tracking.colour import MIN_WEIGHT, ColourModel, to_hsv
+from verify.grasping.tracking.colour import MIN_WEIGHT, ColourModel, Mask, to_hsv
 
 STOP_CRITERIA = (cv2.TERM_CRITERIA_EPS | cv2.TERM_CRITERIA_COUNT, 12, 1.0)  # iterations, px
 MIN_PIXELS = 12  # pixels; less is noise
@@ -102,7 +101,7 @@ def camshift(
     return _measure_blob(hsv, weights, (own, mask), (x, y), at_edge, model)
 
 
-def target_mask(weights: Image, window: Box) -> NDArray[np.uint8] | None:
+def target_mask(weights: Image, window: Box) -> Mask | None:
     """Choose the pixels that belong to what CamShift's window holds; (h, w), 255 or 0.
 
     The connected piece that fills the window's middle, its holes, and smaller pieces that lie in
@@ -139,12 +138,12 @@ def _outlines(likely: Any) -> tuple[Sequence[Any], list[Any]]:
     return pieces, [piece for piece in pieces if _count_pixels(piece) >= MIN_PIXELS]
 
 
-def _fill(mask: NDArray[np.uint8], pieces: list[Any]) -> NDArray[np.uint8]:
+def _fill(mask: Mask, pieces: list[Any]) -> Mask:
     """Set a mask's pixels inside outlines (n, 1, 2), px, to 255."""
     return np.asarray(cv2.drawContours(mask, pieces, -1, 255, cv2.FILLED), dtype=np.uint8)
 
 
-def _held_pixels(mask: NDArray[np.uint8], window: Box) -> tuple[int, int]:
+def _held_pixels(mask: Mask, window: Box) -> tuple[int, int]:
     """Count a mask's pixels in a window's middle, and in all of it."""
     x, y, width, height = window
     part = mask[y : y + height, x : x + width]
@@ -157,9 +156,7 @@ def _count_pixels(outline: Any) -> float:
     return cv2.contourArea(outline) + len(outline) / 2 + 1
 
 
-def _limit_to_extent(
-    weights: Image, mask: NDArray[np.uint8], window: Box, expected: Array
-) -> NDArray[np.uint8]:
+def _limit_to_extent(weights: Image, mask: Mask, window: Box, expected: Array) -> Mask:
     """Keep of a patch what a window of the expected size holds, by mean shift from the middle."""
     width, height = (math.ceil(MAX_EXTENT_RATIO * side) for side in expected.tolist())
     wx, wy, ww, wh = window
@@ -172,7 +169,7 @@ def _limit_to_extent(
     return kept if kept.any() else mask
 
 
-def clip_box(box: Box, image: NDArray[np.uint8]) -> Box:
+def clip_box(box: Box, image: Mask) -> Box:
     """Cut a box to the picture; width or height 0 where nothing is left."""
     x, y, width, height = box
     left, top = max(x, 0), max(y, 0)
@@ -190,7 +187,7 @@ def box_around(centre: Array, reach: Array) -> Box:
 def _measure_blob(
     hsv: Image,
     weights: Image,
-    masks: tuple[NDArray[np.uint8], NDArray[np.uint8]],
+    masks: tuple[Mask, Mask],
     corner: tuple[int, int],
     at_edge: tuple[bool, bool, bool, bool],
     model: ColourModel,
@@ -227,7 +224,7 @@ def _measure_blob(
     )
 
 
-def _touched_sides(box: Sequence[int], mask: NDArray[np.uint8]) -> tuple[bool, bool, bool, bool]:
+def _touched_sides(box: Sequence[int], mask: Mask) -> tuple[bool, bool, bool, bool]:
     """Which sides of a mask a box in it touches: left, top, right, bottom."""
     x, y, width, height = box
     return x == 0, y == 0, x + width == mask.shape[1], y + height == mask.shape[0]

@@ -11,7 +11,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from verify.core.records import Array, Image
+from verify.core.records import Array, Flags, Image
 from verify.errors import InputError
 
 N_HUES, N_SATURATIONS = 180, 256  # of OpenCV's 8-bit HSV: hue in steps of 2°
@@ -111,7 +111,7 @@ MIN_KEPT_SHARE = 0.85  # of the target, at least, by a gate of the value
 MIN_GATE_GAIN = 0.1  # of the target's pixels: what a tight gate must keep out beyond what it costs
 WIDE_GATE_RATIO = 0.5  # where the gate is loose, of the target's darkest pixels
 MAX_VALUE = 1020.0  # DN, in the light of then: no gate, for reflections and for a light turned up
-BoolMask = NDArray[np.bool_]  # (h, w)
+BoolMask = Flags  # (h, w)
 
 
 def learn_colour(hsv: Image, inside: Mask, outside: Mask) -> ColourModel:

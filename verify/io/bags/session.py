@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 import robots
-from verify.core.records import SIDES, Array
+from verify.core.records import SIDES, Array, Index
 from verify.errors import InputError
 from verify.io.bags import pictures
 from verify.io.bags.bag import SECOND, Bag, BagMessage, ChosenTopics
@@ -49,7 +49,7 @@ class BagOutline:
     """What the first pass finds."""
 
     picture_times: tuple[Stamps, Stamps]  # (n,), of all pictures, left and right
-    pairs: NDArray[np.intp]  # (k, 2), numbers of the pictures that make the pairs
+    pairs: Index  # (k, 2), numbers of the pictures that make the pairs
     names: tuple[str, ...]  # of the joints, in the arm's order
     depth: int  # bits a sample of pictures deeper than 8 bits; 8: none is
     start: int  # ns, the session's t = 0
@@ -194,7 +194,7 @@ def _require_stamps(place: str, stamps: list[int], kind: str) -> None:
         raise InputError(place, found, expected, remedy if kind == HEADER else "Record it again.")
 
 
-def pair_stamps(left: Stamps, right: Stamps) -> NDArray[np.intp]:
+def pair_stamps(left: Stamps, right: Stamps) -> Index:
     """Pair the pictures of two cameras, (k, 2): each the other's nearest, in order.
 
     No further apart than half the shorter of the two median periods. Pictures that are not later
@@ -213,7 +213,7 @@ def pair_stamps(left: Stamps, right: Stamps) -> NDArray[np.intp]:
     return np.column_stack([kept[0][found], kept[1][nearest_right[found]]])
 
 
-def _nearest(times: Stamps, others: Stamps) -> NDArray[np.intp]:
+def _nearest(times: Stamps, others: Stamps) -> Index:
     after = np.clip(np.searchsorted(others, times), 1, len(others) - 1)
     before = times - others[after - 1] <= others[after] - times
     return np.asarray(after - before, dtype=np.intp)

@@ -6,13 +6,12 @@ from functools import reduce
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.calibration.corners.find import find_charuco, is_degenerate, to_grey
 from verify.calibration.corners.grid import orient_grid
 from verify.calibration.corners.search import to_8_bits, undo_scale
 from verify.core.fiducials import Board, BoardView
-from verify.core.records import Array, Image
+from verify.core.records import Array, Image, Index
 
 MAX_SIDE_PX = 640  # px of the longer side: larger pictures are looked at in a smaller scale
 U_CORNER_PX = 0.5  # px, standard uncertainty of a corner in each direction, in pictures of 1280 px
@@ -38,9 +37,7 @@ def find_board_coarsely(image: Image, board: Board) -> BoardView | None:
     return BoardView(corner, found, covariance)
 
 
-def _checkerboard_corners(
-    small: Image, scale: float, board: Board
-) -> tuple[NDArray[np.int64], Array]:
+def _checkerboard_corners(small: Image, scale: float, board: Board) -> tuple[Index, Array]:
     found, corners = cv2.findChessboardCornersSB(small, (board.columns, board.rows))
     if found:
         grid = np.asarray(corners, dtype=float).reshape(board.rows, board.columns, 2)

@@ -23,10 +23,9 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Spots, StereoPair
+from verify.core.records import Array, Flags, Index, Spots, StereoPair
 from verify.core.rig import Rig
 from verify.measurement.correspondence.hypotheses import (
     Hypotheses,
@@ -38,7 +37,6 @@ from verify.measurement.correspondence.hypotheses import (
     seed_hypotheses,
 )
 from verify.measurement.correspondence.kernels import entries as kernel
-from verify.measurement.correspondence.kernels.entries import Index
 from verify.measurement.correspondence.refinement import (
     chi2_bounds,
     conflicts,
@@ -120,10 +118,10 @@ class PosePrediction:
 class Correspondence:
     """Which spot is which LED, and how that was settled."""
 
-    left_led: NDArray[np.int64]  # (m,), index into marker.leds
-    left_spot: NDArray[np.int64]  # (m,), index into the left spots
-    right_led: NDArray[np.int64]  # (k,)
-    right_spot: NDArray[np.int64]  # (k,)
+    left_led: Index  # (m,), index into marker.leds
+    left_spot: Index  # (m,), index into the left spots
+    right_led: Index  # (k,)
+    right_spot: Index  # (k,)
     rig_T_flange: Array | None  # (4, 4), coarse; a turn the LEDs leave open is the reference's
     choice: str  # geometry, colour, continuity, encoders; "" where nothing was identified
     status: str  # measured, too_few_leds, ambiguous_leds
@@ -261,7 +259,7 @@ def _find(
 
 def _rank(
     views: SpotViews, found: Hypotheses, prediction: PosePrediction | None
-) -> tuple[int, bool, NDArray[np.bool_]]:
+) -> tuple[int, bool, Flags]:
     """Find the best hypothesis, whether it has no rival, and which rivals are also near (h,)."""
     if len(found) == 1:
         return 0, True, np.zeros(1, dtype=np.bool_)

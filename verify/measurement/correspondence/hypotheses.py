@@ -10,11 +10,10 @@ exposures that are not simultaneous. The marker moves as a whole, so its shape s
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array, rigid_transform, take_rows
+from verify.core.records import Array, Flags, Index, rigid_transform, take_rows
 from verify.measurement.correspondence.kernels import entries as kernels
-from verify.measurement.correspondence.kernels.entries import MAX_DEVIATION, Index
+from verify.measurement.correspondence.kernels.entries import MAX_DEVIATION
 from verify.measurement.correspondence.views import SpotViews
 
 MAX_POINTS = 120  # best rays first; keeps a scene full of lamps on one line within bounds
@@ -90,7 +89,7 @@ class Hypotheses:
         turn = state[: kernels.POSITION].reshape(3, 3)
         return rigid_transform(turn, state[kernels.POSITION : kernels.SHIFT])
 
-    def take(self, chosen: NDArray[np.bool_] | Index | slice) -> "Hypotheses":
+    def take(self, chosen: Flags | Index | slice) -> "Hypotheses":
         """Keep some, by index, mask or slice."""
         return take_rows(self, chosen)
 

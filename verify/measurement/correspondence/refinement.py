@@ -6,9 +6,8 @@ Those beyond their chi² bound are dropped.
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array
+from verify.core.records import Array, Flags
 from verify.core.statistics import chi2_bound
 from verify.measurement.correspondence.hypotheses import Hypotheses
 from verify.measurement.correspondence.kernels import entries as kernel
@@ -72,14 +71,14 @@ def score(views: SpotViews, hypotheses: Hypotheses) -> Array:
     return total
 
 
-def is_single_led(hypotheses: Hypotheses) -> NDArray[np.bool_]:
+def is_single_led(hypotheses: Hypotheses) -> Flags:
     """Say where one LED of several is all that both cameras see: any lamp would do as well."""
     several = hypotheses.spot.shape[2] > 1
-    alone: NDArray[np.bool_] = several & (kernel.count_all(hypotheses.spot)[2] == 1)
+    alone: Flags = several & (kernel.count_all(hypotheses.spot)[2] == 1)
     return alone
 
 
-def conflicts(hypotheses: Hypotheses, best: int) -> NDArray[np.bool_]:
+def conflicts(hypotheses: Hypotheses, best: int) -> Flags:
     """Say which hypotheses contradict one: another spot for an LED, or another LED for a spot."""
     theirs, mine = hypotheses.spot[:, :, :, None], hypotheses.spot[best][:, None]
     same_led = np.eye(mine.shape[-1], dtype=np.bool_)

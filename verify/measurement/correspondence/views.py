@@ -8,10 +8,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Spots
+from verify.core.records import Array, Flags, Index, Spots
 from verify.core.rig import Camera, Rig
 from verify.measurement.correspondence.kernels import entries as kernel
 from verify.measurement.correspondence.kernels.entries import Limits, Scene
@@ -33,8 +32,8 @@ class SpotViews:
 
     pixels: Array  # (2, s, 2), ideal px; NaN where padded
     covariance: Array  # (2, s, 2, 2), px², with the model's and the skew's share
-    merged: NDArray[np.bool_]  # (2, s)
-    allowed: NDArray[np.bool_]  # (2, n, s), this spot may be that LED, as far as colour tells
+    merged: Flags  # (2, s)
+    allowed: Flags  # (2, n, s), this spot may be that LED, as far as colour tells
     camera_R_rig: Array  # (2, 3, 3)
     center: Array  # (2, 3), m, optical centres in the rig
     focal: Array  # (2, 2), px
@@ -93,7 +92,7 @@ def spot_arrays(spots: Spots) -> kernel.ImageSpots:
 
 
 @lru_cache(maxsize=8)
-def light_of(colours: tuple[str | None, ...]) -> kernel.Index:
+def light_of(colours: tuple[str | None, ...]) -> Index:
     """Give the light of each LED, (n,), as the kernel takes it."""
     return np.array([LED_COLOURS.get(colour or "", kernel.ANY) for colour in colours])
 

@@ -1,13 +1,10 @@
 """Entries of the compiled alignment, pose fit and sensitivities."""
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.native import entry
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 
-Flags = NDArray[np.bool_]
-Index = NDArray[np.int64]
 # how many of a pair's s spots are the left picture's, which come first; their LED (s,), centre (s,
 # 2) px, covariance (s, 2, 2) px², instant (s,) s
 SpotView = tuple[int, Index, Array, Array, Array]

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from verify.core import fiducials
 from verify.core.fiducials import Board
-from verify.core.records import Array, Image
+from verify.core.records import Array, Flags, Image
 from verify.simulation.scenario import BoardImage
 from verify.simulation.world.bench import SimulatedCamera
 
@@ -174,7 +174,7 @@ def _markers(board: Board, across: Picture, down: Picture) -> Picture:
     return ink
 
 
-def _cells(board: Board) -> NDArray[np.bool_]:
+def _cells(board: Board) -> Flags:
     """Look up which cells of the squares' markers are black, (rows, columns, cells, cells).
 
     The dictionary's markers fill the white squares row by row, as OpenCV has it.

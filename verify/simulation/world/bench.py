@@ -9,9 +9,8 @@ from dataclasses import dataclass
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array
+from verify.core.records import Array, Flags
 from verify.errors import InputError
 from verify.planning.proposal import look_at, spread_directions
 from verify.simulation.scenario import (
@@ -213,7 +212,7 @@ def _all_inside(bench: Bench, pan: Array, points: Array) -> bool:
     return True
 
 
-def inside(pixels: Array, image_size: tuple[int, int], border_px: float) -> NDArray[np.bool_]:
+def inside(pixels: Array, image_size: tuple[int, int], border_px: float) -> Flags:
     """Which of (..., 2) px lie in the picture, clear of its edge; NaN, out of sight, do not."""
     limit = np.array(image_size) - 1 - border_px
     return np.asarray(np.all((pixels > border_px) & (pixels < limit), axis=-1))

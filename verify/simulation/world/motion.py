@@ -8,9 +8,8 @@ from enum import IntEnum
 from typing import Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
-from verify.core.records import Array
+from verify.core.records import Array, Index
 from verify.simulation.scenario import (
     ConstantSpeed,
     MultiJoint,
@@ -118,7 +117,7 @@ class StationaryPoses:
             last[i] = np.where(step == 0, last[i - 1], step)
         return last[self._station(t)]
 
-    def _station(self, t: Array) -> NDArray[np.int64]:
+    def _station(self, t: Array) -> Index:
         return np.maximum(np.searchsorted(self.depart, t, side="right") - 1, 0)
 
 

@@ -3,13 +3,10 @@
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.native import entry
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 
-Flags = NDArray[np.bool_]
-Index = NDArray[np.int64]
 # camera_R_rig (2, 3, 3), optical centres (2, 3) m, focal lengths (2, 2) px; spots (2, s, 2) px, NaN
 # where there is none, covariance (2, s, 2, 2) px², which are merged (2, s), which LEDs each may be
 # (2, n, s); LEDs (n, 3) m, flange frame

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from verify.core.native import entry
-from verify.core.records import Array, Image
+from verify.core.records import Array, Flags, Image
 
 Pixels = NDArray[np.float32]
 
@@ -21,7 +21,6 @@ MIN_WINDOW_SIDE = 3  # px, side of a window: smaller ones show no blob
 MAX_BOXES = 64  # boxes that are searched one by one; with more, as one
 
 Boxes = NDArray[np.int64]
-Flags = NDArray[np.bool_]
 # centre, covariance; peak, diameter, misfit; saturated, merged; colour
 SpotArrays = tuple[Array, Array, Array, Flags, Array]
 SpotFields = tuple[Array, Array, Array, Array, Array, Flags, Flags, Array]
