@@ -17,7 +17,7 @@ from robots.transforms import rigid_columns
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare, twist_transport
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
-from verify.core.records import POSE_NAMES, Array, Index, Measurement, Pose
+from verify.core.records import POSE_NAMES, Array, Index, Measurement, Pose, rigid_transform
 from verify.core.rig import Rig
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
@@ -150,9 +150,7 @@ def _measurements(
         rig_R_flange = session.rig.rig_T_base[:3, :3] @ base_T_flange[:, :3, :3]
     lever = rig_R_flange @ flange_T_body[:3, 3]
     for i, t in enumerate(poses.t.tolist()):
-        rig_T_flange = np.eye(4)
-        rig_T_flange[:3, :3] = rig_R_flange[i]
-        rig_T_flange[:3, 3] = poses.position[i] - lever[i]
+        rig_T_flange = rigid_transform(rig_R_flange[i], poses.position[i] - lever[i])
         gain, determined = _point_to_flange(lever[i], alone=instrument.positions_alone)
         sigma = np.concatenate([noise.position[i], noise.orientation[i]])[: gain.shape[1]]
         pose = _pose(rig_T_flange, (gain * sigma**2) @ gain.T, determined)

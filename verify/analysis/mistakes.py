@@ -19,7 +19,7 @@ from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.measured import session_clock, setup_of
 from verify.analysis.results.warnings import MAX_LOST_SHARE
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement
+from verify.core.records import Array, Measurement, rigid_transform
 from verify.errors import InputError
 from verify.io.poses import POSITION, QUATERNION
 from verify.io.session.session import Session
@@ -296,9 +296,8 @@ def misplaced_base(
 ) -> tuple[Mistake | None, Array]:
     """The base where places (n, 3), m, as measured have it; where it puts them as read (n, 3)."""
     middle, told = measured.mean(axis=0), read - read.mean(axis=0)
-    moved = np.eye(4)
-    moved[:3, :3] = Rotation.align_vectors(measured - middle, told)[0].as_matrix()
-    moved[:3, 3] = middle - moved[:3, :3] @ read.mean(axis=0)
+    turn = Rotation.align_vectors(measured - middle, told)[0].as_matrix()
+    moved = rigid_transform(turn, middle - turn @ read.mean(axis=0))
     return _misplaced(session, written, moved, of_base=True), carry(moved, read)
 
 

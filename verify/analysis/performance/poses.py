@@ -22,7 +22,7 @@ from verify.analysis.performance.indices import (
     spread_interval,
     square_root,
 )
-from verify.core.records import Array
+from verify.core.records import Array, rigid_transform
 
 MIN_VISITS = 5  # visits: fewer tell no scatter in three directions
 MIN_VISITS_PER_DIRECTION = 3  # visits from one direction
@@ -107,9 +107,7 @@ def assess_pose(visits: PoseVisits, noise: HoldNoise, *, oriented: bool) -> Pose
 
     `noise` is that of one pair at rest; `oriented`: the orientation was measured.
     """
-    commanded = np.eye(4)
-    commanded[:3, 3] = visits.read[:, :3, 3].mean(axis=0)
-    commanded[:3, :3] = Rotation.from_matrix(visits.read[:, :3, :3]).mean().as_matrix()
+    commanded = mean_pose(visits.read)
     deviations = visits.attained[:, :3, 3] - commanded[:3, 3]
     # the readings' mean stands for the command: what the arm and they do alike is no doubt of AP
     own = visits.attained[:, :3, 3] - visits.read[:, :3, 3]
@@ -256,7 +254,5 @@ def assess_distance(one: PoseVisits, other: PoseVisits) -> DistanceIndices | Non
 def mean_pose(poses: Sequence[Array] | Array) -> Array:
     """The mean (4, 4) of poses (k, 4, 4) that lie near each other."""
     stack = np.asarray(poses)
-    mean = np.eye(4)
-    mean[:3, 3] = stack[:, :3, 3].mean(axis=0)
-    mean[:3, :3] = Rotation.from_matrix(stack[:, :3, :3]).mean().as_matrix()
-    return mean
+    turn = Rotation.from_matrix(stack[:, :3, :3]).mean().as_matrix()
+    return rigid_transform(turn, stack[:, :3, 3].mean(axis=0))

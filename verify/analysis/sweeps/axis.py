@@ -20,10 +20,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from robots.transforms import difference, rotation_exp, rotation_log
+from robots.transforms import difference, displace, rotation_exp, rotation_log
 from verify.analysis.joint_errors import MIN_PAIRS_PER_DIRECTION
 from verify.analysis.least_squares import RegressionFit, autocorrelation, gauss_newton, solve
-from verify.core.records import Array, Flags
+from verify.core.records import Array, Flags, rigid_transform
 from verify.core.statistics import chi2_sf
 
 N_FREE = 10  # parameters of the axis and of the start pose
@@ -213,10 +213,10 @@ def _start(swept: SweepData, terms: Array) -> AxisState:
     shift = poses[:, :3, 3] - poses[first, :3, 3]
     arm = np.linalg.lstsq(left, shift.reshape(-1), rcond=1e-6)[0]
     point = poses[first, :3, 3] + arm - direction * (direction @ arm)
-    start = poses[first].copy()
     home = rotation_exp(direction * (middle - q[first]))
-    start[:3, :3] = home @ start[:3, :3]
-    start[:3, 3] = point + home @ (start[:3, 3] - point)
+    start = rigid_transform(
+        home @ poses[first, :3, :3], point + home @ (poses[first, :3, 3] - point)
+    )
     return AxisState(direction, point, start, np.zeros(terms.shape[1]))
 
 
@@ -224,10 +224,9 @@ def _predict_poses(swept: SweepData, terms: Array, state: AxisState) -> tuple[Ar
     """Poses (n, 4, 4), how each moves with a turn about the axis (n, 6), and with it (n, 6, 10)."""
     middle = (swept.q.min() + swept.q.max()) / 2
     turn = rotation_exp((swept.q - middle - terms @ state.value)[:, None] * state.direction)
-    fitted = np.tile(np.eye(4), (len(turn), 1, 1))
-    fitted[:, :3, :3] = turn @ state.start[:3, :3]
-    fitted[:, :3, 3] = state.point + turn @ (state.start[:3, 3] - state.point)
-    arm = fitted[:, :3, 3] - state.point
+    places = state.point + turn @ (state.start[:3, 3] - state.point)
+    fitted = rigid_transform(turn @ state.start[:3, :3], places)
+    arm = places - state.point
     direction = np.tile(state.direction, (len(turn), 1))
     motion = np.concatenate([np.cross(state.direction, arm), direction], axis=1)
     design = np.zeros((len(turn), 6, N_FREE))
@@ -245,13 +244,10 @@ def _predict_poses(swept: SweepData, terms: Array, state: AxisState) -> tuple[Ar
 def _apply_step(state: AxisState, step: Array) -> AxisState:
     across = perpendiculars(state.direction)
     direction = state.direction + step[:2] @ across
-    start = state.start.copy()
-    start[:3, 3] += step[4:7]
-    start[:3, :3] = rotation_exp(step[7:10]) @ start[:3, :3]
     return AxisState(
         direction / np.linalg.norm(direction),
         state.point + step[2:4] @ across,
-        start,
+        displace(state.start, step[4:10]),
         state.value + step[N_FREE:],
     )
 

@@ -11,10 +11,10 @@ from functools import cached_property
 
 import numpy as np
 
-from robots.transforms import invert, rotation_exp
+from robots.transforms import displace, invert, rotation_exp
 from verify.analysis.model import SessionComparison
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Measurement, Pose, Sighting
+from verify.core.records import POSE_NAMES, Array, Measurement, Pose, Sighting
 from verify.core.rig import Camera, Rig, distort
 from verify.measurement.pose import motion_columns
 from verify.measurement.sensitivities import AXES, LENS
@@ -168,8 +168,7 @@ def refit_pose(start: Array, points: Array, seen: Array, views: ViewDraws, gain:
             _project(poses, points[:, left:], views.right),
         ]
         step = (seen - np.concatenate(shown, axis=1)).reshape(len(poses), -1) @ gain.T
-        poses[:, :3, 3] += step[:, :3]
-        poses[:, :3, :3] = rotation_exp(step[:, 3:]) @ poses[:, :3, :3]
+        poses = displace(poses, step)
         if np.abs(step).max() < TOL_STEP:
             break
     return poses
@@ -267,14 +266,9 @@ class WorldDraws:
         lower = np.linalg.cholesky(track.covariance_pixels[row])
         twist = self.rng.standard_normal((self.draws, 6)) @ lower.T  # base axes
         rig_R_base = self.session.rig.rig_T_base[:3, :3]
-        poses = np.tile(rig_T_flange, (self.draws, 1, 1))
-        body = np.tile(np.eye(4), (self.draws, 1, 1))
-        body[:, :3, :3] = rotation_exp(self._three("body.r", "deg"))
-        body[:, :3, 3] = self._three("body.", "mm")
-        poses = poses @ invert(body)
-        poses[:, :3, :3] = rotation_exp(twist[:, 3:] @ rig_R_base.T) @ poses[:, :3, :3]
-        poses[:, :3, 3] += twist[:, :3] @ rig_R_base.T
-        return poses, twist
+        body = displace(np.tile(np.eye(4), (self.draws, 1, 1)), self._departure("body"))
+        moved = np.concatenate([twist[:, :3] @ rig_R_base.T, twist[:, 3:] @ rig_R_base.T], axis=1)
+        return displace(rig_T_flange @ invert(body), moved), twist
 
     @cached_property
     def _leds(self) -> Array:
@@ -285,18 +279,13 @@ class WorldDraws:
     def _base_T_rig(self) -> Array:
         """The rig in the robot's base in every draw, (d, 4, 4)."""
         base = np.tile(self.session.rig.rig_T_base, (self.draws, 1, 1))
-        base[:, :3, :3] = rotation_exp(self._three("robot_base.r", "deg")) @ base[:, :3, :3]
-        base[:, :3, 3] += self._three("robot_base.", "mm")
-        return invert(base)
+        return invert(displace(base, self._departure("robot_base")))
 
-    def _three(self, stem: str, suffix: str) -> Array:
+    def _departure(self, group: str) -> Array:
         zero = np.zeros(self.draws)
-        return np.stack([self.values.get(f"{stem}{a}_{suffix}", zero) for a in AXES], axis=1)
+        return np.stack([self.values.get(f"{group}.{n}", zero) for n in POSE_NAMES], axis=1)
 
     def aligned(self, poses: Array, error: Array) -> tuple[Array, Array]:
         """Move poses against what alignment may have left, (6,) of xi; and that, (d, 6)."""
         left = np.outer(self.misaligned, error)
-        moved = poses.copy()
-        moved[:, :3, 3] -= left[:, :3]
-        moved[:, :3, :3] = rotation_exp(-left[:, 3:]) @ moved[:, :3, :3]
-        return moved, left
+        return displace(poses, -left), left

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from verify.core.records import Array, Flags
+from verify.core.records import Array, Flags, rigid_transform
 from verify.errors import InputError
 from verify.planning.proposal import look_at, spread_directions
 from verify.simulation.scenario import (
@@ -23,10 +23,7 @@ from verify.simulation.scenario import (
 
 def rigid(rotation_vector: Array, position: Array) -> Array:
     """Compose a (4, 4) pose from a rotation vector, rad, and a position, m."""
-    a_T_b = np.eye(4)
-    a_T_b[:3, :3] = cv2.Rodrigues(np.asarray(rotation_vector, dtype=float))[0]
-    a_T_b[:3, 3] = position
-    return a_T_b
+    return rigid_transform(cv2.Rodrigues(np.asarray(rotation_vector, dtype=float))[0], position)
 
 
 def rigid_from_table(rotation_deg: tuple[float, ...], position_mm: tuple[float, ...]) -> Array:
