@@ -80,13 +80,6 @@ def _mute_libraries() -> int:
     return kept
 
 
-def _show(kept: int) -> None:
-    """Show the last lines of what libraries and child processes have printed."""
-    os.lseek(kept, 0, os.SEEK_SET)
-    lines = os.read(kept, MAX_KEPT).rstrip(b"\0").decode(errors="replace").splitlines()
-    sys.stderr.write("".join(f"{line}\n" for line in lines[-MAX_LINES:]))
-
-
 def main() -> None:
     """Load the command line and run it."""
     muted = "--verbose" not in sys.argv
@@ -101,8 +94,10 @@ def main() -> None:
     try:
         run()
     except SystemExit as end:
-        if kept is not None and end.code == DEFECT:
-            _show(kept)
+        if kept is not None and end.code == DEFECT:  # show what was printed last
+            os.lseek(kept, 0, os.SEEK_SET)
+            lines = os.read(kept, MAX_KEPT).rstrip(b"\0").decode(errors="replace").splitlines()
+            sys.stderr.write("".join(f"{line}\n" for line in lines[-MAX_LINES:]))
         raise
     except KeyboardInterrupt:  # one more, while the first was answered
         sys.exit(INTERRUPTED)

@@ -142,7 +142,12 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         },
         "sweeps": sweep_entries(judged.sweeps, judged.frame),
         "decision": _decision(judged),
-        "software": _software(),
+        "software": {  # versions of what the figures depend on beside this program
+            "python": platform.python_version(),
+            "numpy": np.__version__,
+            "scipy": scipy.__version__,
+            "opencv": cv2.__version__,
+        },
         "inputs": dict(sorted(session.inputs.items())),
         "warnings": judged.warnings,
         "combinations": [_combination(c) for c in judged.combinations],
@@ -238,16 +243,6 @@ def _tolerance_source(judged: SessionAnalysis) -> str | None:
     given = (None, None, None) if own is None else (own.joints, own.position, own.orientation)
     alike = (np.array_equal(np.array(a), np.array(b)) for a, b in zip(parts, given, strict=True))
     return "session.toml" if all(alike) else "command line"
-
-
-def _software() -> dict[str, str]:
-    """Versions of what the figures depend on beside this program."""
-    return {
-        "python": platform.python_version(),
-        "numpy": np.__version__,
-        "scipy": scipy.__version__,
-        "opencv": cv2.__version__,
-    }
 
 
 def _clock(clock: ClockEstimate) -> dict[str, Any]:
