@@ -16,6 +16,7 @@ from verify.core.fiducials import Board, BoardPair, BoardView, Marker, unnamed_m
 from verify.core.records import Array, Measurement, Pose, Sighting, rigid_transform
 from verify.core.rig import Rig
 from verify.measurement.pose import SightingStack, perturb, predict, stack_sightings
+from verify.measurement.systematics import Systematics, spot_columns
 from verify.measurement.triangulation import fit_rigid, triangulate
 
 MIN_CORNERS = 6  # in one view: a plane's pose has six unknowns, and something must be left over
@@ -32,26 +33,70 @@ def board_marker(board: Board) -> Marker:
 
 
 def board_poses(
-    rig: Rig, pairs: Sequence[BoardPair], board: Board, *, reject: bool = True
+    rig: Rig, pairs: Sequence[BoardPair], board: Board, parameters: Systematics | None = None
 ) -> list[Measurement]:
     """Measure the board's pose in each pair; `rig_T_flange` is rig_T_board here.
 
-    Returns one measurement a usable pair, by maximum likelihood on the corners of both images;
-    `reject` leaves out single corners that the others contradict. The robot's place is not used.
+    Returns one measurement a usable pair, by maximum likelihood on the corners of both images. With
+    `parameters` single corners are left out that the others contradict, whatever those are off by
+    within their uncertainty. The robot's place is not used.
     """
-    points = board.points
     return [
-        _measure_pair(rig, pair, points, reject)
+        _measure_pair(rig, pair, board, parameters)
         for pair in pairs
         if max(len(pair.left or ()), len(pair.right or ())) >= MIN_CORNERS
     ]
 
 
-def _measure_pair(rig: Rig, pair: BoardPair, points: Array, reject: bool) -> Measurement:
+def _measure_pair(
+    rig: Rig, pair: BoardPair, board: Board, parameters: Systematics | None
+) -> Measurement:
     left, right = _sighting(pair.left, pair.pan_left), _sighting(pair.right, pair.pan_right)
-    pose = _fit(stack_sightings(left, right, rig, points), _start(rig, left, right, points), reject)
     seen = len(np.union1d(left.led, right.led))
-    return Measurement(pair.frame, 0.0, "measured", seen, pose, left, right)
+    views = stack_sightings(left, right, rig, board.points)
+    total = views.covariance + MODEL_ERROR_PX**2 * np.eye(2)
+    keep = np.ones(len(views.centre), dtype=bool)
+    start = _start(rig, left, right, board.points)
+    while True:
+        pose = _fit_pose(views, keep, start)
+        measured = Measurement(pair.frame, 0.0, "measured", seen, pose, left, right)
+        if parameters is None or (~keep).sum() >= MAX_REJECTED_SHARE * len(keep):
+            return measured
+        left_over, _ = residual_beside(measured, parameters, rig, board_marker(board))
+        # chi² of each corner in its noise and what a good one may miss, (s,)
+        solved = np.linalg.solve(total, left_over[:, :, None])[:, :, 0]
+        size = np.where(keep, np.sum(left_over * solved, axis=1), 0.0)
+        if size.max() < MAX_CORNER_CHI2:
+            return measured
+        keep[int(np.argmax(size))] = False
+        start = pose.rig_T_flange
+
+
+def residual_beside(
+    measured: Measurement, parameters: Systematics, rig: Rig, marker: Marker
+) -> tuple[Array, float]:
+    """Residuals (s, 2), px, and chi² of a board's pose, with rig and pan errors fitted beside it.
+
+    With their columns S of unit variance, the corners' weights W and noise N, derivatives J by the
+    pose and its gain K = C J' W, of the residuals r remain
+
+        left   r - (S - J K S) a     a = (1 + S' (W - K' C^-1 K) S)^-1 S' W r
+        chi²   r' W r - r' W S a
+
+    Residuals of corners that were left out are not carried over.
+    """
+    pose, left, right = measured.pose, measured.left, measured.right
+    if pose is None or left is None or right is None:
+        raise ValueError("the pair was not measured")
+    moved = spot_columns(parameters, rig, marker, left, right, pose.rig_T_flange, pose.sensitivity)
+    noise = np.concatenate([left.covariance, right.covariance])
+    weight = np.linalg.inv(noise) * (~pose.rejected)[:, None, None]
+    weighted = (weight @ moved.reshape(len(weight), 2, -1)).reshape(moved.shape)
+    by_pose = noise @ pose.gain.T.reshape(len(noise), 2, -1) @ np.linalg.inv(pose.covariance_pixels)
+    free = moved - by_pose.reshape(len(moved), -1) @ (pose.gain @ moved)
+    pull = weighted.T @ pose.residual.reshape(-1)
+    fitted = np.linalg.solve(np.eye(len(pull)) + weighted.T @ free, pull)
+    return pose.residual - (free @ fitted).reshape(-1, 2), pose.chi2 - float(pull @ fitted)
 
 
 def _sighting(view: BoardView | None, pan: float) -> Sighting:
@@ -79,22 +124,6 @@ def _start(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Array:
     )
     camera_T_board = rigid_transform(cv2.Rodrigues(turn)[0], shift[:, 0])
     return camera.rig_T_camera(view.pan) @ camera_T_board
-
-
-def _fit(views: SightingStack, start: Array, reject: bool) -> Pose:
-    keep = np.ones(len(views.centre), dtype=bool)
-    total = views.covariance + MODEL_ERROR_PX**2 * np.eye(2)
-    while True:
-        pose = _fit_pose(views, keep, start)
-        # chi² of each corner in its noise and what a good one may miss, (s,)
-        solved = np.linalg.solve(total, pose.residual[:, :, None])[:, :, 0]
-        size = np.sum(pose.residual * solved, axis=1)
-        worst = int(np.argmax(np.where(keep, size, 0.0)))
-        settled = size[worst] < MAX_CORNER_CHI2 or not keep[worst]
-        if not reject or settled or (~keep).sum() >= MAX_REJECTED_SHARE * len(keep):
-            return pose
-        keep[worst] = False
-        start = pose.rig_T_flange
 
 
 def _fit_pose(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> Pose:

@@ -157,7 +157,7 @@ def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResu
         InputError: no pair shows the board in both images.
     """
     both = [p for p in pairs if p.left is not None and p.right is not None]
-    poses = board_poses(rig, both, board, reject=False)
+    poses = board_poses(rig, both, board)
     marker = board_marker(board)
     parameters = stated_systematics(rig, marker, _turning(poses))
     found = rig_check.consistency(poses, rig, marker, parameters)

@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from robots.transforms import cross_matrix, difference, invert
-from verify.calibration.board.pose import board_marker, board_poses
+from verify.calibration.board.pose import board_marker, board_poses, residual_beside
 from verify.calibration.registration.uncertainty import BASE_NAMES
 from verify.calibration.stereo.records import extend_covariance, rms
 from verify.core.fiducials import Board, BoardPair, Marker
-from verify.core.records import Array, Measurement, Pose
+from verify.core.records import Array, Measurement
 from verify.core.rig import Rig
 from verify.core.statistics import chi2_isf
 from verify.errors import InputError
@@ -26,7 +26,6 @@ from verify.measurement.pose import perturb
 from verify.measurement.systematics import (
     Systematics,
     sensitivities,
-    spot_columns,
     stated_systematics,
 )
 
@@ -87,13 +86,13 @@ def register_fixture(
         names = enumerate(given.parameters)
         given = given.take([i for i, n in names if n.startswith(("left.", "right."))])
     rig = replace(rig, rig_T_base=np.eye(4), covariance=given)
-    seen = board_poses(rig, pairs, board)
-    if not seen:
-        expected = "at least one picture that shows six of its corners is needed"
-        raise InputError("board on the base", "is in no picture", expected, "Turn the cameras.")
     turning = len({(p.pan_left, p.pan_right) for p in pairs}) > 1
     marker = board_marker(board)
     parameters = stated_systematics(rig, marker, turning)
+    seen = board_poses(rig, pairs, board, parameters)
+    if not seen:
+        expected = "at least one picture that shows six of its corners is needed"
+        raise InputError("board on the base", "is in no picture", expected, "Turn the cameras.")
     noise = _noise(seen, parameters, rig, marker)
     effects = [sensitivities(parameters, m, rig, marker) for m in seen]
     used, common, warnings = _consistent_pairs(seen, effects, parameters, noise)
@@ -151,32 +150,10 @@ def _noise(seen: list[Measurement], parameters: Systematics, rig: Rig, marker: M
     the result already. Where few corners tell, the factor may come out small by chance, and is
     then taken as 1 at least.
     """
-    chi2_sum = sum(_chi2_with_rig(m, m.pose, parameters, rig, marker) for m in seen if m.pose)
+    chi2_sum = sum(residual_beside(m, parameters, rig, marker)[1] for m in seen if m.pose)
     degrees = sum(m.pose.degrees_of_freedom for m in seen if m.pose)
     factor = float(np.sqrt(chi2_sum / degrees))
     return max(factor, MIN_NOISE_FACTOR if degrees >= MIN_DEGREES else 1.0)
-
-
-def _chi2_with_rig(
-    seen: Measurement, pose: Pose, parameters: Systematics, rig: Rig, marker: Marker
-) -> float:
-    """chi² of a pose's residuals r with the rig's errors fitted beside it, each within its doubt.
-
-    With columns S of unit variance, weights W, and the pose's gain K = C J' W, M = W - K' C^-1 K
-    is what the pose leaves of the weights, and r' W r - r' W S (1 + S' M S)^-1 S' W r the chi².
-    """
-    left, right = seen.left, seen.right
-    if left is None or right is None:
-        return pose.chi2
-    moved = spot_columns(parameters, rig, marker, left, right, pose.rig_T_flange, pose.sensitivity)
-    stated_noise = np.concatenate([left.covariance, right.covariance])
-    weight = np.linalg.inv(stated_noise) * (~pose.rejected)[:, None, None]
-    by_spot = moved.reshape(len(weight), 2, -1)
-    weighted = np.einsum("sij,sjp->sip", weight, by_spot).reshape(len(moved), -1)
-    taken = pose.gain @ moved
-    free = moved.T @ weighted - taken.T @ np.linalg.solve(pose.covariance_pixels, taken)
-    along = weighted.T @ pose.residual.reshape(-1)
-    return pose.chi2 - float(along @ np.linalg.solve(np.eye(len(free)) + free, along))
 
 
 def _consistent_pairs(
@@ -274,7 +251,7 @@ def _decisions(
     rejected = sum(int(m.pose.rejected.sum()) for m in seen if m.pose)
     words = [f"The board's place rests on {corners} corners in {len(used)} of {len(seen)} pairs."]
     if rejected:
-        words.append(f"{rejected} corners that the others contradict were left out.")
+        words.append(f"Left out are corners that the others contradict: {rejected}.")
     if noise > 1.05:  # a twentieth is what any finite number of corners scatters by
         words.append(
             f"Corners scatter {noise:.2f} times as much as they state; so much was allowed for."

@@ -72,6 +72,27 @@ def test_a_pair_in_which_the_board_had_moved_is_named_and_left_out() -> None:
     assert "It hides nothing." in render_html(results)
 
 
+def test_what_pan_readings_are_off_by_leaves_no_corner_out() -> None:
+    u, rng = np.deg2rad(0.02), np.random.default_rng(4)
+    sides = (replace(c, pan_standard_uncertainty=u) for c in (RIG.left, RIG.right))
+    rig = Rig(RIG.image_size, *sides, RIG.rig_T_base, "")
+    errors = [(u, -u), (-1.5 * u, u), (0.5 * u, 2 * u)]
+    pairs = [
+        pair(rig, placed(), rng, frame=i, turn=0.05 * (i + 1), error=error)
+        for i, error in enumerate(errors)
+    ]
+    decisions = register_fixture(rig, pairs, BOARD, BASE_T_BOARD, FIXED).decisions
+    assert f"rests on {2 * len(errors) * len(BOARD)} corners" in decisions[0]
+    assert not any("left out" in text for text in decisions)
+    right = pairs[1].right
+    assert right is not None
+    centre = right.centre.copy()
+    centre[17] += [0.0, 0.6]
+    pairs[1] = replace(pairs[1], right=replace(right, centre=centre))
+    decisions = register_fixture(rig, pairs, BOARD, BASE_T_BOARD, FIXED).decisions
+    assert "Left out are corners that the others contradict: 1." in decisions
+
+
 def test_pairs_of_which_none_is_known_to_be_right_are_refused() -> None:
     rng = np.random.default_rng(2)
     pairs = [pair(RIG, placed(), rng), pair(RIG, placed(), rng, frame=1, error=(0.002, 0.0))]
