@@ -21,6 +21,7 @@ CAUSES = {
     "clock_drift": "encoder clock drift",
     "camera_skew": "late right pictures",
     "camera_turned": "turned right camera",
+    "camera_drift": "creeping camera",
     "base_moved": "moved robot base or rig",
     "base_drift": "creeping robot base or rig",
     "led_body_slipped": "slipped LED body",
@@ -38,19 +39,23 @@ REMEDIES = {
     "geometry": "find them with verify identify, and judge by the corrected robot file",
     "clock_drift": "take both times from one clock, or keep sessions short",
     "camera_turned": "calibrate the rig again",
+    "camera_drift": "fix both cameras (a tripod head may sag, a turning base slip), calibrate the "
+    "rig and record again",
     "base_moved": "register the robot base again",
     "base_drift": "fix what base and cameras stand on (a tripod may sink or tilt), register the "
     "robot base and record again",
     "led_body_slipped": "fix the LED body, and measure or register it again",
 }
 
-# what no motion tells from an offset, a drift or a link's error at the first axis and at the last
+# what no motion tells from an offset, a drift or a link's error at the first axis and at the last;
+# from a base that creeps, a camera that tilts
 SAME_AS = {
     "base_turned": "the robot base, turned as much about this axis,",
     "base_shifted": "the robot base, shifted as much along this axis,",
     "led_body_turned": "the LED body, turned as much about this axis,",
     "led_body_shifted": "the LED body, shifted as much,",
     "led_body_tilted": "the LED body, turned as much,",
+    "camera_tilted": "the pictures contradict the rig: one camera, tilted by about twice the turn,",
 }
 
 # the motion that tells causes apart; {joints} is joint 3, or joints 3 and 4
@@ -265,6 +270,11 @@ CAUSE_TEXTS = {
         "the right camera has turned by {amount} {since}",
         ways=("", ""),
         since="since the calibration",
+    ),
+    "camera_drift": CauseText(
+        "the right camera has turned by {amount} against the left one from the first pair to the "
+        "last",
+        signed=True,
     ),
     "base_moved": CauseText(
         "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}", "mm"

@@ -63,6 +63,11 @@ class Comparison:
         elapsed: Array = (self.t - self.t[0]) * self.timed
         return elapsed
 
+    @property
+    def share(self) -> Array:
+        """What has passed of the time from the first pair to the last, (n,); zeros likewise."""
+        return self.elapsed / (self.elapsed[-1] or 1.0)
+
     def __len__(self) -> int:
         """Count the compared pairs."""
         return len(self.index)

@@ -256,10 +256,12 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
     while rounds < MAX_ROUNDS:
         model = built(inflate_covariance(without_weight(middle, across), factors))
         found = find_causes(model, resolve_errors(model), session.arm, session.rig)
-        angle = found.camera_turn
-        turned = angle != 0 or (cameras and middle is plain and found.misfit > MIN_MISFIT_TURNED)
+        turns = found.camera_turns
+        if not turns and cameras and middle is plain and found.misfit > MIN_MISFIT_TURNED:
+            turns = [("camera_turned", 0)]
+        turned = bool(turns)
         if not rounds and changes < 2 and turned == (middle is plain):
-            middle = about_turned_camera(compared, plain, angle, built) if turned else plain
+            middle = about_turned_camera(compared, plain, turns, built) if turned else plain
             factors, changes = explained(built(middle), None)[1], changes + 1
             continue
         resolved, rounds = explained(model, found)[0], rounds + 1

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import invert
-from tests.support.leds.truth import true_spots
+from tests.support.leds.truth import led_images, true_spots
 from tests.support.random_scenarios import random_scenario
 from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify.analysis.clock.estimate import ClockEstimate
@@ -34,6 +34,7 @@ from verify.simulation.scenario import (
     ScenarioUncertainty,
 )
 from verify.simulation.session.simulate import reading_error
+from verify.simulation.world.bench import rigid
 
 ARMS = ("iust_6r", "rv_3sd_melfa")
 PAIRS = 60
@@ -121,6 +122,24 @@ def measured(
     return tuple(measured_at_spots(session, systematics, rng, spots=spots))
 
 
+def camera_creeps(session: InMemory, side: int, way: str, angles: Array) -> list[Array]:
+    """Images of the LEDs, a side each, of pairs at which one camera stands turned by `angles`, rad.
+
+    About its pan axis (way `pan`), or about the x axis of its pictures (`tilt`).
+    """
+    played, seen = session.simulated, []
+    bench, name = played.world.bench, ("left", "right")[side]
+    camera, spots = bench.cameras[side], [true_spots(played, each) for each in (0, 1)]
+    instants = zip(played.t[:, side], played.true_pan[:, side], angles, strict=True)
+    for t, pan, angle in instants:
+        turn = rigid(np.array([angle * (way == "tilt"), 0.0, 0.0]), np.zeros(3))
+        turned = replace(camera, turntable_T_camera=camera.turntable_T_camera @ turn)
+        world = replace(played.world, bench=replace(bench, **{name: turned}))
+        seen.append(led_images(world, side, t, pan + angle * (way == "pan")))
+    spots[side] = np.array(seen)
+    return spots
+
+
 def _tracked(watched: Watched, found: tuple[Measurement, ...]) -> Track:
     session = watched.session
     effects = [sensitivities(watched.systematics, m, session.rig, session.marker) for m in found]
@@ -197,7 +216,13 @@ def _seen(watched: Watched, fault: Injected | None) -> tuple[tuple[Measurement, 
     """The pairs and their poses with a fault of the arm, its base, the LED body or a camera."""
     session, found = watched.session, watched.measurements
     changes = {"camera_skew": "skew", "camera_turned": "turned"}
-    if fault is not None and fault.kind in changes:
+    if fault is not None and fault.kind == "camera_drift":
+        side, _, way = (fault.parameter or "right pan").partition(" ")
+        t, rng = session.frames.t_left, np.random.default_rng(watched.noise)
+        angles = fault.size * (t - t[0]) / (t[-1] - t[0])
+        spots = camera_creeps(session, ("left", "right").index(side), way, angles)
+        found = tuple(measured_at_spots(session, watched.systematics, rng, spots=spots))
+    elif fault is not None and fault.kind in changes:
         change = {changes[fault.kind]: fault.size}
         found = measured(session, watched.systematics, watched.noise, **change)
     track = _tracked(watched, found)

@@ -90,6 +90,15 @@ def test_signs_are_stated_as_corrections() -> None:
         "the whole rig, has crept by 0.900 ± 0.090 mm (k = 2) and 0.064° from the first pair to "
         "the last: fix what base and cameras stand on"
     ) in finding("base_drift")
+    assert (
+        "the right camera has turned by −0.0600° ± 0.0050° (k = 2) against the left one from the "
+        "first pair to the last: fix both cameras"
+    ) in finding("camera_drift")
+
+
+def test_a_base_that_creeps_against_the_pictures_is_said_to_be_a_camera_that_may_tilt() -> None:
+    text = session_causes.finding(KINDS["base_drift"] | {"same_as": "camera_tilted"})
+    assert text.endswith("one camera, tilted by about twice the turn, would show the same)")
 
 
 def test_a_drift_of_the_first_joint_is_said_to_show_as_a_turn_of_the_base_does() -> None:

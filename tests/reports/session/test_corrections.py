@@ -47,6 +47,7 @@ def test_the_correction_of_an_offset_is_its_negative_with_its_uncertainty() -> N
         ("backlash", "no correction"),
         ("base_moved", "no correction"),
         ("base_drift", "no correction"),
+        ("camera_drift", "no correction"),
         ("geometry", "no correction"),
     ],
 )

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.analysis.diagnosis.faults import Fault, Name, fault_figures
-from verify.analysis.diagnosis.search import FaultProducts, FaultSet, base_drifts
+from verify.analysis.diagnosis.search import JOINT_RIVALS, FaultProducts, FaultSet
 from verify.core.records import Array
 
 MIN_ADVANTAGE = 15.0  # in chi-squared over every rival with as many coefficients
@@ -14,6 +14,7 @@ MIN_BIC_ADVANTAGE = 10.0  # over rivals with more or fewer, by Schwarz's criteri
 # What would tell two faults apart, by the first kind that either has.
 SEPARATING_MOTIONS = (
     ("geometry", "other_postures"),
+    ("camera_drift", "other_distances"),
     ("base_drift", "other_postures"),
     ("base_moved", "independent_registration"),
     ("led_body_slipped", "independent_registration"),
@@ -117,28 +118,23 @@ def build_cause(products: FaultProducts, best: FaultSet, i: int) -> Cause:
 
 
 def _contesting(products: FaultProducts, best: FaultSet, i: int) -> list[CauseCandidate]:
-    """Drifts of joints that together explain as much as one of the base, or it as much as they.
+    """What creeps or drifts and explains as much as i by all faults of its kind together.
 
     By how well they fit alone: that their coefficients are fewer makes several joints that drift at
-    once no likelier than one tripod that sinks.
+    once no likelier than one tripod that sinks, nor a camera that turns.
     """
-    drifts = {k for k, f in enumerate(products.faults) if f.kind == "drift" and products.visible[k]}
-    bases = set(base_drifts(products))
-    if i in bases:
-        rival = tuple(sorted({*best, *drifts} - bases))
-    elif i in drifts and len(drifts & {*best}) > 1:
-        rival = tuple(sorted({*best, *bases} - drifts))
-    else:
-        return []
-    if products.chi2(rival) - products.chi2(best) >= MIN_ADVANTAGE:
-        return []
-    worse = products.schwarz(rival) - products.schwarz(best)
-    figures = {k: fault_figures(products.faults[k], *products.estimate(rival, k)) for k in rival}
-    return [
-        CauseCandidate(products.faults[k], value, u, worse)
-        for k, (value, u, _) in figures.items()
-        if k not in best
-    ]
+    kind, found = products.faults[i].kind, []
+    own = {*products.of_kind(kind)}
+    several = kind == "drift" and len(own & {*best}) > 1
+    for other in ("base_drift",) if several else JOINT_RIVALS.get(kind, ()):
+        rival = tuple(sorted({*best, *products.of_kind(other)} - own))
+        if products.chi2(rival) - products.chi2(best) >= MIN_ADVANTAGE:
+            continue
+        worse = products.schwarz(rival) - products.schwarz(best)
+        for k in sorted({*rival} - {*best}):
+            value, u, _ = fault_figures(products.faults[k], *products.estimate(rival, k))
+            found.append(CauseCandidate(products.faults[k], value, u, worse))
+    return found
 
 
 def _other_waves(products: FaultProducts, best: FaultSet, i: int) -> dict[int, float]:

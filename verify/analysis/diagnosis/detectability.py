@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from verify.analysis.diagnosis.causes import required_advantage
 from verify.analysis.diagnosis.faults import UNIT_SCALES, Name
-from verify.analysis.diagnosis.search import FaultProducts
+from verify.analysis.diagnosis.search import JOINT_RIVALS, FaultProducts
 from verify.core.records import Array
 
 MAX_RIVAL_RATIO = 100.0  # the listed size: a rival that leaves less of a fault is the same as it
@@ -70,7 +70,7 @@ def _fault_directions(products: FaultProducts) -> list[_FaultVariant]:
     stated: set[Name] = set()
     for i, (fault, place) in enumerate(zip(products.faults, products.places, strict=True)):
         begun_again = fault.begin is not None and fault.name in stated
-        if not fault.unit or begun_again or fault.rest_side:
+        if not fault.unit or begun_again or fault.variant:
             continue
         stated.add(fault.name)
         if fault.freedom == len(AXES):
@@ -102,20 +102,19 @@ def _sizes(products: FaultProducts, ways: list[_FaultVariant]) -> tuple[Array, A
         closest = among[:, needed >= size].sum(axis=1)
         if closest.any():
             rival[k] = int(chance.fault[np.argmax(closest)])
-        if products.faults[ways[k].fault].kind == "base_drift":
-            size = max(size, _beside_drifts(products, ways[k]))
+        for kind in JOINT_RIVALS.get(products.faults[ways[k].fault].kind, ()):
+            size = max(size, _beside_all(products, ways[k], kind))
         if size <= min(MAX_RIVAL_RATIO * listed[k], products.largest[ways[k].first]):
             named[k] = max(size, listed[k])  # at the worst phase, listing asks for more
     return listed, named, rival
 
 
-def _beside_drifts(products: FaultProducts, way: _FaultVariant) -> float:
-    """Least size, SI, at which a drift of the base is listed beside drifts of all joints.
+def _beside_all(products: FaultProducts, way: _FaultVariant, kind: str) -> float:
+    """Least size, SI, at which a drift of base or camera is listed beside all faults of a kind.
 
     Several of them at once are its rivals as well, and fewer of them have fewer coefficients.
     """
-    told = zip(products.faults, products.visible, products.places, strict=True)
-    at = [int(place[0]) for f, visible, place in told if f.kind == "drift" and visible]
+    at = products.columns(products.of_kind(kind))
     gram, own = products.gram, way.first
     left = gram[own, own] - gram[own, at] @ np.linalg.pinv(gram[np.ix_(at, at)]) @ gram[at, own]
     if left <= TOL_ALIKE * gram[own, own]:

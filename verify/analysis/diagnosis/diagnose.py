@@ -17,7 +17,7 @@ import robots
 from verify.analysis.comparison import Comparison
 from verify.analysis.diagnosis import steps
 from verify.analysis.diagnosis.causes import Cause, build_cause, merge_ambiguous
-from verify.analysis.diagnosis.faults import Fault, Name, Wave, every_wave, waves_of
+from verify.analysis.diagnosis.faults import Fault, Name, Turn, Wave, every_wave, waves_of
 from verify.analysis.diagnosis.link_faults import fault_dictionary
 from verify.analysis.diagnosis.search import FaultProducts, FaultSet, against_drifts, search_faults
 from verify.analysis.joint_errors import ResolvedErrors, predict_errors, resolve_errors
@@ -80,11 +80,11 @@ class Diagnosis:
     products: FaultProducts
 
     @property
-    def camera_turn(self) -> float:
-        """Turn of the right camera before the session, rad; 0 where none is suspected."""
+    def camera_turns(self) -> list[Turn]:
+        """Turns of the cameras that are suspected, but those that begin in the session."""
         suspects = [c for cause in self.causes for c in (cause.candidates or (cause,))]
-        turns = (c for c in suspects if c.fault.kind == "camera_turned" and c.fault.begin is None)
-        return next((c.value for c in turns), 0.0)
+        lasting = [c.fault for c in suspects if c.fault.begin is None]
+        return [(f.kind, f.variant) for f in lasting if f.kind in ("camera_turned", "camera_drift")]
 
     def straddling(self, t: Array) -> NDArray[np.int64]:
         """Pairs of t (n,), s, that lie out beside a change: readings of before and after meet."""
@@ -170,14 +170,14 @@ def explained_by(
     Of causes that cannot be told apart all are taken: no verdict may rest on which it is.
     """
     listed = [[c.fault for c in cause.candidates] or [cause.fault] for cause in found.causes]
-    wanted = {(f.name, f.per_turn, f.rest_side, f.begin): f for faults in listed for f in faults}
+    wanted = {(f.name, f.per_turn, f.variant, f.begin): f for faults in listed for f in faults}
     missing = {key[:3] for key, f in wanted.items() if f.kind != "step"}
     lasting: dict[tuple[Name, int | None, int], Fault] = {}
     for key, f in wanted.items():
         if f.joint is not None and f.per_turn is not None:
             (lasting[key[:3]],) = waves_of(model, f.joint - 1, [f.per_turn], f.about)
     for fault in fault_dictionary(model, arm, rig) if len(lasting) < len(missing) else ():
-        name = fault.name, fault.per_turn, fault.rest_side
+        name = fault.name, fault.per_turn, fault.variant
         if name in missing:
             lasting.setdefault(name, fault)
         if len(lasting) == len(missing):  # all faults of a long session would fill its memory

@@ -40,6 +40,7 @@ from verify.measurement.pose import fit_pose
 from verify.measurement.systematics import sensitivities, spot_columns
 
 Name = tuple[str, int | None, str | None]
+Turn = tuple[str, int]  # of a camera: kind and variant
 Wave = tuple[int, float, float]  # a turn, and coefficients of cosine and sine, rad
 MAX_OFFSET = np.deg2rad(45.0)  # of an encoder's zero: more is another branch or another robot
 # beyond this, first order says nothing, and a column is what rounding leaves; m, rad, ratio
@@ -63,6 +64,7 @@ MIN_LEVER_RATIO = 0.5  # of the longest: a lever that varies less pulls like an 
 # Below this much of a wave, sine and cosine are a parabola: an offset and a gain in disguise.
 MIN_SPAN_ONE_WAVE = np.deg2rad(60.0)  # of one wave a turn, as the resolved error has it
 MIN_SPAN_WAVES = np.deg2rad(270.0)  # of several a turn, which must show that they come back
+KNOTS = 8  # of a camera that creeps unevenly
 MAX_STEPS_TURN = 6
 TOL_TURN = 1e-5  # rad: far below any turn of a camera that a session shows
 WHOLE_POSE = 6  # degrees of freedom
@@ -89,14 +91,14 @@ class Fault:
     parameter: str | None = None  # of a link: a2, d4, alpha1, beta3
     per_turn: int | None = None  # of an eccentricity
     about: tuple[Wave, ...] = ()  # of an eccentricity: its joint's waves in the angle it is laid by
-    rest_side: int = 0  # of a backlash: where its play rests before the joint first moves, ±1
+    variant: int = 0  # of its name: side where a backlash's play rests, ±1; camera that creeps
     shape: Array | None = None  # (n, p), of a joint: its error at each pair by a unit of each
     begin: float | None = None  # s, cameras' clock; None: it was there before the session
     instants: int = 1  # at which it might have begun
 
     @property
     def name(self) -> Name:
-        """What a diagnosis says of it; other waves a turn, rest sides or begins are named alike."""
+        """What a diagnosis says of it; other waves a turn, variants or begins are named alike."""
         return self.kind, self.joint, self.parameter
 
     @property
@@ -135,8 +137,8 @@ def fault_figures(
     """
     if not fault.unit:
         return float("nan"), float("nan"), {}
-    if fault.freedom == 1:
-        return float(values[0]), float(np.sqrt(covariance[0, 0])), {}
+    if fault.freedom == 1 or fault.kind == "camera_drift":  # of a creep: at the last pair
+        return float(values[-1]), float(np.sqrt(covariance[-1, -1])), {}
     if fault.kind == "eccentricity":
         size, u = _size_uncertainty(values, covariance)
         waves = fault.per_turn or 1
@@ -166,7 +168,7 @@ def joint_faults(model: JointErrorModel, j: int) -> Iterator[Fault]:
         yield fault("backlash", "deg", direction / 2)
         for side in (1, -1) if np.sum(direction == 0) >= MIN_PAIRS_PER_DIRECTION else ():
             resting = np.where(direction == 0, side, direction)
-            yield replace(fault("backlash", "deg", resting / 2), rest_side=side)
+            yield replace(fault("backlash", "deg", resting / 2), variant=side)
     # what hangs below pulls with its horizontal lever; an elastic joint reads more than it turned
     lever = comparison.jacobian[:, 2, [j]]
     longest = float(np.abs(lever).max(initial=0.0))
@@ -256,16 +258,31 @@ def common_faults(model: JointErrorModel, rig: Rig | None) -> list[Fault]:
     columns: list[tuple[str, str, Array]] = [
         *([("clock_drift", "ppm", short * elapsed)] if comparison.timed else []),
         ("base_moved", "mm", moved),
-        # a unit of it is what has gathered from the first pair to the last
-        ("base_drift", "mm", moved * elapsed / (elapsed[-1] if elapsed.any() else 1.0)),
+        ("base_drift", "mm", moved * comparison.share[:, None, None]),
         ("led_body_slipped", "mm", -body_motion(comparison.base_T_jacobian)),
-        ("camera_turned", "deg", -comparison.systematic[:, :, [-1]]),
     ]
     if not model.seen.clock.shape[1]:  # else the offset was fitted, and there is none to correct
         columns.append(("clock", "s", short))
     if rig is not None:
         columns.append(("camera_skew", "s", skew_effect(model, rig)))
-    return [Fault(kind, None, unit, model.white.rows(c)) for kind, unit, c in columns]
+    found = [Fault(kind, None, unit, model.white.rows(c)) for kind, unit, c in columns]
+    turns = camera_turns(comparison).items()
+    found += [Fault(k, None, "deg", model.white.rows(c), variant=v) for (k, v), (c, _) in turns]
+    return found
+
+
+def camera_turns(comparison: Comparison) -> dict[Turn, tuple[Array, Array]]:
+    """What turns of the right camera against the left do to xi, (n, 6, p); the angles, (n, p).
+
+    Of an even variant the right camera turns, of an odd one the left; of those from 2 on unevenly,
+    by what has gathered at KNOTS instants.
+    """
+    share, knots = comparison.share[:, None], np.arange(1, KNOTS + 1)
+    hats = np.maximum(1 - np.abs(KNOTS * share - knots), 0.0)
+    angles = {("camera_turned", 0): np.ones_like(share)}
+    angles |= {("camera_drift", k): (share, share, hats, hats)[k] for k in range(4)}
+    by_camera = comparison.systematic[:, :, [-1, -2]] * [-1.0, 1.0]
+    return {turn: (by_camera[:, :, [turn[1] % 2]] * a[:, None], a) for turn, a in angles.items()}
 
 
 def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
@@ -294,35 +311,37 @@ def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
 def about_turned_camera(
     compared: SessionComparison,
     comparison: Comparison,
-    angle: float,
+    sought: Sequence[Turn],
     built: Callable[[Comparison], JointErrorModel],
 ) -> Comparison:
-    """Linearise a comparison about the turn of the right camera that fits; `angle`, rad, a guess.
+    """Linearise a comparison about the turns of the cameras that fit, of those that are sought.
 
     `built` lays a comparison out as a model. Pairs that do not determine a whole pose, and those of
     an instrument, stay as they are.
     """
+    tangent, turns = comparison, np.zeros(1)
     for _ in range(MAX_STEPS_TURN):
-        tangent = _tangent(compared, comparison, angle)
-        model = built(tangent)
-        column = -model.white.rows(tangent.systematic[:, :, -1:])
+        model, turning = built(tangent), camera_turns(tangent)
+        columns, angles = (np.concatenate([turning[t][i] for t in sought], -1) for i in (0, 1))
         shown = model.joints[:, np.linalg.norm(model.joints, axis=0) > 0]
-        free = np.concatenate([column, model.fitted, shown], axis=1)
-        before, angle = angle, float(solve(free, model.xi, model.prior).value[0])
-        if abs(angle - before) < TOL_TURN:
+        free = np.concatenate([model.white.rows(columns), model.fitted, shown], axis=1)
+        value = solve(free, model.xi, model.prior).value
+        before, turns = turns, value[: angles.shape[1]]
+        if np.all(np.abs(turns - before) < TOL_TURN):
             break
+        tangent = _tangent(compared, comparison, angles @ turns)
     return tangent
 
 
-def _tangent(compared: SessionComparison, comparison: Comparison, angle: float) -> Comparison:
-    """Linearise a comparison about one turn of the right camera, rad."""
+def _tangent(compared: SessionComparison, comparison: Comparison, angles: Array) -> Comparison:
+    """Linearise a comparison about turns of the right camera, (n,), rad."""
     session = compared.session
-    right = replace(session.rig.right, pan_zero=session.rig.right.pan_zero + angle)
-    rig = replace(session.rig, right=right)
-    base_T_rig = np.linalg.inv(rig.rig_T_base)
+    base_T_rig = np.linalg.inv(session.rig.rig_T_base)
     xi, systematic = comparison.xi.copy(), comparison.systematic.copy()
     for row, i in enumerate(comparison.index.tolist() if compared.measurements else ()):
-        pose = compared.measurements[i].pose
+        pose, angle = compared.measurements[i].pose, float(angles[row])
+        right = replace(session.rig.right, pan_zero=session.rig.right.pan_zero + angle)
+        rig = replace(session.rig, right=right)
         again = _fit_in_rig(compared, compared.measurements[i], rig)
         if pose is None or again is None or again.pose is None:
             continue

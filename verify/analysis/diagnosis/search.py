@@ -28,6 +28,8 @@ MAX_EXCHANGES = 3  # of a session that nothing explains there is no end soon
 MAX_EXCHANGED = 3  # members for which a single one may stand
 TOL_COST = 1e-9  # rounding
 MAX_CAUSES = 8
+# kinds of which all faults together are a rival: where the arm swings little they look alike
+JOINT_RIVALS = {"base_drift": ("drift",), "camera_drift": ("drift", "base_drift")}
 MAX_SIZES_WITHOUT_GAIN = 2  # sizes without a better set after which none is expected
 
 FaultSet = tuple[int, ...]
@@ -91,6 +93,11 @@ class FaultProducts:
             scale=self.scale[at], places=_places(faults), visible=self.visible[kept],
             price=self.price[kept],
         )  # fmt: skip
+
+    def of_kind(self, kind: str) -> FaultSet:
+        """The visible faults of a kind."""
+        every = enumerate(self.faults)
+        return tuple(i for i, f in every if f.kind == kind and self.visible[i])
 
     @cached_property
     def largest(self) -> Array:
@@ -244,16 +251,11 @@ def against_drifts(products: FaultProducts, best: FaultSet) -> FaultSet:
     That and drifts of joints look alike where the arm swings little. Each joint pays for being one
     of many faults, the base for being one: so Schwarz's criterion tells which it is.
     """
-    bases = base_drifts(products)
+    bases = products.of_kind("base_drift")
     if not set(bases) & set(best):
         return best
     _, rival = _grow(products, (), bases, BEAM_WIDTH)
     return min(best, rival, key=products.schwarz)
-
-
-def base_drifts(products: FaultProducts) -> FaultSet:
-    """The drift of the base among the faults, if it was tried."""
-    return tuple(i for i, f in enumerate(products.faults) if f.kind == "base_drift")
 
 
 def _removals(best: FaultSet) -> Iterator[FaultSet]:

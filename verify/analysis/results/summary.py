@@ -185,6 +185,9 @@ def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
         entry = cause_entry(cause)
         if (same := _same_as(cause, len(means.mean))) is not None:
             entry["same_as"] = same
+        # a base or whole rig that creeps leaves the pictures as they should be
+        elif cause.kind == "base_drift" and judged.pictures and judged.pictures.contradicts:
+            entry["same_as"] = "camera_tilted"
         j = (cause.joint or 0) - 1
         if cause.kind == "offset" and count[cause.joint] == 1 and np.isfinite(means.mean[j]):
             u = float(np.sqrt(means.covariance[j, j]) * DEGREE)

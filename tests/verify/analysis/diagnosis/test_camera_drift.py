@@ -1,0 +1,114 @@
+"""One camera of the rig that creeps during the session, told from bases that do and from joints.
+
+The LEDs of every pair are projected by OpenCV into a camera that truly stands turned by then.
+"""
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from tests.bench.diagnosis.sessions import camera_creeps, judged, watched
+from tests.support.simulated import HOME_DEG, in_memory, marker_of, measured_at_spots, scene
+from verify.analysis.diagnosis.diagnose import Diagnosis
+from verify.analysis.session import analyse
+from verify.core.records import Array, Measurement
+from verify.io.session.keys import Tolerance
+from verify.measurement.systematics import stated_systematics
+from verify.simulation.scenario import (
+    MultiJoint,
+    ScenarioClock,
+    ScenarioEncoders,
+    ScenarioRecording,
+    ScenarioUncertainty,
+)
+
+LEFT, RIGHT = 0, 1
+EVENLY, STOPS = 1.0, 0.4  # share of the session after which a camera stands
+
+
+def creep(t: Array, angle: float, until: float) -> Array:
+    """The camera's turn at each pair, rad."""
+    return angle * np.minimum((t - t[0]) / np.ptp(t) / until, 1.0)
+
+
+def crept(seed: int, side: int, pixels: float, until: float) -> tuple[Diagnosis, Array, float]:
+    """What is found, joints' mean errors over u, and the right camera's turn against the left."""
+    case = watched(seed)
+    focal = case.session.simulated.world.bench.cameras[side].matrix[0, 0]
+    angles = creep(case.session.frames.t_left, pixels / focal, until)
+    spots = camera_creeps(case.session, side, "pan", angles)
+    noise = np.random.default_rng(case.noise)
+    found = measured_at_spots(case.session, case.systematics, noise, spots=spots)
+    _, seen, resolved = judged(replace(case, measurements=tuple(found)), None)
+    off = resolved.mean / np.sqrt(np.diag(resolved.mean_covariance))
+    return seen, off, float(angles[-1]) * (1 if side == RIGHT else -1)
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5, 8])
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+@pytest.mark.parametrize(
+    ("pixels", "until"), [(1.0, EVENLY), (2.0, EVENLY), (0.5, STOPS), (1.0, STOPS)]
+)
+def test_a_camera_that_creeps_is_named_and_no_joint(
+    seed: int, side: int, pixels: float, until: float
+) -> None:
+    seen, off, turn = crept(seed, side, pixels, until)
+    assert [(c.kind, c.joint) for c in seen.causes] == [("camera_drift", None)]
+    (cause,) = seen.causes
+    assert abs(cause.value - turn) < 3 * cause.standard_uncertainty < abs(turn)
+    assert np.abs(off[~np.isnan(off)]).max() < 4
+
+
+@pytest.mark.parametrize("seed", [1, 2, 5, 8])
+@pytest.mark.parametrize("side", [LEFT, RIGHT])
+def test_of_half_a_pixel_no_joint_is_said_to_be_the_cause(seed: int, side: int) -> None:
+    (cause,) = crept(seed, side, 0.5, EVENLY)[0].causes
+    assert "camera_drift" in {cause.kind} | {k.kind for k in cause.candidates}
+
+
+def summary_of(way: str, pixels: float, until: float) -> dict[str, Any]:
+    """What is written of a session whose right camera has crept by so much at its end."""
+    session = in_memory(
+        scene(
+            clock=ScenarioClock(), marker=marker_of("ABCD"),
+            encoders=ScenarioEncoders(noise_deg=0.002),
+            uncertainty=ScenarioUncertainty(focal_px=0.2, principal_point_px=0.2, led_mm=0.02),
+            motion=MultiJoint(home_deg=HOME_DEG, amplitude_deg=[20.0] * 6),
+            recording=ScenarioRecording(pairs=60, rate_hz=7.5),
+        )
+    )  # fmt: skip
+    focal = session.simulated.world.bench.right.matrix[0, 0]
+    angles = creep(session.frames.t_left, pixels / focal, until)
+    spots, rng = camera_creeps(session, RIGHT, way, angles), np.random.default_rng(4)
+
+    def measured(*_: Any) -> Iterator[Measurement]:
+        systematics = stated_systematics(session.rig, session.marker, turning=False)
+        yield from measured_at_spots(session, systematics, rng, spots=spots)
+
+    limits = Tolerance(joints=np.radians([0.1] * 6), position=None, orientation=None)
+    return analyse(session, tolerance=limits, chain=measured).summary | {
+        "turn_deg": float(np.degrees(angles[-1]))
+    }
+
+
+@pytest.mark.parametrize("until", [EVENLY, STOPS])
+def test_of_a_camera_that_creeps_no_joint_is_out_of_tolerance(until: float) -> None:
+    summary = summary_of("pan", 1.5, until)
+    (cause,) = summary["diagnosis"]
+    assert (cause["kind"], cause["joint"], cause["unit"]) == ("camera_drift", None, "deg")
+    assert_allclose(cause["value"], summary["turn_deg"], atol=1.25 * cause["expanded_uncertainty"])
+    assert "nonconform" not in {joint["verdict"] for joint in summary["joints"]}
+    for joint in summary["joints"]:
+        assert abs(joint["mean_error_deg"]) < 1.5 * joint["expanded_uncertainty_deg"]
+
+
+def test_a_camera_that_tilts_is_named_beside_the_base_as_the_pictures_contradict_the_rig() -> None:
+    summary = summary_of("tilt", 1.5, EVENLY)
+    (cause,) = summary["diagnosis"]
+    assert (cause["kind"], cause["same_as"]) == ("base_drift", "camera_tilted")
+    assert_allclose(2 * cause["turn_deg"], summary["turn_deg"], rtol=0.3)
+    assert "nonconform" not in {joint["verdict"] for joint in summary["joints"]}
