@@ -121,13 +121,16 @@ def _contesting(products: FaultProducts, best: FaultSet, i: int) -> list[CauseCa
     """What creeps or drifts and explains as much as i by all faults of its kind together.
 
     By how well they fit alone: that their coefficients are fewer makes several joints that drift at
-    once no likelier than one tripod that sinks, nor a camera that turns.
+    once no likelier than one tripod that sinks, nor a camera that turns. A joint's drift beside a
+    camera may be what the base makes up for as well: the first axis turns as a base does.
     """
     kind, found = products.faults[i].kind, []
-    own = {*products.of_kind(kind)}
+    own, drifts = {*products.of_kind(kind)}, {*products.of_kind("drift")}
     several = kind == "drift" and len(own & {*best}) > 1
     for other in ("base_drift",) if several else JOINT_RIVALS.get(kind, ()):
-        rival = tuple(sorted({*best, *products.of_kind(other)} - own))
+        rest = ({*best} - own, {*best} - own - drifts)
+        sets = (tuple(sorted(part | {*products.of_kind(other)})) for part in rest)
+        rival = min(sets, key=products.chi2)
         if products.chi2(rival) - products.chi2(best) >= MIN_ADVANTAGE:
             continue
         worse = products.schwarz(rival) - products.schwarz(best)

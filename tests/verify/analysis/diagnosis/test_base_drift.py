@@ -25,6 +25,7 @@ from tests.support.simulated import (
 )
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis
+from verify.analysis.diagnosis.faults import UNIT_SCALES
 from verify.analysis.session import analyse
 from verify.core.records import Array, Measurement
 from verify.io.session.keys import Tolerance
@@ -175,18 +176,26 @@ def test_a_base_that_turns_about_the_first_axis_is_said_to_show_as_that_joint_s_
 
 
 @pytest.mark.parametrize("seed", [1, 2])
-def test_the_size_at_which_a_creep_is_named_counts_that_all_joints_may_drift(seed: int) -> None:
+@pytest.mark.parametrize(
+    ("kind", "rivals"),
+    [("base_drift", "drift"), ("camera_drift", "drift"), ("camera_drift", "base_drift")],
+)
+def test_the_size_at_which_a_creep_is_named_counts_that_all_joints_may_drift_or_the_base(
+    seed: int, kind: str, rivals: str
+) -> None:
     """By plain algebra on the whitened rows, as of single rivals."""
     model, seen, _ = judged(watched(seed), None)
-    drifts = np.hstack([f.columns for f in seen.products.faults if f.kind == "drift"])
-    (base,) = [f.columns for f in seen.products.faults if f.kind == "base_drift"]
+    drifts = np.hstack([f.columns for f in seen.products.faults if f.kind == rivals])
+    creep = next(f for f in seen.products.faults if f.kind == kind)
     beside = np.hstack([drifts, model.fitted, model.prior])
     held = np.zeros((model.prior.shape[1], beside.shape[1]))
     held[:, drifts.shape[1] + model.fitted.shape[1] :] = np.eye(model.prior.shape[1])
-    rows, own = np.vstack([beside, held]), np.vstack([base, np.zeros((len(held), 6))])
-    left = np.linalg.norm(own - rows @ np.linalg.lstsq(rows, own)[0], axis=0)
+    rows = np.vstack([beside, held])
+    own = np.vstack([creep.columns, np.zeros((len(held), creep.freedom))])
+    left = np.linalg.norm(own - rows @ np.linalg.lstsq(rows, own)[0], axis=0)[:3]
     table = detectable(seen.products)
-    stated = table[table["kind"] == "base_drift"]["separable"].to_numpy()[:3]
+    stated = table[table["kind"] == kind]["separable"].to_numpy()[:3]
     known = stated[~np.isnan(stated)]
     assert len(known)
-    assert np.all(known >= 1e3 * (np.sqrt(15.0) + 0.84) / left[:3][~np.isnan(stated)])
+    least = UNIT_SCALES[creep.unit] * (np.sqrt(15.0) + 0.84) / left
+    assert np.all(known >= least[~np.isnan(stated)])

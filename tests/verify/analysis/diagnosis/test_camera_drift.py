@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from tests.bench.diagnosis.sessions import camera_creeps, judged, watched
+from tests.bench.diagnosis.sessions import Injected, camera_creeps, judged, watched
 from tests.support.simulated import HOME_DEG, in_memory, marker_of, measured_at_spots, scene
 from verify.analysis.diagnosis.diagnose import Diagnosis
 from verify.analysis.session import analyse
@@ -68,6 +68,12 @@ def test_a_camera_that_creeps_is_named_and_no_joint(
 def test_of_half_a_pixel_no_joint_is_said_to_be_the_cause(seed: int, side: int) -> None:
     (cause,) = crept(seed, side, 0.5, EVENLY)[0].causes
     assert "camera_drift" in {cause.kind} | {k.kind for k in cause.candidates}
+
+
+def test_a_base_that_creeps_is_not_said_to_be_a_camera_where_that_and_a_drift_fit_as_well() -> None:
+    fault = Injected("base_drift", None, -8.4e-4, "y")
+    (cause,) = judged(watched(111249108), fault)[1].causes
+    assert "base_drift" in {cause.kind} | {k.kind for k in cause.candidates}
 
 
 def summary_of(way: str, pixels: float, until: float) -> dict[str, Any]:
