@@ -22,6 +22,7 @@ from verify.core.records import SIDES, Array
 MIN_TURN = 1e-9  # rad: readings that differ by less are the same number
 MAX_AXIS_UNCERTAINTY = np.deg2rad(1.0)  # above it an axis is not determined
 MAX_OFFSET_UNCERTAINTY = 0.02  # m, above it the axis's distance from the camera is not determined
+MAX_HIDDEN_VARIANCE = 2.0  # of a parameter by a scatter that is not seen, over that without it
 START_SIGMA = np.deg2rad(0.1)  # a poor base; the pictures give the scatter later
 MIN_HAND_GAIN = 3.9  # log likelihood: 1 % of still, stiff boards by chance, in four kinds of error
 START_HAND = 1e-3  # m, motion and bend of a board in a hand, likewise
@@ -51,8 +52,7 @@ def settle_bases(
     """
     if found.model.bases == (BASE_FIXED, BASE_FIXED):
         return found, None, []
-    found, (scatter,) = adjust_with_scatter(found, corners, [_turned(found.model.bases)])
-    _refuse_wrong(found, scatter, corners)  # before anything is adjusted as if they were right
+    found, scatter = _with_scatter(found, corners)
     kinds, sentences = _determined_bases(found)
     if kinds == found.model.bases:
         return found, scatter, sentences
@@ -61,14 +61,26 @@ def settle_bases(
     found = readjust(replace(found, state=state), corners, model)
     if kinds == (BASE_FIXED, BASE_FIXED):
         return found, None, sentences
-    found, (scatter,) = adjust_with_scatter(found, corners, [_turned(kinds)])
-    _refuse_wrong(found, scatter, corners)
-    return found, scatter, sentences
+    return *_with_scatter(found, corners), sentences
 
 
-def _refuse_wrong(found: Estimate, scatter: ErrorScatter, corners: par.CornerStack) -> None:
-    errors = found.state.errors[:, par.PAN_ERRORS]
-    refuse_wrong_readings(scatter.deviation, corners.pan, errors)
+def _with_scatter(found: Estimate, corners: par.CornerStack) -> tuple[Estimate, ErrorScatter]:
+    """Adjust with the readings' scatter where it is visible, or where few pairs hide what matters.
+
+    Of many pairs a scatter that they do not show makes no variance much larger, and is left out.
+    """
+    turned = _turned(found.model.bases)
+    found, (scatter,) = adjust_with_scatter(found, corners, [turned])
+    if scatter.visible:  # before anything is adjusted as if they were right
+        errors = found.state.errors[:, par.PAN_ERRORS]
+        refuse_wrong_readings(scatter.deviation, corners.pan, errors)
+        return found, scatter
+    precision = found.model.precision.copy()
+    precision[turned] = (found.noise / scatter.deviation) ** 2
+    allowed = readjust(found, corners, replace(found.model, precision=precision))
+    without, with_it = np.diag(found.covariance), np.diag(allowed.covariance)
+    larger = with_it[without > 0] > MAX_HIDDEN_VARIANCE * without[without > 0]
+    return (allowed if larger.any() else found), scatter
 
 
 def _turned(bases: tuple[str, str]) -> list[int]:
@@ -167,7 +179,8 @@ def base_sentences(
         hidden = np.format_float_positional(
             np.rad2deg(scatter.deviation), 1, fractional=False, trim="-"
         )
+        allowed = np.isfinite(found.model.precision[par.PAN_ERRORS]).any()
         yield (
-            "pan readings: no scatter is visible; the smallest that would be, "
-            f"{hidden}°, is stated as their standard uncertainty."
+            f"pan readings: no scatter is visible; {hidden}° may be there unseen and is stated as "
+            f"their standard uncertainty{', which was allowed for' * bool(allowed)}."
         )

@@ -1,14 +1,16 @@
 """Scatter of what errs from pair to pair: the pan readings, or a board between left and right.
 
 Each errs by e ~ N(0, s²), s the same for all of a kind. With the information J (m, m) on the m
-errors and the gradient g at e = 0, everything else eliminated, s maximises the restricted
-likelihood, in the eigenvectors of J with values j and gradients h:
+errors and the gradient g at e = 0, everything else eliminated, the restricted likelihood of s is,
+in the eigenvectors of J with values j and gradients h:
 
     -2 log L(s) = sum of log(1 + s² j) - s² h² / (1 + s² j)
 
-Parameter: s, rad or m, found over log s. Few pairs leave s itself uncertain: it is enlarged as
-Student's distribution is wider than the normal one. Where s is not significant the errors are 0 in
-the adjustment, and the s that could remain unnoticed is stated.
+What is stated is the mean of s² over its posterior with Jeffreys' prior, so few pairs, which leave
+s itself uncertain, state more. An s that is not significant may be there all the same.
+
+Parameter: s, rad or m, on a grid of log s. Source: Patterson and Thompson, Biometrika 58, 1971, of
+the restricted likelihood; Jeffreys, Proc. R. Soc. Lond. A 186, 1946, of the prior.
 """
 
 from collections.abc import Sequence
@@ -16,17 +18,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.linalg import block_diag
-from scipy.optimize import minimize_scalar
 
 from verify.calibration.stereo.estimate import Estimate, inverse_root, readjust
 from verify.calibration.stereo.parameters import CornerStack
 from verify.core.records import Array
 
 MIN_SCATTER, MAX_SCATTER = 1e-7, 0.1  # rad or m
+N_GRID = 600  # scatters that are tried: 2 % apart, far less than a tenth of their uncertainty
 MIN_LOG_LIKELIHOOD = 1.35  # gain over no scatter: 5 % by chance, as it cannot be negative
-MIN_DOF = 5.0  # degrees of freedom of the deviation
 TOL_INFORMATION = 1e-12  # of the largest information
-LOG_LIKELIHOOD_ONE_SIGMA = 0.5  # within which a deviation could remain unnoticed
 MAX_ROUNDS = 6
 TOL_SCATTER = 0.03  # relative change of the scatter: far below its own uncertainty
 
@@ -35,7 +35,7 @@ TOL_SCATTER = 0.03  # relative change of the scatter: far below its own uncertai
 class ErrorScatter:
     """Standard deviation of the errors of one kind."""
 
-    deviation: float  # rad or m; where not significant, the largest that may remain unnoticed
+    deviation: float  # rad or m; where not significant, what may be there unseen
     visible: bool
 
 
@@ -75,31 +75,19 @@ def adjust_with_scatter(
 def error_scatter(
     found: Estimate, columns: Sequence[int], gain: float = MIN_LOG_LIKELIHOOD
 ) -> ErrorScatter:
-    """Find the scatter of errors that are free in an adjustment; visible if it gains so much.
-
-    Source: restricted maximum likelihood of a variance component, Patterson and Thompson,
-    Biometrika 58, 1971.
-    """
+    """Find the scatter of errors that are free in an adjustment; visible if it gains so much."""
     information, pull = _error_information(found, list(columns))
     size, directions = np.linalg.eigh(information)
-    along = (directions.T @ pull)[size > TOL_INFORMATION * size[-1]]
-    size = size[size > TOL_INFORMATION * size[-1]]  # the others are gauge
-
-    def loss(log: float) -> float:
-        variance = np.exp(2 * log)
-        gained = variance * along**2 / (1 + variance * size)
-        return float(0.5 * np.sum(np.log1p(variance * size) - gained))
-
-    grid = np.linspace(np.log(MIN_SCATTER), np.log(MAX_SCATTER), 60)
-    middle = grid[int(np.argmin([loss(g) for g in grid]))]
-    best = minimize_scalar(loss, bounds=(middle - 0.3, middle + 0.3), method="bounded")
-    least, at = float(best.fun), float(best.x)
-    if least < -gain:
-        ratio = np.exp(2 * at) * size
-        degrees = max(float(np.sum((ratio / (1 + ratio)) ** 2)), MIN_DOF)
-        return ErrorScatter(float(np.exp(at) * np.sqrt(degrees / (degrees - 2))), visible=True)
-    hidden = [g for g in grid if loss(g) < min(least, 0.0) + LOG_LIKELIHOOD_ONE_SIGMA]
-    return ErrorScatter(float(np.exp(max(hidden, default=grid[0]))), visible=False)
+    some = size > TOL_INFORMATION * size[-1]  # the others are gauge
+    size, along = size[some], (directions.T @ pull)[some]
+    variance = np.geomspace(MIN_SCATTER, MAX_SCATTER, N_GRID) ** 2
+    ratio = variance[:, None] * size
+    gained = variance[:, None] * along**2 / (1 + ratio)
+    loss = 0.5 * np.sum(np.log1p(ratio) - gained, axis=1)
+    prior = np.linalg.norm(ratio / (1 + ratio), axis=1)  # Jeffreys', for log s
+    weight = prior * np.exp(loss.min() - loss)
+    mean = float(weight @ variance / weight.sum())
+    return ErrorScatter(float(np.sqrt(mean)), visible=bool(loss.min() < -gain))
 
 
 def _error_information(found: Estimate, columns: list[int]) -> tuple[Array, Array]:
