@@ -11,12 +11,11 @@ from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from numpy.typing import NDArray
 
 from verify.analysis.diagnosis.causes import required_advantage
 from verify.analysis.diagnosis.faults import UNIT_SCALES, Name
 from verify.analysis.diagnosis.search import JOINT_RIVALS, FaultProducts
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 
 MAX_RIVAL_RATIO = 100.0  # the listed size: a rival that leaves less of a fault is the same as it
 POWER_SIGMA = 0.84  # standard deviations beyond a threshold: it is passed four times in five
@@ -130,7 +129,7 @@ class _Chance:
     Faults of as many columns as each other, f, are a group of k; those of each are orthonormal.
     """
 
-    fault: NDArray[np.int64]  # (v,)
+    fault: Index  # (v,)
     given: list[Array]  # (k, f, p) a group: what a unit of each plain column gives them
     noise: list[Array]  # (k, f, m)
     gain: Array  # (v, m), by which the noise lowers chi-squared
@@ -162,7 +161,7 @@ def _group_sums(groups: list[Array]) -> Array:
 
 def _named_sizes(
     products: FaultProducts, chance: _Chance, way: _FaultVariant
-) -> tuple[Array, NDArray[np.bool_]]:
+) -> tuple[Array, Flags]:
     """Sizes (m,), SI, from which a fault is named in each draw, and which rivals (v, m) ask for it.
 
     A fault of size s lowers chi-squared by the square of s times what it gives the columns, plus

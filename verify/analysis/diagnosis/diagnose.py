@@ -11,7 +11,6 @@ from itertools import chain
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 import robots
 from verify.analysis.comparison import Comparison
@@ -23,7 +22,7 @@ from verify.analysis.diagnosis.search import FaultProducts, FaultSet, against_dr
 from verify.analysis.joint_errors import ResolvedErrors, predict_errors, resolve_errors
 from verify.analysis.least_squares import Whitener, solve
 from verify.analysis.model import JointErrorModel, WhitenedColumns
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.rig import Rig
 from verify.core.statistics import chi2_isf, chi2_ppf
 
@@ -37,7 +36,7 @@ MAX_PAIRS = 2000  # of a session; of longer ones so many, evenly spread
 TOL_MISFIT = 0.01  # of the misfit
 
 
-def thin_model(model: JointErrorModel, chosen: NDArray[np.int64]) -> JointErrorModel:
+def thin_model(model: JointErrorModel, chosen: Index) -> JointErrorModel:
     """The model of some pairs alone, `chosen` by their places, increasing."""
     rows = np.isin(model.white.pair, chosen)
     factors = tuple(model.white.factors[i] for i in chosen)
@@ -56,7 +55,7 @@ def thin_model(model: JointErrorModel, chosen: NDArray[np.int64]) -> JointErrorM
     )
 
 
-def _select_pairs(comparison: Comparison, chosen: NDArray[np.int64]) -> Comparison:
+def _select_pairs(comparison: Comparison, chosen: Index) -> Comparison:
     changes: dict[str, Any] = {}
     for field in fields(Comparison):
         value = getattr(comparison, field.name)
@@ -75,7 +74,7 @@ class Diagnosis:
     """What a session says of the causes of its errors."""
 
     causes: list[Cause]
-    outlying: NDArray[np.int64]  # rows of the comparison that follow no cause
+    outlying: Index  # rows of the comparison that follow no cause
     misfit: float  # chi-squared a degree of freedom that the causes leave, where they lack; else 1
     products: FaultProducts
 
@@ -86,7 +85,7 @@ class Diagnosis:
         lasting = [c.fault for c in suspects if c.fault.begin is None]
         return [(f.kind, f.variant) for f in lasting if f.kind in ("camera_turned", "camera_drift")]
 
-    def straddling(self, t: Array) -> NDArray[np.int64]:
+    def straddling(self, t: Array) -> Index:
         """Pairs of t (n,), s, that lie out beside a change: readings of before and after meet."""
         begins = [c.fault.begin for c in self.causes if c.fault.begin is not None]
         beside = {k + i for k in np.searchsorted(t, begins).tolist() for i in (-1, 0)}
@@ -143,12 +142,12 @@ class _Fit:
     products: FaultProducts
     best: FaultSet
     misfit: float
-    outlying: NDArray[np.int64]
+    outlying: Index
     cost: float  # of the pairs' likelihood, the faults listed and the pairs left out
 
 
 def _settle(
-    model: JointErrorModel, faults: list[Fault], moving: list[Fault], outlying: NDArray[np.int64]
+    model: JointErrorModel, faults: list[Fault], moving: list[Fault], outlying: Index
 ) -> _Fit:
     """The best set and the outlying pairs that go with each other, from such pairs on."""
     for _ in range(MAX_ROUNDS):
@@ -193,19 +192,19 @@ def explained_by(
     ]
 
 
-def _within(outlying: NDArray[np.int64], count: int) -> NDArray[np.int64]:
+def _within(outlying: Index, count: int) -> Index:
     """Outlying pairs without a run at either end of the session: there something has changed."""
     rest = np.setdiff1d(np.arange(count), outlying)
     before, after = rest.min(initial=count), rest.max(initial=-1)
     inside = (outlying > before) & (outlying < after)
     ends = (outlying < before) & (before < steps.MIN_PAIRS_BESIDE)
     ends |= (outlying > after) & (count - 1 - after < steps.MIN_PAIRS_BESIDE)
-    isolated: NDArray[np.int64] = outlying[inside | ends]
+    isolated: Index = outlying[inside | ends]
     return isolated
 
 
 def _best_dated_set(
-    model: JointErrorModel, faults: list[Fault], moving: list[Fault], kept: NDArray[np.bool_]
+    model: JointErrorModel, faults: list[Fault], moving: list[Fault], kept: Flags
 ) -> tuple[FaultProducts, FaultSet, float]:
     """The best set, of which those that begin in the session do so at their likeliest instants."""
     scan, tried = steps.StepScan(model, kept), list(faults)
@@ -250,7 +249,7 @@ def _with_whole_waves(
 
 
 def _best_set(
-    model: JointErrorModel, faults: list[Fault], kept: NDArray[np.bool_]
+    model: JointErrorModel, faults: list[Fault], kept: Flags
 ) -> tuple[FaultProducts, FaultSet, float]:
     """The best set at the misfit that it leaves: a fit that lacks accuses nobody by its noise."""
     plain = FaultProducts.of(model, faults, kept)
@@ -268,7 +267,7 @@ def _best_set(
 
 
 def _residual(
-    model: JointErrorModel, products: FaultProducts, best: FaultSet, kept: NDArray[np.bool_]
+    model: JointErrorModel, products: FaultProducts, best: FaultSet, kept: Flags
 ) -> Array:
     """Whitened errors (r,) of all pairs less what the causes and all fitted and stated make."""
     named = [products.faults[i].columns for i in best]
@@ -277,7 +276,7 @@ def _residual(
     return model.xi - free @ fit.value - model.prior @ fit.held
 
 
-def _outliers(model: JointErrorModel, residual: Array) -> NDArray[np.int64]:
+def _outliers(model: JointErrorModel, residual: Array) -> Index:
     """Pairs (of the comparison) whose residual is too large for the others' scatter."""
     pair, count = model.white.pair, len(model.comparison)
     distance = np.bincount(pair, residual**2, minlength=count)

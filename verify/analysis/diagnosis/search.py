@@ -10,12 +10,11 @@ from functools import cached_property
 from itertools import combinations, islice
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.diagnosis.faults import Fault
 from verify.analysis.least_squares import residual_products
 from verify.analysis.model import DETECTION_SIGMA, JointErrorModel
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.statistics import chi2_isf
 
 P_FALSE_ALARM = 5e-3  # chance of accusing anybody at all where nothing is wrong
@@ -45,14 +44,12 @@ class FaultProducts:
     power: float
     scale: Array  # (p,), length of the columns before
     rows: int  # what the errors were, in number
-    places: list[NDArray[np.int64]]  # columns of each fault
-    visible: NDArray[np.bool_]  # (c,), something of the fault is left
+    places: list[Index]  # columns of each fault
+    visible: Flags  # (c,), something of the fault is left
     price: Array  # (c,), in chi-squared, of listing a fault
 
     @classmethod
-    def of(
-        cls, model: JointErrorModel, faults: list[Fault], kept: NDArray[np.bool_]
-    ) -> "FaultProducts":
+    def of(cls, model: JointErrorModel, faults: list[Fault], kept: Flags) -> "FaultProducts":
         """Project out what was fitted and stated; `kept` (r,) are the rows to take."""
         parts = [*(f.columns for f in faults), model.xi[:, None]]
         if not kept.all():
@@ -104,7 +101,7 @@ class FaultProducts:
         """Largest coefficients that may be told, (p,), SI."""
         return np.concatenate([np.zeros(0), *(f.largest for f in self.faults)])
 
-    def columns(self, chosen: FaultSet) -> NDArray[np.int64]:
+    def columns(self, chosen: FaultSet) -> Index:
         """Places of the columns of a set."""
         return np.concatenate([self.places[i] for i in chosen] or [np.zeros(0, dtype=np.int64)])
 
@@ -154,7 +151,7 @@ class FaultProducts:
         return lowered
 
     @cached_property
-    def visible_groups(self) -> list[tuple[NDArray[np.int64], NDArray[np.int64], Array]]:
+    def visible_groups(self) -> list[tuple[Index, Index, Array]]:
         """Visible faults (k,) with as many columns as each other, f.
 
         With them the columns (k, f), and their products with each other (k, f, f).
@@ -172,7 +169,7 @@ class FaultProducts:
         return self.chi2(chosen) + float(self.price[list(chosen)].sum())
 
 
-def _places(faults: list[Fault]) -> list[NDArray[np.int64]]:
+def _places(faults: list[Fault]) -> list[Index]:
     """Columns of each fault, one after the other."""
     ends = np.cumsum([f.freedom for f in faults])
     return [np.arange(end - f.freedom, end) for f, end in zip(faults, ends, strict=True)]
@@ -196,15 +193,15 @@ def _solve_blocks(block: Array, part: Array) -> Array:
 
 
 def _group_by_columns(
-    places: list[NDArray[np.int64]],
-) -> list[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+    places: list[Index],
+) -> list[tuple[Index, Index]]:
     """Faults (k,) with as many columns as each other, f, and the columns (k, f)."""
     freedom = np.array([len(place) for place in places])
     groups = [np.flatnonzero(freedom == each) for each in np.unique(freedom).tolist()]
     return [(which, np.array([places[i] for i in which])) for which in groups]
 
 
-def _penalties(faults: list[Fault], visible: NDArray[np.bool_], rows: int) -> Array:
+def _penalties(faults: list[Fault], visible: Flags, rows: int) -> Array:
     """What a fault has to lower chi-squared by to be listed.
 
     More than Schwarz's criterion asks, and more than chance gives the best of them all once in

@@ -18,11 +18,10 @@ from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.diagnosis.faults import Fault
 from verify.analysis.model import JointErrorModel
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 
 MIN_PAIRS_BESIDE = 3  # before and after an instant; fewer are outliers
 RIVAL_INSTANTS = 16  # of steps that are tried in any case; the likeliest one is sought besides
@@ -31,7 +30,7 @@ MIN_WORTH = 15.0  # of chi-squared beyond Schwarz's, of a change sought before o
 TOL_RANK = 1e-8  # of a column's square: what others leave of it by rounding
 
 
-def instants(model: JointErrorModel) -> NDArray[np.int64]:
+def instants(model: JointErrorModel) -> Index:
     """Pairs with which a fault may begin: enough lie before and after."""
     last = len(model.comparison) - MIN_PAIRS_BESIDE if model.comparison.timed else 0
     return np.arange(MIN_PAIRS_BESIDE, last + 1)
@@ -74,7 +73,7 @@ class StepScan:
     """The likeliest instants of faults that may begin in a session; `kept` (r,): rows to take."""
 
     model: JointErrorModel
-    kept: NDArray[np.bool_]
+    kept: Flags
 
     def likeliest(self, moving: list[Fault], found: list[Fault]) -> list[Fault]:
         """The likeliest instants of each of `moving` (`beginning_faults`) beside those of a set.

@@ -9,11 +9,10 @@ from collections.abc import Sequence
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.analysis.least_squares import gauss_newton
 from verify.core.fiducials import Board, BoardPair, BoardView, Marker, unnamed_marker
-from verify.core.records import Array, Measurement, Pose, Sighting, rigid_transform
+from verify.core.records import Array, Flags, Measurement, Pose, Sighting, rigid_transform
 from verify.core.rig import Rig
 from verify.measurement.pose import SightingStack, perturb, predict, stack_sightings
 from verify.measurement.systematics import Systematics, spot_columns
@@ -126,7 +125,7 @@ def _start(rig: Rig, left: Sighting, right: Sighting, points: Array) -> Array:
     return camera.rig_T_camera(view.pan) @ camera_T_board
 
 
-def _fit_pose(views: SightingStack, keep: NDArray[np.bool_], start: Array) -> Pose:
+def _fit_pose(views: SightingStack, keep: Flags, start: Array) -> Pose:
     weight = np.linalg.inv(views.covariance) * keep[:, None, None]
 
     def solve_step(pose: Array) -> tuple[Array, tuple[Array, Array, Array, Array]]:

@@ -9,7 +9,6 @@ from dataclasses import dataclass, replace
 from hashlib import sha256
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import block_diag
 
 from robots.transforms import cross_matrix, difference, invert
@@ -17,7 +16,7 @@ from verify.calibration.board.pose import board_marker, board_poses, residual_be
 from verify.calibration.registration.uncertainty import BASE_NAMES
 from verify.calibration.stereo.records import extend_covariance, rms
 from verify.core.fiducials import Board, BoardPair, Marker
-from verify.core.records import Array, Measurement
+from verify.core.records import Array, Index, Measurement
 from verify.core.rig import Rig
 from verify.core.statistics import chi2_isf
 from verify.errors import InputError
@@ -43,7 +42,7 @@ class FixtureRegistration:
 
     rig: Rig  # with rig_T_base, its covariance and the registration's id
     base_covariance: Array  # (6, 6), m and rad, rig axes: corners, pan readings, rig and fixture
-    frames: NDArray[np.int64]  # (n,), pairs that were used
+    frames: Index  # (n,), pairs that were used
     pair_difference: Array  # (n, 6), m and rad: each pair's board less the common one
     pair_chi2: Array  # (n,), 6 degrees of freedom: that difference in its own uncertainty
     residual_rms_px: float  # distance of the corners from where the pairs' own poses put them

@@ -22,7 +22,6 @@ from its own corners (Schur complement), so the system to solve has the shared p
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import cho_factor, cho_solve
 
 from robots.transforms import displace
@@ -30,7 +29,7 @@ from verify.calibration.stereo import gauge
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.gauge import AdjustmentModel
 from verify.core.native import entry
-from verify.core.records import Array, rigid_transform
+from verify.core.records import Array, Index, rigid_transform
 from verify.core.rig import Camera
 
 MAX_ITERATIONS = 60
@@ -38,7 +37,6 @@ TOL_COST = 1e-4  # chi² that a step still gains: a hundredth of an uncertainty
 ROUNDING = 1e-12  # of the cost: what sums in another order differ by
 LEAST_DAMPING = 1e-8  # more would slow what the pictures hardly show
 FIRST_DAMPING = 1e-4  # where a step without it led astray
-Index = NDArray[np.int64]
 N_LOCAL = 6 + par.N_ERRORS  # a board's own unknowns: its pose, its errors
 ERRORS = slice(6, N_LOCAL)
 COL_POSE, COL_RESIDUAL, N_COLUMNS = 25, 39, 40  # as in kernels.c

@@ -8,7 +8,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.calibration.stereo import bundle, estimate, pan_bases, refusals, start
 from verify.calibration.stereo import parameters as par
@@ -17,7 +16,7 @@ from verify.calibration.stereo.prior import lens_rows, open_coefficients
 from verify.calibration.stereo.records import Calibration, state_covariance
 from verify.calibration.stereo.scatter import ErrorScatter
 from verify.core.fiducials import Board, BoardPair, BoardView
-from verify.core.records import SIDES, Array, Progress, no_progress
+from verify.core.records import SIDES, Array, Index, Progress, no_progress
 from verify.core.rig import Camera, Covariance, Rig
 from verify.core.statistics import chi2_isf
 
@@ -307,7 +306,7 @@ def _with_reading(
     return replace(camera, pan=float(np.median(readings)), pan_standard_uncertainty=deviation)
 
 
-def _decisions(adjusted: _AdjustedBundle, board: Board, frames: NDArray[np.int64]) -> Iterator[str]:
+def _decisions(adjusted: _AdjustedBundle, board: Board, frames: Index) -> Iterator[str]:
     """Describe what was chosen of bases, lens and board, and what was refused."""
     found = adjusted.found
     yield from adjusted.notes

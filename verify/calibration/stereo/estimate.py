@@ -29,14 +29,13 @@ Ledoit and Wolf, J. Multivariate Analysis 88, 2004, with normal gradients.
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.calibration.stereo import bundle, gauge
 from verify.calibration.stereo.gauge import AdjustmentModel
 from verify.calibration.stereo.parameters import BundleState, CornerStack
 from verify.calibration.stereo.records import Residuals
 from verify.core.fiducials import Board
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.statistics import chi2_ppf
 from verify.measurement.triangulation import ray_midpoints, rays
 
@@ -57,7 +56,7 @@ class Estimate:
 
     state: BundleState
     model: AdjustmentModel
-    used: NDArray[np.bool_]  # (n,), corners that were not refused
+    used: Flags  # (n,), corners that were not refused
     system: bundle.NormalEquations
     basis: Array  # (47, p), the free directions
     noise: float  # factor on the corners' stated uncertainty
@@ -73,7 +72,7 @@ class Estimate:
 
 
 def estimate_state(
-    state: BundleState, corners: CornerStack, model: AdjustmentModel, used: NDArray[np.bool_]
+    state: BundleState, corners: CornerStack, model: AdjustmentModel, used: Flags
 ) -> Estimate:
     """Find noise and covariance of an adjusted state by the corners (n,) that were not refused."""
     weight = used.astype(float)
@@ -110,9 +109,7 @@ def readjust(found: Estimate, corners: CornerStack, model: AdjustmentModel) -> E
     return estimate_state(state, corners, model, found.used)
 
 
-def collect_residuals(
-    found: Estimate, corners: CornerStack, frames: NDArray[np.int64]
-) -> Residuals:
+def collect_residuals(found: Estimate, corners: CornerStack, frames: Index) -> Residuals:
     """List the residuals of all corners with frame, uncertainty and whether each was used."""
     return Residuals(
         camera=corners.camera,
@@ -239,7 +236,7 @@ def adjust_cauchy(state: BundleState, corners: CornerStack, model: AdjustmentMod
     return state
 
 
-def good_corners(state: BundleState, corners: CornerStack) -> NDArray[np.bool_]:
+def good_corners(state: BundleState, corners: CornerStack) -> Flags:
     """Select the corners that the others of their own view do not contradict, (n,).
 
     A view's own scatter counts where it is above the others': of a blurred image not most corners
@@ -252,7 +249,7 @@ def good_corners(state: BundleState, corners: CornerStack) -> NDArray[np.bool_]:
     for v in np.unique(view):
         own = view == v
         scale[own] = np.maximum(scale[own], robust_scale(squares[own]))
-    kept: NDArray[np.bool_] = squares < limit * scale
+    kept: Flags = squares < limit * scale
     return kept
 
 

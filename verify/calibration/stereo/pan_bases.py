@@ -9,7 +9,6 @@ from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.estimate import Estimate, readjust
@@ -17,7 +16,7 @@ from verify.calibration.stereo.gauge import BASE_CENTRED, BASE_FIXED, BASE_TURNI
 from verify.calibration.stereo.prior import lens_rows
 from verify.calibration.stereo.refusals import refuse_wrong_readings
 from verify.calibration.stereo.scatter import ErrorScatter, adjust_with_scatter
-from verify.core.records import SIDES, Array
+from verify.core.records import SIDES, Array, Index
 
 MIN_TURN = 1e-9  # rad: readings that differ by less are the same number
 MAX_AXIS_UNCERTAINTY = np.deg2rad(1.0)  # above it an axis is not determined
@@ -152,7 +151,7 @@ def _determined_bases(found: Estimate) -> tuple[tuple[str, str], list[str]]:
 
 
 def base_sentences(
-    found: Estimate, scatter: ErrorScatter | None, readings: Array, frames: NDArray[np.int64]
+    found: Estimate, scatter: ErrorScatter | None, readings: Array, frames: Index
 ) -> Iterator[str]:
     """Describe what was found and chosen of each base, and the scatter of the pairs' readings."""
     for side, base, values in zip(SIDES, found.model.bases, readings.T, strict=True):

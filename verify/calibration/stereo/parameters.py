@@ -21,10 +21,9 @@ how it bent (3: m, added to the bow).
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from robots.transforms import cross_matrix, rotation_exp, rotation_log
-from verify.core.records import SIDES, Array
+from verify.core.records import SIDES, Array, Index
 from verify.core.rig import Camera
 
 PARAMETER_KEYS = (
@@ -70,9 +69,9 @@ class BundleState:
 class CornerStack:
     """Every corner of every view as one stack, sorted by board."""
 
-    camera: NDArray[np.int64]  # (n,), 0 left, 1 right
-    board: NDArray[np.int64]  # (n,), which pair
-    corner: NDArray[np.int64]  # (n,), index into board.points
+    camera: Index  # (n,), 0 left, 1 right
+    board: Index  # (n,), which pair
+    corner: Index  # (n,), index into board.points
     point: Array  # (n, 3), m, on a flat board, its frame
     modes: Array  # (n, 3), 1: x², x y, y² of the bow
     observed: Array  # (n, 2), px

@@ -4,10 +4,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from verify.core.fiducials import Board
-from verify.core.records import Array
+from verify.core.records import Array, Flags, Index
 from verify.core.rig import Covariance, Rig
 from verify.measurement.systematics import covariance_in_si, unit
 
@@ -16,13 +15,13 @@ from verify.measurement.systematics import covariance_in_si, unit
 class Residuals:
     """Every corner that entered the adjustment, one row each."""
 
-    camera: NDArray[np.int64]  # (r,), 0 left, 1 right
-    frame: NDArray[np.int64]  # (r,)
-    corner: NDArray[np.int64]  # (r,), index into board.points
+    camera: Index  # (r,), 0 left, 1 right
+    frame: Index  # (r,)
+    corner: Index  # (r,), index into board.points
     observed: Array  # (r, 2), px
     residual: Array  # (r, 2), px, observed less predicted
     uncertainty: Array  # (r,), px a coordinate: as the corner finder states it, times `noise`
-    used: NDArray[np.bool_]  # (r,), false: refused as an outlier
+    used: Flags  # (r,), false: refused as an outlier
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,7 +30,7 @@ class Calibration:
 
     rig: Rig  # cameras and [covariance]; not registered: no robot base
     board: Board
-    frames: NDArray[np.int64]  # (b,), pairs that were used
+    frames: Index  # (b,), pairs that were used
     rig_T_board: Array  # (b, 4, 4)
     board_covariance: Array  # (b, 6, 6), m and rad, perturbation on the left, rig axes
     residuals: Residuals
