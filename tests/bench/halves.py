@@ -30,7 +30,7 @@ from verify.calibration.stereo.calibrate import calibrate, stack_corners
 from verify.calibration.stereo.estimate import inverse_root
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel
 from verify.calibration.stereo.parameters import PARAMETER_NAMES, BundleState
-from verify.calibration.stereo.prior import lens_rows
+from verify.calibration.stereo.prior import prior_rows
 from verify.calibration.stereo.records import Calibration
 from verify.calibration.stereo.start import start_lens
 from verify.core.fiducials import Board, BoardPair, BoardView
@@ -160,8 +160,9 @@ def chance(kit: BoardSet, pairs: Sequence[BoardPair], whole: Calibration) -> Arr
     rig, every = whole.rig, kit.every(pairs)
     corners = stack_corners(every, kit.board)
     state = BundleState(rig.left, rig.right, whole.rig_T_board, np.zeros((len(every), 8)))
-    lens = lens_rows(state, kit.size, whole.noise**2)
-    model = AdjustmentModel((BASE_FIXED, BASE_FIXED), lens=lens, bowed=True)
+    bases = BASE_FIXED, BASE_FIXED
+    prior = prior_rows(state, bases, kit.size, whole.noise**2)
+    model = AdjustmentModel(bases, prior=prior, bowed=True)
     system = bundle.normal_equations(state, corners, model, np.ones(len(corners)))
     basis = gauge.free_directions(gauge.constraints(state, model, corners.pan[0]))
     slope = parameter_derivatives(lambda other: departure(other, rig), rig, PARAMETER_NAMES)

@@ -61,6 +61,7 @@ PNG_FLAGS = (
 RING_COLOUR = (80, 200, 80)  # BGR
 TEXT_COLOUR = (60, 220, 255)
 MAX_NAME_LETTERS = 12  # of an LED, in a picture
+SAME_PAN = np.deg2rad(0.1)  # a base that stands there is read anew, not turned
 SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
 SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
 MAX_CANDIDATES = 200
@@ -118,6 +119,13 @@ def setup_of(session: Session) -> Setup:
     return Setup(session.rig, session.marker, _expected_poses(session, readings))
 
 
+def _turned(session: Session) -> bool:
+    """The bases turn, or stand elsewhere than where rig.toml puts them."""
+    rig, frames = session.rig, session.frames
+    sides = (rig.left, frames.pan_left), (rig.right, frames.pan_right)
+    return any(np.ptp(pan) or abs(pan[0] - camera.pan) > SAME_PAN for camera, pan in sides)
+
+
 def measure_pictures(
     session: Session, progress: Progress, chain: Chain, left_out: Container[int] = ()
 ) -> MeasuredSession:
@@ -126,8 +134,7 @@ def measure_pictures(
     `progress` is called with pairs done and pairs in all; `left_out`: frames to pass over.
     """
     setup = setup_of(session)
-    turning = bool(np.ptp(session.frames.pan_left) or np.ptp(session.frames.pan_right))
-    systematics = stated_systematics(session.rig, session.marker, turning)
+    systematics = stated_systematics(session.rig, session.marker, _turned(session))
     measurements: list[Measurement] = []
     effects: list[Array] = []
     alike: list[int] = []

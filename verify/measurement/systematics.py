@@ -29,10 +29,11 @@ import numpy as np
 from scipy.linalg import block_diag
 
 from verify.core.fiducials import Marker
-from verify.core.records import POSE_NAMES, Array, Measurement, Pose, Sighting
+from verify.core.records import POSE_NAMES, SIDES, Array, Measurement, Pose, Sighting
 from verify.core.rig import Covariance, Rig
 from verify.measurement.sensitivities import AXES, spot_derivatives
 
+PAN_ANGLE, PAN_AXES = "pan angle", "pan axes"
 PAN_READINGS = "left.pan_zero_deg", "right.pan_zero_deg"  # err as the zeros of their scales do
 SOURCES = {
     "left": "rig",
@@ -65,7 +66,8 @@ class Systematics:
 def stated_systematics(rig: Rig, marker: Marker, turning: bool) -> Systematics:
     """Collect the uncertainties that rig.toml and marker.toml state; both are optional.
 
-    `turning`: pan readings vary or carry an uncertainty, so that they are a source at all.
+    `turning`: the bases turn, or stand elsewhere than where rig.toml was found, so that their
+    readings and axes are a source at all.
     """
     names, blocks, unknown, degrees = _from_rig(rig, marker)
     placed = any(n.startswith("led.") for n in names)  # in the flange frame: body included
@@ -81,7 +83,12 @@ def stated_systematics(rig: Rig, marker: Marker, turning: bool) -> Systematics:
         sources=tuple(_source(n) for n in names),
         covariance=np.asarray(block_diag(*blocks), dtype=float).reshape(len(names), len(names)),
         pan=np.array(pan),
-        uncounted=_unstated_names(names, placed, bool(turning and np.isnan(pan).any())),
+        uncounted=(
+            *_unstated_names(names, placed),
+            *[PAN_ANGLE] * bool(turning and np.isnan(pan).any()),
+            *[PAN_AXES] * (turning and _states_cameras_alone(names)),
+            "robot table",
+        ),
         degrees_of_freedom=degrees,
         unknown=tuple(unknown),
     )
@@ -139,12 +146,18 @@ def _source(name: str) -> str:
     return SOURCES[name.partition(".")[0]]
 
 
-def _unstated_names(names: list[str], placed: bool, pan: bool) -> tuple[str, ...]:
+def _states_cameras_alone(names: list[str]) -> bool:
+    """Cameras, but no axis that their bases turn about: it was a choice, as no base turned."""
+    sides = tuple(f"{side}." for side in SIDES)
+    return any(n.startswith(sides) for n in names) and not any(".pan_axis_" in n for n in names)
+
+
+def _unstated_names(names: list[str], placed: bool) -> list[str]:
     present = {_source(n) for n in names}
     missing = [source for source in dict.fromkeys(SOURCES.values()) if source not in present]
     if placed and "LED body" in missing:
         missing.remove("LED body")
-    return (*missing, *(["pan angle"] if pan else []), "robot table")
+    return missing
 
 
 def sensitivities(

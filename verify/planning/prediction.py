@@ -11,7 +11,7 @@ import numpy as np
 from verify.analysis.least_squares import residual_products, solve
 from verify.analysis.model import DETECTION_SIGMA, JointErrorModel, clock_effect, prior_columns
 from verify.analysis.results.entries import finite_number
-from verify.analysis.uncertainty.sources import CLOCK, PAN
+from verify.analysis.uncertainty.sources import CLOCK
 from verify.analysis.verdict import GUARD_FACTOR
 from verify.calibration.kinematics.identifiability import (
     Identifiability,
@@ -20,6 +20,7 @@ from verify.calibration.kinematics.identifiability import (
     observability_indices,
 )
 from verify.core.records import Array
+from verify.measurement.systematics import PAN_ANGLE
 from verify.planning.design import fault_kind, geometry_columns
 from verify.planning.foresight import PredictedAnalysis, PredictedSession
 from verify.planning.request import FAULT_KINDS, PlanningSetup
@@ -31,7 +32,7 @@ TOL_LEVER = 1e-6  # m: rounding of a flange that lies on the axis
 GROUPS = {
     RANDOM_SOURCE: "pixels",
     "rig": "calibration",
-    PAN: "calibration",
+    PAN_ANGLE: "calibration",
     "robot base": "registration",
     "LED body": "registration",
     "LED positions": "leds",

@@ -89,3 +89,16 @@ def test_what_is_not_stated_is_listed_as_taken_as_exact() -> None:
     assert stated_systematics(make_rig(), marker, turning=True).uncounted == (
         "rig", "robot base", "LED body", "apparent LED centre", "pan angle", "robot table",
     )  # fmt: skip
+
+
+def test_axes_that_no_base_turned_about_are_taken_as_exact_once_bases_turn() -> None:
+    def uncounted(*parameters: str, turning: bool) -> tuple[str, ...]:
+        of = len(parameters)
+        covariance = Covariance(parameters, np.ones(of), np.eye(of))
+        rig = replace(make_rig(), covariance=covariance)
+        return stated_systematics(rig, make_marker(), turning=turning).uncounted
+
+    assert "pan axes" in uncounted("left.fx_px", turning=True)
+    assert "pan axes" not in uncounted("left.fx_px", turning=False)
+    assert "pan axes" not in uncounted("left.fx_px", "left.pan_axis_rx_deg", turning=True)
+    assert "pan axes" not in uncounted("robot_base.x_mm", turning=True)  # the rig is named whole

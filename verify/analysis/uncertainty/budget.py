@@ -21,11 +21,8 @@ from verify.analysis.joint_errors import (
 )
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.uncertainty.sources import (
-    ALIGNMENT,
     CAUSES,
-    CLOCK,
     LACK_OF_FIT,
-    PAN,
     ROBOT_TABLE,
     RandomSource,
     SystematicSources,
@@ -38,8 +35,6 @@ from verify.analysis.uncertainty.sources import (
 )
 from verify.core.records import Array, Measurement
 from verify.measurement.systematics import unit
-
-__all__ = ["ALIGNMENT", "BUDGET_COLUMNS", "CLOCK", "PAN", "Budget", "budget"]
 
 BUDGET_COLUMNS = [
     "joint", "source", "kind", "type", "standard_uncertainty_deg", "degrees_of_freedom", "share",

@@ -1,32 +1,41 @@
 """The sources of uncertainty of a session: what varies from pair to pair, and what does not."""
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 import robots
+from robots.transforms import cross_matrix
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.comparison import Comparison, alignment_scale, propagate, twist_transport
 from verify.analysis.diagnosis.link_faults import rotation_twist, translation_twist
 from verify.analysis.instrument import CALIBRATION_SOURCE, instrument_sensitivities
 from verify.analysis.instrument import NOISE as INSTRUMENT_NOISE
 from verify.analysis.model import JointErrorModel, SessionComparison, clock_effect, pan_columns
-from verify.core.records import POSE_NAMES, Array, Measurement
+from verify.core.records import POSE_NAMES, SIDES, Array, Measurement
 from verify.core.rig import Rig
 from verify.measurement.sensitivities import AXES
-from verify.measurement.systematics import PAN_READINGS, SOURCES, Systematics, sensitivities
+from verify.measurement.systematics import (
+    PAN_ANGLE,
+    PAN_AXES,
+    PAN_READINGS,
+    SOURCES,
+    Systematics,
+    sensitivities,
+)
 from verify.measurement.track import Track
 
 PIXELS, INSTRUMENT, SKEW = "pixels", "instrument", "camera skew"
 NOISE, RESOLUTION, TIME_STAMPS = "readings' noise", "encoder resolution", "encoder time stamps"
 AUTOCORRELATION, LACK_OF_FIT, CAUSES = "autocorrelation", "lack of fit", "causes found"
-CLOCK, PAN, ALIGNMENT = "clock", "pan angle", "alignment of the two instants"
+CLOCK, ALIGNMENT = "clock", "alignment of the two instants"
 ROBOT_TABLE = "robot table"
 INFINITE_DOF = float("inf")  # degrees of freedom of what is stated without any
 TABLE_ENTRIES = (("a", "mm"), ("d", "mm"), ("alpha", "deg"))
 # what is asked after of a source that states no uncertainty: m, rad, s, shares
 LENGTH, ANGLE, DELAY, BASELINE, SCALE = 1e-3, float(np.radians(0.1)), 1e-3, 1e-2, 1e-3
+AXIS_TILT, AXIS_SHIFT = float(np.radians(1.0)), 1e-2  # rad, m
 MIN_EFFECT = 1e-9  # rad: less is rounding
 
 
@@ -126,14 +135,32 @@ def _unstated_columns(
         apart = of("left.pan_center_x_mm", "right.pan_center_x_mm") @ np.array([[-half], [half]])
         yield "a baseline off by 1 %", apart
         yield "a camera turned by 0.1°", ANGLE * of(*PAN_READINGS)
-    elif source == PAN:
+    elif source == PAN_ANGLE:
         yield "0.1°", ANGLE * of(*PAN_READINGS)
+    elif source == PAN_AXES:
+        yield from axis_columns(session.rig, of)
     elif head in ("led", "centre"):
         places = [f"led.{name}.{axis}_mm" for name in session.marker.names for axis in AXES]
         yield "an LED off by 1 mm", LENGTH * of(*places)
     elif source != INSTRUMENT_NOISE:
         yield "1 mm", LENGTH * of(*(f"{head}.{axis}" for axis in POSE_NAMES[:3]))
         yield "0.1°", ANGLE * of(*(f"{head}.{axis}" for axis in POSE_NAMES[3:]))
+
+
+def axis_columns(rig: Rig, of: Callable[..., Array]) -> Iterator[tuple[str, Array]]:
+    """Axes off by what a base may be, of cameras that stand where they stood at rig.toml's pan."""
+    tilts, shifts = [], []
+    for side, camera in zip(SIDES, (rig.left, rig.right), strict=True):
+        axis, mount, place, centre = (
+            of(*(f"{side}.{key.format(at)}" for at in AXES))
+            for key in ("pan_axis_r{}_deg", "mount_r{}_deg", "mount_{}_mm", "pan_center_{}_mm")
+        )
+        rig_R_table = camera.rig_T_camera(camera.pan)[:3, :3] @ camera.mount[:3, :3].T
+        mount = mount - place @ cross_matrix(camera.mount[:3, 3])  # the whole mount turns back
+        tilts.append((axis + mount @ (np.eye(3) - rig_R_table.T))[:, :, ::2])
+        shifts.append((place - centre @ rig_R_table)[:, :, ::2])
+    yield "an axis off by 1°", AXIS_TILT * np.concatenate(tilts, axis=2)
+    yield "a camera 10 mm off its axis", AXIS_SHIFT * np.concatenate(shifts, axis=2)
 
 
 def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[RandomSource]:
@@ -160,7 +187,7 @@ def random_sources(model: JointErrorModel, compared: SessionComparison) -> list[
         speed = np.einsum("nij,nj->ni", plain.jacobian, plain.rate)
         speed = speed * session.encoder_time_standard_uncertainty
         found.append(RandomSource(TIME_STAMPS, "B", speed[:, :, None] * speed[:, None, :]))
-    found += [RandomSource(PAN, "B", c) for c in pan_reading_covariance(plain, compared)]
+    found += [RandomSource(PAN_ANGLE, "B", c) for c in pan_reading_covariance(plain, compared)]
     grown = model.comparison.covariance - plain.covariance
     return [*found, RandomSource(AUTOCORRELATION, "A", grown)]
 
@@ -206,7 +233,7 @@ def systematic_sources(
         group = pan_columns(comparison, track, systematics, side)  # of unit variance
         sigma = systematics.pan[side]
         names += [f"{camera}.pan_deg"] * group.shape[2]  # one error a reading, all of one size
-        sources += [PAN] * group.shape[2]
+        sources += [PAN_ANGLE] * group.shape[2]
         types += ["B"] * group.shape[2]
         columns.append(group / sigma if group.shape[2] else group)
         variances.append(np.full(group.shape[2], sigma**2))

@@ -14,7 +14,7 @@ Unknowns: 47 that all pairs share (table in `parameters`) and, behind them, each
     11 - 13 bend, added to the bow            m     prior of variance 1 / precision
 
 Minimised is the sum of squared residuals in the corners' stated covariance, and of what is known
-beforehand of pan readings and lenses, by Gauss-Newton steps
+beforehand of pan readings, lenses and bases, by Gauss-Newton steps
 with Levenberg-Marquardt damping and analytic derivatives. Each board's own unknowns are eliminated
 from its own corners (Schur complement), so the system to solve has the shared parameters only.
 """
@@ -97,13 +97,13 @@ class NormalEquations:
     own_gradient: Array  # (b, 14)
     shared: Array  # (b, 14, 47), how a board's own optimum moves with the parameters, negated
     diagonal: Array  # (47,), of the information before the elimination
-    lens: Array  # (47, 47), information on the lenses beforehand
-    lens_gradient: Array  # (47,)
+    prior: Array  # (47, 47), information on lenses and bases beforehand
+    prior_gradient: Array  # (47,)
 
     @property
     def total(self) -> Array:
         """All information on the shared parameters, (47, 47)."""
-        whole: Array = self.information.sum(axis=0) + self.lens
+        whole: Array = self.information.sum(axis=0) + self.prior
         return whole
 
 
@@ -138,16 +138,16 @@ def normal_equations(
     own = _invert_local(block, model, damping)
     shared = own @ across
     toward: Array = shared.transpose(0, 2, 1)
-    lens = np.zeros((1, width)) if model.lens is None else model.lens
+    known = np.zeros((1, width)) if model.prior is None else model.prior
     return NormalEquations(
         information=full - across.transpose(0, 2, 1) @ shared,
         gradient=gradient - (toward @ pull[:, :, None])[:, :, 0],
         own=own,
         own_gradient=pull,
         shared=shared,
-        diagonal=np.einsum("bii->i", full) + np.sum(lens**2, axis=0),
-        lens=lens.T @ lens,
-        lens_gradient=-lens.T @ (lens @ par.lens_values(state)),
+        diagonal=np.einsum("bii->i", full) + np.sum(known**2, axis=0),
+        prior=known.T @ known,
+        prior_gradient=-known.T @ (known @ par.prior_values(state)),
     )
 
 
@@ -191,8 +191,8 @@ def cost(
         return float("inf")
     total = float(weight @ np.nan_to_num(squares))
     total += float(np.sum(np.nan_to_num(model.precision, posinf=0.0) * state.errors**2))
-    if model.lens is not None:
-        total += float(np.sum((model.lens @ par.lens_values(state)) ** 2))
+    if model.prior is not None:
+        total += float(np.sum((model.prior @ par.prior_values(state)) ** 2))
     return total
 
 
@@ -250,7 +250,7 @@ def _damped_step(
     system = normal_equations(state, corners, model, weight, damping)
     basis = gauge.free_directions(gauge.constraints(state, model, pan))
     matrix = basis.T @ (system.total + damping * np.diag(system.diagonal)) @ basis
-    gradient = system.gradient.sum(axis=0) + system.lens_gradient
+    gradient = system.gradient.sum(axis=0) + system.prior_gradient
     pull = basis.T @ gradient
     scale = 1 / np.sqrt(np.diag(matrix))
     factor = cho_factor(matrix * np.outer(scale, scale) + 1e-14 * np.eye(len(matrix)))

@@ -12,7 +12,7 @@ import numpy as np
 from verify.calibration.stereo import bundle, estimate, pan_bases, refusals, start
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel, fixed_names
-from verify.calibration.stereo.prior import lens_rows, open_coefficients
+from verify.calibration.stereo.prior import open_coefficients, prior_rows
 from verify.calibration.stereo.records import Calibration, state_covariance
 from verify.calibration.stereo.scatter import ErrorScatter
 from verify.core.fiducials import Board, BoardPair, BoardView
@@ -46,7 +46,6 @@ class _AdjustedBundle:
     held: estimate.Estimate | None  # with boards that moved or bent in the hand; None: none did
     corners: par.CornerStack
     scatter: ErrorScatter | None  # of pan readings; None: no base turned
-    notes: tuple[str, ...]  # on bases that turned too little
 
 
 def calibrate(
@@ -59,9 +58,10 @@ def calibrate(
     """Find both cameras, their relation and how their bases turn.
 
     All parameters are adjusted at once to the corners of all pairs, weighted by their stated
-    covariance. Bases that turned between pairs are found with axis, centre, zero and mount, as far
-    as the readings' range determines them; the others are fixed by convention (see `gauge`). The
-    image size is width and height, px; `progress` is called with stages done and stages in all.
+    covariance. Bases that turned between pairs are found with axis, centre, zero and mount; as far
+    as the readings' range leaves these open, usual bases are assumed (see `prior`). The others are
+    fixed by convention (see `gauge`). The image size is width and height, px; `progress` is called
+    with stages done and stages in all.
 
     Raises:
         InputError: no board found, fewer than three pairs, a board turned by 180° in one camera,
@@ -232,18 +232,22 @@ def _adjust(
     def model_at(state: par.BundleState) -> AdjustmentModel:
         noise = float(np.sqrt(estimate.robust_scale(bundle.squared_distances(state, corners))))
         precision = pan_bases.start_precision(begin.bases, noise)
-        return AdjustmentModel(begin.bases, precision, lens_rows(state, image_size, noise**2))
+        prior = prior_rows(state, begin.bases, image_size, noise**2)
+        return AdjustmentModel(begin.bases, precision, prior)
 
-    state = estimate.adjust_cauchy(begin.state, corners, model_at(begin.state))
+    starts = begin.state, *start.other_senses(begin.state, corners.pan, begin.bases)
+    states = [estimate.adjust_cauchy(one, corners, model_at(one)) for one in starts]
     progress(2, N_STAGES)
-    found = estimate.adjust_robust(state, corners, model_at(state))
+    # of axes that may point either way, those that leave least, of corners and of pan readings
+    tried = (estimate.adjust_robust(one, corners, model_at(one)) for one in states)
+    found = min(tried, key=lambda one: one.noise)
     progress(3, N_STAGES)
     bowed = estimate.adjust_robust(found.state, corners, replace(found.model, bowed=True))
     found = bowed if _bow_shows(bowed) else found
-    found, scatter, notes = pan_bases.settle_bases(found, corners)
+    found, scatter = pan_bases.settle_bases(found, corners, image_size)
     progress(4, N_STAGES)
-    model = replace(found.model, lens=lens_rows(found.state, image_size, found.variance))
-    found = estimate.adjust_robust(found.state, corners, model)
+    prior = prior_rows(found.state, found.model.bases, image_size, found.variance)
+    found = estimate.adjust_robust(found.state, corners, replace(found.model, prior=prior))
     held = pan_bases.boards_in_hand(found, corners, image_size)
     if held is not None:
         if found.noise**2 > MAX_HAND_VARIANCE * held.noise**2:
@@ -255,7 +259,7 @@ def _adjust(
         else:
             found = pan_bases.with_doubt(found, held)
     refusals.refuse_undetermined(found)
-    return _AdjustedBundle(found, held, corners, scatter, tuple(notes))
+    return _AdjustedBundle(found, held, corners, scatter)
 
 
 def _bow_shows(found: estimate.Estimate) -> bool:
@@ -309,7 +313,6 @@ def _with_reading(
 def _decisions(adjusted: _AdjustedBundle, board: Board, frames: Index) -> Iterator[str]:
     """Describe what was chosen of bases, lens and board, and what was refused."""
     found = adjusted.found
-    yield from adjusted.notes
     yield from open_coefficients(found)
     yield from pan_bases.base_sentences(found, adjusted.scatter, adjusted.corners.pan, frames)
     if (moved := _seen_errors(adjusted, par.MOTION)) is not None:

@@ -9,8 +9,8 @@ did not the camera's own y axis. Per kind of base (parameters of `parameters.PAR
 
     fixed      axis +y, zero 0, mount's translation 0: the optical centre is the pan centre and the
                mount holds the camera's orientation
-    centred    mount's translation 0, and its rotation about the axis 0 (it is in the pan zero)
-    turning    mount's translation along the axis 0, and its rotation about the axis 0
+    turning    mount's translation along the axis 0, and its rotation about the axis 0 (it is in
+               the pan zero)
 
 A constraint is a row (47,) whose product with a parameter step must be 0; the adjustment moves in
 the null space of all rows.
@@ -26,15 +26,13 @@ from verify.calibration.stereo import parameters as par
 from verify.core.records import SIDES, Array, rigid_transform
 from verify.core.rig import Camera
 
-BASE_FIXED, BASE_TURNING, BASE_CENTRED = "fixed", "turning", "centred"
-# centred: turned too little to show where the axis passes; it is put through the optical centre
+BASE_FIXED, BASE_TURNING = "fixed", "turning"
 HELD_PARAMETERS: dict[str, tuple[str, ...]] = {  # held of each kind of base
     BASE_FIXED: (
         *par.PARAMETER_KEYS[par.PAR_AXIS],
         par.PARAMETER_KEYS[par.PAR_ZERO],
         *par.PARAMETER_KEYS[par.PAR_OFFSET],
     ),
-    BASE_CENTRED: (*par.PARAMETER_KEYS[par.PAR_OFFSET],),
     BASE_TURNING: (),
 }
 Y_AXIS = np.array([0.0, 1.0, 0.0])
@@ -44,10 +42,10 @@ Y_AXIS = np.array([0.0, 1.0, 0.0])
 class AdjustmentModel:
     """Which parameters an adjustment holds, and how far it trusts what is known beforehand."""
 
-    bases: tuple[str, str]  # left and right: BASE_FIXED, BASE_TURNING or BASE_CENTRED
+    bases: tuple[str, str]  # left and right: BASE_FIXED or BASE_TURNING
     precision: Array = field(default_factory=lambda: np.full(par.N_ERRORS, np.inf))  # (8,), 1/rad²,
     # 1/m², of a pair's errors against corners' stated weights; infinite: held at 0
-    lens: Array | None = None  # (k, 47), rows whose products with the values cost their squares
+    prior: Array | None = None  # (k, 47); squares of its products with `prior_values` are costs
     bowed: bool = False  # the board's bow is free
 
 
@@ -169,8 +167,6 @@ def _base_rows(own: Array, camera: Camera, base: str) -> list[Array]:
         axis @ own[par.PAR_AXIS],
         np.cross(axis, turn) @ own[par.PAR_AXIS] + axis @ _log_derivative(turn) @ own[par.PAR_TURN],
     ]
-    if base == BASE_CENTRED:
-        return [*rows, *own[par.PAR_OFFSET]]
     return [
         *rows,
         np.cross(axis, camera.mount[:3, 3]) @ own[par.PAR_AXIS] + axis @ own[par.PAR_OFFSET],

@@ -1,4 +1,4 @@
-"""The turning bases: which turned, far enough to determine their axes; boards in a hand.
+"""The turning bases: which turned, and how their readings scatter; boards in a hand.
 
 A pan reading errs by so much from pair to pair. Where no base turns, a board that a hand moves
 between the left picture and the right, or bends from pair to pair, errs alike; all are found as in
@@ -12,13 +12,14 @@ import numpy as np
 
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.estimate import Estimate, readjust
-from verify.calibration.stereo.gauge import BASE_CENTRED, BASE_FIXED, BASE_TURNING
-from verify.calibration.stereo.prior import lens_rows
+from verify.calibration.stereo.gauge import BASE_FIXED, BASE_TURNING
+from verify.calibration.stereo.prior import prior_rows
 from verify.calibration.stereo.refusals import refuse_wrong_readings
 from verify.calibration.stereo.scatter import ErrorScatter, adjust_with_scatter
 from verify.core.records import SIDES, Array, Index
 
 MIN_TURN = 1e-9  # rad: readings that differ by less are the same number
+MIN_VISIBLE_TURN = np.deg2rad(0.1)  # a smaller range is a turn only if it shows an axis
 MAX_AXIS_UNCERTAINTY = np.deg2rad(1.0)  # above it an axis is not determined
 MAX_OFFSET_UNCERTAINTY = 0.02  # m, above it the axis's distance from the camera is not determined
 MAX_HIDDEN_VARIANCE = 2.0  # of a parameter by a scatter that is not seen, over that without it
@@ -40,27 +41,30 @@ def start_precision(bases: tuple[str, str], noise: float) -> Array:
 
 
 def settle_bases(
-    found: Estimate, corners: par.CornerStack
-) -> tuple[Estimate, ErrorScatter | None, list[str]]:
-    """Find how the readings scatter, then hold what the bases' turns do not determine.
+    found: Estimate, corners: par.CornerStack, image_size: tuple[int, int]
+) -> tuple[Estimate, ErrorScatter | None]:
+    """Find how the readings scatter; bases whose readings but flicker are fixed.
 
-    Returns the scatter, None where no base turned, and a sentence for each base that is held.
+    The image size is width and height, px. The scatter is None where no base turned.
 
     Raises:
         InputError: the bases stand too far off their readings.
     """
     if found.model.bases == (BASE_FIXED, BASE_FIXED):
-        return found, None, []
+        return found, None
     found, scatter = _with_scatter(found, corners)
-    kinds, sentences = _determined_bases(found)
+    kinds = _visible_turns(found, corners.pan)
     if kinds == found.model.bases:
-        return found, scatter, sentences
-    model = replace(found.model, bases=kinds, precision=start_precision(kinds, found.noise))
+        return found, scatter
+    model = replace(
+        found.model,
+        bases=kinds,
+        precision=start_precision(kinds, found.noise),
+        prior=prior_rows(found.state, kinds, image_size, found.variance),
+    )
     state = replace(found.state, errors=np.zeros_like(found.state.errors))
     found = readjust(replace(found, state=state), corners, model)
-    if kinds == (BASE_FIXED, BASE_FIXED):
-        return found, None, sentences
-    return *_with_scatter(found, corners), sentences
+    return (found, None) if kinds == (BASE_FIXED, BASE_FIXED) else _with_scatter(found, corners)
 
 
 def _with_scatter(found: Estimate, corners: par.CornerStack) -> tuple[Estimate, ErrorScatter]:
@@ -101,8 +105,8 @@ def boards_in_hand(
     precision[motion + bend] = (found.noise / START_HAND) ** 2
     free = readjust(found, corners, replace(found.model, precision=precision))
     # the variance that is left without them would make what is known of lenses too strong
-    lens = lens_rows(free.state, image_size, free.variance)
-    free = readjust(free, corners, replace(free.model, lens=lens))
+    prior = prior_rows(free.state, free.model.bases, image_size, free.variance)
+    free = readjust(free, corners, replace(free.model, prior=prior))
     held, scatters = adjust_with_scatter(
         free, corners, [bend, *([axis] for axis in motion)], MIN_HAND_GAIN
     )
@@ -126,45 +130,58 @@ def with_doubt(found: Estimate, held: Estimate) -> Estimate:
     )
 
 
-def _determined_bases(found: Estimate) -> tuple[tuple[str, str], list[str]]:
-    """Choose the kind of each base by what its turn determines, and explain each choice."""
-    kinds, sentences = list(found.model.bases), []
+def _visible_turns(found: Estimate, readings: Array) -> tuple[str, str]:
+    """Kinds of the bases by their readings (b, 2), rad; fixed where these but flicker."""
+    left, right = (
+        BASE_FIXED if turn < MIN_VISIBLE_TURN and axis > MAX_AXIS_UNCERTAINTY else kind
+        for kind, turn, (axis, _) in zip(
+            found.model.bases, np.ptp(readings, axis=0), _open_axes(found), strict=True
+        )
+    )
+    return left, right
+
+
+def _open_axes(found: Estimate) -> list[tuple[float, float]]:
+    """Standard uncertainties of each base's axis, rad, and of the camera's offset from it, m."""
     u = np.sqrt(np.maximum(np.diag(found.covariance), 0.0))
-    for index, side in enumerate(SIDES):
-        own = u[par.camera_columns(index)]
-        if kinds[index] == BASE_FIXED:
-            continue
-        axis, offset = float(own[par.PAR_AXIS].max()), float(own[par.PAR_OFFSET].max())
-        if axis > MAX_AXIS_UNCERTAINTY:
-            kinds[index] = BASE_FIXED
-            sentences.append(
-                f"{side} base: turned too little to show its axis "
-                f"(± {2 * np.rad2deg(axis):.0f}°, k = 2); taken as +y through the optical centre."
-            )
-        elif offset > MAX_OFFSET_UNCERTAINTY:
-            kinds[index] = BASE_CENTRED
-            sentences.append(
-                f"{side} base: turned too little to show where its axis passes the camera "
-                f"(± {2e3 * offset:.0f} mm, k = 2); taken through the optical centre."
-            )
-    return (kinds[0], kinds[1]), sentences
+    sides = [u[par.camera_columns(index)] for index in range(len(SIDES))]
+    return [(float(own[par.PAR_AXIS].max()), float(own[par.PAR_OFFSET].max())) for own in sides]
 
 
 def base_sentences(
     found: Estimate, scatter: ErrorScatter | None, readings: Array, frames: Index
 ) -> Iterator[str]:
     """Describe what was found and chosen of each base, and the scatter of the pairs' readings."""
-    for side, base, values in zip(SIDES, found.model.bases, readings.T, strict=True):
+    sides = zip(SIDES, found.model.bases, readings.T, _open_axes(found), strict=True)
+    for side, base, values, (axis, offset) in sides:
+        degrees = np.rad2deg(np.ptp(values))
         if base == BASE_FIXED and np.ptp(values) <= MIN_TURN:
             yield (
                 f"{side} base: not turned, so its axis is not determined: pan centre at the "
                 "optical centre, axis +y, zero 0; the camera's orientation is its mount's."
             )
-        elif base != BASE_FIXED:
+            continue
+        if base == BASE_FIXED:
             yield (
-                f"{side} base: turned over {np.rad2deg(np.ptp(values)):.1f}°; its place along its "
-                "axis is chosen (mount offset 0 along the axis), and so is the mount's turn about "
-                "it (0, in the pan zero instead)."
+                f"{side} base: turned too little to show its axis ({degrees:.2g}°); taken as +y "
+                "through the optical centre."
+            )
+            continue
+        yield (
+            f"{side} base: turned over {degrees:.1f}°; its place along its axis is chosen (mount "
+            "offset 0 along the axis), and so is the mount's turn about it (0, in the pan zero "
+            "instead)."
+        )
+        open_parts = []
+        if axis > MAX_AXIS_UNCERTAINTY:
+            open_parts.append(f"its axis (± {2 * np.rad2deg(axis):.0f}°, k = 2)")
+        if offset > MAX_OFFSET_UNCERTAINTY:
+            open_parts.append(f"where that passes the camera (± {2e3 * offset:.0f} mm, k = 2)")
+        if open_parts:
+            yield (
+                f"{side} base: turned too little to show {' and '.join(open_parts)}; a usual base "
+                "is assumed, and the doubt is part of every uncertainty. Turn it further between "
+                "pairs."
             )
     if scatter is not None and scatter.visible:
         off = np.rad2deg(found.state.errors[:, par.PAN_ERRORS])

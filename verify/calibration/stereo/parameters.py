@@ -138,6 +138,19 @@ def lens_values(state: BundleState) -> Array:
     return values
 
 
+def prior_values(state: BundleState) -> Array:
+    """What priors speak of, (47,): lenses, and of bases the axis and mount less upright ones.
+
+    An axis that points down is upright as well: its readings grow the other way.
+    """
+    values = lens_values(state)
+    for side, camera in enumerate(state.cameras):
+        own, axis = values[camera_columns(side)], camera.pan_axis
+        own[PAR_AXIS] = np.cross([0.0, np.copysign(1.0, axis[1]), 0.0], axis)
+        own[PAR_TURN], own[PAR_OFFSET] = rotation_log(camera.mount[:3, :3]), camera.mount[:3, 3]
+    return values
+
+
 def parameter_difference(one: BundleState, other: BundleState) -> Array:
     """The step (47,) of the shared parameters from the other state to the one."""
     step = lens_values(one) - lens_values(other)

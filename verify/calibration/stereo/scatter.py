@@ -103,7 +103,7 @@ def _error_information(found: Estimate, columns: list[int]) -> tuple[Array, Arra
     prior = np.concatenate([np.zeros(count), precision[columns]])
     between, blocks, pulls = [], [], []
     system = found.system
-    rig, rig_pull = system.lens, system.lens_gradient
+    rig, rig_pull = system.prior, system.prior_gradient
     for b, error in enumerate(found.state.errors[:, columns]):
         with_prior = np.linalg.inv(system.own[b][np.ix_(own, own)])
         inner = with_prior - np.diag(prior)

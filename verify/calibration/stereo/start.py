@@ -12,7 +12,7 @@ tolerance the one with the fewest half turns is taken.
 """
 
 import itertools
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import cv2
@@ -27,6 +27,7 @@ from verify.core.fiducials import Board, BoardView
 from verify.core.records import Array, rigid_transform
 from verify.core.rig import Camera
 
+MAX_UNCLEAR_TURN = np.deg2rad(5.0)  # range of readings that may not show which way they grow
 MAX_RELATION_ANGLE = np.deg2rad(10.0)  # of two that agree, bases fixed: poses of a view err by 1°
 MAX_RELATION_ANGLE_TURNED = np.deg2rad(20.0)  # bases turned: mounts and axes are still ideal
 MAX_VIEWS = 15  # of a camera for its start value; the adjustment takes all
@@ -239,3 +240,27 @@ def start_state(
         side = 0 if i in lenses[0].poses else 1
         boards.append(cameras[side].rig_T_camera(pan[i, side]) @ lenses[side].poses[i])
     return BundleState(cameras[0], cameras[1], np.array(boards), np.zeros((len(boards), N_ERRORS)))
+
+
+def other_senses(
+    state: BundleState, readings: Array, bases: Sequence[str]
+) -> Iterator[BundleState]:
+    """The same start with the axes of bases the other way round that turned too little to tell.
+
+    `readings` (b, 2), rad. Every camera stands where it stood at its mean reading.
+    """
+    little = np.ptp(readings, axis=0) < MAX_UNCLEAR_TURN
+    unclear = [small and base != BASE_FIXED for small, base in zip(little, bases, strict=True)]
+    ways = itertools.product(*[(False, True) if u else (False,) for u in unclear])
+    for left, right in itertools.islice(ways, 1, None):
+        cameras = [
+            _turned_round(camera, float(own.mean())) if swap else camera
+            for camera, own, swap in zip(state.cameras, readings.T, (left, right), strict=True)
+        ]
+        yield replace(state, left=cameras[0], right=cameras[1])
+
+
+def _turned_round(camera: Camera, reading: float) -> Camera:
+    """A camera whose readings grow the other way, standing alike at one of them, rad."""
+    turn = rigid_transform(rotation_exp(2 * reading * camera.pan_axis), np.zeros(3))
+    return replace(camera, pan_axis=-camera.pan_axis, mount=turn @ camera.mount)

@@ -17,9 +17,10 @@ import pyarrow.parquet as pq
 
 import reports
 from reports import Results
-from verify.analysis.uncertainty.sources import ALIGNMENT, CLOCK, PAN
+from verify.analysis.uncertainty.sources import ALIGNMENT, CLOCK
 from verify.fleet.batch.records import SessionFailure
 from verify.io.results import RESULTS
+from verify.measurement.systematics import PAN_ANGLE
 
 STATUSES = (
     "too_few_leds", "ambiguous_leds", "no_encoder", "unreachable", "outlier", "unaligned",
@@ -221,7 +222,7 @@ def _session_uncertainty(results: Results) -> dict[int, float]:
     budget = results.table("budget")
     if not len(budget):
         return {}
-    anew = (budget["kind"] == "random") | budget["source"].isin([ALIGNMENT, CLOCK, PAN])
+    anew = (budget["kind"] == "random") | budget["source"].isin([ALIGNMENT, CLOCK, PAN_ANGLE])
     chosen = budget[anew]
     square = (chosen["standard_uncertainty_deg"] ** 2).groupby(chosen["joint"]).sum(min_count=1)
     return {int(str(joint)): float(value**0.5) for joint, value in square.items()}

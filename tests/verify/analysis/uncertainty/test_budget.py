@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from msgspec.structs import replace as replaced
 from numpy.testing import assert_allclose
+from scipy.spatial.transform import Rotation
 from scipy.stats import t as student
 
 import robots
 from robots.transforms import difference
 from tests.support.beside import shared
 from tests.support.motions import ARM, compared_session, make_track, read, swinging
-from tests.support.scene import make_marker, make_rig
+from tests.support.scene import facing, make_marker, make_rig, sight
 from tests.support.simulated import InMemory, in_memory, measured_at_spots
 from verify import analyse, measure, open_session
 from verify.analysis.clock.estimate import ClockEstimate
@@ -40,12 +41,13 @@ from verify.analysis.model import (
     build_model,
 )
 from verify.analysis.uncertainty.budget import Budget, budget
-from verify.analysis.uncertainty.sources import robot_table_columns
+from verify.analysis.uncertainty.sources import axis_columns, robot_table_columns
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, StereoPair
-from verify.core.rig import Covariance
+from verify.core.rig import Camera, Covariance
 from verify.measurement.chain import Setup
-from verify.measurement.systematics import Systematics, stated_systematics
+from verify.measurement.pose import fit_pose
+from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
 from verify.simulation import library
 from verify.simulation.scenario import ScenarioFault
 
@@ -226,6 +228,61 @@ def test_a_baseline_off_by_a_percent_moves_the_pairs_by_what_is_said() -> None:
         j = said[error]["joint"] - 1
         moved = [abs(_at_spots(replace(session, rig=off))[0][j] - means[j]) for off in rigs]
         assert max(moved) == pytest.approx(said[error]["moves_mean_error_deg"], rel=0.2), error
+
+
+def test_a_base_that_stands_elsewhere_asks_after_its_axis() -> None:
+    sample = library.load("multi_joint_fault_6r")
+    recording = replaced(sample.recording, skew_s=0.0, skew_jitter_s=0.0, pairs=30)
+    session = in_memory(replaced(sample, recording=recording))
+    left = replace(session.rig.left, pan=session.rig.left.pan - 0.35)
+    focal = Covariance(("left.fx_px",), np.ones(1), np.eye(1))
+    _, there = _at_spots(replace(session, rig=replace(session.rig, covariance=focal)))
+    moved = replace(session.rig, left=left, covariance=focal)
+    _, elsewhere = _at_spots(replace(session, rig=moved))
+    axes = [{effect["error"] for effect in said if effect["source"] == "pan axes"}
+            for said in (there, elsewhere)]  # fmt: skip
+    assert axes == [set(), {"an axis off by 1°", "a camera 10 mm off its axis"}]
+
+
+@pytest.mark.parametrize("away", [0.0, 0.35])
+def test_an_axis_that_is_off_moves_a_pose_as_a_refit_shows(away: float) -> None:
+    """Where a rig was found another axis changes nothing: the camera stands where it stood."""
+    rig, marker, truth = make_rig(), make_marker(), facing(0.04, -0.02, 0.6)
+    views = sight(rig, marker, truth, 0.02, np.random.default_rng(1))
+    left, right = (replace(c, pan=c.pan + away) for c in (rig.left, rig.right))
+    rig = replace(rig, left=left, right=right)
+    pose = fit_pose(*views, rig, marker, truth)
+    seen = Measurement(0, 0.0, "measured", 4, pose, *views)
+
+    def of(*names: str) -> Array:
+        parameters = replace(stated_systematics(rig, marker, turning=False), names=names)
+        return sensitivities(parameters, seen, rig, marker)[None, :, : len(names)]
+
+    for (_, columns), change in zip(axis_columns(rig, of), (_tilted, _shifted), strict=True):
+        rigs = [replace(rig, left=change(left, axis)) for axis in (0, 2)]
+        rigs += [replace(rig, right=change(right, axis)) for axis in (0, 2)]
+        fits = [fit_pose(*views, other, marker, truth) for other in rigs]
+        base_R_rig = rig.rig_T_base[:3, :3].T
+        twists = [difference(fit.rig_T_flange, pose.rig_T_flange).reshape(2, 3) for fit in fits]
+        expected = np.array([(twist @ base_R_rig.T).ravel() for twist in twists]).T
+        assert_allclose(columns[0] / 1000, expected, atol=1e-9 + 0.01 * np.abs(expected).max())
+
+
+def _tilted(camera: Camera, axis: int) -> Camera:
+    """Its base's axis 0.001° off about an axis of the rig, the camera where it was."""
+    turn = Rotation.from_euler("xyz"[axis], 1e-3, degrees=True).as_matrix()
+    tilted = replace(camera, pan_axis=turn @ camera.pan_axis)
+    back = np.linalg.inv(replace(tilted, mount=np.eye(4)).rig_T_camera(camera.pan))
+    return replace(tilted, mount=back @ camera.rig_T_camera(camera.pan))
+
+
+def _shifted(camera: Camera, axis: int) -> Camera:
+    """0.01 mm off its base's axis, the camera where it was."""
+    mount = camera.mount.copy()
+    mount[axis, 3] += 1e-5
+    shifted = replace(camera, mount=mount)
+    away = (shifted.rig_T_camera(camera.pan) - camera.rig_T_camera(camera.pan))[:3, 3]
+    return replace(shifted, pan_center=camera.pan_center - away)
 
 
 def _at_spots(session: InMemory) -> tuple[list[float], list[dict[str, Any]]]:

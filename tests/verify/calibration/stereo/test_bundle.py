@@ -7,6 +7,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from scipy.stats import chi2
 
 from tests.bench import calibration as bench
 from tests.bench.calibration import deviation, study
@@ -155,6 +156,33 @@ def test_a_turn_too_small_for_an_axis_is_held_and_reported() -> None:
     found = calibrate(make_pairs(turning_rig(), poses(rng, 12), rng, pan), BOARD, SIZE)
     assert "left.pan_axis_rx_deg" in found.fixed
     assert any("turned too little to show its axis" in d for d in found.decisions)
+
+
+@pytest.mark.parametrize(("count", "turn_deg", "seed"), [(3, 1.0, 3), (5, 0.3, 2), (4, 0.5, 1)])
+def test_of_bases_that_turned_little_the_cameras_at_other_angles_are_as_uncertain_as_they_err(
+    count: int, turn_deg: float, seed: int
+) -> None:
+    """Axes that pass some 2 cm beside the cameras; of turns so small either may point down."""
+    rng = np.random.default_rng([count, int(turn_deg * 1000), seed])
+    rig = bench.random_rig(rng, turning=True)
+    boards, still = poses(rng, count), [rig.left.pan, rig.right.pan]
+    pan = still + np.deg2rad(rng.uniform(-turn_deg, turn_deg, (count, 2)))
+    found = calibrate(make_pairs(rig, boards, rng, pan, np.zeros((count, 2))), BOARD, SIZE)
+    for away_deg in (0, 3, 15):
+        at = np.mean(pan, axis=0) + np.deg2rad([away_deg, -away_deg])
+        there = replace(found, rig=at_readings(found.rig, at))
+        error = departure(there.rig, at_readings(rig, at))[-6:]
+        d2, degrees = squared_distance(error, departure_covariance(there)[-6:, -6:])
+        assert d2 < chi2.ppf(0.999, degrees), away_deg
+    assert any("turned too little to show" in d for d in found.decisions)
+
+
+def at_readings(rig: Rig, pan: Array) -> Rig:
+    left, right = (
+        replace(camera, pan=float(angle))
+        for camera, angle in zip((rig.left, rig.right), pan, strict=True)
+    )
+    return replace(rig, left=left, right=right)
 
 
 def test_readings_scatter_as_stated_and_without_scatter_a_bound_is_stated() -> None:
