@@ -64,6 +64,22 @@ def whiten(comparison: Comparison, covariance: Array | None = None) -> Whitener:
     return Whitener(tuple(factors), pair.astype(np.int64))
 
 
+def pair_misfits(comparison: Comparison, count: int, usual: Array) -> tuple[Array, Array]:
+    """Squared misfit of each of a track's pairs beside usual errors (j,), (n,); nan unread.
+
+    And (j, n), what any error of one joint would leave of it.
+    """
+    white, rest = whiten(comparison), comparison.xi - comparison.jacobian @ usual
+    rows = white.rows(np.concatenate([rest[:, :, None], comparison.jacobian], axis=2)).T
+    of, by, own = (
+        np.array([np.bincount(white.pair, row, len(comparison)) for row in product])
+        for product in (rows[:1] ** 2, rows[0] * rows[1:], rows[1:] ** 2)
+    )
+    misfits = np.full((len(rows), count), np.nan)
+    misfits[:, comparison.index] = np.concatenate([of, of - by**2 / own])
+    return misfits[0], misfits[1:]
+
+
 @dataclass(frozen=True, slots=True)
 class RegressionFit:
     """A solved regression; c free columns."""

@@ -35,10 +35,10 @@ from verify.analysis.clock.estimate import (
     spread,
 )
 from verify.analysis.clock.search import MOTION_LAG, are_visits, coarse_costs
-from verify.analysis.comparison import Comparison, compare
+from verify.analysis.comparison import Comparison, compare, pseudo_inverse
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.joint_errors import error_terms
-from verify.analysis.least_squares import RegressionFit, Whitener, solve, whiten
+from verify.analysis.least_squares import RegressionFit, Whitener, pair_misfits, solve, whiten
 from verify.analysis.measured import session_clock
 from verify.analysis.mistakes import Mistake, pose_mistakes, refusal
 from verify.core.readings import Readings
@@ -65,6 +65,8 @@ TOL_LATE = 1e-5  # s
 PART_TIME = 0.8  # s: of parts that show each its own clock
 MIN_PART, MIN_PARTS, MAX_PARTS = 12, 3, 12  # pairs of a part; parts
 PART_SHARES = np.arange(2, 8) / 8  # of a track, in which a first change is sought
+MIN_STRETCH = 3  # pairs in a row
+MIN_STRETCH_GAIN, MAX_STRETCH_LEFT = 50.0, 0.1  # of a pair's misfit; of the stretch's
 MIN_BESIDE = 8  # pairs, a clock's change
 FAIR_SQUARE = 2.0  # of a motion's misfit
 MIN_RATE = 5e-4  # more than crystals do
@@ -309,7 +311,60 @@ def clock_changes(
         if (change := clock_change(part, arm, readings, offset)) is not None:
             rest = subset(track, np.flatnonzero(track.t - offset > change[1]))
             return [change, *clock_changes(rest, arm, readings, offset)]
-    return []
+    return _late_stretch(track, arm, readings, offset)
+
+
+def _late_stretch(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float
+) -> list[tuple[float, float, float]]:
+    """A few pairs in a row whose pictures are whole pairs late or early, as changes of the clock.
+
+    They are too few to show an offset of their own. One change where they end the session.
+    """
+    since, until, _, _ = _likeliest_stretch(track, arm, readings, offset)
+    others = np.delete(np.arange(len(track)), slice(max(since - 1, 0), until + 2))
+    if len(others) < len(track) // 2:
+        return []
+    # with the clock of the others, which the stretch had pulled along
+    fit = local_offset(subset(track, others), arm, readings, offset)
+    offset = offset if fit is None else fit[0]
+    since, until, shift, shows = _likeliest_stretch(track, arm, readings, offset)
+    if not shows:
+        return []
+    times = track.t - offset
+    changes = [(float(times[max(since - 1, 0)]), float(times[since]), -shift)]
+    if until + 1 < len(track):
+        changes.append((float(times[until]), float(times[until + 1]), shift))
+    return changes
+
+
+def _likeliest_stretch(
+    track: Track, arm: robots.Arm, readings: Readings, offset: float
+) -> tuple[int, int, float, bool]:
+    """First and last pair of the stretch that whole pairs more or less explain best.
+
+    Behind them the time, s, by which its pictures are late, and whether they clearly are.
+    """
+    n, period, log = len(track), float(np.median(np.diff(track.t))), (track, arm, readings)
+    now = compare(*log, offset)
+    usual = np.median(pseudo_inverse(now.jacobian) @ now.xi[:, :, None], axis=0)[:, 0]
+    (own, by_joint), found = pair_misfits(now, n, usual), []
+    for count in (-2, -1, 1, 2):
+        late, _ = pair_misfits(compare(*log, offset + count * period), n, usual)
+        gained = np.append(0.0, np.cumsum(np.nan_to_num(own - late) - MIN_STRETCH_GAIN))
+        until = int(np.argmax(gained - np.minimum.accumulate(gained))) - 1
+        since = int(np.argmin(gained[: until + 2]))
+        inside = slice(since, until + 1)
+        edges = [i for i in (since - 2, since - 1, until + 1, until + 2) if 0 <= i < n]
+        few = MIN_STRETCH <= until - since + 1 <= n // 2
+        # no error of one joint, which grows and shrinks: pictures are late from pair to pair
+        left, as_read = np.nansum(late[inside]), np.nansum(own[inside])
+        fits = left < MAX_STRETCH_LEFT * as_read
+        fits &= left < MAX_LEFT_SHARE * np.nansum(by_joint[:, inside], axis=1).min()
+        sharp = np.nansum(own[edges]) < MAX_STRETCH_LEFT * np.nansum(late[edges])
+        gain = float(gained[until + 1] - gained[since])
+        found.append((gain, since, until, count * period, bool(few and fits and sharp)))
+    return max(found)[1:]
 
 
 def clock_change(

@@ -233,7 +233,9 @@ def test_pictures_that_both_cameras_lose_or_repeat_are_told_beside_the_clock(
         judge((session, shifted), session.encoders.q)
 
 
-@pytest.mark.parametrize("stretch", [(0.3, 0.7), (0.5, 0.75), (0.4, 0.7)])
+@pytest.mark.parametrize(
+    "stretch", [(0.3, 0.7), (0.5, 0.75), (0.4, 0.7), (0.5, 0.58), (0.2, 0.27), (0.9, 0.98)]
+)
 def test_pictures_that_are_late_in_a_stretch_are_two_changes_of_the_clock(
     recording: tuple[Session, Track], stretch: tuple[float, float]
 ) -> None:
