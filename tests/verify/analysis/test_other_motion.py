@@ -264,7 +264,7 @@ def test_a_clock_that_runs_fast_or_a_belt_that_slips_is_no_change_of_the_clock(
 
 
 def test_a_slip_of_a_joint_that_turns_alone_is_no_change_of_the_clock() -> None:
-    """By what the joint turns in two pairs, for a second: late pictures would look the same."""
+    """By what the joint turns from pair to pair, for a second: late pictures would look the same."""
     log, t = np.arange(-1.0, 17.0, 0.01), np.arange(0.0, 16.0, 1 / 15)
 
     def sweep(t: Array) -> Array:
@@ -272,7 +272,7 @@ def test_a_slip_of_a_joint_that_turns_alone_is_no_change_of_the_clock() -> None:
         return HOME + np.outer(np.deg2rad(60.0) * np.abs((t / 8) % 1 - 0.5), np.eye(6)[0]) * 2
 
     track = make_track(t, sweep(t), np.random.default_rng(1))
-    slip = 2 / 15 * np.deg2rad(15.0) * np.outer((log > 5.03) & (log < 6.03), np.eye(6)[0])
+    slip = 1 / 15 * np.deg2rad(15.0) * np.outer((log > 5.03) & (log < 6.03), np.eye(6)[0])
     assert clock_changes(track, ARM, Readings(log, sweep(log) + slip), 0.0) == []
 
 
