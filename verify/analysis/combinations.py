@@ -7,7 +7,7 @@ from scipy.linalg import qr
 
 import robots
 from verify.analysis.comparison import Comparison, JointComparison
-from verify.analysis.joint_errors import JointErrors, MeanErrors
+from verify.analysis.joint_errors import JointErrors, ResolvedErrors
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.core.records import Array, Index
 
@@ -46,7 +46,10 @@ def _format_weight(weight: float) -> str:
 
 
 def combinations(
-    compared: SessionComparison, model: JointErrorModel, errors: JointErrors, means: MeanErrors
+    compared: SessionComparison,
+    model: JointErrorModel,
+    errors: JointErrors,
+    resolved: ResolvedErrors,
 ) -> list[Combination]:
     """Collect sums of joint errors that are known better than their parts.
 
@@ -59,17 +62,18 @@ def combinations(
         found += _singularity_sums(joints, errors, clock)
         if arm.dof > POSE_DOF:
             found += _pose_sums(model.comparison, joints, errors, clock)
-    return found + _parallel(arm, means, len(model.comparison))
+    return found + _parallel(arm, resolved, len(model.comparison))
 
 
-def _parallel(arm: robots.Arm, means: MeanErrors, pairs: int) -> list[Combination]:
+def _parallel(arm: robots.Arm, resolved: ResolvedErrors, pairs: int) -> list[Combination]:
     """Sums over joints with parallel axes: the angle of the last link, known better than each."""
     found = []
     for weights in _parallel_axes(arm):
         used = weights != 0
-        if np.isfinite(means.mean[used]).all():
-            mean = float(weights[used] @ means.mean[used])
-            variance = float(weights[used] @ means.covariance[np.ix_(used, used)] @ weights[used])
+        if np.isfinite(resolved.mean[used]).all():
+            part = weights[used]
+            mean = float(part @ resolved.mean[used])
+            variance = float(part @ resolved.mean_covariance[np.ix_(used, used)] @ part)
             found.append(Combination(weights, mean, float(np.sqrt(variance)), pairs, "well_known"))
     return found
 

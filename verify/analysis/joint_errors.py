@@ -41,7 +41,7 @@ class ResolvedErrors:
     uncertainty: Array  # (n, j), standard, systematic part included
     covariance: Array  # (n, j, j), of the errors at one pair
     mean: Array  # (j,), over the pairs
-    mean_covariance: Array  # (j, j)
+    mean_covariance: Array  # (j, j), nan rows where the mean is nan
     swing: Array  # (j,), half the range of what is not constant; nan where that is not determined
     swing_uncertainty: Array  # (j,)
     terms: tuple[tuple[str, ...], ...]  # fitted terms a joint
@@ -199,22 +199,11 @@ def _half_range(
 
 @dataclass(frozen=True, slots=True)
 class JointErrors:
-    """Per-pair joint errors (readings less measured), rad; nan where a pair does not tell."""
+    """How sure each pair's joint errors (readings less measured) are, rad."""
 
-    error: Array  # (n, j)
-    covariance: Array  # (n, j, j), random, of the error
+    covariance: Array  # (n, j, j), random
     systematic: Array  # (n, j, p), d error / d prior column
     clock: Array  # (n, j), d error / d clock offset, rad/s
-
-
-@dataclass(frozen=True, slots=True)
-class MeanErrors:
-    """Mean errors, rad; nan where no data determine them."""
-
-    mean: Array  # (j,)
-    covariance: Array  # (j, j), nan rows where the mean is nan
-    random: Array  # (j,), standard uncertainty from what averages out
-    coverage_factor: Array  # (j,)
 
 
 def effective_degrees(

@@ -24,7 +24,6 @@ from verify.analysis.diagnosis.faults import about_turned_camera
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import (
     JointErrors,
-    MeanErrors,
     ResolvedErrors,
     predict_errors,
     resolve_errors,
@@ -322,16 +321,12 @@ def _estimate(
     model, diagnosis, resolved = session_model(compared)
     comparison, clock_uncertainty = model.comparison, compared.clock_uncertainty
     errors = JointErrors(
-        error=joints.single,
         covariance=joints.inverse @ comparison.covariance @ np.swapaxes(joints.inverse, 1, 2),
         systematic=joints.inverse @ model.prior_columns,
         clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
     )
     used = [m for m in measured.measurements if m.status == "measured"]
     sources = budget(model, compared, resolved, used)
-    means = MeanErrors(
-        resolved.mean, resolved.mean_covariance, sources.random, sources.coverage_factor
-    )
     seen = measured.measurements
     pictures = picture_misfit(seen, session.rig, session.marker, compared.systematics)
     stated = {name: limit for name, limit in asdict(tolerance).items() if limit is not None}
@@ -343,9 +338,8 @@ def _estimate(
         repeated=len(measured.repeated),
         choices=dict(Counter(m.choice for m in measured.measurements if m.choice)),
         errors=errors,
-        means=means,
         resolved=resolved,
-        combinations=combinations(compared, model, errors, means),
+        combinations=combinations(compared, model, errors, resolved),
         sources=sources,
         monte_carlo=monte_carlo(compared, used),
         sweeps=judge_sweeps(model, compared),

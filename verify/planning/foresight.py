@@ -111,7 +111,8 @@ class PredictedSession:
 class PredictedAnalysis:
     """The analysis of a predicted session."""
 
-    means: joint_errors.MeanErrors
+    random: Array  # (j,), rad, standard uncertainty of the means from what averages out
+    coverage_factor: Array  # (j,), of the means
     systematic: tuple[BudgetLine, ...]  # what of the means' uncertainty does not average out
     resolved: joint_errors.ResolvedErrors
     visibility: Observability
@@ -169,12 +170,8 @@ def estimate_means(session: PredictedSession) -> PredictedAnalysis:
         np.diag(resolved.mean_covariance), random,
         max(float(resolved.fit.degrees_of_freedom), 1.0), *calibration_variance(held, by_pair),
     )  # fmt: skip
-    means = joint_errors.MeanErrors(
-        resolved.mean, resolved.mean_covariance, np.sqrt(random),
-        joint_errors.coverage_factor(degrees),
-    )  # fmt: skip
-    lines = tuple(systematic_lines(held, by_pair))
-    return PredictedAnalysis(means, lines, resolved, visibility(model))
+    factor, lines = joint_errors.coverage_factor(degrees), tuple(systematic_lines(held, by_pair))
+    return PredictedAnalysis(np.sqrt(random), factor, lines, resolved, visibility(model))
 
 
 class _SyntheticPairs:
@@ -221,7 +218,7 @@ class _SyntheticPairs:
         rig, marker = self._setup.rig, self._setup.marker
         camera = rig.right if side else rig.left
         view = self._view(side, t)
-        pixels, visible = view.pixels, view.visible
+        pixels, visible = view.pixels, view.inside & view.facing & view.apart
         if camera.line_time:
             height = rig.image_size[1]
             for led in range(len(marker)):

@@ -135,7 +135,7 @@ def uncertainty_sources(analysis: PredictedAnalysis) -> dict[str, Array]:
 
     Standard uncertainty (j,), rad, each; nan where the mean is not known.
     """
-    found = {RANDOM_SOURCE: analysis.means.random}
+    found = {RANDOM_SOURCE: analysis.random}
     for line in analysis.systematic:
         if line.source in GROUPS and np.any(line.variance > 0):
             found[line.source] = np.sqrt(np.maximum(line.variance, 0.0))

@@ -159,7 +159,7 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
                 strict=True,
             )
         ],
-        "joint_error_correlation": correlation_entry(predicted.analysis.means.covariance),
+        "joint_error_correlation": correlation_entry(predicted.analysis.resolved.mean_covariance),
         "clock": {
             "source": predicted.clock.source,
             "standard_uncertainty_s": predicted.clock.standard_uncertainty,
@@ -265,9 +265,9 @@ def _conditions(conditions: SessionConditions) -> dict[str, Any]:
 
 
 def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, Any]]:
-    means, session = predicted.analysis.means, predicted.session
-    visible = predicted.analysis.visibility
-    spread = np.sqrt(np.diag(means.covariance))
+    analysis, session = predicted.analysis, predicted.session
+    visible, factor = analysis.visibility, analysis.coverage_factor
+    spread = np.sqrt(np.diag(analysis.resolved.mean_covariance))
     t = timed.times(PERIOD)
     q, comparison = timed.q(t), session.comparison
     speed = np.abs(np.gradient(q, t, axis=0)).max(axis=0)
@@ -276,8 +276,8 @@ def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, 
         {
             "joint": j + 1,
             "standard_uncertainty_deg": _deg(spread[j]),
-            "expanded_uncertainty_deg": _deg(means.coverage_factor[j] * spread[j]),
-            "coverage_factor": finite_number(means.coverage_factor[j]),
+            "expanded_uncertainty_deg": _deg(factor[j] * spread[j]),
+            "coverage_factor": finite_number(factor[j]),
             "visible_fraction": finite_number(visible.fraction[j]),
             "visible_fraction_since_registration": finite_number(visible.fraction_since[j]),
             "minimum_detectable_error_deg": _deg(visible.detectable[j]),

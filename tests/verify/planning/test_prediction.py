@@ -39,7 +39,7 @@ def test_a_recorded_session_agrees_with_the_prediction(
     foretold = made.prediction.analysis
     assert summary["pairs"]["measured"] == len(made.prediction.session.track)
     for key, predicted in (
-        ("standard_uncertainty_deg", np.sqrt(np.diag(foretold.means.covariance))),
+        ("standard_uncertainty_deg", np.sqrt(np.diag(foretold.resolved.mean_covariance))),
         ("minimum_detectable_error_deg", foretold.visibility.detectable),
         ("minimum_separable_error_deg", foretold.visibility.separable),
     ):
@@ -176,7 +176,9 @@ def test_pictures_taken_one_after_the_other_give_the_same_poses(
     # readings alone are noisy here: a chi-squared with far fewer degrees of freedom than rows
     assert np.mean(seen.model.xi**2) < 1.2
     if skew:
-        u, before = (np.diag(p.analysis.means.covariance) for p in (foretold, made.prediction))
+        u, before = (
+            np.diag(p.analysis.resolved.mean_covariance) for p in (foretold, made.prediction)
+        )
         assert u.sum() > before.sum()
 
 
@@ -185,7 +187,9 @@ def test_the_sources_make_up_the_uncertainty(made: SessionPlan) -> None:
     parts = uncertainty_sources(foretold.analysis)
     assert set(parts) >= {RANDOM_SOURCE, "rig", "robot base", "LED body"}
     whole = sum(share**2 for share in parts.values())
-    np.testing.assert_allclose(whole, np.diag(foretold.analysis.means.covariance), rtol=1e-9)
+    np.testing.assert_allclose(
+        whole, np.diag(foretold.analysis.resolved.mean_covariance), rtol=1e-9
+    )
 
 
 def test_every_request_is_predicted(bench: PlanningSetup) -> None:
@@ -222,6 +226,6 @@ def test_a_plan_s_coverage_factor_is_the_budget_s(
         marker=bench.marker,
     )
     stated = budget(model, compared, resolve_errors(model), []).coverage_factor
-    assert_allclose(judged.means.coverage_factor, stated, rtol=1e-9)
+    assert_allclose(judged.coverage_factor, stated, rtol=1e-9)
     assert np.all(stated < 2.65)
     assert np.any(stated > 2.0) if degrees < 10 else np.any(stated == 2.0)

@@ -46,7 +46,7 @@ def test_errors_in_simulated_worlds_scatter_as_predicted() -> None:
     for name, (robot, rig) in RIGS.items():
         one = proposal(robot, rig)
         errors = np.array([measured_means(one, seed) for seed in range(WORLDS)])
-        covariance = one.made.prediction.analysis.means.covariance
+        covariance = one.made.prediction.analysis.resolved.mean_covariance
         squared = float(np.einsum("ni,ij,nj->", errors, np.linalg.inv(covariance), errors))
         assert P_CHANCE < chi2.cdf(squared, errors.size) < 1 - P_CHANCE, name
         pooled, count = pooled + squared, count + errors.size
@@ -99,7 +99,9 @@ def test_groups_make_up_the_mean_s_uncertainty(made: SessionPlan) -> None:
     foretold = made.prediction
     groups = group_sources(uncertainty_sources(foretold.analysis))
     whole = sum(u**2 for u in groups.values())
-    np.testing.assert_allclose(whole, np.diag(foretold.analysis.means.covariance), rtol=1e-9)
+    np.testing.assert_allclose(
+        whole, np.diag(foretold.analysis.resolved.mean_covariance), rtol=1e-9
+    )
 
 
 def test_a_lever_is_what_a_small_turn_moves(made: SessionPlan) -> None:

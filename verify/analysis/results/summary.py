@@ -15,7 +15,7 @@ from verify.analysis.combinations import Combination
 from verify.analysis.comparison import flange_error
 from verify.analysis.diagnosis.causes import Cause
 from verify.analysis.diagnosis.diagnose import Diagnosis
-from verify.analysis.joint_errors import JointErrors, MeanErrors, ResolvedErrors
+from verify.analysis.joint_errors import JointErrors, ResolvedErrors
 from verify.analysis.model import JointErrorModel, Observability, SessionComparison
 from verify.analysis.relative_motion import RelativeMotion
 from verify.analysis.results.entries import (
@@ -60,7 +60,6 @@ class SessionAnalysis:
     repeated: int  # pairs of them, unaligned, in which a camera repeated a picture
     choices: dict[str, int]
     errors: JointErrors
-    means: MeanErrors
     resolved: ResolvedErrors
     combinations: list[Combination]
     sources: Budget
@@ -130,7 +129,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "verdict": overall_verdict(verdicts),
         "decision_rule": RULE,
         "joints": [_joint(judged, j, per_joint[j]) for j in range(session.arm.dof)],
-        "joint_error_correlation": correlation_entry(judged.means.covariance),
+        "joint_error_correlation": correlation_entry(judged.resolved.mean_covariance),
         "position": _flange(judged, position, slice(0, 3), MILLIMETRE, "mm"),
         "orientation": _flange(judged, orientation, slice(3, 6), DEGREE, "deg"),
         "relative_motions": _relative(judged.relative),
@@ -178,23 +177,23 @@ def _pictures(found: PictureMisfit | None) -> dict[str, Any] | None:
 
 def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
     """The causes; an offset that is all that ails its joint is the mean of the resolved error."""
-    causes, means = judged.diagnosis.causes, judged.means
+    causes, resolved = judged.diagnosis.causes, judged.resolved
     count = Counter(c.joint for c in causes)
     entries = []
     for cause in causes:
         entry = cause_entry(cause)
-        if (same := _same_as(cause, len(means.mean))) is not None:
+        if (same := _same_as(cause, len(resolved.mean))) is not None:
             entry["same_as"] = same
         # a base or whole rig that creeps leaves the pictures as they should be
         elif cause.kind == "base_drift" and judged.pictures and judged.pictures.contradicts:
             entry["same_as"] = "camera_tilted"
         j = (cause.joint or 0) - 1
-        if cause.kind == "offset" and count[cause.joint] == 1 and np.isfinite(means.mean[j]):
-            u = float(np.sqrt(means.covariance[j, j]) * DEGREE)
+        if cause.kind == "offset" and count[cause.joint] == 1 and np.isfinite(resolved.mean[j]):
+            u = float(np.sqrt(resolved.mean_covariance[j, j]) * DEGREE)
             entry |= {
-                "value": float(means.mean[j] * DEGREE),
+                "value": float(resolved.mean[j] * DEGREE),
                 "standard_uncertainty": u,
-                "expanded_uncertainty": float(means.coverage_factor[j]) * u,
+                "expanded_uncertainty": float(judged.sources.coverage_factor[j]) * u,
             }
         entries.append(entry)
     return entries
@@ -271,16 +270,16 @@ def _verdicts(judged: SessionAnalysis) -> list[Verdict]:
 
 
 def _joint(judged: SessionAnalysis, j: int, verdict: Verdict) -> dict[str, Any]:
-    means, seen = judged.means, judged.visibility
+    resolved, seen = judged.resolved, judged.visibility
     error = judged.compared.joints.single[:, j]
     # residuals of a registration accuse the wrong joint: they are not summed up
     plain = error[~np.isnan(error)] if not judged.model.through_encoders else np.zeros(0)
-    u = float(np.sqrt(means.covariance[j, j]))
-    k = float(means.coverage_factor[j])
+    u = float(np.sqrt(resolved.mean_covariance[j, j]))
+    k = float(judged.sources.coverage_factor[j])
     given = judged.tolerance.joints
     return {
         "joint": j + 1,
-        "mean_error_deg": finite_number(means.mean[j] * DEGREE),
+        "mean_error_deg": finite_number(resolved.mean[j] * DEGREE),
         "plain_mean_error_deg": finite_number(float(plain.mean()) * DEGREE) if len(plain) else None,
         "rms_error_deg": finite_number(float(np.sqrt(np.mean(plain**2))) * DEGREE)
         if len(plain)

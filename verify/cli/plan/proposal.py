@@ -141,7 +141,7 @@ def _row(
         "flange_deg": expanded(flange["standard_uncertainty_deg"]),
     }
     levers = joint_levers(predicted.session)
-    spread: Array = np.sqrt(np.diag(predicted.analysis.means.covariance))
+    spread: Array = np.sqrt(np.diag(predicted.analysis.resolved.mean_covariance))
     for j, (u, lever) in enumerate(zip(spread.tolist(), levers.tolist(), strict=True)):
         known = expanded(u)
         joint = f"q{j + 1}"
