@@ -105,7 +105,7 @@ def given_back(engine: MelfaEngine) -> bool:
 def go_home(emulated: Emulated, home: Array) -> None:
     with mover(emulated, limits(override=50), pause=0.02) as arm:
         ready(arm)
-        arm.move_joints(home)
+        arm.move(home)
         settled(arm, MoverState.ARRIVED)
 
 
@@ -118,7 +118,7 @@ def under_way(arm: MelfaMover, q: Array) -> None:
     """Order a move, and come back in its middle."""
     begin = arm.step().q
     assert begin is not None
-    arm.move_joints(q)
+    arm.move(q)
     far = float(np.max(np.abs(q - begin)))
     low, high = 0.2 * far, 0.8 * far
     stepped(arm, lambda s: s.q is not None and low < np.max(np.abs(s.q - begin)) < high)

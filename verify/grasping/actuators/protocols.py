@@ -76,15 +76,8 @@ class Mover(Protocol):
             MotionRefusedError: not `off` or ended.
         """
 
-    def move_joints(self, q: Array) -> None:
-        """Go to joint angles (joints,), rad, by joint interpolation.
-
-        Raises:
-            MotionRefusedError: no move can be taken now, or q is outside the limits.
-        """
-
-    def move_line(self, q: Array) -> None:
-        """Go to joint angles (joints,), rad, with the flange on a straight line.
+    def move(self, q: Array, *, on_line: bool = False) -> None:
+        """Go to joint angles (joints,), rad, straight in them, or the flange on a straight line.
 
         Raises:
             MotionRefusedError: no move can be taken now, or q is outside the limits.
@@ -144,15 +137,8 @@ class Gripper(Protocol):
             MotionRefusedError: it is doing something else.
         """
 
-    def open_to(self, opening: float) -> None:
-        """Open the fingers to so many m between them.
-
-        Raises:
-            MotionRefusedError: it is not ready, or cannot open so wide.
-        """
-
-    def close_to(self, opening: float) -> None:
-        """Close the fingers until something stops them, or to so many m between them.
+    def go_to(self, opening: float, *, closing: bool) -> None:
+        """Open or close the fingers to so many m between them, or until something stops them.
 
         Raises:
             MotionRefusedError: it is not ready, or the opening is outside its stroke.

@@ -236,7 +236,7 @@ class SteppedArm(OrderedArm):
             self._moves.pop(0)
             self._sent = False
         elif not self._sent and self._state in ACCEPTING_STATES:
-            (self.mover.move_line if on_line else self.mover.move_joints)(q)
+            self.mover.move(q, on_line=on_line)
             self.q, self._sent, self._state = q, True, MoverState.ORDERING
             self._began_line = on_line
 

@@ -314,12 +314,12 @@ class GraspLoop:
             held = fingers.state is GripperState.GRIPPED
             self.machine.tell(GraspEvent.HELD if held else GraspEvent.NOTHING_HELD)
         elif order is DeviceOrder.CLOSE and entered:
-            gripper.close_to(0.0)
+            gripper.go_to(0.0, closing=True)
         elif order is DeviceOrder.CLOSE and fingers.state in CLOSED_STATES:
             self.machine.tell(GraspEvent.CLOSED)
         elif order is DeviceOrder.OPEN and fingers.state is GripperState.IDLE:
             gripper.activate()  # a stop has ended it
         elif order is DeviceOrder.OPEN and (entered or fingers.state is GripperState.READY):
-            gripper.open_to(self._setup.cell.gripper.opening)
+            gripper.go_to(self._setup.cell.gripper.opening, closing=False)
         elif order is DeviceOrder.OPEN and fingers.state is GripperState.REACHED:
             self.machine.tell(GraspEvent.OPENED)

@@ -90,25 +90,28 @@ class SimMover:
         self._enter(MoverState.MOVING)
         self._arm.order(self._now(), self._ordered)
 
-    def move_joints(self, q: Array) -> None:
-        """Go to joint angles by joint interpolation. See `Mover.move_joints`."""
-        self._require_rest(q)
-        self._begin(
-            trajectory.time_path(trajectory.joint_path(self._ordered, q), self._setup.limits)
-        )
+    def move(self, q: Array, *, on_line: bool = False) -> None:
+        """Go to joint angles by joint interpolation, or on a straight line. See `Mover.move`."""
+        if self._state not in ACCEPTING_STATES:
+            raise MotionRefusedError(f"the arm takes no move now, it is {self._state.value}")
+        self._require_within(q)
+        path, rates = trajectory.joint_path(self._ordered, q), None
+        if on_line:
+            path, approach = self._straight_path(q), self._setup.cell.approach
+            rates = trajectory.PathLimits(approach.speed, approach.acceleration, approach.jerk)
+        self._way = trajectory.time_path(path, self._setup.limits, rates)
+        self._began = self._now()
+        self._enter(MoverState.MOVING)
 
-    def move_line(self, q: Array) -> None:
-        """Go to joint angles with the flange on a straight line. See `Mover.move_line`."""
-        self._require_rest(q)
-        arm, approach = self._setup.arm, self._setup.cell.approach
+    def _straight_path(self, q: Array) -> trajectory.JointPath:
+        arm = self._setup.arm
         start, end = forward(arm, self._ordered), forward(arm, q)
         answers = near(inverse(arm, start, hold=self._ordered).q, self._ordered)
         branch = int(np.nanargmin(np.abs(answers - self._ordered).max(axis=1)))
         path = line_path(arm, ApproachLine(start, end[:3, 3] - start[:3, 3]), branch, self._ordered)
         if isinstance(path, str):
             raise MotionRefusedError(path)
-        rates = trajectory.PathLimits(approach.speed, approach.acceleration, approach.jerk)
-        self._begin(trajectory.time_path(path, self._setup.limits, rates))
+        return path
 
     def hold(self) -> None:
         """Stop where it is and keep the controls. See `Mover.hold`."""
@@ -155,18 +158,9 @@ class SimMover:
         """Give the controls back. See `Mover.close`."""
         self.release()
 
-    def _require_rest(self, q: Array) -> None:
-        if self._state not in ACCEPTING_STATES:
-            raise MotionRefusedError(f"the arm takes no move now, it is {self._state.value}")
-        self._require_within(q)
-
     def _require_within(self, q: Array) -> None:
         if violation := trajectory.limit_violation(self._setup.limits, trajectory.rest_motion(q)):
             raise MotionRefusedError(violation)
-
-    def _begin(self, way: trajectory.Trajectory) -> None:
-        self._way, self._began = way, self._now()
-        self._enter(MoverState.MOVING)
 
     def _enter(self, state: MoverState) -> None:
         self._state, self._since = state, self._now()

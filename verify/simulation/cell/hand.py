@@ -50,13 +50,14 @@ class SimGripper:
         """Make it ready. See `Gripper.activate`."""
         self._enter(GripperState.ACTIVATING)
 
-    def open_to(self, opening: float) -> None:
-        """Open the fingers. See `Gripper.open_to`."""
-        self._order(opening, closing=False)
-
-    def close_to(self, opening: float) -> None:
-        """Close the fingers. See `Gripper.close_to`."""
-        self._order(opening, closing=True)
+    def go_to(self, opening: float, *, closing: bool) -> None:
+        """Open or close the fingers. See `Gripper.go_to`."""
+        if self._state not in RESTING_STATES:
+            raise MotionRefusedError(f"the gripper takes no order now, it is {self._state.value}")
+        if not 0 <= opening <= self._hand.widest + 1e-9:
+            raise MotionRefusedError(f"{1e3 * opening:.0f} mm are outside the gripper's stroke")
+        self._hand.goal, self._closing = opening, closing
+        self._enter(GripperState.MOVING)
 
     def stop(self) -> None:
         """Stop the fingers where they are. See `Gripper.stop`."""
@@ -81,14 +82,6 @@ class SimGripper:
     def close(self) -> None:
         """Stop the fingers. See `Gripper.close`."""
         self.stop()
-
-    def _order(self, opening: float, *, closing: bool) -> None:
-        if self._state not in RESTING_STATES:
-            raise MotionRefusedError(f"the gripper takes no order now, it is {self._state.value}")
-        if not 0 <= opening <= self._hand.widest + 1e-9:
-            raise MotionRefusedError(f"{1e3 * opening:.0f} mm are outside the gripper's stroke")
-        self._hand.goal, self._closing = opening, closing
-        self._enter(GripperState.MOVING)
 
     def _enter(self, state: GripperState) -> None:
         self._state, self._since = state, self._now()

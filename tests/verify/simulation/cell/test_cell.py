@@ -58,7 +58,7 @@ def test_a_straight_move_begins_where_the_arm_stands_whatever_the_turn_of_its_wr
     t = 1.0
     mover.step()
     goal = start + np.linalg.solve(robots.jacobian(arm, start), [0, 0, -0.01, 0, 0, 0])
-    mover.move_line(goal)
+    mover.move(goal, on_line=True)
     while mover.step().state is MoverState.MOVING:
         np.testing.assert_allclose(moved.q(t), start, atol=0.1)
         t += 0.02
@@ -83,7 +83,7 @@ def test_nothing_is_taken_without_controls_or_beyond_a_limit() -> None:
     with pytest.raises(MotionRefusedError):
         mover.stream(SETUP.home)
     with pytest.raises(MotionRefusedError):
-        gripper.close_to(0.0)
+        gripper.go_to(0.0, closing=True)
     mover.take_controls()
     while mover.step().state is not MoverState.READY:
         source.wait()
@@ -99,7 +99,7 @@ def test_an_object_that_slips_out_is_reported_as_lost() -> None:
     gripper.activate()
     now[0] = 1.0
     gripper.step()
-    gripper.close_to(0.0)
+    gripper.go_to(0.0, closing=True)
     hand.advance(1.0)
     assert gripper.step().state is GripperState.GRIPPED
     hand.between = 0.0

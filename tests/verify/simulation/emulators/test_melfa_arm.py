@@ -155,6 +155,6 @@ def test_the_command_emulates_a_controller_that_waits_to_be_moved() -> None:
     emulated = emulate_command("melfa", "--idle", "--motion", "hold", "--port", "tcp:0")
     with emulated as address, mover(address, limits(override=50)) as arm:
         ready(arm)
-        arm.move_line(np.deg2rad(HOME_DEG + 5.0))
+        arm.move(np.deg2rad(HOME_DEG + 5.0), on_line=True)
         settled(arm, MoverState.ARRIVED)
     assert "labenc runs no program" in verify("emulate", "labenc", "--idle").err

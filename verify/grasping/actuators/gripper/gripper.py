@@ -84,13 +84,16 @@ class GripperDriver:
         limit = self._settings.activation_limit
         self._begin(GripperState.ACTIVATING, self._action.registers(), limit)
 
-    def open_to(self, opening: float) -> None:
-        """Open the fingers. See `Gripper.open_to`."""
-        self._go(opening, closing=False)
-
-    def close_to(self, opening: float) -> None:
-        """Close the fingers until something stops them. See `Gripper.close_to`."""
-        self._go(opening, closing=True)
+    def go_to(self, opening: float, *, closing: bool) -> None:
+        """Open or close the fingers; only closing may something stop them. See `Gripper.go_to`."""
+        self._require_rest("close" if closing else "open")
+        if not 0.0 <= opening <= self._settings.stroke:
+            requested, widest = opening * 1e3, self._settings.stroke * 1e3
+            raise MotionRefusedError(f"{requested:.1f} mm is not within its 0 to {widest:.0f} mm")
+        position = round(modbus.CLOSED_POSITION * (1.0 - opening / self._settings.stroke))
+        self._action = replace(self._action, go=True, position=position)
+        self._begin(GripperState.MOVING, self._action.registers(), self._settings.move_limit)
+        self._active.closing = closing
 
     def step(self) -> GripperStatus:
         """Go on with what has arrived; never waits for the gripper."""
@@ -133,16 +136,6 @@ class GripperDriver:
             self.step()
             time.sleep(CLOSE_PERIOD)
         self._line.close()
-
-    def _go(self, opening: float, closing: bool) -> None:
-        self._require_rest("close" if closing else "open")
-        if not 0.0 <= opening <= self._settings.stroke:
-            requested, widest = opening * 1e3, self._settings.stroke * 1e3
-            raise MotionRefusedError(f"{requested:.1f} mm is not within its 0 to {widest:.0f} mm")
-        position = round(modbus.CLOSED_POSITION * (1.0 - opening / self._settings.stroke))
-        self._action = replace(self._action, go=True, position=position)
-        self._begin(GripperState.MOVING, self._action.registers(), self._settings.move_limit)
-        self._active.closing = closing
 
     def _require_rest(self, what: str) -> None:
         if self._phase not in RESTING_STATES:

@@ -57,13 +57,24 @@ class MelfaMover:
         self._reset()
         self._controls.enter(MoverState.CONNECTING, CONNECT_TIMEOUT)
 
-    def move_joints(self, q: Array) -> None:
-        """Go to joint angles by joint interpolation. See `Mover.move_joints`."""
-        self._move(orders.joint_move, q)
-
-    def move_line(self, q: Array) -> None:
-        """Go to joint angles with the hand on a straight line. See `Mover.move_line`."""
-        self._move(orders.line_move, q)
+    def move(self, q: Array, *, on_line: bool = False) -> None:
+        """Go to joint angles by joint interpolation, or on a straight line. See `Mover.move`."""
+        controls, q_now = self._controls, self._answers.q
+        if controls.state not in ACCEPTING_STATES:
+            why = f": {controls.reason}" if controls.reason else ""
+            raise MotionRefusedError(
+                f"the arm takes no move now, it is {controls.state.value}{why}"
+            )
+        own = controls.limits_deg
+        assert q_now is not None
+        assert own is not None  # both were read before the controls were taken
+        target_deg = np.rad2deg(self._angles.sign * (q - self._angles.offset))
+        refusal = orders.refusal_reason(self._limits, own, q_now, q, target_deg)
+        if refusal:
+            raise MotionRefusedError(refusal)
+        controls.arrival = Arrival(target_deg)
+        worded = (orders.line_move if on_line else orders.joint_move)(target_deg)
+        controls.enter(MoverState.ORDERING, self._settings.move_limit, *worded)
 
     def hold(self) -> None:
         """Stop where it is and keep the controls. See `Mover.hold`."""
@@ -101,23 +112,6 @@ class MelfaMover:
         settings, now = self._settings, time.monotonic
         self._controls = Controls(Dialogue(settings, self._open_port, now), settings.client, now)
         self._answers = AnswerParser(settings, self._angles, self._limits, self._controls)
-
-    def _move(self, worded: Callable[[Array], list[orders.MotionCommand]], q: Array) -> None:
-        controls, q_now = self._controls, self._answers.q
-        if controls.state not in ACCEPTING_STATES:
-            why = f": {controls.reason}" if controls.reason else ""
-            raise MotionRefusedError(
-                f"the arm takes no move now, it is {controls.state.value}{why}"
-            )
-        own = controls.limits_deg
-        assert q_now is not None
-        assert own is not None  # both were read before the controls were taken
-        target_deg = np.rad2deg(self._angles.sign * (q - self._angles.offset))
-        refusal = orders.refusal_reason(self._limits, own, q_now, q, target_deg)
-        if refusal:
-            raise MotionRefusedError(refusal)
-        controls.arrival = Arrival(target_deg)
-        controls.enter(MoverState.ORDERING, self._settings.move_limit, *worded(target_deg))
 
     def _status(self) -> MoverStatus:
         controls, read = self._controls, self._answers

@@ -67,7 +67,7 @@ def closing(
     """A gripper that was made ready and has begun to close."""
     with running(engine, where, faults) as emulated, driver(emulated, **settings) as gripper:
         ready(gripper)
-        gripper.close_to(0.0)
+        gripper.go_to(0.0, closing=True)
         yield gripper
 
 
@@ -95,7 +95,7 @@ def test_the_gripper_reports_whether_it_holds_an_object(
     engine = quick(contacts)
     with running(engine, where) as emulated, driver(emulated) as gripper:
         ready(gripper)
-        gripper.close_to(0.1)
+        gripper.go_to(0.1, closing=True)
         status = settled(gripper, state)
         assert ("stopped 1 of 3 fingers" in status.reason) == (state is GripperState.UNSURE)
         assert status.opening == pytest.approx(width_mm * 1e-3, abs=3.1e-4)
@@ -103,7 +103,7 @@ def test_the_gripper_reports_whether_it_holds_an_object(
             gripper.stop()
             assert gripper.step().state is GripperState.GRIPPED
             assert engine.hand.outputs[0] == 0x09
-        gripper.open_to(0.155)
+        gripper.go_to(0.155, closing=False)
         status = settled(gripper, GripperState.REACHED)
         assert status.opening == pytest.approx(OPEN_MM * 1e-3, abs=1e-3)
         assert status.reason == ""
@@ -133,14 +133,14 @@ def test_orders_that_are_not_possible_are_refused_and_send_nothing() -> None:
     with running(engine) as emulated, driver(emulated) as gripper:
         stepped(gripper, lambda status: status.t is not None)
         with pytest.raises(MotionRefusedError, match="now, it is idle"):
-            gripper.close_to(0.0)
+            gripper.go_to(0.0, closing=True)
         ready(gripper)
         for opening in (-0.001, 0.2, float("nan")):
             with pytest.raises(MotionRefusedError, match="not within its 0 to 155 mm"):
-                gripper.open_to(opening)
-        gripper.close_to(0.0)
+                gripper.go_to(opening, closing=False)
+        gripper.go_to(0.0, closing=True)
         with pytest.raises(MotionRefusedError, match="it is moving"):
-            gripper.open_to(0.1)
+            gripper.go_to(0.1, closing=False)
         settled(gripper, GripperState.REACHED)
     writes = [request for request in engine.log if request[0] == 16]
     assert len(writes) == 3  # activate, close, and the stop at the end
@@ -155,7 +155,7 @@ def test_what_falls_out_is_noticed(again: bool) -> None:
         settled(gripper, GripperState.GRIPPED)
         engine.hand.contacts = NO_CONTACT
         if again:
-            gripper.close_to(0.0)
+            gripper.go_to(0.0, closing=True)
             settled(gripper, GripperState.REACHED)
         else:
             status = stepped(gripper, lambda status: status.state is GripperState.LOST)[-1]
@@ -173,7 +173,7 @@ def test_stop_stops_the_fingers_and_keeps_the_activation() -> None:
         at = engine.hand.position[0]
         stepped(gripper, for_seconds(0.2))
         assert engine.hand.position[0] == at
-        gripper.open_to(0.155)
+        gripper.go_to(0.155, closing=False)
         settled(gripper, GripperState.REACHED)
 
 
@@ -200,7 +200,7 @@ def test_a_fault_in_mid_motion_stops_the_fingers_and_is_named(number: int) -> No
         assert fault_text(number) in settled(gripper, GripperState.FAILED).reason
         stepped(gripper, lambda _: engine.hand.outputs[0] == 0x01)  # active, and no more going
         with pytest.raises(MotionRefusedError, match="it is failed"):
-            gripper.close_to(0.0)
+            gripper.go_to(0.0, closing=True)
         gripper.activate()
         assert fault_text(number) in settled(gripper, GripperState.FAILED).reason
 
@@ -265,9 +265,9 @@ def test_a_disturbed_line_delays_orders_without_false_status() -> None:
     with closing(quick(contact_positions(120.0)), "pty", faults, tries=8) as gripper:
         for _ in range(4):
             settled(gripper, GripperState.GRIPPED)
-            gripper.open_to(0.14)
+            gripper.go_to(0.14, closing=False)
             settled(gripper, GripperState.REACHED)
-            gripper.close_to(0.0)
+            gripper.go_to(0.0, closing=True)
         assert gripper._line.bad["request without an answer"] > 3
 
 
@@ -315,6 +315,6 @@ def test_what_never_ends_has_a_limit_and_is_stopped(activation: float, words: st
         gripper.activate()
         if activation < limits["activation_limit"]:
             settled(gripper, GripperState.READY)
-            gripper.close_to(0.0)
+            gripper.go_to(0.0, closing=True)
         assert words in settled(gripper, GripperState.FAILED).reason
         stepped(gripper, lambda _: engine.hand.outputs[0] == (0x01 if activation < 1 else 0))

@@ -54,7 +54,7 @@ def test_permanent_silence_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("verify.grasping.actuators.melfa.states.RELEASE_TIMEOUT", 1.0)
     silent = EmulatorFaults(silence=(0.8, 60.0))
     with moving(controller(), faults=silent, timeout=0.3) as arm:
-        arm.move_joints(NEXT)
+        arm.move(NEXT)
         reason = failure(arm)
         assert "the controller did not answer: stop, servo off, override put back" in reason
         assert "emergency stop" in reason
@@ -67,7 +67,7 @@ def test_a_line_that_breaks_in_mid_move_is_taken_up_again_to_stop(
     where = "tcp:0" if kind == "tcp" else f"pty:{tmp_path / 'port'}"
     engine = controller()
     with moving(engine, where, EmulatorFaults(unplug=(0.8, 0.6))) as arm:
-        arm.move_joints(NEXT)
+        arm.move(NEXT)
         failure(arm)
         assert given_back(engine)
 
@@ -107,7 +107,7 @@ def test_an_answer_that_is_not_understood_stops_the_arm(fault: str) -> None:
         arm.take_controls()
         stepped(arm, lambda status: status.state in {MoverState.READY, MoverState.FAILED})
         if arm.step().state is MoverState.READY:
-            arm.move_joints(NEXT)
+            arm.move(NEXT)
         stepped(arm, lambda status: status.state is MoverState.FAILED, limit=30.0)
     assert not engine.arm.moving
 

@@ -74,9 +74,9 @@ def test_targets_outside_any_limit_are_refused_and_nothing_is_sent() -> None:
         ]:
             target = HOME.copy()
             target[joint] = np.deg2rad(angle)
-            for order in (arm.move_joints, arm.move_line):
+            for on_line in (False, True):
                 with pytest.raises(MotionRefusedError, match=words):
-                    order(target)
+                    arm.move(target, on_line=on_line)
         assert len(names(engine)) == sent
         assert arm.step().state is MoverState.READY
 
@@ -89,7 +89,7 @@ def test_signs_and_zeros_of_the_robot_file_reach_the_controller() -> None:
     with running(engine) as emulated, mover(emulated, everything, angles) as arm:
         ready(arm)
         target = angles.joint_angles(NEXT)
-        arm.move_joints(target)
+        arm.move(target)
         np.testing.assert_allclose(
             settled(arm, MoverState.ARRIVED)[-1].q, target, atol=np.deg2rad(0.011)
         )

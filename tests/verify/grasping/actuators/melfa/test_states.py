@@ -36,10 +36,10 @@ def test_the_arm_takes_controls_moves_jointwise_and_straight_and_gives_back(wher
             ready(arm)
             assert engine.arm.right
             assert engine.arm.servo_on
-            arm.move_joints(NEXT)
+            arm.move(NEXT)
             end = settled(arm, MoverState.ARRIVED)[-1]
             np.testing.assert_allclose(end.q, NEXT, atol=np.deg2rad(0.011))
-            arm.move_line(HOME)
+            arm.move(HOME, on_line=True)
             way = settled(arm, MoverState.ARRIVED)
             np.testing.assert_allclose(way[-1].q, HOME, atol=np.deg2rad(0.011))
             arm.release()
@@ -69,7 +69,7 @@ def test_hold_stops_the_arm_where_it_is_and_keeps_the_controls(where: str) -> No
         at = engine.arm.joints(engine.arm._now, 0.0)
         stepped(arm, for_seconds(0.3))
         np.testing.assert_array_equal(engine.arm.joints(engine.arm._now, 0.0), at)
-        arm.move_joints(NEXT)
+        arm.move(NEXT)
         settled(arm, MoverState.ARRIVED)
 
 
@@ -77,13 +77,13 @@ def test_hold_stops_the_arm_where_it_is_and_keeps_the_controls(where: str) -> No
 def test_a_second_move_while_one_is_under_way_is_refused_and_changes_nothing() -> None:
     with running(controller()) as emulated, mover(emulated, limits(override=3)) as arm:
         with pytest.raises(MotionRefusedError, match="it is off"):
-            arm.move_joints(NEXT)
+            arm.move(NEXT)
         ready(arm)
         with pytest.raises(MotionRefusedError, match="ready already"):
             arm.take_controls()
         under_way(arm, NEXT)
         with pytest.raises(MotionRefusedError, match="it is moving"):
-            arm.move_joints(HOME)
+            arm.move(HOME)
         np.testing.assert_allclose(
             settled(arm, MoverState.ARRIVED)[-1].q, NEXT, atol=np.deg2rad(0.011)
         )
@@ -114,7 +114,7 @@ def test_the_controller_is_given_back_with_its_override_however_it_ends(
     silent = EmulatorFaults(silence=(0.8, 0.9)) if how == "silence" else None
     with suppress(ZeroDivisionError), moving(engine, where, silent, timeout=0.4) as arm:
         assert engine.arm._override == 3
-        arm.move_joints(NEXT)
+        arm.move(NEXT)
         if how == "hold":
             arm.hold()
             settled(arm, MoverState.HELD)
@@ -196,7 +196,7 @@ def test_an_arm_that_does_not_go_to_its_target_is_stopped(monkeypatch: pytest.Mo
             return super().step(t, received)
 
     with moving(Lazy(controller().arm, ControllerOptions()), chosen=limits(override=10)) as arm:
-        arm.move_joints(NEXT)
+        arm.move(NEXT)
         assert "degrees from its target" in failure(arm)
 
 
@@ -204,7 +204,7 @@ def test_an_arm_that_does_not_go_to_its_target_is_stopped(monkeypatch: pytest.Mo
 def test_a_hand_that_goes_too_fast_is_stopped_and_may_be_taken_again() -> None:
     far = HOME + np.deg2rad([60.0, 0.0, 0.0, 0.0, 0.0, 0.0])
     with moving(controller(), chosen=limits(hand_speed=0.1)) as arm:
-        arm.move_joints(far)
+        arm.move(far)
         assert "the hand goes at" in failure(arm)
         q = arm.step().q
         assert q[0] < far[0]
@@ -218,6 +218,6 @@ def test_a_move_that_the_controller_refuses_ends_in_a_stop() -> None:
     engine, target = controller(), HOME.copy()
     target[4] = -target[4]
     with moving(engine, chosen=limits()) as arm:
-        arm.move_line(target)
+        arm.move(target, on_line=True)
         assert "EXEC was refused, error 2603: the via point is out of reach" in failure(arm)
         assert not engine.arm.servo_on
