@@ -59,11 +59,6 @@ class Pairing:
         ]
         return max(periods) if len(periods) == 2 else DEFAULT_PERIOD
 
-    @property
-    def tolerance(self) -> float:
-        """How far apart the pictures of a pair may be taken, s."""
-        return (MAX_TIME_DIFFERENCE + TOL_JITTER) * self.period
-
     def add(self, side: int, frame: CameraFrame, arrived: float) -> FramePair | None:
         """Take a picture of the left (0) or right (1) camera, arrived now (s, host's monotonic).
 
@@ -86,7 +81,7 @@ class Pairing:
 
     def _partner(self, others: "deque[CameraFrame]", frame: CameraFrame) -> CameraFrame | None:
         """Take the nearest waiting picture of the other side; older ones have missed theirs."""
-        tolerance = self.tolerance
+        tolerance = (MAX_TIME_DIFFERENCE + TOL_JITTER) * self.period
         while others and others[0].t < frame.t - tolerance:
             others.popleft()
             self.dropped[NO_PARTNER] += 1

@@ -127,11 +127,6 @@ class PredictedView:
     facing: Flags  # (m, n), the camera stands within the LEDs' angle of view
     apart: Flags  # (m, n), no other LED's image touches
 
-    @property
-    def visible(self) -> Flags:
-        """All three, (m, n)."""
-        return self.inside & self.facing & self.apart
-
 
 def visible_leds(
     setup: PlanningSetup, base_T_flange: Array, margin: float, angle: float

@@ -9,18 +9,7 @@ so that both optical axes meet in the middle of the LEDs at the work posture. LE
 at uneven angles and heights, so that they are identified and do not lie in one plane.
 
 Assumed standard uncertainties, a parameter each, stand for a calibration and a registration that
-nobody has made yet. Of correlations only that of a camera's two focal lengths is assumed:
-
-    name                   of                                      default
-    focal_px               each focal length                       0.1 px
-    principal_point_px     each coordinate of a principal point    0.1 px
-    camera_rotation_deg    right camera against left, each axis    0.002
-    base_position_mm       robot base in the rig, each axis        0.1
-    base_rotation_deg      likewise                                0.01
-    led_body_mm            all LEDs together, flange axes          0.05
-    led_body_deg           likewise                                0.02
-    led_mm                 each LED in the body, each axis         0.02
-    led_centre_mm          apparent LED centre, each axis          0.02
+nobody has made yet. Of correlations only that of a camera's two focal lengths is assumed.
 """
 
 from collections.abc import Iterable
@@ -37,15 +26,15 @@ from verify.planning.constraints import dexterity
 from verify.planning.request import PlanningSetup
 
 TYPICAL_UNCERTAINTIES = {
-    "focal_px": 0.1,
-    "principal_point_px": 0.1,
-    "camera_rotation_deg": 0.002,
-    "base_position_mm": 0.1,
+    "focal_px": 0.1,  # each focal length
+    "principal_point_px": 0.1,  # each coordinate of a principal point
+    "camera_rotation_deg": 0.002,  # right camera against left, each axis
+    "base_position_mm": 0.1,  # robot base in the rig, each axis
     "base_rotation_deg": 0.01,
-    "led_body_mm": 0.05,
+    "led_body_mm": 0.05,  # all LEDs together, flange axes
     "led_body_deg": 0.02,
-    "led_mm": 0.02,
-    "led_centre_mm": 0.02,
+    "led_mm": 0.02,  # each LED in the body, each axis
+    "led_centre_mm": 0.02,  # apparent LED centre, each axis
 }
 FOCAL_CORRELATION = 0.9  # a board fixes the ratio far better than the common size
 LED_DIAMETER = 5e-3  # m

@@ -184,7 +184,7 @@ def sweep_entries(found: list[JointSweep], frame: Array) -> list[dict[str, Any]]
             "first_frame": int(frame[sweep.rows[0]]),
             "last_frame": int(frame[sweep.rows[-1]]),
             "outlying_frames": [int(f) for f in frame[sweep.outlying]],
-            "span_deg": finite_number(np.rad2deg(sweep.span)),
+            "span_deg": finite_number(np.rad2deg(np.ptp(sweep.q))),
             "both_directions": len(np.unique(sweep.direction)) > 1,
             "gain": finite_number(sweep.gain.value),
             "gain_standard_uncertainty": finite_number(sweep.gain.uncertainty),

@@ -56,11 +56,6 @@ class JointSweep:
     wobble: tuple[float, float]  # rms of what no turn about a fixed axis explains: m, rad
     wobble_p: float  # that noise alone gives as much
 
-    @property
-    def span(self) -> float:
-        """From the least to the largest reading, rad."""
-        return float(np.ptp(self.q))
-
 
 def judge_sweeps(model: JointErrorModel, compared: SessionComparison) -> list[JointSweep]:
     """Find the single-joint sweeps of a session, the MAX_SWEEPS widest, and judge each.

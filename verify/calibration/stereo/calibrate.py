@@ -13,7 +13,7 @@ from verify.calibration.stereo import bundle, estimate, pan_bases, refusals, sta
 from verify.calibration.stereo import parameters as par
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel, fixed_names
 from verify.calibration.stereo.prior import open_coefficients, prior_rows
-from verify.calibration.stereo.records import Calibration, state_covariance
+from verify.calibration.stereo.records import Calibration, Residuals, state_covariance
 from verify.calibration.stereo.scatter import ErrorScatter
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import SIDES, Array, Index, Progress, no_progress
@@ -91,7 +91,15 @@ def calibrate(
         frames=frames,
         rig_T_board=found.state.boards,
         board_covariance=boards,
-        residuals=estimate.collect_residuals(found, corners, frames),
+        residuals=Residuals(
+            camera=corners.camera,
+            frame=frames[corners.board],
+            corner=corners.corner,
+            observed=corners.observed,
+            residual=corners.observed - bundle.predict(found.state, corners),
+            uncertainty=corners.uncertainty * found.noise,
+            used=found.used,
+        ),
         noise=found.noise,
         degrees_of_freedom=found.degrees_of_freedom,
         fixed=fixed_names(found.model),

@@ -33,9 +33,8 @@ import numpy as np
 from verify.calibration.stereo import bundle, gauge
 from verify.calibration.stereo.gauge import AdjustmentModel
 from verify.calibration.stereo.parameters import BundleState, CornerStack
-from verify.calibration.stereo.records import Residuals
 from verify.core.fiducials import Board
-from verify.core.records import Array, Flags, Index
+from verify.core.records import Array, Flags
 from verify.core.statistics import chi2_ppf
 from verify.measurement.triangulation import ray_midpoints, rays
 
@@ -107,19 +106,6 @@ def readjust(found: Estimate, corners: CornerStack, model: AdjustmentModel) -> E
     """Adjust another model from an estimate's state with the corners that it used."""
     state = bundle.adjust(found.state, corners, model, found.used.astype(float))
     return estimate_state(state, corners, model, found.used)
-
-
-def collect_residuals(found: Estimate, corners: CornerStack, frames: Index) -> Residuals:
-    """List the residuals of all corners with frame, uncertainty and whether each was used."""
-    return Residuals(
-        camera=corners.camera,
-        frame=frames[corners.board],
-        corner=corners.corner,
-        observed=corners.observed,
-        residual=corners.observed - bundle.predict(found.state, corners),
-        uncertainty=corners.uncertainty * found.noise,
-        used=found.used,
-    )
 
 
 def design_effect(share: Array, pull: Array) -> tuple[float, float]:

@@ -72,7 +72,7 @@ def _with_scatter(found: Estimate, corners: par.CornerStack) -> tuple[Estimate, 
 
     Of many pairs a scatter that they do not show makes no variance much larger, and is left out.
     """
-    turned = _turned(found.model.bases)
+    turned = [i for i, base in enumerate(found.model.bases) if base != BASE_FIXED]
     found, (scatter,) = adjust_with_scatter(found, corners, [turned])
     if scatter.visible:  # before anything is adjusted as if they were right
         errors = found.state.errors[:, par.PAN_ERRORS]
@@ -84,10 +84,6 @@ def _with_scatter(found: Estimate, corners: par.CornerStack) -> tuple[Estimate, 
     without, with_it = np.diag(found.covariance), np.diag(allowed.covariance)
     larger = with_it[without > 0] > MAX_HIDDEN_VARIANCE * without[without > 0]
     return (allowed if larger.any() else found), scatter
-
-
-def _turned(bases: tuple[str, str]) -> list[int]:
-    return [i for i, base in enumerate(bases) if base != BASE_FIXED]
 
 
 def boards_in_hand(

@@ -205,7 +205,7 @@ def _contrast_rows(
         difference = contrast(one, second, P_FALSE_ALARM / len(possible))
         rows.append((question, one.arm, one.joint, *names, *difference.sessions,
                      *difference.level, difference.difference, difference.standard_uncertainty,
-                     difference.shown))  # fmt: skip
+                     abs(difference.difference) > difference.limit))  # fmt: skip
     return rows
 
 

@@ -221,11 +221,6 @@ class Contrast:
     standard_uncertainty: float  # of the difference: what both share drops out
     limit: float  # of |difference|, beyond which it is shown
 
-    @property
-    def shown(self) -> bool:
-        """The difference is beyond chance."""
-        return abs(self.difference) > self.limit
-
 
 def contrast(series: JointSeries, second: Flags, false_alarm: float) -> Contrast:
     """Compare the sessions that are `second` (n,) with the others; neither set is empty.

@@ -52,11 +52,6 @@ class Posture:
         """The four multiplied."""
         return self.limits * self.dexterity * self.nearness * self.clearance
 
-    @property
-    def name(self) -> str:
-        """The branch in words."""
-        return branch_name(self.branch)
-
 
 def branch_name(branch: int) -> str:
     """Say which of the eight branches it is: branch = 4 · shoulder + 2 · elbow + wrist."""

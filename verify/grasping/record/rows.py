@@ -11,6 +11,7 @@ from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.states import StateChange
 from verify.grasping.planning.object import GraspRefusal
 from verify.grasping.planning.plan import GraspPlan
+from verify.grasping.planning.postures import branch_name
 from verify.grasping.planning.workspace import Workspace
 from verify.grasping.tool_offset.offset import OffsetMeasurement
 from verify.grasping.tracking.camshift import Blob
@@ -111,7 +112,7 @@ def plan_fields(plan: GraspPlan | GraspRefusal) -> dict[str, Any]:
     parts = ("limits", "dexterity", "nearness", "clearance")
     lengths = ("across", "across_needed", "along", "along_needed", "raised")
     return {
-        "branch": posture.name,
+        "branch": branch_name(posture.branch),
         "score": posture.score,
         "parts": {part: getattr(posture, part) for part in parts},
         "q_above_deg": np.degrees(posture.q_above).tolist(),

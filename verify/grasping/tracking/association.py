@@ -171,10 +171,6 @@ class TargetIdentity:
         """Nothing else of its colour has come up that is not known well yet."""
         return not self._tentative
 
-    def predicted(self, t: float) -> KalmanTrack | None:
-        """Where the target should be; None before it was ever found."""
-        return None if self.target is None else self.target.track.at(t)
-
     def nearest(self, t: float, candidate: StereoObject) -> KalmanTrack | None:
         """The track, predicted, that a candidate continues; None where there is none."""
         known = [k for k in (self.target, self._again, *self._others, *self._tentative) if k]

@@ -48,7 +48,7 @@ def search_pair(now: TargetSearch, all_objects: bool) -> tuple[list[StereoObject
     searched for the target.
     """
     identity = now.identity
-    ahead = identity.predicted(now.pair.t_left)
+    ahead = None if identity.target is None else identity.target.track.at(now.pair.t_left)
     found = _search_predicted(now, ahead) if ahead is not None and identity.tracked else None
     if found is None:
         return _search_pictures(now, None), NO_WINDOWS

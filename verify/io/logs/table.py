@@ -8,11 +8,10 @@ import codecs
 import io
 import re
 from collections import Counter, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import islice, zip_longest
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -89,7 +88,17 @@ class LogTable:
                 if any(self._is_too_long(line) for line in block):  # pandas would cut it off
                     raise self._fault(names)
                 try:
-                    chunk = self._parse(block, kinds)
+                    chunk = pd.read_csv(
+                        io.StringIO("".join(block)),
+                        sep=r"\s+" if self.separator == " " else self.separator,
+                        decimal=self.decimal,
+                        header=None,
+                        names=range(len(self.names)),
+                        usecols=list(kinds),
+                        dtype=kinds,
+                        index_col=False,
+                        keep_default_na=False,
+                    )
                     values = {
                         name: _seconds(chunk[place]) if name in dates else chunk[place].to_numpy()
                         for name, place in places.items()
@@ -102,20 +111,6 @@ class LogTable:
                 done += len(block)
                 characters += sum(map(len, block))
                 progress(min(characters // PROGRESS_BYTES, total), total)
-
-    def _parse(self, lines: list[str], kinds: Mapping[int, Any]) -> pd.DataFrame:
-        """Parse lines; columns by their number."""
-        return pd.read_csv(
-            io.StringIO("".join(lines)),
-            sep=r"\s+" if self.separator == " " else self.separator,
-            decimal=self.decimal,
-            header=None,
-            names=range(len(self.names)),
-            usecols=list(kinds),
-            dtype=kinds,
-            index_col=False,
-            keep_default_na=False,
-        )
 
     def _is_too_long(self, line: str) -> bool:
         """Whether a row has more cells than there are names, but for empty ones."""

@@ -151,7 +151,6 @@ class PictureEncoder:
     """Encodes the pictures of one file."""
 
     def __init__(self, kind: PictureFormat) -> None:
-        self.kind = kind
         self._codec: av.VideoCodecContext | None = None
         if kind.coding == JPEG:
             self.track = MatroskaTrack("V_MJPEG", kind.width, kind.height)
