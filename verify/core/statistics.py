@@ -21,8 +21,8 @@ _chdtri: _Ufunc = _special.chdtri
 _chdtrc: _Ufunc = _special.chdtrc
 _gammaincinv: _Ufunc = _special.gammaincinv
 _stdtrit: _Ufunc = _special.stdtrit
-_ndtri: _Ufunc = _special.ndtri
-_ndtr: _Ufunc = _special.ndtr
+norm_ppf: _Ufunc = _special.ndtri  # value that a standard normal variable is below, by chance
+norm_cdf: _Ufunc = _special.ndtr  # probability that a standard normal variable is below a value
 
 
 def correlation(covariance: Array) -> Array:
@@ -64,16 +64,6 @@ def t_isf(share: ArrayLike, degrees: ArrayLike) -> Array:
     return -t_ppf(share, degrees)
 
 
-def norm_ppf(share: ArrayLike) -> Array:
-    """Value that a standard normal variable stays below with a given probability."""
-    return _ndtri(share)
-
-
 def norm_isf(share: ArrayLike) -> Array:
     """Value that a standard normal variable exceeds with a given probability."""
     return -norm_ppf(share)
-
-
-def norm_cdf(value: ArrayLike) -> Array:
-    """Probability that a standard normal variable is below a value."""
-    return _ndtr(value)

@@ -63,14 +63,12 @@ class Alarm:
 class Listener(Protocol):
     """Receives rows and alarms, in a thread of its own: it may take its time.
 
-    Whoever derives from it has nothing to end unless it says so.
+    Whoever derives from it takes no rows, and has nothing to end, unless it says so.
     """
 
     def row(self, row: JointRow, statistic: Array) -> None:
-        """Take a pair's outcome, at first causal and then `settled`.
-
-        Some may be left out when there are too many.
-        """
+        """Take a pair's outcome, causal and then `settled`; of too many some are left out."""
+        del row, statistic
 
     def alarm(self, alarm: Alarm) -> None:
         """Take an alarm that is new, revised, or over."""

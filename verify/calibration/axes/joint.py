@@ -97,15 +97,13 @@ def line_derivative(
 
 
 @dataclass(frozen=True, slots=True)
-class SweepAxis:
-    """A line in the rig, and the turn about it.
+class SweepAxis(AxisLine):
+    """A line in the rig, along which the joint's angle grows, and the turn about it.
 
-    Its four parameters are small: two of the direction along `across`, and two of the point along
-    the same two directions.
+    The point is the axis's nearest to the middle of the flange's path. Its four parameters are
+    small: two of the direction along `across`, and two of the point along the same two directions.
     """
 
-    direction: Array  # (3,), unit vector in the rig, along which the joint's angle grows
-    point: Array  # (3,), m, on the axis, nearest the middle of the flange's path
     across: Array  # (2, 3), unit vectors at right angles to the direction
     covariance: Array  # (4, 4), rad and m: direction, then point, along `across`
     by_pose: Array  # (4, 6 n), how the measured poses move the axis
@@ -177,11 +175,6 @@ class JointSweepResult:
     def span(self) -> float:
         """From the least to the largest reading, rad."""
         return float(np.ptp(self.q[:, self.joint - 1]))
-
-    @property
-    def line(self) -> AxisLine:
-        """The axis in the rig."""
-        return AxisLine(self.axis.direction, self.axis.point)
 
 
 def fit_joint(

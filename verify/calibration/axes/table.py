@@ -76,7 +76,7 @@ def _pair(
     arm: robots.Arm, one: JointSweepResult, other: JointSweepResult, limit: float
 ) -> AxisPair:
     table = _in_base(arm, one, other)
-    lines, across = (one.line, other.line), (one.axis.across, other.axis.across)
+    lines, across = (one.axis, other.axis), (one.axis.across, other.axis.across)
     both = np.concatenate([one.by_source, other.by_source])  # they share the rig's errors
     covariance = block_diag(one.axis.covariance, other.axis.covariance) + both @ both.T
     side_by_side = are_parallel(*table)

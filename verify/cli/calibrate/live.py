@@ -85,7 +85,6 @@ def take_pictures(
 
 
 def _open_devices(station: StationCameras, stack: ExitStack) -> BoardDevices:
-    """Open the devices; the stack closes them."""
     left, right = station.open_cameras()
     stack.callback(left.close)
     stack.callback(right.close)

@@ -197,10 +197,11 @@ class PortDriver:
     def __init__(self, link: PortLink) -> None:
         self.link, self.counts = link, IntakeCounts()
         self._fault = self._remark = ""  # why no reading comes; what there is to say beside
+        self._running: bool | None = None  # a program of the robot, where the device tells
 
     def state(self) -> DeviceState:
         """Describe the device."""
-        return self.counts.state(self.link, self._fault, self._remark)
+        return self.counts.state(self.link, self._fault, self._remark, self._running)
 
     def close(self) -> None:
         """Close the port."""

@@ -17,7 +17,7 @@ import numpy as np
 
 from verify.devices.encoders import intake
 from verify.devices.ports import link_to
-from verify.devices.protocols import DeviceState, EncoderReading
+from verify.devices.protocols import EncoderReading
 
 RTDE_JOINTS: Final = 6  # of every arm of the maker
 RTDE_VERSION: Final = 2  # the first that takes a rate
@@ -96,7 +96,6 @@ class RtdeConnection:
     since: float = 0.0  # s, host: of the last request, or the last sample
     cycle: float = 1 / MAX_RTDE_RATE  # s, of the controller
     recipe: int = 0
-    running: bool | None = None  # a program of the robot
 
 
 class RtdeEncoders(intake.PortDriver):
@@ -113,7 +112,7 @@ class RtdeEncoders(intake.PortDriver):
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
         chunk = self.link.receive()
         if self.link.reopened():
-            self._talk = RtdeConnection()
+            self._talk, self._running = RtdeConnection(), None
             self._clock.restart(None)
             self._ask(PackageType.VERSION, struct.pack(">H", RTDE_VERSION))
         if chunk is None:
@@ -129,10 +128,6 @@ class RtdeEncoders(intake.PortDriver):
             readings += self._take(kind, payload, chunk.t)
         self._give_up_if_late()  # what comes may be no sample, time and again
         return readings
-
-    def state(self) -> DeviceState:
-        """Describe the controller."""
-        return self.counts.state(self.link, self._fault, self._remark, self._talk.running)
 
     def _ask(self, kind: PackageType, payload: bytes = b"") -> None:
         """Send a request; ValueError: one that a reader may not send."""
@@ -214,7 +209,7 @@ class RtdeEncoders(intake.PortDriver):
         if not np.isfinite(stamp) or not np.all(np.abs(q) <= intake.MAX_JOINT_ANGLE):  # nor NaN
             return self._drop("sample with impossible numbers")
         self._talk.since = t_host
-        self._talk.running = runtime_state == PLAYING
+        self._running = runtime_state == PLAYING
         instant = self._clock.stamp(stamp, t_host)
         if isinstance(instant, str):
             return self._drop(instant)

@@ -68,7 +68,7 @@ class Cluster:
                     continue
             if error is not None and not isinstance(error, distributed.KilledWorker):
                 raise error
-            outcome = WorkerDied(MAX_ATTEMPTS) if lost or error is not None else future.result()
+            outcome = WorkerDied() if lost or error is not None else future.result()
             died.pop(id(task), None)
             future.release()
             yield task, outcome

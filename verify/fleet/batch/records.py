@@ -64,9 +64,7 @@ class SessionResults:
 
 @dataclass(frozen=True, slots=True)
 class WorkerDied:
-    """The outcome of a task whose worker died each time."""
-
-    times: int
+    """The outcome of a task whose worker died each of MAX_ATTEMPTS times."""
 
 
 class Task(Protocol):

@@ -13,6 +13,7 @@ from verify.fleet.batch.finding import SESSION_FILE
 from verify.fleet.batch.records import (
     COPY,
     KILLED,
+    MAX_ATTEMPTS,
     REFUSED,
     BatchOptions,
     SessionFailure,
@@ -153,7 +154,7 @@ class _TaskQueue:
             self._compared(task, outcome)
         else:
             self.progress.failures.append(
-                _worker_failure(found, outcome) if isinstance(outcome, WorkerDied) else outcome
+                _worker_failure(found) if isinstance(outcome, WorkerDied) else outcome
             )
 
     def _keep(self, measured: SessionResults) -> None:
@@ -179,9 +180,9 @@ class _TaskQueue:
         self.waiting.append(MeasureTask(task.found, self.options))
 
 
-def _worker_failure(found: SessionLocation, lost: WorkerDied) -> SessionFailure:
+def _worker_failure(found: SessionLocation) -> SessionFailure:
     why = (
-        f"{found.session}: the process that measured it was killed {lost.times} times; it may need "
-        "more memory than there is. Measure it alone with `verify run`."
+        f"{found.session}: the process that measured it was killed {MAX_ATTEMPTS} times; it may "
+        "need more memory than there is. Measure it alone with `verify run`."
     )
     return SessionFailure(found.session, KILLED, printable_path(one_line(why)))

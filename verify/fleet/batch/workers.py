@@ -51,7 +51,7 @@ class ProcessPool:
                     if died[id(self._busy[worker])] < MAX_ATTEMPTS:
                         tasks.appendleft(self._busy.pop(worker))
                         continue
-                    outcome = WorkerDied(MAX_ATTEMPTS)
+                    outcome = WorkerDied()
                 task = self._busy.pop(worker)
                 died.pop(id(task), None)
                 finished.append((task, outcome))

@@ -240,12 +240,10 @@ def _centroid_covariance(weights: Image, x: float, y: float, total: float) -> Ar
     return np.array([[xx, xy], [xy, yy]])
 
 
-def find_blobs(
-    image: Image, model: ColourModel, but: Box | None = None, expected: Array | None = None
-) -> list[Blob]:
+def find_blobs(image: Image, model: ColourModel, but: Box | None = None) -> list[Blob]:
     """Find every patch of the target's colour in a picture (h, w, 3) BGR, largest first.
 
-    The box `but` need not be searched again; the target's size (2,) px is expected where known.
+    The box `but` need not be searched again.
 
     Raises:
         InputError: the picture is grey.
@@ -254,7 +252,7 @@ def find_blobs(
     for box in coarse_boxes(image, model):
         if but is not None and boxes_overlap(box, but):
             continue
-        blob = camshift(image, box, _widen(box), model, expected)
+        blob = camshift(image, box, _widen(box), model)
         if blob is not None and not any(_centre_in_box(blob, other.box) for other in found):
             found.append(blob)
     return sorted(found, key=lambda blob: -blob.area)

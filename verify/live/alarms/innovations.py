@@ -99,7 +99,8 @@ class InnovationFilter:
         self._recent: deque[Array] = deque(maxlen=N_SPREAD)
         self._past: deque[_FilterStep] = deque(maxlen=MAX_REPEATED)
         self._count = 0
-        self._factors = INITIAL_INFLATION
+        # by how much pairs that repeat each other widen a mean's variance
+        self.factors = INITIAL_INFLATION
 
     def take(self, t: float, evidence: Evidence, clock: object) -> Innovation | None:
         """Take a pair's evidence at t, s, cameras' clock.
@@ -185,7 +186,7 @@ class InnovationFilter:
             [evidence.prior, evidence.clock[:, None], evidence.jacobian, POSE_DIRECTIONS], axis=1
         )
         lower = np.linalg.cholesky(evidence.noise)
-        noise = (lower * self._factors) @ lower.T
+        noise = (lower * self.factors) @ lower.T
         cross = design @ self._p
         new = evidence.xi - design @ self._x
         white = np.linalg.cholesky(cross @ design.T + noise)
@@ -203,12 +204,7 @@ class InnovationFilter:
         self._t = None
         self._recent.clear()
         self._past.clear()
-        self._factors = INITIAL_INFLATION
-
-    @property
-    def inflation(self) -> float:
-        """By how much pairs that repeat each other widen a mean's variance, at most."""
-        return float(np.max(self._factors))
+        self.factors = INITIAL_INFLATION
 
     def _begin(self, evidence: Evidence) -> None:
         self._prior_width = evidence.prior.shape[1]
@@ -245,4 +241,4 @@ class InnovationFilter:
         most = MAX_SIGMA * MAD_TO_SIGMA * np.median(np.abs(rows), axis=0)
         rows = np.clip(rows, -most, most)
         measured = autocorrelation(rows) * np.maximum(np.mean(rows**2, axis=0), 1.0)
-        self._factors = np.maximum(measured, 1.0)
+        self.factors = np.maximum(measured, 1.0)

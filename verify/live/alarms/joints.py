@@ -161,7 +161,9 @@ class JointAlarms:
             self._cusum.take(innovation)
             alarms += self._changes(row, now)
         if self._tolerance is not None:
-            alarms += self._tolerance.take(row, row.evidence, self._innovations.inflation, now)
+            alarms += self._tolerance.take(
+                row, row.evidence, float(np.max(self._innovations.factors)), now
+            )
         return alarms
 
     def _changes(self, row: JointRow, now: float) -> list[Alarm]:

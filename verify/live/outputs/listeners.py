@@ -137,9 +137,6 @@ class AlarmCommand(Listener):
         if not self._words:
             raise InputError("--on-alarm", "is empty", "a command is expected", "Name one.")
 
-    def row(self, row: JointRow, statistic: Array) -> None:
-        """Nothing: commands are for alarms."""
-
     def alarm(self, alarm: Alarm) -> None:
         """Call the command.
 
@@ -163,10 +160,7 @@ class AlarmCommand(Listener):
 
 
 class MqttPublisher:
-    """Publishes alarms, and joint errors once a second, at TOPIC/alarm and TOPIC/joints.
-
-    The client is one of paho-mqtt 2.
-    """
+    """Publishes alarms, and joint errors once a second, at TOPIC/alarm and TOPIC/joints."""
 
     def __init__(self, client: Any, topic: str) -> None:
         self._client, self._topic = client, topic

@@ -41,7 +41,7 @@ class Inline:
             task = waiting.popleft()
             kind = type(task).__name__
             self.kinds.append(kind)
-            yield task, WorkerDied(3) if kind == self.lost else task.perform()
+            yield task, WorkerDied() if kind == self.lost else task.perform()
 
     def close(self) -> None:
         """Nobody to send home."""
