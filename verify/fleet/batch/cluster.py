@@ -50,7 +50,7 @@ class Cluster:
         """Wait for nobody: a worker was there before this pool."""
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Perform tasks; as `WorkerPool` says; the scheduler replaces a worker that dies."""
+        """Perform tasks as `ProcessPool` does; the scheduler replaces a worker that dies."""
         distributed = cluster_package("distributed", "--scheduler")
         done = distributed.as_completed(loop=self._client.loop, raise_errors=False)
         under_way: dict[str, Task] = {}

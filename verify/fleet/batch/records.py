@@ -1,7 +1,5 @@
-"""Records of a batch: sessions, tasks for workers, their outcomes, and the workers' protocol."""
+"""Records of a batch: sessions, tasks for workers, their outcomes."""
 
-from collections import deque
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any, Protocol
 
@@ -77,24 +75,6 @@ class Task(Protocol):
 def perform(task: Task) -> Any:
     """Do a task, on a worker."""
     return task.perform()
-
-
-class WorkerPool(Protocol):
-    """Workers, wherever they are."""
-
-    def ready(self) -> None:
-        """Wait until a worker can begin."""
-
-    def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Perform tasks, taken from the left; yield each with its outcome, as they finish.
-
-        It ends when none is left or under way; the caller may append further ones meanwhile. As
-        many are under way as there are workers, or few more: memory follows the workers, not the
-        tasks. The outcome is `WorkerDied` where its worker died each time.
-        """
-
-    def close(self) -> None:
-        """End the workers; tasks under way are dropped."""
 
 
 def printable_path(text: str) -> str:

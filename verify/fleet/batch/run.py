@@ -9,6 +9,7 @@ from typing import Any
 
 from verify.core.records import Progress
 from verify.errors import InputError, one_line
+from verify.fleet.batch.cluster import Cluster
 from verify.fleet.batch.finding import SESSION_FILE
 from verify.fleet.batch.records import (
     COPY,
@@ -21,12 +22,14 @@ from verify.fleet.batch.records import (
     SessionResults,
     Task,
     WorkerDied,
-    WorkerPool,
     printable_path,
 )
 from verify.fleet.batch.store import ResultStore
 from verify.fleet.batch.tasks import CompareTask, MeasureTask, ReportTask
+from verify.fleet.batch.workers import ProcessPool
 from verify.io.files import FolderTakenError
+
+WorkerPool = ProcessPool | Cluster
 
 
 @dataclass(slots=True)

@@ -32,7 +32,12 @@ class ProcessPool:
             self._idle[-1].wait_until_ready()
 
     def run(self, tasks: deque[Task]) -> Iterator[tuple[Task, Any]]:
-        """Perform tasks; as `WorkerPool` says."""
+        """Perform tasks, taken from the left; yield each with its outcome, as they finish.
+
+        It ends when none is left or under way; the caller may append further ones meanwhile. As
+        many are under way as there are workers, or few more: memory follows the workers, not the
+        tasks. The outcome is `WorkerDied` where its worker died each time.
+        """
         died: Counter[int] = Counter()
         while tasks or self._busy:
             self._hand_out(tasks)

@@ -7,7 +7,7 @@ import numpy as np
 from verify.core.records import Array
 from verify.devices.encoders.labenc.protocol import MAX_LINE_BYTES, MOVING
 from verify.devices.ports import CHECKSUMS, LineBuffer
-from verify.simulation.emulators.server import TimedMessage
+from verify.simulation.emulators.server import EmulatorEngine, TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
 from verify.simulation.world.motion import move_towards
 
@@ -34,13 +34,12 @@ class LabencOptions:
     carriage_return: bool = False
 
 
-class LabencEngine:
+class LabencEngine(EmulatorEngine):
     """The board: greeting, stream, queries."""
 
     def __init__(self, trajectory: EmulatedTrajectory, axes: int, options: LabencOptions) -> None:
         self.log: list[str] = []  # every body received
         self._trajectory, self._axes, self._options = trajectory, axes, options
-        self._jump = 0.0
         self._status = 0
         self.reset(0.0)
 
@@ -62,9 +61,8 @@ class LabencEngine:
 
     def afflict(self, fault: str, value: float) -> None:
         """Let the clock leap by so many s, or set status bits."""
-        if fault == "jump":
-            self._jump += value
-        elif fault == "status":
+        super().afflict(fault, value)
+        if fault == "status":
             self._status = int(value)
 
     def step(self, t: float, received: bytes) -> list[TimedMessage]:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 from verify.core.records import Array
 from verify.simulation.emulators.hand import N_BYTES, NO_CONTACT, GripperHand
-from verify.simulation.emulators.server import TimedMessage
+from verify.simulation.emulators.server import EmulatorEngine, TimedMessage
 
 SLAVE = 9
 FIRST_OUTPUT, FIRST_INPUT = 1000, 2000  # first registers, as they stand on the wire
@@ -45,7 +45,7 @@ class RequestRefusedError(Exception):
         self.code = code
 
 
-class GripperEngine:
+class GripperEngine(EmulatorEngine):
     """The gripper behind its line."""
 
     def __init__(self, options: GripperOptions) -> None:

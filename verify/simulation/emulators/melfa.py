@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from verify.simulation.emulators.arm import SERVO_LAG, MelfaArm
-from verify.simulation.emulators.server import TimedMessage
+from verify.simulation.emulators.server import EmulatorEngine, TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
 
 MAX_COMMAND_BYTES = 255  # bytes of a command
@@ -40,7 +40,7 @@ class ControllerOptions:
     least_pause: float = 0.0  # s: asked sooner while the arm moves, it refuses with 6130
 
 
-class MelfaEngine:
+class MelfaEngine(EmulatorEngine):
     """The line server."""
 
     def __init__(self, arm: MelfaArm, options: ControllerOptions, seed: int = 0) -> None:
@@ -146,7 +146,7 @@ COMMANDED, COMMANDED_PULSES, MEASURED, MEASURED_PULSES = 2, 3, 8, 9
 LAYOUT = struct.Struct("<HHHH40sHHHHHHIHH40sHH40sHH40s")
 
 
-class RealtimeEngine:
+class RealtimeEngine(EmulatorEngine):
     """Once asked, answers every cycle while packets keep coming."""
 
     def __init__(self, trajectory: EmulatedTrajectory, joints: int) -> None:
@@ -157,9 +157,6 @@ class RealtimeEngine:
         self._next = 0.0
         self._count = 0
         self._missed = 0
-
-    def greet(self, t: float) -> None:
-        """Take the next caller like the last."""
 
     def reset(self, t: float) -> None:
         """Start the cycle counter anew."""

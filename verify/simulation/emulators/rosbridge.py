@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from websockets.exceptions import ConnectionClosed
 from websockets.sync.server import Server, ServerConnection, serve
 
-from verify.simulation.emulators.server import TimedMessage
+from verify.simulation.emulators.server import EmulatorEngine, TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
 
 EXTRA_JOINT = "finger_joint"  # of a gripper, whose joint shares the topic
@@ -78,7 +78,7 @@ class RosbridgeOptions:
     rate: int = 100  # Hz
 
 
-class RosbridgeEngine:
+class RosbridgeEngine(EmulatorEngine):
     """The bridge, and a robot that publishes its joints in another order each time."""
 
     def __init__(self, trajectory: EmulatedTrajectory, options: RosbridgeOptions) -> None:
@@ -86,20 +86,11 @@ class RosbridgeEngine:
         self._trajectory, self._options = trajectory, options
         self._random = random.Random(0)
         self._subscribed = False
-        self._jump = self._next = 0.0
+        self._next = 0.0
 
     def greet(self, t: float) -> None:  # noqa: ARG002  an engine has this verb
         """Take a client, who has subscribed to nothing."""
         self._subscribed = False
-
-    def reset(self, t: float) -> None:
-        """Start the bridge anew."""
-        self.greet(t)
-
-    def afflict(self, fault: str, value: float) -> None:
-        """Let the clock leap by so many s."""
-        if fault == "jump":
-            self._jump += value
 
     def step(self, t: float, received: bytes) -> list[TimedMessage]:
         """Answer an operation, then publish the joint states that are due."""

@@ -3,7 +3,7 @@
 import struct
 from dataclasses import dataclass
 
-from verify.simulation.emulators.server import TimedMessage
+from verify.simulation.emulators.server import EmulatorEngine, TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
 
 _HEADER = struct.Struct(">HB")
@@ -28,7 +28,7 @@ class RtdeOptions:
     drift: float = 0.0  # by which its clock is fast
 
 
-class RtdeEngine:
+class RtdeEngine(EmulatorEngine):
     """One client's session; a client that connects begins a new one."""
 
     RECIPE = 1
@@ -39,7 +39,6 @@ class RtdeEngine:
         self._options = RtdeOptions() if options is None else options
         self._protocol = self._options.protocol
         self._clock_zero = -UPTIME  # s, emulator's time at which its clock was 0
-        self._jump = 0.0
         self._texts: list[str] = []
         self._stopped = False
         self._begin()
@@ -61,9 +60,8 @@ class RtdeEngine:
 
     def afflict(self, fault: str, value: float) -> None:
         """Let the clock leap by so many s, stop the program, or accept older protocols only."""
-        if fault == "jump":
-            self._jump += value
-        elif fault == "alarm":
+        super().afflict(fault, value)
+        if fault == "alarm":
             self._texts.append(f"C{int(value)}A0: protective stop")
             self._stopped = True
         elif fault == "version":

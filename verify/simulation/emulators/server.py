@@ -5,7 +5,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 
@@ -112,20 +112,26 @@ class TimedMessage:
     data: bytes
 
 
-class EmulatorEngine(Protocol):
+class EmulatorEngine:
     """A device without a port: its answers, given what it receives and the time."""
+
+    _jump = 0.0  # s, by which its clock has leapt
 
     def greet(self, t: float) -> None:
         """Note that a client has just connected."""
 
     def step(self, t: float, received: bytes) -> list[TimedMessage]:
         """Go on to t, s from the start, with what was received since."""
+        raise NotImplementedError
 
     def reset(self, t: float) -> None:
         """Start anew, as after a loss of power."""
+        self.greet(t)
 
     def afflict(self, fault: str, value: float) -> None:
         """Begin to have a fault of its own: jump, alarm, status or version."""
+        if fault == "jump":
+            self._jump += value
 
 
 class EmulatorServer:
