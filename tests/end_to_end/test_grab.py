@@ -27,7 +27,7 @@ from tests.support.grasp.cells import CELL, STATION
 from verify.cli.grab import conduct
 from verify.cli.grab import station as grab_station
 from verify.cli.grab.conduct import GraspOptions, OperatorKeys
-from verify.cli.grab.station import ActuatorPorts, grab_on_station
+from verify.cli.grab.station import grab_on_station
 from verify.devices.protocols import CapturedPair
 from verify.errors import InputError
 from verify.grasping.actuators import emulator_check
@@ -185,8 +185,8 @@ def grasp(
     station: Path, gripper: str | None, options: GraspOptions, cell: Path | None = None
 ) -> bool:
     """Grasp with a station's devices; what it writes goes beside the station."""
-    ports = ActuatorPorts(cell, gripper)
-    return grab_on_station(station, ports, options, station.parent / "out", force=False)
+    out = station.parent / "out"
+    return grab_on_station(station, cell, gripper, options, out, force=False)
 
 
 def typed(monkeypatch: pytest.MonkeyPatch, text: str) -> None:

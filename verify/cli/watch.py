@@ -31,7 +31,7 @@ from verify.live.outputs import listeners as outputs
 from verify.live.outputs.metrics import MetricsServer
 from verify.live.outputs.terminal import TerminalDisplay, render_snapshot
 from verify.live.page.run import RunFacts, RunPageSource
-from verify.live.protocols import Alarm, Listener, LiveDevices, MonitoredRobot
+from verify.live.protocols import Alarm, Listener, LiveDevices
 from verify.live.state import LiveState
 from verify.live.station.station import PanDrive, RecordingStation, Station
 
@@ -72,14 +72,6 @@ def watch(station: Station, options: RunOptions) -> RunResult:
     joints = options.tolerance.joints
     if joints is None and station.tolerance is not None:
         joints = station.tolerance.joints
-    subject = MonitoredRobot(
-        station.arm,
-        station.rig,
-        station.marker,
-        station.clock,
-        station.encoder_resolution,
-        station.encoder_time_standard_uncertainty,
-    )
     limits = AlarmLimits(station.alarm.false_alarms_per_hour, station.rate, joints)
     state = LiveState()
     facts = RunFacts(
@@ -89,7 +81,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_INTERVAL)
         listeners = _listeners(station, options, stack)
-        source = RunPageSource(state, subject, facts)
+        source = RunPageSource(state, station.watched, facts)
         page = None
         if options.page is not None:
             page = options.page.serve(source, moment=state.wait_for_pair)
@@ -111,7 +103,14 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         if station.follow and isinstance(devices.pan, PanDrive):
             devices = replace(devices, turn=devices.pan.turn_to)
         live = LiveLoop(
-            subject, devices, recorder, limits, options.duration, computation, listeners, state
+            station.watched,
+            devices,
+            recorder,
+            limits,
+            options.duration,
+            computation,
+            listeners,
+            state,
         )
         stack.enter_context(_frozen_garbage_collector())
         degrees = None if joints is None else np.rad2deg(joints).tolist()
@@ -156,7 +155,7 @@ def _utc(epoch: float | None) -> str | None:
 
 def _start_measuring(station: Station) -> MeasuringProcess:
     try:
-        return MeasuringProcess(station.rig, station.marker, terminal.warn)
+        return MeasuringProcess(station.rig, station.watched.marker, terminal.warn)
     except ChildLostError as error:
         text = f"The measuring process does not start: {error}. Nothing was watched or recorded."
         raise WatchDefectError(text) from error

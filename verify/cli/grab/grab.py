@@ -95,9 +95,9 @@ def grab(
     if station is not None:
         if seed or small or stop_and_go or turning:
             raise typer.BadParameter("--seed, --small, --stop-and-go and --turning are for --sim")
-        from verify.cli.grab.station import ActuatorPorts, grab_on_station
+        from verify.cli.grab.station import grab_on_station
 
-        good = grab_on_station(station, ActuatorPorts(cell, gripper), options, out, force=force)
+        good = grab_on_station(station, cell, gripper, options, out, force=force)
     else:
         if cell is not None or gripper is not None:
             raise typer.BadParameter("--cell and --gripper are for a station")

@@ -6,7 +6,7 @@ import time
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from datetime import UTC, datetime
 from functools import partial
 from pathlib import Path
@@ -141,21 +141,20 @@ CELL_FILE = "grab.toml"  # beside the station file
 READING_HALF_WIDTH = 0.05  # s: within which the controller reads its joints, as far as it tells
 
 
-@dataclass(frozen=True, slots=True)
-class ActuatorPorts:
-    """Options that name the actuators."""
-
-    cell: Path | None  # grab.toml; None: beside the station file
-    gripper: str | None  # port; needed to move
-
-
 def grab_on_station(
-    path: Path, ports: ActuatorPorts, options: GraspOptions, out: Path, *, force: bool
+    path: Path,
+    cell_file: Path | None,
+    gripper: str | None,
+    options: GraspOptions,
+    out: Path,
+    *,
+    force: bool,
 ) -> bool:
     """Grasp with real devices; the result is that of `conduct`.
 
-    The station's [encoders] name the controller that moves; `ports`: cell file and gripper; `out`:
-    of film, session and report; `force`: write into a folder that exists.
+    The station's [encoders] name the controller that moves; grab.toml is beside the station file
+    where none is given, and the gripper's port is needed to move. `out`: of film, session and
+    report; `force`: write into a folder that exists.
 
     Raises:
         InputError: a file, an option, a device or the folder; or the order was not confirmed.
@@ -163,7 +162,7 @@ def grab_on_station(
     refuse_existing(out, force=force)
     target = options.target
     station = open_station(path, SimulatedStation)
-    cell, warnings = grasping_cell.read(ports.cell or path.with_name(CELL_FILE), station.arm.dof)
+    cell, warnings = grasping_cell.read(cell_file or path.with_name(CELL_FILE), station.arm.dof)
     terminal.warn(*station.warnings, *warnings)
     rig, turning = station.rig, station.facts.turning
     planner = planner_with_cameras(station.arm, cell, rig, turning=turning)
@@ -175,13 +174,13 @@ def grab_on_station(
         def now() -> float:
             return time.monotonic() - began
 
-        joints, actuators = _open_devices(station, planner, ports, options, stack, began)
+        joints, actuators = _open_devices(station, planner, gripper, options, stack, began)
         cameras, pan = station.open_cameras(), station.open_pan()
         source = LivePairs(cameras, pan, rig, station.rate, began)
         stack.callback(source.close)
         worker = ThreadPoolExecutor(1, "flange")  # the loop does not wait for it
         stack.callback(worker.shutdown, cancel_futures=True)
-        watch = FlangeWatch(planner.arm, rig, station.marker, worker.submit)
+        watch = FlangeWatch(planner.arm, rig, station.watched.marker, worker.submit)
         # without actuators no hand comes above the target to be measured
         aim = Aim(planner, rig, None if actuators is None else watch)
         loop = GraspLoop(planner, tracker, aim, actuators, joints, now, auto=options.auto)
@@ -198,7 +197,7 @@ def grab_on_station(
 def _open_devices(
     station: Station,
     planner: GraspPlanner,
-    ports: ActuatorPorts,
+    gripper_port: str | None,
     options: GraspOptions,
     stack: ExitStack,
     began: float,
@@ -215,10 +214,10 @@ def _open_devices(
         return read, None
     table, _ = file.read(station.path, StationTable)
     settings = _motion_settings(station.path, table.encoders)
-    if ports.gripper is None:
+    if gripper_port is None:
         expected = "the gripper's port is needed to move"
         raise InputError("--gripper", "is missing", expected, "Example: --gripper /dev/ttyUSB0")
-    gripping = GripperSettings(ports.gripper)
+    gripping = GripperSettings(gripper_port)
     melfa = EmulatorPortOpener(
         partial(open_port, settings.port, settings.line),
         partial(is_emulated_melfa, terminator=settings.terminator),

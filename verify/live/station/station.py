@@ -21,8 +21,9 @@ from verify.io import rig as io_rig
 from verify.io.files import read_bytes, restated
 from verify.io.session import keys
 from verify.io.session.folder import ROBOT_FILES
-from verify.io.session.keys import Clock, Tolerance
+from verify.io.session.keys import Tolerance
 from verify.io.toml import key_error
+from verify.live.protocols import MonitoredRobot
 from verify.live.recording.recorder import MAX_LAG, WRITE_TIMEOUT, SessionRecorder
 from verify.live.recording.session import SessionFacts
 from verify.live.station import devices, file
@@ -86,11 +87,8 @@ class Station(RecordingStation):
     """Everything that `verify run` needs."""
 
     rig: Rig
-    marker: Marker
+    watched: MonitoredRobot
     tolerance: Tolerance | None  # None: no verdict is asked for
-    clock: Clock | None  # None: the offset is estimated from the motion
-    encoder_resolution: float | None  # rad
-    encoder_time_standard_uncertainty: float | None  # s
     alarm: AlarmTable
     rate: float  # Hz, pairs: of the slower camera, as asked for
     follow: bool  # the bases turn to keep the LEDs in view; open_pan gives a Servo then
@@ -117,14 +115,13 @@ def open_station(path: str | Path, simulate: Simulate) -> Station:
     rig, rig_warnings = _rig(path, table, sim)
     marker, marker_warnings = _marker(path, table, sim)
     notes = (*warnings, *rig_warnings, *marker_warnings)
+    resolution = keys.to_radians(devices.resolution_deg(table.encoders))
+    time_uncertainty = table.encoders.time_standard_uncertainty_s
     return Station(
         **_recording_fields(path, table, arm, sim, rig.image_size, notes),
         rig=rig,
-        marker=marker,
+        watched=MonitoredRobot(arm, rig, marker, table.clock, resolution, time_uncertainty),
         tolerance=keys.tolerance(path, table.tolerance, arm.dof),
-        clock=table.clock,
-        encoder_resolution=keys.to_radians(devices.resolution_deg(table.encoders)),
-        encoder_time_standard_uncertainty=table.encoders.time_standard_uncertainty_s,
         alarm=table.alarm,
         rate=min(table.left.rate_hz or DEFAULT_RATE, table.right.rate_hz or DEFAULT_RATE),
         follow=table.pan.follow,
@@ -185,8 +182,7 @@ def _recording_fields(
         "arm": arm,
         "robot": table.robot,
         "recording": RecordingSettings(
-            path.parent / table.recording.folder,
-            table.recording.name.replace("{robot}", slug),
+            path.parent / table.recording.folder, table.recording.name.replace("{robot}", slug)
         ),
         "files": all(c.source != SIM and is_file(c.source) for c in (table.left, table.right)),
         "warnings": warnings,

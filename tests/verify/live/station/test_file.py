@@ -115,8 +115,8 @@ def test_facts_come_out_in_si_units(tmp_path: Path) -> None:
     made = station(tmp_path, REAL + more + 'name = "{robot} %Y"\n')
     assert_allclose(made.tolerance.joints, np.deg2rad([0.5] * 6))
     assert made.tolerance.position == 0.002
-    assert made.clock.encoder_offset == 0.25
-    assert made.encoder_resolution == pytest.approx(np.deg2rad(0.01))
+    assert made.watched.clock.encoder_offset == 0.25
+    assert made.watched.resolution == pytest.approx(np.deg2rad(0.01))
     assert made.recording.folder == tmp_path / "records"
     assert made.recording.name == "iust_6r %Y"
     assert made.name == "the lab's arm"
@@ -343,7 +343,7 @@ def test_a_recording_holds_the_stations_settings(tmp_path: Path) -> None:
     assert session.description == "the lab's arm"
     assert session.temperature_c == 21.5
     assert session.encoder_time_standard_uncertainty == 0.002
-    assert session.clock == made.clock
+    assert session.clock == made.watched.clock
     assert (folder / "rig.toml").read_text() == RIG
     assert session.started is not None
 
