@@ -144,11 +144,7 @@ def compare(
 
 
 def _reading_covariance(
-    noise: Array,
-    stated: ReadingUncertainty,
-    index: Index,
-    jacobian: Array,
-    rate: Array,
+    noise: Array, stated: ReadingUncertainty, index: Index, jacobian: Array, rate: Array
 ) -> Array:
     """Covariance of xi by the readings of some pairs of a track, (n, 6, 6)."""
     variance = noise**2

@@ -153,7 +153,23 @@ def _measurements(
         rig_T_flange = rigid_transform(rig_R_flange[i], poses.position[i] - lever[i])
         gain, determined = _point_to_flange(lever[i], alone=instrument.positions_alone)
         sigma = np.concatenate([noise.position[i], noise.orientation[i]])[: gain.shape[1]]
-        pose = _pose(rig_T_flange, (gain * sigma**2) @ gain.T, determined)
+        pose = Pose(  # without spots; how it moves, no picture says
+            rig_T_flange=rig_T_flange,
+            covariance_pixels=(gain * sigma**2) @ gain.T,
+            covariance_alignment=np.zeros((6, 6)),  # one instrument, one instant
+            twist=np.full(6, np.nan),
+            acceleration_prior=(np.nan, np.nan),
+            determined=determined,
+            gain=np.zeros((6, 0)),
+            sensitivity=np.zeros((0, 2, 3)),
+            curvature=np.zeros((0, 2)),
+            residual=np.zeros((0, 2)),
+            spot_uncertainty=np.zeros(0),
+            rejected=np.zeros(0, dtype=np.bool_),
+            consistent=True,
+            chi2=0.0,
+            degrees_of_freedom=0,
+        )
         yield Measurement(frame=i, t=t, status="measured", leds_seen=0, pose=pose)
 
 
@@ -169,27 +185,6 @@ def _point_to_flange(lever: Array, *, alone: bool) -> tuple[Array, Array]:
     point = rigid_columns(lever)  # of a twist: rho + phi x lever
     determined = np.linalg.qr(point.T)[0]
     return determined @ np.linalg.inv(point @ determined), determined
-
-
-def _pose(rig_T_flange: Array, covariance: Array, determined: Array) -> Pose:
-    """A pose without spots; how it moves, no picture says."""
-    return Pose(
-        rig_T_flange=rig_T_flange,
-        covariance_pixels=covariance,
-        covariance_alignment=np.zeros((6, 6)),  # one instrument, one instant
-        twist=np.full(6, np.nan),
-        acceleration_prior=(np.nan, np.nan),
-        determined=determined,
-        gain=np.zeros((6, 0)),
-        sensitivity=np.zeros((0, 2, 3)),
-        curvature=np.zeros((0, 2)),
-        residual=np.zeros((0, 2)),
-        spot_uncertainty=np.zeros(0),
-        rejected=np.zeros(0, dtype=np.bool_),
-        consistent=True,
-        chi2=0.0,
-        degrees_of_freedom=0,
-    )
 
 
 def _stated_uncertainties(session: Session, noise: InstrumentNoise) -> Systematics:

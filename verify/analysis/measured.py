@@ -154,11 +154,7 @@ def measure_pictures(
 
 
 def without_repeats(
-    session: Session,
-    measured: MeasuredSession,
-    readings: Readings,
-    offset: float,
-    chain: Chain,
+    session: Session, measured: MeasuredSession, readings: Readings, offset: float, chain: Chain
 ) -> MeasuredSession:
     """Measure again without pairs that show an earlier instant, if there are any.
 

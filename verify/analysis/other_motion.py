@@ -23,12 +23,7 @@ import numpy as np
 
 import robots
 from robots.transforms import carry, difference, invert
-from verify.analysis.clock.estimate import (
-    ClockEstimate,
-    estimate_clock,
-    gross_zeros,
-    shown_offset,
-)
+from verify.analysis.clock.estimate import ClockEstimate, estimate_clock, gross_zeros, shown_offset
 from verify.analysis.clock.search import are_visits, coarse_costs
 from verify.analysis.diagnosis.faults import MAX_OFFSET
 from verify.analysis.measured import session_clock

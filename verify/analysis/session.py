@@ -22,12 +22,7 @@ from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
 from verify.analysis.diagnosis.faults import about_turned_camera
 from verify.analysis.instrument import MeasuredSession
-from verify.analysis.joint_errors import (
-    JointErrors,
-    ResolvedErrors,
-    predict_errors,
-    resolve_errors,
-)
+from verify.analysis.joint_errors import JointErrors, ResolvedErrors, predict_errors, resolve_errors
 from verify.analysis.least_squares import autocorrelation
 from verify.analysis.measured import (
     Chain,

@@ -13,8 +13,7 @@ from verify.errors import InputError
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
     from reports import Results
-    from verify.fleet.batch.records import WorkerPool
-    from verify.fleet.batch.run import BatchProgress, BatchResult, ProgressCallback
+    from verify.fleet.batch.run import BatchProgress, BatchResult, ProgressCallback, WorkerPool
     from verify.fleet.trends.assess import TrendRequest
 
 EXIT_SOME_FAILED = 4
@@ -34,12 +33,10 @@ def batch(
     position_tolerance: option.PositionTolerance = None,
     orientation_tolerance: option.OrientationTolerance = None,
     workers: Annotated[
-        int | None,
-        Option(min=1, help="Processes on this machine; default: one per processor."),
+        int | None, Option(min=1, help="Processes on this machine; default: one per processor.")
     ] = None,
     scheduler: Annotated[
-        str | None,
-        Option(help="Address of a Dask scheduler whose cluster measures the sessions."),
+        str | None, Option(help="Address of a Dask scheduler whose cluster measures the sessions.")
     ] = None,
     reports: Annotated[
         bool, Option("--reports", help="Write each session's own report as well.")

@@ -29,8 +29,7 @@ def board(
         str | None, Option(help="A4, A3, A2, A1 or A0; the smallest that holds it.")
     ] = None,
     charuco: Annotated[
-        str | None,
-        Option(help="Markers in the white squares, of this dictionary: DICT_5X5_100."),
+        str | None, Option(help="Markers in the white squares, of this dictionary: DICT_5X5_100.")
     ] = None,
     marker_mm: Annotated[
         float | None, Option(help="Edge of a marker, mm; three quarters of a square's.")

@@ -129,8 +129,7 @@ PositionTolerance = Annotated[
     float | None, Option("--position-tolerance", help="Position error allowed, mm.")
 ]
 OrientationTolerance = Annotated[
-    float | None,
-    Option("--orientation-tolerance", help="Orientation error allowed, degrees."),
+    float | None, Option("--orientation-tolerance", help="Orientation error allowed, degrees.")
 ]
 PagePort = Annotated[int, Option(min=0, max=65535, help="The page's port; 0: any that is free.")]
 PageAddress = Annotated[str, Option(help="The page's address; any other address needs a token.")]

@@ -17,11 +17,7 @@ from verify.live.outputs.terminal import TerminalDisplay
 from verify.live.recording.recorder import RecorderState
 from verify.live.registration import show
 from verify.live.registration.loop import RecordingLoop, warm_up
-from verify.live.station.station import (
-    RecordingSettings,
-    RecordingStation,
-    open_recording_station,
-)
+from verify.live.station.station import RecordingSettings, RecordingStation, open_recording_station
 from verify.simulation.devices.station import SimulatedStation
 
 # s that a disk may be behind: nothing else waits for it, and pairs are left out meanwhile

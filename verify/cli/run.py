@@ -21,8 +21,7 @@ SEVERITY = [None, "conform", "undecided", "nonconform"]  # of a run with several
 
 def run(
     source: Annotated[
-        Path | None,
-        Argument(help="A recorded session's folder, or a station file: live cameras."),
+        Path | None, Argument(help="A recorded session's folder, or a station file: live cameras.")
     ] = None,
     out: Annotated[
         Path | None,
@@ -42,12 +41,10 @@ def run(
         Path | None, Option(help="Session: another marker file than its own.")
     ] = None,
     new_station: Annotated[
-        bool,
-        Option("--new-station", help="Write a commented station file, and do nothing else."),
+        bool, Option("--new-station", help="Write a commented station file, and do nothing else.")
     ] = False,
     robot: Annotated[
-        str | None,
-        Option(help="--new-station: the arm, by name or by its robot file or URDF."),
+        str | None, Option(help="--new-station: the arm, by name or by its robot file or URDF.")
     ] = None,
     driver: Annotated[
         str | None,
@@ -57,8 +54,7 @@ def run(
         float | None, option.duration_option("Station: how long to watch: 60s, 10m, 1.5h.")
     ] = None,
     on_alarm: Annotated[
-        str | None,
-        Option(help="Station: a command for each alarm; JSON on its standard input."),
+        str | None, Option(help="Station: a command for each alarm; JSON on its standard input.")
     ] = None,
     page: Annotated[bool, Option("--page", help="Station: serve a page for the browser.")] = False,
     page_port: option.PagePort = DEFAULT_PORT,

@@ -23,13 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 
 import robots
-from verify.analysis.clock.search import (
-    COARSE_STEP,
-    MIN_OVERLAP,
-    MOTION_LAG,
-    coarse_costs,
-    dips,
-)
+from verify.analysis.clock.search import COARSE_STEP, MIN_OVERLAP, MOTION_LAG, coarse_costs, dips
 from verify.analysis.comparison import Comparison, compare, gross_errors
 from verify.analysis.least_squares import autocorrelation, whiten
 from verify.core.readings import Readings
@@ -115,11 +109,7 @@ def estimate_clock(
 
 
 def _search(
-    track: Track,
-    arm: robots.Arm,
-    readings: Readings,
-    arrival: ArrivalClock | None,
-    overlap: float,
+    track: Track, arm: robots.Arm, readings: Readings, arrival: ArrivalClock | None, overlap: float
 ) -> ClockEstimate:
     """The offset among those that give a share `overlap` of the pairs a reading."""
     guess = None if arrival is None else arrival.offset

@@ -10,8 +10,9 @@ from verify.analysis.performance.entries import performance_summary, performance
 from verify.analysis.performance.poses import PoseIndices
 from verify.analysis.performance.session import Performance, performance
 from verify.core.readings import Readings
-from verify.io.session.keys import read_stretches
+from verify.io.session.keys import RunTable
 from verify.io.session.session import Session
+from verify.io.toml import decode
 
 CYCLES, PASSAGES, POSES = 30, 10, 5
 MAX_UNCERTAINTY_SHARE = 0.25  # of a characteristic, that the uncertainty of measurement may reach
@@ -91,9 +92,9 @@ def session_performance(
     tables.
     """
     file = session.folder / "session.toml"
-    poses, paths = (
-        read_stretches(file) if file.exists() else ((), ())
-    )  # a simulated one has no folder
+    # a simulated one has no folder
+    table = decode(file, RunTable)[0] if file.exists() else None
+    poses, paths = ((), ()) if table is None else (table.pose, table.path)
     instrument = session.instrument
     found = performance(
         model,

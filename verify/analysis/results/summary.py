@@ -10,7 +10,6 @@ import cv2
 import numpy as np
 import scipy
 
-from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.combinations import Combination
 from verify.analysis.comparison import flange_error
 from verify.analysis.diagnosis.causes import Cause
@@ -99,7 +98,7 @@ class SessionAnalysis:
 
 def summarise(judged: SessionAnalysis) -> dict[str, Any]:
     """Word the judgement as summary.json."""
-    session = judged.compared.session
+    session, clock = judged.compared.session, judged.compared.clock
     counts = Counter(judged.status)
     told = counts - Counter(unaligned=judged.repeated)  # a camera's repeats contradict nothing
     agreed = map(agreed_verdict, zip(*map(_verdicts, (judged, *judged.by_clock)), strict=True))
@@ -125,7 +124,13 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
             **({"repeated": judged.repeated} if judged.repeated else {}),
         },
         "pictures": _pictures(judged.pictures),
-        "clock": _clock(judged.compared.clock),
+        "clock": {
+            "encoder_offset_s": finite_number(clock.offset),
+            "standard_uncertainty_s": finite_number(clock.standard_uncertainty),
+            "source": clock.source,
+            "observable": clock.source != "none",
+            "alternatives_s": list(clock.rivals),
+        },
         "verdict": overall_verdict(verdicts),
         "decision_rule": RULE,
         "joints": [_joint(judged, j, per_joint[j]) for j in range(session.arm.dof)],
@@ -245,16 +250,6 @@ def _tolerance_source(judged: SessionAnalysis) -> str | None:
     given = (None, None, None) if own is None else (own.joints, own.position, own.orientation)
     alike = (np.array_equal(np.array(a), np.array(b)) for a, b in zip(parts, given, strict=True))
     return "session.toml" if all(alike) else "command line"
-
-
-def _clock(clock: ClockEstimate) -> dict[str, Any]:
-    return {
-        "encoder_offset_s": finite_number(clock.offset),
-        "standard_uncertainty_s": finite_number(clock.standard_uncertainty),
-        "source": clock.source,
-        "observable": clock.source != "none",
-        "alternatives_s": list(clock.rivals),
-    }
 
 
 def _verdicts(judged: SessionAnalysis) -> list[Verdict]:

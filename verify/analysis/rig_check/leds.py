@@ -24,11 +24,7 @@ import numpy as np
 from scipy.linalg import solve_triangular
 
 from robots.transforms import rigid_columns
-from verify.analysis.rig_check.pair import (
-    PosedPair,
-    project_onto,
-    spot_covariance,
-)
+from verify.analysis.rig_check.pair import PosedPair, project_onto, spot_covariance
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
 from verify.core.rig import Rig

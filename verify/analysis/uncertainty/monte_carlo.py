@@ -112,11 +112,7 @@ def _linear(compared: SessionComparison) -> Array:
 
 
 def _compare_draws(
-    chosen: Index,
-    bent: Array,
-    straight: Array,
-    linear: Array,
-    coupled: Flags,
+    chosen: Index, bent: Array, straight: Array, linear: Array, coupled: Flags
 ) -> MonteCarlo:
     """Set draws (m, d, j) of the whole chain against those of linear propagation."""
     lost = np.any(np.isnan(bent), axis=2)

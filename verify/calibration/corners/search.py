@@ -30,8 +30,7 @@ Finder = Callable[..., Any]  # picture and counts to whether there is a board, a
 # by black quadrangles: in a few ms where the light is even; and boards cut by the image's border
 QUICK_FINDER: Finder = partial(cv2.findChessboardCorners, flags=0)
 QUAD_FINDER: Finder = partial(
-    cv2.findChessboardCorners,
-    flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE,
+    cv2.findChessboardCorners, flags=cv2.CALIB_CB_ADAPTIVE_THRESH | cv2.CALIB_CB_NORMALIZE_IMAGE
 )
 # by sectors: noise, blur and steep views; dim boards beside bright things
 SECTOR_FINDER: Finder = partial(cv2.findChessboardCornersSB, flags=cv2.CALIB_CB_EXHAUSTIVE)

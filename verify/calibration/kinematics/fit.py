@@ -204,10 +204,7 @@ def _outlying_rows(
 
 
 def without_nuisances(
-    left: Array,
-    poses: IdentificationPoses,
-    scale: NoiseScale,
-    used: Flags | None = None,
+    left: Array, poses: IdentificationPoses, scale: NoiseScale, used: Flags | None = None
 ) -> Array:
     """Residuals (n, 6) less the most likely effect of the nuisances on the used rows."""
     extra = poses.nuisance.shape[2]

@@ -132,11 +132,7 @@ def refuse_unfit(
 
 
 def _refuse_disagreeing(
-    gathered: CombinedPoses,
-    some: Flags,
-    left: Array,
-    most: float,
-    fit: Callable[[Flags], TermFit],
+    gathered: CombinedPoses, some: Flags, left: Array, most: float, fit: Callable[[Flags], TermFit]
 ) -> None:
     """Refuse one of several sessions without which a fit to the rows kept misfits less than `most`.
 

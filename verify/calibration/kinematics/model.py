@@ -70,11 +70,7 @@ def predict_poses(state: ArmState, q: Array, base: Index, tool: Index) -> Array:
 
 
 def predict_with_jacobian(
-    state: ArmState,
-    q: Array,
-    base: Index,
-    tool: Index,
-    parameters: tuple[Parameter, ...],
+    state: ArmState, q: Array, base: Index, tool: Index, parameters: tuple[Parameter, ...]
 ) -> tuple[Array, Array]:
     """Place the target and differentiate its pose by L parameters.
 

@@ -73,10 +73,7 @@ class AdjustedRegistration:
 
 
 def adjust(
-    spotted: SpotStack,
-    setup: AdjustmentSetup,
-    start: RegistrationParameters,
-    free: Flags,
+    spotted: SpotStack, setup: AdjustmentSetup, start: RegistrationParameters, free: Flags
 ) -> AdjustedRegistration:
     """Adjust what is `free` (size,) to all spots, refusing those that the others contradict."""
     at = start
@@ -107,11 +104,7 @@ def _fit_parameters(
 
 
 def _append_stated_clock(
-    design: Array,
-    residual: Array,
-    free: Flags,
-    setup: AdjustmentSetup,
-    at: RegistrationParameters,
+    design: Array, residual: Array, free: Flags, setup: AdjustmentSetup, at: RegistrationParameters
 ) -> tuple[Array, Array]:
     """Add the stated clock offset as one more observation."""
     if setup.clock is None or not free[-2]:

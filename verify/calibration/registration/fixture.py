@@ -22,11 +22,7 @@ from verify.core.statistics import chi2_isf
 from verify.errors import InputError
 from verify.io import rig as io_rig
 from verify.measurement.pose import perturb
-from verify.measurement.systematics import (
-    Systematics,
-    sensitivities,
-    stated_systematics,
-)
+from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
 
 P_FALSE_ALARM = 1e-3  # of pairs being said to disagree where noise alone is at work
 # of the corners' residuals, from which their scatter is known to 7 % and counts as it is: never

@@ -63,7 +63,7 @@ def boards(
     Example: verify calibrate boards tuesday_boards -o rig.toml
     """
     from verify.cli.calibrate.boards import board_from_options, calibrate_folder
-    from verify.cli.calibrate.live import board_of, refuse_station, take_pictures
+    from verify.cli.calibrate.live import board_of, take_pictures
     from verify.io.files import real_path
     from verify.io.results import refuse_existing, refuse_file
     from verify.live.boards.pictures import complete_pairs
@@ -79,7 +79,9 @@ def boards(
         shown = option.PageOptions(page_port, page_address, page_token) if page else None
         take_pictures(station, folder, given, enough, shown)
     else:
-        refuse_station(folder)
+        if folder.suffix == ".toml":
+            expected = "without --live a folder of pictures is expected"
+            raise InputError(folder, "is a station file", expected, "Add --live.")
         used = {"--pictures": pictures is not None, "--pairs": enough is not None, "--page": page}
         remedy = "Leave it out, or add --live."
         option.refuse_options(
@@ -113,8 +115,7 @@ def register(
         Path | None, Option(help="A file that says where the board sits on the robot's base.")
     ] = None,
     leds: Annotated[
-        int | None,
-        Option(min=3, help="Number of LEDs; default: determined from the pictures."),
+        int | None, Option(min=3, help="Number of LEDs; default: determined from the pictures.")
     ] = None,
     known_marker: Annotated[
         Path | None, Option(help="A marker.toml whose LED names or positions are kept.")
@@ -126,8 +127,7 @@ def register(
         bool, Option("--keep-leds", help="Keep the known marker, fit the base alone.")
     ] = False,
     sweeps: Annotated[
-        bool,
-        Option("--sweeps", help="Also compare each swept joint's axis with the DH table."),
+        bool, Option("--sweeps", help="Also compare each swept joint's axis with the DH table.")
     ] = False,
     corners: option.Corners = None,
     square_mm: option.SquareMm = None,

@@ -34,13 +34,6 @@ def board_of(by_option: Board | None, file: Path | None) -> Board | None:
     return board
 
 
-def refuse_station(source: Path) -> None:
-    """Refuse, by an InputError, a station file in place of a folder of pictures."""
-    if source.suffix == ".toml":
-        found, expected = "is a station file", "without --live a folder of pictures is expected"
-        raise InputError(source, found, expected, "Add --live.")
-
-
 def take_pictures(
     station: Path, folder: Path, board: Board | None, enough: int | None, page: PageOptions | None
 ) -> None:

@@ -42,8 +42,7 @@ def convert(
     right: Annotated[str | None, Option(help="Bag: topic of the right camera.")] = None,
     joints: Annotated[str | None, Option(help="Bag: topic of the joint readings.")] = None,
     joint_names: Annotated[
-        str | None,
-        Option(help="The recording's names of the joints, in the robot's order: A,B,…"),
+        str | None, Option(help="The recording's names of the joints, in the robot's order: A,B,…")
     ] = None,
     stamps: Annotated[
         StampKind, Option(help="Bag: times of the headers, or of the recording.")
@@ -61,8 +60,7 @@ def convert(
         Option(help="Table: rotvec, quaternion, or axes of Euler angles: xyz fixed, ZYX moving."),
     ] = None,
     instrument: Annotated[
-        str | None,
-        Option(help="Table: the instrument that measured its poses; never the robot."),
+        str | None, Option(help="Table: the instrument that measured its poses; never the robot.")
     ] = None,
     frame: Annotated[
         PoseFrame, Option(help="Table: the frame of its poses.")

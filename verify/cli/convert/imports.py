@@ -185,7 +185,8 @@ def _settle(
     else:
         mapping = columns_of.propose_mapping(table, arm, options.joint_names)
     if mapping.has_poses and options.instrument is None:
-        mapping = mapping.without_poses()
+        columns = (c for c in mapping.columns if c.target not in columns_of.POSE_TARGETS)
+        mapping = columns_of.ColumnMapping(tuple(columns))
         terminal.warn(
             f"{table.path}: its poses are left out. Those that a controller shows come from its "
             "own encoders and prove nothing; --instrument NAME takes another instrument's."

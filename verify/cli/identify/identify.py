@@ -18,8 +18,7 @@ def identify(
         Path | None, Option("-o", "--out", help="Where the results go; NAME-identification.")
     ] = None,
     model: Annotated[
-        ModelChoice,
-        Option(help="What is fitted; auto: offsets or geometry, as the data require."),
+        ModelChoice, Option(help="What is fitted; auto: offsets or geometry, as the data require.")
     ] = ModelChoice.auto,
     base: Annotated[
         PlacementChoice,

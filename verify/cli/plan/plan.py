@@ -42,8 +42,7 @@ def plan(
         Option(help="Standard uncertainty of a rig to be built: base_position_mm=0.2."),
     ] = None,
     table: Annotated[
-        bool,
-        Option("--table", help="A row for each rig that the values describe."),
+        bool, Option("--table", help="A row for each rig that the values describe.")
     ] = False,
     tolerance: options.JointTolerance = None,
     marker: Annotated[
@@ -76,8 +75,7 @@ def plan(
         float, Option(help="Lowest height of any part of the arm; robot's base frame.")
     ] = 0.0,
     view_angle_deg: Annotated[
-        float,
-        Option(help="LEDs are visible up to this angle from the flange's z; 180: all."),
+        float, Option(help="LEDs are visible up to this angle from the flange's z; 180: all.")
     ] = 60.0,
     rate_hz: Annotated[float, Option(help="Stereo pairs per second.")] = 10.0,
     spot_noise_px: Annotated[
@@ -88,8 +86,7 @@ def plan(
     ] = 0.01,
     skew_ms: Annotated[float, Option(help="Right picture after the left picture.")] = 0.0,
     clock_uncertainty_ms: Annotated[
-        float | None,
-        Option(help="Of a clock offset that will be stated; else it is estimated."),
+        float | None, Option(help="Of a clock offset that will be stated; else it is estimated.")
     ] = None,
     seed: Annotated[int, Option(min=0, help="Seed of the random postures.")] = 0,
     force: options.ReplaceFiles = False,
@@ -104,8 +101,10 @@ def plan(
 
     Example: verify plan iust_6r --camera 1280x720,60deg --baseline 0.4 --distance 1.5 -o rig_plan
     """
+    import robots
     from verify.cli.plan import proposal
-    from verify.cli.plan.session import load_arm, parse_posture, plan_session, planning_setup
+    from verify.cli.plan.session import parse_posture, plan_session, planning_setup
+    from verify.io.files import restated
     from verify.planning.request import DEFAULT_KINDS, PlanRequest, SessionConditions
     from verify.planning.results import PlanProvenance
 
@@ -124,7 +123,8 @@ def plan(
     )
     if not abs(skew_ms) * 1e-3 < 1 / rate_hz:
         raise InputError("--skew-ms", f"{skew_ms:g} ms", "less than the time between two pairs")
-    arm = load_arm(robot)
+    with restated(robots.RobotError):
+        arm = robots.load(robot)
     built = {"--camera": camera, "--baseline": baseline, "--distance": distance, "--led": led}
     _check_rig(rig, built | {"--assume": assume}, marker, table=table)
     request = PlanRequest(

@@ -15,7 +15,7 @@ from verify.core.records import Array
 from verify.errors import InputError
 from verify.io import fiducials
 from verify.io import rig as io_rig
-from verify.io.files import digest, restated, write_folder_whole
+from verify.io.files import digest, write_folder_whole
 from verify.io.results import refuse_existing, write_report_folder
 from verify.io.session.folder import check_absorption
 from verify.planning.plan import SessionPlan, plan_motion
@@ -51,12 +51,6 @@ def plan_session(provenance: PlanProvenance, out: Path | None, *, force: bool) -
                 folder / f"{name}.csv", index=False, float_format="%.5f", lineterminator="\n"
             )
     _print_summary(results, target)
-
-
-def load_arm(robot: str) -> robots.Arm:
-    """Load an arm by its name, robot file or URDF; InputError: it cannot be used."""
-    with restated(robots.RobotError):
-        return robots.load(robot)
 
 
 def planning_setup(

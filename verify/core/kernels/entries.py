@@ -21,12 +21,7 @@ def rotation_vectors(turns: Array, vectors: Array) -> None:
 
 
 def motion_misfits(
-    ends: Index,
-    known: Flags,
-    poses: Array,
-    measured: tuple[Array, Array],
-    most: float,
-    cost: Array,
+    ends: Index, known: Flags, poses: Array, measured: tuple[Array, Array], most: float, cost: Array
 ) -> None:
     """Fill in `cost` (o,): mean squared misfit of the motions read to those measured, at o offsets.
 

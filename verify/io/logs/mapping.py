@@ -103,10 +103,6 @@ class ColumnMapping:
         """Whether there are positions or points."""
         return bool(self.of(POSITION) or self.of(POINTS))
 
-    def without_poses(self) -> "ColumnMapping":
-        """The mapping without the columns of poses."""
-        return ColumnMapping(tuple(c for c in self.columns if c.target not in POSE_TARGETS))
-
 
 def parse_name(name: str) -> tuple[str, str]:
     """Separate a column's name from its unit: ("time", "ms"); the unit is empty where none is."""

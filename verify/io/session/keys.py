@@ -187,12 +187,6 @@ def has_poses(path: Path) -> bool:
     return "poses" in parse(path)
 
 
-def read_stretches(path: Path) -> tuple[tuple[TimeInterval, ...], tuple[TimeInterval, ...]]:
-    """Read [[pose]] and [[path]] of a session.toml checked before; raises InputError."""
-    table = decode(path, RunTable)[0]
-    return tuple(table.pose), tuple(table.path)
-
-
 def read_poses(path: Path, *, registered: bool = True) -> tuple[PosesSessionTable, tuple[str, ...]]:
     """Read session.toml with an instrument's poses in place of pictures, as `read` does.
 

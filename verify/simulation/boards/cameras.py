@@ -20,12 +20,7 @@ from verify.simulation.boards.render import PrintedBoard
 from verify.simulation.boards.simulate import SimulatedBoards, simulate_boards
 from verify.simulation.devices.encoders import PAN_RATE, SimulatedReadings
 from verify.simulation.devices.scene import SimClock
-from verify.simulation.scenario import (
-    BoardScenario,
-    BoardScenarioBases,
-    Scenario,
-    ScenarioBoards,
-)
+from verify.simulation.scenario import BoardScenario, BoardScenarioBases, Scenario, ScenarioBoards
 from verify.simulation.session import simulate as session_simulate
 from verify.simulation.world.motion import RandomStream, generator
 

@@ -13,12 +13,7 @@ import numpy as np
 from verify.core.records import Array, Flags, rigid_transform
 from verify.errors import InputError
 from verify.planning.proposal import look_at, spread_directions
-from verify.simulation.scenario import (
-    BoardRig,
-    Scenario,
-    ScenarioCamera,
-    ScenarioPlacement,
-)
+from verify.simulation.scenario import BoardRig, Scenario, ScenarioCamera, ScenarioPlacement
 
 
 def rigid(rotation_vector: Array, position: Array) -> Array:
