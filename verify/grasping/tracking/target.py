@@ -56,6 +56,7 @@ class TargetObservation:
     centre: Array  # (3,), m, filtered; predicted where it is out of sight; nan where lost
     covariance: Array  # (3, 3), m²: of the track, the colour's centre, and the rig as stated
     velocity: Array  # (3,), m/s
+    velocity_covariance: Array  # (3, 3), (m/s)²
     measured: Array  # (3,), m, from this pair alone; nan where it gave none
     size: Array  # (2,), m, width and height along the pictures' rows and columns
     size_standard_uncertainty: Array  # (2,), m

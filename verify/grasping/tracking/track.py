@@ -108,12 +108,12 @@ class TargetTracker:
         self, pair: StereoPair, decision: TargetDecision, windows: search.Windows
     ) -> TargetObservation:
         target, thing, reason = self._identity.target, decision.chosen, decision.reason
-        nothing = np.full(3, np.nan)
-        centre, covariance, velocity = nothing, np.full((3, 3), np.nan), nothing
+        nothing, square = np.full(3, np.nan), np.full((3, 3), np.nan)
+        centre, covariance, velocity, spread = nothing, square, nothing, square
         if target is not None and pair.t_left - target.t <= self._options.coast:
             now = target.track.at(pair.t_left)
             centre, covariance = now.position, now.position_covariance + self._systematic
-            velocity = now.velocity
+            velocity, spread = now.velocity, now.velocity_covariance
             if decision.status == "lost" and (side := search.left_picture(self._now(pair), now)):
                 reason = f"it has left the {side} picture"
         return TargetObservation(
@@ -127,6 +127,7 @@ class TargetTracker:
             centre=centre,
             covariance=covariance,
             velocity=velocity,
+            velocity_covariance=spread,
             measured=nothing if thing is None else thing.place.point,
             size=np.full(2, np.nan) if target is None else target.extent,
             size_standard_uncertainty=self._size_uncertainty,

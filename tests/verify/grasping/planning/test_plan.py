@@ -201,7 +201,7 @@ def test_a_point_comes_into_the_base_with_the_scatter_that_the_rig_states() -> N
 def seen(size: tuple[float, float]) -> TargetObservation:
     return TargetObservation(
         0, 0.0, "tracked", "", None, None, (None, None), np.array([0, 0, 1.0]), np.eye(3) * 1e-6,
-        np.zeros(3), np.zeros(3), np.array(size), np.array([1e-3, 2e-3]),
+        np.zeros(3), np.eye(3), np.zeros(3), np.array(size), np.array([1e-3, 2e-3]),
         0.0, 1.0,
     )  # fmt: skip
 

@@ -48,7 +48,7 @@ def cycle(state: GraspState, q: Array, off: Array | None) -> LoopCycle:
     seen = TargetObservation(
         frame=0, t=0.0, status="lost" if off is None else "occluded", reason="", left=None,
         right=None, windows=(None, None), centre=NOTHING, covariance=SQUARE, velocity=NOTHING,
-        measured=carry(CELL.rig.rig_T_base, place),
+        velocity_covariance=SQUARE, measured=carry(CELL.rig.rig_T_base, place),
         size=NOTHING[:2], size_standard_uncertainty=NOTHING[:2],
         epipolar=np.nan, quality=0.0,
     )  # fmt: skip
