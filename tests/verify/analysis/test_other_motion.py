@@ -264,7 +264,7 @@ def test_a_clock_that_runs_fast_or_a_belt_that_slips_is_no_change_of_the_clock(
 
 
 def test_a_slip_of_a_joint_that_turns_alone_is_no_change_of_the_clock() -> None:
-    """By what the joint turns from pair to pair, for a second: late pictures would look the same."""
+    """By what it turns from pair to pair, for a second: late pictures would look the same."""
     log, t = np.arange(-1.0, 17.0, 0.01), np.arange(0.0, 16.0, 1 / 15)
 
     def sweep(t: Array) -> Array:
