@@ -180,14 +180,9 @@ def session_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
 def exchanged_track(session: Session) -> Track:
     """The first pairs as they would be measured with left and right exchanged."""
     exchanged = replace(session, left=session.right, right=session.left)
-    measured = _measured_pairs(exchanged, 0, MAX_EXCHANGED_PAIRS)
+    pairs = islice(exchanged.pairs(), MAX_EXCHANGED_PAIRS)
+    measured = [m for m in measure(pairs, setup_of(exchanged)) if m.status == "measured"]
     return collect_track(measured, session.rig, [np.zeros((6, 0))] * len(measured))
-
-
-def _measured_pairs(session: Session, first: int, count: int) -> list[Measurement]:
-    """Of `count` pairs from the one at `first` on, those that can be measured."""
-    pairs = islice(session.pairs(), first, first + count)
-    return [m for m in measure(pairs, setup_of(session)) if m.status == "measured"]
 
 
 def refuse_exchanged_cameras(session: Session) -> None:
@@ -215,10 +210,12 @@ def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -
         return
     size = min(MAX_PAN_PAIRS, len(lost))
     there = np.convolve(lost, np.ones(size), "valid")
-    first, fits = int(np.argmax(there)), []
-    for name, remedy, (left, right) in _pan_mistakes(pan.T):
-        without = replace(session, frames=replace(frames, pan_left=left, pan_right=right))
-        fits.append((len(_measured_pairs(without, first, size)), name, remedy))
+    first, fits, setup = int(np.argmax(there)), [], setup_of(session)
+    read = list(islice(session.pairs(), first, first + size))  # once, as a film takes its time
+    for name, remedy, mended in _pan_mistakes(pan.T):
+        turned = zip(read, *mended[:, first : first + size].tolist(), strict=True)
+        pairs = (replace(pair, pan_left=left, pan_right=right) for pair, left, right in turned)
+        fits.append((sum(m.status == "measured" for m in measure(pairs, setup)), name, remedy))
     most = max(fits)[0]
     if size - most <= MAX_LEFT_LOST * there[first]:
         _, named, remedies = zip(*(fit for fit in fits if fit[0] == most), strict=True)
