@@ -22,6 +22,7 @@ CAUSES = {
     "camera_skew": "late right pictures",
     "camera_turned": "turned right camera",
     "camera_drift": "creeping camera",
+    "camera_tilted": "tilted camera",
     "base_moved": "moved robot base or rig",
     "base_drift": "creeping robot base or rig",
     "led_body_slipped": "slipped LED body",
@@ -41,6 +42,8 @@ REMEDIES = {
     "camera_turned": "calibrate the rig again",
     "camera_drift": "fix both cameras (a tripod head may sag, a turning base slip), calibrate the "
     "rig and record again",
+    "camera_tilted": "fix both cameras (one was touched, or its mount gave way), calibrate the rig "
+    "and record again",
     "base_moved": "register the robot base again",
     "base_drift": "fix what base and cameras stand on (a tripod may sink or tilt), register the "
     "robot base and record again",
@@ -275,6 +278,9 @@ CAUSE_TEXTS = {
         "the right camera has turned by {amount} against the left one from the first pair to the "
         "last",
         signed=True,
+    ),
+    "camera_tilted": CauseText(
+        "one camera, either, was tilted by {amount} {since}", since="in the course of the session"
     ),
     "base_moved": CauseText(
         "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}", "mm"

@@ -57,6 +57,7 @@ def track_of(t: Array, poses: Array, place: float, turn: float) -> Track:
         order=np.full(n, 4),
         alignment_error=np.zeros((n, 6)),
         systematic=np.zeros((n, 6, 2)),
+        tilt=np.zeros((n, 6, 0)),
         determined=(np.eye(6),) * n,
     )
 

@@ -52,6 +52,7 @@ class Comparison:
     covariance_measured: Array  # (n, 6, 6), of the measured pose alone
     systematic: Array  # (n, 6, p + 2), d xi / d stated parameter, pan readings last
     alignment_error: Array  # (n, 6), what alignment left, as far as the neighbours show it
+    tilt: Array  # (n, 6, k), what a camera that was tilted may do to it; see `Track`
     determined: tuple[Array, ...]  # n of (6, d)
     rate_variance: Array  # (j,), (rad/s)², what the readings' noise does to `rate`
     local_noise: Array  # (n, j), rad, standard deviation of a reading about each pair
@@ -118,9 +119,14 @@ def compare(
     spread = _reading_covariance(noise, stated, index, jacobian, rate)
     scale = alignment_scale(track)[:, None, None]
     own = (scale * track.covariance_alignment + track.covariance_pixels)[some]
-    systematic, missed = -track.systematic[some], -track.alignment_error[some]
+    systematic, missed, tilt = (
+        -track.systematic[some],
+        -track.alignment_error[some],
+        track.tilt[some],
+    )
     if carry is not None:
         own, systematic = carry @ own @ np.swapaxes(carry, 1, 2), carry @ systematic
+        tilt = carry @ tilt
         missed = (carry @ missed[:, :, None])[:, :, 0]
     return Comparison(
         index=index,
@@ -137,6 +143,7 @@ def compare(
         covariance_measured=own,
         systematic=systematic,
         alignment_error=missed,
+        tilt=tilt,
         determined=determined,
         rate_variance=readings.noise**2 / (2 * RATE_SPAN**2),
         local_noise=noise,

@@ -26,6 +26,8 @@ from verify.analysis.instrument import (
     stated_noise,
 )
 from verify.analysis.results.warnings import rig_moved
+from verify.analysis.rig_check.leds import picture_misfit
+from verify.analysis.rig_check.pair import TURN_NAMES
 from verify.core.fiducials import Marker
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import (
@@ -177,6 +179,25 @@ def without_repeats(
     ]
     measurements = sorted([*again.measurements, *lost], key=lambda m: m.frame)
     return replace(again, measurements=measurements, repeated=frozenset(repeated))
+
+
+def with_pictures_judged(session: Session, measured: MeasuredSession) -> MeasuredSession:
+    """Set the pictures against rig.toml and marker.toml; a camera tilted in the session widens all.
+
+    What its tilt does to each pose if the right camera made it, and if the left one did, is not
+    known, but how large it may be.
+    """
+    rig, marker, systematics = session.rig, session.marker, measured.systematics
+    pictures = picture_misfit(measured.measurements, rig, marker, systematics)
+    track = measured.track
+    if pictures is not None and pictures.tilted is not None and len(track):
+        asked = replace(systematics, names=TURN_NAMES)
+        used = [m for m in measured.measurements if m.status == "measured" and m.pose is not None]
+        columns = np.array([sensitivities(asked, m, rig, marker)[:, :-2] for m in used])
+        by_side = columns.reshape(len(track), 6, 2, -1)
+        tilt = np.einsum("nisa,sna->nis", by_side, pictures.tilted.at(track.t))
+        track = replace(track, tilt=tilt)
+    return replace(measured, track=track, pictures=pictures)
 
 
 def measure_instrument(

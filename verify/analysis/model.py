@@ -175,6 +175,7 @@ def prior_columns(
         columns.append(clock_effect(comparison) * clock.standard_uncertainty)
     if comparison.alignment_error.any():
         columns.append(comparison.alignment_error[:, :, None])
+    columns.append(comparison.tilt)
     columns.extend(pan_columns(comparison, track, systematics, side) for side in (0, 1))
     return np.concatenate(columns, axis=2)
 

@@ -33,6 +33,7 @@ from verify.analysis.measured import (
     session_clock,
     setup_of,
     with_gaps_named,
+    with_pictures_judged,
     with_repeats_named,
     with_shown_noise,
     without_repeats,
@@ -60,7 +61,6 @@ from verify.analysis.results.tables import (
     spots_table,
 )
 from verify.analysis.results.warnings import result_warnings
-from verify.analysis.rig_check.leds import picture_misfit
 from verify.analysis.sweeps.sweeps import judge_sweeps
 from verify.analysis.uncertainty.budget import budget
 from verify.analysis.uncertainty.monte_carlo import monte_carlo
@@ -106,6 +106,7 @@ def analyse(
     session = with_shown_noise(session, readings)
     measured, clock = measure_session(session, readings, progress, chain or measure)
     session = with_repeats_named(session, measured.repeated)
+    measured = with_pictures_judged(session, measured)
     compared, unreachable = compare_session(session, measured, readings, clock)
     tolerance = tolerance or NO_TOLERANCE
     found = _estimate(compared, measured, tolerance, unreachable)
@@ -322,8 +323,7 @@ def _estimate(
     )
     used = [m for m in measured.measurements if m.status == "measured"]
     sources = budget(model, compared, resolved, used)
-    seen = measured.measurements
-    pictures = picture_misfit(seen, session.rig, session.marker, compared.systematics)
+    seen, pictures = measured.measurements, measured.pictures
     stated = {name: limit for name, limit in asdict(tolerance).items() if limit is not None}
     return SessionAnalysis(
         compared=compared,

@@ -26,6 +26,7 @@ class Track:
     order: Index  # (n,), of the lowest derivative that alignment misses, from 2
     alignment_error: Array  # (n, 6), what the motion about a pair leaves of alignment
     systematic: Array  # (n, 6, p): d measured pose / d parameter of `Systematics`
+    tilt: Array  # (n, 6, k), what a camera that was tilted in the session may have done; k 0 or 2
     determined: tuple[Array, ...]  # n of (6, d)
 
     def __len__(self) -> int:
@@ -74,6 +75,7 @@ def collect_track(measurements: list[Measurement], rig: Rig, systematic: list[Ar
         if len(measurements) > 2  # a second derivative's window
         else np.zeros((n, 6)),
         systematic=np.array(systematic).reshape(n, 6, -1) if n else np.zeros((0, 6, 0)),
+        tilt=np.zeros((n, 6, 0)),
         # of all six any basis serves: one array for all pairs
         determined=tuple(turn @ p.determined if p.known_dof < 6 else turn for p in poses),
     )

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from tests.bench.diagnosis.sessions import measured, watched
 from tests.support.drawn_rig import believed, drawn
 from tests.support.moved_rig import seen_by, turned
 from verify.analysis.rig_check.leds import PictureMisfit, misfit_warning, picture_misfit
@@ -99,6 +100,42 @@ def test_a_few_pairs_with_a_reflection_are_no_contradiction() -> None:
     pairs = seen(world(4), 4)
     strange = seen(with_led_moved(world(4), 0, [15.0, 0.0, 0.0]), 4)
     assert warned(misfit_of([*pairs[:-2], *strange[-2:]])) == ""
+
+
+@pytest.mark.parametrize("side", ["left", "right"])
+@pytest.mark.parametrize("axis", [0, 2])
+def test_a_camera_that_is_tilted_while_recording_is_named_with_when_and_how_far(
+    side: str, axis: int
+) -> None:
+    (rig, marker), half = world(7), PAIRS // 2
+    tilted = replace(rig, **{side: turned(getattr(rig, side), axis, 0.1)})
+    pairs = [*seen((rig, marker), 7)[:half], *seen((tilted, marker), 8)[half:]]
+    found = misfit_of(pairs)
+    assert found.contradicts
+    assert found.led is None
+    assert found.tilted is not None
+    assert np.degrees(found.tilted.angle) == pytest.approx(0.1, rel=0.25)
+    off = abs(found.tilted.angle - np.radians(0.1))
+    assert off < 3 * found.tilted.standard_uncertainty
+    assert found.tilted.begin == pytest.approx((pairs[half - 1].t + pairs[half].t) / 2)
+    assert warned(found).startswith("A camera was tilted in the session, at t_left_s = 97.50: by 0")
+
+
+def test_of_a_camera_that_turns_about_its_pan_axis_the_pictures_do_not_say_that_it_tilts() -> None:
+    rig, marker = world(9)
+    late = replace(rig, right=turned(rig.right, 1, 0.2)), marker
+    pairs = [*seen((rig, marker), 9)[: PAIRS // 2], *seen(late, 10)[PAIRS // 2 :]]
+    assert misfit_of(pairs).tilted is None
+
+
+def test_nobody_is_said_to_have_tilted_a_camera_that_stood_or_is_late() -> None:
+    assert [misfit_of(seen(world(seed), seed)).tilted for seed in range(20)] == [None] * 20
+    case = watched(1)  # of a moving arm
+    late = measured(case.session, case.systematics, case.noise, skew=0.004)
+    found = picture_misfit(late, case.session.rig, case.session.marker, case.systematics)
+    assert found is not None
+    assert found.contradicts
+    assert found.tilted is None
 
 
 def test_of_leds_whose_places_have_no_uncertainty_only_what_no_jig_does_is_told() -> None:

@@ -26,6 +26,7 @@ from verify.analysis.results.entries import (
     sweep_entries,
 )
 from verify.analysis.rig_check.leds import PictureMisfit
+from verify.analysis.rig_check.pair import TiltedCamera
 from verify.analysis.sweeps.sweeps import JointSweep
 from verify.analysis.uncertainty.budget import Budget
 from verify.analysis.uncertainty.monte_carlo import MonteCarlo
@@ -182,15 +183,16 @@ def _pictures(found: PictureMisfit | None) -> dict[str, Any] | None:
 
 def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
     """The causes; an offset that is all that ails its joint is the mean of the resolved error."""
-    causes, resolved = judged.diagnosis.causes, judged.resolved
+    causes, resolved, pictures = judged.diagnosis.causes, judged.resolved, judged.pictures
     count = Counter(c.joint for c in causes)
-    entries = []
+    tilts = [] if pictures is None or pictures.tilted is None else [_tilt(pictures.tilted)]
+    entries = list(tilts)
     for cause in causes:
         entry = cause_entry(cause)
         if (same := _same_as(cause, len(resolved.mean))) is not None:
             entry["same_as"] = same
         # a base or whole rig that creeps leaves the pictures as they should be
-        elif cause.kind == "base_drift" and judged.pictures and judged.pictures.contradicts:
+        elif cause.kind == "base_drift" and not tilts and pictures and pictures.contradicts:
             entry["same_as"] = "camera_tilted"
         j = (cause.joint or 0) - 1
         if cause.kind == "offset" and count[cause.joint] == 1 and np.isfinite(resolved.mean[j]):
@@ -202,6 +204,21 @@ def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
             }
         entries.append(entry)
     return entries
+
+
+def _tilt(found: TiltedCamera) -> dict[str, Any]:
+    """The cause that the pictures tell by themselves."""
+    u = found.standard_uncertainty * DEGREE
+    return {
+        "joint": None,
+        "kind": "camera_tilted",
+        "value": found.angle * DEGREE,
+        "unit": "deg",
+        "standard_uncertainty": u,
+        "expanded_uncertainty": 2 * u,
+        "explains": found.explains,
+        **({} if found.begin is None else {"t_s": found.begin}),
+    }
 
 
 def _same_as(cause: Cause, dof: int) -> str | None:

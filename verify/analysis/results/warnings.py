@@ -23,7 +23,10 @@ CONTRADICTION_ADVICE = (
     "pairs may come from that and not from the robot. Check that both files belong to the "
     "pictures, the lenses, line_time_s and the cameras' times, and that no camera or LED has moved."
 )
-HIDDEN_ADVICE = "Check that the LEDs are lit and in view of both cameras, as long as the arm moves."
+HIDDEN_ADVICE = (
+    "Check that the LEDs are lit and in view of both cameras, as long as the arm moves, and that "
+    "no camera was touched: where its rays no longer meet the other's, no LED is recognised."
+)
 MAX_RIVALS_NAMED = 4  # of a periodic motion's clock offsets; the list goes on for ever
 
 

@@ -14,33 +14,52 @@ What the poses leave over of the spots is fitted by what is stated, common to al
     H_i     derivative of the spots by the pose; x_i takes its own errors in    px/m, px
 
 The chi-squared a degree of freedom that is left, the misfit, is 1 where the files agree with the
-pictures, whatever the robot does. One LED that explains most of it is named.
+pictures, whatever the robot does. One LED that explains most of it is named, and so is one camera
+that was tilted in the session (`pair.tilted_camera`).
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.linalg import solve_triangular
+from scipy.linalg import block_diag, solve_triangular
 
 from robots.transforms import rigid_columns
-from verify.analysis.rig_check.pair import PosedPair, project_onto, spot_covariance
+from verify.analysis.rig_check.pair import (
+    MAX_MISFIT,
+    MIN_ADVANTAGE,
+    MIN_DROP,
+    STRAY,
+    TURN_NAMES,
+    PosedPair,
+    SpotProducts,
+    TiltedCamera,
+    beside_instants,
+    project_onto,
+    spot_covariance,
+    tilt_warning,
+    tilted_camera,
+)
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
 from verify.core.rig import Rig
 from verify.measurement.pose import MODEL_ERROR_PX
-from verify.measurement.systematics import Systematics, spot_columns
+from verify.measurement.systematics import Systematics, pixel_sensitivities, spot_columns
 
 MAX_PAIRS = 120  # evenly spread: what does not average out rules long before
 MIN_LEDS, MIN_PAIRS = 3, 10  # fewer show nothing beside their own pose, or nothing that lasts
-MAX_MISFIT = 4.0  # residuals of twice what is stated
 LED_SIGMA = 2e-4  # m, of an LED's place where none is stated: a good jig's
 MAX_UNSTATED = 5 * LED_SIGMA  # m, that nobody is told of then
-MIN_DROP = 30.0  # of chi-squared, by one LED's displacement: healthy sessions stay below 12
 MIN_SHARE = 0.3  # of the misfit beyond noise, that it explains
-MIN_ADVANTAGE = 15.0  # of chi-squared, over the next LED
+# px, ratios and rad, of each camera of a rig that states no uncertainty
+USUAL_RIG = {
+    **dict.fromkeys(("fx_px", "fy_px", "cx_px", "cy_px"), 2.0),
+    **dict.fromkeys(("k1", "k2"), 0.02),
+    **dict.fromkeys(("p1", "p2"), 5e-4),
+    **dict.fromkeys(("mount_rx_deg", "pan_zero_deg", "mount_rz_deg"), 2e-3),
+}
 PART = 5  # the first and the last fifth of the pairs tell what has moved meanwhile
-MAX_STRAY_SHARE, STRAY = 0.1, 16.0  # of the pairs, reflections; times the usual chi-squared
+MAX_STRAY_SHARE = 0.1  # of the pairs, of a reflection
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,22 +80,13 @@ class PictureMisfit:
     last: float
     led: DisplacedLed | None  # in all pairs, or else in the last
     later: bool  # only in the last
+    tilted: TiltedCamera | None  # camera, in the session
 
     @property
     def contradicts(self) -> bool:
         """Whether the pictures contradict rig.toml or marker.toml."""
-        return self.led is not None or max(self.whole, self.first, self.last) > MAX_MISFIT
-
-
-@dataclass(frozen=True, slots=True)
-class _Products:
-    """Products of whitened columns of some pairs: 3 a LED, what is stated, and the residual."""
-
-    pairs: Array  # (n, k, k)
-    freedom: Array  # (n,), of each pair's spots beside its pose
-
-    def part(self, rows: slice) -> "_Products":
-        return _Products(self.pairs[rows], self.freedom[rows])
+        worst = max(self.whole, self.first, self.last)
+        return self.led is not None or self.tilted is not None or worst > MAX_MISFIT
 
 
 def picture_misfit(
@@ -84,7 +94,8 @@ def picture_misfit(
 ) -> PictureMisfit | None:
     """Compare measured pairs with the files; None where too few LEDs or pairs show anything.
 
-    None, too, of a rig whose uncertainty is not stated: what it is off by, nobody knows.
+    None, too, of a rig whose uncertainty is not stated, as what it is off by, nobody knows; unless
+    more than a usual calibration leaves shows that a camera was tilted.
 
     Pairs that no pose explains count too, and so do spots that their pose rejects: a displaced LED
     is one of those. A few pairs far from the others, of a reflection, do not.
@@ -95,22 +106,47 @@ def picture_misfit(
         if m.pose is not None and m.left is not None and m.right is not None
         if len(m.left) and len(m.right)
     ]
-    few = len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS
-    if few or "rig" in parameters.uncounted:
+    if len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS:
         return None
+    unstated = "rig" in parameters.uncounted
+    parameters = _with_usual_rig(parameters) if unstated else parameters
     spread = np.linspace(0, len(posed) - 1, min(len(posed), MAX_PAIRS)).astype(int)
-    products = _without_strays(_products([posed[i] for i in spread], rig, marker, parameters))
+    every = _products([posed[i] for i in spread], rig, marker, parameters)
+    products = _without_strays(every)
     count = max(len(products.pairs) // PART, 1)
     ends = products.part(slice(0, count)), products.part(slice(-count, None))
     least = MAX_UNSTATED if "LED positions" in parameters.uncounted else 0.0
     always, last = (_displaced_led(p, marker, least) for p in (products, ends[1]))
     whole, first, end = (_misfit(p, len(marker)) for p in (products, *ends))
-    return PictureMisfit(whole, first, end, always or last, always is None and last is not None)
+    tilted = tilted_camera(every, len(marker), rig)
+    if tilted is not None and len(spread) < len(posed):  # its instants to the pair
+        near = beside_instants(np.array([m.t for m, *_ in posed]), spread, tilted)
+        every = _products([posed[i] for i in near], rig, marker, parameters)
+        tilted = tilted_camera(every, len(marker), rig) or tilted
+    if unstated and tilted is None:
+        return None
+    if tilted is not None:  # it explains nearly all
+        return PictureMisfit(whole, first, end, None, later=False, tilted=tilted)
+    later = always is None and last is not None
+    return PictureMisfit(whole, first, end, always or last, later, None)
+
+
+def _with_usual_rig(parameters: Systematics) -> Systematics:
+    """The same with what calibrations usually leave of rigs whose uncertainty is not stated."""
+    names = tuple(f"{side}.{key}" for side in ("left", "right") for key in USUAL_RIG)
+    covariance = block_diag(parameters.covariance, np.diag([*USUAL_RIG.values()] * 2) ** 2)
+    sources = (*parameters.sources, *["rig"] * len(names))
+    return replace(
+        parameters,
+        names=(*parameters.names, *names),
+        sources=sources,
+        covariance=np.asarray(covariance),
+    )
 
 
 def _products(
     pairs: Sequence[PosedPair], rig: Rig, marker: Marker, parameters: Systematics
-) -> _Products:
+) -> SpotProducts:
     unstated = "LED positions" in parameters.uncounted
     readings = {(left.pan, right.pan) for _, _, left, right in pairs}
     turning = int(np.count_nonzero(parameters.pan > 0)) if len(readings) > 1 else 0
@@ -129,7 +165,8 @@ def _products(
         rows = 2 * len(led)
         by_led = moved.reshape(rows, -1)
         columns = [by_led, by_led * (LED_SIGMA * unstated), stated, missed.reshape(rows, -1)]
-        every = np.concatenate([*columns, pose.residual.reshape(rows, 1)], axis=1)
+        turns = pixel_sensitivities(TURN_NAMES, seen, rig, marker)
+        every = np.concatenate([*columns, pose.residual.reshape(rows, 1), turns], axis=1)
         covariance = spot_covariance([(seen, pose, left, right)], by_pose[None])[0]
         read = stated[:, stated.shape[1] - turning :]  # each reading of a pan angle errs by itself
         covariance += read @ read.T
@@ -138,19 +175,20 @@ def _products(
         left_of = white[:, :-6] - project_onto(white[:, -6:], white[:, :-6])
         products.append(left_of.T @ left_of)
         freedom.append(rows - pose.known_dof)
-    return _Products(np.array(products), np.array(freedom, dtype=float))
+    t = np.array([seen.t for seen, *_ in pairs])
+    return SpotProducts(np.array(products), np.array(freedom, dtype=float), t)
 
 
-def _without_strays(products: _Products) -> _Products:
+def _without_strays(products: SpotProducts) -> SpotProducts:
     """Leave out a few pairs far from the others."""
     size = products.pairs[:, -1, -1] / np.maximum(products.freedom, 1.0)
     stray = size > STRAY * np.median(size)
     if stray.sum() > MAX_STRAY_SHARE * len(stray):
         return products
-    return _Products(products.pairs[~stray], products.freedom[~stray])
+    return products.part(~stray)
 
 
-def _beside_stated(products: _Products, leds: int, *, placed: bool) -> Array:
+def _beside_stated(products: SpotProducts, leds: int, *, placed: bool) -> Array:
     """Products of the LEDs' columns (3 a LED) and the residual, beside what is stated.
 
     `placed`: LEDs are where marker.toml puts them, but for what is stated; else as far as a good
@@ -163,12 +201,12 @@ def _beside_stated(products: _Products, leds: int, *, placed: bool) -> Array:
     return np.asarray(total[np.ix_(own, own)] - beside.T @ np.linalg.solve(held, beside))
 
 
-def _misfit(products: _Products, leds: int) -> float:
+def _misfit(products: SpotProducts, leds: int) -> float:
     left = _beside_stated(products, leds, placed=False)
     return float(left[-1, -1] / max(products.freedom.sum(), 1.0))
 
 
-def _displaced_led(products: _Products, marker: Marker, least: float) -> DisplacedLed | None:
+def _displaced_led(products: SpotProducts, marker: Marker, least: float) -> DisplacedLed | None:
     """The one LED whose displacement explains most of the misfit; None where none does.
 
     `least`, m: displacements up to that are no displacement.
@@ -199,9 +237,11 @@ def _displaced_led(products: _Products, marker: Marker, least: float) -> Displac
 def misfit_warning(found: PictureMisfit, *, told: bool) -> str | None:
     """Say that the pictures contradict rig.toml or marker.toml; None where they agree.
 
-    `told`: another warning says so already, and only an LED is worth a second one.
+    `told`: another warning says so already, and only an LED or a camera is worth a second one.
     """
     agreed, later = found.first < MAX_MISFIT / 2, found.last < MAX_MISFIT / 2
+    if found.tilted is not None:
+        return tilt_warning(found.tilted)
     if found.led is not None:
         led, length = found.led, float(np.linalg.norm(found.led.displacement))
         x, y, z = (np.round(1e3 * led.displacement, 2) + 0.0).tolist()  # no -0.00

@@ -193,6 +193,7 @@ class WorldDraws:
         self.values = dict(zip(systematics.names, self.stated.T, strict=True))
         self.late = rng.standard_normal(draws) * (clock.standard_uncertainty or 0.0)
         self.misaligned = rng.standard_normal(draws)
+        self.tilted = rng.standard_normal((draws, compared.comparison.tilt.shape[2]))
         self.pan_sigma = np.nan_to_num(systematics.pan)
         self._pan: dict[tuple[int, float], Array] = {}
         self._cameras: dict[tuple[int, float], CameraDraws] = {}
@@ -285,7 +286,10 @@ class WorldDraws:
         zero = np.zeros(self.draws)
         return np.stack([self.values.get(f"{group}.{n}", zero) for n in POSE_NAMES], axis=1)
 
-    def aligned(self, poses: Array, error: Array) -> tuple[Array, Array]:
-        """Move poses against what alignment may have left, (6,) of xi; and that, (d, 6)."""
-        left = np.outer(self.misaligned, error)
+    def aligned(self, poses: Array, error: Array, tilt: Array) -> tuple[Array, Array]:
+        """Move poses against what alignment and a tilted camera may have left; and that, (d, 6).
+
+        Of xi: `error` (6,) of alignment, `tilt` (6, k).
+        """
+        left = np.outer(self.misaligned, error) + self.tilted @ tilt.T
         return displace(poses, -left), left

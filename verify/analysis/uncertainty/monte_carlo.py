@@ -78,7 +78,8 @@ def monte_carlo(
     for m, i in enumerate(chosen.tolist()):
         row = int(comparison.index[i])
         drawn, twist = world.poses(measurements[row], track, row, float(scale[row]))
-        poses[m], by_alignment = world.aligned(drawn, comparison.alignment_error[i])
+        left = comparison.alignment_error[i], comparison.tilt[i]
+        poses[m], by_alignment = world.aligned(drawn, *left)
         late = world.readings(comparison.rate[i], comparison.local_noise[i])
         read[m] = comparison.q[i] + late
         by_reading = late @ comparison.jacobian[i].T

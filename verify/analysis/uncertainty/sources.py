@@ -30,6 +30,7 @@ PIXELS, INSTRUMENT, SKEW = "pixels", "instrument", "camera skew"
 NOISE, RESOLUTION, TIME_STAMPS = "readings' noise", "encoder resolution", "encoder time stamps"
 AUTOCORRELATION, LACK_OF_FIT, CAUSES = "autocorrelation", "lack of fit", "causes found"
 CLOCK, ALIGNMENT = "clock", "alignment of the two instants"
+TILT = "tilted camera"
 ROBOT_TABLE = "robot table"
 INFINITE_DOF = float("inf")  # degrees of freedom of what is stated without any
 TABLE_ENTRIES = (("a", "mm"), ("d", "mm"), ("alpha", "deg"))
@@ -229,6 +230,12 @@ def systematic_sources(
         types.append("B")  # of a size that the neighbours show, in a sense that nobody knows
         columns.append(comparison.alignment_error[:, :, None])
         variances.append(np.ones(1))
+    tilts = comparison.tilt.shape[2]  # the pictures show their size, but not which camera
+    names += [f"tilt{k + 1}_1" for k in range(tilts)]
+    sources += [TILT] * tilts
+    types += ["B"] * tilts
+    columns.append(comparison.tilt)
+    variances.append(np.ones(tilts))
     for side, camera in enumerate(("left", "right")):
         group = pan_columns(comparison, track, systematics, side)  # of unit variance
         sigma = systematics.pan[side]

@@ -28,11 +28,13 @@ from verify.simulation.scenario import (
 
 LEFT, RIGHT = 0, 1
 SEEDS = [1, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (2, 5, 8))]
-EVENLY, STOPS = 1.0, 0.4  # share of the session after which a camera stands
+EVENLY, STOPS, AT_ONCE = 1.0, 0.4, 0.0  # share of the session after which a camera stands
 
 
 def creep(t: Array, angle: float, until: float) -> Array:
-    """The camera's turn at each pair, rad."""
+    """The camera's turn at each pair, rad; `until` 0: from the middle on."""
+    if not until:
+        return angle * (t > t.mean())
     return angle * np.minimum((t - t[0]) / np.ptp(t) / until, 1.0)
 
 
@@ -77,24 +79,37 @@ def test_a_base_that_creeps_is_not_said_to_be_a_camera_where_that_and_a_drift_fi
     assert "base_drift" in {cause.kind} | {k.kind for k in cause.candidates}
 
 
-def summary_of(way: str, pixels: float, until: float) -> dict[str, Any]:
-    """What is written of a session whose right camera has crept by so much at its end."""
+def summary_of(
+    way: str, pixels: float, until: float, *, stated: bool = True, step_deg: float = 0.0
+) -> dict[str, Any]:
+    """What is written of a session whose right camera has crept by so much at its end.
+
+    `until` 0: it stands turned from the middle on. `stated`: rig.toml tells its uncertainty, else
+    it is exact and tells none. By `step_deg` joint 3 reads more from the middle on.
+    """
+    doubts = ScenarioUncertainty(focal_px=0.2, principal_point_px=0.2, led_mm=0.02)
     session = in_memory(
         scene(
             clock=ScenarioClock(), marker=marker_of("ABCD"),
             encoders=ScenarioEncoders(noise_deg=0.002),
-            uncertainty=ScenarioUncertainty(focal_px=0.2, principal_point_px=0.2, led_mm=0.02),
+            uncertainty=doubts if stated else None,
             motion=MultiJoint(home_deg=HOME_DEG, amplitude_deg=[20.0] * 6),
             recording=ScenarioRecording(pairs=60, rate_hz=7.5),
         )
     )  # fmt: skip
+    readings = session.encoders
+    late = np.outer(readings.t > readings.t.mean(), np.arange(6) == 2)
+    read = replace(readings, q=readings.q + np.radians(step_deg) * late)
+    session = replace(session, encoders=read)
     focal = session.simulated.world.bench.right.matrix[0, 0]
     angles = creep(session.frames.t_left, pixels / focal, until)
     spots, rng = camera_creeps(session, RIGHT, way, angles), np.random.default_rng(4)
 
     def measured(*_: Any) -> Iterator[Measurement]:
         systematics = stated_systematics(session.rig, session.marker, turning=False)
-        yield from measured_at_spots(session, systematics, rng, spots=spots)
+        for m in measured_at_spots(session, systematics, rng, spots=spots):
+            posed = way == "pan" or (m.pose is not None and m.pose.consistent)
+            yield m if posed else replace(m, status="outlier")
 
     limits = Tolerance(joints=np.radians([0.1] * 6), position=None, orientation=None)
     return analyse(session, tolerance=limits, chain=measured).summary | {
@@ -113,9 +128,35 @@ def test_of_a_camera_that_creeps_no_joint_is_out_of_tolerance(until: float) -> N
         assert abs(joint["mean_error_deg"]) < 1.5 * joint["expanded_uncertainty_deg"]
 
 
-def test_a_camera_that_tilts_is_named_beside_the_base_as_the_pictures_contradict_the_rig() -> None:
-    summary = summary_of("tilt", 1.5, EVENLY)
+@pytest.mark.parametrize("stated", [True, False])
+@pytest.mark.parametrize(
+    ("pixels", "until"), [(1.5, EVENLY), (1.5, AT_ONCE), (3.0, STOPS), (6.0, AT_ONCE)]
+)
+def test_a_camera_that_tilts_is_named_by_the_pictures_and_no_joint(
+    pixels: float, until: float, stated: bool
+) -> None:
+    summary = summary_of("tilt", pixels, until, stated=stated)
     (cause,) = summary["diagnosis"]
-    assert (cause["kind"], cause["same_as"]) == ("base_drift", "camera_tilted")
-    assert_allclose(2 * cause["turn_deg"], summary["turn_deg"], rtol=0.3)
+    assert (cause["kind"], cause["joint"], cause["unit"]) == ("camera_tilted", None, "deg")
+    assert_allclose(cause["value"], summary["turn_deg"], atol=1.25 * cause["expanded_uncertainty"])
+    assert cause["expanded_uncertainty"] < 0.2 * cause["value"]
+    assert ("t_s" in cause) == (until == AT_ONCE)
+    (told,) = (w for w in summary["warnings"] if w.startswith("A camera was tilted"))
+    assert f"by {cause['value']:.3f}°" in told
     assert "nonconform" not in {joint["verdict"] for joint in summary["joints"]}
+    for joint in summary["joints"]:
+        assert abs(joint["mean_error_deg"]) < 1.5 * joint["expanded_uncertainty_deg"]
+
+
+def test_what_a_tilted_camera_does_is_a_source_of_uncertainty() -> None:
+    summary = summary_of("tilt", 1.0, EVENLY)
+    for joint in summary["budget"]["joints"]:
+        (tilt,) = (s for s in joint["sources"] if s["source"] == "tilted camera")
+        assert 0 < tilt["standard_uncertainty_deg"] < joint["systematic_standard_uncertainty_deg"]
+
+
+def test_a_joint_that_steps_far_is_named_beside_a_tilted_camera() -> None:
+    tilted, cause = summary_of("tilt", 1.0, EVENLY, step_deg=0.5)["diagnosis"]
+    assert tilted["kind"] == "camera_tilted"
+    assert (cause["kind"], cause["joint"]) == ("step", 3)
+    assert_allclose(cause["value"], 0.5, atol=1.5 * cause["expanded_uncertainty"])
