@@ -18,6 +18,7 @@ State = TypeVar("State")
 Solution = TypeVar("Solution")
 
 CHUNK = 4000  # rows reduced at a time
+MIN_REDUCTION = 2  # rows a row of the triangular factor
 MIN_PAIRS_CORRELATION = 12  # pairs; the bias correction needs more than its own size
 MAX_CORRELATION = 0.95  # closer to 1 the length of the session says nothing any more
 TOL_RANK = 1e-9  # singular values below this share of the largest are rounding
@@ -164,7 +165,9 @@ def residual_products(columns: Array, held: Array, targets: list[Array]) -> Arra
 
 
 def _triangular_factor(*parts: Array) -> Array:
-    """The triangular factor of columns side by side, a chunk of rows at a time.
+    """The triangular factor of columns side by side, or their rows, where they are few.
+
+    A chunk of rows at a time.
 
     All that least squares needs of rows is their products; the factor holds them without squaring
     the condition, and a session of any length fits into one chunk's memory.
@@ -173,8 +176,9 @@ def _triangular_factor(*parts: Array) -> Array:
     triangle = np.zeros((0, width))
     for start in range(0, len(parts[0]), CHUNK):
         rows = np.concatenate([p[start : start + CHUNK] for p in parts], axis=1)
-        rows = np.concatenate([triangle, rows])  # the chunk itself is not needed beside it
-        triangle = np.asarray(np.linalg.qr(rows, mode="r"), dtype=np.float64)
+        triangle = np.concatenate([triangle, rows])  # the chunk itself is not needed beside it
+        if len(triangle) > MIN_REDUCTION * width:  # else a factor costs more than it saves
+            triangle = np.asarray(np.linalg.qr(triangle, mode="r"), dtype=np.float64)
     return triangle
 
 

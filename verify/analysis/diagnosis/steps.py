@@ -16,6 +16,7 @@ others     what moved (base, LED body, camera) did so then, not before
 
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -113,18 +114,22 @@ class StepScan:
                 best, most = change, worth
         return best
 
+    @cached_property
+    def _fixed(self) -> Array:
+        """An orthonormal basis (r + p, m) of all that was fitted and the p stated, held by rows."""
+        free, held = self.model.fitted[self.kept], self.model.prior[self.kept]
+        penalty = np.zeros((held.shape[1], free.shape[1])), np.eye(held.shape[1])
+        return _orthonormal(np.block([[free, held], [*penalty]]))
+
     def _free(self, columns: list[Array]) -> Array:
         """An orthonormal basis (r, m) of columns and all that was fitted, stated ones held."""
-        held = self.model.prior[self.kept]
-        free = np.concatenate([self.model.fitted, *columns], axis=1)[self.kept]
-        whole = np.concatenate([free, held], axis=1)
-        penalty = np.zeros((held.shape[1], whole.shape[1]))
-        penalty[:, free.shape[1] :] = np.eye(held.shape[1])
-        whole = np.concatenate([whole, penalty])
-        whole = whole / np.maximum(np.linalg.norm(whole, axis=0), 1e-300)
-        basis, size, _ = np.linalg.svd(whole, full_matrices=False)
-        rank = size > TOL_RANK * size.max(initial=0.0)
-        return np.asarray(basis[: len(free), rank])
+        fixed, rows = self._fixed, int(self.kept.sum())
+        more = np.zeros((len(fixed), sum(c.shape[1] for c in columns)))
+        more[:rows] = np.concatenate([self.model.fitted[:, :0], *columns], axis=1)[self.kept]
+        more /= np.maximum(np.linalg.norm(more, axis=0), 1e-300)
+        for _ in range(2):  # once more, for what rounding left
+            more -= fixed @ (fixed.T @ more)
+        return np.hstack([fixed, _orthonormal(more, scaled=True)])[:rows]
 
     def _gains(self, columns: Array, basis: Array) -> Array:
         """What columns (r, p) from each pair on would take off chi-squared beside a basis, (n,)."""
@@ -149,6 +154,14 @@ class StepScan:
         for k in range(other.shape[1]):  # a column at once: all would be most of a session's memory
             sums[pairs, :, k] = np.add.reduceat(one * other[:, k : k + 1], first, axis=0)
         return np.cumsum(sums[::-1], axis=0)[::-1]
+
+
+def _orthonormal(columns: Array, *, scaled: bool = False) -> Array:
+    """An orthonormal basis of columns (r, c); `scaled`: their lengths are those they had left."""
+    size = 1.0 if scaled else np.maximum(np.linalg.norm(columns, axis=0), 1e-300)
+    basis, values, _ = np.linalg.svd(columns / size, full_matrices=False)
+    known = values > TOL_RANK * (1.0 if scaled else values.max(initial=0.0))
+    return np.asarray(basis[:, known])
 
 
 def _is_kin(one: Fault, other: Fault) -> bool:
