@@ -280,7 +280,7 @@ CAUSE_TEXTS = {
         signed=True,
     ),
     "camera_tilted": CauseText(
-        "one camera, either, was tilted by {amount} {since}", since="in the course of the session"
+        "one of the cameras was tilted by {amount} {since}", since="in the course of the session"
     ),
     "base_moved": CauseText(
         "the robot's base, or the whole rig, has moved by {amount} and {turn}° {since}", "mm"

@@ -96,6 +96,16 @@ def test_signs_are_stated_as_corrections() -> None:
     ) in finding("camera_drift")
 
 
+def test_of_a_camera_that_was_tilted_it_is_said_when() -> None:
+    assert (
+        "one of the cameras was tilted by 0.0570° ± 0.0020° (k = 2) in the course of the session: "
+        "fix both cameras"
+    ) in session_causes.finding(KINDS["camera_tilted"])
+    text = session_causes.finding(KINDS["camera_tilted"] | {"t_s": 7.04})
+    assert "one of the cameras was tilted by 0.0570° ± 0.0020° (k = 2) " in text
+    assert "after the first pair" in text
+
+
 def test_a_base_that_creeps_against_the_pictures_is_said_to_be_a_camera_that_may_tilt() -> None:
     text = session_causes.finding(KINDS["base_drift"] | {"same_as": "camera_tilted"})
     assert text.endswith("one camera, tilted by about twice the turn, would show the same)")

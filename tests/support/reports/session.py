@@ -39,6 +39,7 @@ CAUSES: list[dict[str, Any]] = [
     cause(None, "camera_skew", 0.0031, 0.00031, "s"),
     cause(None, "camera_turned", 0.05, 0.005, "deg"),
     cause(None, "camera_drift", -0.06, 0.005, "deg"),
+    cause(None, "camera_tilted", 0.057, 0.002, "deg"),
     cause(None, "base_moved", 1.2, 0.12, "mm") | {"turn_deg": 0.081},
     cause(None, "base_drift", 0.9, 0.09, "mm") | {"turn_deg": 0.064},
     cause(None, "led_body_slipped", 0.4, 0.04, "mm") | {"turn_deg": 0.12},

@@ -71,6 +71,16 @@ def test_right_pan_readings_are_not_refused_where_pairs_are_lost() -> None:
     assert "lit and in view" in (lost_pairs_warning(hidden) or "")
 
 
+def test_pictures_are_read_once_for_all_mistakes(monkeypatch: pytest.MonkeyPatch) -> None:
+    session, read = recorded(), []
+    measurements = measure_pictures(session, no_progress, measure).measurements
+    pairs = InMemory.pairs
+    monkeypatch.setattr(InMemory, "pairs", lambda self: read.append(1) or pairs(self))
+    lost = [replace(m, status="outlier") if m.frame % 2 else m for m in measurements]
+    refuse_misread_pans(session, lost)
+    assert len(read) == 1
+
+
 def test_readings_that_stand_while_pairs_are_lost_are_named() -> None:
     warnings = analyse(spoiled(lambda left, right: (left, 0 * right + right[0]))).summary[
         "warnings"
