@@ -27,7 +27,7 @@ from verify.analysis.instrument import (
 )
 from verify.analysis.results.warnings import rig_moved
 from verify.analysis.rig_check.leds import picture_misfit
-from verify.analysis.rig_check.pair import TURN_NAMES
+from verify.analysis.rig_check.tilt import TURN_NAMES
 from verify.core.fiducials import Marker
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import (

@@ -26,7 +26,7 @@ from verify.analysis.results.entries import (
     sweep_entries,
 )
 from verify.analysis.rig_check.leds import PictureMisfit
-from verify.analysis.rig_check.pair import TiltedCamera
+from verify.analysis.rig_check.tilt import TiltedCamera
 from verify.analysis.sweeps.sweeps import JointSweep
 from verify.analysis.uncertainty.budget import Budget
 from verify.analysis.uncertainty.monte_carlo import MonteCarlo

@@ -15,7 +15,7 @@ What the poses leave over of the spots is fitted by what is stated, common to al
 
 The chi-squared a degree of freedom that is left, the misfit, is 1 where the files agree with the
 pictures, whatever the robot does. One LED that explains most of it is named, and so is one camera
-that was tilted in the session (`pair.tilted_camera`).
+that was tilted in the session (`tilt.tilted_camera`).
 """
 
 from collections.abc import Sequence
@@ -25,18 +25,16 @@ import numpy as np
 from scipy.linalg import block_diag, solve_triangular
 
 from robots.transforms import rigid_columns
-from verify.analysis.rig_check.pair import (
+from verify.analysis.rig_check.pair import PosedPair, project_onto, spot_covariance
+from verify.analysis.rig_check.tilt import (
     MAX_MISFIT,
     MIN_ADVANTAGE,
     MIN_DROP,
     STRAY,
     TURN_NAMES,
-    PosedPair,
     SpotProducts,
     TiltedCamera,
     beside_instants,
-    project_onto,
-    spot_covariance,
     tilt_warning,
     tilted_camera,
 )

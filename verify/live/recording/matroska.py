@@ -1,4 +1,4 @@
-"""A Matroska file that is whole after every picture: one cluster and one write a picture.
+"""Files that are whole after every piece: a Matroska file grows by one cluster a picture.
 
 A muxer that collects clusters in memory loses them when the program is killed, and leaves half a
 picture when the disk is full. Here a picture is in the file or not at all: a failed write is cut
@@ -23,7 +23,6 @@ import numpy as np
 from verify.core.records import Image
 from verify.core.version import __version__
 from verify.devices.protocols import CapturedPair
-from verify.live.recording.growing_file import GrowingFile
 
 UNKNOWN_SIZE = b"\x01" + b"\xff" * 7  # of the segment: a reader takes it as "to the end"
 TIMESTAMP_SCALE = 1_000_000  # ns: players get ms; the session's times are in frames.csv
@@ -34,6 +33,42 @@ VIDEO = 1
 # identifiers of elements
 EBML, SEGMENT, INFO, TRACKS, CLUSTER = 0x1A45DFA3, 0x18538067, 0x1549A966, 0x1654AE6B, 0x1F43B675
 CRC_32, TIMESTAMP, SIMPLE_BLOCK = 0xBF, 0xE7, 0xA3
+
+
+class GrowingFile:
+    """A file that grows by whole pieces: each is in it or not at all.
+
+    Raises:
+        OSError: the system refuses it.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._file = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o666)  # less the umask
+        self._length = 0  # bytes that are whole
+
+    def append(self, data: bytes) -> None:
+        """Append all of it, or nothing and OSError."""
+        rest = memoryview(data)
+        try:
+            while rest:
+                rest = rest[os.write(self._file, rest) :]
+        except OSError:
+            self.truncate(self._length)
+            raise
+        self._length += len(data)
+
+    def truncate(self, length: int) -> None:
+        """Cut it off and go on writing there."""
+        self._length = length
+        os.ftruncate(self._file, length)
+        os.lseek(self._file, length, os.SEEK_SET)
+
+    def close(self) -> None:
+        """Have the disk hold it, and close it; also closed where OSError says that it cannot."""
+        try:
+            os.fsync(self._file)
+        finally:
+            os.close(self._file)
 
 
 @dataclass(frozen=True, slots=True)

@@ -25,10 +25,9 @@ from verify.io.toml import FORMAT, encode
 from verify.io.unfinished import NAME as PENDING
 from verify.io.unfinished import UnfinishedPairs, ring_bytes
 from verify.live.recording import matroska
-from verify.live.recording.growing_file import GrowingFile
 
 
-class CsvWriter(GrowingFile):
+class CsvWriter(matroska.GrowingFile):
     """A CSV file that grows by whole lines.
 
     Raises:
