@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from robots.transforms import difference
 from tests.bench.diagnosis.sessions import measured, watched
 from tests.support.drawn_rig import believed, drawn
 from tests.support.moved_rig import seen_by, turned
@@ -136,6 +137,24 @@ def test_nobody_is_said_to_have_tilted_a_camera_that_stood_or_is_late() -> None:
     assert found is not None
     assert found.contradicts
     assert found.tilted is None
+
+
+def test_right_pictures_that_are_late_are_no_tilt_where_they_look_like_one() -> None:
+    """Of a motion whose late pictures a tilt would explain to nine tenths."""
+    case = watched(200)
+    late = list(measured(case.session, case.systematics, case.noise, skew=0.004))
+    t, poses = np.array([m.t for m in late]), np.array([m.pose.rig_T_flange for m in late])
+    twists = difference(poses[2:], poses[:-2]) / (t[2:] - t[:-2])[:, None]
+    files = case.session.rig, case.session.marker, case.systematics
+    moving = [
+        replace(m, pose=replace(m.pose, twist=twist))
+        for m, twist in zip(late[1:-1], twists, strict=True)
+    ]
+    still, told = (picture_misfit(some, *files) for some in (late, moving))
+    assert still is not None
+    assert still.tilted is not None  # of a body that is not known to move it would be one
+    assert told is not None
+    assert told.tilted is None
 
 
 def test_of_leds_whose_places_have_no_uncertainty_only_what_no_jig_does_is_told() -> None:

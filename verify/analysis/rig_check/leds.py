@@ -164,7 +164,9 @@ def _products(
         by_led = moved.reshape(rows, -1)
         columns = [by_led, by_led * (LED_SIGMA * unstated), stated, missed.reshape(rows, -1)]
         turns = pixel_sensitivities(TURN_NAMES, seen, rig, marker)
-        every = np.concatenate([*columns, pose.residual.reshape(rows, 1), turns], axis=1)
+        late = by_pose @ np.nan_to_num(pose.twist) * (spots >= lefts)[:, None]
+        rest = pose.residual.reshape(rows, 1), late.reshape(rows, 1), turns
+        every = np.concatenate([*columns, *rest], axis=1)
         covariance = spot_covariance([(seen, pose, left, right)], by_pose[None])[0]
         read = stated[:, stated.shape[1] - turning :]  # each reading of a pan angle errs by itself
         covariance += read @ read.T

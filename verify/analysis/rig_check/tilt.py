@@ -29,7 +29,7 @@ MIN_BESIDE = 3  # pairs before and after a tilt; fewer are strays
 TURNS = ("mount_rx_deg", "pan_zero_deg", "mount_rz_deg")  # of a camera
 TURN_NAMES = tuple(f"{side}.{name}" for side in ("left", "right") for name in TURNS)
 AT_TURN = np.array([[-6, -5, -4], [-3, -2, -1]])  # columns of them, of the left and right camera
-AT_RESIDUAL = -7
+AT_RESIDUAL, AT_LATE = -8, -7  # beside them; by a second that the right pictures are late
 TOL_TURN = 1e-9  # of the best known axis: one less known is not shown
 MIN_SHIFT_PX = 2 * MODEL_ERROR_PX  # lenses and LEDs make as much
 PARTS = 20  # of a session, after some of which a camera that creeps begins or stands
@@ -62,15 +62,15 @@ class TiltedCamera:
 
 @dataclass(frozen=True, slots=True)
 class SpotProducts:
-    """Products of whitened columns of some pairs: 3 a LED, what is stated, residual, turns."""
+    """Products of whitened columns of pairs: 3 a LED, what is stated, residual, lateness, turns."""
 
-    every: Array  # (n, k + 6, k + 6)
+    every: Array  # (n, k + 7, k + 7)
     freedom: Array  # (n,), of each pair's spots beside its pose
     t: Array  # (n,), s
 
     @property
     def pairs(self) -> Array:
-        """The same without the turns, (n, k, k)."""
+        """The same up to the residual, (n, k, k)."""
         return self.every[:, : AT_RESIDUAL + 1, : AT_RESIDUAL + 1]
 
     def part(self, rows: slice | Flags) -> "SpotProducts":
@@ -184,6 +184,8 @@ def tilted_camera(products: SpotProducts, leds: int, rig: Rig) -> TiltedCamera |
     scatter = max(scan.left / rows, 1.0)
     if drop * rows < MIN_DROP * scatter or drop < MIN_SHARE_TILT * beyond:
         return None
+    if _left_by_late_pictures(products, leds) < scan.left + MIN_ADVANTAGE * scatter:
+        return None
     scans = replace(scan, side=0), scan
     turns = [one.shape @ one.sizes()[0] for one in scans]
     angles = [np.hypot(turn[:, 0], turn[:, 2]) for turn in turns]
@@ -205,6 +207,17 @@ def tilted_camera(products: SpotProducts, leds: int, rig: Rig) -> TiltedCamera |
         shift=shift,
         explains=min(drop / beyond, 1.0),
     )
+
+
+def _left_by_late_pictures(products: SpotProducts, leds: int) -> float:
+    """Chi-squared that is left if the right pictures are late instead, of a body that moves."""
+    whole = products.every.sum(axis=0)
+    columns = [*range(3 * leds, len(whole) + AT_RESIDUAL), len(whole) + AT_LATE]
+    normal, moment = whole[np.ix_(columns, columns)], whole[columns, AT_RESIDUAL]
+    normal += np.diag([1.0] * (len(columns) - 1) + [0.0])  # of unit variance
+    size = 1 / np.sqrt(np.maximum(np.diag(normal), 1e-300))
+    inverse = np.linalg.pinv(normal * np.outer(size, size), hermitian=True)
+    return float(whole[AT_RESIDUAL, AT_RESIDUAL] - (size * moment) @ inverse @ (size * moment))
 
 
 def _unlikelihood(left: float, rows: float) -> float:
