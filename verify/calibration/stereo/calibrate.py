@@ -246,9 +246,10 @@ def _adjust(
     starts = begin.state, *start.other_senses(begin.state, corners.pan, begin.bases)
     states = [estimate.adjust_cauchy(one, corners, model_at(one)) for one in starts]
     progress(2, N_STAGES)
+    tried = [estimate.adjust_robust(one, corners, model_at(one)) for one in states]
     # of axes that may point either way, those that leave least, of corners and of pan readings
-    tried = (estimate.adjust_robust(one, corners, model_at(one)) for one in states)
-    found = min(tried, key=lambda one: one.noise)
+    shared = np.all([one.used for one in tried], axis=0).astype(float)
+    found = min(tried, key=lambda one: bundle.cost(one.state, corners, one.model, shared))
     progress(3, N_STAGES)
     bowed = estimate.adjust_robust(found.state, corners, replace(found.model, bowed=True))
     found = bowed if _bow_shows(bowed) else found

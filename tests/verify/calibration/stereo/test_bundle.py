@@ -158,7 +158,7 @@ def test_a_turn_too_small_for_an_axis_is_held_and_reported() -> None:
     assert any("turned too little to show its axis" in d for d in found.decisions)
 
 
-@pytest.mark.parametrize(("count", "turn_deg", "seed"), [(3, 1.0, 3), (5, 0.3, 2), (4, 0.5, 1)])
+@pytest.mark.parametrize(("count", "turn_deg", "seed"), [(3, 1.0, 3), (5, 0.3, 0), (5, 0.3, 2)])
 def test_of_bases_that_turned_little_the_cameras_at_other_angles_are_as_uncertain_as_they_err(
     count: int, turn_deg: float, seed: int
 ) -> None:
