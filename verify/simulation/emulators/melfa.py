@@ -158,6 +158,9 @@ class RealtimeEngine(EmulatorEngine):
         self._count = 0
         self._missed = 0
 
+    def greet(self, t: float) -> None:
+        """Take the next caller like the last."""
+
     def reset(self, t: float) -> None:
         """Start the cycle counter anew."""
         self._count, self._missed, self._next = 0, 0, t

@@ -2,6 +2,7 @@
 
 import math
 import time
+from abc import ABC, abstractmethod
 from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -112,17 +113,18 @@ class TimedMessage:
     data: bytes
 
 
-class EmulatorEngine:
+class EmulatorEngine(ABC):
     """A device without a port: its answers, given what it receives and the time."""
 
     _jump = 0.0  # s, by which its clock has leapt
 
+    @abstractmethod
     def greet(self, t: float) -> None:
         """Note that a client has just connected."""
 
+    @abstractmethod
     def step(self, t: float, received: bytes) -> list[TimedMessage]:
         """Go on to t, s from the start, with what was received since."""
-        raise NotImplementedError
 
     def reset(self, t: float) -> None:
         """Start anew, as after a loss of power."""
