@@ -92,7 +92,8 @@ def _table(arm: "arms.Arm") -> str:
         cells += [f"{np.rad2deg(v):g}" for v in (arm.lower[j], arm.upper[j])]
         table.add_row(*cells)
     text = io.StringIO()
-    Console(file=text, width=100).print(table)
+    # names come from the user's file: what looks like markup in them is part of the name
+    Console(file=text, width=100, markup=False, emoji=False).print(table)
     reach = arms.reach(arm)
     span = f"reach {reach.minimum * 1e3:.1f} to {reach.maximum * 1e3:.1f} mm, {reach.meaning}"
     if isinstance(arm, arms.UrdfArm):

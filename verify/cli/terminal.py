@@ -70,7 +70,7 @@ class Terminal:
             yield ProgressCounter(None, what, silent=silent)
             return
         columns = (
-            bars.TextColumn("{task.description}"),
+            bars.TextColumn("{task.description}", markup=False),  # it may name a folder
             bars.BarColumn(),
             bars.MofNCompleteColumn(),
             bars.TextColumn("{task.fields[rate]}"),

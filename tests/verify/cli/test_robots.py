@@ -44,3 +44,21 @@ def test_a_urdfs_closed_form_is_named() -> None:
 def test_an_emulator_of_an_unknown_robot_is_refused_in_one_line() -> None:
     refusal = verify("emulate", "rosbridge", "--port", "tcp:0", "--robot", "ur11").refusal
     assert '--robot: robot "ur11" is not known' in refusal
+
+
+ODD = """<robot name="odd">
+  <link name="base"/><link name="upper"/><link name="lower"/>
+  <joint name="swing[/left]" type="revolute"><parent link="base"/><child link="upper"/>
+    <axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="lift[red] :a:" type="revolute"><parent link="upper"/><child link="lower"/>
+    <origin xyz="0 0 0.3"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+</robot>"""
+
+
+def test_names_of_joints_are_shown_as_the_urdf_has_them(tmp_path: Path) -> None:
+    path = tmp_path / "odd.urdf"
+    path.write_text(ODD)
+    shown = verify("robots", str(path), "--poses", "5").out
+    assert "1 swing[/left]" in shown
+    assert "2 lift[red] :a:" in shown
