@@ -21,13 +21,14 @@ from tests.support.spot_level import READ_EVERY, SpotRun, facing_rig, picture, w
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, StereoPair
 from verify.devices.protocols import CameraFrame, CameraState, DeviceState, EncoderReading
+from verify.errors import InputError
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import estimate_offset
 from verify.live.intake import MAX_QUEUED_PAIRS, REPEATED, PairQueue, PollingThread, camera_step
 from verify.live.joint_row import JointRow
 from verify.live.loop import LiveLoop, LoopComputation
 from verify.live.measuring_process import ParallelDetector
-from verify.live.outputs.listeners import AlarmCommand, JsonLines, ListenerThread
+from verify.live.outputs.listeners import AlarmCommand, JsonLines, ListenerThread, connect_mqtt
 from verify.live.outputs.terminal import render_snapshot
 from verify.live.pairing import Pairing
 from verify.live.protocols import Alarm, ExpectedPoses, LiveDevices, MonitoredRobot
@@ -275,6 +276,12 @@ def test_the_run_ends_with_the_robot_s_program() -> None:
     begin = time.monotonic()
     watched(60.0, stage(ends_at=1.0))
     assert time.monotonic() - begin < 20.0
+
+
+@pytest.mark.parametrize("url", ["mqtt://host:99999/a", "mqtt://[::::]/a", "mqtt:///a", "ws://h/a"])
+def test_a_broker_that_cannot_be_there_is_refused_in_a_line(url: str) -> None:
+    with pytest.raises(InputError, match="mqtt://HOST:PORT/TOPIC is expected"):
+        connect_mqtt(url)
 
 
 @pytest.mark.realtime

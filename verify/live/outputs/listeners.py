@@ -190,9 +190,12 @@ def connect_mqtt(url: str) -> MqttPublisher:
     Raises:
         InputError: no such address, or paho-mqtt is not installed.
     """
-    parts = urlsplit(url)
-    topic = parts.path.strip("/")
-    if parts.scheme != "mqtt" or not parts.hostname:
+    try:
+        parts = urlsplit(url)
+        host, port, topic = parts.hostname, parts.port or 1883, parts.path.strip("/")
+    except ValueError:  # a port above 65535, or no address in brackets
+        host = None
+    if host is None or parts.scheme != "mqtt":
         expected = "mqtt://HOST:PORT/TOPIC is expected"
         raise InputError("alarm.mqtt", f'is "{url}"', expected, "Correct it.")
     try:
@@ -204,7 +207,7 @@ def connect_mqtt(url: str) -> MqttPublisher:
     client = PahoClient(CallbackAPIVersion.VERSION2)
     if parts.username:
         client.username_pw_set(parts.username, parts.password)
-    client.connect_async(parts.hostname, parts.port or 1883)
+    client.connect_async(host, port)
     client.loop_start()
     return MqttPublisher(client, topic)
 

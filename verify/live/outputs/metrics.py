@@ -4,6 +4,7 @@ Source: Prometheus, "Exposition formats", text version 0.0.4.
 """
 
 import math
+import socket
 import threading
 from collections.abc import Callable, Iterable, Mapping
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
@@ -81,12 +82,11 @@ class MetricsServer:
             raise InputError("alarm.prometheus", f'is "{address}"', expected, "Correct it.")
         host = host.strip("[]")
         try:
-            self._server = ThreadingHTTPServer((host, int(port)), _handler(host, text))
+            self._server = _MetricsHttpServer(host, int(port), _handler(host, text))
         except (OSError, OverflowError) as error:
             remedy = "Choose another port."
             found = f"cannot be served: {error}"
             raise InputError(f"alarm.prometheus, {address}", found, "", remedy) from error
-        self._server.daemon_threads = True
         self._thread = threading.Thread(
             target=self._server.serve_forever, name="metrics", daemon=True
         )
@@ -101,6 +101,14 @@ class MetricsServer:
         """Answer no more."""
         self._server.shutdown()
         self._server.server_close()
+
+
+class _MetricsHttpServer(ThreadingHTTPServer):
+    """A server at an address of version 4 or 6."""
+
+    def __init__(self, host: str, port: int, handler: type[BaseHTTPRequestHandler]) -> None:
+        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        super().__init__((host, port), handler)
 
 
 def _handler(host: str, text: Callable[[], str]) -> type[BaseHTTPRequestHandler]:

@@ -13,11 +13,11 @@ from verify.errors import one_line
 from verify.io.session.keys import check_clock, tolerance
 from verify.io.toml import decode, did_you_mean, key_error, not_negative, one_of
 from verify.live.station.devices import ENCODER_KEYS, PAN_KEYS
-from verify.live.station.keys import EVENT_KINDS, StationCameraTable, StationTable
+from verify.live.station.keys import EVENT_KINDS, HOST_PATTERN, StationCameraTable, StationTable
 
 SIM = "sim"
-_HOST = re.compile(r"(\[[0-9A-Fa-f:.]+\]|[^\s:/]+):[0-9]{1,5}")
-_MQTT = re.compile(r"mqtt://([^\s/@]+@)?[^\s/]+/[^\s/]\S*")
+_HOST_AND_PORT = re.compile(rf"{HOST_PATTERN}:[0-9]{{1,5}}")
+_MQTT = re.compile(rf"mqtt://([^\s/@]+@)?{HOST_PATTERN}(:[0-9]{{1,5}})?/[^\s/]\S*")
 
 
 T = TypeVar("T", bound=StationTable)
@@ -108,7 +108,7 @@ def _check_alarm(path: Path, table: StationTable) -> None:
     if alarm.mqtt is not None and not _MQTT.fullmatch(alarm.mqtt):
         expected = "mqtt://HOST:PORT/TOPIC is expected"
         raise key_error(path, "alarm.mqtt", f'is "{alarm.mqtt}"', expected)
-    if alarm.prometheus is not None and not _HOST.fullmatch(alarm.prometheus):
+    if alarm.prometheus is not None and not _HOST_AND_PORT.fullmatch(alarm.prometheus):
         expected = "HOST:PORT is expected, such as 127.0.0.1:9105"
         raise key_error(path, "alarm.prometheus", f'is "{alarm.prometheus}"', expected)
 

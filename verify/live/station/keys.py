@@ -10,6 +10,7 @@ from verify.core.rig import Rig
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
 from verify.io.session import keys
 
+HOST_PATTERN = r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)"  # a name, or an address
 SECURITY_KEYS = ("certificate", "private_key", "server_certificate", "security_policy")  # OPC UA
 
 

@@ -12,17 +12,19 @@ from verify.devices.encoders.rosbridge import RosbridgeEncoders, RosbridgeSettin
 from verify.devices.encoders.rtde import MAX_RTDE_RATE, RTDE_JOINTS, RtdeEncoders, RtdeSettings
 from verify.devices.protocols import EncoderDevice
 from verify.io.toml import key_error, one_of
-from verify.live.station.keys import SECURITY_KEYS, StationEncodersTable
+from verify.live.station.keys import HOST_PATTERN, SECURITY_KEYS, StationEncodersTable
 
 MAX_POLL_RATE = 200.0  # Hz: a poll of more is slower than its server
 RADIANS_PER_UNIT = {"deg": math.radians(1.0), "rad": 1.0}
 PASSWORD_VARIABLE = "VERIFY_OPCUA_PASSWORD"
-_HOST = r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)"
 _PORTS = {  # what the address of each driver looks like, and an example
-    "rtde": (re.compile(rf"tcp:{_HOST}:[0-9]{{1,5}}"), "tcp:192.168.0.20:30004"),
-    "rosbridge": (re.compile(rf"wss?://{_HOST}(:[0-9]{{1,5}})?(/\S*)?"), "ws://192.168.0.20:9090"),
+    "rtde": (re.compile(rf"tcp:{HOST_PATTERN}:[0-9]{{1,5}}"), "tcp:192.168.0.20:30004"),
+    "rosbridge": (
+        re.compile(rf"wss?://{HOST_PATTERN}(:[0-9]{{1,5}})?(/\S*)?"),
+        "ws://192.168.0.20:9090",
+    ),
     "opcua": (
-        re.compile(rf"opc\.tcp://([^\s@/]+@)?{_HOST}(:[0-9]{{1,5}})?(/\S*)?"),
+        re.compile(rf"opc\.tcp://([^\s@/]+@)?{HOST_PATTERN}(:[0-9]{{1,5}})?(/\S*)?"),
         "opc.tcp://192.168.0.20:4840",
     ),
 }

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 from contextlib import ExitStack, closing, contextmanager, suppress
 from dataclasses import dataclass
 from typing import Any
+from urllib.request import urlopen
 
 import numpy as np
 import pytest
@@ -280,6 +281,18 @@ def test_metrics_have_an_address_of_their_own_where_no_page_is_wanted() -> None:
     ):  # fmt: skip
         answer = get(server.port, path, **origin)
         assert (answer.status, answer.text) == (status, text if status == 200 else "")
+    server.close()
+
+
+@pytest.mark.realtime
+def test_metrics_are_served_at_an_address_of_version_6() -> None:
+    try:
+        socket.create_server(("::1", 0), family=socket.AF_INET6).close()
+    except OSError:
+        pytest.skip("this machine has no such address")
+    server = MetricsServer("[::1]:0", lambda: "verify_pairs_total 1\n")
+    with urlopen(f"http://[::1]:{server.port}/metrics", timeout=10) as answer:
+        assert answer.read() == b"verify_pairs_total 1\n"
     server.close()
 
 

@@ -291,6 +291,7 @@ def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str
         ('[alarm]\nmqtt = "localhost"\n', "mqtt://HOST:PORT/TOPIC"),
         ('[alarm]\nmqtt = "mqtts://localhost/verify"\n', "mqtt://HOST:PORT/TOPIC"),
         ('[alarm]\nmqtt = "mqtt://localhost//"\n', "mqtt://HOST:PORT/TOPIC"),
+        ('[alarm]\nmqtt = "mqtt://broker:port/verify"\n', "mqtt://HOST:PORT/TOPIC"),
         ('[alarm]\nprometheus = "9105"\n', "HOST:PORT is expected"),
         ('[recording]\nname = "../%Y"\n', "a folder's name is expected"),
         ('[recording]\nname = ""\n', "a folder's name is expected"),
