@@ -58,6 +58,7 @@ PAN_KEYS: dict[str, tuple[str, ...]] = {
     "sim": ("driver", "follow"),
 }
 TERMINATORS = {"CR": b"\r", "CR LF": b"\r\n", "NUL": b"\0", "none": b""}
+UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "hz": 1.0}  # that keys end with, in s and Hz
 MELFA_RESOLUTION_DEG = 0.01  # JPOSF prints two decimals
 
 
@@ -139,10 +140,8 @@ def _make_encoders(
         case "melfa":
             return MelfaEncoders(_melfa_settings(path, table), angles)
         case "melfa-realtime":
-            cycle = {} if table.cycle_ms is None else {"cycle": table.cycle_ms * 1e-3}
-            return RealtimeEncoders(
-                RealtimeSettings(_require_port(path, "encoders", table.port), **cycle), angles
-            )
+            port = _require_port(path, "encoders", table.port)
+            return RealtimeEncoders(RealtimeSettings(port, **stated(table, "cycle_ms")), angles)
         case "labenc":
             return LabencEncoders(
                 _board_settings(path, "encoders", table, _serial_line(path, table, DEFAULT_LINE)),
@@ -171,6 +170,16 @@ def angle_map(path: Path, name: str, table: AngleDeviceTable, joints: int) -> An
     return AngleMap(np.array(given[0], dtype=float), np.deg2rad(np.array(given[1], dtype=float)))
 
 
+def stated(table: AngleDeviceTable, *keys: str) -> dict[str, Any]:
+    """Give what a table states of these keys; a time in s, a rate in Hz, by its name alone."""
+    given: dict[str, Any] = {}
+    for key in keys:
+        if (value := getattr(table, key)) is not None:
+            name, _, unit = key.rpartition("_")
+            given |= {name: value * UNITS[unit]} if unit in UNITS else {key: value}
+    return given
+
+
 def _require_port(path: Path, name: str, port: str | None) -> str:
     if not port:
         expected = "where the device is reached is needed"
@@ -196,20 +205,14 @@ def _serial_line(path: Path, table: StationEncodersTable, usual: SerialLine) -> 
             raise key_error(path, f"encoders.{key}", f"is {value}", expected)
     if table.baud is not None and table.baud < 1:
         raise key_error(path, "encoders.baud", f"is {table.baud}", "a positive number is expected")
-    keys = ("baud", *allowed, "rts_cts")
-    given = {key: getattr(table, key) for key in keys if getattr(table, key) is not None}
-    return replace(usual, **given)
+    return replace(usual, **stated(table, "baud", *allowed, "rts_cts"))
 
 
 def _melfa_settings(path: Path, table: StationEncodersTable) -> MelfaSettings:
-    given: dict[str, Any] = {}
+    given = stated(table, "pause_ms", "timeout_s")
     if table.terminator is not None:
         one_of(path, "encoders.terminator", table.terminator, tuple(TERMINATORS))
         given["terminator"] = TERMINATORS[table.terminator]
-    if table.pause_ms is not None:
-        given["pause"] = table.pause_ms * 1e-3
-    if table.timeout_s is not None:
-        given["timeout"] = table.timeout_s
     line = _serial_line(path, table, DEFAULT_MELFA_LINE)
     return MelfaSettings(
         _require_port(path, "encoders", table.port), line, robot_type=table.robot_type, **given
@@ -226,21 +229,18 @@ def _board_settings(
     rate = table.rate_hz
     if rate is not None and (rate < 1 or rate != int(rate)):
         raise key_error(path, f"{name}.rate_hz", f"is {rate:g}", "a whole number is expected")
-    latch = {} if table.latch_span_us is None else {"latch_span": table.latch_span_us * 1e-6}
     return LabencSettings(
         _require_port(path, name, table.port),
         line,
         table.checksum or "xor",
         None if rate is None else int(rate),
         table.unit,
-        **latch,
+        **stated(table, "latch_span_us"),
     )
 
 
 def _field_map(table: StationEncodersTable, joints: int) -> FieldMap:
-    names = {"tick_rate_hz": "tick_rate"}
-    keys = (key for key in FIELD_KEYS if getattr(table, key) is not None)
-    given = {names.get(key, key): getattr(table, key) for key in keys}
+    given = stated(table, *FIELD_KEYS)
     for key in ("columns", "counts_per_degree"):
         if key in given:
             given[key] = tuple(given[key])
@@ -251,17 +251,12 @@ def _csv_settings(path: Path, table: StationEncodersTable, joints: int) -> CsvSe
     if not table.path:
         raise key_error(path, "encoders.path", "is missing", "which file is followed is needed")
     fields = _field_map(table, joints) if (table.columns or table.pattern) else None
-    latency = {} if table.latency_ms is None else {"latency": table.latency_ms * 1e-3}
-    return CsvSettings(path.parent / table.path, fields, **latency)
+    return CsvSettings(path.parent / table.path, fields, **stated(table, "latency_ms"))
 
 
 def _text_settings(path: Path, table: StationEncodersTable, joints: int) -> TextSettings:
-    given: dict[str, Any] = {}
-    if table.latency_ms is not None:
-        given["latency"] = table.latency_ms * 1e-3
-    for key in ("at_start", "at_end"):
-        if (text := getattr(table, key)) is not None:
-            given[key] = text.encode()
+    words = {key: text.encode() for key, text in stated(table, "at_start", "at_end").items()}
+    given = stated(table, "latency_ms") | words
     line = _serial_line(path, table, DEFAULT_LINE)
     return TextSettings(
         _require_port(path, "encoders", table.port), _field_map(table, joints), line, **given

@@ -12,6 +12,7 @@ from verify.devices.encoders.rosbridge import RosbridgeEncoders, RosbridgeSettin
 from verify.devices.encoders.rtde import MAX_RTDE_RATE, RTDE_JOINTS, RtdeEncoders, RtdeSettings
 from verify.devices.protocols import EncoderDevice
 from verify.io.toml import key_error, one_of
+from verify.live.station.devices import stated
 from verify.live.station.keys import HOST_PATTERN, SECURITY_KEYS, StationEncodersTable
 
 MAX_POLL_RATE = 200.0  # Hz: a poll of more is slower than its server
@@ -76,9 +77,8 @@ def opcua_settings(path: Path, table: StationEncodersTable, joints: int) -> OpcU
     if table.angle_unit is not None:
         one_of(path, "encoders.angle_unit", table.angle_unit, tuple(RADIANS_PER_UNIT))
         given["radians_per_unit"] = RADIANS_PER_UNIT[table.angle_unit]
-    if table.rate_hz is not None:
-        _check_range(path, "rate_hz", table.rate_hz, 0.5, MAX_POLL_RATE)
-        given["rate"] = table.rate_hz
+    _check_range(path, "rate_hz", table.rate_hz, 0.5, MAX_POLL_RATE)
+    given |= stated(table, "rate_hz")
     url = _address(path, table)
     if table.user is not None:
         given |= {"user": table.user, "password": _password(path, table.user, url)}
@@ -87,7 +87,7 @@ def opcua_settings(path: Path, table: StationEncodersTable, joints: int) -> OpcU
 
 def _security(path: Path, table: StationEncodersTable) -> OpcUaSecurity | None:
     """Read the keys of an encrypted channel; None: there are none."""
-    given = {key: value for key in SECURITY_KEYS if (value := getattr(table, key)) is not None}
+    given = stated(table, *SECURITY_KEYS)
     if not given:
         return None
     for key in SECURITY_KEYS[:2]:
@@ -137,12 +137,9 @@ def _stamp_settings(path: Path, table: StationEncodersTable) -> dict[str, Any]:
     if table.stamp is not None:
         one_of(path, "encoders.stamp", table.stamp, ("source", "arrival"))
         given["arrival"] = table.stamp == "arrival"
-    for key, name, most in (("cycle_ms", "cycle", 1e3), ("latency_ms", "latency", 1e4)):
-        value = getattr(table, key)
-        if value is not None:
-            _check_range(path, key, value, 0.0, most)
-            given[name] = value * 1e-3
-    return given
+    for key, most in (("cycle_ms", 1e3), ("latency_ms", 1e4)):
+        _check_range(path, key, getattr(table, key), 0.0, most)
+    return given | stated(table, "cycle_ms", "latency_ms")
 
 
 def _check_range(path: Path, key: str, value: float | None, least: float, most: float) -> None:
