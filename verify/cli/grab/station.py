@@ -17,7 +17,7 @@ from verify.cli.grab.conduct import GraspOptions, GraspRun, conduct, target_name
 from verify.cli.terminal import STDIN, terminal
 from verify.core.records import StereoPair
 from verify.core.rig import Rig
-from verify.devices.ports import host_and_port, open_port
+from verify.devices.ports import open_port
 from verify.devices.protocols import CameraDevice, EncoderReading, PanDevice
 from verify.errors import InputError
 from verify.grasping import cell as grasping_cell
@@ -44,7 +44,7 @@ from verify.live.buffers import PanBuffer
 from verify.live.intake import PollingThread, readings_step, stop_threads
 from verify.live.pairing import FramePair, Pairing
 from verify.live.station import file
-from verify.live.station.devices import angle_map
+from verify.live.station.devices import angle_map, melfa_settings
 from verify.live.station.keys import StationEncodersTable, StationTable
 from verify.live.station.station import Station, open_station
 from verify.measurement.chain import warm_up
@@ -213,7 +213,7 @@ def _open_devices(
 
         return read, None
     table, _ = file.read(station.path, StationTable)
-    settings = _motion_settings(station.path, table.encoders)
+    settings = motion_settings(station.path, table.encoders)
     if gripper_port is None:
         expected = "the gripper's port is needed to move"
         raise InputError("--gripper", "is missing", expected, "Example: --gripper /dev/ttyUSB0")
@@ -271,18 +271,18 @@ def _read_line() -> str:
     return typed.decode(errors="replace").strip()
 
 
-def _motion_settings(path: Path, table: StationEncodersTable) -> MotionSettings:
-    """Settings of the controller that [encoders] names."""
+def motion_settings(path: Path, table: StationEncodersTable) -> MotionSettings:
+    """Settings of the controller that [encoders] names; InputError: it is none that is moved."""
     if table.driver != "melfa":
         expected = 'only a MELFA controller can be moved: driver = "melfa"'
         raise key_error(path, "encoders.driver", f'is "{table.driver}"', expected)
     if table.robot_type is None:
         expected = 'another robot than it names is not moved: robot_type = "RV-3SD"'
         raise key_error(path, "encoders.robot_type", "is missing", expected)
-    port = table.port or ""
-    if not port.startswith("tcp:"):
+    read = melfa_settings(path, table)
+    if not read.port.startswith("tcp:"):
         expected = 'the controller is moved over the network: port = "tcp:HOST:10001"'
-        raise key_error(path, "encoders.port", f'is "{port}"', expected)
-    host_and_port(port.removeprefix("tcp:"), port)
-    settings = MotionSettings(port, table.robot_type)
-    return settings if table.pause_ms is None else replace(settings, pause=table.pause_ms * 1e-3)
+        raise key_error(path, "encoders.port", f'is "{read.port}"', expected)
+    return MotionSettings(
+        read.port, table.robot_type, read.line, read.terminator, read.pause, read.timeout
+    )

@@ -138,7 +138,7 @@ def _make_encoders(
 ) -> EncoderDevice:
     match table.driver:
         case "melfa":
-            return MelfaEncoders(_melfa_settings(path, table), angles)
+            return MelfaEncoders(melfa_settings(path, table), angles)
         case "melfa-realtime":
             port = _require_port(path, "encoders", table.port)
             return RealtimeEncoders(RealtimeSettings(port, **stated(table, "cycle_ms")), angles)
@@ -208,7 +208,8 @@ def _serial_line(path: Path, table: StationEncodersTable, usual: SerialLine) -> 
     return replace(usual, **stated(table, "baud", *allowed, "rts_cts"))
 
 
-def _melfa_settings(path: Path, table: StationEncodersTable) -> MelfaSettings:
+def melfa_settings(path: Path, table: StationEncodersTable) -> MelfaSettings:
+    """Settings of a MELFA controller; InputError: a key is wrong."""
     given = stated(table, "pause_ms", "timeout_s")
     if table.terminator is not None:
         one_of(path, "encoders.terminator", table.terminator, tuple(TERMINATORS))
