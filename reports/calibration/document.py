@@ -37,9 +37,7 @@ def document(results: Results) -> doc.Document:
         title="Calibration of two cameras from boards",
         subtitle=doc.described(summary, "a set of pictures"),
         footer=f"{doc.software(summary)} · calibration",
-        sections=doc.answer_and_evidence(
-            certificate(results), (section(results) for section in EVIDENCE)
-        ),
+        sections=doc.answer_and_evidence(results, certificate, EVIDENCE),
     )
 
 

@@ -53,9 +53,7 @@ def document(results: Results) -> doc.Document:
         title="Interim check of a calibration",
         subtitle=doc.described(results.summary, "a set of pictures"),
         footer=f"{doc.software(results.summary)} · interim check",
-        sections=doc.answer_and_evidence(
-            certificate(results), (section(results) for section in EVIDENCE)
-        ),
+        sections=doc.answer_and_evidence(results, certificate, EVIDENCE),
     )
 
 

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
+from itertools import count
 from typing import Any, ClassVar
 
 from reports.document import formatting as fmt
@@ -136,6 +137,9 @@ class Section:
     part: str = ""  # page: a page of its own; appendix: behind all that answers
 
 
+SectionMaker = Callable[[Results], Section | None]  # None: these results have nothing to show
+
+
 @dataclass(frozen=True, slots=True)
 class Document:
     """A whole report, in order."""
@@ -151,24 +155,24 @@ def lay_out(
     title: str, subtitle: str, footer: str, sections: Iterable[Section], sortable: bool = False
 ) -> Document:
     """Make a report; tables and figures are numbered through it, so that both formats agree."""
-    counts = {"table": 0, "figure": 0}
-    numbered = []
-    for section in sections:
-        blocks: list[Block] = []
-        for block in section.blocks:
-            if isinstance(block, Table | Figure):
-                counts[block.kind] += 1
-                blocks.append(replace(block, number=counts[block.kind]))
-            else:
-                blocks.append(block)
-        numbered.append(replace(section, blocks=tuple(blocks)))
-    return Document(title, subtitle, footer, tuple(numbered), sortable)
+    numbers = {Table: count(1), Figure: count(1)}
+
+    def numbered(block: Block) -> Block:
+        if isinstance(block, Table | Figure):
+            return replace(block, number=next(numbers[type(block)]))
+        return block
+
+    every = (replace(s, blocks=tuple(map(numbered, s.blocks))) for s in sections)
+    return Document(title, subtitle, footer, tuple(every), sortable)
 
 
-def answer_and_evidence(answer: Section, evidence: Iterable[Section | None]) -> tuple[Section, ...]:
+def answer_and_evidence(
+    results: Results, answer: Callable[[Results], Section], evidence: Iterable[SectionMaker]
+) -> tuple[Section, ...]:
     """Put the answer on a page of its own, and all that it rests on into the appendix."""
-    rest = (replace(section, part="appendix") for section in evidence if section is not None)
-    return (replace(answer, part="page"), *rest)
+    sections = (section for make in evidence if (section := make(results)) is not None)
+    rest = (replace(section, part="appendix") for section in sections)
+    return (replace(answer(results), part="page"), *rest)
 
 
 def remedies(actions: Iterable[str], unchecked: Iterable[str]) -> Facts:

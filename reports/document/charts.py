@@ -21,6 +21,7 @@ Box = tuple[tuple[float, float], ...]
 MAX_LINE_POINTS = 5_000
 # stretches that a longer line is cut into; each keeps its smallest and largest value
 N_BINS = 1_000
+MAX_COUNT_STEPS = 8  # of an axis that counts
 # times the usual step: one dropped pair (2) is bridged, two are a break in the line
 MAX_GAP_RATIO = 2.5
 
@@ -61,12 +62,12 @@ def time_axis(frames: pd.DataFrame) -> tuple[Array, str]:
     return t - valid[0], "since first pair [s]"
 
 
-def count_ticks(numbers: Array, most: int = 8) -> "Ticks":
-    """Choose ticks for an axis that counts, no more than `most` steps: whole numbers alone."""
+def count_ticks(numbers: Array) -> "Ticks":
+    """Choose ticks for an axis that counts: a few whole numbers."""
     known = numbers[np.isfinite(numbers)]
     if not len(known):
         return ()
-    least = max(float(np.ptp(known)) / most, 1.0)
+    least = max(float(np.ptp(known)) / MAX_COUNT_STEPS, 1.0)
     magnitude = 10.0 ** np.floor(np.log10(least))
     step = int(next(s * magnitude for s in (1, 2, 5, 10) if s * magnitude >= least))
     first, last = -(-int(known.min()) // step), int(known.max()) // step

@@ -47,9 +47,7 @@ def document(results: Results) -> doc.Document:
         evidence.failures,
         evidence.method,
     )
-    page, *appendix = doc.answer_and_evidence(
-        certificate(results), (make(results) for make in evidence_sections)
-    )
+    page, *appendix = doc.answer_and_evidence(results, certificate, evidence_sections)
     asked = evidence.contrasts(results)
     return doc.lay_out(
         title=f"Fleet report: {'1 arm' if arms == 1 else f'{fmt.count(arms)} arms'}",

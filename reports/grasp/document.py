@@ -51,22 +51,21 @@ _figure_block = partial(doc.figure_or_text, FIGURES)
 def document(results: Results) -> doc.Document:
     """Lay out the whole report."""
     summary = results.summary
-    evidence = (
-        _states(results),
-        _tool_offset_section(results),
-        doc.Section("track", "Track", (_figure_block(results, "track"),)),
-        _margins(results),
-        doc.Section("camshift", "CAMSHIFT over time", (_figure_block(results, "camshift"),)),
-        _joints(results),
-        _plan(results),
-    )
     cell = fmt.text_or_dash(summary.get("cell"))
     return doc.lay_out(
         title=f"Grab with {fmt.text_or_dash(summary.get('robot'))}",
         subtitle=f"{fmt.text_or_dash(summary.get('target'))}, {cell} cell",
         footer=f"{doc.software(summary)} · grab",
-        sections=doc.answer_and_evidence(certificate(results), evidence),
+        sections=doc.answer_and_evidence(results, certificate, EVIDENCE),
     )
+
+
+def _track(results: Results) -> doc.Section:
+    return doc.Section("track", "Track", (_figure_block(results, "track"),))
+
+
+def _camshift(results: Results) -> doc.Section:
+    return doc.Section("camshift", "CAMSHIFT over time", (_figure_block(results, "camshift"),))
 
 
 def _states(results: Results) -> doc.Section:
@@ -164,3 +163,6 @@ def _plan(results: Results) -> doc.Section:
         head = ("Posture", "Reason")
         blocks.append(doc.Table("The arm's postures.", "ll", head, tuple(rows), wide=(1,)))
     return doc.Section("plan", "Plan", tuple(blocks))
+
+
+EVIDENCE = (_states, _tool_offset_section, _track, _margins, _camshift, _joints, _plan)

@@ -119,9 +119,7 @@ def document(results: Results) -> doc.Document:
         title=f"Identification of {fmt.text_or_dash(summary.get('robot'))}",
         subtitle=doc.described(summary, "a recorded session"),
         footer=f"{doc.software(summary)} · robot {fingerprint}",
-        sections=doc.answer_and_evidence(
-            certificate(results), (section(results) for section in EVIDENCE)
-        ),
+        sections=doc.answer_and_evidence(results, certificate, EVIDENCE),
     )
 
 

@@ -23,8 +23,7 @@ def document(results: Results) -> doc.Document:
         subtitle=doc.described(summary, "a recorded session"),
         footer=f"{doc.software(summary)} · registration {registration[:23]}",
         sections=doc.answer_and_evidence(
-            certificate(results),
-            (section(results) for section in EVIDENCE if not (posed(summary) and section is axes)),
+            results, certificate, (s for s in EVIDENCE if not (posed(summary) and s is axes))
         ),
     )
 

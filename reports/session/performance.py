@@ -172,7 +172,7 @@ def _pose_summary(poses: list[dict[str, Any]]) -> str:
         f"Largest pose accuracy: AP {_interval(accuracy, 'ap', 'mm')} mm, at {accuracy['pose']}. "
         f"Largest pose repeatability: RP {_interval(scatter, 'rp', 'mm')} mm, at "
         f"{scatter['pose']}, of which the robot's share is "
-        f"{_format_robot_share(scatter, 'rp', 'mm')} mm."
+        f"{_format_robot_share(scatter, 'rp')} mm."
     )
 
 
@@ -201,14 +201,14 @@ def _interval(entry: dict[str, Any], name: str, unit: str, signed: bool = False)
     )
 
 
-def _format_robot_share(entry: dict[str, Any], name: str, unit: str) -> str:
-    """The robot's share of a repeatability, or the bound below which it lies."""
-    low, high = (fmt.finite(entry.get(f"{name}_{end}_{unit}")) for end in ("low", "high"))
+def _format_robot_share(entry: dict[str, Any], name: str) -> str:
+    """The robot's share of a repeatability, mm, or the bound below which it lies."""
+    low, high = (fmt.finite(entry.get(f"{name}_{end}_mm")) for end in ("low", "high"))
     decimals = 3 if low is None or high is None else fmt.decimals_of((high - low) / 4)
-    found = fmt.finite(entry.get(f"{name}_robot_{unit}"))
+    found = fmt.finite(entry.get(f"{name}_robot_mm"))
     if found is not None:
         return fmt.number(found, decimals)
-    return f"≤ {fmt.number(entry.get(f'{name}_robot_at_most_{unit}'), decimals)}"
+    return f"≤ {fmt.number(entry.get(f'{name}_robot_at_most_mm'), decimals)}"
 
 
 def _positions(entry: dict[str, Any]) -> doc.Table:
@@ -221,7 +221,7 @@ def _positions(entry: dict[str, Any]) -> doc.Table:
         doc.Column("Without bias [mm]", "r", doc.field("ap_less_bias_mm", fmt.number)),
         doc.Column("RP [mm]", "r", lambda p: _interval(p, "rp", "mm")),
         doc.Column("Floor [mm]", "r", doc.field("rp_floor_mm", fmt.number)),
-        doc.Column("Robot's RP [mm]", "r", lambda p: _format_robot_share(p, "rp", "mm")),
+        doc.Column("Robot's RP [mm]", "r", lambda p: _format_robot_share(p, "rp")),
     )
     notes = INTERVAL_NOTE, BIAS_NOTE, FLOOR_NOTE if measured_floor else STATED_FLOOR_NOTE
     title = "Pose accuracy AP and pose repeatability RP of positions."
@@ -234,14 +234,13 @@ def _orientations(poses: list[dict[str, Any]]) -> doc.Table | None:
     columns = (
         doc.Column("Pose", "l", doc.field("pose", str)),
         *(doc.Column(f"AP {axis} [°]", "r", partial(_format_angle, axis)) for axis in AXES),
-        *(doc.Column(f"RP {axis} [°]", "r", partial(_format_scatter, axis)) for axis in AXES),
+        *(
+            doc.Column(f"RP {axis} [°]", "r", partial(_interval, name=f"rp_{axis}", unit="deg"))
+            for axis in AXES
+        ),
     )
     title = "Pose accuracy and pose repeatability of orientations."
     return doc.tabulate(title, columns, poses, ANGLE_NOTE)
-
-
-def _format_scatter(axis: str, entry: dict[str, Any]) -> str:
-    return _interval(entry, f"rp_{axis}", "deg")
 
 
 def _format_angle(axis: str, entry: dict[str, Any]) -> str:
@@ -305,7 +304,7 @@ def _paths(paths: list[dict[str, Any]]) -> doc.Table:
         doc.Column("AT [mm]", "r", lambda p: _interval(p, "at", "mm")),
         doc.Column("Noise alone up to [mm]", "r", doc.field("at_largest_of_noise_mm", fmt.number)),
         doc.Column("RT [mm]", "r", lambda p: _interval(p, "rt", "mm")),
-        doc.Column("Robot's RT [mm]", "r", lambda p: _format_robot_share(p, "rt", "mm")),
+        doc.Column("Robot's RT [mm]", "r", lambda p: _format_robot_share(p, "rt")),
     )
     title = "Path accuracy AT and path repeatability RT of positions."
     return doc.tabulate(title, columns, paths, INTERVAL_NOTE, MAXIMUM_NOTE)

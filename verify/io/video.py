@@ -48,11 +48,11 @@ def ffv1_intact(packet: bytes) -> bool:
     return end == 0
 
 
-def _has_footers(packet: bytes, footer: int) -> bool:
-    """Whether slices with footers of this many bytes fill an FFV1 picture, whatever they hold."""
+def _has_footers(packet: bytes) -> bool:
+    """Whether slices with footers fill an FFV1 picture, whatever they hold."""
     end = len(packet)
-    while end >= footer:
-        end -= int.from_bytes(packet[end - footer : end - footer + 3], "big") + footer
+    while end >= _SLICE_FOOTER:
+        end -= int.from_bytes(packet[end - 8 : end - 5], "big") + _SLICE_FOOTER
     return end == 0
 
 
@@ -139,7 +139,7 @@ class Video(Images):
         checked, intact = False, []
         for packet in self.packets():
             # checksums stand in the slices' footers; without them a footer is the size alone
-            checked = checked or _has_footers(packet, _SLICE_FOOTER)
+            checked = checked or _has_footers(packet)
             intact.append(ffv1_intact(packet))
         return intact.index(False) if checked and not all(intact) else len(intact), len(intact)
 
