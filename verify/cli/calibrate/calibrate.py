@@ -150,43 +150,41 @@ def register(
 
     target = report if report is not None else Path(f"{real_path(session).name}-registration")
     options = registration.RegistrationOptions(leds, known_marker, keep_base, keep_leds, sweeps)
-    board_options = {"--corners": corners is not None, "--square-mm": square_mm is not None}
     marker_options = {
         "--marker": marker is not None, "--leds": leds is not None,
         "--known-marker": known_marker is not None, "--sweeps": sweeps,
     }  # fmt: skip
-    if board_in_base is None:
-        way = "the robot's own motion is used"
-        option.refuse_options(board_options, f"does not apply when {way}", "", "Leave it out.")
-    posed = None if board_in_base is not None else open_poses(session)
-    if posed is not None:
-        useless = marker_options | {"--rig": rig is not None}
-        option.refuse_options(useless, "does not apply when poses are used", "", "Leave it out.")
-        refuse_existing(target, force=force)
-        folder = out if out is not None else Path(f"{posed.name}-registered")
-        registration.register_by_poses(posed, folder, target, options, force=force)
-        return
+
+    def refuse_useless(given: dict[str, bool], way: str) -> None:
+        option.refuse_options(given, f"does not apply when {way}", "", "Leave it out.")
+
     if board_in_base is not None:
-        useless = marker_options | {"--keep-base": keep_base, "--keep-leds": keep_leds}
-        way = "a board on the base is used"
-        option.refuse_options(useless, f"does not apply when {way}", "", "Leave it out.")
+        kept = {"--keep-base": keep_base, "--keep-leds": keep_leds}
+        refuse_useless(marker_options | kept, "a board on the base is used")
+    else:
+        board_options = {"--corners": corners is not None, "--square-mm": square_mm is not None}
+        refuse_useless(board_options, "the robot's own motion is used")
+        if (posed := open_poses(session)) is not None:
+            refuse_useless(marker_options | {"--rig": rig is not None}, "poses are used")
+            refuse_existing(target, force=force)
+            folder = out if out is not None else Path(f"{posed.name}-registered")
+            registration.register_by_poses(posed, folder, target, options, force=force)
+            return
     marker_out = marker if marker is not None else Path("marker.toml")
     out = out if out is not None else Path("rig.toml")
     refuse_file(out, force=force, read=(session, known_marker, board_in_base))
     if board_in_base is None:
         refuse_file(marker_out, force=force, read=(session, rig))
         if out.resolve() == marker_out.resolve():
-            expected = "rig and marker are two files"
-            raise InputError(
-                marker_out, "is named for both", expected, "Give --marker another name."
-            )
+            expected, remedy = "rig and marker are two files", "Give --marker another name."
+            raise InputError(marker_out, "is named for both", expected, remedy)
     refuse_existing(target, force=force)
     output = registration.RegistrationOutput(out, marker_out, target, force)
-    if board_in_base is not None:
-        board = board_from_options(corners, square_mm, None)
-        registration.register_by_fixture(session, board_in_base, rig, board, output)
+    if board_in_base is None:
+        registration.register_by_motion(session, rig, options, output)
         return
-    registration.register_by_motion(session, rig, options, output)
+    board = board_from_options(corners, square_mm, None)
+    registration.register_by_fixture(session, board_in_base, rig, board, output)
 
 
 @calibrate.command(cls=option.Command)

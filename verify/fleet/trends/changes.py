@@ -80,12 +80,6 @@ def find_changes(series: JointSeries, false_alarm: float) -> JointTrend:
     return _course(scattered_about(series, _design(series, terms)), terms, every)
 
 
-def _find_terms(series: JointSeries, every: list[TrendTerm], false_alarm: float) -> list[TrendTerm]:
-    chance = false_alarm / max(len(every), 1)
-    threshold = float(t_isf(chance / 2, series.degrees_of_freedom) ** 2)  # of χ², one candidate's
-    return _add_terms(series, every, threshold)
-
-
 def _course(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> JointTrend:
     found = fit(series, _design(series, terms))
     changes = [_change(series, terms, i, found, every) for i in range(len(terms))]
@@ -144,8 +138,10 @@ def _bic_penalties(series: JointSeries, terms: list[TrendTerm]) -> Array:
     return np.asarray(np.log(len(series)) * np.array(free, dtype=float))
 
 
-def _add_terms(series: JointSeries, every: list[TrendTerm], threshold: float) -> list[TrendTerm]:
+def _find_terms(series: JointSeries, every: list[TrendTerm], false_alarm: float) -> list[TrendTerm]:
     """Add terms while they are beyond chance; look for each again beside the others."""
+    chance = false_alarm / max(len(every), 1)
+    threshold = float(t_isf(chance / 2, series.degrees_of_freedom) ** 2)  # of χ², one candidate's
     terms: list[TrendTerm] = []
     while len(terms) < MAX_TERMS:
         gain = _candidate_gains(series, terms, every)
