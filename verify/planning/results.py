@@ -151,14 +151,7 @@ def plan_results(made: SessionPlan, origin: PlanProvenance) -> Results:
         "image_size": list(origin.setup.rig.image_size),
         "rig": None if origin.proposed is None else rig_entry(origin.proposed),
         "flange": flange_entry(session),
-        "joints": [
-            moved | known
-            for moved, known in zip(
-                _joints(predicted, timed),
-                accuracy_entries(predicted, sources, origin.tolerance),
-                strict=True,
-            )
-        ],
+        "joints": _joints(predicted, timed, sources, origin.tolerance),
         "joint_error_correlation": correlation_entry(predicted.analysis.resolved.mean_covariance),
         "clock": {
             "source": predicted.clock.source,
@@ -208,25 +201,6 @@ def flange_entry(session: PredictedSession) -> dict[str, Any]:
     }
 
 
-def accuracy_entries(
-    predicted: SessionPrediction, sources: dict[str, Array], tolerance: Array | None
-) -> list[dict[str, Any]]:
-    """Each joint's lever, largest uncertainty, what its mean's comes from, and what conforms."""
-    levers, parts = prediction.joint_levers(predicted.session), prediction.group_sources(sources)
-    largest = predicted.analysis.resolved.uncertainty.max(axis=0)
-    limits = None if tolerance is None else prediction.conform_limits(predicted.analysis, tolerance)
-    return [
-        {
-            "lever_mm": finite_number(levers[j] * 1e3),
-            "largest_standard_uncertainty_deg": _deg(largest[j]),
-            "parts_deg": {name: _deg(u[j]) for name, u in parts.items()},
-            "tolerance_deg": None if tolerance is None else _deg(tolerance[j]),
-            "conform_limit_deg": None if limits is None else _deg(limits[j]),
-        }
-        for j in range(len(levers))
-    ]
-
-
 def _motion(timed: TimedMotion, origin: PlanProvenance) -> dict[str, Any]:
     visited = [stop.pose for stop in timed.stops if stop.pose is not None]
     return {
@@ -264,7 +238,13 @@ def _conditions(conditions: SessionConditions) -> dict[str, Any]:
     }
 
 
-def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, Any]]:
+def _joints(
+    predicted: SessionPrediction,
+    timed: TimedMotion,
+    sources: dict[str, Array],
+    tolerance: Array | None,
+) -> list[dict[str, Any]]:
+    """How well each joint will be known, how it moves, and what its mean's uncertainty is from."""
     analysis, session = predicted.analysis, predicted.session
     visible, factor = analysis.visibility, analysis.coverage_factor
     spread = np.sqrt(np.diag(analysis.resolved.mean_covariance))
@@ -272,6 +252,9 @@ def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, 
     q, comparison = timed.q(t), session.comparison
     speed = np.abs(np.gradient(q, t, axis=0)).max(axis=0)
     upward = np.mean(comparison.direction > 0, axis=0)
+    levers, parts = prediction.joint_levers(session), prediction.group_sources(sources)
+    largest = analysis.resolved.uncertainty.max(axis=0)
+    limits = None if tolerance is None else prediction.conform_limits(analysis, tolerance)
     return [
         {
             "joint": j + 1,
@@ -295,6 +278,11 @@ def _joints(predicted: SessionPrediction, timed: TimedMotion) -> list[dict[str, 
                 }
                 for one in predicted.faults
             ],
+            "lever_mm": finite_number(levers[j] * 1e3),
+            "largest_standard_uncertainty_deg": _deg(largest[j]),
+            "parts_deg": {name: _deg(u[j]) for name, u in parts.items()},
+            "tolerance_deg": None if tolerance is None else _deg(tolerance[j]),
+            "conform_limit_deg": None if limits is None else _deg(limits[j]),
         }
         for j in range(len(spread))
     ]
