@@ -97,7 +97,7 @@ def camshift(
     if mask is None:
         return None
     own = mask if expected is None else _limit_to_extent(weights, mask, window, expected)
-    at_edge = (x == 0, y == 0, x + width == image.shape[1], y + height == image.shape[0])
+    at_edge = _touched_sides((x, y, width, height), image)
     return _measure_blob(hsv, weights, (own, mask), (x, y), at_edge, model)
 
 

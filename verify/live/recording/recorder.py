@@ -12,6 +12,7 @@ from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
+from functools import partial
 from pathlib import Path
 
 from verify.devices.protocols import CapturedPair, EncoderReading
@@ -173,7 +174,7 @@ class SessionRecorder:
                 continue
             item = self._items[0]
             if not self._trouble:
-                self._guarded(lambda item=item: self._put(item))  # type: ignore[misc]
+                self._guarded(partial(self._put, item))
             with self._wake:
                 self._items.popleft()  # only now: its age is how far the disk lags
             item.done.set()
