@@ -7,7 +7,6 @@ joints that an arm does not have, are null. docs/batch.md explains the columns.
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
-from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +19,7 @@ from reports import Results
 from verify.analysis.uncertainty.sources import ALIGNMENT, CLOCK
 from verify.fleet.batch.records import SessionFailure
 from verify.io.results import RESULTS
+from verify.io.session.keys import parse_start
 from verify.measurement.systematics import PAN_ANGLE
 
 STATUSES = (
@@ -162,7 +162,7 @@ def session_row(results: Results, kept_in: str) -> dict[str, Any]:
         "session": session["path"],
         "robot": session["robot"],
         "description": session["description"],
-        "started": parse_start_time(session["started"]),
+        "started": parse_start(session["started"]),
         "kept_in": kept_in,
         "tool_version": summary["tool"]["version"],
         "calibration": calibration_digest(setup),
@@ -194,14 +194,6 @@ def session_row(results: Results, kept_in: str) -> dict[str, Any]:
     for part, _unit in FLANGE_UNITS:
         flat |= {f"{part}_{key}": value for key, value in summary[part].items()}
     return flat
-
-
-def parse_start_time(text: str | None) -> datetime | None:
-    """Read when a session started; a time without a zone is taken as UTC."""
-    if text is None:
-        return None
-    read = datetime.fromisoformat(text)
-    return read.replace(tzinfo=UTC) if read.tzinfo is None else read.astimezone(UTC)
 
 
 def calibration_digest(setup: dict[str, Any]) -> str:

@@ -107,13 +107,13 @@ def _read_model(bag: Bag, pictures: str) -> CameraModel:
         expected = "a topic camera_info in the namespace of the pictures is expected"
         raise InputError(f"{bag.path}, {pictures}", "has no camera model", expected, REMEDY)
     place, info = f"{bag.path}, {name}", next(bag.messages([name])).content
-    rectified = RECTIFIED in pictures
     k, r, p = (np.array(_field(info, key), dtype=float).reshape(3, -1) for key in ("k", "r", "p"))
-    matrix, distortion = k, _distortion(place, info)
+    if RECTIFIED in pictures:  # whatever lens they were taken through
+        matrix, distortion, r = p[:, :3].copy(), np.zeros(5), np.eye(3)
+    else:
+        matrix, distortion = k, _distortion(place, info)
     if not all(np.isfinite(values).all() for values in (k, r, p, distortion)):
         raise InputError(place, "has numbers that are none", "a camera model is finite", REMEDY)
-    if rectified:
-        matrix, distortion, r = p[:, :3].copy(), np.zeros(5), np.eye(3)
     if matrix[0, 0] <= 0 or matrix[1, 1] <= 0:
         raise InputError(place, "has no focal length", "the cameras are calibrated", REMEDY)
     if info.roi.x_offset or info.roi.y_offset or max(info.binning_x, info.binning_y) > 1:

@@ -17,6 +17,7 @@ from verify.core.records import POSE_NAMES, Array
 from verify.errors import InputError
 from verify.io.results import RESULTS, read_results
 from verify.io.session.folder import SESSION_FILE
+from verify.io.session.keys import parse_start
 from verify.io.session.session import Session, open_session
 
 UNDATED = datetime(1970, 1, 1, tzinfo=UTC)  # of a session that does not say when it was recorded
@@ -92,7 +93,7 @@ def _of_results(folder: Path) -> ExportContent:
     started = (results.summary.get("session") or {}).get("started")
     return ExportContent(
         name=folder.resolve().name,
-        started=datetime.fromisoformat(started) if started else UNDATED,
+        started=parse_start(started) or UNDATED,
         joint_names=names,
         poses=poses,
         joints=joints,
@@ -137,7 +138,7 @@ def _of_session(folder: Path) -> ExportContent:
         )
     return ExportContent(
         name=session.name,
-        started=datetime.fromisoformat(session.started) if session.started else UNDATED,
+        started=parse_start(session.started) or UNDATED,
         joint_names=arm.joint_names if isinstance(arm, robots.UrdfArm) else names,
         poses=poses,
         joints={ENCODERS: AngleSeries(t, encoders.q)},

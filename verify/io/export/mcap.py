@@ -41,7 +41,7 @@ class MessageFactory:
 
     def __init__(self, content: ExportContent) -> None:
         self.store = get_typestore(Stores.ROS2_HUMBLE)
-        self._start = round(content.started.timestamp()) * SECOND
+        self._start = round(content.started.timestamp() * 1e6) * 1000  # the date has microseconds
 
     def time(self, t: float) -> int:
         """Turn a session's time, s, into ns since 1970."""

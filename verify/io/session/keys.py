@@ -259,6 +259,14 @@ def format_start(moment: datetime | None) -> str | None:
     return f"{text.removesuffix('+00:00')}Z" if moment.tzinfo == UTC else text
 
 
+def parse_start(text: str | None) -> datetime | None:
+    """Read what `format_start` gives; a time without a zone is taken as UTC."""
+    if text is None:
+        return None
+    read = datetime.fromisoformat(text)
+    return read.replace(tzinfo=UTC) if read.tzinfo is None else read.astimezone(UTC)
+
+
 def to_radians(degrees: float | None) -> float | None:
     """Convert an angle; None stays None."""
     return scaled(degrees, np.pi / 180)

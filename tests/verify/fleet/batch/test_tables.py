@@ -17,7 +17,7 @@ from verify.errors import InputError
 from verify.fleet.batch import tables
 from verify.fleet.batch.records import BatchOptions, SessionFailure
 from verify.fleet.batch.store import ENTRY_FILE, ResultStore, require_writable
-from verify.fleet.batch.tables import calibration_digest, parse_start_time
+from verify.fleet.batch.tables import calibration_digest
 from verify.fleet.batch.tasks import pack_results, rename_session
 
 OPTIONS = BatchOptions(ToleranceOptions(None, None, None), "1.0")
@@ -113,11 +113,6 @@ def test_a_sessions_name_cannot_leave_the_store_and_a_file_is_no_store(tmp_path:
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="is a file"):
         require_writable(tmp_path / "file")
-
-
-def test_a_start_without_a_zone_is_taken_as_utc() -> None:
-    assert parse_start_time("2025-06-01T10:00:00") == parse_start_time("2025-06-01T12:00:00+02:00")
-    assert parse_start_time(None) is None
 
 
 def test_sessions_of_one_rig_and_marker_share_a_calibration() -> None:

@@ -220,6 +220,22 @@ def test_the_right_camera_is_placed_by_its_projection_without_tf(
     np.testing.assert_allclose(found, expected, atol=1e-12)
 
 
+def test_rectified_pictures_are_taken_whatever_lens_they_came_through(
+    session: Recording, tmp_path: Path
+) -> None:
+    def rectify(contents: Contents) -> None:
+        for side in ("left", "right"):
+            name = f"/{side}/image_raw"
+            contents.topics[f"/{side}/image_rect"] = contents.topics.pop(name)
+            info = contents.topics[f"/{side}/camera_info"][1][0][1]
+            info.distortion_model, info.d = "equidistant", np.array([0.1, 0.02, 0.003, 0.001])
+
+    rig = convert_contents(tmp_path, bag_of("mcap", session, change=rectify)).rig
+    for camera, given in ((rig.left, session.rig.left), (rig.right, session.rig.right)):
+        np.testing.assert_allclose(camera.matrix, given.matrix)
+        assert not camera.distortion.any()
+
+
 def drop_stamps(contents: Contents) -> None:
     for _, message in contents.topics["/left/image_raw"][1][2:4]:
         message.header.stamp.sec = message.header.stamp.nanosec = 0

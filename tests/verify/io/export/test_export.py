@@ -1,8 +1,11 @@
 """What other programs read in the files that are written for them."""
 
 import os
+import shutil
 import subprocess
 import sys
+import time
+from datetime import datetime
 from pathlib import Path
 
 import cv2
@@ -171,6 +174,31 @@ def test_a_session_shows_its_clock_is_not_known(tmp_path: Path) -> None:
     done = verify("convert", SAMPLES / NAME, "-o", tmp_path / "tum", "--to", "tum")
     assert "states no [clock]" in done.err
     assert [p.name for p in (tmp_path / "tum").iterdir()] == ["encoders.tum"]
+
+
+@pytest.mark.parametrize("zone", ["", "Z", "+02:00"])
+def test_an_export_dates_its_messages_by_utc_wherever_it_is_made(
+    zone: str, session: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    shutil.copytree(session, tmp_path / "s")
+    text = (tmp_path / "s" / "session.toml").read_text()
+    start = "2026-11-20T10:00:00"
+    assert f"started = {start}Z" in text
+    stated = text.replace(f"{start}Z", f"{start}.25{zone}")
+    (tmp_path / "s" / "session.toml").write_text(stated)
+    monkeypatch.setenv("TZ", "America/New_York")
+    time.tzset()
+    try:
+        assert verify("convert", tmp_path / "s", "-o", tmp_path / "s.mcap").status == 0
+    finally:
+        monkeypatch.undo()
+        time.tzset()
+    with (tmp_path / "s.mcap").open("rb") as file:
+        first = next(make_reader(file).iter_messages(["/joint_states/encoders"]))[2].log_time
+    given = open_session(session)
+    t = given.encoders.t[0] + (0.0 if given.clock is None else given.clock.encoder_offset)
+    utc = datetime.fromisoformat(f"{start}.25{zone or 'Z'}").timestamp()
+    assert first * 1e-9 == pytest.approx(utc + t, abs=1e-6)
 
 
 def test_an_export_never_touches_its_source(session: Path) -> None:

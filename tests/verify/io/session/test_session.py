@@ -19,6 +19,7 @@ from tests.support.recorded import (
     write_video,
 )
 from verify.errors import InputError
+from verify.io.session.keys import parse_start
 from verify.io.session.session import open_session
 
 
@@ -345,3 +346,8 @@ def test_an_open_session_without_one_whole_pair_is_refused(folder: Path) -> None
     (folder / "left" / "000000.png").write_bytes(b"\x89PNG")
     replace(folder / "session.toml", '"left.mkv"', '"left"')
     assert "before the first whole pair" in complaint(folder)
+
+
+def test_a_start_without_a_zone_is_taken_as_utc() -> None:
+    assert parse_start("2025-06-01T10:00:00") == parse_start("2025-06-01T12:00:00+02:00")
+    assert parse_start(None) is None
