@@ -7,6 +7,7 @@ one line an axis has the groups `axis` and `value`; lines of equal `t` are joine
 
 import math
 import re
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 
 import numpy as np
@@ -268,7 +269,7 @@ class TextSettings:
     at_end: bytes = b""  # sent before it is closed
 
 
-class LineEncoders(intake.PortDriver):
+class LineEncoders(intake.PortDriver, ABC):
     """Joint readings from lines of text; a device and a file differ in how they begin."""
 
     def __init__(self, link: ports.PortLink) -> None:
@@ -291,9 +292,9 @@ class LineEncoders(intake.PortDriver):
             self.link.steady()
         return readings
 
+    @abstractmethod
     def _begin(self) -> None:
         """Prepare for the lines of a new connection."""
-        raise NotImplementedError
 
 
 class TextEncoders(LineEncoders):
