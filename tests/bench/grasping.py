@@ -54,7 +54,7 @@ class Grasp:
 
 def grasp(setup: CellSetup, scene: CellScene, *, closed: bool = True) -> Grasp:
     mode = CellMode(auto=True, closed=closed)
-    cell = monitored(cell_grab(setup, scene, right=ExecutePermission("bench"), mode=mode))
+    cell = monitored(cell_grab(setup, scene, permission=ExecutePermission("bench"), mode=mode))
     works: list[float] = []
     ended = run(cell.loop, cell.source, ENDS, lambda cycle: works.append(cycle.took))
     world, plan = cell.world, cell.loop.aim.plan

@@ -126,8 +126,8 @@ def whole_loop() -> Iterator[Line]:
     The hand's LEDs are not measured: a station does that on a thread of its own.
     """
     warm_up()
-    right, mode = ExecutePermission("bench"), CellMode(auto=True, closed=False)
-    grab = cell_grab(cell_setup(FULL_SIZE), draw_scene(0), right=right, mode=mode)
+    permission, mode = ExecutePermission("bench"), CellMode(auto=True, closed=False)
+    grab = cell_grab(cell_setup(FULL_SIZE), draw_scene(0), permission=permission, mode=mode)
     ours: list[float] = []
     theirs: list[float] = []
     naive = _FullFrame()

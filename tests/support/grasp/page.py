@@ -33,9 +33,9 @@ class Cell:
 
     def __init__(self, scene: CellScene, *, execute: bool, selects: bool, paced: bool) -> None:
         setup = cell_setup(SMALL_SIZE)
-        right = ExecutePermission("test") if execute else None
+        permission = ExecutePermission("test") if execute else None
         self.grab: CellRun = cell_grab(
-            setup, scene, right=right, mode=CellMode(paced=paced, closed=False)
+            setup, scene, permission=permission, mode=CellMode(paced=paced, closed=False)
         )
         facts = GraspFacts(ROBOT, "played", setup.planner, setup.rig, execute, 60.0)
         options = PageOptions(0, LOOPBACK, None)

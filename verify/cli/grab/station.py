@@ -229,9 +229,9 @@ def _open_devices(
     emulated = melfa.there() and hand.there()
     if emulated:
         terminal.say("Controller and gripper are emulators: nobody has to confirm")
-        right = ExecutePermission("--execute, and both ends have proved to be emulators")
+        permission = ExecutePermission("--execute, and both ends have proved to be emulators")
     else:
-        right = confirm_execution(f"{settings.robot_type} {settings.port}")
+        permission = confirm_execution(f"{settings.robot_type} {settings.port}")
         melfa.close()
         hand.close()
     override = max(1, round(100 * planner.cell.moving.share))
@@ -239,9 +239,9 @@ def _open_devices(
         np.column_stack([planner.limits.lower, planner.limits.upper]), override=override
     )
     angles = angle_map(station.path, "encoders", table.encoders, station.arm.dof)
-    mover = MelfaMover(settings, angles, limits, right, melfa if emulated else None)
+    mover = MelfaMover(settings, angles, limits, permission, melfa if emulated else None)
     stack.callback(mover.close)
-    gripper = GripperDriver(gripping, right, hand if emulated else None)
+    gripper = GripperDriver(gripping, permission, hand if emulated else None)
     stack.callback(gripper.close)
 
     def joints() -> EncoderReading | None:

@@ -152,7 +152,7 @@ _PAN_RANGE_KEYS = ("pan_min_deg", "pan_max_deg")  # of the session, not of the c
 
 
 def session_row(results: Results, kept_in: str) -> dict[str, Any]:
-    """Flatten a session's results, kept in a place below OUT, to what `schema.sessions` names.
+    """Flatten a session's results, kept in a place below OUT, to what `sessions_schema` names.
 
     Columns that are missing are null.
     """

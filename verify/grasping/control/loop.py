@@ -37,7 +37,7 @@ AIMING_STATES = frozenset(
 
 @dataclass(frozen=True, slots=True)
 class Actuators:
-    """What moves; there is none without the operator's right."""
+    """What moves; there is none without the operator's permission."""
 
     arm: DrivenArm
     gripper: Gripper

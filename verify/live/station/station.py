@@ -91,7 +91,7 @@ class Station(RecordingStation):
     tolerance: Tolerance | None  # None: no verdict is asked for
     alarm: AlarmTable
     rate: float  # Hz, pairs: of the slower camera, as asked for
-    follow: bool  # the bases turn to keep the LEDs in view; open_pan gives a Servo then
+    follow: bool  # the bases turn to keep the LEDs in view; open_pan gives a PanDrive then
 
 
 class RecordingStationTable(StationTable, kw_only=True):

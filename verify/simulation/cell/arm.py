@@ -60,9 +60,13 @@ class SimMover:
     """A simulated controller: a `Mover` that takes a stream of set points too."""
 
     def __init__(
-        self, arm: CellArm, setup: GraspPlanner, now: Callable[[], float], right: ExecutePermission
+        self,
+        arm: CellArm,
+        setup: GraspPlanner,
+        now: Callable[[], float],
+        permission: ExecutePermission,
     ) -> None:
-        if not isinstance(right, ExecutePermission):
+        if not isinstance(permission, ExecutePermission):
             raise TypeError("an arm moves only with the operator's permission")
         self._arm, self._setup, self._now = arm, setup, now
         self._state, self._reason = MoverState.OFF, ""

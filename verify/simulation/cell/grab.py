@@ -35,11 +35,11 @@ class CellSource:
         self._began = time.monotonic()
         self._mover: SimMover | None = None
 
-    def devices(self, right: ExecutePermission) -> tuple[SimMover, SimGripper]:
-        """Make arm and gripper, which the operator's right allows to move."""
+    def devices(self, permission: ExecutePermission) -> tuple[SimMover, SimGripper]:
+        """Make arm and gripper, which the operator's permission allows to move."""
         world = self._world
-        self._mover = SimMover(world.arm, world.setup.planner, world.now, right)
-        return self._mover, SimGripper(world.hand, world.now, right)
+        self._mover = SimMover(world.arm, world.setup.planner, world.now, permission)
+        return self._mover, SimGripper(world.hand, world.now, permission)
 
     def pair(self) -> StereoPair | None:
         """Take both pictures; None where a base was turning when they were taken."""
@@ -84,7 +84,7 @@ def cell_grab(
     setup: CellSetup,
     scene: CellScene,
     target: Target | None = None,
-    right: ExecutePermission | None = None,
+    permission: ExecutePermission | None = None,
     *,
     mode: CellMode = CellMode(),
     bases: PanBuffer | None = None,
@@ -92,7 +92,7 @@ def cell_grab(
     """Put a grab together; nothing has begun yet.
 
     The target is the colour of the scene's first cap, where none is given. Without the operator's
-    right the arm may not move.
+    permission the arm may not move.
 
     Raises:
         InputError: the target's colour has no name.
@@ -101,8 +101,8 @@ def cell_grab(
     world = CellWorld(setup, scene)
     cell = CellSource(world, bases, paced=mode.paced)
     actuators = watch = None
-    if right is not None:
-        mover, gripper = cell.devices(right)
+    if permission is not None:
+        mover, gripper = cell.devices(permission)
         arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
         if mode.stepped:
             arm = SteppedArm(setup.planner, mover)

@@ -39,8 +39,10 @@ class CellHand:
 class SimGripper:
     """A simulated gripper behind the protocol `Gripper`."""
 
-    def __init__(self, hand: CellHand, now: Callable[[], float], right: ExecutePermission) -> None:
-        if not isinstance(right, ExecutePermission):
+    def __init__(
+        self, hand: CellHand, now: Callable[[], float], permission: ExecutePermission
+    ) -> None:
+        if not isinstance(permission, ExecutePermission):
             raise TypeError("a gripper moves only with the operator's permission")
         self._hand, self._now = hand, now
         self._state, self._since = GripperState.IDLE, now()

@@ -31,7 +31,7 @@ def off_by(joint: int, degrees: float) -> CellScene:
 
 def grabbed(scene: CellScene, *, closed: bool = True) -> tuple[MonitoredRun, GraspOutcome]:
     mode = CellMode(auto=True, closed=closed)
-    grab = monitored(cell_grab(SETUP, scene, right=ExecutePermission("test"), mode=mode))
+    grab = monitored(cell_grab(SETUP, scene, permission=ExecutePermission("test"), mode=mode))
     return grab, run(grab.loop, grab.source, ENDS, lambda _: None)
 
 

@@ -22,10 +22,10 @@ STANDS = CellScene((Cap("blue", (0.47, 0.03)), Cap("green", (0.47, -0.12))), see
 def made(
     scene: CellScene, *, execute: bool = True, auto: bool = True, stepped: bool = False
 ) -> MonitoredRun:
-    right = ExecutePermission("test") if execute else None
+    permission = ExecutePermission("test") if execute else None
     # grasps with a look at the hand: test_closed_loop.py
     mode = CellMode(auto=auto, stepped=stepped, closed=False)
-    return monitored(cell_grab(quick_cell(), scene, right=right, mode=mode))
+    return monitored(cell_grab(quick_cell(), scene, permission=permission, mode=mode))
 
 
 def grabbed(

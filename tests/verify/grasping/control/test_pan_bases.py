@@ -40,9 +40,11 @@ class Unturned(PanBuffer):
 def seen(
     *turns: PanTurn, bases: PanBuffer, moves: bool = False
 ) -> tuple[MonitoredRun, GraspOutcome, list[LoopCycle]]:
-    right = ExecutePermission("test") if moves else None
+    permission = ExecutePermission("test") if moves else None
     scene = CellScene(CAP, turns=turns, seed=1)
-    made = monitored(cell_grab(SETUP, scene, right=right, mode=CellMode(auto=True), bases=bases))
+    made = monitored(
+        cell_grab(SETUP, scene, permission=permission, mode=CellMode(auto=True), bases=bases)
+    )
     cycles: list[LoopCycle] = []
     ends = ENDS if moves else StopConditions(duration=2.0, patience=2.0, planned=False)
     return made, run(made.loop, made.source, ends, cycles.append), cycles

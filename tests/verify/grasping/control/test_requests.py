@@ -22,8 +22,8 @@ CAP = BoxSelection(filled(STANDS.caps[0], STANDS.caps[0].place(0.0)))
 
 
 def made(*, execute: bool = True) -> CellRun:
-    right = ExecutePermission("test") if execute else None
-    return cell_grab(SETUP, STANDS, right=right, mode=CellMode(closed=False))
+    permission = ExecutePermission("test") if execute else None
+    return cell_grab(SETUP, STANDS, permission=permission, mode=CellMode(closed=False))
 
 
 def started(*, execute: bool = True) -> CellRun:

@@ -59,10 +59,10 @@ class GripperDriver:
     def __init__(
         self,
         settings: modbus.GripperSettings,
-        right: ExecutePermission,
+        permission: ExecutePermission,
         port: Callable[[], Port] | None = None,
     ) -> None:
-        if not isinstance(right, ExecutePermission):
+        if not isinstance(permission, ExecutePermission):
             raise TypeError("a gripper moves only with the operator's permission")
         self._settings, self._now = settings, time.monotonic
         opening = port or partial(open_port, settings.port, settings.line)

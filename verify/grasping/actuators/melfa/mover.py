@@ -40,10 +40,10 @@ class MelfaMover:
         settings: orders.MotionSettings,
         angles: AngleMap,
         limits: orders.MoveLimits,
-        right: ExecutePermission,
+        permission: ExecutePermission,
         port: Callable[[], Port] | None = None,
     ) -> None:
-        if not isinstance(right, ExecutePermission):
+        if not isinstance(permission, ExecutePermission):
             raise TypeError("an arm moves only with the operator's permission")
         self._settings, self._angles, self._limits = settings, angles, limits
         self._open_port = port or partial(open_port, settings.port, settings.line)
