@@ -95,7 +95,8 @@ def convert(
         *sources, out = sources
     first = sources[0]
     with refused_as_input_error(first):
-        exports = first.is_dir() and not is_bag(first)
+        bag = is_bag(first)
+        exports = first.is_dir() and not bag
     for_bags = {
         "--left": left, "--right": right, "--joints": joints, "--rig": rig, "--marker": marker,
         "--stamps": stamps is StampKind.received,
@@ -105,13 +106,12 @@ def convert(
         "--map": mapping, "--yes": yes, "--frame": frame is PoseFrame.robot_base,
     }  # fmt: skip
     for_both = {"--robot": robot, "--joint-names": joint_names, "--angles": angles}
-    unused = for_bags | for_tables | for_both if exports else for_bags
+    useless = for_bags | for_tables | for_both if exports else for_tables if bag else for_bags
     refuse_options(
-        {name: bool(given) for name, given in (for_tables if is_bag(first) else unused).items()},
+        {name: bool(given) for name, given in useless.items()},
         f"does nothing with {first}", "it is for another kind of source", "Leave it out.",
     )  # fmt: skip
-    alone = is_bag(first) or first.is_dir()
-    if alone and len(sources) > 1:
+    if (bag or exports) and len(sources) > 1:
         raise InputError(sources[1], "is given too", "one bag or folder is converted at once",
                          "Several tables go together.")  # fmt: skip
     if exports:
@@ -139,7 +139,7 @@ def convert(
         mapping=tuple(mapping or ()),
         yes=yes,
     )
-    (convert_bag if is_bag(first) else convert_tables)(sources, out, options, force=force)
+    (convert_bag if bag else convert_tables)(sources, out, options, force=force)
 
 
 def _convert_out(source: Path, out: Path, to: str | None, *, force: bool) -> None:
