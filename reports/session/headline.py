@@ -79,7 +79,11 @@ def _conform(results: Results) -> str:
         sentence += f", each with a probability of at least {fmt.number(level, 1)} %"
     found = results.summary.get("diagnosis") or []
     if not found:
-        return f"{sentence}." if lost else f"{sentence}; nothing needs to be done."
+        return (
+            f"{sentence}."
+            if lost or _led_left_out(results.summary)
+            else f"{sentence}; nothing needs to be done."
+        )
     sure = [entry for entry in found if entry.get("kind") != "ambiguous"]
     if contradiction_text(results.summary) or not sure:  # causes may be the pictures' doing
         return f"{sentence}."
@@ -133,13 +137,23 @@ def contradiction_text(summary: dict[str, Any]) -> str:
     """Say that the pictures contradict the files that they are measured by; empty: they agree."""
     pictures = summary.get("pictures") or {}
     led = pictures.get("displaced_led")
-    if led:
-        length = float(np.linalg.norm(led["displacement_mm"]))
-        amount = fmt.with_uncertainty(length, led.get("expanded_uncertainty_mm"), "mm", False)
-        when = " in the last pairs" if led.get("last_pairs_only") else ""
-        return f"LED {led.get('name')} is seen {amount} from its place in marker.toml{when}"
+    if led and not led.get("left_out"):
+        return _displaced_led_text(led)
     contradict = bool(pictures.get("contradict")) or _most_lost_contradict(summary)
     return "the pictures contradict rig.toml or marker.toml" * contradict
+
+
+def _led_left_out(summary: dict[str, Any]) -> dict[str, Any] | None:
+    """The LED that is not in its place, where no figure rests on it."""
+    led = (summary.get("pictures") or {}).get("displaced_led") or {}
+    return led if led.get("left_out") else None
+
+
+def _displaced_led_text(led: dict[str, Any]) -> str:
+    length = float(np.linalg.norm(led["displacement_mm"]))
+    amount = fmt.with_uncertainty(length, led.get("expanded_uncertainty_mm"), "mm", False)
+    when = " in the last pairs" if led.get("last_pairs_only") else ""
+    return f"LED {led.get('name')} is seen {amount} from its place in marker.toml{when}"
 
 
 def _most_lost_contradict(summary: dict[str, Any]) -> bool:
@@ -313,6 +327,8 @@ def _no_verdict(results: Results) -> str:
 def _remarks(results: Results, tone: str) -> list[str]:
     summary = results.summary
     remarks = list(filter(None, [lost_pairs_text(summary)]))
+    if led := _led_left_out(summary):
+        remarks.append(f"{_displaced_led_text(led)}: no figure rests on it.")
     if tone == "nonconform":
         failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
         if failing and not contradiction_text(summary):

@@ -61,6 +61,7 @@ from verify.analysis.results.tables import (
     spots_table,
 )
 from verify.analysis.results.warnings import result_warnings
+from verify.analysis.rig_check.leds import MIN_LEDS, located_beside
 from verify.analysis.sweeps.sweeps import judge_sweeps
 from verify.analysis.uncertainty.budget import budget
 from verify.analysis.uncertainty.monte_carlo import monte_carlo
@@ -101,12 +102,14 @@ def analyse(
     Raises:
         InputError: the session cannot be measured; nothing is returned in part.
     """
+    chain = chain or measure
     alarms = read_alarms(session.folder / ALARMS, session.arm.dof)
     readings = Readings.of_log(session.encoders.t, session.encoders.q)
     session = with_shown_noise(session, readings)
-    measured, clock = measure_session(session, readings, progress, chain or measure)
+    measured, clock = measure_session(session, readings, progress, chain)
     session = with_repeats_named(session, measured.repeated)
     measured = with_pictures_judged(session, measured)
+    session, measured, clock = _without_displaced_led(session, readings, measured, clock, chain)
     compared, unreachable = compare_session(session, measured, readings, clock)
     tolerance = tolerance or NO_TOLERANCE
     found = _estimate(compared, measured, tolerance, unreachable)
@@ -162,6 +165,34 @@ def measure_session(
     if registered:
         refuse_other_motion(session, measured.track, readings, clock)
     return measured, clock
+
+
+def _without_displaced_led(
+    session: Session,
+    readings: Readings,
+    measured: MeasuredSession,
+    clock: ClockEstimate,
+    chain: Chain,
+) -> tuple[Session, MeasuredSession, ClockEstimate]:
+    """Measure again without an LED that is not in its place, if the others agree with the files.
+
+    What single pairs reject beside it differs from pair to pair, so poses jump.
+    """
+    found, marker = measured.pictures, session.marker
+    if found is None or found.led is None or len(marker) <= MIN_LEDS:
+        return session, measured, clock
+    fewer = replace(session, marker=marker.without(found.led.name))
+    try:
+        again, its_clock = measure_session(fewer, readings, no_progress, chain)
+    except InputError:  # of the other LEDs alone
+        return session, measured, clock
+    again = with_pictures_judged(fewer, again)
+    others = again.pictures
+    if others is None or not others.agrees or len(again.track) < len(measured.track):
+        return session, measured, clock
+    led = located_beside(found.led, marker, measured.measurements, again.measurements)
+    others = replace(others, led=led, later=found.later, left_out=True)
+    return fewer, replace(again, pictures=others), its_clock
 
 
 def compare_session(

@@ -1,6 +1,6 @@
 """The LEDs on the flange, calibration boards with their markers, and board corners in pictures."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -27,6 +27,16 @@ class Marker:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    def without(self, name: str) -> "Marker":
+        """The same without one of the LEDs."""
+        kept = [i for i, other in enumerate(self.names) if other != name]
+        return replace(
+            self,
+            names=tuple(self.names[i] for i in kept),
+            leds=self.leds[kept],
+            colours=tuple(self.colours[i] for i in kept),
+        )
 
 
 def unnamed_marker(points: Array, diameter: float, sigma: float | None = None) -> Marker:

@@ -76,6 +76,17 @@ def test_what_contradicts_the_files_is_said_before_any_figure(
     assert "nothing needs to be done" not in sound
 
 
+def test_an_led_that_is_left_out_makes_no_figure_doubtful_and_is_something_to_do() -> None:
+    pictures = {"contradict": False, "displaced_led": LED_OFF | {"left_out": True}}
+    faulty = headline(_with(made.nonconforming(), pictures=pictures)).sentence
+    assert faulty == headline(made.nonconforming()).sentence
+    sound = headline(_with(made.conforming(), pictures=pictures)).sentence
+    assert sound.startswith("Every joint's error stays within")
+    assert "nothing needs to be done" not in sound
+    remarks = headline(_with(made.conforming(), pictures=pictures)).remarks
+    assert any("LED B is seen 3.00 ± 0.20 mm from its place" in remark for remark in remarks)
+
+
 def test_where_many_pairs_fit_no_pose_that_is_said_before_any_cause() -> None:
     """Whatever is stated of the rig: without, summary.json has no `pictures`."""
     lost = {"recorded": 60, "measured": 22, "rejected": {"outlier": 38}}

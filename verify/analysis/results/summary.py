@@ -177,6 +177,7 @@ def _pictures(found: PictureMisfit | None) -> dict[str, Any] | None:
             "displacement_mm": [finite_number(x * MILLIMETRE) for x in led.displacement.tolist()],
             "expanded_uncertainty_mm": finite_number(2 * led.standard_uncertainty * MILLIMETRE),
             "last_pairs_only": found.later,
+            "left_out": found.left_out,
         },
     }
 

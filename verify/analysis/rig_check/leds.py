@@ -18,7 +18,7 @@ pictures, whatever the robot does. One LED that explains most of it is named, an
 that was tilted in the session (`tilt.tilted_camera`).
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -48,6 +48,7 @@ MAX_PAIRS = 120  # evenly spread: what does not average out rules long before
 MIN_LEDS, MIN_PAIRS = 3, 10  # fewer show nothing beside their own pose, or nothing that lasts
 LED_SIGMA = 2e-4  # m, of an LED's place where none is stated: a good jig's
 MAX_UNSTATED = 5 * LED_SIGMA  # m, that nobody is told of then
+TOL_SHOWN = 1e-9  # of the best known axis of a displacement
 MIN_SHARE = 0.3  # of the misfit beyond noise, that it explains
 # px, ratios and rad, of each camera of a rig that states no uncertainty
 USUAL_RIG = {
@@ -79,12 +80,23 @@ class PictureMisfit:
     led: DisplacedLed | None  # in all pairs, or else in the last
     later: bool  # only in the last
     tilted: TiltedCamera | None  # camera, in the session
+    left_out: bool = False  # the LED, of the poses and of what is stated here
+
+    @property
+    def worst(self) -> float:
+        """The largest misfit."""
+        return max(self.whole, self.first, self.last)
+
+    @property
+    def agrees(self) -> bool:
+        """Whether the pictures agree with both files, as far as they can tell."""
+        return self.worst < MAX_MISFIT / 2 and not self.contradicts
 
     @property
     def contradicts(self) -> bool:
         """Whether the pictures contradict rig.toml or marker.toml."""
-        worst = max(self.whole, self.first, self.last)
-        return self.led is not None or self.tilted is not None or worst > MAX_MISFIT
+        displaced = self.led is not None and not self.left_out
+        return displaced or self.tilted is not None or self.worst > MAX_MISFIT
 
 
 def picture_misfit(
@@ -92,8 +104,7 @@ def picture_misfit(
 ) -> PictureMisfit | None:
     """Compare measured pairs with the files; None where too few LEDs or pairs show anything.
 
-    None, too, of a rig whose uncertainty is not stated, as what it is off by, nobody knows; unless
-    more than a usual calibration leaves shows that a camera was tilted.
+    A rig whose uncertainty is not stated is taken to be as good as usual calibrations.
 
     Pairs that no pose explains count too, and so do spots that their pose rejects: a displaced LED
     is one of those. A few pairs far from the others, of a reflection, do not.
@@ -106,23 +117,22 @@ def picture_misfit(
     ]
     if len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS:
         return None
-    unstated = "rig" in parameters.uncounted
-    parameters = _with_usual_rig(parameters) if unstated else parameters
+    if "rig" in parameters.uncounted:
+        parameters = _with_usual_rig(parameters)
     spread = np.linspace(0, len(posed) - 1, min(len(posed), MAX_PAIRS)).astype(int)
     every = _products([posed[i] for i in spread], rig, marker, parameters)
     products = _without_strays(every)
     count = max(len(products.pairs) // PART, 1)
     ends = products.part(slice(0, count)), products.part(slice(-count, None))
     least = MAX_UNSTATED if "LED positions" in parameters.uncounted else 0.0
-    always, last = (_displaced_led(p, marker, least) for p in (products, ends[1]))
+    always = _displaced_led(products, marker, least, told_alone=True)
+    last = _displaced_led(ends[1], marker, least, told_alone=False)
     whole, first, end = (_misfit(p, len(marker)) for p in (products, *ends))
     tilted = tilted_camera(every, len(marker), rig)
     if tilted is not None and len(spread) < len(posed):  # its instants to the pair
         near = beside_instants(np.array([m.t for m, *_ in posed]), spread, tilted)
         every = _products([posed[i] for i in near], rig, marker, parameters)
         tilted = tilted_camera(every, len(marker), rig) or tilted
-    if unstated and tilted is None:
-        return None
     if tilted is not None:  # it explains nearly all
         return PictureMisfit(whole, first, end, None, later=False, tilted=tilted)
     later = always is None and last is not None
@@ -206,17 +216,21 @@ def _misfit(products: SpotProducts, leds: int) -> float:
     return float(left[-1, -1] / max(products.freedom.sum(), 1.0))
 
 
-def _displaced_led(products: SpotProducts, marker: Marker, least: float) -> DisplacedLed | None:
+def _displaced_led(
+    products: SpotProducts, marker: Marker, least: float, *, told_alone: bool
+) -> DisplacedLed | None:
     """The one LED whose displacement explains most of the misfit; None where none does.
 
-    `least`, m: displacements up to that are no displacement.
+    `least`, m: displacements up to that are no displacement, or with `told_alone` only where the
+    pictures contradict the files, and but for that LED do not.
     """
     left = _beside_stated(products, len(marker), placed=True)
     freedom = max(products.freedom.sum(), 1.0)
     drops, shifts, spreads = [], [], []
     for k in range(len(marker)):
         own = slice(3 * k, 3 * k + 3)
-        inverse = np.linalg.pinv(left[own, own], hermitian=True)
+        # of three LEDs one moves out of their plane without a trace
+        inverse = np.linalg.pinv(left[own, own], rcond=TOL_SHOWN, hermitian=True)
         shifts.append(inverse @ left[own, -1])
         drops.append(float(shifts[-1] @ left[own, -1]))
         spreads.append(inverse)
@@ -227,11 +241,41 @@ def _displaced_led(products: SpotProducts, marker: Marker, least: float) -> Disp
     second = max(drops[:best] + drops[best + 1 :]) / scatter
     explains = drops[best] / freedom > MIN_SHARE * beyond
     length = float(np.linalg.norm(shifts[best]))
-    if drop < MIN_DROP or drop - second < MIN_ADVANTAGE or not explains or length <= least:
+    alone = told_alone and after < MAX_MISFIT < beyond + 1.0
+    if drop < MIN_DROP or drop - second < MIN_ADVANTAGE or not explains:
+        return None
+    if length <= least and not alone:
         return None
     along = shifts[best] / length
     u = float(np.sqrt(along @ spreads[best] @ along * scatter))
     return DisplacedLed(marker.names[best], shifts[best], u)
+
+
+def located_beside(
+    found: DisplacedLed,
+    marker: Marker,
+    measurements: Iterable[Measurement],
+    others: Iterable[Measurement],
+) -> DisplacedLed:
+    """The same LED beside the poses that the others give: it had turned those it was found by.
+
+    `others`: the pairs as measured without it.
+    """
+    poses = {m.frame: m.pose.rig_T_flange for m in others if m.pose is not None}
+    k = marker.names.index(found.name)
+    normal, moment = np.zeros((3, 3)), np.zeros(3)
+    for m in measurements:
+        if m.pose is None or m.left is None or m.right is None or m.frame not in poses:
+            continue
+        rows = np.concatenate([m.left.led, m.right.led]) == k
+        pose, sensitivity = poses[m.frame], m.pose.sensitivity[rows]
+        shift = (pose - m.pose.rig_T_flange)[:3] @ [*marker.leds[k], 1.0]
+        weight = 1 / m.pose.spot_uncertainty[rows, None]
+        design = weight[:, :, None] * (sensitivity @ pose[:3, :3])
+        left = weight * (m.pose.residual[rows] - sensitivity @ shift)
+        normal += np.einsum("sia,sib->ab", design, design)
+        moment += np.einsum("sia,si->a", design, left)
+    return replace(found, displacement=np.linalg.pinv(normal, hermitian=True) @ moment)
 
 
 def misfit_warning(found: PictureMisfit, *, told: bool) -> str | None:
@@ -246,21 +290,26 @@ def misfit_warning(found: PictureMisfit, *, told: bool) -> str | None:
         led, length = found.led, float(np.linalg.norm(found.led.displacement))
         x, y, z = (np.round(1e3 * led.displacement, 2) + 0.0).tolist()  # no -0.00
         when = " in the last pairs, and not in the first" if found.later and agreed else ""
+        means = (
+            "It is left out: all figures rest on the other LEDs, which agree with the files"
+            if found.left_out
+            else "Errors and causes may come from that and not from the robot"
+        )
         return (
             f"LED {led.name} is seen {1e3 * length:.2f} mm (U = "
             f"{2e3 * led.standard_uncertainty:.2f} mm; x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mm, "
-            f"flange axes) from its place in marker.toml{when}. Errors and causes may come from "
-            "that and not from the robot: check that it is fixed, and measure its place again."
+            f"flange axes) from its place in marker.toml{when}. {means}. Check that it is fixed, "
+            "and measure its place again."
         )
-    worst = max(found.whole, found.first, found.last)
     if told or not found.contradicts:
         return None
     when = "; in the first pairs they agree, so something has moved since" if agreed else ""
     if agreed and later:
         when = "; in the first and the last pairs they agree, and not between"
     return (
-        f"The LEDs are seen {np.sqrt(worst):.0f} times as far from where rig.toml and marker.toml "
-        f"put them as their uncertainties and the pixels' noise explain{when}. Errors and causes "
-        "may come from that and not from the robot: check that both files belong to the pictures, "
-        "the lenses, line_time_s and the cameras' times, and that no camera or LED has moved."
+        f"The LEDs are seen {np.sqrt(found.worst):.0f} times as far from where rig.toml and "
+        f"marker.toml put them as their uncertainties and the pixels' noise explain{when}. Errors "
+        "and causes may come from that and not from the robot: check that both files belong to the "
+        "pictures, the lenses, line_time_s and the cameras' times, and that no camera or LED has "
+        "moved."
     )
