@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import robots
 from robots.transforms import rigid_columns
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare, twist_transport
-from verify.analysis.rig_check.leds import PictureMisfit
+from verify.analysis.rig_check.leds import DisplacedLed, PictureMisfit
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
 from verify.core.records import POSE_NAMES, Array, Index, Measurement, Pose, rigid_transform
@@ -64,6 +64,7 @@ class MeasuredSession:
     alike: tuple[int, ...] = ()  # frames of which a picture is that of an earlier pair
     repeated: frozenset[int] = frozenset()  # of these, those left out, as the readings move
     pictures: PictureMisfit | None = None  # how they agree with rig.toml and marker.toml
+    displaced: DisplacedLed | None = None  # not in its place, and left out of all of these
 
 
 def instrument_setup(session: Session, instrument: Instrument) -> dict[str, Any]:

@@ -26,8 +26,14 @@ from verify.analysis.instrument import (
     stated_noise,
 )
 from verify.analysis.results.warnings import rig_moved
-from verify.analysis.rig_check.leds import picture_misfit
-from verify.analysis.rig_check.tilt import TURN_NAMES
+from verify.analysis.rig_check.leds import (
+    LED_ADVICE,
+    MIN_LEDS,
+    displacement_text,
+    located_beside,
+    picture_misfit,
+)
+from verify.analysis.rig_check.tilt import TURN_NAMES, TiltedCamera
 from verify.core.fiducials import Marker
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import (
@@ -44,7 +50,7 @@ from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.chain import Setup
-from verify.measurement.systematics import sensitivities, stated_systematics
+from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
 from verify.measurement.track import Track, collect_track
 
 WIDTH, HEIGHT = 720, 450  # px of one picture in the report
@@ -152,7 +158,12 @@ def measure_pictures(
                 preview = draw_pair(pair, m, session.marker) if pair is not None else None
         progress(len(measurements), len(session))
     track = collect_track(measurements, session.rig, effects)
-    return MeasuredSession(measurements, track, systematics, preview, tuple(alike))
+    pictures = picture_misfit(measurements, session.rig, session.marker, systematics)
+    if pictures is not None and pictures.tilted is not None and len(track):
+        track = _with_tilt(track, session, measurements, systematics, pictures.tilted)
+    return MeasuredSession(
+        measurements, track, systematics, preview, tuple(alike), pictures=pictures
+    )
 
 
 def without_repeats(
@@ -178,26 +189,56 @@ def without_repeats(
         if m.frame in repeated
     ]
     measurements = sorted([*again.measurements, *lost], key=lambda m: m.frame)
-    return replace(again, measurements=measurements, repeated=frozenset(repeated))
+    return replace(
+        again,
+        measurements=measurements,
+        repeated=frozenset(repeated),
+        displaced=measured.displaced,
+    )
 
 
-def with_pictures_judged(session: Session, measured: MeasuredSession) -> MeasuredSession:
-    """Set the pictures against rig.toml and marker.toml; a camera tilted in the session widens all.
+def _with_tilt(
+    track: Track,
+    session: Session,
+    measurements: Sequence[Measurement],
+    systematics: Systematics,
+    tilted: TiltedCamera,
+) -> Track:
+    """The track, with what a camera that was tilted in the session may have done to each pose.
 
-    What its tilt does to each pose if the right camera made it, and if the left one did, is not
-    known, but how large it may be.
+    If the right camera was, and if the left one was: that is not known, but how large it may be.
     """
-    rig, marker, systematics = session.rig, session.marker, measured.systematics
-    pictures = picture_misfit(measured.measurements, rig, marker, systematics)
-    track = measured.track
-    if pictures is not None and pictures.tilted is not None and len(track):
-        asked = replace(systematics, names=TURN_NAMES)
-        used = [m for m in measured.measurements if m.status == "measured" and m.pose is not None]
-        columns = np.array([sensitivities(asked, m, rig, marker)[:, :-2] for m in used])
-        by_side = columns.reshape(len(track), 6, 2, -1)
-        tilt = np.einsum("nisa,sna->nis", by_side, pictures.tilted.at(track.t))
-        track = replace(track, tilt=tilt)
-    return replace(measured, track=track, pictures=pictures)
+    asked = replace(systematics, names=TURN_NAMES)
+    used = [m for m in measurements if m.status == "measured" and m.pose is not None]
+    columns = [sensitivities(asked, m, session.rig, session.marker)[:, :-2] for m in used]
+    by_side = np.reshape(columns, (len(track), 6, 2, -1))
+    return replace(track, tilt=np.einsum("nisa,sna->nis", by_side, tilted.at(track.t)))
+
+
+def without_displaced_led(
+    session: Session, measured: MeasuredSession, chain: Chain
+) -> tuple[Session, MeasuredSession]:
+    """Measure again without an LED that is not in its place, if the others agree with the files.
+
+    What single pairs reject beside it differs from pair to pair, so poses jump. The session
+    returned has the marker without it, and a warning.
+    """
+    found, marker = measured.pictures, session.marker
+    if found is None or found.led is None or len(marker) <= MIN_LEDS:
+        return session, measured
+    fewer = replace(session, marker=marker.without(found.led.name))
+    again = measure_pictures(fewer, no_progress, chain)
+    others = again.pictures
+    if others is None or not others.agrees or len(again.track) < len(measured.track):
+        return session, measured
+    led = located_beside(found.led, marker, measured.measurements, again.measurements)
+    when = " in the last pairs, not in all" if led.later else ""
+    warning = (
+        f"{displacement_text(led)}{when}. It is left out: all figures rest on the other LEDs, "
+        f"which agree with the files; {LED_ADVICE}"
+    )
+    told = replace(fewer, warnings=(*session.warnings, warning))
+    return told, replace(again, displaced=led)
 
 
 def measure_instrument(
@@ -368,9 +409,7 @@ def with_shown_noise(session: Session, readings: Readings) -> Session:
 
 
 def with_repeats_named(session: Session, repeated: Set[int]) -> Session:
-    """The session, with a warning where pairs were left out that show an earlier instant."""
-    if not repeated:
-        return session
+    """The session, with a warning that pairs were left out that show an earlier instant."""
     named = ", ".join(map(str, sorted(repeated)[:MAX_FRAMES_NAMED]))
     more = f" and {len(repeated) - MAX_FRAMES_NAMED} more" * (len(repeated) > MAX_FRAMES_NAMED)
     warning = (

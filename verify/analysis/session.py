@@ -33,9 +33,9 @@ from verify.analysis.measured import (
     session_clock,
     setup_of,
     with_gaps_named,
-    with_pictures_judged,
     with_repeats_named,
     with_shown_noise,
+    without_displaced_led,
     without_repeats,
 )
 from verify.analysis.mistakes import refuse_exchanged_cameras, refuse_misread_pans
@@ -61,7 +61,6 @@ from verify.analysis.results.tables import (
     spots_table,
 )
 from verify.analysis.results.warnings import result_warnings
-from verify.analysis.rig_check.leds import MIN_LEDS, located_beside
 from verify.analysis.sweeps.sweeps import judge_sweeps
 from verify.analysis.uncertainty.budget import budget
 from verify.analysis.uncertainty.monte_carlo import monte_carlo
@@ -102,14 +101,10 @@ def analyse(
     Raises:
         InputError: the session cannot be measured; nothing is returned in part.
     """
-    chain = chain or measure
     alarms = read_alarms(session.folder / ALARMS, session.arm.dof)
     readings = Readings.of_log(session.encoders.t, session.encoders.q)
     session = with_shown_noise(session, readings)
-    measured, clock = measure_session(session, readings, progress, chain)
-    session = with_repeats_named(session, measured.repeated)
-    measured = with_pictures_judged(session, measured)
-    session, measured, clock = _without_displaced_led(session, readings, measured, clock, chain)
+    session, measured, clock = measure_session(session, readings, progress, chain or measure)
     compared, unreachable = compare_session(session, measured, readings, clock)
     tolerance = tolerance or NO_TOLERANCE
     found = _estimate(compared, measured, tolerance, unreachable)
@@ -134,8 +129,11 @@ def measure_session(
     chain: Chain,
     *,
     registered: bool = True,
-) -> tuple[MeasuredSession, ClockEstimate]:
+) -> tuple[Session, MeasuredSession, ClockEstimate]:
     """Measure a session's pairs, or take its instrument's poses, and find the readings' clock.
+
+    Returns the session as it was measured, with its warnings: without an LED that is not in its
+    place, or with pairs that show an earlier instant left out.
 
     `progress` is called with pairs done and pairs in all. `registered`: base and body are where the
     session has them; else nothing can be laid side by side, and readings are not compared with the
@@ -153,10 +151,12 @@ def measure_session(
         refuse_misread_pans(session, measured.measurements)
         if not len(measured.track):
             raise measurement_refusal(session, measured)
+        session, measured = without_displaced_led(session, measured, chain)
         clock = session_clock(session, measured.track, readings)
         measured = without_repeats(session, measured, readings, clock.offset, chain)
         if measured.repeated:
             clock = session_clock(session, measured.track, readings)
+            session = with_repeats_named(session, measured.repeated)
     else:
         measured, clock = measure_instrument(session, instrument, readings)
         progress(len(session), len(session))
@@ -164,35 +164,7 @@ def measure_session(
     refuse_radians(session, measured.track, readings, clock)
     if registered:
         refuse_other_motion(session, measured.track, readings, clock)
-    return measured, clock
-
-
-def _without_displaced_led(
-    session: Session,
-    readings: Readings,
-    measured: MeasuredSession,
-    clock: ClockEstimate,
-    chain: Chain,
-) -> tuple[Session, MeasuredSession, ClockEstimate]:
-    """Measure again without an LED that is not in its place, if the others agree with the files.
-
-    What single pairs reject beside it differs from pair to pair, so poses jump.
-    """
-    found, marker = measured.pictures, session.marker
-    if found is None or found.led is None or len(marker) <= MIN_LEDS:
-        return session, measured, clock
-    fewer = replace(session, marker=marker.without(found.led.name))
-    try:
-        again, its_clock = measure_session(fewer, readings, no_progress, chain)
-    except InputError:  # of the other LEDs alone
-        return session, measured, clock
-    again = with_pictures_judged(fewer, again)
-    others = again.pictures
-    if others is None or not others.agrees or len(again.track) < len(measured.track):
-        return session, measured, clock
-    led = located_beside(found.led, marker, measured.measurements, again.measurements)
-    others = replace(others, led=led, later=found.later, left_out=True)
-    return fewer, replace(again, pictures=others), its_clock
+    return session, measured, clock
 
 
 def compare_session(
@@ -374,6 +346,7 @@ def _estimate(
         diagnosis=diagnosis,
         flange=_flange(model, clock_uncertainty, diagnosis.outlying),
         pictures=pictures,
+        displaced=measured.displaced,
         warnings=result_warnings(
             compared, [m for m in seen if m.frame not in measured.repeated], model, pictures
         ),

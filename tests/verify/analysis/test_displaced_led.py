@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from verify.analysis.session import analyse
+from verify.calibration.kinematics.sessions import session_to_poses
+from verify.core.records import no_progress
 from verify.io.session.session import Session, open_session
 
 SAMPLES = Path(__file__).parents[3] / "sample_sessions"
@@ -46,6 +48,17 @@ def test_a_displaced_led_is_left_out_and_no_joint_is_blamed(
     # the places themselves are drawn, with 0.02 mm
     assert led["displacement_mm"] == pytest.approx(by_mm, abs=0.08)
     assert "left out" in told_of_led(summary, name)[0]
+
+
+def test_parameters_are_identified_without_a_displaced_led_too() -> None:
+    session = open_session(SAMPLES / "multi_joint_fault_6r")
+    sound = session_to_poses(session, no_progress)
+    name, by_mm = DISPLACED[1]
+    found = session_to_poses(with_leds_displaced(session, {name: by_mm}), no_progress)
+    assert len(found.session.marker) == len(session.marker) - 1
+    assert found.session.warnings[-1].startswith(f"LED {name} is seen ")
+    off = found.comparison.xi - sound.comparison.xi
+    assert np.abs(off[:, 3:]).max() < np.deg2rad(0.1)
 
 
 def test_of_two_displaced_leds_none_is_left_out() -> None:

@@ -72,7 +72,7 @@ def test_an_led_that_is_moved_while_recording_is_named_as_that() -> None:
     half = PAIRS // 2
     found = misfit_of([*seen(true, 1)[:half], *seen(late, 2)[half:]])
     assert found.led is not None
-    assert (found.led.name, found.later) == ("C", True)
+    assert (found.led.name, found.led.later) == ("C", True)
     assert "from its place in marker.toml in the last pairs, and not in the first" in warned(found)
 
 

@@ -25,7 +25,7 @@ from verify.analysis.results.entries import (
     monte_carlo_entry,
     sweep_entries,
 )
-from verify.analysis.rig_check.leds import PictureMisfit
+from verify.analysis.rig_check.leds import DisplacedLed, PictureMisfit
 from verify.analysis.rig_check.tilt import TiltedCamera
 from verify.analysis.sweeps.sweeps import JointSweep
 from verify.analysis.uncertainty.budget import Budget
@@ -70,6 +70,7 @@ class SessionAnalysis:
     diagnosis: Diagnosis
     flange: tuple[Array, Array]  # (6,) mean error twist and (6, 6) its covariance
     pictures: PictureMisfit | None
+    displaced: DisplacedLed | None  # and left out
     warnings: list[str]
     by_clock: "tuple[SessionAnalysis, ...]" = ()  # the same at other offsets that fit as well
 
@@ -124,7 +125,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
             "rejected": dict(sorted(counts.items())),
             **({"repeated": judged.repeated} if judged.repeated else {}),
         },
-        "pictures": _pictures(judged.pictures),
+        "pictures": _pictures(judged.pictures, judged.displaced),
         "clock": {
             "encoder_offset_s": finite_number(clock.offset),
             "standard_uncertainty_s": finite_number(clock.standard_uncertainty),
@@ -161,10 +162,10 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
     }
 
 
-def _pictures(found: PictureMisfit | None) -> dict[str, Any] | None:
+def _pictures(found: PictureMisfit | None, left_out: DisplacedLed | None) -> dict[str, Any] | None:
     if found is None:
         return None
-    led = found.led
+    led = left_out or found.led
     return {
         "contradict": found.contradicts,
         "misfit": finite_number(found.whole),
@@ -176,8 +177,8 @@ def _pictures(found: PictureMisfit | None) -> dict[str, Any] | None:
             "name": led.name,
             "displacement_mm": [finite_number(x * MILLIMETRE) for x in led.displacement.tolist()],
             "expanded_uncertainty_mm": finite_number(2 * led.standard_uncertainty * MILLIMETRE),
-            "last_pairs_only": found.later,
-            "left_out": found.left_out,
+            "last_pairs_only": led.later,
+            "left_out": left_out is not None,
         },
     }
 

@@ -50,6 +50,7 @@ LED_SIGMA = 2e-4  # m, of an LED's place where none is stated: a good jig's
 MAX_UNSTATED = 5 * LED_SIGMA  # m, that nobody is told of then
 TOL_SHOWN = 1e-9  # of the best known axis of a displacement
 MIN_SHARE = 0.3  # of the misfit beyond noise, that it explains
+LED_ADVICE = "check that it is fixed, and measure its place again."
 # px, ratios and rad, of each camera of a rig that states no uncertainty
 USUAL_RIG = {
     **dict.fromkeys(("fx_px", "fy_px", "cx_px", "cy_px"), 2.0),
@@ -68,6 +69,7 @@ class DisplacedLed:
     name: str
     displacement: Array  # (3,), m, flange axes
     standard_uncertainty: float  # m, of its length
+    later: bool = False  # only in the last pairs
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,9 +80,7 @@ class PictureMisfit:
     first: float
     last: float
     led: DisplacedLed | None  # in all pairs, or else in the last
-    later: bool  # only in the last
     tilted: TiltedCamera | None  # camera, in the session
-    left_out: bool = False  # the LED, of the poses and of what is stated here
 
     @property
     def worst(self) -> float:
@@ -95,8 +95,7 @@ class PictureMisfit:
     @property
     def contradicts(self) -> bool:
         """Whether the pictures contradict rig.toml or marker.toml."""
-        displaced = self.led is not None and not self.left_out
-        return displaced or self.tilted is not None or self.worst > MAX_MISFIT
+        return self.led is not None or self.tilted is not None or self.worst > MAX_MISFIT
 
 
 def picture_misfit(
@@ -134,9 +133,9 @@ def picture_misfit(
         every = _products([posed[i] for i in near], rig, marker, parameters)
         tilted = tilted_camera(every, len(marker), rig) or tilted
     if tilted is not None:  # it explains nearly all
-        return PictureMisfit(whole, first, end, None, later=False, tilted=tilted)
-    later = always is None and last is not None
-    return PictureMisfit(whole, first, end, always or last, later, None)
+        return PictureMisfit(whole, first, end, None, tilted)
+    later = None if last is None else replace(last, later=True)
+    return PictureMisfit(whole, first, end, always or later, None)
 
 
 def _with_usual_rig(parameters: Systematics) -> Systematics:
@@ -278,6 +277,18 @@ def located_beside(
     return replace(found, displacement=np.linalg.pinv(normal, hermitian=True) @ moment)
 
 
+def displacement_text(led: DisplacedLed) -> str:
+    """Say which LED is not in its place, and how far off."""
+    length, u = (
+        1e3 * float(x) for x in (np.linalg.norm(led.displacement), led.standard_uncertainty)
+    )
+    x, y, z = (np.round(1e3 * led.displacement, 2) + 0.0).tolist()  # no -0.00
+    return (
+        f"LED {led.name} is seen {length:.2f} mm (U = {2 * u:.2f} mm; x {x:+.2f}, y {y:+.2f}, "
+        f"z {z:+.2f} mm, flange axes) from its place in marker.toml"
+    )
+
+
 def misfit_warning(found: PictureMisfit, *, told: bool) -> str | None:
     """Say that the pictures contradict rig.toml or marker.toml; None where they agree.
 
@@ -287,19 +298,10 @@ def misfit_warning(found: PictureMisfit, *, told: bool) -> str | None:
     if found.tilted is not None:
         return tilt_warning(found.tilted)
     if found.led is not None:
-        led, length = found.led, float(np.linalg.norm(found.led.displacement))
-        x, y, z = (np.round(1e3 * led.displacement, 2) + 0.0).tolist()  # no -0.00
-        when = " in the last pairs, and not in the first" if found.later and agreed else ""
-        means = (
-            "It is left out: all figures rest on the other LEDs, which agree with the files"
-            if found.left_out
-            else "Errors and causes may come from that and not from the robot"
-        )
+        when = " in the last pairs, and not in the first" if found.led.later and agreed else ""
         return (
-            f"LED {led.name} is seen {1e3 * length:.2f} mm (U = "
-            f"{2e3 * led.standard_uncertainty:.2f} mm; x {x:+.2f}, y {y:+.2f}, z {z:+.2f} mm, "
-            f"flange axes) from its place in marker.toml{when}. {means}. Check that it is fixed, "
-            "and measure its place again."
+            f"{displacement_text(found.led)}{when}. Errors and causes may come from that and not "
+            f"from the robot: {LED_ADVICE}"
         )
     if told or not found.contradicts:
         return None

@@ -123,7 +123,9 @@ def session_to_poses(
         InputError: no pair could be measured, or none has a reading.
     """
     readings = Readings.of_log(session.encoders.t, session.encoders.q)
-    measured, clock = measure_session(session, readings, progress, measure, registered=registered)
+    session, measured, clock = measure_session(
+        session, readings, progress, measure, registered=registered
+    )
     track, systematics = measured.track, measured.systematics
     compared = compare(
         track, session.arm, readings, clock.offset,
