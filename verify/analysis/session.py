@@ -1,6 +1,5 @@
 """A recorded session from pixels to results: measure, compare, estimate, present."""
 
-from collections import Counter
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -115,7 +114,7 @@ def analyse(
             for i in spread(len(clock.rivals), MAX_RIVALS_JUDGED)
         )
     ]
-    results = _results(replace(found, by_clock=tuple(others)), measured)
+    results = _results(replace(found, by_clock=tuple(others)))
     if alarms is not None:
         results.tables["alarms"] = alarms
         results.summary["inputs"][ALARMS] = digest(session.folder / ALARMS)
@@ -326,15 +325,13 @@ def _estimate(
     )
     used = [m for m in measured.measurements if m.status == "measured"]
     sources = budget(model, compared, resolved, used)
-    seen, pictures = measured.measurements, measured.pictures
     stated = {name: limit for name, limit in asdict(tolerance).items() if limit is not None}
     return SessionAnalysis(
+        measured=measured,
         compared=compared,
         model=model,
         tolerance=replace(session.tolerance or NO_TOLERANCE, **stated),
         status=_statuses(measured, compared.comparison, unreachable),
-        repeated=len(measured.repeated),
-        choices=dict(Counter(m.choice for m in measured.measurements if m.choice)),
         errors=errors,
         resolved=resolved,
         combinations=combinations(compared, model, errors, resolved),
@@ -345,17 +342,13 @@ def _estimate(
         relative=compare_relative_motions(model),
         diagnosis=diagnosis,
         flange=_flange(model, clock_uncertainty, diagnosis.outlying),
-        pictures=pictures,
-        displaced=measured.displaced,
-        warnings=result_warnings(
-            compared, [m for m in seen if m.frame not in measured.repeated], model, pictures
-        ),
+        warnings=result_warnings(compared, measured, model),
     )
 
 
-def _results(found: SessionAnalysis, measured: MeasuredSession) -> Results:
+def _results(found: SessionAnalysis) -> Results:
     """Word an analysis as summary, set-up, tables and images."""
-    session, clock = found.compared.session, found.compared.clock
+    session, clock, measured = found.compared.session, found.compared.clock, found.measured
     tables = {
         "frames": frames_table(measured.measurements, found),
         "spots": spots_table(measured.measurements, session.marker),

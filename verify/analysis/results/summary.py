@@ -14,6 +14,7 @@ from verify.analysis.combinations import Combination
 from verify.analysis.comparison import flange_error
 from verify.analysis.diagnosis.causes import Cause
 from verify.analysis.diagnosis.diagnose import Diagnosis
+from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import JointErrors, ResolvedErrors
 from verify.analysis.model import JointErrorModel, Observability, SessionComparison
 from verify.analysis.relative_motion import RelativeMotion
@@ -25,7 +26,6 @@ from verify.analysis.results.entries import (
     monte_carlo_entry,
     sweep_entries,
 )
-from verify.analysis.rig_check.leds import DisplacedLed, PictureMisfit
 from verify.analysis.rig_check.tilt import TiltedCamera
 from verify.analysis.sweeps.sweeps import JointSweep
 from verify.analysis.uncertainty.budget import Budget
@@ -53,12 +53,11 @@ DEGREE = 180 / math.pi
 class SessionAnalysis:
     """Everything that was found out about a session; n compared pairs, j joints."""
 
+    measured: MeasuredSession
     compared: SessionComparison
     model: JointErrorModel
     tolerance: Tolerance
     status: list[str]  # a pair each
-    repeated: int  # pairs of them, unaligned, in which a camera repeated a picture
-    choices: dict[str, int]
     errors: JointErrors
     resolved: ResolvedErrors
     combinations: list[Combination]
@@ -69,8 +68,6 @@ class SessionAnalysis:
     relative: RelativeMotion | None
     diagnosis: Diagnosis
     flange: tuple[Array, Array]  # (6,) mean error twist and (6, 6) its covariance
-    pictures: PictureMisfit | None
-    displaced: DisplacedLed | None  # and left out
     warnings: list[str]
     by_clock: "tuple[SessionAnalysis, ...]" = ()  # the same at other offsets that fit as well
 
@@ -102,10 +99,12 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
     """Word the judgement as summary.json."""
     session, clock = judged.compared.session, judged.compared.clock
     counts = Counter(judged.status)
-    told = counts - Counter(unaligned=judged.repeated)  # a camera's repeats contradict nothing
+    repeated = len(judged.measured.repeated)
+    told = counts - Counter(unaligned=repeated)  # a camera's repeats contradict nothing
     agreed = map(agreed_verdict, zip(*map(_verdicts, (judged, *judged.by_clock)), strict=True))
     *per_joint, position, orientation = (borne_verdict(verdict, told) for verdict in agreed)
     measured = counts.pop("measured", 0)
+    choices = Counter(m.choice for m in judged.measured.measurements if m.choice)
     verdicts = [*(v.verdict for v in per_joint), position.verdict, orientation.verdict]
     return {
         "format": 1,
@@ -123,9 +122,9 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
             "recorded": len(judged.status),
             "measured": measured,
             "rejected": dict(sorted(counts.items())),
-            **({"repeated": judged.repeated} if judged.repeated else {}),
+            **({"repeated": repeated} if repeated else {}),
         },
-        "pictures": _pictures(judged.pictures, judged.displaced),
+        "pictures": _pictures(judged.measured),
         "clock": {
             "encoder_offset_s": finite_number(clock.offset),
             "standard_uncertainty_s": finite_number(clock.standard_uncertainty),
@@ -157,12 +156,13 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
         "inputs": dict(sorted(session.inputs.items())),
         "warnings": judged.warnings,
         "combinations": [_combination(c) for c in judged.combinations],
-        "choices": dict(sorted(judged.choices.items())),
+        "choices": dict(sorted(choices.items())),
         "known_dof": max((b.shape[1] for b in judged.model.comparison.determined), default=0),
     }
 
 
-def _pictures(found: PictureMisfit | None, left_out: DisplacedLed | None) -> dict[str, Any] | None:
+def _pictures(measured: MeasuredSession) -> dict[str, Any] | None:
+    found, left_out = measured.pictures, measured.displaced
     if found is None:
         return None
     led = left_out or found.led
@@ -185,7 +185,7 @@ def _pictures(found: PictureMisfit | None, left_out: DisplacedLed | None) -> dic
 
 def _diagnosis(judged: SessionAnalysis) -> list[dict[str, Any]]:
     """The causes; an offset that is all that ails its joint is the mean of the resolved error."""
-    causes, resolved, pictures = judged.diagnosis.causes, judged.resolved, judged.pictures
+    causes, resolved, pictures = judged.diagnosis.causes, judged.resolved, judged.measured.pictures
     count = Counter(c.joint for c in causes)
     tilts = [] if pictures is None or pictures.tilted is None else [_tilt(pictures.tilted)]
     entries = list(tilts)

@@ -7,6 +7,7 @@ import numpy as np
 
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.combinations import POSE_DOF
+from verify.analysis.instrument import MeasuredSession
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.rig_check.check import consistency, moved_warning
 from verify.analysis.rig_check.leds import PictureMisfit, misfit_warning
@@ -31,17 +32,15 @@ MAX_RIVALS_NAMED = 4  # of a periodic motion's clock offsets; the list goes on f
 
 
 def result_warnings(
-    compared: SessionComparison,
-    measurements: list[Measurement],
-    model: JointErrorModel,
-    pictures: PictureMisfit | None,
+    compared: SessionComparison, measured: MeasuredSession, model: JointErrorModel
 ) -> list[str]:
     """Every warning of a session's result, in the order of the report."""
     session, systematics, clock = compared.session, compared.systematics, compared.clock
+    measurements = [m for m in measured.measurements if m.frame not in measured.repeated]
     return [
         *session.warnings,
         *_input_warnings(session, measurements, systematics, clock),
-        *_contradictions(session, measurements, systematics, pictures),
+        *_contradictions(session, measurements, systematics, measured.pictures),
         *_registration_warnings(model),
         *_dof_warnings(session, model),
         *_clock_warnings(clock),
