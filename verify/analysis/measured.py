@@ -30,7 +30,6 @@ from verify.analysis.rig_check.leds import (
     LED_ADVICE,
     MIN_LEDS,
     displacement_text,
-    located_beside,
     picture_misfit,
 )
 from verify.analysis.rig_check.tilt import TURN_NAMES, TiltedCamera
@@ -231,14 +230,12 @@ def without_displaced_led(
     others = again.pictures
     if others is None or not others.agrees or len(again.track) < len(measured.track):
         return session, measured
-    led = located_beside(found.led, marker, measured.measurements, again.measurements)
-    when = " in the last pairs, not in all" if led.later else ""
     warning = (
-        f"{displacement_text(led)}{when}. It is left out: all figures rest on the other LEDs, "
+        f"{displacement_text(found.led)}. It is left out: all figures rest on the other LEDs, "
         f"which agree with the files; {LED_ADVICE}"
     )
     told = replace(fewer, warnings=(*session.warnings, warning))
-    return told, replace(again, displaced=led)
+    return told, replace(again, displaced=found.led)
 
 
 def measure_instrument(

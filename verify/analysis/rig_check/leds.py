@@ -18,8 +18,10 @@ pictures, whatever the robot does. One LED that explains most of it is named, an
 that was tilted in the session (`tilt.tilted_camera`).
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
+from itertools import pairwise
 
 import numpy as np
 from scipy.linalg import block_diag, solve_triangular
@@ -27,9 +29,12 @@ from scipy.linalg import block_diag, solve_triangular
 from robots.transforms import rigid_columns
 from verify.analysis.rig_check.pair import PosedPair, project_onto, spot_covariance
 from verify.analysis.rig_check.tilt import (
+    MAX_CHANGES,
     MAX_MISFIT,
     MIN_ADVANTAGE,
+    MIN_BESIDE,
     MIN_DROP,
+    MIN_SHARE_MORE,
     STRAY,
     TURN_NAMES,
     SpotProducts,
@@ -37,11 +42,12 @@ from verify.analysis.rig_check.tilt import (
     beside_instants,
     tilt_warning,
     tilted_camera,
+    unlikelihood,
 )
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
 from verify.core.rig import Rig
-from verify.measurement.pose import MODEL_ERROR_PX
+from verify.measurement.pose import MODEL_ERROR_PX, fit_pose
 from verify.measurement.systematics import Systematics, pixel_sensitivities, spot_columns
 
 MAX_PAIRS = 120  # evenly spread: what does not average out rules long before
@@ -69,7 +75,28 @@ class DisplacedLed:
     name: str
     displacement: Array  # (3,), m, flange axes
     standard_uncertainty: float  # m, of its length
-    later: bool = False  # only in the last pairs
+    begin: float | None = None  # s, from when on; None: from the first pair on
+    end: float | None = None  # s, until when; None: to the last pair
+
+    @property
+    def when(self) -> str:
+        """From or until which instant, in words; empty: always."""
+        since = "" if self.begin is None else f" from t_left_s = {self.begin:.2f} on"
+        return since if self.end is None else f"{since} until t_left_s = {self.end:.2f}"
+
+
+@dataclass(frozen=True, slots=True)
+class _LedFit:
+    """What the displacement of each LED alone explains of some pairs, beside what is stated."""
+
+    before: float  # chi-squared, of no displacement
+    left: Array  # (k,), chi-squared
+    shift: Array  # (k, 3), m, flange axes
+    covariance: Array  # (k, 3, 3), m², for noise as stated
+
+    def length(self, k: int) -> float:
+        """How far LED k is displaced, m."""
+        return float(np.linalg.norm(self.shift[k]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +106,7 @@ class PictureMisfit:
     whole: float
     first: float
     last: float
-    led: DisplacedLed | None  # in all pairs, or else in the last
+    led: DisplacedLed | None
     tilted: TiltedCamera | None  # camera, in the session
 
     @property
@@ -123,19 +150,20 @@ def picture_misfit(
     products = _without_strays(every)
     count = max(len(products.pairs) // PART, 1)
     ends = products.part(slice(0, count)), products.part(slice(-count, None))
-    least = MAX_UNSTATED if "LED positions" in parameters.uncounted else 0.0
-    always = _displaced_led(products, marker, least, told_alone=True)
-    last = _displaced_led(ends[1], marker, least, told_alone=False)
     whole, first, end = (_misfit(p, len(marker)) for p in (products, *ends))
+    found = PictureMisfit(whole, first, end, None, None)
     tilted = tilted_camera(every, len(marker), rig)
     if tilted is not None and len(spread) < len(posed):  # its instants to the pair
         near = beside_instants(np.array([m.t for m, *_ in posed]), spread, tilted)
         every = _products([posed[i] for i in near], rig, marker, parameters)
         tilted = tilted_camera(every, len(marker), rig) or tilted
     if tilted is not None:  # it explains nearly all
-        return PictureMisfit(whole, first, end, None, tilted)
-    later = None if last is None else replace(last, later=True)
-    return PictureMisfit(whole, first, end, always or later, None)
+        return replace(found, tilted=tilted)
+    least = MAX_UNSTATED if "LED positions" in parameters.uncounted else 0.0
+    led = _displaced_led(products, marker, least, moved=found.contradicts)
+    if led is not None:
+        led = _refined(led, [posed[i] for i in spread], rig, marker, parameters)
+    return replace(found, led=led)
 
 
 def _with_usual_rig(parameters: Systematics) -> Systematics:
@@ -216,65 +244,90 @@ def _misfit(products: SpotProducts, leds: int) -> float:
 
 
 def _displaced_led(
-    products: SpotProducts, marker: Marker, least: float, *, told_alone: bool
+    products: SpotProducts, marker: Marker, least: float, *, moved: bool
 ) -> DisplacedLed | None:
     """The one LED whose displacement explains most of the misfit; None where none does.
 
-    `least`, m: displacements up to that are no displacement, or with `told_alone` only where the
-    pictures contradict the files, and but for that LED do not.
+    Of all pairs, or, if it may have `moved` in the session, of those that one or two instants
+    bound. `least`, m: displacements up to that are none, unless the pictures contradict the files,
+    and but for that LED do not.
     """
-    left = _beside_stated(products, len(marker), placed=True)
-    freedom = max(products.freedom.sum(), 1.0)
-    drops, shifts, spreads = [], [], []
-    for k in range(len(marker)):
-        own = slice(3 * k, 3 * k + 3)
-        # of three LEDs one moves out of their plane without a trace
-        inverse = np.linalg.pinv(left[own, own], rcond=TOL_SHOWN, hermitian=True)
-        shifts.append(inverse @ left[own, -1])
-        drops.append(float(shifts[-1] @ left[own, -1]))
-        spreads.append(inverse)
-    best = int(np.argmax(drops))
-    after = (left[-1, -1] - drops[best]) / freedom
-    scatter = max(after, 1.0)
-    drop, beyond = drops[best] / scatter, left[-1, -1] / freedom - 1.0
-    second = max(drops[:best] + drops[best + 1 :]) / scatter
-    explains = drops[best] / freedom > MIN_SHARE * beyond
-    length = float(np.linalg.norm(shifts[best]))
-    alone = told_alone and after < MAX_MISFIT < beyond + 1.0
-    if drop < MIN_DROP or drop - second < MIN_ADVANTAGE or not explains:
+    rows, n = max(float(products.freedom.sum()), 1.0), len(products.t)
+    change = 3 * np.log(rows) + 2 * np.log(n)  # the price of another place, and of the instant
+
+    @cache
+    def fit(start: int, stop: int) -> _LedFit:
+        return _fit_leds(products.part(slice(start, stop)), len(marker))
+
+    def left(edges: tuple[int, ...]) -> Array:
+        return np.asarray(np.sum([fit(*part).left for part in pairwise(edges)], axis=0))
+
+    def costs(edges: tuple[int, ...]) -> Array:
+        price = change * (len(edges) - 2)
+        return np.array([unlikelihood(x, rows) + price for x in left(edges).tolist()])
+
+    edges: tuple[int, ...] = (0, n)
+    before, fewest = fit(0, n).before / rows, costs(edges)
+    for _ in range(MAX_CHANGES if moved else 0):
+        cuts = [c for c in range(n) if min(abs(c - e) for e in edges) >= MIN_BESIDE]
+        split = [tuple(sorted((*edges, cut))) for cut in cuts]
+        best = min(split, key=lambda some: left(some).min(), default=edges)
+        if left(best).min() > left(edges).min() - MIN_SHARE_MORE * before * rows:
+            break
+        fewest = np.minimum(fewest, np.min([costs(some) for some in split], axis=0))
+        edges = best
+    k, cost = int(np.argmin(left(edges))), costs(edges)
+    after = float(left(edges)[k]) / rows
+    shown = unlikelihood(before * rows, rows) - cost[k] > MIN_DROP
+    if not shown or np.delete(fewest, k).min() - cost[k] < MIN_ADVANTAGE:
         return None
-    if length <= least and not alone:
+    start, stop = max(pairwise(edges), key=lambda part: fit(*part).length(k))
+    found = fit(start, stop)
+    explains = before - after > MIN_SHARE * (before - 1.0)
+    if not explains or (found.length(k) <= least and not after < MAX_MISFIT < before):
         return None
-    along = shifts[best] / length
-    u = float(np.sqrt(along @ spreads[best] @ along * scatter))
-    return DisplacedLed(marker.names[best], shifts[best], u)
+    begin, end = (
+        float(products.t[edge - 1 : edge + 1].mean()) if 0 < edge < n else None
+        for edge in (start, stop)
+    )
+    return DisplacedLed(marker.names[k], found.shift[k], np.nan, begin, end)
 
 
-def located_beside(
+def _refined(
     found: DisplacedLed,
+    pairs: Sequence[PosedPair],
+    rig: Rig,
     marker: Marker,
-    measurements: Iterable[Measurement],
-    others: Iterable[Measurement],
+    parameters: Systematics,
 ) -> DisplacedLed:
-    """The same LED beside the poses that the others give: it had turned those it was found by.
+    """The same LED beside poses that have it where it was found: its place had turned them."""
+    k, leds = marker.names.index(found.name), marker.leds.copy()
+    leds[k] += found.displacement
+    there = replace(marker, leds=leds)
+    begin, end = found.begin or -np.inf, found.end or np.inf
+    posed = [
+        (seen, fit_pose(left, right, rig, there, pose.rig_T_flange), left, right)
+        for seen, pose, left, right in pairs
+        if begin < seen.t < end
+    ]
+    products = _without_strays(_products(posed, rig, there, parameters))
+    fit = _fit_leds(products, len(marker))
+    scatter = max(float(fit.left[k] / products.freedom.sum()), 1.0)
+    shift = found.displacement + fit.shift[k]
+    along = shift / np.linalg.norm(shift)
+    u = float(np.sqrt(along @ fit.covariance[k] @ along * scatter))
+    return replace(found, displacement=shift, standard_uncertainty=u)
 
-    `others`: the pairs as measured without it.
-    """
-    poses = {m.frame: m.pose.rig_T_flange for m in others if m.pose is not None}
-    k = marker.names.index(found.name)
-    normal, moment = np.zeros((3, 3)), np.zeros(3)
-    for m in measurements:
-        if m.pose is None or m.left is None or m.right is None or m.frame not in poses:
-            continue
-        rows = np.concatenate([m.left.led, m.right.led]) == k
-        pose, sensitivity = poses[m.frame], m.pose.sensitivity[rows]
-        shift = (pose - m.pose.rig_T_flange)[:3] @ [*marker.leds[k], 1.0]
-        weight = 1 / m.pose.spot_uncertainty[rows, None]
-        design = weight[:, :, None] * (sensitivity @ pose[:3, :3])
-        left = weight * (m.pose.residual[rows] - sensitivity @ shift)
-        normal += np.einsum("sia,sib->ab", design, design)
-        moment += np.einsum("sia,si->a", design, left)
-    return replace(found, displacement=np.linalg.pinv(normal, hermitian=True) @ moment)
+
+def _fit_leds(products: SpotProducts, leds: int) -> _LedFit:
+    own = np.arange(3 * leds).reshape(leds, 3)
+    total = _beside_stated(products, leds, placed=True)
+    normal, moment = total[own[:, :, None], own[:, None, :]], total[own, -1]
+    # of three LEDs one moves out of their plane without a trace
+    covariance = np.linalg.pinv(normal, rcond=TOL_SHOWN, hermitian=True)
+    shift = np.einsum("kij,kj->ki", covariance, moment)
+    before = float(total[-1, -1])
+    return _LedFit(before, before - np.sum(shift * moment, axis=1), shift, np.asarray(covariance))
 
 
 def displacement_text(led: DisplacedLed) -> str:
@@ -285,7 +338,7 @@ def displacement_text(led: DisplacedLed) -> str:
     x, y, z = (np.round(1e3 * led.displacement, 2) + 0.0).tolist()  # no -0.00
     return (
         f"LED {led.name} is seen {length:.2f} mm (U = {2 * u:.2f} mm; x {x:+.2f}, y {y:+.2f}, "
-        f"z {z:+.2f} mm, flange axes) from its place in marker.toml"
+        f"z {z:+.2f} mm, flange axes) from its place in marker.toml{led.when}"
     )
 
 
@@ -298,10 +351,9 @@ def misfit_warning(found: PictureMisfit, *, told: bool) -> str | None:
     if found.tilted is not None:
         return tilt_warning(found.tilted)
     if found.led is not None:
-        when = " in the last pairs, and not in the first" if found.led.later and agreed else ""
         return (
-            f"{displacement_text(found.led)}{when}. Errors and causes may come from that and not "
-            f"from the robot: {LED_ADVICE}"
+            f"{displacement_text(found.led)}. Errors and causes may come from that and not from "
+            f"the robot: {LED_ADVICE}"
         )
     if told or not found.contradicts:
         return None

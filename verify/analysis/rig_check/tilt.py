@@ -171,10 +171,10 @@ def tilted_camera(products: SpotProducts, leds: int, rig: Rig) -> TiltedCamera |
     shapes = np.stack([_shape(products.t, knots) for knots, _ in candidates], axis=1)
     for _ in range(MAX_CHANGES):
         left = (scan.left - scan.gains(shapes)).tolist()
-        costs = [_unlikelihood(x, rows) + c for x, (_, c) in zip(left, candidates, strict=True)]
+        costs = [unlikelihood(x, rows) + c for x, (_, c) in zip(left, candidates, strict=True)]
         best = int(np.argmin(costs))
         enough = scan.left - MIN_SHARE_MORE * before.left * bool(scan.found)
-        if costs[best] + MIN_ADVANTAGE > _unlikelihood(scan.left, rows) or left[best] > enough:
+        if costs[best] + MIN_ADVANTAGE > unlikelihood(scan.left, rows) or left[best] > enough:
             break
         scan = replace(scan, found=(*scan.found, candidates[best][0]))
     scan = _without_idle(scan, rows)
@@ -220,7 +220,7 @@ def _left_by_late_pictures(products: SpotProducts, leds: int) -> float:
     return float(whole[AT_RESIDUAL, AT_RESIDUAL] - (size * moment) @ inverse @ (size * moment))
 
 
-def _unlikelihood(left: float, rows: float) -> float:
+def unlikelihood(left: float, rows: float) -> float:
     """Twice the negative log likelihood of what is left, of a scatter that is at least noise."""
     return left if left < rows else rows * (1.0 + float(np.log(left / rows)))
 
@@ -229,7 +229,7 @@ def _without_idle(scan: _TurnScan, rows: float) -> _TurnScan:
     """Leave out a shape that those found later explain: a line, of a camera that is put back."""
     fewer = replace(scan, found=scan.found[1:])
     price = len(TURNS) * float(np.log(rows))
-    idle = _unlikelihood(fewer.left, rows) < _unlikelihood(scan.left, rows) + price
+    idle = unlikelihood(fewer.left, rows) < unlikelihood(scan.left, rows) + price
     return fewer if len(scan.found) > 1 and idle else scan
 
 
