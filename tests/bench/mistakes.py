@@ -16,14 +16,13 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-import pytest
 from scipy.spatial.transform import Rotation
 
 import robots
 from tests.support.published import series, write_session
 from verify.analysis.instrument import measure_poses, stated_noise
 from verify.analysis.measured import measure_pictures, session_clock
-from verify.analysis.mistakes import refuse_exchanged_cameras
+from verify.analysis.mistakes import refuse_misread_pans
 from verify.analysis.other_motion import refuse_other_motion
 from verify.analysis.plausibility import refuse_misread
 from verify.calibration.handeye import solve_robustly
@@ -145,12 +144,12 @@ def refusal(recording: Recording, t: Array, q: Array) -> str:
 def exchanged_refusal(session: Session) -> tuple[str, str]:
     """What is said of left and right exchanged, and what should be."""
     exchanged = replace(session, left=session.right, right=session.left)
-    track = measured(exchanged)
-    text = refusal((exchanged, track), session.encoders.t, session.encoders.q) if len(track) else ""
-    if not len(track):
-        with pytest.raises(InputError) as caught:
-            refuse_exchanged_cameras(exchanged)
-        text = str(caught.value)
+    seen = measure_pictures(exchanged, no_progress, measure)
+    try:
+        refuse_misread_pans(exchanged, seen.measurements)
+    except InputError as error:
+        return str(error), "left and right exchanged"
+    text = refusal((exchanged, seen.track), session.encoders.t, session.encoders.q)
     return text, "left and right exchanged"
 
 

@@ -4,10 +4,12 @@ A joint's sign, zero or unit, two joints exchanged, a link that turns with two; 
 another order or inverted, cameras exchanged; a base inverted, in metres or elsewhere; another arm.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, islice
+from functools import partial
+from itertools import combinations, islice, product
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -16,18 +18,18 @@ import robots
 from robots.library import example_names, names
 from robots.transforms import carry
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.measured import session_clock, setup_of
+from verify.analysis.measured import SAME_PAN, session_clock, setup_of
 from verify.analysis.results.warnings import MAX_LOST_SHARE
 from verify.core.readings import Readings
-from verify.core.records import Array, Measurement, rigid_transform
+from verify.core.records import Array, Measurement, StereoPair, rigid_transform
 from verify.errors import InputError
 from verify.io.poses import POSITION, QUATERNION
 from verify.io.session.session import Session
-from verify.measurement.chain import measure
+from verify.measurement.chain import Setup, measure
+from verify.measurement.correspondence.assign import assign_leds
 from verify.measurement.track import Track, collect_track
 
 MAX_PAIRS = 60  # that are compared for each mistake
-MIN_EXCHANGED = 0.5  # of the pairs, that can be measured with the cameras exchanged
 MAX_EXCHANGED_PAIRS = 40  # that are tried
 MAX_PAN_PAIRS = 16  # in a row, that are tried with other pan readings
 MIN_TURNED = np.deg2rad(5.0)  # by which a base or body is elsewhere, or shifted as far at LEVER
@@ -35,6 +37,10 @@ MIN_SIGN_LEAP = np.deg2rad(4.0)  # of a reading to its mirrored angle, from one 
 MAX_MIRRORED = 0.01  # m, of an LED from its mirrored place: base and joints are off, too
 LEVER = 0.3  # m: a distance over it counts as an angle
 MAX_LEFT_LOST = 0.25  # of lost pairs, with a mistake in the pan readings taken back
+BASE_TURNS = np.deg2rad(np.arange(-28.0, 29.0, 4.0))  # from where it is read, that are tried
+CLEAR_BASE_TURN = np.deg2rad(1.0)  # lengths off by 2 % look like 0.3°, and fit as well
+MAX_SHIFT_PX = 60.0  # of the right picture by such a turn: more than half a step
+MAX_TURN_PAIRS, MAX_TURN_STEPS = 4, 6
 CAMERAS_EXCHANGED = (
     "left and right exchanged",
     "Exchange the pictures of left and right in session.toml.",
@@ -94,8 +100,14 @@ def _column_mistakes(q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
             what = f"{name} coupled to joint {j}, its link turning with both,"
             line = f"linkage = {{q{j} = {sign}}} at joint {j + 1} of the arm"
             yield what, f"{add} q{j + 1}, or write {line}.", {j: q[:, j] + sign * q[:, j - 1]}
-    in_degrees = {j: np.rad2deg(q[:, j]) for j in joints}
-    yield "all joints taken as radians", "Multiply the columns q1_deg … by 180/π.", in_degrees
+    # numbers below a turn may be radians
+    small = [j for j in joints if np.abs(q[:, j]).max() < np.deg2rad(2 * np.pi)]
+    groups = [group for n in range(2, len(joints)) for group in combinations(small, n)]
+    for group in (*groups, tuple(joints)):
+        some = "joints " + ", ".join(str(j + 1) for j in group)
+        some = "all joints" if len(group) == len(joints) else some
+        remedy = f"Multiply the columns {', '.join(f'q{j + 1}_deg' for j in group)} by 180/π."
+        yield f"{some} taken as radians", remedy, {j: np.rad2deg(q[:, j]) for j in group}
     for i, k in combinations(joints, 2):
         exchange = f"Exchange the columns q{i + 1}_deg and q{k + 1}_deg."
         yield f"joints {i + 1} and {k + 1} exchanged", exchange, {i: q[:, k], k: q[:, i]}
@@ -160,10 +172,13 @@ def scaled_joints(written: Mistake, factor: Array, doubt: float) -> Iterator[Mis
 def session_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
     """An instrument's poses inverted or in another order; the cameras exchanged."""
     if session.instrument is None:
-        exchanged = exchanged_track(session)
-        if len(exchanged) >= 3:
+        exchanged = replace(session, left=session.right, right=session.left)
+        pairs = islice(exchanged.pairs(), MAX_EXCHANGED_PAIRS)
+        seen = [m for m in measure(pairs, setup_of(exchanged)) if m.status == "measured"]
+        if len(seen) >= 3:
+            track = collect_track(seen, session.rig, [np.zeros((6, 0))] * len(seen))
             file, (name, remedy) = session.left.path, CAMERAS_EXCHANGED
-            yield replace(written, file=file, name=name, remedy=remedy, track=exchanged)
+            yield replace(written, file=file, name=name, remedy=remedy, track=track)
         return
     rig_T_body = session.instrument.poses.transforms[written.track.frame.astype(int)]
     base_T_rig = np.linalg.inv(session.rig.rig_T_base)
@@ -177,61 +192,61 @@ def session_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
         yield replace(written, file=session.left.path, name=name, remedy=remedy, track=track)
 
 
-def exchanged_track(session: Session) -> Track:
-    """The first pairs as they would be measured with left and right exchanged."""
-    exchanged = replace(session, left=session.right, right=session.left)
-    pairs = islice(exchanged.pairs(), MAX_EXCHANGED_PAIRS)
-    measured = [m for m in measure(pairs, setup_of(exchanged)) if m.status == "measured"]
-    return collect_track(measured, session.rig, [np.zeros((6, 0))] * len(measured))
-
-
-def refuse_exchanged_cameras(session: Session) -> None:
-    """Refuse pictures that no pair was measured in, if it can be with left and right exchanged.
-
-    Raises:
-        InputError: left and right are exchanged.
-    """
-    count, tried = len(exchanged_track(session)), min(len(session), MAX_EXCHANGED_PAIRS)
-    if count >= max(MIN_EXCHANGED * tried, 3):
-        found = f"no pair could be measured; {CAMERAS_EXCHANGED[0]} fits: {count} of {tried}"
-        expected = "the left camera's pictures, of the rig's left camera"
-        raise InputError(session.left.path, found, expected, CAMERAS_EXCHANGED[1])
-
-
 def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -> None:
-    """Refuse pan readings whose usual mistakes, taken back, give lost pairs again: where most are.
+    """Refuse pictures that usual mistakes in rig, marker and pan readings set against each other.
+
+    Where most pairs are lost, it is sought what gives them again; another zero of a base, if nearly
+    all are.
 
     Raises:
-        InputError: names the columns, and what is wrong in them.
+        InputError: names the columns or keys, and what is wrong in them.
     """
-    lost, frames = np.array([m.status != "measured" for m in measurements]), session.frames
-    pan = np.stack([frames.pan_left, frames.pan_right], axis=1)
-    if lost.sum() <= MAX_LOST_SHARE * len(lost) or not np.ptp(pan, axis=0).any():
+    lost = np.array([m.status != "measured" for m in measurements])
+    if lost.sum() <= MAX_LOST_SHARE * len(lost):
         return
     size = min(MAX_PAN_PAIRS, len(lost))
     there = np.convolve(lost, np.ones(size), "valid")
     first, fits, setup = int(np.argmax(there)), [], setup_of(session)
     read = list(islice(session.pairs(), first, first + size))  # once, as a film takes its time
-    for name, remedy, mended in _pan_mistakes(pan.T):
+    spots = {pair.frame: setup.detect(pair, None, None) for pair in read}
+    setup = replace(setup, detect=lambda pair, *_: spots[pair.frame])
+    turns = _base_turns(read, setup) if lost.mean() > 1 - MAX_LOST_SHARE else ()
+    pan = np.stack([session.frames.pan_left, session.frames.pan_right])
+    other_side = {"detect": lambda pair, *_: spots[pair.frame][::-1]}
+    exchanged = session.left.path, *CAMERAS_EXCHANGED, pan, other_side
+    for *named, mended, without in (*_picture_mistakes(session, pan, turns), exchanged):
         turned = zip(read, *mended[:, first : first + size].tolist(), strict=True)
         pairs = (replace(pair, pan_left=left, pan_right=right) for pair, left, right in turned)
-        fits.append((sum(m.status == "measured" for m in measure(pairs, setup)), name, remedy))
-    most = max(fits)[0]
-    if size - most <= MAX_LEFT_LOST * there[first]:
-        _, named, remedies = zip(*(fit for fit in fits if fit[0] == most), strict=True)
+        tried = measure(pairs, replace(setup, **without))
+        fits.append((sum(m.status == "measured" for m in tried), named))
+    most = max(count for count, *_ in fits)
+    if size - most <= MAX_LEFT_LOST * there[first] and most > fits[0][0]:
+        files, names, remedies = zip(*(named for n, named in fits if n == most), strict=True)
+        what = "the pan readings" if files[0].name == "frames.csv" else "it"
         raise InputError(
-            session.folder / "frames.csv",
-            f"the pictures do not agree with the pan readings; {' or '.join(named)} fits: "
+            files[0],
+            f"the pictures do not agree with {what}; {' or '.join(dict.fromkeys(names))} fits: "
             f"{most} of {size} pairs from frame {measurements[first].frame} on can be measured, "
             f"not {size - there[first]:.0f}",
-            "degrees at which the bases stood when that pair was taken, in rig.toml's sense",
-            " Or: ".join(remedies),
+            "pan angles in degrees, in rig.toml's sense, and places in millimetres are expected",
+            " Or: ".join(dict.fromkeys(remedies)),
         )
 
 
-def _pan_mistakes(pan: Array) -> Iterator[tuple[str, str, Array]]:
-    """The usual mistakes in pan readings (2, n), rad: name, remedy, the readings without it."""
-    columns = "pan_left_deg", "pan_right_deg"
+def _picture_mistakes(
+    session: Session, pan: Array, turns: Collection[tuple[int, float]]
+) -> Iterator[tuple[Path, str, str, Array, dict[str, Any]]]:
+    """As written, then the usual mistakes that set pictures against each other: file, name, remedy.
+
+    With them what would be without: `pan`, the readings (2, n), rad; rig or marker, if it is in
+    these. `turns`: side and angle, rad, by which bases may be off.
+    """
+    rig, marker = session.rig, session.marker
+    rig_file = session.rig_file or session.folder / "rig.toml"
+    file, columns = session.folder / "frames.csv", ("pan_left_deg", "pan_right_deg")
+    if not (pan - [[rig.left.pan], [rig.right.pan]]).any():  # none there
+        file, columns = rig_file, ("left.pan_deg", "right.pan_deg")
+    yield file, "as written", "", pan, {}
     for sides, name in (([0, 1], " and ".join(columns)), *(([k], columns[k]) for k in (0, 1))):
         for what, remedy, without in (
             ("reversed", "Multiply {} by -1.", -pan),
@@ -241,8 +256,50 @@ def _pan_mistakes(pan: Array) -> Iterator[tuple[str, str, Array]]:
         ):
             mended = pan.copy()
             mended[sides] = without[sides]
-            yield f"{name} {what}", remedy.format(name), mended
-    yield f"{' and '.join(columns)} exchanged", "Exchange these two columns.", pan[::-1]
+            yield file, f"{name} {what}", remedy.format(name), mended, {}
+    yield file, f"{' and '.join(columns)} exchanged", "Exchange these two.", pan[::-1], {}
+    for side, turn in turns:
+        by, camera = f"about {abs(np.rad2deg(turn)):.1f}°", ("left", "right")[side]
+        name = f"{columns[side]} {by} too {'small' if turn > 0 else 'large'}"
+        keys = f"that base's zero, {camera}.pan_zero_deg or cx"
+        if abs(turn) < CLEAR_BASE_TURN:
+            name = f"one base {by} from where it is read, or lengths off by some per cent,"
+            keys = "a base's zero, camera_matrix, pan_center_mm or position_mm of the LEDs"
+        remedy = f"Correct {keys}, if entered wrong; else calibrate again: the figure is rough."
+        yield file, name, remedy, pan + np.eye(2)[side][:, None] * turn, {}
+    marker_file = session.marker_file or session.folder / "marker.toml"
+    for unit, size in (("centimetres", 10.0), ("metres", 1000.0)):
+        left, right = (replace(c, pan_center=c.pan_center * size) for c in (rig.left, rig.right))
+        leds, remedy = replace(marker, leds=marker.leds * size), f"Multiply them by {size:.0f}."
+        placed = {"rig": replace(rig, left=left, right=right)}
+        yield rig_file, f"pan_center_mm in {unit}", remedy, pan, placed
+        yield marker_file, f"position_mm of the LEDs in {unit}", remedy, pan, {"marker": leds}
+
+
+def _base_turns(read: Sequence[StereoPair], setup: Setup) -> set[tuple[int, float]]:
+    """Turns, rad, of either base (0 left, 1 right) from where it is read, by which rays meet."""
+    right, leds, found = setup.rig.right, setup.marker.leds, set()
+    along = np.sign(right.pan_axis[1]) / right.matrix[0, 0]
+    for side, turn in product((0, 1), BASE_TURNS.tolist()):
+        for _ in range(MAX_TURN_STEPS):
+            shifts: list[float] = []
+            for pair in read[:: max(len(read) // MAX_TURN_PAIRS, 1)]:
+                spots = setup.detect(pair, None, None)
+                pans = pair.pan_left + turn * (1 - side), pair.pan_right + turn * side
+                led = assign_leds(
+                    spots, setup.rig, pans, setup.marker, motion_tolerance_px=MAX_SHIFT_PX,
+                    expected=partial(setup.expected, pair.t_left),
+                )  # fmt: skip
+                if led.rig_T_flange is not None and len(led.right_led):
+                    to_camera = right.camera_T_rig(pans[1]) @ led.rig_T_flange
+                    there = right.project(carry(to_camera, leds[led.right_led]))
+                    shifts.append((spots[1].centre[led.right_spot] - there)[:, 0].mean())
+            if len(shifts) < 2:
+                break
+            turn += (1 - 2 * side) * along * float(np.median(shifts))
+        if len(shifts) > 1 and abs(turn) > SAME_PAN:
+            found.add((side, round(turn, 4)))
+    return found
 
 
 def registration_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:

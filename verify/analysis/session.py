@@ -37,7 +37,7 @@ from verify.analysis.measured import (
     without_displaced_led,
     without_repeats,
 )
-from verify.analysis.mistakes import refuse_exchanged_cameras, refuse_misread_pans
+from verify.analysis.mistakes import refuse_misread_pans
 from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
@@ -145,8 +145,6 @@ def measure_session(
     if instrument is None:
         refuse_time_unit(session.folder, session.frames.t_left, readings.t)
         measured = measure_pictures(session, progress, chain)
-        if not len(measured.track):
-            refuse_exchanged_cameras(session)
         refuse_misread_pans(session, measured.measurements)
         if not len(measured.track):
             raise measurement_refusal(session, measured)

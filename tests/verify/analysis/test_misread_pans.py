@@ -62,6 +62,47 @@ def test_a_usual_mistake_in_pan_readings_is_named_with_its_columns(
     assert remedy in text
 
 
+def test_a_base_whose_zero_is_off_is_named_with_its_turn() -> None:
+    for moved, said in (
+        ((3.0, 0.0), r"frames\.csv: .* pan_left_deg about 3\.0° too large fits: 14 of 14"),
+        (
+            (0.0, -12.0),
+            r"frames\.csv: .* pan_right_deg about 12\.0° too small fits.*right\.pan_zero",
+        ),
+    ):
+        off = np.deg2rad(moved)
+        with pytest.raises(InputError, match=said):
+            analyse(spoiled(lambda left, right, off=off: (left + off[0], right + off[1])))
+
+
+def test_lengths_off_by_some_per_cent_are_not_taken_for_a_turned_base() -> None:
+    session = recorded()
+    cameras = [
+        replace(c, pan_center=0.98 * c.pan_center) for c in (session.rig.left, session.rig.right)
+    ]
+    nearer = replace(session.rig, left=cameras[0], right=cameras[1])
+    with pytest.raises(InputError) as caught:
+        analyse(replace(session, rig=nearer))
+    assert "too large" not in str(caught.value)
+    assert "too small" not in str(caught.value)
+
+
+@pytest.mark.parametrize(("unit", "size"), [("centimetres", 10.0), ("metres", 1e3)])
+def test_places_in_another_unit_are_named(unit: str, size: float) -> None:
+    session = recorded()
+    rig, marker = session.rig, session.marker
+    cameras = [replace(c, pan_center=c.pan_center / size) for c in (rig.left, rig.right)]
+    with pytest.raises(
+        InputError, match=rf"rig\.toml: .*pan_center_mm in {unit} fits.* by {size:.0f}"
+    ):
+        analyse(replace(session, rig=replace(rig, left=cameras[0], right=cameras[1])))
+    leds = replace(marker, leds=marker.leds / size)
+    with pytest.raises(
+        InputError, match=rf"marker\.toml: .*position_mm of the LEDs in {unit} fits"
+    ):
+        analyse(replace(session, marker=leds))
+
+
 def test_right_pan_readings_are_not_refused_where_pairs_are_lost() -> None:
     session = recorded()
     measurements = measure_pictures(session, no_progress, measure).measurements

@@ -101,6 +101,10 @@ def delay_second_and_fourth(q: Array) -> Array:
             mirror_fourth_halfway,
             r"joint 4 with its sign changed at t_s = 3\.\d+ fits.* q4_deg by -1 from there on",
         ),
+        (
+            lambda q: np.where(np.isin(np.arange(6), [1, 4, 5]), np.deg2rad(q), q),
+            r"joints 2, 5, 6 taken as radians fits.* q2_deg, q5_deg, q6_deg by 180/π",
+        ),
         (stop_third, r"joint 3 never change while it turns.* column q3_deg"),
         pytest.param(freeze, "readings never change", marks=pytest.mark.slow),
     ],
