@@ -7,7 +7,7 @@ another order or inverted, cameras exchanged; a base inverted, in metres or else
 from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from itertools import combinations, islice, product
+from itertools import chain, combinations, islice, product
 from pathlib import Path
 from typing import Any
 
@@ -27,10 +27,9 @@ from verify.io.poses import POSITION, QUATERNION
 from verify.io.session.session import Session
 from verify.measurement.chain import Setup, measure
 from verify.measurement.correspondence.assign import assign_leds
-from verify.measurement.track import Track, collect_track
+from verify.measurement.track import Track
 
 MAX_PAIRS = 60  # that are compared for each mistake
-MAX_EXCHANGED_PAIRS = 40  # that are tried
 MAX_PAN_PAIRS = 16  # in a row, that are tried with other pan readings
 MIN_TURNED = np.deg2rad(5.0)  # by which a base or body is elsewhere, or shifted as far at LEVER
 MIN_SIGN_LEAP = np.deg2rad(4.0)  # of a reading to its mirrored angle, from one to the next
@@ -41,10 +40,6 @@ BASE_TURNS = np.deg2rad(np.arange(-28.0, 29.0, 4.0))  # from where it is read, t
 CLEAR_BASE_TURN = np.deg2rad(1.0)  # lengths off by 2 % look like 0.3°, and fit as well
 MAX_SHIFT_PX = 60.0  # of the right picture by such a turn: more than half a step
 MAX_TURN_PAIRS, MAX_TURN_STEPS = 4, 6
-CAMERAS_EXCHANGED = (
-    "left and right exchanged",
-    "Exchange the pictures of left and right in session.toml.",
-)
 ZERO_ERRORS_DEG = (90, -90, 180)
 REVERSE = "Multiply that column by -1."
 
@@ -71,14 +66,12 @@ def sample(mistake: Mistake, offset: float, most: int = MAX_PAIRS) -> tuple[Arra
 
 def joint_mistakes(readings: Readings) -> Iterator[tuple[str, str, Readings]]:
     """The usual mistakes of one joint, or two: name, remedy, the readings without it."""
-    for name, remedy, columns in (
-        *_column_mistakes(readings.q),
-        *_sign_changes(readings.t, readings.q),
-    ):
-        q = readings.q.copy()
+    t, written = readings.t, readings.q
+    for name, remedy, columns in chain(_column_mistakes(written), _sign_changes(t, written)):
+        q = written.copy()
         for joint, column in columns.items():
             q[:, joint] = column
-        yield name, remedy, Readings(readings.t, q)
+        yield name, remedy, Readings(t, q)
 
 
 def _column_mistakes(q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
@@ -104,8 +97,7 @@ def _column_mistakes(q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
     small = [j for j in joints if np.abs(q[:, j]).max() < np.deg2rad(2 * np.pi)]
     groups = [group for n in range(2, len(joints)) for group in combinations(small, n)]
     for group in (*groups, tuple(joints)):
-        some = "joints " + ", ".join(str(j + 1) for j in group)
-        some = "all joints" if len(group) == len(joints) else some
+        some = f"joints {', '.join(str(j + 1) for j in group)}" if group in groups else "all joints"
         remedy = f"Multiply the columns {', '.join(f'q{j + 1}_deg' for j in group)} by 180/π."
         yield f"{some} taken as radians", remedy, {j: np.rad2deg(q[:, j]) for j in group}
     for i, k in combinations(joints, 2):
@@ -170,15 +162,8 @@ def scaled_joints(written: Mistake, factor: Array, doubt: float) -> Iterator[Mis
 
 
 def session_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
-    """An instrument's poses inverted or in another order; the cameras exchanged."""
+    """An instrument's poses inverted or in another order."""
     if session.instrument is None:
-        exchanged = replace(session, left=session.right, right=session.left)
-        pairs = islice(exchanged.pairs(), MAX_EXCHANGED_PAIRS)
-        seen = [m for m in measure(pairs, setup_of(exchanged)) if m.status == "measured"]
-        if len(seen) >= 3:
-            track = collect_track(seen, session.rig, [np.zeros((6, 0))] * len(seen))
-            file, (name, remedy) = session.left.path, CAMERAS_EXCHANGED
-            yield replace(written, file=file, name=name, remedy=remedy, track=track)
         return
     rig_T_body = session.instrument.poses.transforms[written.track.frame.astype(int)]
     base_T_rig = np.linalg.inv(session.rig.rig_T_base)
@@ -195,8 +180,7 @@ def session_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
 def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -> None:
     """Refuse pictures that usual mistakes in rig, marker and pan readings set against each other.
 
-    Where most pairs are lost, it is sought what gives them again; another zero of a base, if nearly
-    all are.
+    They are tried where many pairs are lost; another zero of a base, where nearly all are.
 
     Raises:
         InputError: names the columns or keys, and what is wrong in them.
@@ -212,8 +196,9 @@ def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -
     setup = replace(setup, detect=lambda pair, *_: spots[pair.frame])
     turns = _base_turns(read, setup) if lost.mean() > 1 - MAX_LOST_SHARE else ()
     pan = np.stack([session.frames.pan_left, session.frames.pan_right])
+    remedy = "Exchange the pictures of left and right in session.toml."
     other_side = {"detect": lambda pair, *_: spots[pair.frame][::-1]}
-    exchanged = session.left.path, *CAMERAS_EXCHANGED, pan, other_side
+    exchanged = session.left.path, "left and right exchanged", remedy, pan, other_side
     for *named, mended, without in (*_picture_mistakes(session, pan, turns), exchanged):
         turned = zip(read, *mended[:, first : first + size].tolist(), strict=True)
         pairs = (replace(pair, pan_left=left, pan_right=right) for pair, left, right in turned)
@@ -261,7 +246,7 @@ def _picture_mistakes(
     for side, turn in turns:
         by, camera = f"about {abs(np.rad2deg(turn)):.1f}°", ("left", "right")[side]
         name = f"{columns[side]} {by} too {'small' if turn > 0 else 'large'}"
-        keys = f"that base's zero, {camera}.pan_zero_deg or cx"
+        keys = f"that base's zero or {camera}.pan_zero_deg"
         if abs(turn) < CLEAR_BASE_TURN:
             name = f"one base {by} from where it is read, or lengths off by some per cent,"
             keys = "a base's zero, camera_matrix, pan_center_mm or position_mm of the LEDs"
