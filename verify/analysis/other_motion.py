@@ -97,13 +97,13 @@ def refuse_other_motion(
     if shown is not None and _large_error(written, shown) < MAX_LEFT_SHARE * typical:
         return  # a clock that is somewhat off is a cause like others
     _refuse_given_clock(session, written, typical)
-    off, faulty, left, factor, screws = _left_by_faults(session, written, clock)
+    off, faulty, left, factor, steps, screws = _left_by_faults(session, written, clock)
     scaled = list(scaled_joints(written, factor, MAX_GAIN))
     mistakes = [
         (mistake, _likely_offset(session, mistake, clock.offset))
         for mistake in (*scaled, *_mistakes(session, written, among_all=off > 1))
     ]
-    named, remains = _best_by_joints(session, mistakes, left, len(scaled))
+    named, remains = _best_by_joints(session, mistakes, left, len(scaled), steps)
     if named is None and max(off, faulty - 1) > 1:  # after the rest: a free base fits as well
         placed = [(mistake, clock.offset) for mistake in misplacements(session, written, clock)]
         named, remains = _best_by_joints(session, placed, left if off > 1 else typical)
@@ -199,16 +199,19 @@ def _far(apart: Array) -> float:
 
 
 def _best_by_joints(
-    session: Session, mistakes: list[tuple[Mistake, float]], left: float, carried: int = 0
-) -> tuple[Mistake | None, float]:
+    session: Session, mistakes: list[tuple[Mistake, float]], left: float, carried: int = 0,
+    steps: float = 0.0,
+) -> tuple[Mistake | None, float]:  # fmt: skip
     """The mistake that brings every joint far closer than faults do, if one does; its error, rad.
 
-    With each mistake stands the clock's offset, s; `left`, rad: what faults leave. One beside which
-    faults leave as little is named where none does by itself. The first few, `carried`, are judged
-    whatever their rank: a fault beside them hides it.
+    With each mistake stands the clock's offset, s; `left`, rad: what faults leave; `steps`, rad:
+    such as no encoder makes, and one mistake may. One beside which faults leave as little is named
+    where none does by itself. The first few, `carried`, are judged whatever their rank: a fault
+    beside them hides it.
     """
     scores = [pose_misfit(*mistake) for mistake in mistakes]
-    best, beside = min(MAX_ERROR, MAX_LEFT_SHARE * left), min(MAX_STRAY, MAX_LEFT_SHARE * left)
+    best = min(MAX_ERROR, MAX_LEFT_SHARE * max(left, steps))
+    beside = min(MAX_STRAY, MAX_LEFT_SHARE * left)
     named: Mistake | None = None
     faulty: Mistake | None = None
     for place in dict.fromkeys([*range(carried), *np.argsort(scores)[:MAX_CARRIED].tolist()]):
@@ -220,7 +223,7 @@ def _best_by_joints(
             best, named = remains, mistake
         if remains < CLEAR_ERROR:
             break
-        rest, _, middle = _left_of_joints(*_joint_errors(mistake, offset))
+        rest, _, middle, _ = _left_of_joints(*_joint_errors(mistake, offset))
         if rest.max() < beside:
             others = np.flatnonzero(np.abs(middle) > MAX_STRAY) + 1
             words = f", beside a fault of joint {', '.join(map(str, others))}," * bool(len(others))
@@ -338,12 +341,13 @@ def _faults(written: Mistake) -> Iterator[Mistake]:
 
 def _left_by_faults(
     session: Session, written: Mistake, clock: ClockEstimate
-) -> tuple[int, int, float, Array, float]:
+) -> tuple[int, int, float, Array, float, float]:
     """The least that faults leave: the clock may be lost, the arm in another branch than read.
 
     Joints that stay off, in number; those with a fault beyond MAX_ERROR; the worst, rad; by which
-    factor the readings of each joint turn farther than it, (j,), nan where unknown; what is left of
-    the screw motions, rad.
+    factor the readings of each joint turn farther than it, (j,), nan where unknown; the largest
+    step, rad, if several joints have one or no belt slips so far; what is left of the screw
+    motions, rad.
     """
     offsets = dict.fromkeys([clock.offset, _likely_offset(session, written, clock.offset)])
     tried = []
@@ -352,22 +356,23 @@ def _left_by_faults(
         for log in (written, likely):
             error, angle = _joint_errors(log, offset)
             error += written.readings.q[0] - log.readings.q[0]  # as written, in its branch
-            left, factor, middle = _left_of_joints(error, angle)
+            left, factor, middle, step = _left_of_joints(error, angle)
             off, faulty = int((left > MAX_STRAY).sum()), int((np.abs(middle) > MAX_ERROR).sum())
-            tried.append((off, faulty, float(left.max()), factor, screw_misfit(log, offset)))
-    return *min(tried, key=lambda one: one[:3])[:4], min(one[4] for one in tried)
+            unusual = np.count_nonzero(step > MAX_ERROR) > 1 or step.max() > MAX_OFFSET
+            steps = float(step.max()) * unusual
+            tried.append((off, faulty, float(left.max()), factor, steps, screw_misfit(log, offset)))
+    return *min(tried, key=lambda one: one[:3])[:5], min(one[5] for one in tried)
 
 
-def _left_of_joints(error: Array, angle: Array) -> tuple[Array, Array, Array]:
-    """`_left_of_joint` of each column of (n, j), (j,) each; inf, nan and 0 where n is 0."""
+def _left_of_joints(error: Array, angle: Array) -> Array:
+    """`_left_of_joint` of each column of (n, j), (4, j); inf, nan, 0 and 0 where n is 0."""
     if not len(error):
-        return np.full(error.shape[1], np.inf), np.full(error.shape[1], np.nan), error.sum(axis=0)
-    left, factor, middle = np.array(list(map(_left_of_joint, error.T, angle.T))).T
-    return left, factor, middle
+        return np.array([[np.inf], [np.nan], [0.0], [0.0]]).repeat(error.shape[1], axis=1)
+    return np.array(list(map(_left_of_joint, error.T, angle.T))).T
 
 
-def _left_of_joint(error: Array, angle: Array) -> tuple[float, float, float]:
-    """What offset, step and gain leave of a joint's error (n,), rad; readings' factor; mean error.
+def _left_of_joint(error: Array, angle: Array) -> tuple[float, float, float, float]:
+    """What offset, step and gain leave of a joint's error (n,), rad; readings' factor; mean; step.
 
     `angle` (n,), rad, as measured. The step is tried between any two pairs.
     """
@@ -376,16 +381,16 @@ def _left_of_joint(error: Array, angle: Array) -> tuple[float, float, float]:
     turned = angle - angle.mean()
     sought = np.ptp(angle) > MIN_TRAVEL
     late = np.arange(len(error)) >= np.arange(len(error))[:, None]
-    least, factor = np.inf, np.nan
+    least, factor, step = np.inf, np.nan, 0.0
     for after in late:
         design = np.column_stack([np.ones(len(error)), after, turned * sought])
         gain = float(np.linalg.lstsq(design, error)[0][2])
         rest = error - np.clip(gain, -MAX_GAIN, MAX_GAIN) * turned
-        for part in (after, ~after):
-            rest[part] -= np.median(rest[part]) if part.any() else 0.0
-        if (left := float(np.quantile(np.abs(rest), HIGH))) < least:
+        parts = [np.median(rest[part]) if part.any() else 0.0 for part in (after, ~after)]
+        if (left := float(np.quantile(np.abs(rest - np.where(after, *parts)), HIGH))) < least:
+            step = 0.0 if after.all() else abs(parts[0] - parts[1])
             least, factor = left, 1.0 + gain if sought else np.nan
-    return max(least, abs(middle) if abs(middle) > MAX_OFFSET else 0.0), factor, middle
+    return max(least, abs(middle) if abs(middle) > MAX_OFFSET else 0.0), factor, middle, step
 
 
 def _likely_offset(session: Session, mistake: Mistake, offset: float) -> float:

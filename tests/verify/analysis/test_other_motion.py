@@ -59,6 +59,12 @@ def mirror_fourth_halfway(q: Array) -> Array:
     return np.where((np.arange(6) == 3) & (np.arange(len(q)) >= 168)[:, None], -q, q)
 
 
+def reverse_third_late(q: Array) -> Array:
+    """The elbow is in the other branch, there, where steps of three joints explain as much."""
+    late = np.arange(len(q)) >= int(0.8 * len(q))
+    return np.where((np.arange(6) == 2) & late[:, None], -q, q)
+
+
 def freeze(q: Array) -> Array:
     return np.tile(q[0], (len(q), 1))
 
@@ -100,6 +106,10 @@ def delay_second_and_fourth(q: Array) -> Array:
         (
             mirror_fourth_halfway,
             r"joint 4 with its sign changed at t_s = 3\.\d+ fits.* q4_deg by -1 from there on",
+        ),
+        (
+            reverse_third_late,
+            r"joint 3 with its sign changed at t_s = 4\.\d+ fits.* q3_deg by -1 from there on",
         ),
         (
             lambda q: np.where(np.isin(np.arange(6), [1, 4, 5]), np.deg2rad(q), q),
