@@ -20,6 +20,7 @@ MIN_SPIKE = np.deg2rad(2.0)
 MIN_SPIKE_RATIO = 8.0  # of the typical step: random postures jump by up to four times theirs
 MAX_BEYOND = np.deg2rad(45.0)  # an encoder may be off, and its arm at the end of its travel
 MAX_NAMED = 5  # spikes
+BESIDE_LEAP = 5  # rows either side of a leap, whose motion goes on across it
 MIN_REPEATED = 0.2  # of the rows of a motion
 MIN_CHANGES = 10
 MIN_DIGITS = 3.0  # by which readings change, typically: slower ones wait for their last digit
@@ -76,6 +77,27 @@ def find_stray(t: Array, q: Array, limits: tuple[Array, Array] | None) -> Flags:
             inside = np.bincount(parts, ~outside[:, joint]) > 0
             outside[:, joint] &= ~inside[parts]
     return np.asarray(outside & (outside.mean(axis=0) <= 0.5))
+
+
+def without_turns(t: Array, q: Array) -> Array:
+    """Readings (m, j), rad, at t (m,), s, without leaps by a full turn that no arm makes.
+
+    A counter of angles begins again at ±180° or ±360°: the pose is the same, the motion goes on.
+    """
+    leap, fastest = np.diff(q, axis=0), np.maximum(MAX_SPEED * np.diff(t), MIN_SPIKE)[:, None]
+    turn = _is_too_fast(t, q, 1) & (np.abs(np.abs(leap) - 2 * np.pi) <= fastest)
+    return q - 2 * np.pi * np.pad(np.cumsum(np.sign(leap) * turn, axis=0), ((1, 0), (0, 0)))
+
+
+def find_leap(t: Array, q: Array) -> tuple[float, float] | None:
+    """When times t (m,), s, leap and by how much, if readings q (m, j), rad, go on all the same."""
+    usual, n = float(np.median(np.diff(t))) if len(t) > 1 else np.inf, BESIDE_LEAP
+    for k in np.flatnonzero(np.diff(t) > max(MAX_GAP, n * usual)).tolist():
+        if n <= k < len(t) - n - 1:
+            pace = (q[k] - q[k - n] + q[k + n + 1] - q[k + 1]) / (2 * n)  # from row to row
+            if np.abs(q[k + 1] - q[k] - pace).max() < np.abs(pace).max() / 3:
+                return float(t[k + 1]), float(t[k + 1] - t[k] - usual)
+    return None
 
 
 def warn_of_spikes(spike: Flags) -> Iterator[str]:

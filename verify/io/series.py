@@ -131,6 +131,7 @@ def read_encoders(
     q = np.deg2rad(np.stack([columns[name] for name in wanted], axis=-1))
     t = columns.get("t_s", visit_times(len(q)))
     table.require_rising("t_s", t)
+    q = q if untimed or len(t) < 2 else left_out.without_turns(t, q)
     if untimed and (len(q) != len(pairs or ()) or {"t_s", "t_host_s"} & set(table.header)):
         times = "has times" if "t_s" in table.header else f"has {len(q)} rows"
         expected = f"the {len(pairs or ())} poses or pairs have no times, and a reading each"
@@ -138,6 +139,10 @@ def read_encoders(
         raise InputError(path, times, expected, remedy)
     if limits is not None:
         _refuse_far_beyond(Path(path), q, limits)
+    if leap := left_out.find_leap(t, q):
+        found = f"t_s leaps by {leap[1]:.3f} s to {leap[0]:.2f}, and the joints go on as without it"
+        remedy = f"If the clock was set, subtract {leap[1]:.3f} s from there on."
+        raise InputError(path, found, "times of one clock", remedy)
     spike = left_out.find_stray(t, q, limits)
     if pairs is None or not np.array_equal(t, pairs.t_left):
         spike |= left_out.find_spikes(t, q)

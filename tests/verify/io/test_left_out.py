@@ -7,7 +7,8 @@ import pytest
 
 from tests.support.motions import read, swinging
 from verify.core.records import Array
-from verify.io.left_out import find_repeats
+from verify.errors import InputError
+from verify.io.left_out import find_leap, find_repeats, without_turns
 from verify.io.series import read_encoders
 
 T = np.arange(0.0, 8.0, 0.02)
@@ -62,3 +63,27 @@ def test_a_log_without_its_repeats_has_doubtful_times_and_a_warning(tmp_path: Pa
     assert len(readings) == 80
     assert readings.late == pytest.approx(0.02 / np.sqrt(12))
     assert any("renews them every 100 ms" in warning for warning in warnings)
+
+
+def test_a_counter_that_begins_again_is_no_motion() -> None:
+    q = np.cumsum(np.full((len(T), 6), np.deg2rad(1.2)), axis=0)
+    wrapped = np.arctan2(np.sin(q), np.cos(q))
+    assert np.abs(np.diff(wrapped, axis=0)).max() > np.pi
+    assert without_turns(T, wrapped) == pytest.approx(q)
+    spiked = q.copy()
+    spiked[100, 2] += np.deg2rad(180.0)
+    assert np.array_equal(without_turns(T, spiked), spiked)
+    visits = np.arange(len(T)) * 2.0  # between which an arm may make a turn
+    assert np.array_equal(without_turns(visits, wrapped), wrapped)
+
+
+def test_times_that_leap_while_the_motion_goes_on_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "encoders.csv"
+    q = read(swinging, T, 0.0, RNG).q
+    header = "t_s," + ",".join(f"q{i}_deg" for i in range(1, 7))
+    rows = np.column_stack([T + 5.0 * (T > 3.0), np.rad2deg(q)])
+    np.savetxt(path, rows, "%.6f", ",", header=header, comments="")
+    with pytest.raises(InputError, match=r"leaps by 5\.000 s to 8\.0\d.* subtract 5\.000 s"):
+        read_encoders(path, 6)
+    gap = (T < 3.0) | (T > 4.5)  # not logged for a while
+    assert find_leap(T[gap], q[gap]) is None
