@@ -95,7 +95,9 @@ def find_leap(t: Array, q: Array) -> tuple[float, float] | None:
     for k in np.flatnonzero(np.diff(t) > max(MAX_GAP, n * usual)).tolist():
         if n <= k < len(t) - n - 1:
             pace = (q[k] - q[k - n] + q[k + n + 1] - q[k + 1]) / (2 * n)  # from row to row
-            if np.abs(q[k + 1] - q[k] - pace).max() < np.abs(pace).max() / 3:
+            beside = np.delete(np.diff(t[k - n : k + n + 2]), n)  # long ones: logged on change
+            goes_on = np.abs(q[k + 1] - q[k] - pace).max() < np.abs(pace).max() / 3
+            if goes_on and beside.max() < 2 * usual:
                 return float(t[k + 1]), float(t[k + 1] - t[k] - usual)
     return None
 

@@ -87,3 +87,13 @@ def test_times_that_leap_while_the_motion_goes_on_are_refused(tmp_path: Path) ->
         read_encoders(path, 6)
     gap = (T < 3.0) | (T > 4.5)  # not logged for a while
     assert find_leap(T[gap], q[gap]) is None
+
+
+def test_a_pause_of_a_log_that_is_written_on_change_is_no_leap_of_its_times() -> None:
+    t = np.arange(0.0, 12.0, 0.001)
+    angle = np.where(t < 6.0, np.minimum(t, 4.0), t - 2.0)  # on the same way after two seconds
+    angle = np.convolve(np.pad(angle, 200, mode="edge"), np.ones(401) / 401, "valid")
+    steps = np.floor(20 * angle)
+    rows = np.flatnonzero(np.diff(steps, prepend=-1.0))
+    assert np.diff(t[rows]).max() > 1.5
+    assert find_leap(t[rows], np.deg2rad(np.repeat(steps[rows][:, None], 6, axis=1))) is None
