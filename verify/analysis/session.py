@@ -145,10 +145,10 @@ def measure_session(
     if instrument is None:
         refuse_time_unit(session.folder, session.frames.t_left, readings.t)
         measured = measure_pictures(session, progress, chain)
+        session, measured = without_displaced_led(session, measured, chain)
         refuse_misread_pans(session, measured.measurements)
         if not len(measured.track):
             raise measurement_refusal(session, measured)
-        session, measured = without_displaced_led(session, measured, chain)
         clock = session_clock(session, measured.track, readings)
         measured = without_repeats(session, measured, readings, clock.offset, chain)
         if measured.repeated:
