@@ -48,7 +48,7 @@ from verify.analysis.model import (
 )
 from verify.analysis.other_motion import refuse_other_motion
 from verify.analysis.performance.conditions import session_performance
-from verify.analysis.plausibility import refuse_misread, refuse_radians
+from verify.analysis.plausibility import refuse_misread
 from verify.analysis.relative_motion import compare_relative_motions
 from verify.analysis.results.entries import monte_carlo_table, sweeps_table
 from verify.analysis.results.summary import SessionAnalysis, summarise
@@ -158,7 +158,6 @@ def measure_session(
         measured, clock = measure_instrument(session, instrument, readings)
         progress(len(session), len(session))
         refuse_misread(session, instrument, measured.track, readings, clock)
-    refuse_radians(session, measured.track, readings, clock)
     if registered:
         refuse_other_motion(session, measured.track, readings, clock)
     return session, measured, clock
