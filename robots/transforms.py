@@ -49,6 +49,15 @@ def rigid_columns(points: Array) -> Array:
     return columns
 
 
+def middle_pose(poses: Array) -> Array:
+    """The rigid motion (4, 4) amid poses (n, 4, 4): median of places, mean of rotations."""
+    from scipy.spatial.transform import Rotation  # as in `rotation_log`
+
+    middle = np.median(poses, axis=0)
+    middle[:3, :3] = Rotation.from_matrix(poses[:, :3, :3]).mean().as_matrix()
+    return np.asarray(middle)
+
+
 def rotation_log(rotation: Array) -> Array:
     """Rotation vectors (..., 3), rad, of rotation matrices (..., 3, 3); lengths in [0, pi]."""
     from scipy.spatial.transform import Rotation  # slow to load, and not all processes turn

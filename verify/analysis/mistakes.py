@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.library import example_names, names
-from robots.transforms import carry
+from robots.transforms import carry, middle_pose
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.measured import SAME_PAN, session_clock, setup_of
 from verify.analysis.results.warnings import MAX_LOST_SHARE
@@ -322,7 +322,7 @@ def misplacements(session: Session, written: Mistake, clock: ClockEstimate) -> I
                 return
             flange_T_base = np.linalg.inv(robots.forward(written.arm, q))
             at = written.track.base_T_flange
-            moved = _middle(poses @ flange_T_base if of_base else flange_T_base @ poses)
+            moved = middle_pose(poses @ flange_T_base if of_base else flange_T_base @ poses)
             back = np.linalg.inv(moved)
             track = replace(written.track, base_T_flange=back @ at if of_base else at @ back)
             offset = session_clock(session, track, written.readings).offset
@@ -371,13 +371,6 @@ def _mirrored_axis(leds: Array, moved: Array) -> str | None:
         if np.count_nonzero(apart < MAX_MIRRORED) >= 3:
             return axis
     return None
-
-
-def _middle(poses: Array) -> Array:
-    """The rigid motion (4, 4) amid poses (n, 4, 4)."""
-    found = np.median(poses, axis=0)
-    found[:3, :3] = Rotation.from_matrix(poses[:, :3, :3]).mean().as_matrix()
-    return np.asarray(found)
 
 
 def degrees(angle: float) -> str:

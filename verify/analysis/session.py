@@ -9,6 +9,7 @@ from verify.analysis.clock.estimate import ClockEstimate, shown_offset, spread
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
     Comparison,
+    JointComparison,
     ReadingUncertainty,
     compare,
     gross_errors,
@@ -19,10 +20,10 @@ from verify.analysis.comparison import (
 )
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
-from verify.analysis.diagnosis.faults import about_turned_camera
+from verify.analysis.diagnosis.faults import about_turned_camera, without_misplacement
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import JointErrors, ResolvedErrors, predict_errors, resolve_errors
-from verify.analysis.least_squares import autocorrelation
+from verify.analysis.least_squares import autocorrelation, solve
 from verify.analysis.measured import (
     Chain,
     measure_instrument,
@@ -42,6 +43,8 @@ from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
     add_pan_noise,
+    base_motion,
+    body_motion,
     build_model,
     clock_effect,
     visibility,
@@ -78,6 +81,8 @@ __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 
 TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
+MIN_DISPLACED = np.deg2rad(0.5)  # an error of a joint: base or body may stand elsewhere instead
+MIN_GAIN_DISPLACED = 2.0  # of chi-squared, about the place where they would stand
 MIN_FAR = np.deg2rad(2.0)  # of an error from the typical one: a Jacobian is off by some per cent
 MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
 MIN_MISFIT_TURNED = 10.0  # of the causes: a turned camera is tried though it is none of them
@@ -226,17 +231,34 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
             compared.clock, compared.systematics,
         )  # fmt: skip
 
-    error, known = np.nan_to_num(joints.error), ~np.isnan(joints.error)
-    typical = error.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
-        first = np.nan_to_num(resolve_errors(built(start)).mean)
-        typical = np.where(known.any(axis=0), typical, first)
-    # a step, readings that stand or a rough stretch leave some pairs far from what is typical
-    rough = start.local_noise > 2 * start.reading_noise
-    far = known & (rough | (np.abs(error - typical) > MIN_FAR))
-    expected, gross = np.where(far, error, typical), gross_errors(joints.error)
-    middle = relinearise(start, session.arm, expected, gross)
-    middle = replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
+    def linearised(start: Comparison, joints: JointComparison) -> Comparison:
+        error, known = np.nan_to_num(joints.error), ~np.isnan(joints.error)
+        typical = error.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+        if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
+            first = np.nan_to_num(resolve_errors(built(start)).mean)
+            typical = np.where(known.any(axis=0), typical, first)
+        # a step, readings that stand or a rough stretch leave some pairs far from what is typical
+        rough = start.local_noise > 2 * start.reading_noise
+        far = known & (rough | (np.abs(error - typical) > MIN_FAR))
+        expected, gross = np.where(far, error, typical), gross_errors(joints.error)
+        middle = relinearise(start, session.arm, expected, gross)
+        return replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
+
+    def misfit(tangent: Comparison) -> float:
+        model, flange = built(tangent), tangent.base_T_jacobian
+        motions = model.white.rows(np.concatenate([base_motion(flange), body_motion(flange)], 2))
+        free = np.concatenate([model.joints, model.fitted, motions], axis=1)
+        return solve(free, model.xi, model.prior).chi2
+
+    middle = linearised(start, joints)
+    if np.nanmax(np.abs(joints.error), initial=0.0) > MIN_DISPLACED:
+        tangents = {misfit(middle) - MIN_GAIN_DISPLACED: middle}
+        for of_base in (True, False):
+            there, effect = without_misplacement(start, of_base=of_base)
+            tangent = linearised(there, solve_joints(there, session.arm))
+            tangent = replace(tangent, xi=tangent.xi + effect(tangent))
+            tangents[misfit(tangent)] = tangent
+        middle = tangents[min(tangents)]
 
     def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:
         causes = [] if found is None else explained_by(found, model, session.arm, session.rig)

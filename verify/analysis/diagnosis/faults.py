@@ -24,6 +24,7 @@ from functools import partial
 
 import numpy as np
 
+from robots.transforms import invert, middle_pose, rotation_log
 from verify.analysis.comparison import Comparison, twist_difference
 from verify.analysis.least_squares import solve
 from verify.analysis.model import (
@@ -306,6 +307,29 @@ def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
     if not apart.any():  # no cameras, or nothing moves across them
         return np.zeros((len(comparison), 6, 1))
     return apart[:, :, None] + clock_effect(comparison, steady=True) / 2
+
+
+def without_misplacement(
+    comparison: Comparison, *, of_base: bool
+) -> tuple[Comparison, Callable[[Comparison], Array]]:
+    """The comparison with the base, or the LED body, where its poses have it.
+
+    And what its motion there does to xi, (n, 6), at a tangent: to be added to the tangent's xi, it
+    makes a motion of any size linear.
+    """
+    encoder, measured = comparison.base_T_encoder, comparison.base_T_measured
+    back = invert(encoder)
+    moved = middle_pose(measured @ back if of_base else back @ measured)
+    there = invert(moved) @ measured if of_base else measured @ invert(moved)
+    motion, columns = (
+        np.append(moved[:3, 3], rotation_log(moved[:3, :3])),
+        (body_motion, base_motion),
+    )
+
+    def effect(tangent: Comparison) -> Array:
+        return np.asarray(-columns[of_base](tangent.base_T_jacobian) @ motion)
+
+    return replace(comparison, base_T_measured=there, xi=twist_difference(encoder, there)), effect
 
 
 def about_turned_camera(
