@@ -12,7 +12,6 @@ import cv2
 import numpy as np
 
 import robots
-from robots.transforms import invert, middle_pose
 from verify.analysis.clock.estimate import (
     LEAST_OVERLAP,
     ClockEstimate,
@@ -335,12 +334,6 @@ def session_clock(session: Session, track: Track, readings: Readings) -> ClockEs
     t_host = session.encoders.t_host
     arrival = None if t_host is None else clock_from_arrival_times(session.encoders.t, t_host)
     clock = estimate_clock(track, session.arm, readings, arrival)
-    if clock.source == "none":  # perhaps as the base stands elsewhere
-        moved = middle_pose(
-            track.base_T_flange @ invert(robots.forward(session.arm, readings.at(track.t)))
-        )
-        there = replace(track, base_T_flange=invert(moved) @ track.base_T_flange)
-        clock = estimate_clock(there, session.arm, readings, arrival)
     covered = readings.available(track.t - clock.offset)
     if clock.source != "none" or covered.mean() >= LEAST_OVERLAP:
         return clock

@@ -1,5 +1,6 @@
 """A recorded session from pixels to results: measure, compare, estimate, present."""
 
+from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -23,7 +24,7 @@ from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_cau
 from verify.analysis.diagnosis.faults import about_turned_camera, without_misplacement
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import JointErrors, ResolvedErrors, predict_errors, resolve_errors
-from verify.analysis.least_squares import autocorrelation, solve
+from verify.analysis.least_squares import RegressionFit, autocorrelation, solve
 from verify.analysis.measured import (
     Chain,
     measure_instrument,
@@ -83,6 +84,7 @@ TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
 MIN_DISPLACED = np.deg2rad(0.5)  # an error of a joint: base or body may stand elsewhere instead
 MIN_GAIN_DISPLACED = 2.0  # of chi-squared, about the place where they would stand
+MAX_MISFIT_DISPLACED = 2.0  # there: of a joint's step, more is left
 MIN_FAR = np.deg2rad(2.0)  # of an error from the typical one: a Jacobian is off by some per cent
 MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
 MIN_MISFIT_TURNED = 10.0  # of the causes: a turned camera is tried though it is none of them
@@ -215,12 +217,13 @@ def compare_session(
 def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Linearise a session about the errors that are there, find their causes, resolve them.
 
-    A turned camera is found first, and the session linearised anew about its angle; where a given
-    clock is wrong, it is about the offset that the motion shows. Pairs that repeat each other's
-    errors count for fewer. What a cause leaves in every pair from its beginning on repeats itself
-    as well: so causes are found first with all that counted as noise, then again with what they
-    themselves leave. A pair whose reading lies between one from before a change and one from after
-    it weighs nothing.
+    It is linearised where base or LED body would stand if they explain the errors better than the
+    joints do. A turned camera is found first, and the session linearised anew about its angle;
+    where a given clock is wrong, it is about the offset that the motion shows. Pairs that repeat
+    each other's errors count for fewer. What a cause leaves in every pair from its beginning on
+    repeats itself as well: so causes are found first with all that counted as noise, then again
+    with what they themselves leave. A pair whose reading lies between one from before a change and
+    one from after it weighs nothing.
     """
     session, (start, late) = compared.session, compared.at_shown_clock or (compared.comparison, 0.0)
     joints = solve_joints(start, session.arm) if late else compared.joints
@@ -244,21 +247,23 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
         middle = relinearise(start, session.arm, expected, gross)
         return replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
 
-    def misfit(tangent: Comparison) -> float:
-        model, flange = built(tangent), tangent.base_T_jacobian
-        motions = model.white.rows(np.concatenate([base_motion(flange), body_motion(flange)], 2))
-        free = np.concatenate([model.joints, model.fitted, motions], axis=1)
-        return solve(free, model.xi, model.prior).chi2
+    def fit(tangent: Comparison, motion: Callable[[Array], Array]) -> RegressionFit:
+        model = built(tangent)
+        moved = model.white.rows(motion(tangent.base_T_jacobian))
+        free = np.concatenate([model.joints, model.fitted, moved], axis=1)
+        return solve(free, model.xi, model.prior)
 
     middle = linearised(start, joints)
     if np.nanmax(np.abs(joints.error), initial=0.0) > MIN_DISPLACED:
-        tangents = {misfit(middle) - MIN_GAIN_DISPLACED: middle}
-        for of_base in (True, False):
-            there, effect = without_misplacement(start, of_base=of_base)
+        motions = base_motion, body_motion
+        least = min(fit(middle, motion).chi2 for motion in motions) - MIN_GAIN_DISPLACED
+        for motion in motions:
+            there, effect = without_misplacement(start, motion)
             tangent = linearised(there, solve_joints(there, session.arm))
             tangent = replace(tangent, xi=tangent.xi + effect(tangent))
-            tangents[misfit(tangent)] = tangent
-        middle = tangents[min(tangents)]
+            fitted = fit(tangent, motion)
+            if fitted.chi2 < min(least, MAX_MISFIT_DISPLACED * fitted.degrees_of_freedom):
+                middle, least = tangent, fitted.chi2
 
     def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:
         causes = [] if found is None else explained_by(found, model, session.arm, session.rig)

@@ -310,24 +310,21 @@ def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
 
 
 def without_misplacement(
-    comparison: Comparison, *, of_base: bool
+    comparison: Comparison, motion: Callable[[Array], Array]
 ) -> tuple[Comparison, Callable[[Comparison], Array]]:
     """The comparison with the base, or the LED body, where its poses have it.
 
-    And what its motion there does to xi, (n, 6), at a tangent: to be added to the tangent's xi, it
-    makes a motion of any size linear.
+    `motion` is `base_motion` or `body_motion`. Also gives what that does to xi, (n, 6), at a
+    tangent: added to the tangent's xi, it makes a motion of any size linear.
     """
     encoder, measured = comparison.base_T_encoder, comparison.base_T_measured
-    back = invert(encoder)
+    back, of_base = invert(encoder), motion is base_motion
     moved = middle_pose(measured @ back if of_base else back @ measured)
     there = invert(moved) @ measured if of_base else measured @ invert(moved)
-    motion, columns = (
-        np.append(moved[:3, 3], rotation_log(moved[:3, :3])),
-        (body_motion, base_motion),
-    )
+    twist = np.append(moved[:3, 3], rotation_log(moved[:3, :3]))
 
     def effect(tangent: Comparison) -> Array:
-        return np.asarray(-columns[of_base](tangent.base_T_jacobian) @ motion)
+        return np.asarray(-motion(tangent.base_T_jacobian) @ twist)
 
     return replace(comparison, base_T_measured=there, xi=twist_difference(encoder, there)), effect
 

@@ -1,0 +1,78 @@
+"""A base or LED body far from where the files have it: the joints are judged as if it were not."""
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from verify.analysis.session import analyse
+from verify.core.records import Array, rigid_transform
+from verify.io.session.session import Session, open_session
+
+SAMPLES = Path(__file__).parents[3] / "sample_sessions"
+FAULTY, HEALTHY = "multi_joint_fault_6r", "multi_joint_rv_3sd"
+OFFSET = 0.35  # deg, of joint 2 of the faulty one, as its scenario says
+
+
+def motion(seed: int, shift_mm: float, turn_deg: float) -> Array:
+    rng = np.random.default_rng(seed)
+    along, about = (v / np.linalg.norm(v) for v in rng.normal(size=(2, 3)))
+    turn = Rotation.from_rotvec(np.deg2rad(turn_deg) * about).as_matrix()
+    return rigid_transform(turn, 1e-3 * shift_mm * along)
+
+
+def with_base_elsewhere(session: Session, moved: Array) -> Session:
+    return replace(session, rig=replace(session.rig, rig_T_base=session.rig.rig_T_base @ moved))
+
+
+def with_body_elsewhere(session: Session, moved: Array) -> Session:
+    leds = session.marker.leds @ moved[:3, :3].T + moved[:3, 3]
+    return replace(session, marker=replace(session.marker, leds=leds))
+
+
+def judged(session: Session) -> tuple[str, list[tuple[str, int | None]], list[dict[str, Any]]]:
+    summary = analyse(session).summary
+    causes = summary["diagnosis"]
+    verdicts = " ".join(joint["verdict"] for joint in summary["joints"])
+    return verdicts, [(cause["kind"], cause["joint"]) for cause in causes], causes
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.parametrize(("shift", "turn"), [(5.0, 0.0), (20.0, 0.0), (0.0, 3.0)])
+def test_a_base_elsewhere_is_the_cause_beside_a_joints_own_fault(
+    seed: int, shift: float, turn: float
+) -> None:
+    """Its arm stands near a singularity: the wrong base looks like joints that are off by 30°."""
+    session = with_base_elsewhere(open_session(SAMPLES / FAULTY), motion(seed, shift, turn))
+    verdicts, kinds, causes = judged(session)
+    assert kinds == [("base_moved", None), ("offset", 2)]
+    base, offset = causes
+    # 0.35° and 3° about other axes turn each other by 0.2 mm, over the arm's length
+    assert base["value"] == pytest.approx(shift, abs=base["expanded_uncertainty"] + 0.1)
+    assert base["turn_deg"] == pytest.approx(turn, abs=0.02)
+    assert offset["value"] == pytest.approx(OFFSET, abs=offset["expanded_uncertainty"])
+    # a turn about the first axis looks like joint 1, whoever made it
+    assert verdicts == "undecided nonconform conform conform conform conform"
+
+
+@pytest.mark.parametrize(("shift", "turn"), [(10.0, 0.0), (20.0, 2.0), (0.0, 3.0)])
+def test_of_a_base_elsewhere_no_healthy_joint_is_accused(shift: float, turn: float) -> None:
+    session = with_base_elsewhere(open_session(SAMPLES / HEALTHY), motion(2, shift, turn))
+    verdicts, kinds, (base,) = judged(session)
+    assert kinds == [("base_moved", None)]
+    assert base["value"] == pytest.approx(shift, abs=0.3)  # and what is drawn of its doubt
+    assert base["turn_deg"] == pytest.approx(turn, abs=0.03)
+    assert verdicts.split()[1:] == ["conform"] * 5
+
+
+@pytest.mark.parametrize(("shift", "turn"), [(20.0, 0.0), (0.0, 4.0), (10.0, 3.0)])
+def test_of_a_body_elsewhere_no_healthy_joint_is_accused(shift: float, turn: float) -> None:
+    session = with_body_elsewhere(open_session(SAMPLES / HEALTHY), motion(3, shift, turn))
+    verdicts, kinds, (body,) = judged(session)
+    assert kinds == [("led_body_slipped", None)]
+    assert body["value"] == pytest.approx(shift, abs=0.2)
+    assert body["turn_deg"] == pytest.approx(turn, abs=0.03)
+    assert verdicts.split()[:5] == ["conform"] * 5
