@@ -73,25 +73,22 @@ def tilt_between(one: AxisLine, other: AxisLine) -> Array:
     return other.direction * np.sign(one.direction @ other.direction) - one.direction
 
 
-def step_line(line: AxisLine, across: Array, step: Array) -> AxisLine:
-    """A line moved by its four small parameters: direction, then point, along `across` (2, 3)."""
-    direction = line.direction + step[:2] @ across
-    return AxisLine(direction / np.linalg.norm(direction), line.point + step[2:] @ across)
-
-
 def line_derivative(
     function: Callable[[AxisLine, AxisLine], Array | float],
     lines: tuple[AxisLine, AxisLine],
     across: tuple[Array, Array],
 ) -> Array:
-    """Derivative of a function of two lines by their eight parameters, (…, 8), numerically."""
+    """Derivative of a function of two lines by their eight parameters, (…, 8), numerically.
+
+    Each line has four: small steps of its direction, then of its point, along its `across` (2, 3).
+    """
 
     def at(step: Array) -> Array:
-        one, other = (
-            step_line(line, a, s)
-            for line, a, s in zip(lines, across, (step[:4], step[4:]), strict=True)
-        )
-        return np.asarray(function(one, other), dtype=np.float64)
+        moved = []
+        for line, a, (turn, shift) in zip(lines, across, step.reshape(2, 2, 2), strict=True):
+            direction = line.direction + turn @ a
+            moved.append(AxisLine(direction / np.linalg.norm(direction), line.point + shift @ a))
+        return np.asarray(function(*moved), dtype=np.float64)
 
     return np.stack([(at(row) - at(-row)) / (2 * STEP) for row in STEP * np.eye(8)], axis=-1)
 

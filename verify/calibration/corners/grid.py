@@ -193,22 +193,16 @@ def orient_grid(grey: Image, grid: Array, columns: int, rows: int) -> Array | No
     for mirrored, turns in itertools.product((False, True), range(4)):
         order, shown = (np.rot90(a[:, ::-1] if mirrored else a, turns) for a in (grid, contrast))
         # right-handed with the line of sight, or the view is mirrored
-        if order.shape[:2] == (rows, columns) and np.linalg.det(axes(order)) > 0:
+        steps = axes(order)
+        if order.shape[:2] == (rows, columns) and np.linalg.det(steps) > 0:
             sign = -1 if (mirrored + turns) % 2 else 1  # each exchanges the diagonals
-            orders.append((order, sign * _checkered(shown).sum() < 0))
-    if not orders:
-        return None
-    black = [order for order, first_is_black in orders if first_is_black]
-    best = max(black or [order for order, _ in orders], key=uprightness)
-    return np.ascontiguousarray(best.reshape(-1, 2))
+            first_is_black = bool(sign * _checkered(shown).sum() < 0)
+            upright = np.trace(steps / np.linalg.norm(steps, axis=1, keepdims=True))
+            orders.append((first_is_black, float(upright), order))
+    best = max(orders, key=lambda one: one[:2], default=None)
+    return None if best is None else np.ascontiguousarray(best[2].reshape(-1, 2))
 
 
 def axes(grid: Array) -> Array:
     """Mean steps along the grid's x and y, (2, 2), px, in rows."""
     return np.stack([np.diff(grid, axis=k).mean(axis=(0, 1)) for k in (1, 0)])
-
-
-def uprightness(grid: Array) -> float:
-    """How much x points right and y down."""
-    steps = axes(grid)
-    return float(np.trace(steps / np.linalg.norm(steps, axis=1, keepdims=True)))

@@ -186,10 +186,10 @@ class ArmState:
     tool: Array  # (h, 4, 4): flange_T_target of each mounting
 
 
-def registration_parameters(kind: str, count: int, *, position_only: bool) -> list[Parameter]:
-    """The parameters of `count` bases or tools; a point has no turn."""
-    axes = AXES[:3] if position_only and kind == "tool" else AXES
-    return [Parameter(kind, place, axis) for place in range(count) for axis in axes]
+def registration_parameters(bases: int, tools: int, *, position_only: bool) -> list[Parameter]:
+    """The parameters of so many bases, then of so many tools; a point has no turn."""
+    placed = ("base", bases, AXES), ("tool", tools, AXES[:3] if position_only else AXES)
+    return [Parameter(kind, k, axis) for kind, n, axes in placed for k in range(n) for axis in axes]
 
 
 def offset_parameters(chain: KinematicChain) -> list[Parameter]:

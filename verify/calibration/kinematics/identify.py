@@ -169,10 +169,9 @@ def register(
 def _registration(
     state: ArmState, poses: IdentificationPoses, options: IdentificationOptions
 ) -> tuple[Parameter, ...]:
-    kinds = ("base", state.base, options.free_base), ("tool", state.tool, options.free_tool)
-    free = [(kind, len(placed)) for kind, placed, is_free in kinds if is_free]
-    alone = poses.position_only
-    return tuple(p for one in free for p in registration_parameters(*one, position_only=alone))
+    bases = len(state.base) if options.free_base else 0
+    tools = len(state.tool) if options.free_tool else 0
+    return tuple(registration_parameters(bases, tools, position_only=poses.position_only))
 
 
 def _supports(

@@ -254,9 +254,8 @@ def _with_offsets(arm: Arm, rows: IdentificationPoses, t: Array) -> tuple[float,
 
 def _placed(rows: IdentificationPoses) -> list[Parameter]:
     """The parameters of every base and target."""
-    counts = (("base", int(rows.base.max()) + 1), ("tool", int(rows.tool.max()) + 1))
-    alone = rows.position_only
-    return [p for one in counts for p in registration_parameters(*one, position_only=alone)]
+    bases, tools = int(rows.base.max()) + 1, int(rows.tool.max()) + 1
+    return registration_parameters(bases, tools, position_only=rows.position_only)
 
 
 def _length(left: Array, rows: IdentificationPoses) -> float:

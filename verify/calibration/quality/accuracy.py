@@ -115,9 +115,8 @@ def point_sensitivities(
 
 def _pixels(rig: Rig, pan: Array, places: Array) -> Array:
     """Project points (n, 3) of the rig into both images, (n, 4), px."""
-    images = []
-    for camera, angle in zip((rig.left, rig.right), pan.tolist(), strict=True):
-        images.append(camera.project(carry(camera.camera_T_rig(angle), places)))
+    sides = zip((rig.left, rig.right), pan.tolist(), strict=True)
+    images = [camera.project(carry(camera.camera_T_rig(at), places)) for camera, at in sides]
     return np.concatenate(images, axis=1)
 
 

@@ -187,7 +187,9 @@ def _triangles(references: list[PointCloud], tests: list[PointCloud]) -> list[Ar
             if any(len(set(cloud.spots[list(trio), side])) < 3 for side in (0, 1)):
                 continue
             corners = cloud.points[list(trio)]
-            if _usable(corners):
+            sides, (one, other) = _sides(corners), corners[1:] - corners[0]
+            high = np.linalg.norm(np.cross(one, other)) > MIN_HEIGHT_RATIO * sides[-1] ** 2
+            if high and sides[0] > MIN_SIDE and sides[-1] < MAX_SIDE:
                 scored.append(([_match(test, corners) is not None for test in tests], corners))
     scored.sort(key=lambda s: -sum(s[0]))
     kept: list[Array] = []
@@ -202,14 +204,6 @@ def _triangles(references: list[PointCloud], tests: list[PointCloud]) -> list[Ar
 def _sides(corners: Array) -> Array:
     """Sorted lengths of a triangle's sides."""
     return np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
-
-
-def _usable(corners: Array) -> bool:
-    sides = _sides(corners)
-    area = np.linalg.norm(np.cross(corners[1] - corners[0], corners[2] - corners[0]))
-    return bool(
-        sides[0] > MIN_SIDE and sides[-1] < MAX_SIDE and area > MIN_HEIGHT_RATIO * sides[-1] ** 2
-    )
 
 
 def _match(cloud: PointCloud, corners: Array) -> Index | None:

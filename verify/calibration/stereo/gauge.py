@@ -27,14 +27,11 @@ from verify.core.records import SIDES, Array, rigid_transform
 from verify.core.rig import Camera
 
 BASE_FIXED, BASE_TURNING = "fixed", "turning"
-HELD_PARAMETERS: dict[str, tuple[str, ...]] = {  # held of each kind of base
-    BASE_FIXED: (
-        *par.PARAMETER_KEYS[par.PAR_AXIS],
-        par.PARAMETER_KEYS[par.PAR_ZERO],
-        *par.PARAMETER_KEYS[par.PAR_OFFSET],
-    ),
-    BASE_TURNING: (),
-}
+HELD_PARAMETERS = (  # of a base that is fixed
+    *par.PARAMETER_KEYS[par.PAR_AXIS],
+    par.PARAMETER_KEYS[par.PAR_ZERO],
+    *par.PARAMETER_KEYS[par.PAR_OFFSET],
+)
 Y_AXIS = np.array([0.0, 1.0, 0.0])
 
 
@@ -163,12 +160,9 @@ def _base_rows(own: Array, camera: Camera, base: str) -> list[Array]:
     axis = camera.pan_axis
     turn = rotation_log(camera.mount[:3, :3])
     # (d × axis) · w = d · (axis × w): how a step d of the axis changes its product with w
-    rows = [
+    return [
         axis @ own[par.PAR_AXIS],
         np.cross(axis, turn) @ own[par.PAR_AXIS] + axis @ _log_derivative(turn) @ own[par.PAR_TURN],
-    ]
-    return [
-        *rows,
         np.cross(axis, camera.mount[:3, 3]) @ own[par.PAR_AXIS] + axis @ own[par.PAR_OFFSET],
     ]
 
@@ -187,5 +181,5 @@ def _log_derivative(w: Array) -> Array:
 
 def fixed_names(model: AdjustmentModel) -> tuple[str, ...]:
     """Name the parameters that the pictures do not determine."""
-    bases = zip(SIDES, model.bases, strict=True)
-    return tuple(f"{side}.{key}" for side, base in bases for key in HELD_PARAMETERS[base])
+    fixed = [side for side, base in zip(SIDES, model.bases, strict=True) if base == BASE_FIXED]
+    return tuple(f"{side}.{key}" for side in fixed for key in HELD_PARAMETERS)

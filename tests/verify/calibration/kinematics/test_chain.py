@@ -48,8 +48,7 @@ def test_columns_are_what_small_changes_do(name: str) -> None:
     arm = linked(arm) if name == "rv_3sd_melfa" else arm
     state = at_home(arm)
     parameters = (
-        *registration_parameters("base", 1, position_only=False),
-        *registration_parameters("tool", 1, position_only=False),
+        *registration_parameters(1, 1, position_only=False),
         *offset_parameters(state.chain),
         *geometry_parameters(state.chain),
     )

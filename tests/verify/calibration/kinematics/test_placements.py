@@ -21,7 +21,7 @@ def placed(turn_deg: float) -> KinematicFit:
     c, s = np.cos(np.deg2rad(turn_deg)), np.sin(np.deg2rad(turn_deg))
     base[:2, :2] = [[c, -s], [s, c]]
     state = ArmState(chain_of(robots.load("iust_6r")), base[None], np.eye(4)[None])
-    parameters = tuple(registration_parameters("base", 1, position_only=False))
+    parameters = tuple(registration_parameters(1, 0, position_only=False))
     return KinematicFit(
         parameters, np.zeros(6), np.diag(BASE_U**2), np.eye(6), state, NoiseScale(1.0, 1.0),
         np.zeros(1), np.ones(1, dtype=bool),
