@@ -33,13 +33,6 @@ N_PATH_POINTS = 24  # points of a planned motion
 SILENCE_TIMEOUT = 1.0  # s without a cycle of the loop, and the page says so
 
 
-def missing_conditions(machine: states.StateMachine) -> str | None:
-    """Name what a grasp still needs; empty: it may be ordered; None: no order in this state."""
-    if (machine.state, states.GraspEvent.GRAB) not in states.TRANSITIONS_BY_EVENT:
-        return None
-    return ", ".join(sorted(need.value for need in machine.lacks(states.GraspEvent.GRAB)))
-
-
 def device_status(
     cycle: LoopCycle, loop: GraspLoop, watch: WatchdogLimits
 ) -> tuple[tuple[str, bool, str], ...]:
@@ -187,7 +180,7 @@ class GraspPageSource:
 
     def show(self, cycle: LoopCycle, loop: GraspLoop, stops: int) -> None:
         """Take a cycle of the loop, before the next one."""
-        machine, planned = loop.machine, loop.aim.planned
+        machine, planned, grab = loop.machine, loop.aim.planned, states.GraspEvent.GRAB
         self._began = cycle.t if self._began is None else self._began
         self._stops = stops
         if cycle.pair is not None:
@@ -198,7 +191,7 @@ class GraspPageSource:
             cycle,
             tuple(machine.log),
             None if planned is None else planned.answer,
-            missing_conditions(machine),
+            machine.lacks(grab) if (machine.state, grab) in states.TRANSITIONS_BY_EVENT else None,
             loop.may_choose,
             loop.selected,
             devices[0][1],

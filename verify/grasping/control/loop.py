@@ -131,9 +131,8 @@ class GraspLoop:
         if event is GraspEvent.HOLD and self.machine.state is GraspState.IDLE:
             self._hold_first = True  # once it begins, it holds
             return ""
-        lacks = ", ".join(sorted(need.value for need in self.machine.lacks(event)))
-        lacks = lacks or f"the order does not apply while the state is {self.machine.state.value}"
-        return f"{event.value}: what lacks: {lacks}"
+        lacks = f"the order does not apply while the state is {self.machine.state.value}"
+        return f"{event.value}: what lacks: {self.machine.lacks(event) or lacks}"
 
     def cycle(self, pair: StereoPair | None) -> LoopCycle:
         """Look, decide, order.

@@ -253,11 +253,11 @@ class StateMachine:
                 return True
         return False
 
-    def lacks(self, event: GraspEvent) -> frozenset[TransitionCondition]:
+    def lacks(self, event: GraspEvent) -> str:
         """What an event would need in this state and has not; empty also where it is no event."""
-        for way in TRANSITIONS_BY_EVENT.get((self.state, event), []):
-            return frozenset(need for need in way.needs if not self._has(need))
-        return frozenset()
+        ways = TRANSITIONS_BY_EVENT.get((self.state, event), [])
+        needs = ways[0].needs if ways else ()
+        return ", ".join(sorted(need.value for need in needs if not self._has(need)))
 
     def _has(self, need: TransitionCondition) -> bool:
         return {

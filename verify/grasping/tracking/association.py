@@ -32,7 +32,6 @@ SHORT_MEMORY_TIME = 0.5  # s for which a tentative one is kept out of sight
 SIZE_AVERAGING_TIME = 1.0  # s over which the size of a whole target is averaged
 LEARNING_AREA_RANGE = (0.8, 1.25)  # of the expected area: the size is learned from such views only
 COMPLETE_AREA_RANGE = (0.88, 1.15)  # of it: with less or more the centre is not the target's
-CERTAIN_AREA_RANGE = 0.9, 1.1  # of it: no doubt about the centre
 MIN_MERGED_AREA_RATIO = 1.45  # of the expected area: two objects in one patch
 MAX_SINGLE_AREA_RATIO = 1.1  # of its area, with what is connected beyond its expected extent
 GROWTH_TIME = 0.5  # s; another object that looks too large after that was half hidden before
@@ -323,14 +322,6 @@ class TargetIdentity:
             t, candidate.place.point, candidate.place.covariance, self._options.speed
         )
         return ObjectTrack(track, candidate.area, candidate.size, t, 1)
-
-
-def centre_uncertainty_ratio(ratio: float) -> float:
-    """By how much of its extent a patch's centre may miss the target's, one standard deviation.
-
-    The ratio is the patch's area over the target's. What lacks, or is too much, is all at one side.
-    """
-    return max(CERTAIN_AREA_RANGE[0] - ratio, ratio - CERTAIN_AREA_RANGE[1], 0.0)
 
 
 def _is_whole(candidate: StereoObject, target: ObjectTrack) -> bool:

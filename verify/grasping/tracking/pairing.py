@@ -6,6 +6,7 @@ have, and where they are equally large in metres.
 
 import math
 from dataclasses import dataclass, replace
+from itertools import combinations
 
 import numpy as np
 from scipy.optimize import linear_sum_assignment
@@ -178,11 +179,8 @@ def _put_in_order(
     lefts: list[Blob],
     rights: list[Blob],
 ) -> None:
-    for i in list(chosen):
-        for k in list(chosen):
-            swapped = (i, chosen[k]) in things and (k, chosen[i]) in things
-            if k <= i or not swapped:
-                continue
-            before = lefts[i].centre[0] < lefts[k].centre[0]
-            if before != (rights[chosen[i]].centre[0] < rights[chosen[k]].centre[0]):
-                chosen[i], chosen[k] = chosen[k], chosen[i]
+    for i, k in combinations(chosen, 2):
+        before = lefts[i].centre[0] < lefts[k].centre[0]
+        crossed = before != (rights[chosen[i]].centre[0] < rights[chosen[k]].centre[0])
+        if crossed and (i, chosen[k]) in things and (k, chosen[i]) in things:
+            chosen[i], chosen[k] = chosen[k], chosen[i]

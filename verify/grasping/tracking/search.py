@@ -23,6 +23,7 @@ from verify.grasping.tracking.target import TrackingOptions
 
 MIN_SIMILARITY = 0.6  # least similarity of the mixture of colours
 SEARCH_PERIOD = 3  # pairs from one search for others to the next
+CERTAIN_AREA_RANGE = 0.9, 1.1  # of the target's area: no doubt about the centre
 CERTAIN_AREA_AGREEMENT = 0.95  # of the smaller area to the larger one: noise, and a side view
 MIN_VISIBLE_SHARE = 0.3  # of the target that must be in view to locate it
 WINDOW_SIGMA, WINDOW_MARGIN_PX = 4.0, 6.0  # of the searched window beyond the target itself
@@ -151,18 +152,16 @@ def _centre_doubts(
 ) -> tuple[float, float]:
     """By how much either patch's centre may miss the target's, standard, px; `areas` (2,), m².
 
-    A patch smaller than the other camera's lacks a part, whatever the distance.
+    What a patch lacks, or has too much, is all at one side. One that is smaller than the other
+    camera's lacks a part, whatever the distance.
     """
-    larger = float(areas.max())
+    larger, (least, most) = float(areas.max()), CERTAIN_AREA_RANGE
     left, right = (
-        max(
-            association.centre_uncertainty_ratio(area / target.area),
-            CERTAIN_AREA_AGREEMENT - area / larger,
-            0.0,
-        )
+        max(least - area / target.area, area / target.area - most,
+            CERTAIN_AREA_AGREEMENT - area / larger, 0.0)
         * float(blob.extent.max())
         for area, blob in zip(areas.tolist(), blobs, strict=True)
-    )
+    )  # fmt: skip
     return left, right
 
 

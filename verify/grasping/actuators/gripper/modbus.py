@@ -143,12 +143,10 @@ class ModbusLine:
             self.bad["answer that is not understood"] += 1
             used, answer = len(self._buffer), None
         self._buffer = self._buffer[used:]
-        if answer is None:
-            return None
-        if answer.function_code & 0x7F != self._pending.function_code:
-            self.bad["unrequested answer"] += 1
-            return None
-        return answer
+        if answer is None or answer.function_code & 0x7F == self._pending.function_code:
+            return answer
+        self.bad["unrequested answer"] += 1
+        return None
 
     def _again(self) -> None:
         self.bad["request without an answer"] += 1
