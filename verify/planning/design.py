@@ -49,22 +49,21 @@ class FaultKind:
 
     name: str
     unit: str  # of what is predicted: deg, or percent of the angle
-    scale: float  # SI units in one of these
-    columns: tuple[Array, ...]  # (r, j) each, whitened, a SI unit; two where a phase is open
+    columns: tuple[Array, ...]  # (r, j) each, whitened, one such unit; two where a phase is open
 
 
 def fault_kind(name: str, model: JointErrorModel) -> FaultKind:
     """Build the columns of one kind."""
     q, degree = model.comparison.q, float(np.deg2rad(1.0))
     if name == "offsets":
-        return FaultKind(name, "deg", degree, (model.offsets,))
+        return FaultKind(name, "deg", (degree * model.offsets,))
     if name == "gains":
-        return FaultKind(name, "percent", PERCENT, (_joint_columns(model, q),))
+        return FaultKind(name, "percent", (_joint_columns(model, PERCENT * q),))
     if name == "backlash":
         direction = model.comparison.direction / 2
-        return FaultKind(name, "deg", degree, (_joint_columns(model, direction),))
-    waves = _joint_columns(model, np.cos(q)), _joint_columns(model, np.sin(q))
-    return FaultKind(name, "deg", degree, waves)
+        return FaultKind(name, "deg", (_joint_columns(model, degree * direction),))
+    waves = (_joint_columns(model, degree * wave) for wave in (np.cos(q), np.sin(q)))
+    return FaultKind(name, "deg", tuple(waves))
 
 
 def _joint_columns(model: JointErrorModel, shapes: Array) -> Array:
@@ -113,8 +112,7 @@ def design_information(
         if name == "kinematics":
             columns.append(geometry_columns(setup, model)[1])
         elif name != "offsets" or "kinematics" not in names:  # those hold the offsets
-            one = fault_kind(name, model)
-            columns += [part * one.scale for part in one.columns]
+            columns += fault_kind(name, model).columns
     requested = np.concatenate(columns, axis=1)
     size = np.linalg.norm(model.fitted, axis=0)
     fitted = model.fitted / np.where(size > 0, size, 1.0)

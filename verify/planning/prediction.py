@@ -43,11 +43,10 @@ GROUPS = {
 
 @dataclass(frozen=True, slots=True)
 class FaultPrediction:
-    """One kind of fault of each joint; nan where this session would not show it. SI units."""
+    """One kind of fault of each joint, in `unit`; nan where this session would not show it."""
 
     name: str
-    unit: str
-    scale: float  # SI units in one of `unit`
+    unit: str  # deg, or percent of the angle
     standard_uncertainty: Array  # (j,), all requested kinds fitted together
     detectable: Array  # (j,), alone
 
@@ -90,9 +89,7 @@ def predict_faults(model: JointErrorModel, observe: tuple[str, ...]) -> list[Fau
             _detectable(np.stack(alike, axis=1), model.fitted, model.prior)
             for alike in zip(*(part.T for part in one.columns), strict=True)
         ]
-        found.append(
-            FaultPrediction(one.name, one.unit, one.scale, uncertainty, np.array(detectable))
-        )
+        found.append(FaultPrediction(one.name, one.unit, uncertainty, np.array(detectable)))
     return found
 
 

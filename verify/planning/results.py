@@ -96,11 +96,10 @@ def camera_table(setup: PlanningSetup) -> pd.DataFrame:
 def fault_table(predicted: SessionPrediction) -> pd.DataFrame:
     """Every kind of fault of every joint."""
     rows = [
-        (j + 1, one.name, one.unit, one.standard_uncertainty[j] / one.scale,
-         one.detectable[j] / one.scale)
+        (j + 1, one.name, one.unit, one.standard_uncertainty[j], one.detectable[j])
         for one in predicted.faults
         for j in range(len(one.detectable))
-    ]  # fmt: skip
+    ]
     names = ["joint", "kind", "unit", "standard_uncertainty", "minimum_detectable"]
     return pd.DataFrame(rows, columns=names)
 
@@ -273,8 +272,8 @@ def _joints(
                 {
                     "kind": one.name,
                     "unit": one.unit,
-                    "standard_uncertainty": finite_number(one.standard_uncertainty[j] / one.scale),
-                    "minimum_detectable": finite_number(one.detectable[j] / one.scale),
+                    "standard_uncertainty": finite_number(one.standard_uncertainty[j]),
+                    "minimum_detectable": finite_number(one.detectable[j]),
                 }
                 for one in predicted.faults
             ],

@@ -111,12 +111,12 @@ def test_a_kind_s_column_is_what_such_a_fault_does(
     """Readings with the fault in, set against the same poses: the whitened twist they add."""
     seen = made.prediction.session
     columns = fault_kind(name, seen.model).columns
+    size, unit = 1e-4, 0.01 if name == "gains" else np.deg2rad(1.0)
     for j in (1, 4):
-        size = 1e-4
         effects = [faulty(bench, seen, name, j, part, size) for part in range(len(columns))]
         for effect, column in zip(effects, columns, strict=True):
             np.testing.assert_allclose(
-                effect / size, column[:, j], atol=2e-2 * np.abs(column[:, j]).max()
+                effect / size * unit, column[:, j], atol=2e-2 * np.abs(column[:, j]).max()
             )
 
 
@@ -148,11 +148,11 @@ def test_offsets_alone_agree_with_the_analysis(made: SessionPlan) -> None:
     model = made.prediction.session.model
     alone = predict_faults(model, ("offsets",))[0]
     np.testing.assert_allclose(
-        alone.detectable, made.prediction.analysis.visibility.detectable, rtol=1e-9
+        np.deg2rad(alone.detectable), made.prediction.analysis.visibility.detectable, rtol=1e-9
     )
     fit = solve(np.concatenate([model.offsets, model.fitted], axis=1), model.xi, model.prior)
     np.testing.assert_allclose(
-        alone.standard_uncertainty, np.sqrt(np.diag(fit.covariance)[:6]), rtol=1e-9
+        np.deg2rad(alone.standard_uncertainty), np.sqrt(np.diag(fit.covariance)[:6]), rtol=1e-9
     )
 
 
