@@ -84,10 +84,9 @@ def draw_departure(
 
 def apply_departure(bench: Bench, by: TrueDeviation) -> Bench:
     """Move a bench from what is stated to what is true (pans aside: they are readings)."""
-    left, right = (
-        replace(camera, matrix=_scale_focal(camera, change))
-        for camera, change in zip(bench.cameras, by.camera, strict=True)
-    )
+    left, right = (replace(camera, matrix=camera.matrix.copy()) for camera in bench.cameras)
+    for camera, change in zip((left, right), by.camera, strict=True):
+        camera.matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change  # fx, fy, cx, cy
     turned = right.turntable_T_camera.copy()
     turned[:3, :3] = rigid(by.turn, np.zeros(3))[:3, :3] @ turned[:3, :3]
     rig_T_base = bench.rig_T_base.copy()
@@ -95,12 +94,6 @@ def apply_departure(bench: Bench, by: TrueDeviation) -> Bench:
     rig_T_base[:3, 3] += by.base[:3]
     leds = transform(rigid(by.body[3:], by.body[:3]), bench.leds) + by.leds
     return Bench(left, replace(right, turntable_T_camera=turned), rig_T_base, leds)
-
-
-def _scale_focal(camera: SimulatedCamera, change: Array) -> Array:
-    matrix = camera.matrix.copy()
-    matrix[[0, 1, 0, 1], [0, 1, 2, 2]] += change  # fx, fy, cx, cy
-    return matrix
 
 
 def _twist(length_mm: float, angle_deg: float, numbers: Array) -> Array:
