@@ -12,7 +12,7 @@ Assumed standard uncertainties, a parameter each, stand for a calibration and a 
 nobody has made yet. Of correlations only that of a camera's two focal lengths is assumed.
 """
 
-from collections.abc import Iterable
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -129,7 +129,7 @@ def build_setup(arm: robots.Arm, proposed: ProposedRig, work: Array, floor: floa
         left=level_camera(size, proposed.focal, -half, inwards),
         right=level_camera(size, proposed.focal, half, -inwards),
         rig_T_base=look_at(eye, target),
-        covariance=_covariance(proposed.uncertainties),
+        covariance=stated_covariance(proposed.uncertainties),
     )
     return PlanningSetup(arm, rig, marker)
 
@@ -165,27 +165,21 @@ def _marker(proposed: ProposedRig) -> Marker:
     )
 
 
-def _covariance(uncertainties: dict[str, float]) -> Covariance | None:
-    """What rig.toml would state."""
-    cameras = ("left", "right")
-    parameters = {
-        "focal_px": [f"{side}.{key}_px" for side in cameras for key in ("fx", "fy")],
-        "principal_point_px": [f"{side}.{key}_px" for side in cameras for key in ("cx", "cy")],
-        "camera_rotation_deg": [f"right.mount_r{axis}_deg" for axis in "xyz"],
-        "base_position_mm": [f"robot_base.{axis}_mm" for axis in "xyz"],
-        "base_rotation_deg": [f"robot_base.r{axis}_deg" for axis in "xyz"],
-    }
-    return stated_covariance(
-        (one, uncertainties[key]) for key, every in parameters.items() for one in every
-    )
-
-
-def stated_covariance(uncertainties: Iterable[tuple[str, float]]) -> Covariance | None:
-    """Covariance of parameters by name, as rig.toml states it; a parameter of 0 is exact.
+def stated_covariance(uncertainties: Mapping[str, float]) -> Covariance | None:
+    """What rig.toml would state of uncertainties by the keys of TYPICAL_UNCERTAINTIES; 0 is exact.
 
     Only a camera's two focal lengths, which follow one another, are correlated.
     """
-    stated = [(name, u) for name, u in uncertainties if u > 0]
+    groups = (
+        ("focal_px", ["left.fx_px", "left.fy_px"]),
+        ("principal_point_px", ["left.cx_px", "left.cy_px"]),
+        ("focal_px", ["right.fx_px", "right.fy_px"]),
+        ("principal_point_px", ["right.cx_px", "right.cy_px"]),
+        ("camera_rotation_deg", [f"right.mount_r{axis}_deg" for axis in "xyz"]),
+        ("base_position_mm", [f"robot_base.{axis}_mm" for axis in "xyz"]),
+        ("base_rotation_deg", [f"robot_base.r{axis}_deg" for axis in "xyz"]),
+    )
+    stated = [(name, u) for key, names in groups if (u := uncertainties[key]) > 0 for name in names]
     if not stated:
         return None
     names, correlation = tuple(name for name, _ in stated), np.eye(len(stated))

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import msgspec
 import numpy as np
 
 import robots
@@ -10,6 +11,7 @@ from verify.core.fiducials import Marker
 from verify.core.records import Array, Image
 from verify.core.rig import Rig
 from verify.errors import InputError
+from verify.planning.proposal import stated_covariance
 from verify.simulation.scenario import Scenario, ScenarioFault, ScenarioUncertainty
 from verify.simulation.world import uncertainty
 from verify.simulation.world.bench import build_bench, place_rig
@@ -133,7 +135,7 @@ def simulate_session(scenario: Scenario) -> SimulatedSession:
             size,
             *uncertainty.stated_cameras(believed.cameras, pan[0], stated.pan_deg),
             believed.rig_T_base,
-            covariance=uncertainty.stated_covariance(stated),
+            covariance=stated_covariance(msgspec.structs.asdict(stated)),
         ),
         marker=_stated_marker(scenario, stated, believed.leds),
         t=scheduled[kept],

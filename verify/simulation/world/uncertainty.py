@@ -5,8 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.core.records import Array
-from verify.core.rig import Camera, Covariance
-from verify.planning import proposal
+from verify.core.rig import Camera
 from verify.planning.proposal import FOCAL_CORRELATION
 from verify.simulation.scenario import ScenarioUncertainty
 from verify.simulation.world.bench import Bench, SimulatedCamera, rigid, transform
@@ -47,20 +46,6 @@ def stated_cameras(
         for camera, angle in zip(cameras, pan, strict=True)
     )
     return left, right
-
-
-def stated_covariance(stated: ScenarioUncertainty) -> Covariance | None:
-    """Write the rig's part as rig.toml states it; None where nothing is stated."""
-    groups = [
-        (["left.fx_px", "left.fy_px"], stated.focal_px),
-        (["left.cx_px", "left.cy_px"], stated.principal_point_px),
-        (["right.fx_px", "right.fy_px"], stated.focal_px),
-        (["right.cx_px", "right.cy_px"], stated.principal_point_px),
-        ([f"right.mount_r{axis}_deg" for axis in "xyz"], stated.camera_rotation_deg),
-        ([f"robot_base.{axis}_mm" for axis in "xyz"], stated.base_position_mm),
-        ([f"robot_base.r{axis}_deg" for axis in "xyz"], stated.base_rotation_deg),
-    ]
-    return proposal.stated_covariance((name, u) for names, u in groups for name in names)
 
 
 def draw_departure(

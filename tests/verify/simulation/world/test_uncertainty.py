@@ -1,11 +1,13 @@
+import msgspec
 import numpy as np
 from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 from tests.support.simulated import played
+from verify.planning.proposal import stated_covariance
 from verify.simulation.scenario import ScenarioUncertainty
 from verify.simulation.world.motion import RandomStream, generator
-from verify.simulation.world.uncertainty import draw_departure, stated_covariance
+from verify.simulation.world.uncertainty import draw_departure
 
 STATED = ScenarioUncertainty(
     focal_px=0.3, principal_point_px=0.2, camera_rotation_deg=0.01, base_position_mm=0.3,
@@ -17,7 +19,7 @@ FOUR_ERRORS = 4 / np.sqrt(2 * SEEDS)  # of a standard deviation from so many dra
 
 def test_draws_have_the_spread_and_correlation_that_the_rig_states() -> None:
     drawn = [draw_departure(STATED, 4, generator(s, RandomStream.SYSTEMATIC)) for s in range(SEEDS)]
-    stated = stated_covariance(STATED)
+    stated = stated_covariance(msgspec.structs.asdict(STATED))
     bases = ([1e3 * d.base[:3], np.degrees(d.base[3:])] for d in drawn)
     columns = np.array(
         [np.hstack([*d.camera, np.degrees(d.turn), *b]) for d, b in zip(drawn, bases, strict=True)]
