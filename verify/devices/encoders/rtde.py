@@ -123,9 +123,7 @@ class RtdeEncoders(intake.PortDriver):
             self._drop("bytes that are no RTDE")
             self._give_up(NO_RTDE)
             return []
-        readings = []
-        for kind, payload in packages:
-            readings += self._take(kind, payload, chunk.t)
+        readings = [r for package in packages for r in self._take(*package, chunk.t)]
         self._give_up_if_late()  # what comes may be no sample, time and again
         return readings
 

@@ -285,9 +285,8 @@ class LineEncoders(intake.PortDriver, ABC):
             self._begin()
         if chunk is None or self._intake is None:
             return []
-        readings = []
-        for line in self._lines.feed(chunk.data):
-            readings += self._intake.take(line, chunk)
+        take = self._intake.take
+        readings = [r for line in self._lines.feed(chunk.data) for r in take(line, chunk)]
         if readings:
             self.link.steady()
         return readings

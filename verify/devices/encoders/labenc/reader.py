@@ -73,10 +73,7 @@ class LabencBoard(intake.PortDriver):
         self._request_greeting()
         if chunk is None:
             return []
-        samples = []
-        for line in self._lines.feed(chunk.data):
-            samples += self._take(line, chunk.t)
-        return samples
+        return [s for line in self._lines.feed(chunk.data) for s in self._take(line, chunk.t)]
 
     def send(self, kind: str, *fields: str) -> bool:
         """Send a message; False: the line is down; ValueError: a type that may not be sent."""
@@ -189,10 +186,8 @@ class LabencBoard(intake.PortDriver):
             self.counts.lost += gap if 0 < gap < MAX_GAP else 0
 
     def _angles_of_counts(self, counts: tuple[float, ...]) -> Array:
-        turns = []
-        for number, count in enumerate(counts, start=1):
-            axis = self._scale[number]
-            turns.append(axis.direction * (count - axis.zero) / axis.counts_per_turn)
+        axes = ((self._scale[number], count) for number, count in enumerate(counts, start=1))
+        turns = [a.direction * (count - a.zero) / a.counts_per_turn for a, count in axes]
         return np.array(turns) * math.tau
 
 
