@@ -109,11 +109,6 @@ def dictionary(name: str) -> cv2.aruco.Dictionary:
     return cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
 
 
-def count_white_squares(board: Board) -> int:
-    """Count the white squares, each of which holds a marker."""
-    return (board.columns + 1) * (board.rows + 1) // 2
-
-
 def charuco_board(board: Board) -> cv2.aruco.CharucoBoard:
     """Build OpenCV's description of a board, corners as `points`; ValueError: it has no markers."""
     if board.markers is None or board.marker is None:

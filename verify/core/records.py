@@ -6,8 +6,7 @@ whole numbers. `a_T_b` carries coordinates in b to coordinates in a.
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, fields
-from functools import cache
+from dataclasses import dataclass
 from typing import Any, TypeVar
 
 import numpy as np
@@ -41,14 +40,9 @@ def rigid_transform(rotation: NDArray[Any], translation: NDArray[Any]) -> Array:
 def take_rows(record: Record, rows: Index | Flags | slice) -> Record:
     """Take some rows of each array of a dataclass, by index or mask; other fields stay."""
     kind: Any = type(record)
-    values = ((name, getattr(record, name)) for name in _field_names(kind))
+    values = ((name, getattr(record, name)) for name in kind.__match_args__)
     taken: Record = kind(**{k: v[rows] if isinstance(v, np.ndarray) else v for k, v in values})
     return taken
-
-
-@cache
-def _field_names(kind: Any) -> tuple[str, ...]:
-    return tuple(f.name for f in fields(kind))
 
 
 @dataclass(frozen=True, slots=True)

@@ -265,7 +265,7 @@ def _check_markers(path: Path, table: BoardTable, board: Board) -> None:
         expected = f"a marker fits into a square of {table.square_mm} mm with white around it"
         raise key_error(path, "marker_mm", f"is {marker_mm}", expected)
     count = len(fiducials.dictionary(markers).bytesList)
-    needed = fiducials.count_white_squares(board)
+    needed = (board.columns + 1) * (board.rows + 1) // 2  # white squares, a marker in each
     if count < needed:
         found = f'is "{markers}", which has {count} markers'
         raise key_error(path, "markers", found, f"the board needs {needed}", "Choose a larger one.")
