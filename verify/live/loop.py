@@ -11,7 +11,7 @@ import numpy as np
 
 import robots
 from verify.core.records import Array, Measurement, StereoPair
-from verify.devices.protocols import CapturedPair, EncoderReading
+from verify.devices.protocols import CapturedPair
 from verify.live.alarms.joints import AlarmLimits, JointAlarms
 from verify.live.alarms.loss import LOSS_TIMEOUT, DeviceWatch, TargetWatch
 from verify.live.bracketing import (
@@ -78,7 +78,9 @@ class LiveLoop:
             subject.arm, subject.rig, self._book, subject.clock, computation.estimate_clock
         )
         standing = (subject.rig.left.pan, subject.rig.right.pan)
-        self._intake = DeviceIntake(devices, standing, self._add_reading, self._turn)
+        self._intake = DeviceIntake(
+            devices, standing, lambda new: self._book.add(recorder.reading(new)), self._turn
+        )
         follows = devices.turn is not None
         self._follower = PanFollower(subject.rig, subject.marker) if follows else None
         turning = devices.pan is not None
@@ -131,9 +133,6 @@ class LiveLoop:
             threading.excepthook = plain
         self._look(final=True)
         look(self.state)
-
-    def _add_reading(self, reading: EncoderReading) -> None:
-        self._book.add(self._recorder.reading(reading))
 
     def _turn(self) -> None:
         """Send the follower's order, in the thread that owns the bases' line."""

@@ -71,7 +71,11 @@ class Pairing:
         times.append(frame.t)
         partner = self._partner(self._waiting[1 - side], frame)
         if partner is None:
-            self._wait(side, frame)
+            queue = self._waiting[side]
+            queue.append(frame)
+            if len(queue) > MAX_WAITING:
+                queue.popleft()
+                self.dropped[OTHER_CAMERA_STALLED] += 1
             return None
         if own := self._waiting[side]:
             self.dropped[NO_PARTNER] += len(own)
@@ -92,10 +96,3 @@ class Pairing:
         while others.popleft() is not best:
             self.dropped[NO_PARTNER] += 1
         return best
-
-    def _wait(self, side: int, frame: CameraFrame) -> None:
-        queue = self._waiting[side]
-        queue.append(frame)
-        while len(queue) > MAX_WAITING:
-            queue.popleft()
-            self.dropped[OTHER_CAMERA_STALLED] += 1

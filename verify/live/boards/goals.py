@@ -214,7 +214,6 @@ def _pan_goals(taken: CapturedPairs) -> Iterator[BoardGoal]:
     for side, name in enumerate(SIDES):
         angles = [(pair.pan_left, pair.pan_right)[side] for pair in taken.pairs]
         places = len(np.unique(np.round(np.rad2deg(angles)))) if angles else 0
-        words = f"{places} of {MIN_PAN_ANGLES} angles; turn it"
-        if places >= MIN_PAN_ANGLES:
-            words = f"{places} angles"
-        yield BoardGoal(f"{name} base", places >= MIN_PAN_ANGLES, words)
+        reached = places >= MIN_PAN_ANGLES
+        words = f"{places} angles" if reached else f"{places} of {MIN_PAN_ANGLES} angles; turn it"
+        yield BoardGoal(f"{name} base", reached, words)

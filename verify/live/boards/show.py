@@ -60,19 +60,12 @@ def render_snapshot(now: BoardSnapshot, help_: str) -> RenderableType:
     for goal in now.goals:
         mark = Text("●", style="green") if goal.reached else Text("○", style="yellow")
         goals.add_row(mark, goal.name, Text(goal.words, style="dim" if goal.reached else ""))
+    maps = Table("left", "right", box=None, pad_edge=False)  # both images, a sign for each cell
+    maps.add_row(*map(_coverage_map, now.coverage))
     devices = render_devices(now.devices)
     words = Text(now.words, style=STYLES.get(now.status, "cyan"))
     last, keys = Text(now.last, style="dim"), Text(help_, style="dim")
-    return Group(_coverage_maps(now.coverage), goals, devices, last, words, keys)
-
-
-def _coverage_maps(covered: tuple[CameraCoverage, ...]) -> RenderableType:
-    """Both images, a sign for each cell."""
-    table = Table(box=None, pad_edge=False)
-    for name in ("left", "right"):
-        table.add_column(name)
-    table.add_row(*(_coverage_map(c) for c in covered))
-    return table
+    return Group(maps, goals, devices, last, words, keys)
 
 
 def _coverage_map(covered: CameraCoverage) -> Text:
@@ -121,7 +114,13 @@ class BoardPageSource(SnapshotPageSource[BoardSnapshot]):
         now = self._state.snapshot()
         return {
             "goals": [asdict(goal) for goal in now.goals],
-            "coverage": [_coverage(c) for c in now.coverage],
+            "coverage": [
+                {
+                    "cells": c.cells.astype(int).tolist(),
+                    "placements": [*map(_placement, c.placements)],
+                }
+                for c in now.coverage
+            ],
             "devices": [asdict(line) for line in now.devices],
         }
 
@@ -138,13 +137,6 @@ class BoardPageSource(SnapshotPageSource[BoardSnapshot]):
         """How many pairs there are, for Prometheus."""
         pairs = self._state.snapshot().pairs
         return f"# TYPE verify_board_pairs gauge\nverify_board_pairs {pairs}\n"
-
-
-def _coverage(covered: CameraCoverage) -> dict[str, Any]:
-    return {
-        "cells": covered.cells.astype(int).tolist(),
-        "placements": [_placement(s) for s in covered.placements],
-    }
 
 
 def _placement(placement: BoardPlacement) -> dict[str, float]:
