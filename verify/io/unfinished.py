@@ -121,10 +121,8 @@ class _Picture:
         return flat.reshape(self.shape)
 
 
-@dataclass(frozen=True, slots=True)
-class _Pair:
-    times_and_pans: tuple[float, ...]  # t left, right, s, cameras' clock; pan left, right, rad
-    pictures: tuple[_Picture, _Picture]  # left, right
+# t left, right, s, cameras' clock, and pan left, right, rad; the pictures, left and right
+_Pair = tuple[tuple[float, ...], tuple[_Picture, _Picture]]
 
 
 class _ExtendedImages(Images):
@@ -163,11 +161,11 @@ def append_unfinished(
     if not pairs:
         return frames, sides, 0
     left, right = (
-        _ExtendedImages(video, count, [pair.pictures[side] for pair in pairs])
+        _ExtendedImages(video, count, [pictures[side] for _, pictures in pairs])
         for side, video in enumerate(sides)
     )
     before = (frames.t_left, frames.t_right, frames.pan_left, frames.pan_right)
-    after = np.array([pair.times_and_pans for pair in pairs]).T
+    after = np.array([times_and_pans for times_and_pans, _ in pairs]).T
     series = [np.append(*both) for both in zip(before, after, strict=True)]
     if not np.isfinite(after).all() or any((np.diff(t) <= 0).any() for t in series[:2]):
         found = "holds pairs whose times do not rise after those of frames.csv"
@@ -198,5 +196,5 @@ def _read_slots(path: Path) -> dict[int, _Pair]:
             number, *times_and_pans = SLOT.unpack(file.read(SLOT.size))
             pictures = _Picture(path, at + PAGE, left), _Picture(path, at + layout.right_at, right)
             if number != EMPTY:
-                pairs[number] = _Pair(tuple(times_and_pans), pictures)
+                pairs[number] = tuple(times_and_pans), pictures
     return pairs

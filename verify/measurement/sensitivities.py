@@ -1,6 +1,5 @@
 """How spots move when a stated parameter does: derivatives of predicted pixels, all at once."""
 
-from dataclasses import dataclass
 from functools import lru_cache
 
 import cv2
@@ -29,13 +28,14 @@ def spot_derivatives(
     `by_point` (s, 2, 3), d px / d point in the rig. The robot's base moves no spot.
     """
     left, right = sides
-    led, plan = np.concatenate([left.led, right.led]), _group_parameters(names, marker.names)
+    led = np.concatenate([left.led, right.led])
+    body, by_camera = _group_parameters(names, marker.names)
     moved, spots = np.zeros((len(names), len(led), 2)), (marker.leds, led, rig_T_flange, by_point)
     cameras = (
-        _stated_camera(plan.camera["left"], rig.left, left.pan),
-        _stated_camera(plan.camera["right"], rig.right, right.pan),
+        _stated_camera(by_camera["left"], rig.left, left.pan),
+        _stated_camera(by_camera["right"], rig.right, right.pan),
     )
-    kernel.fill_derivatives(spots, len(left), plan.body, cameras, moved)
+    kernel.fill_derivatives(spots, len(left), body, cameras, moved)
     return moved
 
 
@@ -48,17 +48,11 @@ def _stated_camera(
     return kinds, twists, camera.matrix, camera.distortion, camera.camera_T_rig(pan)
 
 
-@dataclass(frozen=True, slots=True)
-class _ParameterGroups:
-    """Parameters by what they belong to."""
-
-    body: Index  # (., 4), of LEDs and their body: column, kind, LED, axis
-    # columns, and the parameters' keys
-    camera: dict[str, tuple[tuple[int, ...], tuple[str, ...]]]
-
-
 @lru_cache(maxsize=16)
-def _group_parameters(names: tuple[str, ...], leds: tuple[str, ...]) -> _ParameterGroups:
+def _group_parameters(
+    names: tuple[str, ...], leds: tuple[str, ...]
+) -> tuple[Index, dict[str, tuple[tuple[int, ...], tuple[str, ...]]]]:
+    """Those of LEDs and body, (., 4): column, kind, LED, axis; each camera's columns and keys."""
     body: list[tuple[int, int, int, int]] = []
     camera: dict[str, list[tuple[int, str]]] = {"left": [], "right": []}
     for column, name in enumerate(names):
@@ -75,7 +69,7 @@ def _group_parameters(names: tuple[str, ...], leds: tuple[str, ...]) -> _Paramet
         side: (tuple(c for c, _ in found), tuple(key for _, key in found))
         for side, found in camera.items()
     }
-    return _ParameterGroups(np.array(body, dtype=np.int64).reshape(-1, 4), sides)
+    return np.array(body, dtype=np.int64).reshape(-1, 4), sides
 
 
 def camera_derivatives(
