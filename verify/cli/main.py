@@ -7,8 +7,6 @@ import re
 import signal
 import sys
 import traceback
-from functools import cache
-from typing import Any
 
 import typer
 
@@ -130,15 +128,9 @@ def _interrupt_again(_signal: int, _frame: object) -> None:
     raise CommandInterrupt
 
 
-@cache
-def _command_line() -> Any:
-    """Build the parser of the command line, once a process."""
-    return typer.main.get_command(app)
-
-
 def _status(words: list[str]) -> int:
     try:
-        outcome = _command_line()(words, prog_name="verify", standalone_mode=False)
+        outcome = typer.main.get_command(app)(words, prog_name="verify", standalone_mode=False)
     except InputError as problem:
         return _refuse(str(problem))
     except WatchDefectError as problem:

@@ -78,7 +78,8 @@ class Readings:
         In a gap there are within HOLD_TIME of a burst whose readings show the arm at rest (or of a
         single reading: a visit). Where the arm moves and the readings stop, there is none.
         """
-        available = self._bracketed(t)
+        # readings stand at both sides, no gap between them
+        available: Flags = self._without_gap[self.t.searchsorted(t)] | (t == self.t[0])
         if np.count_nonzero(available) == len(available):
             return available
         gaps = np.flatnonzero(~available & (t >= self.t[0]) & (t <= self.t[-1]))
@@ -88,11 +89,6 @@ class Readings:
             nearest = np.where(since < until, after - 1, after)
             available[gaps] = (np.minimum(since, until) <= HOLD_TIME) & self._at_rest[nearest]
         return available
-
-    def _bracketed(self, t: Array) -> Flags:
-        """Whether readings stand at both sides of the instants t (n,), no gap between them."""
-        marks: Flags = self._without_gap[self.t.searchsorted(t)] | (t == self.t[0])
-        return marks
 
     def instants(self, step: float) -> Array:
         """Instants so many s apart wherever there are readings, (g,) s."""

@@ -207,9 +207,6 @@ def _measure_pairs(line: processes.ParentLine, rig: Rig, marker: Marker) -> None
 
 def _receive_pairs(line: processes.ParentLine) -> Iterator[StereoPair]:
     """Receive pairs; when the next one is requested, the one before has been measured."""
-    message: PairMessage | None = line.receive()
-    while message is not None:
-        bare, left, right = message
+    for bare, left, right in iter(line.receive, None):
         yield replace(bare, left=processes.picture_at(*left), right=processes.picture_at(*right))
         line.send("next")
-        message = line.receive()

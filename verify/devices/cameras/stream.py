@@ -61,9 +61,10 @@ class StreamSource:
         self._before: float | None = None
         self._gaps: deque[float] = deque(maxlen=N_GAPS)  # s
         names = ("size", "rate", "format", "exposure", "gain", "white_balance")
-        given = [(name, value) for name in names if (value := getattr(settings, name)) is not None]
         self.refused = tuple(
-            RefusedSetting(name, str(value), "as set at the camera itself") for name, value in given
+            RefusedSetting(name, str(value), "as set at the camera itself")
+            for name in names
+            if (value := getattr(settings, name)) is not None
         )
 
     def grab(self) -> CapturedImage | None:

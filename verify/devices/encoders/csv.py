@@ -61,8 +61,7 @@ class CsvEncoders(LineEncoders):
 
 def _field_map(header: bytes, joints: int) -> FieldMap | str:
     """Make a field map of a first line; a complaint, where it does not name what is needed."""
-    names = header.decode("utf-8-sig", errors="replace").strip().split(",")
-    names = [name.strip() for name in names]
+    names = [name.strip() for name in header.decode("utf-8-sig", errors="replace").split(",")]
     units = {match[2] for name in names if (match := _NAME.fullmatch(name))}
     unit = units.pop() if len(units) == 1 else "deg"
     wanted = ["t_s", *(f"q{joint}_{unit}" for joint in range(1, joints + 1))]

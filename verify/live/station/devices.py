@@ -242,10 +242,8 @@ def _board_settings(
 
 def _field_map(table: StationEncodersTable, joints: int) -> FieldMap:
     given = stated(table, *FIELD_KEYS)
-    for key in ("columns", "counts_per_degree"):
-        if key in given:
-            given[key] = tuple(given[key])
-    return FieldMap(joints, **given)
+    lists = {key: tuple(value) for key, value in given.items() if isinstance(value, list)}
+    return FieldMap(joints, **given | lists)
 
 
 def _csv_settings(path: Path, table: StationEncodersTable, joints: int) -> CsvSettings:
