@@ -187,11 +187,9 @@ def _contrasts(
         rows += _contrast_rows("since", names, [(one, one.t >= day) for one in every])
     if request.compare is not None:
         first, second = (_sessions_below(sessions["session"], folder) for folder in request.compare)
-        chosen = []
-        for one in every:
-            of = np.array([s in first or s in second for s in one.session], dtype=bool)
-            some = one.chosen(of)
-            chosen.append((some, np.array([s in second for s in some.session], dtype=bool)))
+        both = first | second
+        some = [one.chosen(np.array([s in both for s in one.session], bool)) for one in every]
+        chosen = [(one, np.array([s in second for s in one.session], bool)) for one in some]
         rows += _contrast_rows("compare", request.compare, chosen)
     return rows
 

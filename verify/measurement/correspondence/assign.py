@@ -33,7 +33,6 @@ from verify.measurement.correspondence.hypotheses import (
     build_graph,
     find_edges,
     find_points,
-    find_triangles,
     seed_hypotheses,
 )
 from verify.measurement.correspondence.kernels import entries as kernel
@@ -59,6 +58,7 @@ from verify.measurement.correspondence.views import (
     stereo_optics,
 )
 
+MAX_SEEDS = 512  # an octahedron of six LEDs, the most symmetric marker, has 480 a mirror image
 MAX_PAIRS = 256  # best distances first: bounds the work in a scene of lamps
 MIN_ADVANTAGE = 9.0  # of twice the log evidence: odds of 90 to 1, on noise allowed for generously
 MAX_DEPARTURE = 2.0  # standard deviations to how far a prediction may be off
@@ -89,7 +89,8 @@ def search_assignments(views: SpotViews, rig_R_flange: Array, *, single: bool) -
 def _nodes(graph: SeedGraph, leds: Array, count: int) -> Index:
     """List the sets of so many nodes to begin with, best first."""
     if count == 3:
-        return find_triangles(graph, leds)
+        edges = find_edges(graph)
+        return kernel.list_triangles(graph.deviation, edges, graph.led, leds, MAX_SEEDS)
     return find_edges(graph)[:MAX_PAIRS] if count == 2 else np.arange(len(graph.led))[:, None]
 
 

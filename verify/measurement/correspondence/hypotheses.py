@@ -18,7 +18,6 @@ from verify.measurement.correspondence.views import SpotViews
 
 MAX_POINTS = 120  # best rays first; keeps a scene full of lamps on one line within bounds
 MAX_EDGES = 3000  # best distances first; bounds the work in such a scene
-MAX_SEEDS = 512  # an octahedron of six LEDs, the most symmetric marker, has 480 a mirror image
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,11 +56,6 @@ def find_edges(graph: SeedGraph) -> Index:
     one, other = (graph.deviation <= MAX_DEVIATION).nonzero()
     best = graph.deviation[one, other].argsort(kind="stable")[:MAX_EDGES]
     return np.ascontiguousarray(np.array([one[best], other[best]]).T)
-
-
-def find_triangles(graph: SeedGraph, leds: Array) -> Index:
-    """List triples of nodes every two of which agree, (t, 3), best first; slender ones left out."""
-    return kernels.list_triangles(graph.deviation, find_edges(graph), graph.led, leds, MAX_SEEDS)
 
 
 FREE_SIGMAS = 10.0, 3.0  # m, rad: so large that the images alone decide the pose

@@ -41,8 +41,9 @@ def find_candidates(image: Image, windows: Array | None) -> Array:
     height, width = image.shape[:2]
     if windows is None:
         windows = np.array([[0.0, 0.0, width, height]])
-    boxes = [cut_window(window, width, height) for window in windows.tolist()]
-    parts = [find_in_large_window(image, box) for box in boxes]
+    inside = np.clip(windows, 0.0, [width, height, width, height])
+    boxes = np.concatenate([np.floor(inside[:, :2]), np.ceil(inside[:, 2:])], axis=1).astype(int)
+    parts = [find_in_large_window(image, box) for box in boxes.tolist()]
     found = np.concatenate([np.empty((0, 4)), *parts])
     return found[np.argsort(-found[:, 3], kind="stable")[:MAX_CANDIDATES]]
 
@@ -50,18 +51,6 @@ def find_candidates(image: Image, windows: Array | None) -> Array:
 def are_small(windows: Array) -> bool:
     """Whether windows (m, 4) are searched at full size, each as a whole."""
     return all((x1 - x0) * (y1 - y0) <= MAX_SMALL_AREA for x0, y0, x1, y1 in windows.tolist())
-
-
-def cut_window(window: list[float], width: int, height: int) -> list[int]:
-    """A window in whole pixels, inside an image."""
-    x0, y0, x1, y1 = np.clip(window, 0.0, [width, height, width, height]).tolist()
-    return [int(x0), int(y0), math.ceil(x1), math.ceil(y1)]
-
-
-def widths(step: int) -> tuple[float, float]:
-    """Least and largest full width of a blob, px, to one pixel of `step` px."""
-    smallest, largest = DIAMETER_RANGE
-    return smallest - step, largest + step
 
 
 def find_in_large_window(image: Image, window: list[int]) -> Array:
@@ -81,7 +70,7 @@ def find_in_large_window(image: Image, window: list[int]) -> Array:
         blue, green, red = cv2.split(part)
         part = np.asarray(cv2.max(cv2.max(blue, green), red), np.uint8)
     part = np.ascontiguousarray(part)
-    search, (least, largest) = blob_search(factor), widths(factor)
+    search = blob_search(factor)
     reach, levels, shape, most = search
     boxes = contrast_boxes(part, reach, LEVELS[-1])
     if boxes[:1].tolist() == [[0, 0, width, height]]:  # OpenCV is quicker for all of a picture
@@ -94,8 +83,9 @@ def find_in_large_window(image: Image, window: list[int]) -> Array:
     # a pixel of the halved picture is centred between the two it came from
     found[:, 0] += x0 + (factor - 1) / 2
     found[:, 1] += y0 + (factor - 1) / 2
-    width_px = 2.0 * found[:, 2]
-    return found[(least <= width_px) & (width_px <= largest)]
+    width_px, (least, largest) = 2.0 * found[:, 2], DIAMETER_RANGE
+    # to one pixel of the picture that was searched
+    return found[(least - factor <= width_px) & (width_px <= largest + factor)]
 
 
 @cache
