@@ -99,7 +99,7 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
         if len(wrong):
             found = f"the quaternion has the length {length[wrong[0]]:.6g}"
             raise table.fault(int(wrong[0]), found, "a turn's, qw, qx, qy, qz, has the length 1")
-        rotation = Rotation.from_quat(np.roll(quaternion, -1, axis=1)).as_matrix()
+        rotation = Rotation.from_quat(quaternion, scalar_first=True).as_matrix()
         # the quaternion's vector is the sine of half the angle: half the angle's error
         rounding = 2 * _rounding(quaternion)
     return Poses(

@@ -33,8 +33,7 @@ def check_devices(station: Station) -> list[Finding]:
     if (pan := station.open_pan()) is not None:
         trials.append(partial(_try_pan, pan))
     with ThreadPoolExecutor(len(trials)) as pool:
-        running = [pool.submit(trial) for trial in trials]
-    found += [trial.result() for trial in running]
+        found += pool.map(lambda trial: trial(), trials)
     if pan is None:
         found.append(Finding("pan bases", "works", "fixed, as the rig's calibration has them"))
     return found
@@ -76,9 +75,8 @@ def _try_encoders(encoders: EncoderDevice) -> Finding:
         figures["round_trip_ms"] = round(float(np.median(trips)) * 1e3, 2)
         sentence += f", round trip {figures['round_trip_ms']:.1f} ms"
     angles = ", ".join(f"{angle:z.2f}°" for angle in np.rad2deg(readings[-1].q))
-    doubtful = bool(state.bad or state.lost)
-    sentence += f"; now at {angles}"
-    return Finding("encoders", "doubt" if doubtful else "works", sentence, figures)
+    outcome = "doubt" if state.bad or state.lost else "works"
+    return Finding("encoders", outcome, f"{sentence}; now at {angles}", figures)
 
 
 def _try_pan(pan: PanDevice) -> Finding:

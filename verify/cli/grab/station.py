@@ -80,7 +80,10 @@ class LivePairs:
         }
         if pan is not None:
             steps["pan bases"] = readings_step(pan, self._angles.add)
-        self._threads = [PollingThread(name, step, _report_defect) for name, step in steps.items()]
+        self._threads = [
+            PollingThread(name, step, lambda name, error: terminal.warn(f"{name}: {error}"))
+            for name, step in steps.items()
+        ]
         for thread in self._threads:
             thread.start()
 
@@ -131,10 +134,6 @@ class LivePairs:
         with self._lock:
             if self._newest is None or self._newest[0].left.t < pair.left.t:
                 self._newest = (pair, pans)
-
-
-def _report_defect(name: str, error: Exception) -> None:
-    terminal.warn(f"{name}: {error}")
 
 
 CELL_FILE = "grab.toml"  # beside the station file

@@ -44,7 +44,7 @@ def rotations(values: Array, kind: str, first: int = 0) -> Array:
     else:
         require_rotation(kind)
         turns = Rotation.from_euler(kind, values)
-    return np.roll(turns.as_quat(), 1, axis=1)
+    return turns.as_quat(scalar_first=True)
 
 
 def require_rotation(kind: str) -> None:
@@ -100,8 +100,8 @@ class Triangle:
         u[:, :, 2] *= np.linalg.det(u @ vt)[:, None]
         turns = u @ vt
         corner = turns @ given[0]
-        quaternions = Rotation.from_matrix(turns @ self._first_R_body).as_quat()
-        return centres[:, 0] + corner, np.roll(quaternions, 1, axis=1)
+        poses = Rotation.from_matrix(turns @ self._first_R_body)
+        return centres[:, 0] + corner, poses.as_quat(scalar_first=True)
 
 
 def _sides(points: Array) -> Array:

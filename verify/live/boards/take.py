@@ -111,9 +111,7 @@ class BoardCapture:
     def _lines(self) -> tuple[DeviceStatus, ...]:
         devices = self._devices
         named = {"left camera": devices.left, "right camera": devices.right, "bases": devices.pan}
-        lines = [
-            device_status(n, device.state()) for n, device in named.items() if device is not None
-        ]
+        lines = (device_status(n, d.state()) for n, d in named.items() if d is not None)
         return tuple(
             replace(line, sentence=self._troubles.get(line.name, line.sentence)) for line in lines
         )
