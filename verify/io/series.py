@@ -273,18 +273,16 @@ class CsvTable:
                 remedy = "Write decimal points, and a comma between cells alone."
                 raise InputError(f"{self.path}, line {line}", found, expected, remedy)
             row = [_number(cells[place]) for place in places.values()]
-            if not all(map(math.isfinite, row)):
-                raise self._bad_cell(line, cells, places)
+            numbers = zip(places, row, strict=True)
+            wrong = next((name for name, v in numbers if not math.isfinite(v)), None)
+            if wrong is not None:
+                cell = cells[places[wrong]].strip()
+                found = f'{wrong} is "{cell[:40]}"' if cell else f"{wrong} is empty"
+                expected = f"every row needs a number for {', '.join(places)}"
+                raise InputError(f"{self.path}, line {line}", found, expected, self._row_remedy)
             rows.append(row)
         columns = np.array(rows).reshape(-1, len(places)).T
         return dict(zip(places, columns, strict=True))
-
-    def _bad_cell(self, line: int, cells: list[str], places: dict[str, int]) -> InputError:
-        name = next(name for name in places if not math.isfinite(_number(cells[places[name]])))
-        cell = cells[places[name]].strip()
-        found = f'{name} is "{cell[:40]}"' if cell else f"{name} is empty"
-        expected = f"every row needs a number for {', '.join(places)}"
-        return InputError(f"{self.path}, line {line}", found, expected, self._row_remedy)
 
     @property
     def _row_remedy(self) -> str:
