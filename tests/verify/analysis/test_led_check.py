@@ -72,7 +72,7 @@ def test_an_led_that_is_moved_while_recording_is_named_as_that() -> None:
     half = PAIRS // 2
     found = misfit_of([*seen(true, 1)[:half], *seen(late, 2)[half:]])
     assert found.led is not None
-    assert (found.led.name, found.led.end) == ("C", None)
+    assert (found.led.name, found.led.end) == ("C", np.inf)
     assert found.led.begin == pytest.approx(5.0 * half - 2.5)  # a pair every 5 s
     assert np.linalg.norm(found.led.displacement) == pytest.approx(3e-3, abs=1e-4)
     assert "from its place in marker.toml from t_left_s = 97.50 on" in warned(found)

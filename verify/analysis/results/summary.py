@@ -177,7 +177,7 @@ def _pictures(measured: MeasuredSession) -> dict[str, Any] | None:
             "name": led.name,
             "displacement_mm": [finite_number(x * MILLIMETRE) for x in led.displacement.tolist()],
             "expanded_uncertainty_mm": finite_number(2 * led.standard_uncertainty * MILLIMETRE),
-            "last_pairs_only": led.begin is not None and led.end is None,
+            "last_pairs_only": math.isfinite(led.begin) and math.isinf(led.end),
             "begin_s": finite_number(led.begin),
             "end_s": finite_number(led.end),
             "left_out": left_out is not None,

@@ -75,14 +75,8 @@ class DisplacedLed:
     name: str
     displacement: Array  # (3,), m, flange axes
     standard_uncertainty: float  # m, of its length
-    begin: float | None = None  # s, from when on; None: from the first pair on
-    end: float | None = None  # s, until when; None: to the last pair
-
-    @property
-    def when(self) -> str:
-        """From or until which instant, in words; empty: always."""
-        since = "" if self.begin is None else f" from t_left_s = {self.begin:.2f} on"
-        return since if self.end is None else f"{since} until t_left_s = {self.end:.2f}"
+    begin: float  # s, from when on; -inf: from the first pair on
+    end: float  # s, until when; inf: to the last pair
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,10 +280,8 @@ def _displaced_led(
     explains = before - after > MIN_SHARE * (before - 1.0)
     if not explains or (found.length(k) <= least and not after < MAX_MISFIT < before):
         return None
-    begin, end = (
-        float(products.t[edge - 1 : edge + 1].mean()) if 0 < edge < n else None
-        for edge in (start, stop)
-    )
+    between = np.concatenate([[-np.inf], (products.t[1:] + products.t[:-1]) / 2, [np.inf]])
+    begin, end = between[[start, stop]].tolist()
     return DisplacedLed(marker.names[k], found.shift[k], np.nan, begin, end)
 
 
@@ -304,11 +296,10 @@ def _refined(
     k, leds = marker.names.index(found.name), marker.leds.copy()
     leds[k] += found.displacement
     there = replace(marker, leds=leds)
-    begin, end = found.begin or -np.inf, found.end or np.inf
     posed = [
         (seen, fit_pose(left, right, rig, there, pose.rig_T_flange), left, right)
         for seen, pose, left, right in pairs
-        if begin < seen.t < end
+        if found.begin < seen.t < found.end
     ]
     products = _without_strays(_products(posed, rig, there, parameters))
     fit = _fit_leds(products, len(marker))
@@ -331,14 +322,14 @@ def _fit_leds(products: SpotProducts, leds: int) -> _LedFit:
 
 
 def displacement_text(led: DisplacedLed) -> str:
-    """Say which LED is not in its place, and how far off."""
-    length, u = (
-        1e3 * float(x) for x in (np.linalg.norm(led.displacement), led.standard_uncertainty)
-    )
+    """Say which LED is not in its place, how far off, and when."""
+    length, u = np.linalg.norm(led.displacement) * 1e3, led.standard_uncertainty * 1e3
     x, y, z = (np.round(1e3 * led.displacement, 2) + 0.0).tolist()  # no -0.00
+    since = "" if np.isinf(led.begin) else f" from t_left_s = {led.begin:.2f} on"
+    until = "" if np.isinf(led.end) else f" until t_left_s = {led.end:.2f}"
     return (
         f"LED {led.name} is seen {length:.2f} mm (U = {2 * u:.2f} mm; x {x:+.2f}, y {y:+.2f}, "
-        f"z {z:+.2f} mm, flange axes) from its place in marker.toml{led.when}"
+        f"z {z:+.2f} mm, flange axes) from its place in marker.toml{since}{until}"
     )
 
 
