@@ -96,16 +96,12 @@ def _mark_leds(image: Image, sighting: Sighting, marker: Marker) -> Image:
     centres = (sighting.centre - [left, top] + 0.5) * [scale, HEIGHT / height] - 0.5
     for led, (x, y) in zip(sighting.led, np.rint(centres).astype(int).tolist(), strict=True):
         cv2.circle(view, (x, y), round(9 * scale), RING_COLOUR, 1, cv2.LINE_AA)
-        name = _printed_name(marker.names[led])
+        # in the letters that OpenCV has; of a long one its ends, to cover no other
+        name = "".join(c if c.isascii() and c.isprintable() else "?" for c in marker.names[led])
+        name = name if len(name) <= MAX_NAME_LETTERS else f"{name[:5]}..{name[-5:]}"
         there = (x + round(11 * scale), y - round(5 * scale))
         cv2.putText(view, name, there, cv2.FONT_HERSHEY_SIMPLEX, 0.6, TEXT_COLOUR, 1, cv2.LINE_AA)
     return np.asarray(view, dtype=np.uint8)
-
-
-def _printed_name(name: str) -> str:
-    """An LED's name in the letters that OpenCV has; of a long one its ends, to cover no other."""
-    plain = "".join(c if c.isascii() and c.isprintable() else "?" for c in name)
-    return plain if len(plain) <= MAX_NAME_LETTERS else f"{plain[:5]}..{plain[-5:]}"
 
 
 def _crop(sighting: Sighting, width: int, height: int) -> tuple[int, int, int, int]:

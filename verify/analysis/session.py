@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pandas as pd
 
+from robots import Arm
 from verify.analysis.clock.estimate import ClockEstimate, shown_offset, spread
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
@@ -90,6 +91,7 @@ MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
 MIN_MISFIT_TURNED = 10.0  # of the causes: a turned camera is tried though it is none of them
 MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
 NO_TOLERANCE = Tolerance(None, None, None)
+ModelBuilder = Callable[[Comparison], JointErrorModel]
 
 
 def analyse(
@@ -217,16 +219,13 @@ def compare_session(
 def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Linearise a session about the errors that are there, find their causes, resolve them.
 
-    It is linearised where base or LED body would stand if they explain the errors better than the
-    joints do. A turned camera is found first, and the session linearised anew about its angle;
-    where a given clock is wrong, it is about the offset that the motion shows. Pairs that repeat
-    each other's errors count for fewer. What a cause leaves in every pair from its beginning on
-    repeats itself as well: so causes are found first with all that counted as noise, then again
+    A turned camera is found first, and the session linearised anew about its angle. Pairs that
+    repeat each other's errors count for fewer. What a cause leaves in every pair from its beginning
+    on repeats itself as well: so causes are found first with all that counted as noise, then again
     with what they themselves leave. A pair whose reading lies between one from before a change and
     one from after it weighs nothing.
     """
-    session, (start, late) = compared.session, compared.at_shown_clock or (compared.comparison, 0.0)
-    joints = solve_joints(start, session.arm) if late else compared.joints
+    session = compared.session
 
     def built(comparison: Comparison) -> JointErrorModel:
         return build_model(
@@ -234,45 +233,15 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
             compared.clock, compared.systematics,
         )  # fmt: skip
 
-    def linearised(start: Comparison, joints: JointComparison) -> Comparison:
-        error, known = np.nan_to_num(joints.error), ~np.isnan(joints.error)
-        typical = error.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-        if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
-            first = np.nan_to_num(resolve_errors(built(start)).mean)
-            typical = np.where(known.any(axis=0), typical, first)
-        # a step, readings that stand or a rough stretch leave some pairs far from what is typical
-        rough = start.local_noise > 2 * start.reading_noise
-        far = known & (rough | (np.abs(error - typical) > MIN_FAR))
-        expected, gross = np.where(far, error, typical), gross_errors(joints.error)
-        middle = relinearise(start, session.arm, expected, gross)
-        return replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
-
-    def fit(tangent: Comparison, motion: Callable[[Array], Array]) -> RegressionFit:
-        model = built(tangent)
-        moved = model.white.rows(motion(tangent.base_T_jacobian))
-        free = np.concatenate([model.joints, model.fitted, moved], axis=1)
-        return solve(free, model.xi, model.prior)
-
-    middle = linearised(start, joints)
-    if np.nanmax(np.abs(joints.error), initial=0.0) > MIN_DISPLACED:
-        motions = base_motion, body_motion
-        least = min(fit(middle, motion).chi2 for motion in motions) - MIN_GAIN_DISPLACED
-        for motion in motions:
-            there, effect = without_misplacement(start, motion)
-            tangent = linearised(there, solve_joints(there, session.arm))
-            tangent = replace(tangent, xi=tangent.xi + effect(tangent))
-            fitted = fit(tangent, motion)
-            if fitted.chi2 < min(least, MAX_MISFIT_DISPLACED * fitted.degrees_of_freedom):
-                middle, least = tangent, fitted.chi2
-
     def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:
         causes = [] if found is None else explained_by(found, model, session.arm, session.rig)
         resolved = resolve_errors(model, causes)
         left = model.xi - predict_errors(model, resolved)
         return resolved, autocorrelation(model.white.by_pair(left))
 
+    middle = plain = _tangent(compared, built)
     factors = explained(built(middle), None)[1]
-    rounds, changes, across, plain = 0, 0, np.zeros(0, dtype=np.int64), middle
+    rounds, changes, across = 0, 0, np.zeros(0, dtype=np.int64)
     cameras = bool(plain.systematic[:, :, -1].any())
     while rounds < MAX_ROUNDS:
         model = built(inflate_covariance(without_weight(middle, across), factors))
@@ -297,6 +266,50 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
     # what is told of pairs is their whole error, no tangent's
     whole = compared.comparison.xi
     return replace(model, comparison=replace(model.comparison, xi=whole)), found, resolved
+
+
+def _tangent(compared: SessionComparison, built: ModelBuilder) -> Comparison:
+    """Linearise a session about the errors that are there.
+
+    Where base or LED body explain them better than the joints do, about the place where they would
+    stand; where a given clock is wrong, about the offset that the motion shows.
+    """
+    arm, (start, late) = compared.session.arm, compared.at_shown_clock or (compared.comparison, 0.0)
+    joints = solve_joints(start, arm) if late else compared.joints
+    middle, motions = _about_joint_errors(start, joints, arm, built), (base_motion, body_motion)
+    if np.nanmax(np.abs(joints.error), initial=0.0) > MIN_DISPLACED:
+        least = min(_fit_offsets(built(middle), motion).chi2 for motion in motions)
+        least -= MIN_GAIN_DISPLACED
+        for motion in motions:
+            there, twist = without_misplacement(start, motion)
+            tangent = _about_joint_errors(there, solve_joints(there, arm), arm, built)
+            tangent = replace(tangent, xi=tangent.xi - motion(tangent.base_T_jacobian) @ twist)
+            fitted = _fit_offsets(built(tangent), motion)
+            if fitted.chi2 < min(least, MAX_MISFIT_DISPLACED * fitted.degrees_of_freedom):
+                middle, least = tangent, fitted.chi2
+    return replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
+
+
+def _about_joint_errors(
+    start: Comparison, joints: JointComparison, arm: Arm, built: ModelBuilder
+) -> Comparison:
+    error, known = np.nan_to_num(joints.error), ~np.isnan(joints.error)
+    typical = error.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
+    if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
+        first = np.nan_to_num(resolve_errors(built(start)).mean)
+        typical = np.where(known.any(axis=0), typical, first)
+    # a step, readings that stand or a rough stretch leave some pairs far from what is typical
+    rough = start.local_noise > 2 * start.reading_noise
+    far = known & (rough | (np.abs(error - typical) > MIN_FAR))
+    expected, gross = np.where(far, error, typical), gross_errors(joints.error)
+    return relinearise(start, arm, expected, gross)
+
+
+def _fit_offsets(model: JointErrorModel, motion: Callable[[Array], Array]) -> RegressionFit:
+    """Fit a constant error of every joint, and a motion of base or LED body beside them."""
+    moved = model.white.rows(motion(model.comparison.base_T_jacobian))
+    free = np.concatenate([model.joints, model.fitted, moved], axis=1)
+    return solve(free, model.xi, model.prior)
 
 
 def zero_undetermined_columns(comparison: Comparison) -> Comparison:
@@ -376,9 +389,7 @@ def _results(found: SessionAnalysis) -> Results:
     tables = {
         "frames": frames_table(measured.measurements, found),
         "spots": spots_table(measured.measurements, session.marker),
-        "resolved": resolved_table(
-            found,
-        ),
+        "resolved": resolved_table(found),
         "relative": relative_table(found.relative, found.frame),
         "clock_curve": pd.DataFrame(clock.curve, columns=["offset_s", "cost"]),
         "budget": found.sources.lines,

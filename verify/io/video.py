@@ -52,7 +52,8 @@ def _has_footers(packet: bytes) -> bool:
     """Whether slices with footers fill an FFV1 picture, whatever they hold."""
     end = len(packet)
     while end >= _SLICE_FOOTER:
-        end -= int.from_bytes(packet[end - 8 : end - 5], "big") + _SLICE_FOOTER
+        start = end - _SLICE_FOOTER
+        end = start - int.from_bytes(packet[start : start + 3], "big")
     return end == 0
 
 

@@ -311,22 +311,18 @@ def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
 
 def without_misplacement(
     comparison: Comparison, motion: Callable[[Array], Array]
-) -> tuple[Comparison, Callable[[Comparison], Array]]:
-    """The comparison with the base, or the LED body, where its poses have it.
+) -> tuple[Comparison, Array]:
+    """The comparison with base or LED body where the poses have it, and its twist there (6,).
 
-    `motion` is `base_motion` or `body_motion`. Also gives what that does to xi, (n, 6), at a
-    tangent: added to the tangent's xi, it makes a motion of any size linear.
+    `motion`, `base_motion` or `body_motion`, at a tangent times the twist is what it takes off xi:
+    with that given back, a motion of any size is linear.
     """
     encoder, measured = comparison.base_T_encoder, comparison.base_T_measured
     back, of_base = invert(encoder), motion is base_motion
     moved = middle_pose(measured @ back if of_base else back @ measured)
     there = invert(moved) @ measured if of_base else measured @ invert(moved)
-    twist = np.append(moved[:3, 3], rotation_log(moved[:3, :3]))
-
-    def effect(tangent: Comparison) -> Array:
-        return np.asarray(-motion(tangent.base_T_jacobian) @ twist)
-
-    return replace(comparison, base_T_measured=there, xi=twist_difference(encoder, there)), effect
+    without = replace(comparison, base_T_measured=there, xi=twist_difference(encoder, there))
+    return without, np.append(moved[:3, 3], rotation_log(moved[:3, :3]))
 
 
 def about_turned_camera(

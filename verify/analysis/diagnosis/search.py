@@ -4,10 +4,9 @@ Everything needed of a session is the products of what registration, clock and s
 of the faults' columns and of the errors; any set is then solved in a few small matrices.
 """
 
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import combinations, islice
+from itertools import chain, combinations, islice
 
 import numpy as np
 
@@ -230,7 +229,8 @@ def search_faults(products: FaultProducts) -> FaultSet:
     """
     least, best = _grow(products, (), (), BEAM_WIDTH)
     for _ in range(MAX_EXCHANGES):
-        for removed in _removals(best):
+        counts = range(1, min(len(best), MAX_EXCHANGED) + 1)  # one, then two together, and so on
+        for removed in chain.from_iterable(combinations(best, count) for count in counts):
             without = tuple(k for k in best if k not in removed)
             width = EXCHANGE_WIDTH if len(removed) == 1 else 1
             cost, chosen = _grow(products, without, removed, width)
@@ -253,12 +253,6 @@ def against_drifts(products: FaultProducts, best: FaultSet) -> FaultSet:
         return best
     _, rival = _grow(products, (), bases, BEAM_WIDTH)
     return min(best, rival, key=products.schwarz)
-
-
-def _removals(best: FaultSet) -> Iterator[FaultSet]:
-    """Members to take out of a set: one, then two together, and so on."""
-    for count in range(1, min(len(best), MAX_EXCHANGED) + 1):
-        yield from combinations(best, count)
 
 
 def _grow(
