@@ -1,7 +1,8 @@
 """The usual mistakes of readings, poses and registrations, each taken back.
 
-A joint's sign, zero or unit, two joints exchanged, a link that turns with two; poses in metres, in
-another order or inverted, cameras exchanged; a base inverted, in metres or elsewhere; another arm.
+Joints' signs or units, a zero, two joints exchanged, a link that turns with two; poses in metres,
+in another order or inverted; cameras or their times exchanged, one film for both; a base inverted,
+in metres or elsewhere; another arm.
 """
 
 from collections.abc import Collection, Iterator, Sequence
@@ -40,6 +41,7 @@ BASE_TURNS = np.deg2rad(np.arange(-28.0, 29.0, 4.0))  # from where it is read, t
 CLEAR_BASE_TURN = np.deg2rad(1.0)  # lengths off by 2 % look like 0.3°, and fit as well
 MAX_SHIFT_PX = 60.0  # of the right picture by such a turn: more than half a step
 MAX_TURN_PAIRS, MAX_TURN_STEPS = 4, 6
+PAIR_COLUMNS = ("pan_left", "pan_right", "t_left", "t_right")
 ZERO_ERRORS_DEG = (90, -90, 180)
 REVERSE = "Multiply that column by -1."
 
@@ -95,14 +97,21 @@ def _column_mistakes(q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
             yield what, f"{add} q{j + 1}, or write {line}.", {j: q[:, j] + sign * q[:, j - 1]}
     # numbers below a turn may be radians
     small = [j for j in joints if np.abs(q[:, j]).max() < np.deg2rad(2 * np.pi)]
-    groups = [group for n in range(2, len(joints)) for group in combinations(small, n)]
-    for group in (*groups, tuple(joints)):
-        some = f"joints {', '.join(str(j + 1) for j in group)}" if group in groups else "all joints"
-        remedy = f"Multiply the columns {', '.join(f'q{j + 1}_deg' for j in group)} by 180/π."
+    for some, columns, group in _groups(small, len(joints)):
+        remedy = f"Multiply the columns {columns} by 180/π."
         yield f"{some} taken as radians", remedy, {j: np.rad2deg(q[:, j]) for j in group}
     for i, k in combinations(joints, 2):
         exchange = f"Exchange the columns q{i + 1}_deg and q{k + 1}_deg."
         yield f"joints {i + 1} and {k + 1} exchanged", exchange, {i: q[:, k], k: q[:, i]}
+
+
+def _groups(some: Sequence[int], dof: int) -> Iterator[tuple[str, str, tuple[int, ...]]]:
+    """Two or more of some joints, and all `dof` of them: name, columns, indices."""
+    groups = (group for n in range(2, dof) for group in combinations(some, n))
+    for group in (*groups, tuple(range(dof))):
+        name = "joints " + ", ".join(str(j + 1) for j in group)
+        columns = ", ".join(f"q{j + 1}_deg" for j in group)
+        yield name if len(group) < dof else "all joints", columns, group
 
 
 def _sign_changes(t: Array, q: Array) -> Iterator[tuple[str, str, dict[int, Array]]]:
@@ -162,7 +171,12 @@ def scaled_joints(written: Mistake, factor: Array, doubt: float) -> Iterator[Mis
 
 
 def session_mistakes(session: Session, written: Mistake) -> Iterator[Mistake]:
-    """An instrument's poses inverted or in another order."""
+    """Several joints reversed; an instrument's poses inverted or in another order."""
+    t, q = written.readings.t, written.readings.q
+    for some, columns, group in _groups(range(q.shape[1]), q.shape[1]):
+        remedy = f"Multiply the columns {columns} by -1."
+        readings = Readings(t, q * (1 - 2 * np.isin(np.arange(q.shape[1]), group)))
+        yield replace(written, name=f"{some} reversed", remedy=remedy, readings=readings)
     if session.instrument is None:
         return
     rig_T_body = session.instrument.poses.transforms[written.track.frame.astype(int)]
@@ -192,25 +206,32 @@ def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -
     there = np.convolve(lost, np.ones(size), "valid")
     first, fits, setup = int(np.argmax(there)), [], setup_of(session)
     read = list(islice(session.pairs(), first, first + size))  # once, as a film takes its time
+    if all(np.array_equal(pair.left, pair.right) and np.ptp(pair.left) for pair in read):
+        found, remedy = "its pictures are those of the left camera", "Name its own in session.toml."
+        raise InputError(session.right.path, found, "pictures of the right camera", remedy)
     spots = {pair.frame: setup.detect(pair, None, None) for pair in read}
     setup = replace(setup, detect=lambda pair, *_: spots[pair.frame])
     turns = _base_turns(read, setup) if lost.mean() > 1 - MAX_LOST_SHARE else ()
-    pan = np.stack([session.frames.pan_left, session.frames.pan_right])
     remedy = "Exchange the pictures of left and right in session.toml."
+    written = np.stack([getattr(session.frames, name) for name in PAIR_COLUMNS])
     other_side = {"detect": lambda pair, *_: spots[pair.frame][::-1]}
-    exchanged = session.left.path, "left and right exchanged", remedy, pan, other_side
-    for *named, mended, without in (*_picture_mistakes(session, pan, turns), exchanged):
-        turned = zip(read, *mended[:, first : first + size].tolist(), strict=True)
-        pairs = (replace(pair, pan_left=left, pan_right=right) for pair, left, right in turned)
+    exchanged = session.left.path, "left and right exchanged", remedy, written, other_side
+    for *named, mended, without in (*_picture_mistakes(session, written, turns), exchanged):
+        facts = mended[:, first : first + size].T.tolist()
+        pairs = (
+            replace(pair, **dict(zip(PAIR_COLUMNS, own, strict=True)))
+            for pair, own in zip(read, facts, strict=True)
+        )
         tried = measure(pairs, replace(setup, **without))
         fits.append((sum(m.status == "measured" for m in tried), named))
     most = max(count for count, *_ in fits)
     if size - most <= MAX_LEFT_LOST * there[first] and most > fits[0][0]:
         files, names, remedies = zip(*(named for n, named in fits if n == most), strict=True)
-        what = "the pan readings" if files[0].name == "frames.csv" else "it"
+        pans = files[0].name == "frames.csv" and not names[0].startswith("t_")
         raise InputError(
             files[0],
-            f"the pictures do not agree with {what}; {' or '.join(dict.fromkeys(names))} fits: "
+            f"the pictures do not agree with {'the pan readings' if pans else 'it'}; "
+            f"{' or '.join(dict.fromkeys(names))} fits: "
             f"{most} of {size} pairs from frame {measurements[first].frame} on can be measured, "
             f"not {size - there[first]:.0f}",
             "pan angles in degrees, in rig.toml's sense, and places in millimetres are expected",
@@ -219,19 +240,23 @@ def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -
 
 
 def _picture_mistakes(
-    session: Session, pan: Array, turns: Collection[tuple[int, float]]
+    session: Session, written: Array, turns: Collection[tuple[int, float]]
 ) -> Iterator[tuple[Path, str, str, Array, dict[str, Any]]]:
     """As written, then the usual mistakes that set pictures against each other: file, name, remedy.
 
-    With them what would be without: `pan`, the readings (2, n), rad; rig or marker, if it is in
+    With them what would be without: PAIR_COLUMNS (4, n), as `written`; rig or marker, if it is in
     these. `turns`: side and angle, rad, by which bases may be off.
     """
+    pan = written[:2]
     rig, marker = session.rig, session.marker
     rig_file = session.rig_file or session.folder / "rig.toml"
     file, columns = session.folder / "frames.csv", ("pan_left_deg", "pan_right_deg")
     if not (pan - [[rig.left.pan], [rig.right.pan]]).any():  # none there
         file, columns = rig_file, ("left.pan_deg", "right.pan_deg")
-    yield file, "as written", "", pan, {}
+    yield file, "as written", "", written, {}
+    times, frames_file = ("t_left_s", "t_right_s"), session.folder / "frames.csv"
+    for where, two, order in ((file, columns, [1, 0, 2, 3]), (frames_file, times, [0, 1, 3, 2])):
+        yield where, f"{' and '.join(two)} exchanged", "Exchange these two.", written[order], {}
     for sides, name in (([0, 1], " and ".join(columns)), *(([k], columns[k]) for k in (0, 1))):
         for what, remedy, without in (
             ("reversed", "Multiply {} by -1.", -pan),
@@ -239,10 +264,9 @@ def _picture_mistakes(
             ("a row too late", "Move {} up by one row.", np.roll(pan, -1, axis=1)),
             ("a row too early", "Move {} down by one row.", np.roll(pan, 1, axis=1)),
         ):
-            mended = pan.copy()
+            mended = written.copy()
             mended[sides] = without[sides]
             yield file, f"{name} {what}", remedy.format(name), mended, {}
-    yield file, f"{' and '.join(columns)} exchanged", "Exchange these two.", pan[::-1], {}
     for side, turn in turns:
         by, camera = f"about {abs(np.rad2deg(turn)):.1f}°", ("left", "right")[side]
         name = f"{columns[side]} {by} too {'small' if turn > 0 else 'large'}"
@@ -251,14 +275,14 @@ def _picture_mistakes(
             name = f"one base {by} from where it is read, or lengths off by some per cent,"
             keys = "a base's zero, camera_matrix, pan_center_mm or position_mm of the LEDs"
         remedy = f"Correct {keys}, if entered wrong; else calibrate again: the figure is rough."
-        yield file, name, remedy, pan + np.eye(2)[side][:, None] * turn, {}
+        yield file, name, remedy, written + np.eye(4)[side][:, None] * turn, {}
     marker_file = session.marker_file or session.folder / "marker.toml"
     for unit, size in (("centimetres", 10.0), ("metres", 1000.0)):
         left, right = (replace(c, pan_center=c.pan_center * size) for c in (rig.left, rig.right))
         leds, remedy = replace(marker, leds=marker.leds * size), f"Multiply them by {size:.0f}."
         placed = {"rig": replace(rig, left=left, right=right)}
-        yield rig_file, f"pan_center_mm in {unit}", remedy, pan, placed
-        yield marker_file, f"position_mm of the LEDs in {unit}", remedy, pan, {"marker": leds}
+        yield rig_file, f"pan_center_mm in {unit}", remedy, written, placed
+        yield marker_file, f"position_mm of the LEDs in {unit}", remedy, written, {"marker": leds}
 
 
 def _base_turns(read: Sequence[StereoPair], setup: Setup) -> set[tuple[int, float]]:

@@ -10,6 +10,7 @@ import numpy as np
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import Array
 from verify.devices.protocols import EncoderReading, PanReading
+from verify.io.left_out import MAX_SPEED
 from verify.live.pairing import FramePair
 
 INITIAL_CAPACITY = 256  # readings
@@ -34,14 +35,20 @@ class ReadingSeries:
         return self._kept[self._first : self._end, TIME]
 
     def add(self, reading: EncoderReading) -> None:
-        """Append a reading."""
+        """Append a reading; a joint that passes ±180° or ±360° and is counted anew goes on."""
+        q = reading.q
+        before = self._kept[self._end - 1] if self._end > self._first else None
+        if before is not None and (since := reading.t - before[TIME]) < MAX_GAP:
+            leap = q - before[ANGLES]
+            turns = 2 * np.pi * np.rint(leap / (2 * np.pi))
+            q = q - turns * (np.abs(leap - turns) < MAX_SPEED * since)
         if self._end == len(self._kept):  # move what is there into twice the room
             rows = self.rows.reshape(-1, 3 + len(reading.q))
             self._kept = np.empty((max(2 * len(rows), INITIAL_CAPACITY), rows.shape[1]))
             self._kept[: len(rows)] = rows
             self._first, self._end = 0, len(rows)
         self._kept[self._end, :3] = reading.t, reading.t_host, reading.half_width
-        self._kept[self._end, ANGLES] = reading.q
+        self._kept[self._end, ANGLES] = q
         self._end += 1
 
     def drop_before(self, t: float) -> None:

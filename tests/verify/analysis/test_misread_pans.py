@@ -103,6 +103,28 @@ def test_places_in_another_unit_are_named(unit: str, size: float) -> None:
         analyse(replace(session, marker=leds))
 
 
+def test_times_of_the_cameras_that_are_exchanged_are_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    recording = ScenarioRecording(pairs=14, rate_hz=8.0, skew_s=0.006)
+    session, pairs = in_memory(scene(marker=marker_of("ABCD"), recording=recording)), InMemory.pairs
+    frames = replace(session.frames, t_left=session.frames.t_right, t_right=session.frames.t_left)
+    monkeypatch.setattr(
+        InMemory, "pairs", lambda self: (
+            replace(pair, t_left=pair.t_right, t_right=pair.t_left) for pair in pairs(self)
+        ),
+    )  # fmt: skip
+    with pytest.raises(InputError, match=r"frames\.csv: .*t_left_s and t_right_s exchanged fits"):
+        analyse(replace(session, frames=frames))
+
+
+def test_one_film_for_both_cameras_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    pairs = InMemory.pairs
+    monkeypatch.setattr(
+        InMemory, "pairs", lambda self: (replace(pair, right=pair.left) for pair in pairs(self))
+    )
+    with pytest.raises(InputError, match=r"right\.mkv: its pictures are those of the left camera"):
+        analyse(recorded())
+
+
 def test_right_pan_readings_are_not_refused_where_pairs_are_lost() -> None:
     session = recorded()
     measurements = measure_pictures(session, no_progress, measure).measurements

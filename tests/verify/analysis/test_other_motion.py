@@ -55,6 +55,10 @@ def reverse_first(q: Array) -> Array:
     return q * [-1, 1, 1, 1, 1, 1]
 
 
+def reverse_three(q: Array) -> Array:
+    return q * [1, -1, -1, 1, -1, 1]
+
+
 def mirror_fourth_halfway(q: Array) -> Array:
     return np.where((np.arange(6) == 3) & (np.arange(len(q)) >= 168)[:, None], -q, q)
 
@@ -102,6 +106,10 @@ def delay_second_and_fourth(q: Array) -> Array:
         ),
         (stop_fifth_halfway, r"joint 5 stand still from t_s = 2\.\d* to 5\.\d* while it turns by"),
         (stall, r"joints 1, .* stand still from t_s = 2\.82 to 3\.20 while they turn by"),
+        (
+            reverse_three,
+            r"joints 2, 3, 5 reversed fits.* columns q2_deg, q3_deg, q5_deg by -1",
+        ),
         (reverse_first, r"encoders\.csv: .*joint 1 reversed fits.* column q1_deg by -1"),
         (
             mirror_fourth_halfway,

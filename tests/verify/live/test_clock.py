@@ -128,6 +128,18 @@ def test_a_series_of_readings_holds_what_a_list_would() -> None:
     assert store.copied(len(kept)) is None
 
 
+def test_a_joint_that_is_counted_anew_goes_on() -> None:
+    book, t = ReadingBuffer(), np.arange(0.0, 4.0, 0.02)
+    q = np.stack([np.pi * np.sin(2 * t), 0.3 * t, 7 * np.sin(t), np.cos(t)], axis=1)
+    counted = np.arctan2(np.sin(q), np.cos(q))
+    assert np.abs(np.diff(counted, axis=0)).max() > 6
+    for at, angles in zip(t.tolist(), counted, strict=True):
+        book.add(EncoderReading(at, at, 0.0, 0, angles))
+    readings = book.since(0.0)
+    assert readings is not None
+    np.testing.assert_allclose(readings.q, q, atol=1e-12)
+
+
 def test_readings_that_were_copied_stay_as_they_were() -> None:
     store = ReadingSeries()
     store.add(EncoderReading(1.0, 0.0, 0.0, 0, np.ones(6)))
