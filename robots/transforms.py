@@ -4,6 +4,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
+ROUNDS = 5  # by which motions of base and body are told apart
 
 
 def invert(a_T_b: Array) -> Array:
@@ -56,6 +57,20 @@ def middle_pose(poses: Array) -> Array:
     middle = np.median(poses, axis=0)
     middle[:3, :3] = Rotation.from_matrix(poses[:, :3, :3]).mean().as_matrix()
     return np.asarray(middle)
+
+
+def misplacement(
+    measured: Array, read: Array, *, of_base: bool, of_body: bool
+) -> tuple[Array, Array]:
+    """Motions B and X (4, 4) of base and body by which poses (n, 4, 4) as measured are B read X.
+
+    Either is none unless it is asked for; of both, each round takes some of the other's.
+    """
+    base, body, back = np.eye(4), np.eye(4), invert(read)
+    for _ in range(ROUNDS if of_base and of_body else 1):
+        base = middle_pose(measured @ invert(body) @ back) if of_base else base
+        body = middle_pose(back @ invert(base) @ measured) if of_body else body
+    return base, body
 
 
 def rotation_log(rotation: Array) -> Array:

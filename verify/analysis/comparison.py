@@ -7,6 +7,7 @@ angles of measured poses come from the inverse, the branch nearest the readings.
 """
 
 import contextlib
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -290,6 +291,21 @@ def twist_transport(shift: Array) -> Array:
     carry = np.broadcast_to(np.eye(6), (*shift.shape[:-1], 6, 6)).copy()
     carry[..., :3, :] = rigid_columns(shift)  # rho + phi x shift
     return carry
+
+
+Motion = Callable[[Array], Array]  # twists (n, 6, 6) of the flange at its poses (n, 4, 4)
+
+
+def base_motion(base_T_flange: Array) -> Array:
+    """Twist (n, 6, 6) of the flange for a motion of what it stands on, base axes."""
+    return twist_transport(base_T_flange[:, :3, 3])
+
+
+def body_motion(base_T_flange: Array) -> Array:
+    """Twist (n, 6, 6) of the flange for a motion of itself in its own axes."""
+    motion = np.zeros((len(base_T_flange), 6, 6))
+    motion[:, :3, :3] = motion[:, 3:, 3:] = base_T_flange[:, :3, :3]
+    return motion
 
 
 def gross_errors(error: Array) -> Array:

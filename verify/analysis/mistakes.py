@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.library import example_names, names
-from robots.transforms import carry, middle_pose
+from robots.transforms import carry, difference, invert, misplacement
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.measured import SAME_PAN, session_clock, setup_of
 from verify.analysis.results.warnings import MAX_LOST_SHARE
@@ -336,22 +336,26 @@ def registration_mistakes(session: Session, written: Mistake) -> Iterator[Mistak
 def misplacements(session: Session, written: Mistake, clock: ClockEstimate) -> Iterator[Mistake]:
     """The base, or the body on the flange, where the poses have it and far from where it is said.
 
-    Not a base that is said to be as doubtful as that.
+    Whichever fits better; not a base that is said to be as doubtful as that.
     """
+    found: list[tuple[float, Mistake | None, Track]] = []
     for of_base in (True, False):
-        offset, track, moved = clock.offset, written.track, np.eye(4)
+        offset, track, least, moved = clock.offset, written.track, np.inf, np.eye(4)
         for _ in range(2):  # the clock, too, is found anew
             poses, q = sample(written, offset)
             if not len(q):
                 return
-            flange_T_base = np.linalg.inv(robots.forward(written.arm, q))
-            at = written.track.base_T_flange
-            moved = middle_pose(poses @ flange_T_base if of_base else flange_T_base @ poses)
-            back = np.linalg.inv(moved)
-            track = replace(written.track, base_T_flange=back @ at if of_base else at @ back)
+            read, at = robots.forward(written.arm, q), written.track.base_T_flange
+            base, body = misplacement(poses, read, of_base=of_base, of_body=not of_base)
+            left = difference(invert(base) @ poses @ invert(body), read)
+            left[:, :3] /= LEVER
+            least, moved = float(np.median(np.linalg.norm(left, axis=1))), base @ body
+            track = replace(written.track, base_T_flange=invert(base) @ at @ invert(body))
             offset = session_clock(session, track, written.readings).offset
-        if (found := _misplaced(session, written, moved, of_base=of_base)) is not None:
-            yield replace(found, track=track)
+        found.append((least, _misplaced(session, written, moved, of_base=of_base), track))
+    _, mistake, track = min(found, key=lambda one: one[0])
+    if mistake is not None:
+        yield replace(mistake, track=track)
 
 
 def misplaced_base(

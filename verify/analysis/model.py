@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.comparison import Comparison, JointComparison, twist_transport
+from verify.analysis.comparison import Comparison, JointComparison, base_motion, body_motion
 from verify.analysis.least_squares import Whitener, residual_products, whiten
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
@@ -151,18 +151,6 @@ def clock_effect(comparison: Comparison, *, steady: bool = False) -> Array:
         varies = rate.std(axis=0) > MIN_SPEED_SIGMA * noise
         rate = np.where(varies, rate, np.where(moves, mean, 0.0))
     return -(comparison.jacobian @ rate[:, :, None])
-
-
-def base_motion(base_T_flange: Array) -> Array:
-    """Twist (n, 6, 6) of the flange for a motion of what it stands on, base axes."""
-    return twist_transport(base_T_flange[:, :3, 3])
-
-
-def body_motion(base_T_flange: Array) -> Array:
-    """Twist (n, 6, 6) of the flange for a motion of itself in its own axes."""
-    motion = np.zeros((len(base_T_flange), 6, 6))
-    motion[:, :3, :3] = motion[:, 3:, 3:] = base_T_flange[:, :3, :3]
-    return motion
 
 
 def prior_columns(

@@ -1,6 +1,6 @@
 """A recorded session from pixels to results: measure, compare, estimate, present."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, replace
 
 import numpy as np
@@ -12,7 +12,10 @@ from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
     Comparison,
     JointComparison,
+    Motion,
     ReadingUncertainty,
+    base_motion,
+    body_motion,
     compare,
     gross_errors,
     inflate_covariance,
@@ -22,10 +25,14 @@ from verify.analysis.comparison import (
 )
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
-from verify.analysis.diagnosis.faults import about_turned_camera, without_misplacement
+from verify.analysis.diagnosis.faults import (
+    about_turned_camera,
+    misplacement_twists,
+    without_misplacement,
+)
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import JointErrors, ResolvedErrors, predict_errors, resolve_errors
-from verify.analysis.least_squares import RegressionFit, autocorrelation, solve
+from verify.analysis.least_squares import autocorrelation, solve
 from verify.analysis.measured import (
     Chain,
     measure_instrument,
@@ -45,8 +52,6 @@ from verify.analysis.model import (
     JointErrorModel,
     SessionComparison,
     add_pan_noise,
-    base_motion,
-    body_motion,
     build_model,
     clock_effect,
     visibility,
@@ -84,6 +89,8 @@ __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
 MIN_DISPLACED = np.deg2rad(0.5)  # an error of a joint: base or body may stand elsewhere instead
+DISPLACED = ((base_motion,), (body_motion,), (base_motion, body_motion))
+STEPS_DISPLACED = 3  # of Newton, to where they stand
 MIN_GAIN_DISPLACED = 2.0  # of chi-squared, about the place where they would stand
 MAX_MISFIT_DISPLACED = 2.0  # there: of a joint's step, more is left
 MIN_FAR = np.deg2rad(2.0)  # of an error from the typical one: a Jacobian is off by some per cent
@@ -276,17 +283,21 @@ def _tangent(compared: SessionComparison, built: ModelBuilder) -> Comparison:
     """
     arm, (start, late) = compared.session.arm, compared.at_shown_clock or (compared.comparison, 0.0)
     joints = solve_joints(start, arm) if late else compared.joints
-    middle, motions = _about_joint_errors(start, joints, arm, built), (base_motion, body_motion)
-    if np.nanmax(np.abs(joints.error), initial=0.0) > MIN_DISPLACED:
-        least = min(_fit_offsets(built(middle), motion).chi2 for motion in motions)
-        least -= MIN_GAIN_DISPLACED
-        for motion in motions:
-            there, twist = without_misplacement(start, motion)
-            tangent = _about_joint_errors(there, solve_joints(there, arm), arm, built)
-            tangent = replace(tangent, xi=tangent.xi - motion(tangent.base_T_jacobian) @ twist)
-            fitted = _fit_offsets(built(tangent), motion)
-            if fitted.chi2 < min(least, MAX_MISFIT_DISPLACED * fitted.degrees_of_freedom):
-                middle, least = tangent, fitted.chi2
+    middle = _about_joint_errors(start, joints, arm, built)
+    far = np.nanmax(np.abs(joints.error), initial=0.0) > MIN_DISPLACED
+    if far and _fit_offsets(built(middle), ())[1] > MAX_MISFIT_DISPLACED:
+        least = min(_fit_offsets(built(middle), motions)[0] for motions in DISPLACED)
+        for motions in DISPLACED:
+            twists = misplacement_twists(start, motions)
+            for _ in range(STEPS_DISPLACED):
+                there = without_misplacement(start, motions, twists)
+                tangent = _about_joint_errors(there, solve_joints(there, arm), arm, built)
+                taken = [motion(tangent.base_T_jacobian) for motion in motions]
+                xi = tangent.xi - np.concatenate(taken, axis=2) @ twists.ravel()
+                tangent = replace(tangent, xi=xi)
+                cost, misfit, twists = _fit_offsets(built(tangent), motions)
+                if cost < least - MIN_GAIN_DISPLACED and misfit < MAX_MISFIT_DISPLACED:
+                    middle, least = tangent, cost
     return replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
 
 
@@ -305,11 +316,17 @@ def _about_joint_errors(
     return relinearise(start, arm, expected, gross)
 
 
-def _fit_offsets(model: JointErrorModel, motion: Callable[[Array], Array]) -> RegressionFit:
-    """Fit a constant error of every joint, and a motion of base or LED body beside them."""
-    moved = model.white.rows(motion(model.comparison.base_T_jacobian))
-    free = np.concatenate([model.joints, model.fitted, moved], axis=1)
-    return solve(free, model.xi, model.prior)
+def _fit_offsets(model: JointErrorModel, motions: Sequence[Motion]) -> tuple[float, float, Array]:
+    """Fit a constant error of every joint and motions: cost, a degree's misfit, twists (m, 6).
+
+    The cost is chi-squared and, for each unknown of a motion, twice what it gains by chance.
+    """
+    moved = [model.white.rows(motion(model.comparison.base_T_jacobian)) for motion in motions]
+    free = np.concatenate([model.joints, model.fitted, *moved], axis=1)
+    fit = solve(free, model.xi, model.prior)
+    # what moves the measured flange is less of an error, encoder less measured
+    twists = -fit.value[len(fit.value) - 6 * len(motions) :].reshape(-1, 6)
+    return fit.chi2 + 2 * twists.size, fit.chi2 / max(fit.degrees_of_freedom, 1), twists
 
 
 def zero_undetermined_columns(comparison: Comparison) -> Comparison:

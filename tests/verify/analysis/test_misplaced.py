@@ -76,3 +76,41 @@ def test_of_a_body_elsewhere_no_healthy_joint_is_accused(shift: float, turn: flo
     assert body["value"] == pytest.approx(shift, abs=0.2)
     assert body["turn_deg"] == pytest.approx(turn, abs=0.03)
     assert verdicts.split()[:5] == ["conform"] * 5
+
+
+@pytest.mark.parametrize(("shift", "turn"), [(20.0, 0.0), (0.0, 4.0), (10.0, 2.0)])
+def test_a_body_elsewhere_is_told_beside_a_joints_fault_with_the_clock(
+    shift: float, turn: float
+) -> None:
+    """No clock is stated: the motion shows it, and only without the body's own."""
+    session = with_body_elsewhere(open_session(SAMPLES / FAULTY), motion(4, shift, turn))
+    verdicts, kinds, (body, offset) = judged(session)
+    assert kinds == [("led_body_slipped", None), ("offset", 2)]
+    assert body["value"] == pytest.approx(shift, abs=0.2)
+    assert body["turn_deg"] == pytest.approx(turn, abs=0.03)
+    assert offset["value"] == pytest.approx(OFFSET, abs=offset["expanded_uncertainty"])
+    assert verdicts.split()[1:5] == ["nonconform", "conform", "conform", "conform"]
+
+
+@pytest.mark.parametrize(
+    ("seed", "shift", "turn"),
+    [(1, 5.0, 1.0), (2, 5.0, 1.0), (3, 5.0, 1.0), (2, 10.0, 2.0), (3, 10.0, 2.0)],
+)
+def test_base_and_body_elsewhere_are_both_told(seed: int, shift: float, turn: float) -> None:
+    session = with_base_elsewhere(open_session(SAMPLES / FAULTY), motion(seed, shift, turn))
+    session = with_body_elsewhere(session, motion(seed + 10, shift, turn))
+    verdicts, kinds, causes = judged(session)
+    assert sorted(kinds[:2]) == [("base_moved", None), ("led_body_slipped", None)]
+    assert kinds[2:] == [("offset", 2)]
+    for one in causes[:2]:  # where it turns about the first axis, joint 1 takes a share
+        assert one["value"] == pytest.approx(shift, abs=one["expanded_uncertainty"] + 0.3)
+    assert causes[2]["value"] == pytest.approx(OFFSET, abs=causes[2]["expanded_uncertainty"])
+    assert verdicts.split()[2:5] == ["conform"] * 3
+
+
+def test_a_base_elsewhere_is_not_taken_for_a_body_that_is_farther_off() -> None:
+    """A turn of 4° of the base looks most like a body that is turned and shifted by 46 mm."""
+    session = replace(open_session(SAMPLES / HEALTHY), clock=None)
+    _, kinds, (base,) = judged(with_base_elsewhere(session, motion(0, 0.0, 4.0)))
+    assert kinds == [("base_moved", None)]
+    assert base["turn_deg"] == pytest.approx(4.0, abs=0.05)

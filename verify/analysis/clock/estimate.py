@@ -23,9 +23,23 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import robots
-from robots.transforms import invert, middle_pose
-from verify.analysis.clock.search import COARSE_STEP, MIN_OVERLAP, MOTION_LAG, coarse_costs, dips
-from verify.analysis.comparison import Comparison, compare, gross_errors
+from robots.transforms import invert, misplacement
+from verify.analysis.clock.search import (
+    COARSE_STEP,
+    MIN_OVERLAP,
+    MODEL_ERROR,
+    MOTION_LAG,
+    coarse_costs,
+    dips,
+)
+from verify.analysis.comparison import (
+    Comparison,
+    Motion,
+    base_motion,
+    body_motion,
+    compare,
+    gross_errors,
+)
 from verify.analysis.least_squares import autocorrelation, whiten
 from verify.core.readings import Readings
 from verify.core.records import Array, Index
@@ -52,6 +66,7 @@ MAX_STEP = 0.1  # s: readings are not linear over longer times
 MAX_TRAVEL = 0.5  # s, from a dip: what it leads to farther off is another one's
 # An offset that the motion shows no better than this is no offset: the arm moves 0.3° at 30°/s.
 MAX_UNCERTAINTY = 0.01  # s
+ANGLES_ALONE = (MODEL_ERROR[0], 1.0)  # m: distances do not count
 DOUBTFUL = 5e-4  # s, standard: the motion of usual sessions shows an offset better
 MIN_APART, MIN_APART_SIGMA = 2e-3, 5.0  # s, sigmas: of a given offset; nearer, first order does
 PARTS, MIN_PARTS = 4, 3  # of a session, where all of it shows no offset; that agree
@@ -107,8 +122,11 @@ def estimate_clock(
     found = _search(track, arm, readings, arrival, MIN_OVERLAP)
     known = found.standard_uncertainty or np.inf
     if found.source in ("none", "estimated") and known > DOUBTFUL:
-        there = _without_misplacement(track, arm, readings, found.offset)
-        stood = _search(there, arm, readings, arrival, MIN_OVERLAP)
+        # an LED body elsewhere changes how far its place moves, and not by what angle
+        by_angle = coarse_costs(track, arm, readings, found.offset, MIN_OVERLAP, ANGLES_ALONE)
+        at = by_angle[np.argmin(by_angle[:, 1]), 0] if len(by_angle) else found.offset
+        there = _without_misplacement(track, arm, readings, at)
+        stood = _search(there, arm, readings, arrival, MIN_OVERLAP, (base_motion, body_motion))
         if stood.source == "estimated" and (stood.standard_uncertainty or np.inf) < known:
             found = stood
     shared = readings.available(track.t - found.offset).mean()
@@ -119,9 +137,14 @@ def estimate_clock(
 
 
 def _search(
-    track: Track, arm: robots.Arm, readings: Readings, arrival: ArrivalClock | None, overlap: float
+    track: Track,
+    arm: robots.Arm,
+    readings: Readings,
+    arrival: ArrivalClock | None,
+    overlap: float,
+    motions: Sequence[Motion] = (),
 ) -> ClockEstimate:
-    """The offset among those that give a share `overlap` of the pairs a reading."""
+    """The offset, beside `motions`, among those that give a share `overlap` of pairs a reading."""
     guess = None if arrival is None else arrival.offset
     curve = coarse_costs(track, arm, readings, guess, overlap)
     open_clock = _unshown_offset(track, readings, curve, arrival)
@@ -140,7 +163,7 @@ def _search(
         return open_clock
     candidates = [_candidate(track, arm, readings, o, arrival) for o in starts]
     best, rivals = _choose(candidates)
-    fine = _refine(track, arm, readings, best)
+    fine = _refine(track, arm, readings, best, motions=motions)
     if fine is None or fine[1] > MAX_UNCERTAINTY:
         fine = _refine_by_parts(track, arm, readings, best)
     if fine is None or fine[1] > MAX_UNCERTAINTY:
@@ -152,14 +175,12 @@ def _without_misplacement(
     track: Track, arm: robots.Arm, readings: Readings, offset: float
 ) -> Track:
     """The track with base and LED body where the readings have them at an offset of the clock."""
-    there, measured = track.t - offset, track.base_T_flange
-    known = readings.available(there)
+    known = readings.available(track.t - offset)
     if not known.any():
         return track
-    back = invert(robots.forward(arm, readings.at(there[known])))
-    measured = invert(middle_pose(measured[known] @ back)) @ measured
-    measured = measured @ invert(middle_pose(back @ measured[known]))
-    return replace(track, base_T_flange=measured)
+    read = robots.forward(arm, readings.at((track.t - offset)[known]))
+    base, body = misplacement(track.base_T_flange[known], read, of_base=True, of_body=True)
+    return replace(track, base_T_flange=invert(base) @ track.base_T_flange @ invert(body))
 
 
 def gross_zeros(track: Track, arm: robots.Arm, readings: Readings, offset: float) -> Array:
@@ -323,8 +344,9 @@ def _refine(
     offset: float,
     earlier: Sequence[float] = (),
     tolerance: float = TOL_OFFSET,
+    motions: Sequence[Motion] = (),
 ) -> tuple[float, float] | None:
-    """Newton on the offset with a constant error of every joint fitted beside it.
+    """Newton on the offset with a constant error of every joint, and `motions`, fitted beside it.
 
     None where nothing shows it, where it goes far, and where it passes an offset that an `earlier`
     search started from: it would go on as that one did. A step back is at most half the one before.
@@ -334,7 +356,7 @@ def _refine(
         comparison = compare(track, arm, readings, offset)
         if len(comparison) < 3:
             return None
-        solved = _step(comparison)
+        solved = _step(comparison, motions)
         if solved is None:
             return None
         step, uncertainty = solved
@@ -365,18 +387,20 @@ def _refine_by_parts(
     return found, float(np.sqrt(max(misfit, 1.0) / weight.sum()))
 
 
-def _step(comparison: Comparison) -> tuple[float, float] | None:
+def _step(comparison: Comparison, motions: Sequence[Motion]) -> tuple[float, float] | None:
     """Correction of the offset and its standard uncertainty, or None where nothing shows it."""
     # a later clock reads the joints where they were earlier: d xi / d offset = - J rate
     effect = -np.einsum("nij,nj->ni", comparison.jacobian, comparison.rate)[:, :, None]
-    white = whiten(comparison)
-    rows, joints = white.rows(effect)[:, 0], white.rows(comparison.jacobian)
+    white, dof = whiten(comparison), comparison.jacobian.shape[2]
+    moved = [motion(comparison.base_T_jacobian) for motion in motions]
+    columns = np.concatenate([comparison.jacobian, *moved], axis=2)
+    rows, joints = white.rows(effect)[:, 0], white.rows(columns)
     xi = white.rows(comparison.xi[:, :, None])[:, 0]
     spanned, length, _ = np.linalg.svd(joints, full_matrices=False)
     basis = spanned[:, length > 1e-9 * length[0]]
     left = rows - basis @ (basis.T @ rows)
     size = float(np.linalg.norm(left))
-    by_noise = float(np.sum(joints**2, axis=0) @ comparison.rate_variance)
+    by_noise = float(np.sum(joints[:, :dof] ** 2, axis=0) @ comparison.rate_variance)
     if size**2 <= MIN_SIGNAL_TO_NOISE * by_noise or size < MIN_VISIBLE_SHARE * np.linalg.norm(rows):
         return None
     step = -float(left @ xi) / size**2

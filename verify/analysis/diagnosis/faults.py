@@ -24,18 +24,22 @@ from functools import partial
 
 import numpy as np
 
-from robots.transforms import invert, middle_pose, rotation_log
-from verify.analysis.comparison import Comparison, twist_difference
+from robots.transforms import invert, misplacement, rotation_exp, rotation_log
+from verify.analysis.comparison import (
+    Comparison,
+    Motion,
+    base_motion,
+    body_motion,
+    twist_difference,
+)
 from verify.analysis.least_squares import solve
 from verify.analysis.model import (
     MIN_SPEED_SIGMA,
     JointErrorModel,
     SessionComparison,
-    base_motion,
-    body_motion,
     clock_effect,
 )
-from verify.core.records import Array, Measurement
+from verify.core.records import Array, Measurement, rigid_transform
 from verify.core.rig import Rig
 from verify.measurement.pose import fit_pose
 from verify.measurement.systematics import sensitivities, spot_columns
@@ -309,20 +313,29 @@ def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
     return apart[:, :, None] + clock_effect(comparison, steady=True) / 2
 
 
-def without_misplacement(
-    comparison: Comparison, motion: Callable[[Array], Array]
-) -> tuple[Comparison, Array]:
-    """The comparison with base or LED body where the poses have it, and its twist there (6,).
+def misplacement_twists(comparison: Comparison, motions: Sequence[Motion]) -> Array:
+    """Twists (m, 6) of `motions`, of base, LED body or both, that most poses say."""
+    of_base, of_body = (motion in motions for motion in (base_motion, body_motion))
+    measured, read = comparison.base_T_measured, comparison.base_T_encoder
+    base, body = misplacement(measured, read, of_base=of_base, of_body=of_body)
+    moved = np.stack([base if motion is base_motion else body for motion in motions])
+    return np.concatenate([moved[:, :3, 3], rotation_log(moved[:, :3, :3])], axis=1)
 
-    `motion`, `base_motion` or `body_motion`, at a tangent times the twist is what it takes off xi:
-    with that given back, a motion of any size is linear.
+
+def without_misplacement(
+    comparison: Comparison, motions: Sequence[Motion], twists: Array
+) -> Comparison:
+    """The comparison with base or LED body (`base_motion`, `body_motion`) moved by twists (m, 6).
+
+    A motion at a tangent times its twist is what that takes off xi: given back, it is linear at
+    any size.
     """
-    encoder, measured = comparison.base_T_encoder, comparison.base_T_measured
-    back, of_base = invert(encoder), motion is base_motion
-    moved = middle_pose(measured @ back if of_base else back @ measured)
-    there = invert(moved) @ measured if of_base else measured @ invert(moved)
-    without = replace(comparison, base_T_measured=there, xi=twist_difference(encoder, there))
-    return without, np.append(moved[:3, 3], rotation_log(moved[:3, :3]))
+    there = comparison.base_T_measured
+    for motion, twist in zip(motions, twists, strict=True):
+        back = invert(rigid_transform(rotation_exp(twist[3:]), twist[:3]))
+        there = back @ there if motion is base_motion else there @ back
+    xi = twist_difference(comparison.base_T_encoder, there)
+    return replace(comparison, base_T_measured=there, xi=xi)
 
 
 def about_turned_camera(

@@ -17,8 +17,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
+from verify.analysis.comparison import base_motion, body_motion
 from verify.analysis.diagnosis.faults import Fault, common_faults, joint_faults
-from verify.analysis.model import JointErrorModel, base_motion, body_motion
+from verify.analysis.model import JointErrorModel
 from verify.core.records import Array
 from verify.core.rig import Rig
 

@@ -14,15 +14,13 @@ from scipy.spatial.transform import Rotation
 import robots
 from tests.support.motions import ARM, GIVEN, HOME, PERIOD, compared_session, make_track, model_of
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.comparison import compare
+from verify.analysis.comparison import base_motion, body_motion, compare
 from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
 from verify.analysis.diagnosis.link_faults import link_displacements
 from verify.analysis.joint_errors import ResolvedErrors, resolve_errors
 from verify.analysis.model import (
-    base_motion,
-    body_motion,
     visibility,
 )
 from verify.analysis.results.entries import cause_entry
