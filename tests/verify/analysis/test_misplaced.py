@@ -114,3 +114,22 @@ def test_a_base_elsewhere_is_not_taken_for_a_body_that_is_farther_off() -> None:
     _, kinds, (base,) = judged(with_base_elsewhere(session, motion(0, 0.0, 4.0)))
     assert kinds == [("base_moved", None)]
     assert base["turn_deg"] == pytest.approx(4.0, abs=0.05)
+
+
+@pytest.mark.parametrize("joint", [1, 2, 3, 4, 5])
+@pytest.mark.parametrize("size", [1.0, 4.0])
+def test_a_joint_that_steps_accuses_no_other(joint: int, size: float) -> None:
+    """Near a singularity an offset that is off by a degree where it is linearised is another's."""
+    session = open_session(SAMPLES / FAULTY)
+    encoders, times = session.encoders, session.frames.t_left
+    q = encoders.q.copy()
+    # between two pairs, on the readings' clock, which is 0.085 s behind
+    q[encoders.t > (times[29] + times[30]) / 2 - 0.085, joint - 1] += np.deg2rad(size)
+    stepped = replace(session, encoders=replace(encoders, q=q))
+    verdicts, kinds, causes = judged(stepped)
+    assert set(kinds) == {("step", joint), ("offset", 2)}
+    for cause in causes:
+        true = size if cause["kind"] == "step" else OFFSET
+        assert cause["value"] == pytest.approx(true, abs=cause["expanded_uncertainty"] + 0.002)
+    others = {1, 3, 4, 5} - {joint}
+    assert all(verdicts.split()[other - 1] != "nonconform" for other in others)
