@@ -35,6 +35,11 @@ class WatchDefectError(Exception):
     """A watch could not go on; said in one line, exit status 70."""
 
 
+def defect_text(error: BaseException) -> str:
+    """Say that an error is this program's own, where a run outlives it."""
+    return f"a defect of this program, {type(error).__name__}: {error}"
+
+
 def one_line(text: str) -> str:
     """Keep hostile names (newlines, escape sequences) from breaking the promised one line."""
     return "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)

@@ -111,6 +111,12 @@ def test_a_session_that_cannot_be_made_is_refused_before_a_device_is_opened(
     ):
         said = verify("record", station(tmp_path, "station.toml"), "-o", out, "--for", "1s")
         assert reason in said.refusal
+    path = tmp_path / "whole.toml"
+    verify("run", path, "--new-station")
+    path.write_text(path.read_text().replace('folder = "recordings"', 'folder = "file"'))
+    for words in (["record", path], ["run", path, "-o", tmp_path / "report"]):
+        said = verify(*words, "--for", "1s").refusal
+        assert f"recording.folder: cannot be made in {tmp_path / 'file'}" in said
 
 
 @pytest.mark.realtime

@@ -1,5 +1,6 @@
 """A device that is not there: it answers on a port as the real one does, faults included."""
 
+from dataclasses import replace
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated
 
@@ -8,8 +9,8 @@ from typer import Argument, Option
 from verify.cli.terminal import terminal
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
+    from verify.simulation.emulators.endpoints import Endpoint
     from verify.simulation.emulators.opcua import OpcUaEmulator
-    from verify.simulation.emulators.rosbridge import RosbridgeEngine
     from verify.simulation.emulators.server import EmulatorEngine, EmulatorFaults
 
 COMMON_FAULTS = frozenset(
@@ -42,6 +43,13 @@ FAULTS = {  # R3 has no checksum: a wrong digit would be a wrong angle, which no
     EmulatedDevice.RTDE: COMMON_FAULTS - {"noise", "half"} | {"jump", "alarm", "version"},
     EmulatedDevice.ROSBRIDGE: COMMON_FAULTS - {"split"} | {"jump"},
     EmulatedDevice.OPCUA: frozenset({"silence", "unplug", "jump", "status"}),
+}
+# devices whose protocol is that of one kind of line
+ONLY_LINES = {
+    EmulatedDevice.MELFA_REALTIME: "udp",
+    EmulatedDevice.RTDE: "tcp",
+    EmulatedDevice.ROSBRIDGE: "tcp",
+    EmulatedDevice.OPCUA: "tcp",
 }
 DEFAULT_PORTS = dict.fromkeys(EmulatedDevice, "pty") | {
     EmulatedDevice.MELFA: "tcp:10001",
@@ -97,39 +105,72 @@ def emulate(
 
     Example: verify emulate melfa --port tcp:10001 --motion sweep
     """
+    import robots
+    from verify.devices.encoders.rtde import RTDE_JOINTS
     from verify.devices.ports import SerialLine, describe_port_error
     from verify.errors import InputError
+    from verify.io.files import restated
+    from verify.live.station.template import joint_names
+    from verify.simulation.emulators.encoders import LabencEngine, LabencOptions, PanEngine
     from verify.simulation.emulators.endpoints import listening_at, open_front, opening
-    from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
+    from verify.simulation.emulators.gripper import MAX_FAULT, GripperEngine, GripperOptions
     from verify.simulation.emulators.hand import contact_positions
-    from verify.simulation.emulators.rosbridge import WebSocketEndpoint
-    from verify.simulation.emulators.server import EmulatorServer, parse_faults
+    from verify.simulation.emulators.melfa import RealtimeEngine
+    from verify.simulation.emulators.rosbridge import (
+        RosbridgeEngine,
+        RosbridgeOptions,
+        WebSocketEndpoint,
+    )
+    from verify.simulation.emulators.rtde import RtdeEngine
+    from verify.simulation.emulators.server import MAX_ALARM, EmulatorServer, parse_faults
+    from verify.simulation.emulators.trajectory import load
 
-    if object_mm is not None and device is not EmulatedDevice.GRIPPER:
+    gripper = device is EmulatedDevice.GRIPPER
+    if object_mm is not None and not gripper:
         raise InputError("--object-mm", f"{device.value} has no fingers", "", "Leave it out.")
     if idle and device is not EmulatedDevice.MELFA:
         raise InputError("--idle", f"{device.value} runs no program", "", "Leave it out.")
     if robot is not None and device is not EmulatedDevice.ROSBRIDGE:
         raise InputError("--robot", f"{device.value} names no joints", "", "Leave it out.")
-    faults = parse_faults(fault or [], FAULTS[device])
-    where = port or DEFAULT_PORTS[device]
-    server: EmulatorServer | OpcUaEmulator
-    if device is EmulatedDevice.OPCUA:
-        server = _opcua(where, motion, joints, rate, faults)
-    elif device is EmulatedDevice.ROSBRIDGE:
-        with opening(where):
-            front = WebSocketEndpoint(*listening_at(where))
-        server = EmulatorServer(front, _rosbridge(motion, joints, robot, rate), faults, None, seed)
-    else:
-        if device is EmulatedDevice.GRIPPER:
-            contacts = None if object_mm is None else contact_positions(object_mm)
-            engine: EmulatorEngine = GripperEngine(GripperOptions(contacts=contacts))
-        elif device is EmulatedDevice.MELFA:
+    if device is EmulatedDevice.RTDE and joints != RTDE_JOINTS:
+        expected = f"every arm that speaks RTDE has {RTDE_JOINTS} joints"
+        raise InputError("--joints", f"is {joints}", expected, "Leave it out.")
+    where, kind = port or DEFAULT_PORTS[device], ONLY_LINES.get(device)
+    if kind is not None and where.partition(":")[0] != kind:
+        expected = f"{device.value} is reached at {kind}:PORT or {kind}:HOST:PORT"
+        raise InputError(f"--port {where}", "is another kind of line", expected)
+    faults = parse_faults(fault or [], FAULTS[device], MAX_FAULT if gripper else MAX_ALARM)
+    board = LabencOptions(rate=rate, baud=baud or 115200)
+    engine: EmulatorEngine | None = None
+    match device:
+        case EmulatedDevice.MELFA:
             engine = _melfa(motion, joints, idle, seed)
+        case EmulatedDevice.MELFA_REALTIME:
+            engine = RealtimeEngine(load(motion, joints), joints)
+        case EmulatedDevice.LABENC:
+            engine = LabencEngine(load(motion, joints), joints, board)
+        case EmulatedDevice.PAN:
+            engine = PanEngine(replace(board, arm="PANBASE"))
+        case EmulatedDevice.GRIPPER:
+            contacts = None if object_mm is None else contact_positions(object_mm)
+            engine = GripperEngine(GripperOptions(contacts=contacts))
+        case EmulatedDevice.RTDE:
+            engine = RtdeEngine(load(motion, joints))
+        case EmulatedDevice.ROSBRIDGE:
+            with restated(robots.RobotError, place="--robot"):
+                names = joint_names(joints if robot is None else robots.load(robot))
+            engine = RosbridgeEngine(load(motion, len(names)), RosbridgeOptions(names, rate=rate))
+    server: EmulatorServer | OpcUaEmulator
+    if engine is None:
+        server = _opcua(where, motion, joints, rate, faults)
+    else:
+        front: Endpoint
+        if device is EmulatedDevice.ROSBRIDGE:
+            with opening(where):
+                front = WebSocketEndpoint(*listening_at(where))
         else:
-            engine = _engine(device, motion, joints, rate, baud)
-        line = SerialLine(baud or 115200)
-        server = EmulatorServer(open_front(where, line), engine, faults, baud, seed)
+            front = open_front(where, SerialLine(baud or 115200))
+        server = EmulatorServer(front, engine, faults, baud, seed)
     terminal.say(f"{device.value} listens at {server.address}; Ctrl-C ends it")
     terminal.record("listening", device=device.value, address=server.address)
     try:
@@ -156,18 +197,6 @@ def _opcua(
         return OpcUaEmulator(host, port, trajectory, joints, rate, faults)
 
 
-def _rosbridge(motion: str, joints: int, robot: str | None, rate: int) -> "RosbridgeEngine":
-    import robots
-    from verify.io.files import restated
-    from verify.live.station.template import joint_names
-    from verify.simulation.emulators.rosbridge import RosbridgeEngine, RosbridgeOptions
-    from verify.simulation.emulators.trajectory import load
-
-    with restated(robots.RobotError, place="--robot"):
-        names = joint_names(joints if robot is None else robots.load(robot))
-    return RosbridgeEngine(load(motion, len(names)), RosbridgeOptions(names, rate=rate))
-
-
 def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
     import numpy as np
 
@@ -182,24 +211,4 @@ def _melfa(motion: str, joints: int, idle: bool, seed: int) -> "EmulatorEngine":
     if idle and arm is not None:  # a recorded motion may be another robot's: nothing limits that
         limits = np.column_stack([arm.lower, arm.upper])
     moved = MelfaArm(load(motion, joints), limits, arm=arm, idle=idle)
-    return MelfaEngine(moved, ControllerOptions(), seed)
-
-
-def _engine(
-    device: EmulatedDevice, motion: str, joints: int, rate: int, baud: int | None
-) -> "EmulatorEngine":
-    from verify.simulation.emulators.encoders import LabencEngine, LabencOptions, PanEngine
-    from verify.simulation.emulators.melfa import RealtimeEngine
-    from verify.simulation.emulators.rtde import RtdeEngine
-    from verify.simulation.emulators.trajectory import load
-
-    match device:
-        case EmulatedDevice.MELFA_REALTIME:
-            return RealtimeEngine(load(motion, joints), joints)
-        case EmulatedDevice.RTDE:
-            return RtdeEngine(load(motion, joints))
-        case EmulatedDevice.LABENC:
-            options = LabencOptions(rate=rate, baud=baud or 115200)
-            return LabencEngine(load(motion, joints), joints, options)
-        case _:
-            return PanEngine(LabencOptions(arm="PANBASE", rate=rate, baud=baud or 115200))
+    return MelfaEngine(moved, ControllerOptions(axes=max(joints, 6)), seed)

@@ -1,6 +1,5 @@
 """`verify record`: open a station's devices, record, say what the motion still lacks."""
 
-import os
 import time
 from collections.abc import Callable
 from contextlib import ExitStack
@@ -10,7 +9,7 @@ from pathlib import Path
 
 from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
-from verify.cli.watch import open_devices, show_state, stop_on_signal
+from verify.cli.watch import open_devices, require_recordable, show_state, stop_on_signal
 from verify.errors import InputError, WatchDefectError
 from verify.io.files import refused_as_input_error
 from verify.live.outputs.terminal import TerminalDisplay
@@ -41,6 +40,9 @@ def record_session(
     station = open_recording_station(path, partial(SimulatedStation, apart=True))
     if out is not None:
         station = replace(station, recording=_settings(out))
+        require_recordable(out, out)
+    else:
+        require_recordable(station.recording.folder, f"{path}, recording.folder")
     terminal.warn(*station.warnings)
     state = show.RecordingState(show.RecordingSnapshot())
     with ExitStack() as stack:
@@ -64,11 +66,6 @@ def _settings(out: Path) -> RecordingSettings:
     """Where the session goes; InputError: something is there."""
     with refused_as_input_error(out):
         there = out.exists() or out.is_symlink()
-        parent = next(folder for folder in out.absolute().parents if folder.exists())
-    if not parent.is_dir() or not os.access(parent, os.W_OK | os.X_OK):
-        found = f"cannot be made in {parent}"
-        remedy = "Choose another -o, in a folder that takes files."
-        raise InputError(out, found, "a folder that takes files is expected", remedy)
     if there:
         remedy = "Give another name with -o, or remove it."
         raise InputError(out, "exists", "a session is recorded into a new folder", remedy)

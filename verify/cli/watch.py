@@ -1,6 +1,7 @@
 """`verify run` on a station: open its devices, watch, report, record."""
 
 import gc
+import os
 import signal
 import sys
 import threading
@@ -21,6 +22,7 @@ from verify.cli.options import PageOptions
 from verify.cli.terminal import hangups, terminal
 from verify.core.processes import ChildLostError, ChildProcess, answer_requests
 from verify.errors import InputError, WatchDefectError
+from verify.io.files import refused_as_input_error
 from verify.io.series import ALARM_COLUMNS
 from verify.io.session.keys import Tolerance
 from verify.live.alarms.joints import AlarmLimits
@@ -69,6 +71,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         InputError: a device, the page or a listener cannot be opened; nothing is running then.
         WatchDefectError: it could not begin, or not go on before anything was recorded.
     """
+    require_recordable(station.recording.folder, f"{station.path}, recording.folder")
     joints = options.tolerance.joints
     if joints is None and station.tolerance is not None:
         joints = station.tolerance.joints
@@ -159,6 +162,15 @@ def _start_measuring(station: Station) -> MeasuringProcess:
     except ChildLostError as error:
         text = f"The measuring process does not start: {error}. Nothing was watched or recorded."
         raise WatchDefectError(text) from error
+
+
+def require_recordable(folder: Path, place: Path | str) -> None:
+    """Refuse, before anything runs, a folder that cannot be made; the InputError names `place`."""
+    with refused_as_input_error(folder):
+        above = next(p for p in (folder.absolute(), *folder.absolute().parents) if p.exists())
+    if not above.is_dir() or not os.access(above, os.W_OK | os.X_OK):
+        expected, remedy = "a folder that takes files is expected", "Choose another one."
+        raise InputError(place, f"cannot be made in {above}", expected, remedy)
 
 
 def open_devices(station: RecordingStation) -> LiveDevices:

@@ -21,6 +21,7 @@ CONNECT_TIMEOUT = 1.0  # s an address: nobody in a local network needs longer to
 SEND_TIMEOUT = 1.0  # s
 CONNECTION_CLOSED = "the other end has closed the connection"
 MAX_READ_BYTES = 4096  # bytes at once
+MAX_BAUD = 1 << 31
 PSEUDO_TERMINALS = ("/dev/pts/", "/dev/ttys")  # Linux, macOS
 POLL_PERIOD = 0.001  # s: ports that cannot be selected on are asked this often
 
@@ -138,12 +139,32 @@ def open_port(address: str, line: SerialLine) -> Port:
         OSError: it cannot be opened now.
         InputError: it never can: no such kind of address, or settings that do not exist.
     """
+    network = _network_address(address)
+    if network is not None:
+        return SocketPort(_connect(*network))
+    return SerialPort(_serial_port(address, line))
+
+
+def check_port(address: str, line: SerialLine) -> None:
+    """Raise InputError for what `open_port` can never open; opens nothing."""
+    if _network_address(address) is None:
+        with contextlib.suppress(OSError):  # hwgrep:// looks for a device that may come later
+            _serial_port(address, line, do_not_open=True)
+
+
+def _network_address(address: str) -> tuple[str, tuple[str, int]] | None:
+    """Take tcp:HOST:PORT, udp:HOST:PORT or socket://HOST:PORT apart; None for a serial line."""
     kind, _, rest = address.replace("socket://", "tcp:", 1).partition(":")
-    if kind in ("tcp", "udp"):
-        return SocketPort(_connect(kind, host_and_port(rest, address)))
+    return (kind, host_and_port(rest, address)) if kind in ("tcp", "udp") else None
+
+
+def _serial_port(address: str, line: SerialLine, *, do_not_open: bool = False) -> serial.SerialBase:
+    if not 0 < line.baud < MAX_BAUD:
+        expected, remedy = "a rate that a serial line has is expected", "Correct baud."
+        raise InputError(f"port {address}", f"{line.baud} baud", expected, remedy)
     pseudo = os.path.realpath(address).startswith(PSEUDO_TERMINALS)
     try:
-        opened = serial.serial_for_url(
+        return serial.serial_for_url(
             address,
             baudrate=line.baud,
             bytesize=line.data_bits,
@@ -153,6 +174,7 @@ def open_port(address: str, line: SerialLine) -> Port:
             timeout=0,
             write_timeout=SEND_TIMEOUT,
             exclusive=True,  # two readers of one line would each get half of it
+            do_not_open=do_not_open,
         )
     except ValueError as error:
         expected = "tcp:HOST:PORT, a serial device's path, or a URL that pyserial knows is expected"
@@ -161,7 +183,6 @@ def open_port(address: str, line: SerialLine) -> Port:
         if type(error).__module__ != "termios":
             raise
         raise OSError("the port does not take these settings") from error
-    return SerialPort(opened)
 
 
 def host_and_port(text: str, address: str) -> tuple[str, int]:
@@ -310,9 +331,9 @@ class PortLink:
             return False
         try:
             self._port = self._open_port()
-        except OSError as error:
+        except (OSError, InputError) as error:  # a device may refuse a baud rate that others have
             self._retry = min(2 * self._retry, MAX_RETRY_DELAY)
-            self.drop(describe_port_error(error))
+            self.drop(error.found if isinstance(error, InputError) else describe_port_error(error))
             return False
         self.connections += 1
         self._last_look, self._received = self.now(), False

@@ -18,6 +18,7 @@ from verify.devices.protocols import (
     DeviceState,
     EncoderReading,
 )
+from verify.errors import defect_text
 from verify.live.buffers import PanBuffer
 from verify.live.pairing import MAX_WAITING, FramePair, Pairing
 from verify.live.protocols import LiveDevices
@@ -211,7 +212,7 @@ class DeviceIntake:
 
     def fail(self, name: str, error: BaseException) -> None:
         """Take note of a defect; the threads go on."""
-        self.troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
+        self.troubles[name] = defect_text(error)
 
     def start(self) -> None:
         """Begin to read."""

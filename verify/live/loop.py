@@ -28,7 +28,13 @@ from verify.live.joint_row import JointRow
 from verify.live.pan_follow import PanFollower
 from verify.live.protocols import Alarm, ExpectedPoses, Listener, LiveDevices, MonitoredRobot
 from verify.live.recording.recorder import SessionRecorder
-from verify.live.state import SILENCE_TIMEOUT, DeviceStatus, LiveState, device_status
+from verify.live.state import (
+    SILENCE_TIMEOUT,
+    DeviceStatus,
+    LiveState,
+    device_status,
+    with_troubles,
+)
 
 DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
 JOIN_TIMEOUT = 3.0  # s
@@ -297,10 +303,8 @@ class LiveLoop:
     def _look(self, *, final: bool = False) -> None:
         """Update the devices' states; after the end, when they are closed, only the counts."""
         known = self.state.snapshot().devices if final else self._check_devices()
-        troubles = self._intake.troubles
-        lines = [line for line in known if line.name not in troubles]
-        lines += [DeviceStatus(name, False, text) for name, text in troubles.items()]
-        self.state.set_status(tuple(lines), self._intake.dropped(), self._recorder.state().sentence)
+        lines = with_troubles(known, self._intake.troubles)
+        self.state.set_status(lines, self._intake.dropped(), self._recorder.state().sentence)
 
     def _check_devices(self) -> tuple[DeviceStatus, ...]:
         """Describe every device, and raise alarms for those that are silent."""

@@ -3,7 +3,7 @@
 import threading
 import time
 from collections import Counter, deque
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from itertools import takewhile
 
@@ -71,6 +71,15 @@ def device_status(
     """Summarise a device's state; it is not well if it is silent for longer than `timeout`, s."""
     silent = state.age is None or state.age > timeout
     return DeviceStatus(name, state.connected and not silent, state.sentence)
+
+
+def with_troubles(
+    lines: Iterable[DeviceStatus], troubles: Mapping[str, str]
+) -> tuple[DeviceStatus, ...]:
+    """Put defects of threads, by name, in place of their devices' lines, others at the end."""
+    merged = {line.name: line for line in lines}
+    merged |= {name: DeviceStatus(name, False, text) for name, text in troubles.items()}
+    return tuple(merged.values())
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,14 @@ import pytest
 
 from tests.support.devices.bench import gather, kept, same_angles
 from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
-from verify.devices.ports import DEFAULT_LINE, PortLink, SerialLine, describe_port_error, open_port
+from verify.devices.ports import (
+    DEFAULT_LINE,
+    Port,
+    PortLink,
+    SerialLine,
+    describe_port_error,
+    open_port,
+)
 from verify.errors import InputError
 
 
@@ -19,6 +26,15 @@ def test_an_address_that_never_can_be_opened_is_refused(address: str) -> None:
         open_port(address, DEFAULT_LINE)
     with pytest.raises(InputError, match="parity"):
         open_port("loop://", SerialLine(parity="X"))
+
+
+def test_a_device_that_takes_no_such_settings_is_said_to_be_not_connected() -> None:
+    def refuses() -> Port:
+        raise InputError("port COM1", "it takes no 12345 baud")
+
+    link = PortLink("COM1", refuses)
+    assert link.receive(0.0) is None
+    assert (link.connected, link.fault) == (False, "it takes no 12345 baud")
 
 
 @pytest.mark.realtime

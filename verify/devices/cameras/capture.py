@@ -10,6 +10,7 @@ from verify.devices import protocols
 from verify.devices.cameras.opencv import OpenCvSource
 from verify.devices.cameras.replay import ReplaySource
 from verify.devices.cameras.stream import StreamSource
+from verify.errors import defect_text
 
 MAX_QUEUED = 4  # pictures that wait for a slow reader; the oldest goes first
 MIN_RETRY_DELAY, MAX_RETRY_DELAY = 0.25, 4.0  # s: doubled from the one to the other
@@ -114,7 +115,7 @@ class CameraCapture:
             except OSError as error:
                 self._fault = str(error)
             except Exception as error:  # a defect must not leave a camera without its thread
-                self._fault = f"a defect of this program, {type(error).__name__}: {error}"
+                self._fault = defect_text(error)
             self._connected = False
             retry = MIN_RETRY_DELAY if self._count > before else min(2 * retry, MAX_RETRY_DELAY)
             self._closed.wait(retry)

@@ -3,13 +3,13 @@
 import threading
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from verify.calibration.corners.find import find_board
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Image, StereoPair
 from verify.devices.protocols import CameraDevice, PanDevice
-from verify.errors import InputError
+from verify.errors import InputError, defect_text
 from verify.live import intake
 from verify.live.boards.goals import CapturedPairs, coverage, goals
 from verify.live.boards.pictures import BoardPictures
@@ -17,7 +17,7 @@ from verify.live.boards.show import MOVING, READY, REPEATED, SEARCHING, BoardDet
 from verify.live.boards.view import MAX_MOTION_PX, StillnessDetector, find_board_coarsely
 from verify.live.buffers import PanBuffer
 from verify.live.pairing import FramePair, Pairing
-from verify.live.state import DeviceStatus, device_status
+from verify.live.state import DeviceStatus, device_status, with_troubles
 
 READ_TIMEOUT = 0.2  # s for a pair
 JOIN_TIMEOUT = 1.0  # s for a thread
@@ -101,7 +101,7 @@ class BoardCapture:
         return [intake.PollingThread(name, step, self._failed) for name, step in steps]
 
     def _failed(self, name: str, error: Exception) -> None:
-        self._troubles[name] = f"a defect of this program, {type(error).__name__}: {error}"
+        self._troubles[name] = defect_text(error)
 
     def _ended(self) -> bool:
         """Enough is taken, or a file is over: no pair will come."""
@@ -112,9 +112,7 @@ class BoardCapture:
         devices = self._devices
         named = {"left camera": devices.left, "right camera": devices.right, "bases": devices.pan}
         lines = (device_status(n, d.state()) for n, d in named.items() if d is not None)
-        return tuple(
-            replace(line, sentence=self._troubles.get(line.name, line.sentence)) for line in lines
-        )
+        return with_troubles(lines, self._troubles)
 
     def _see(self, frames: FramePair) -> None:
         """Look at a pair; take it if it adds information, or was requested."""

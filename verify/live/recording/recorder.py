@@ -16,7 +16,7 @@ from functools import partial
 from pathlib import Path
 
 from verify.devices.protocols import CapturedPair, EncoderReading
-from verify.errors import InputError
+from verify.errors import InputError, defect_text
 from verify.live.recording import session
 
 WRITE_TIMEOUT = 0.02  # s: a pair is measured after it, on the disk or not
@@ -208,7 +208,7 @@ class SessionRecorder:
             folder = self._folders[-1] if self._folders else self._parent
             self._fail(session.write_error_text(folder, error))
         except Exception as error:  # a defect of ours must not stop an alarm
-            self._fail(f"a defect of this program, {type(error).__name__}: {error}")
+            self._fail(defect_text(error))
 
     def _fail(self, why: str) -> None:
         self._trouble = self._trouble or why

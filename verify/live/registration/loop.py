@@ -19,7 +19,7 @@ from verify.live.protocols import LiveDevices
 from verify.live.recording.recorder import SessionRecorder
 from verify.live.registration.goals import MIN_LEDS, MotionCoverage, leds_seen
 from verify.live.registration.show import RecordingState, SpotDetection
-from verify.live.state import SILENCE_TIMEOUT, DeviceStatus, device_status
+from verify.live.state import SILENCE_TIMEOUT, device_status, with_troubles
 from verify.measurement import chain
 
 DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
@@ -172,12 +172,11 @@ class RecordingLoop:
                 device_status(n, d.state(), self._lost.timeout(n))
                 for n, d in self._intake.named.items()
             )
-            troubles = self._intake.troubles.items()
-            known += tuple(DeviceStatus(name, False, text) for name, text in troubles)
         recorder, dropped = self._recorder.state(), self._intake.dropped()
         if overrun := dropped.pop(OVERRUN, 0):
             dropped[DISK_BEHIND] = overrun
         self._state.change(
-            goals=goals, devices=known, pairs=recorder.pairs, readings=recorder.readings,
-            dropped=dropped, recording=recorder.sentence, finished=finished,
+            goals=goals, devices=with_troubles(known, self._intake.troubles),
+            pairs=recorder.pairs, readings=recorder.readings, dropped=dropped,
+            recording=recorder.sentence, finished=finished,
         )  # fmt: skip

@@ -14,7 +14,7 @@ from verify.devices.encoders.text import FieldMap, TextEncoders, TextSettings
 from verify.devices.melfa.reader import DEFAULT_MELFA_LINE, MelfaEncoders, MelfaSettings
 from verify.devices.melfa.realtime import RealtimeEncoders, RealtimeSettings
 from verify.devices.pan import PanReader, PanServo
-from verify.devices.ports import DEFAULT_LINE, SerialLine, host_and_port
+from verify.devices.ports import DEFAULT_LINE, SerialLine, check_port
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
 from verify.errors import InputError
 from verify.io.toml import key_error, one_of
@@ -112,7 +112,12 @@ def open_cameras(
     """Open both cameras, the simulated ones where their source is "sim"."""
     if sim is not None and left.source == "sim":
         return sim.camera(0, left), sim.camera(1, right)
-    return open_camera(left), open_camera(right)
+    opened = open_camera(left)
+    try:
+        return opened, open_camera(right)
+    except InputError:
+        opened.close()
+        raise
 
 
 def open_pan(path: Path, table: PanTable, sim: SimulatedDevices | None) -> PanDevice | None:
@@ -141,6 +146,9 @@ def _make_encoders(
             return MelfaEncoders(melfa_settings(path, table), angles)
         case "melfa-realtime":
             port = _require_port(path, "encoders", table.port)
+            if not port.startswith("udp:"):
+                expected = "the stream is UDP: udp:HOST:PORT is expected"
+                raise key_error(path, "encoders.port", f'is "{port}"', expected)
             return RealtimeEncoders(RealtimeSettings(port, **stated(table, "cycle_ms")), angles)
         case "labenc":
             return LabencEncoders(
@@ -180,19 +188,15 @@ def stated(table: AngleDeviceTable, *keys: str) -> dict[str, Any]:
     return given
 
 
-def _require_port(path: Path, name: str, port: str | None) -> str:
+def _require_port(path: Path, name: str, port: str | None, line: SerialLine = DEFAULT_LINE) -> str:
     if not port:
         expected = "where the device is reached is needed"
         remedy = 'Example: port = "tcp:192.168.0.20:10001", or a serial device\'s path.'
         raise key_error(path, f"{name}.port", "is missing", expected, remedy)
-    kind, _, rest = port.replace("socket://", "tcp:", 1).partition(":")
-    if kind in ("tcp", "udp"):
-        try:
-            host_and_port(rest, port)
-        except InputError as error:
-            raise key_error(
-                path, f"{name}.port", error.found, error.expected, error.remedy
-            ) from error
+    try:
+        check_port(port, line)
+    except InputError as error:
+        raise key_error(path, f"{name}.port", error.found, error.expected, error.remedy) from error
     return port
 
 
@@ -216,7 +220,10 @@ def melfa_settings(path: Path, table: StationEncodersTable) -> MelfaSettings:
         given["terminator"] = TERMINATORS[table.terminator]
     line = _serial_line(path, table, DEFAULT_MELFA_LINE)
     return MelfaSettings(
-        _require_port(path, "encoders", table.port), line, robot_type=table.robot_type, **given
+        _require_port(path, "encoders", table.port, line),
+        line,
+        robot_type=table.robot_type,
+        **given,
     )
 
 
@@ -231,7 +238,7 @@ def _board_settings(
     if rate is not None and (rate < 1 or rate != int(rate)):
         raise key_error(path, f"{name}.rate_hz", f"is {rate:g}", "a whole number is expected")
     return LabencSettings(
-        _require_port(path, name, table.port),
+        _require_port(path, name, table.port, line),
         line,
         table.checksum or "xor",
         None if rate is None else int(rate),
@@ -258,5 +265,5 @@ def _text_settings(path: Path, table: StationEncodersTable, joints: int) -> Text
     given = stated(table, "latency_ms") | words
     line = _serial_line(path, table, DEFAULT_LINE)
     return TextSettings(
-        _require_port(path, "encoders", table.port), _field_map(table, joints), line, **given
+        _require_port(path, "encoders", table.port, line), _field_map(table, joints), line, **given
     )

@@ -127,6 +127,9 @@ def _check_recording(path: Path, table: StationTable) -> None:
 def _check_sim(path: Path, table: StationTable) -> None:
     if table.sim.speed <= 0:
         raise key_error(path, "sim.speed", f"is {table.sim.speed}", "a number above 0 is expected")
+    rate = table.encoders.rate_hz
+    if table.encoders.driver == SIM and rate is not None and rate <= 0:
+        raise key_error(path, "encoders.rate_hz", f"is {rate}", "a number above 0 is expected")
     for index, event in enumerate(table.sim.events):
         key = f"sim.event[{index}]"
         one_of(path, f"{key}.what", event.what, EVENT_KINDS)

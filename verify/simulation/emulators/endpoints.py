@@ -8,7 +8,14 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Protocol
 
-from verify.devices.ports import MAX_READ_BYTES, Port, SerialLine, host_and_port, open_port
+from verify.devices.ports import (
+    MAX_READ_BYTES,
+    PSEUDO_TERMINALS,
+    Port,
+    SerialLine,
+    host_and_port,
+    open_port,
+)
 from verify.errors import InputError
 
 
@@ -154,22 +161,27 @@ class PtyEndpoint:
         if self._ends is not None:
             for end in self._ends:
                 os.close(end)
-            if self._link is not None:
-                self._link.unlink(missing_ok=True)
+            self._remove_link()
         self._ends = None
 
     def plug(self) -> None:
         """Make a pseudo-terminal that hands every byte through."""
         import tty  # not on Windows
 
+        self._remove_link()
         self._ends = os.openpty()
         tty.setraw(self._ends[1])
         os.set_blocking(self._ends[0], False)
         name = os.ttyname(self._ends[1])
         if self._link is not None:
-            self._link.unlink(missing_ok=True)
-            self._link.symlink_to(name)
+            self._link.symlink_to(name)  # refused where something else has that name
         self.address = str(self._link or name)
+
+    def _remove_link(self) -> None:
+        """Remove a link to a pseudo-terminal, perhaps of an emulator that was killed; no file."""
+        link = self._link
+        if link is not None and os.path.realpath(link).startswith(PSEUDO_TERMINALS):
+            link.unlink()
 
 
 class SerialEndpoint:
@@ -217,17 +229,15 @@ def open_front(where: str, line: SerialLine) -> Endpoint:
         if kind == "tcp":
             return TcpEndpoint(*listening_at(where))
         if kind == "udp":
-            return UdpEndpoint(*listening_at(where, "udp"))
+            return UdpEndpoint(*listening_at(where))
         if kind == "pty":
             return PtyEndpoint(Path(rest) if rest else None)
         return SerialEndpoint(where, line)
 
 
-def listening_at(where: str, kind: str = "tcp") -> tuple[str, int]:
-    """Take `tcp:PORT` or `tcp:HOST:PORT` apart; InputError: another kind of address."""
-    found, _, rest = where.partition(":")
-    if found != kind:
-        raise InputError(f"--port {where}", "is another kind of line", f"{kind}:PORT is expected")
+def listening_at(where: str) -> tuple[str, int]:
+    """Take `tcp:PORT`, `tcp:HOST:PORT` or the same of `udp` apart; InputError: no such port."""
+    rest = where.partition(":")[2]
     return host_and_port(rest if ":" in rest else f"127.0.0.1:{rest}", where)
 
 

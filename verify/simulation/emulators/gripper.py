@@ -23,6 +23,7 @@ IDENTITY = (b"verify", b"emulated gripper", b"1")
 BASIC = 1  # the stream, and the conformity that goes with it
 ILLEGAL_FUNCTION, ILLEGAL_ADDRESS, ILLEGAL_VALUE = 1, 2, 3
 FRAME_TIMEOUT = 0.005  # s without a byte: what has come is all there is
+MAX_FAULT = 0x0F  # of gFLT, which has four bits
 MIN_FRAME = 4  # bytes: slave, function, check
 
 

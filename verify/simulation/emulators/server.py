@@ -15,6 +15,8 @@ from verify.simulation.emulators.endpoints import Endpoint
 
 MESSAGE_FAULTS = ("noise", "half", "digit", "double", "lost", "split")
 TIMED_FAULTS = ("silence", "unplug", "reset", "jump", "alarm", "status", "version")
+MAX_ALARM = 99999  # five digits
+MAX_JUMP = 1e8  # s, three years
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,8 +38,16 @@ class EmulatorFaults:
     version: tuple[float, float] | None = None  # s, number: no later protocol is accepted any more
 
 
-def parse_faults(texts: list[str], possible: frozenset[str]) -> EmulatorFaults:
-    """Read `noise=0.05`, `silence=10:3`, `reset=20` and the like; InputError: none of these."""
+def parse_faults(
+    texts: list[str], possible: frozenset[str], max_alarm: int = MAX_ALARM
+) -> EmulatorFaults:
+    """Read `noise=0.05`, `silence=10:3`, `reset=20` and the like.
+
+    Raises:
+        InputError: none of the possible ones, or a value that is none of its kind.
+    """
+    limits = {"alarm": (0, max_alarm), "jump": (-MAX_JUMP, MAX_JUMP)}
+    limits |= {"status": (0, 0xFFFF), "version": (0, 0xFFFF)}
     values: dict[str, Any] = {}
     for text in texts:
         name, _, value = text.partition("=")
@@ -52,6 +62,10 @@ def parse_faults(texts: list[str], possible: frozenset[str]) -> EmulatorFaults:
         if name in MESSAGE_FAULTS and len(numbers) == 1 and 0 <= numbers[0] <= 1:
             values[name] = numbers[0]
         elif name in TIMED_FAULTS and len(numbers) == (1 if name == "reset" else 2):
+            least, most = limits.get(name, (0.0, math.inf))
+            if name != "reset" and not least <= numbers[1] <= most:
+                expected = f"a value from {least:g} to {most:g} is expected"
+                raise InputError("--fault", f'"{text}"', expected, "Correct it.")
             values[name] = (numbers[0], numbers[-1])
         else:
             right = "a share from 0 to 1" if name in MESSAGE_FAULTS else "AT:VALUE (reset: AT)"

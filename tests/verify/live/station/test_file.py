@@ -19,11 +19,12 @@ from verify.devices.encoders.text import TextEncoders
 from verify.devices.melfa.reader import MelfaEncoders
 from verify.devices.melfa.realtime import RealtimeEncoders
 from verify.devices.pan import PanReader, PanServo
+from verify.devices.protocols import CameraSettings
 from verify.errors import InputError
 from verify.io import rig as io_rig
 from verify.io.session.session import open_session
 from verify.live.recording.session import SessionFacts
-from verify.live.station import file
+from verify.live.station import devices, file
 from verify.live.station.keys import SimSettings, StationTable
 from verify.live.station.station import (
     PanDrive,
@@ -261,6 +262,15 @@ def test_bases_follow_on_request_only(tmp_path: Path) -> None:
         ("rate_hz = 30.0", 'format = "MJPEG"', 'left.format: is "MJPEG"; four letters'),
         ('driver = "labenc"', 'driver = "labnec"', "Did you mean `labenc`"),
         ("tcp:127.0.0.1:10001", "tcp:10001", 'encoders.port: has "10001"; HOST:PORT'),
+        ("tcp:127.0.0.1:10001", "foo://x", "encoders.port: invalid URL, protocol 'foo' not known"),
+        (
+            *("tcp:127.0.0.1:10001", '/dev/ttyUSB0"\nbaud = 99999999999 # "'),
+            "encoders.port: 99999999999 baud; a rate that a serial line has",
+        ),
+        (
+            *('driver = "labenc"', 'driver = "melfa-realtime"'),
+            'encoders.port: is "tcp:127.0.0.1:10001"; the stream is UDP',
+        ),
         ('driver = "labenc"', 'driver = "labenc"\nparity = "X"', "encoders.parity: is X"),
         ('driver = "labenc"', 'driver = "labenc"\nrate_hz = 0.5', "encoders.rate_hz: is 0.5"),
         ('driver = "labenc"', 'driver = "text"', "encoders, columns: name no q1"),
@@ -298,6 +308,7 @@ def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str
         ("[pan]\nfollow = true\n", "pan.follow: is true with fixed bases"),
         ('[pan]\ndriver = "sim"\n', "simulated with their cameras"),
         ('[pan]\ndriver = "serial"\n', "pan.port: is missing"),
+        ('[pan]\ndriver = "serial"\nport = "COM1"\nbaud = -5\n', "pan.port: -5 baud; a rate"),
         ('[[sim.event]]\nwhat = "flood"\nat_s = 1.0\n', r"sim.event\[0\].what"),
     ],
 )
@@ -306,8 +317,30 @@ def test_what_is_wrong_further_down_too(tmp_path: Path, more: str, words: str) -
         station(tmp_path, REAL + more)
 
 
+def test_no_camera_stays_open_beside_one_that_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    closed = []
+
+    class Camera:
+        def close(self) -> None:
+            closed.append(self)
+
+    def open_camera(settings: CameraSettings) -> Camera:
+        if settings.source != 0:
+            raise InputError("right", "is missing")
+        return Camera()
+
+    monkeypatch.setattr(devices, "open_camera", open_camera)
+    with pytest.raises(InputError, match="right: is missing"):
+        station(tmp_path).open_cameras()
+    assert len(closed) == 1
+
+
 def test_settings_that_do_not_fit_the_simulation_are_refused(tmp_path: Path) -> None:
     text = file.template()
+    with pytest.raises(InputError, match=r"encoders.rate_hz: is -5.0; a number above 0"):
+        station(tmp_path, text.replace("rate_hz = 100.0", "rate_hz = -5.0"))
     with pytest.raises(InputError, match=r'robot: is "iust_6r"; the simulated robot is "rv_3sd_'):
         station(tmp_path, text.replace('robot = "rv_3sd_melfa"', 'robot = "iust_6r"'))
     with pytest.raises(InputError, match=r"station.toml, sim.scenario: .*no_such"):

@@ -1,8 +1,11 @@
+import re
+import socket
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.support.command import verify
 from tests.support.devices.bench import emulate_command, gather, kept, same_angles
 from verify.devices.encoders.labenc.reader import LabencEncoders, LabencSettings
 from verify.devices.melfa import protocol
@@ -104,6 +107,55 @@ def test_faults_are_read_or_refused() -> None:
     for wrong in ("jump=1:2", "noise=2", "noise", "silence=3", "reset=a", "reset=nan"):
         with pytest.raises(InputError, match="--fault"):
             server.parse_faults([wrong], known)
+
+
+@pytest.mark.parametrize(
+    ("device", "fault"),
+    [
+        ("gripper", "alarm=1:16"), ("melfa", "alarm=1:-5"), ("labenc", "status=1:70000"),
+        ("opcua", "jump=1:1e12"), ("rtde", "silence=1:-3"),
+    ],
+)  # fmt: skip
+def test_a_fault_beyond_what_the_device_can_tell_is_refused(device: str, fault: str) -> None:
+    line = verify("emulate", device, "--port", "tcp:0", "--fault", fault).refusal
+    assert re.search(rf'--fault: "{re.escape(fault)}"; a value from .* to .* is expected', line)
+
+
+@pytest.mark.parametrize(
+    ("device", "port", "kind"),
+    [
+        ("melfa-realtime", "tcp:0", "udp"), ("melfa-realtime", "pty", "udp"),
+        ("rtde", "udp:0", "tcp"), ("rosbridge", "pty", "tcp"), ("opcua", "udp:0", "tcp"),
+    ],
+)  # fmt: skip
+def test_a_device_on_another_kind_of_line_is_refused(device: str, port: str, kind: str) -> None:
+    line = verify("emulate", device, "--port", port).refusal
+    assert f"--port {port}: is another kind of line; {device} is reached at {kind}:PORT" in line
+
+
+def test_a_controller_of_another_number_of_joints_answers_or_is_refused() -> None:
+    assert "--joints: is 7; every arm" in verify("emulate", "rtde", "--joints", "7").refusal
+    with (
+        emulate_command("melfa", "--joints", "8", "--port", "tcp:0", "--motion", "hold") as address,
+        socket.create_connection(("127.0.0.1", int(address.rpartition(":")[2]))) as client,
+    ):
+        for command, label in ((b"OPEN=x", b";MELFA;"), (b"JPOSF", b";J8;")):
+            client.sendall(b"1;1;" + command + b"\r")
+            assert label in client.recv(4096)
+
+
+def test_a_pseudo_terminals_link_takes_no_files_place(tmp_path: Path) -> None:
+    mine, link, left = tmp_path / "notes.txt", tmp_path / "mine", tmp_path / "left"
+    mine.write_text("keep")
+    link.symlink_to(mine)
+    left.symlink_to("/dev/pts/999")  # of an emulator that was killed
+    for path in (mine, link):
+        assert "file exists" in verify("emulate", "labenc", "--port", f"pty:{path}").refusal
+        assert path.read_text() == "keep"
+    front = endpoints.open_front(f"pty:{left}", SerialLine())
+    assert left.exists()
+    front.unplug()
+    assert not left.is_symlink()
 
 
 def test_a_front_that_cannot_be_opened_is_refused() -> None:
