@@ -107,7 +107,7 @@ class Page:
             late = isinstance(error, ChildLateError)
             found = "it does not start" if late else str(error)
             place = f"--page, {self._access.address}:{self._access.port}"
-            remedy = "Choose another port, such as --page-port 8700."
+            remedy = "Choose another one: --page-port 8700, or --page-address."
             remedy = "Try again when this machine is less busy." if late else remedy
             raise InputError(place, f"the page cannot be served: {found}", "", remedy) from error
         self._access = replace(self._access, port=port)

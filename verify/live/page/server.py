@@ -4,6 +4,7 @@ Each viewer gets the newest of everything; no queue grows for a slow one.
 """
 
 import asyncio
+import errno
 import socket
 import threading
 from collections import deque
@@ -262,8 +263,10 @@ def serve(line: ParentLine, access: PageAccess, messages: ViewerMessages) -> Non
     family = socket.AF_INET6 if ":" in access.address else socket.AF_INET
     try:
         listening = socket.create_server((access.address, access.port), family=family)
-    except OSError:
-        line.send(FAILED, f"port {access.port} is taken or not allowed")
+    except OSError as error:
+        taken = error.errno in (errno.EADDRINUSE, errno.EACCES)
+        here = f"port {access.port} is taken or not allowed"
+        line.send(FAILED, here if taken else f"this computer has no address {access.address}")
         return
     access = replace(access, port=listening.getsockname()[1])
     asyncio.run(_serve(line, access, messages, listening))

@@ -5,6 +5,7 @@ measured. The measurement waits for it a few milliseconds at most: a disk that r
 the recording, never the measurement.
 """
 
+import re
 import shutil
 import threading
 import time
@@ -262,7 +263,10 @@ class SessionRecorder:
 
     def _begin(self, pair: CapturedPair) -> session.SessionWriter:
         started = datetime.now(UTC).replace(microsecond=0)
-        folder = session.new_folder(self._parent, started.astimezone().strftime(self._name))
+        local = started.astimezone()
+        # mark by mark: strftime takes no other text than UTF-8, and a folder's name may be
+        name = re.sub("%[-_0^#]?.", lambda mark: local.strftime(mark[0]), self._name)
+        folder = session.new_folder(self._parent, name)
         try:
             part = self._make(folder, self._facts, started, pair)
         except (OSError, InputError):

@@ -269,6 +269,12 @@ def test_a_taken_port_is_reported_in_one_line(served: Page) -> None:
 
 
 @pytest.mark.realtime
+def test_an_address_of_another_computer_is_reported_as_that() -> None:
+    with Playing() as playing, pytest.raises(InputError, match=r"has no address 192\.0\.2\.1"):
+        Page(playing.source, 0, "192.0.2.1", "0123456789abcdef")
+
+
+@pytest.mark.realtime
 def test_metrics_have_an_address_of_their_own_where_no_page_is_wanted() -> None:
     with pytest.raises(InputError, match="HOST:PORT"):
         MetricsServer("nowhere", str)

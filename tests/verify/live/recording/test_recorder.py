@@ -3,6 +3,7 @@
 import errno
 import os
 import random
+import re
 import subprocess
 import sys
 import time
@@ -154,6 +155,15 @@ def test_after_a_kill_every_pair_that_was_handed_on_is_there(
             assert_array_equal(p.left, pair(p.frame, 0.0).left)
             assert_array_equal(p.right, pair(p.frame, 0.0).right)
         assert session.encoders.t[-1] >= measured[-1].t_left - 1.0
+
+
+def test_a_folders_name_has_marks_of_strftime_and_need_not_be_utf_8(tmp_path: Path) -> None:
+    recorder = SessionRecorder(tmp_path, "a\udcff-%Y-%%-%-d", FACTS)
+    list(recorder.keep(iter(pairs_at_thirty_hertz(1))))
+    recorder.close()
+    (folder,) = recorder.state().folders
+    assert re.fullmatch("a\udcff-[0-9]{4}-%-[0-9]{1,2}", folder.name)
+    assert (folder / "session.toml").exists()
 
 
 def test_a_controller_whose_clock_starts_anew_starts_a_new_session(tmp_path: Path) -> None:
