@@ -5,7 +5,6 @@ the other LEDs' images.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 
@@ -45,21 +44,33 @@ SPACING = 0.06  # m between the points that stand for a link
 TOL_SHARE = 1e-9  # of SPACING: a piece of rounding alone gets no point
 
 
-@dataclass(frozen=True, eq=False)
 class LinkChain:
-    """An arm of j joints as straight pieces from the base to the flange.
+    """An arm of j joints as straight pieces from the base to the flange, and p points along them.
 
     Each link goes along its joint's axis, then across to the next joint, as d and a of a DH table.
     """
 
-    arm: robots.Arm
+    def __init__(self, arm: robots.Arm) -> None:
+        rest = robots.link_frames(arm, np.zeros((1, arm.dof)))  # at q = 0, (1, j + 1, 4, 4), m
+        steps = np.diff(rest[0, :, :3, 3], axis=0)
+        # how far each link goes along its joint's axis, (j,), m
+        self._along: Array = np.sum(steps * rest[0, :-1, :3, 2], axis=1)
+        length = np.linalg.norm(np.diff(self._corners(rest)[0], axis=0), axis=1)
+        counts = np.ceil(length / SPACING - TOL_SHARE).astype(int)
+        # of each point: on which piece it is, and at which share of its length
+        self._piece: Index = np.repeat(np.arange(len(length)), counts)
+        self._share: Array = np.concatenate([np.arange(1, n + 1) / n for n in counts.tolist()])
+        before = np.concatenate([[0.0], np.cumsum(length)])[self._piece]
+        # how far along the links each point is from the base, (p,), m
+        self.way: Array = before + self._share * length[self._piece]
+        # which points some joint moves, (p,): not those on the first axis
+        self.moving: Flags = self.way > length[:2].sum() + SPACING / 10
 
     def points(self, frames: Array) -> Array:
         """Points along the links of `robots.link_frames` (m, j + 1, 4, 4): (m, p, 3), m."""
-        whole = self._corners(frames)
-        share, before = self._shares
-        points: Array = whole[:, before] * (1 - share)[:, None]
-        points += whole[:, before + 1] * share[:, None]
+        corners, share = self._corners(frames), self._share[:, None]
+        points: Array = corners[:, self._piece] * (1 - share)
+        points += corners[:, self._piece + 1] * share
         return points
 
     def _corners(self, frames: Array) -> Array:
@@ -69,45 +80,6 @@ class LinkChain:
             origin, axis = frames[:, j, :3, 3], frames[:, j, :3, 2]
             corners += [origin + along * axis, frames[:, j + 1, :3, 3]]
         return np.stack(corners, axis=1)
-
-    @cached_property
-    def way(self) -> Array:
-        """How far along the links each point is from the base, (p,), m."""
-        share, before = self._shares
-        along = np.concatenate([[0.0], np.cumsum(self._lengths)])
-        return np.asarray(along[before] + share * self._lengths[before])
-
-    @cached_property
-    def moving(self) -> Flags:
-        """Which points some joint moves, (p,): not those on the first axis."""
-        return np.asarray(self.way > self._lengths[:2].sum() + SPACING / 10)
-
-    @cached_property
-    def _rest(self) -> Array:
-        """Frames at q = 0, (j + 1, 4, 4), m."""
-        return np.asarray(robots.link_frames(self.arm, np.zeros((1, self.arm.dof)))[0])
-
-    @cached_property
-    def _along(self) -> Array:
-        """How far each link goes along its joint's axis, (j,), m."""
-        steps = np.diff(self._rest[:, :3, 3], axis=0)
-        return np.asarray(np.sum(steps * self._rest[:-1, :3, 2], axis=1))
-
-    @cached_property
-    def _lengths(self) -> Array:
-        """Lengths of the straight pieces between the corners, (2 j + 1,), m."""
-        pieces = np.diff(self._corners(self._rest[None])[0], axis=0)
-        return np.asarray(np.linalg.norm(pieces, axis=1))
-
-    @cached_property
-    def _shares(self) -> tuple[Array, Array]:
-        """Of each point: its share of a piece's length, and which piece."""
-        shares, pieces = [], []
-        for piece, length in enumerate(self._lengths.tolist()):
-            count = int(np.ceil(length / SPACING - TOL_SHARE))
-            shares += [(k + 1) / count for k in range(count)]
-            pieces += [piece] * count
-        return np.array(shares), np.array(pieces, dtype=np.int64)
 
 
 def dexterity(frames: Array) -> Array:
@@ -170,40 +142,24 @@ def _view(
     return PredictedView(pixels, inside, facing, ~merged.any(axis=2))
 
 
-@dataclass(frozen=True)
 class PostureConstraints:
     """What a posture must satisfy."""
 
-    setup: PlanningSetup
-    request: PlanRequest
-
-    @cached_property
-    def limits(self) -> tuple[Array, Array]:
-        """Least and greatest joint angles, (j,) each, rad."""
-        arm, near, within = self.setup.arm, self.request.near, self.request.within
-        if near is None:
-            return arm.lower, arm.upper
-        return np.maximum(arm.lower, near - within), np.minimum(arm.upper, near + within)
-
-    @cached_property
-    def skeleton(self) -> LinkChain:
-        """The arm's links."""
-        return LinkChain(self.setup.arm)
-
-    @cached_property
-    def _apart(self) -> tuple[Index, Index]:
-        """Pairs of points that are far from each other along the links: first (n,), second (n,)."""
-        way = self.skeleton.way
-        first, second = np.nonzero(np.triu(np.abs(way[:, None] - way) > MIN_LINK_SEPARATION))
-        return first, second
-
-    @cached_property
-    def _camera_centres(self) -> Array:
-        """The cameras' optical centres in the base frame, (2, 3), m."""
-        rig = self.setup.rig
-        base_T_rig = np.linalg.inv(rig.rig_T_base)
-        placed = [c.rig_T_camera(c.pan) for c in (rig.left, rig.right)]
-        return np.array([(base_T_rig @ one)[:3, 3] for one in placed])
+    def __init__(self, setup: PlanningSetup, request: PlanRequest) -> None:
+        self.setup, self.request = setup, request
+        lower, upper, near = setup.arm.lower, setup.arm.upper, request.near
+        if near is not None:
+            lower = np.maximum(lower, near - request.within)
+            upper = np.minimum(upper, near + request.within)
+        self.limits = lower, upper  # least and greatest joint angles, (j,) each, rad
+        self._links = LinkChain(setup.arm)
+        # pairs of points that are far from each other along the links: first (n,), second (n,)
+        apart = np.abs(self._links.way[:, None] - self._links.way)
+        self._apart = np.nonzero(np.triu(apart > MIN_LINK_SEPARATION))
+        base_T_rig = np.linalg.inv(setup.rig.rig_T_base)
+        placed = [c.rig_T_camera(c.pan) for c in (setup.rig.left, setup.rig.right)]
+        # the cameras' optical centres in the base frame, (2, 3), m
+        self._cameras: Array = np.array([(base_T_rig @ one)[:3, 3] for one in placed])
 
     def reason(self, q: Array, *, passing: bool = False) -> Index:
         """Find the first of REASONS that excludes each posture q (m, j), rad: (m,), -1 for none.
@@ -239,9 +195,9 @@ class PostureConstraints:
 
     def _arm_reason(self, frames: Array, passing: bool) -> Index:
         """Check the arm itself: floor, cameras, its own links, singularities."""
-        points = self.skeleton.points(frames)
-        raised = points[:, self.skeleton.moving]
-        away = np.linalg.norm(raised[:, :, None] - self._camera_centres, axis=-1).min(axis=(1, 2))
+        points = self._links.points(frames)
+        raised = points[:, self._links.moving]
+        away = np.linalg.norm(raised[:, :, None] - self._cameras, axis=-1).min(axis=(1, 2))
         first, second = self._apart
         gaps = np.linalg.norm(points[:, first] - points[:, second], axis=-1)
         least = MIN_SINGULAR_VALUE_PASSING if passing else MIN_SINGULAR_VALUE

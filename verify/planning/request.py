@@ -48,8 +48,3 @@ class PlanRequest:
     near: Array | None = None  # (j,), rad, a posture to stay about
     within: float = float(np.deg2rad(45.0))  # rad, of each joint, about `near`
     seed: int = 0
-
-    @property
-    def there_and_back(self) -> bool:
-        """Every pose is visited from either side: nothing else shows backlash."""
-        return "backlash" in self.observe

@@ -207,7 +207,7 @@ def _motion(timed: TimedMotion, origin: PlanProvenance) -> dict[str, Any]:
         "poses": len(set(visited)),
         "visits": len(visited),
         "hold_s": origin.request.hold,
-        "there_and_back": origin.request.there_and_back,
+        "there_and_back": "backlash" in origin.request.observe,
         "view_angle_deg": float(np.rad2deg(origin.request.view_angle)),
         "floor_mm": origin.request.floor * 1e3,
         "seed": origin.request.seed,

@@ -158,9 +158,8 @@ class PoseSelection:
         setup, request = self.constraints.setup, self.constraints.request
         rows = self.rows
         chosen = among[design.choose_poses(replace(rows, rows=rows.rows[among]), count)]
-        stops = plan_tour(
-            self.constraints, self.roadmap, self.node[chosen].tolist(), back=request.there_and_back
-        )
+        back = "backlash" in request.observe  # nothing but both sides of every pose shows it
+        stops = plan_tour(self.constraints, self.roadmap, self.node[chosen].tolist(), back=back)
         timed = schedule(stops, joint_limits(setup.arm, request.speed), request.hold)
         # the pairs of the whole motion, shared out over its poses
         each = self.conditions.rate * timed.duration / len(chosen)
