@@ -88,7 +88,8 @@ def emulate(
         Option(min=0, max=150, help="Width of the object between the gripper's fingers."),
     ] = None,
     baud: Annotated[
-        int | None, Option(min=300, help="Send as slowly as a serial line of so many baud.")
+        int | None,
+        Option(min=300, max=20_000_000, help="Send as slowly as a serial line of so many baud."),
     ] = None,
     fault: Annotated[
         list[str] | None,

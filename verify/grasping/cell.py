@@ -14,7 +14,7 @@ from robots.transforms import rotation_exp
 from verify.core.records import Array, rigid_transform
 from verify.errors import InputError
 from verify.io.files import refused_as_input_error
-from verify.io.toml import MM, decode, key_error, not_negative
+from verify.io.toml import MM, NotNegative, Positive, decode, key_error
 
 Triple = tuple[float, float, float]
 Table = TypeVar("Table", bound=msgspec.Struct)
@@ -27,8 +27,8 @@ class TableSurface(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_mm"
     """
 
     height: float  # of its top in the robot's base frame, level
-    clearance: float = 30.0  # of arm and palm
-    finger_clearance: float = 3.0  # of the finger tips
+    clearance: NotNegative = 30.0  # of arm and palm
+    finger_clearance: NotNegative = 3.0  # of the finger tips
 
 
 class WorkspaceTable(msgspec.Struct, kw_only=True):
@@ -41,39 +41,64 @@ class WorkspaceTable(msgspec.Struct, kw_only=True):
 class GripperTable(msgspec.Struct, kw_only=True):
     """The keys of [gripper]."""
 
-    opening_mm: float
+    opening_mm: Positive
     position_mm: Triple
     rotation_deg: Triple = (0.0, 0.0, 0.0)
-    tips_mm: float
-    finger_length_mm: float
-    radius_mm: float
+    tips_mm: Positive
+    finger_length_mm: Positive
+    radius_mm: Positive
 
 
-class ApproachTable(msgspec.Struct, kw_only=True):
-    """The keys of [approach]."""
+class Approach(
+    msgspec.Struct,
+    frozen=True,
+    rename={
+        "toward": "direction",
+        "height": "height_mm",
+        "speed": "speed_mm_s",
+        "acceleration": "acceleration_mm_s2",
+        "jerk": "jerk_mm_s3",
+        "hidden": "hidden_mm",
+    },
+):
+    """The keys of [approach]: the straight line to the object; m in a Cell."""
 
-    direction: Triple = (0.0, 0.0, -1.0)
-    height_mm: float = 120.0
-    speed_mm_s: float = 50.0
-    acceleration_mm_s2: float = 200.0
-    jerk_mm_s3: float = 1000.0
-    hidden_mm: float = 60.0
+    toward: Triple = (0.0, 0.0, -1.0)  # base frame, of any length
+    height: Positive = 120.0  # its length
+    speed: Positive = 50.0
+    acceleration: Positive = 200.0
+    jerk: Positive = 1000.0
+    hidden: NotNegative = 60.0  # before the object: nearer, the hand may hide it from the cameras
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector, (3,), base frame."""
+        return np.asarray(np.array(self.toward) / np.linalg.norm(self.toward))
 
 
-class MotionTable(msgspec.Struct, kw_only=True):
-    """The keys of [motion]."""
+class CellMotion(
+    msgspec.Struct,
+    frozen=True,
+    rename={"link_radius": "link_radius_mm", "camera_clearance": "camera_clearance_mm"},
+):
+    """The keys of [motion]: how the arm moves, and what it keeps away from; m in a Cell."""
 
-    share: float = 0.1
-    link_radius_mm: float = 70.0
-    camera_clearance_mm: float = 100.0
+    share: Positive = 0.1  # of the robot's greatest speed, acceleration and jerk
+    link_radius: NotNegative = 70.0  # of the arm's links about the lines between their joints
+    camera_clearance: NotNegative = 100.0  # from a camera's optical centre to arm or hand
     home_deg: list[float] | None = None
+
+    @property
+    def home(self) -> Array | None:
+        """Where ways lead through that are not clear directly, (n,), rad."""
+        return None if self.home_deg is None else np.radians(self.home_deg)
 
 
 class ArmAccuracy(msgspec.Struct, frozen=True, rename={"robot": "robot_standard_uncertainty_mm"}):
     """The keys of [accuracy]: of the arm, and the probability required; m in a Cell."""
 
-    robot: float  # standard uncertainty of the grip point's place, a coordinate
-    coverage: float = 0.95  # probability with which the object must be between the fingers
+    robot: NotNegative  # standard uncertainty of the grip point's place, a coordinate
+    coverage: Positive = 0.95  # probability with which the object must be between the fingers
 
 
 class StillnessCriterion(
@@ -81,17 +106,17 @@ class StillnessCriterion(
 ):
     """The keys of [still]: when a target counts as still; m/s in a Cell."""
 
-    speed: float = 10.0
-    duration: float = 0.5  # s
+    speed: Positive = 10.0
+    duration: NotNegative = 0.5  # s
 
 
 class WatchdogLimits(msgspec.Struct, frozen=True, rename=lambda name: f"{name}_s"):
     """The keys of [watchdog]: after how long nothing is trusted any more, s."""
 
-    stale: float = 0.3  # since the newest pair of pictures was taken
-    lost: float = 1.0  # since the target was last tracked
-    joints: float = 0.5  # since the newest reading of the joints
-    moving: float = 60.0  # in one state that moves arm or fingers, following left aside
+    stale: Positive = 0.3  # since the newest pair of pictures was taken
+    lost: Positive = 1.0  # since the target was last tracked
+    joints: Positive = 0.5  # since the newest reading of the joints
+    moving: Positive = 60.0  # in one state that moves arm or fingers, following left aside
 
 
 class CellTable(msgspec.Struct, kw_only=True):
@@ -101,8 +126,8 @@ class CellTable(msgspec.Struct, kw_only=True):
     table: TableSurface
     workspace: WorkspaceTable
     gripper: GripperTable
-    approach: ApproachTable = msgspec.field(default_factory=ApproachTable)
-    motion: MotionTable = msgspec.field(default_factory=MotionTable)
+    approach: Approach = Approach()
+    motion: CellMotion = CellMotion()
     accuracy: ArmAccuracy
     still: StillnessCriterion = StillnessCriterion()
     watchdog: WatchdogLimits = WatchdogLimits()
@@ -120,28 +145,6 @@ class GripperGeometry:
     tips: float  # m, from the grip point to the finger tips
     finger_length: float  # m, free, from the palm to the tips
     radius: float  # m, of the cylinder
-
-
-@dataclass(frozen=True, slots=True)
-class Approach:
-    """The straight line to the object."""
-
-    direction: Array  # (3,), unit vector, base frame
-    height: float  # m, its length
-    speed: float  # m/s
-    acceleration: float  # m/s²
-    jerk: float  # m/s³
-    hidden: float  # m before the object from where on the hand may hide it from the cameras
-
-
-@dataclass(frozen=True, slots=True)
-class CellMotion:
-    """How the arm moves, and what it keeps away from."""
-
-    share: float  # of the robot's greatest speed, acceleration and jerk
-    link_radius: float  # m, of the arm's links about the lines between their joints
-    camera_clearance: float  # m, from a camera's optical centre to arm or hand
-    home: Array | None  # (n,), rad: where ways lead through that are not clear directly
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,7 +174,6 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
             remedy = "Write it (docs/grab.md shows one), or name another: --cell PATH."
             raise InputError(path, "does not exist", "it describes the cell", remedy)
     table, warnings = decode(path, CellTable)
-    _check_signs(path, table)
     lower, upper = (np.array(v) * MM for v in (table.workspace.lower_mm, table.workspace.upper_mm))
     if np.any(lower >= upper):
         axis = "xyz"[int(np.argmax(lower >= upper))]
@@ -180,17 +182,25 @@ def read(path: str | Path, joints: int = 6) -> tuple[Cell, tuple[str, ...]]:
     if upper[2] <= table.table.height * MM:
         expected = "the box reaches above the table"
         raise key_error(path, "workspace.upper_mm", f"has z = {upper[2] / MM:g} mm", expected)
-    accuracy = table.accuracy
+    accuracy, motion = table.accuracy, table.motion
     if accuracy.coverage >= 1:
         expected = "a probability below 1 is expected, such as 0.95"
         raise key_error(path, "accuracy.coverage", f"is {accuracy.coverage:g}", expected)
+    if np.linalg.norm(table.approach.toward) < MIN_DIRECTION_NORM:
+        raise key_error(path, "approach.direction", "has no length", "a direction is expected")
+    if motion.share > 1:
+        expected = "at most 1, all that the robot may do"
+        raise key_error(path, "motion.share", f"is {motion.share:g}", expected)
+    if motion.home_deg is not None and len(motion.home_deg) != joints:
+        found = f"has {len(motion.home_deg)} angles"
+        raise key_error(path, "motion.home_deg", found, f"the robot has {joints} joints")
     cell = Cell(
         _in_metres(table.table),
         lower,
         upper,
         _gripper(path, table.gripper),
-        _approach(path, table.approach),
-        _moving(path, table.motion, joints),
+        _in_metres(table.approach),
+        _in_metres(motion),
         _in_metres(accuracy),
         _in_metres(table.still),
         table.watchdog,
@@ -210,27 +220,6 @@ def _in_metres(table: Table) -> Table:
     return msgspec.structs.replace(table, **_lengths(table))
 
 
-def _check_signs(path: Path, table: CellTable) -> None:
-    """Refuse numbers that only make sense from 0, or above 0."""
-    for name in ("table", "gripper", "approach", "motion", "accuracy", "still", "watchdog"):
-        part = getattr(table, name)
-        for field, key in zip(part.__struct_fields__, part.__struct_encode_fields__, strict=True):
-            value = getattr(part, field)
-            if not isinstance(value, float) or (key == "height_mm" and name == "table"):
-                continue
-            not_negative(path, f"{name}.{key}", value)
-            if value == 0 and f"{name}.{key}" in _POSITIVE_KEYS:
-                raise key_error(path, f"{name}.{key}", "is 0", "a number above 0 is expected")
-
-
-_POSITIVE_KEYS = {
-    *(f"gripper.{key}_mm" for key in ("opening", "tips", "finger_length", "radius")),
-    *("approach.height_mm", "approach.speed_mm_s", "approach.acceleration_mm_s2"),
-    *("approach.jerk_mm_s3", "motion.share", "accuracy.coverage", "still.speed_mm_s"),
-    *(f"watchdog.{key}_s" for key in ("stale", "lost", "joints", "moving")),
-}
-
-
 def _gripper(path: Path, table: GripperTable) -> GripperGeometry:
     if table.tips_mm >= table.finger_length_mm:
         expected = "the grip point lies between the palm and the tips (finger_length_mm)"
@@ -238,22 +227,3 @@ def _gripper(path: Path, table: GripperTable) -> GripperGeometry:
     turn = rotation_exp(np.radians(table.rotation_deg))
     placed = rigid_transform(turn, np.array(table.position_mm) * MM)
     return GripperGeometry(placed, **_lengths(table))
-
-
-def _approach(path: Path, table: ApproachTable) -> Approach:
-    direction = np.array(table.direction)
-    length = float(np.linalg.norm(direction))
-    if length < MIN_DIRECTION_NORM:
-        raise key_error(path, "approach.direction", "has no length", "a direction is expected")
-    return Approach(direction / length, **_lengths(table))
-
-
-def _moving(path: Path, table: MotionTable, joints: int) -> CellMotion:
-    if table.share > 1:
-        expected = "at most 1, all that the robot may do"
-        raise key_error(path, "motion.share", f"is {table.share:g}", expected)
-    if table.home_deg is not None and len(table.home_deg) != joints:
-        found = f"has {len(table.home_deg)} angles"
-        raise key_error(path, "motion.home_deg", found, f"the robot has {joints} joints")
-    home = None if table.home_deg is None else np.radians(table.home_deg)
-    return CellMotion(table.share, home=home, **_lengths(table))

@@ -12,14 +12,14 @@ from typing import Any
 import numpy as np
 
 from robots.transforms import carry, invert
-from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.grasping.cell import WatchdogLimits
 from verify.grasping.control import states
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.loop import UNSELECTED, GraspLoop
 from verify.grasping.planning.object import GraspRefusal
-from verify.grasping.planning.plan import GraspPlan, GraspPlanner
+from verify.grasping.planning.plan import GraspPlan
+from verify.grasping.planning.workspace import Workspace
 from verify.grasping.record.rows import plan_fields
 from verify.grasping.tracking.camshift import Blob
 from verify.grasping.tracking.target import TargetObservation
@@ -46,10 +46,11 @@ def device_status(
         return (*lines, ("arm", True, "is read and not moved: --execute is not given"))
     if arm is not None:
         speed = "" if arm.speed is None else f"{_MM * arm.speed:.0f} mm/s"
-        lines.append(("arm", arm.state != "failed", _joined(arm.state.value, speed, arm.reason)))
+        text = ", ".join(filter(None, (arm.state.value, speed, arm.reason)))
+        lines.append(("arm", arm.state != "failed", text))
     if fingers is not None:
         opening = "" if fingers.opening is None else f"{_MM * fingers.opening:.0f} mm open"
-        text = _joined(fingers.state.value, opening, fingers.reason)
+        text = ", ".join(filter(None, (fingers.state.value, opening, fingers.reason)))
         lines.append(("gripper", fingers.state not in ("failed", "lost"), text))
     return tuple(lines)
 
@@ -59,10 +60,6 @@ def _age_status(name: str, now: float, t: float | None, limit: float) -> tuple[s
         return name, False, "nothing has come yet"
     old = max(now - t, 0.0)
     return name, old <= limit, f"{old:.2f} s old, limit {limit:g} s"
-
-
-def _joined(*parts: str) -> str:
-    return ", ".join(part for part in parts if part)
 
 
 def target_fields(
@@ -87,8 +84,10 @@ def object_fields(cycle: LoopCycle) -> dict[str, Any]:
     fields: dict[str, Any] = {"position_mm": None}
     if target is not None and np.isfinite(target.thing.covariance).all():
         thing = target.thing
-        fields["position_mm"] = _rounded(_MM * thing.position)
-        fields["standard_uncertainty_mm"] = _rounded(_MM * np.sqrt(np.diag(thing.covariance)))
+        fields["position_mm"] = np.round(_MM * thing.position, 2).tolist()
+        fields["standard_uncertainty_mm"] = np.round(
+            _MM * np.sqrt(np.diag(thing.covariance)), 2
+        ).tolist()
         fields["size_mm"] = [_finite(thing.width), _finite(thing.length)]
         fields["speed_mm_s"] = round(float(np.linalg.norm(target.velocity)) * _MM, 1)
     return fields
@@ -127,10 +126,6 @@ def _ellipse(blob: Blob | None) -> dict[str, Any] | None:
     }
 
 
-def _rounded(values: Array) -> list[float]:
-    return [round(float(value), 2) for value in values]
-
-
 def _finite(length: float) -> float | None:
     return round(length * _MM, 1) if np.isfinite(length) else None
 
@@ -141,7 +136,7 @@ class GraspFacts:
 
     robot: str
     description: str
-    setup: GraspPlanner
+    setup: Workspace
     rig: Rig
     execute: bool
     duration: float  # s, the longest it may take
@@ -158,8 +153,7 @@ class LoopSnapshot:
     lacks: str | None  # for the grab; empty: it may be ordered; None: it is no order in this state
     may_choose: bool
     selected: bool  # there is a target to look for
-    fresh: bool  # the pictures
-    lines: tuple[tuple[str, bool, str], ...]  # devices: name, well, in words
+    lines: tuple[tuple[str, bool, str], ...]  # devices: name, well, in words; the cameras first
 
 
 class GraspPageSource:
@@ -194,7 +188,6 @@ class GraspPageSource:
             machine.lacks(grab) if (machine.state, grab) in states.TRANSITIONS_BY_EVENT else None,
             loop.may_choose,
             loop.selected,
-            devices[0][1],
             devices,
         )
 
@@ -235,10 +228,10 @@ class GraspPageSource:
             **target_fields(
                 None if self._pictured is None else self._pictured.observation,
                 selected=shown.selected,
-                fresh=shown.fresh,
+                fresh=shown.lines[0][1],
             ),
             **object_fields(cycle),
-            "q_deg": None if cycle.q is None else _rounded(np.degrees(cycle.q)),
+            "q_deg": None if cycle.q is None else np.round(np.degrees(cycle.q), 2).tolist(),
             "scene": self._scene(cycle),
             "stops": self._stops,
             "answers": self._answers,
@@ -321,7 +314,7 @@ class GraspPageSource:
             turns = np.concatenate([w.sampled(w.duration / N_PATH_POINTS)[1].q for w in ways])
             drawn = {
                 "arm_mm": millimetres(joint_origins(setup.arm, planned.posture.q_grip)),
-                "grip_mm": millimetres(setup.workspace.grip(turns)[:, :3, 3]),
+                "grip_mm": millimetres(setup.grip(turns)[:, :3, 3]),
             }
             self._drawn = planned, drawn
         return self._drawn[1]

@@ -6,7 +6,7 @@ import re
 import tomllib
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any, TypeVar, get_args
+from typing import Annotated, Any, TypeVar, get_args
 
 import msgspec
 import numpy as np
@@ -41,6 +41,9 @@ SLIPS = {"s": (("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)), "mm": (("µm", 1e-3),
 FORMAT = 1  # the edition of session.toml, rig.toml and marker.toml that this code reads
 MM = 1e-3  # m
 
+Positive = Annotated[float, msgspec.Meta(gt=0)]
+NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+
 S = TypeVar("S", bound=msgspec.Struct)
 
 _DEEP_KEY = re.compile(  # bare or quoted names with dots between
@@ -48,6 +51,7 @@ _DEEP_KEY = re.compile(  # bare or quoted names with dots between
     % MAX_DEPTH
 )
 _COMPLAINT = re.compile(r"^(?P<what>.*?)(, got .*?)?( - at `\$\.?(?P<key>.*)`)?$", re.DOTALL)
+_RANGE = re.compile(r"Number out of range|Expected `\w+` [<>]")
 _MISSING = re.compile(r"Object missing required field `(?P<field>.*)`")
 _UNKNOWN = re.compile(r"Object contains unknown field `(?P<field>.*)`")
 _WORDS = {  # msgspec names JSON's types; the user wrote TOML
@@ -83,7 +87,7 @@ def decode(path: Path, kind: type[S]) -> tuple[S, tuple[str, ...]]:
     try:
         decoded = msgspec.convert(tree, kind)
     except msgspec.ValidationError as error:
-        if str(error).startswith("Number out of range"):
+        if _RANGE.match(str(error)):  # of a number that is none, or of another unit, more is known
             _require_all_plausible(path, tree)
         raise _reword(path, tree, kind, str(error)) from error
     _require_all_plausible(path, tree)
@@ -241,6 +245,8 @@ def _reword(
     )
     expected = " or ".join(word for word in words if word != "null") or "a known value"
     expected += what[wanted.end() :] if wanted else ""
+    for sign, said in ((" > 0", " above 0"), (" >= 0", " of 0 or more")):
+        expected = re.sub(rf"{sign}(\.0)?$", said, expected)
     return key_error(path, key, f"is {shorten(_value_at(tree, key))}", f"{expected} is expected")
 
 

@@ -8,8 +8,8 @@ from typing import Annotated, Literal
 
 import msgspec
 
-Positive = Annotated[float, msgspec.Meta(gt=0)]
-NotNegative = Annotated[float, msgspec.Meta(ge=0)]
+from verify.io.toml import NotNegative, Positive
+
 Share = Annotated[float, msgspec.Meta(gt=0, le=1)]
 Count = Annotated[int, msgspec.Meta(ge=1, le=1_000_000)]
 Pixels = Annotated[int, msgspec.Meta(ge=1, le=20_000)]

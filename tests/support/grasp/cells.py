@@ -10,6 +10,7 @@ from functools import cache
 from importlib import resources
 from pathlib import Path
 
+import msgspec
 import numpy as np
 
 import robots
@@ -18,8 +19,7 @@ from verify.core.records import Array
 from verify.grasping import cell as grasping_cell
 from verify.grasping.cell import Cell
 from verify.grasping.planning.object import GraspObject
-from verify.grasping.planning.plan import GraspPlanner, make_planner
-from verify.grasping.planning.workspace import RESOLUTION
+from verify.grasping.planning.workspace import RESOLUTION, Workspace, make_workspace
 from verify.simulation.cell.setup import SMALL_SIZE, CellSetup, cell_setup
 
 DOCS = Path(__file__).parents[3] / "docs" / "grab.md"
@@ -67,22 +67,20 @@ def cell(folder: Path) -> Cell:
     return read
 
 
-def setup(folder: Path) -> GraspPlanner:
-    return make_planner(melfa(), cell(folder), CAMERAS)
+def setup(folder: Path) -> Workspace:
+    return make_workspace(melfa(), cell(folder), CAMERAS)
 
 
-def changed(made: GraspPlanner, cameras: Array | None = None, **cell: object) -> GraspPlanner:
+def changed(made: Workspace, cameras: Array | None = None, **cell: object) -> Workspace:
     """The same with other cameras, or with other parts of the cell."""
-    space = made.workspace
-    space = replace(
-        space,
-        cell=replace(space.cell, **cell),  # type: ignore[arg-type]
-        cameras=space.cameras if cameras is None else cameras,
+    return replace(
+        made,
+        cell=replace(made.cell, **cell),  # type: ignore[arg-type]
+        cameras=made.cameras if cameras is None else cameras,
     )
-    return replace(made, workspace=space)
 
 
-def home(made: GraspPlanner) -> Array:
+def home(made: Workspace) -> Array:
     assert made.cell.moving.home is not None
     return made.cell.moving.home
 
@@ -100,8 +98,10 @@ SPEED, ACCELERATION, JERK = 0.12, 0.8, 8.0  # m/s, m/s², m/s³
 def quick_cell(*, turning: bool = False) -> CellSetup:
     """Put it together; the arm's own limits stay as they are."""
     usual = cell_setup(SMALL_SIZE, turning=turning)
-    line = replace(usual.planner.cell.approach, speed=SPEED, acceleration=ACCELERATION, jerk=JERK)
-    return replace(usual, planner=changed(usual.planner, approach=line))
+    line = msgspec.structs.replace(
+        usual.workspace.cell.approach, speed=SPEED, acceleration=ACCELERATION, jerk=JERK
+    )
+    return replace(usual, workspace=changed(usual.workspace, approach=line))
 
 
 def kept_limits(grab: MonitoredRun) -> bool:

@@ -41,7 +41,7 @@ class GraspMonitor:
 
     def __init__(self, grab: CellRun) -> None:
         setup = grab.world.setup
-        self.limits = LimitMonitor(setup.planner.limits, setup.cell.lower, setup.cell.upper)
+        self.limits = LimitMonitor(setup.workspace.limits, setup.cell.lower, setup.cell.upper)
         self.closed_on: Array | None = None  # (3,), m, base: the grip point when fingers closed
         self.closed_at: Array | None = None  # (3,), m: where the target was then
         self._world, self._held = grab.world, False
@@ -62,7 +62,7 @@ class GraspMonitor:
         self._wait()
         world = self._world
         q = world.arm.q(world.t)
-        grip = world.setup.planner.workspace.grip(q)  # limits are of the ordered angles
+        grip = world.setup.workspace.grip(q)  # limits are of the ordered angles
         self.limits.see(world.t, q, grip[:3, 3])
 
 

@@ -37,7 +37,7 @@ class Cell:
         self.grab: CellRun = cell_grab(
             setup, scene, permission=permission, mode=CellMode(paced=paced, closed=False)
         )
-        facts = GraspFacts(ROBOT, "played", setup.planner, setup.rig, execute, 60.0)
+        facts = GraspFacts(ROBOT, "played", setup.workspace, setup.rig, execute, 60.0)
         options = PageOptions(0, LOOPBACK, None)
         self.page = GraspPage(self.grab.loop, options, facts, selects=selects)
         self.ended: GraspOutcome | None = None

@@ -38,7 +38,7 @@ def test_the_example_shows_every_key() -> None:
     ("line", "instead", "words"),
     [
         ("seed = 1", "sed = 1", ["sed", "seed"]),
-        ("rate_hz = 10.0", "rate_hz = -1.0", ["recording.rate_hz", "> 0"]),
+        ("rate_hz = 10.0", "rate_hz = -1.0", ["recording.rate_hz", "above 0"]),
         ('kind = "multi_joint"', 'kind = "dance"', ["motion", "dance"]),
         ("amplitude_deg = [5.0, 5.0, 5.0, 5.0, 5.0, 5.0]", "", ["amplitude_deg"]),
     ],

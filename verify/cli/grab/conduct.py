@@ -20,7 +20,7 @@ from verify.grasping.control.requests import OperatorRequests, select_target
 from verify.grasping.control.run import GraspOutcome, PairSource, StopConditions, run
 from verify.grasping.control.states import GraspEvent, GraspState
 from verify.grasping.page import GraspFacts, GraspPageSource
-from verify.grasping.planning.plan import GraspPlanner
+from verify.grasping.planning.workspace import Workspace
 from verify.grasping.record.record import VIDEO_FILE, GraspContext, GraspRecord
 from verify.grasping.tracking.selection import parse_box
 from verify.grasping.tracking.target import BoxSelection, ColourSelection, Target
@@ -67,15 +67,15 @@ class GraspPage:
     def orders(self) -> Sequence[GraspEvent]:
         """Return the orders since the last call; track the object that was selected."""
         passages = len(self._loop.machine.log)
-        requests = self._requests.taken(passages, pictures=self._pair is not None)
-        for reason in requests.refused:
+        orders, drawn, refused = self._requests.taken(passages, pictures=self._pair is not None)
+        for reason in refused:
             self.refuse(reason)
-        if requests.drawn is not None and self._pair is not None:
-            self._select(requests.drawn, self._pair)
-        for event in requests.orders:
+        if drawn is not None and self._pair is not None:
+            self._select(drawn, self._pair)
+        for event in orders:
             terminal.say(f"page: {event.value}")
             terminal.record("page_order", order=event.value)
-        return requests.orders
+        return orders
 
     def refuse(self, reason: str) -> None:
         """Say why a request is ignored."""
@@ -152,7 +152,7 @@ class GraspRun:
 
     loop: GraspLoop
     source: PairSource
-    planner: GraspPlanner
+    workspace: Workspace
     rig: Rig
     facts: SessionFacts  # of the recorded session
     context: GraspContext
@@ -170,7 +170,7 @@ def conduct(stage: GraspRun, stop: StopConditions, out: Path, *, force: bool) ->
     """
     context, aim = stage.context, stage.loop.aim
     with write_folder_whole(out, force) as folder:
-        record = GraspRecord(folder, stage.facts, stage.planner.workspace, context, stage.rate)
+        record = GraspRecord(folder, stage.facts, stage.workspace, context, stage.rate)
         try:
             with _serve_page(stage, stop.duration) as page:
                 ended, interrupted = _run(stage, stop, record, page)
@@ -206,7 +206,7 @@ def _serve_page(stage: GraspRun, duration: float) -> AbstractContextManager[Gras
     if stage.page is None:
         return nullcontext()
     text = f"{context.target}, {context.cell}"
-    facts = GraspFacts(context.robot, text, stage.planner, stage.rig, context.execute, duration)
+    facts = GraspFacts(context.robot, text, stage.workspace, stage.rig, context.execute, duration)
     selects = context.target == SELECTED_NAME
     return closing(GraspPage(stage.loop, stage.page, facts, selects=selects))
 

@@ -60,6 +60,6 @@ def grab_simulated(
         turning=turning,
     )
     stage = GraspRun(
-        cell.loop, cell.source, setup.planner, setup.rig, facts, context, RATE, keys, page
+        cell.loop, cell.source, setup.workspace, setup.rig, facts, context, RATE, keys, page
     )
     return conduct(stage, options.stop_conditions, out, force=force)

@@ -34,7 +34,7 @@ from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import Aim
 from verify.grasping.control.arm import SteppedArm
 from verify.grasping.control.loop import Actuators, GraspLoop
-from verify.grasping.planning.plan import GraspPlanner, planner_with_cameras
+from verify.grasping.planning.workspace import Workspace, workspace_with_cameras
 from verify.grasping.record.record import GraspContext
 from verify.grasping.tool_offset.watch import FlangeWatch
 from verify.grasping.tracking.track import TargetTracker
@@ -164,7 +164,7 @@ def grab_on_station(
     cell, warnings = grasping_cell.read(cell_file or path.with_name(CELL_FILE), station.arm.dof)
     terminal.warn(*station.warnings, *warnings)
     rig, turning = station.rig, station.facts.turning
-    planner = planner_with_cameras(station.arm, cell, rig, turning=turning)
+    workspace = workspace_with_cameras(station.arm, cell, rig, turning=turning)
     tracker = None if target is None else TargetTracker(rig, target)
     warm_up()  # loading while the arm waits would look like stale pictures
     with ExitStack() as stack:
@@ -173,29 +173,29 @@ def grab_on_station(
         def now() -> float:
             return time.monotonic() - began
 
-        joints, actuators = _open_devices(station, planner, gripper, options, stack, began)
+        joints, actuators = _open_devices(station, workspace, gripper, options, stack, began)
         cameras, pan = station.open_cameras(), station.open_pan()
         source = LivePairs(cameras, pan, rig, station.rate, began)
         stack.callback(source.close)
         worker = ThreadPoolExecutor(1, "flange")  # the loop does not wait for it
         stack.callback(worker.shutdown, cancel_futures=True)
-        watch = FlangeWatch(planner.arm, rig, station.watched.marker, worker.submit)
+        watch = FlangeWatch(workspace.arm, rig, station.watched.marker, worker.submit)
         # without actuators no hand comes above the target to be measured
-        aim = Aim(planner, rig, None if actuators is None else watch)
-        loop = GraspLoop(planner, tracker, aim, actuators, joints, now, auto=options.auto)
+        aim = Aim(workspace, rig, None if actuators is None else watch)
+        loop = GraspLoop(workspace, tracker, aim, actuators, joints, now, auto=options.auto)
         name, execute = target_name(target), options.execute
         context = GraspContext(station.robot, name, station.name, execute, datetime.now(UTC))
         tables = {"description": f"a grab at {station.name}"}
         facts = replace(station.facts, tables=tables, turning=turning, time_stated=False)
         stage = GraspRun(
-            loop, source, planner, rig, facts, context, station.rate, execute, options.page
+            loop, source, workspace, rig, facts, context, station.rate, execute, options.page
         )
         return conduct(stage, options.stop_conditions, out, force=force)
 
 
 def _open_devices(
     station: Station,
-    planner: GraspPlanner,
+    workspace: Workspace,
     gripper_port: str | None,
     options: GraspOptions,
     stack: ExitStack,
@@ -233,9 +233,9 @@ def _open_devices(
         permission = confirm_execution(f"{settings.robot_type} {settings.port}")
         melfa.close()
         hand.close()
-    override = max(1, round(100 * planner.cell.moving.share))
+    override = max(1, round(100 * workspace.cell.moving.share))
     limits = MoveLimits(
-        np.column_stack([planner.limits.lower, planner.limits.upper]), override=override
+        np.column_stack([workspace.limits.lower, workspace.limits.upper]), override=override
     )
     angles = angle_map(station.path, "encoders", table.encoders, station.arm.dof)
     mover = MelfaMover(settings, angles, limits, permission, melfa if emulated else None)
@@ -249,7 +249,7 @@ def _open_devices(
             return None
         return EncoderReading(status.t, status.t - began, READING_HALF_WIDTH, 0, status.q)
 
-    return joints, Actuators(SteppedArm(planner, mover), gripper)
+    return joints, Actuators(SteppedArm(workspace, mover), gripper)
 
 
 def confirm_execution(robot: str) -> ExecutePermission:

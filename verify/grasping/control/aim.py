@@ -25,11 +25,11 @@ from verify.grasping.planning.object import (
 )
 from verify.grasping.planning.plan import (
     GraspPlan,
-    GraspPlanner,
     HoverPlanner,
     JointGoal,
     plan_grasp,
 )
+from verify.grasping.planning.workspace import Workspace
 from verify.grasping.tool_offset.offset import (
     MAX_OFFSET,
     FlangeMeasurement,
@@ -84,7 +84,7 @@ class PlanAttempt:
 class Aim:
     """Keeps what is known and planned of the target; no watch: nothing is corrected."""
 
-    def __init__(self, setup: GraspPlanner, rig: Rig, watch: FlangeWatch | None = None) -> None:
+    def __init__(self, setup: Workspace, rig: Rig, watch: FlangeWatch | None = None) -> None:
         self._setup, self._rig, self._watch = setup, rig, watch
         self._hand: OffsetMeasurement | None = None
         self._hover = HoverPlanner(setup)

@@ -12,7 +12,8 @@ import numpy as np
 from robots.trajectory import Trajectory, TrajectoryFollower, joint_path
 from verify.core.records import Array
 from verify.grasping.actuators.protocols import ACCEPTING_STATES, Mover, MoverState, MoverStatus
-from verify.grasping.planning.plan import GraspPlanner, JointGoal, transfer_motion
+from verify.grasping.planning.plan import JointGoal, transfer_motion
+from verify.grasping.planning.workspace import Workspace
 
 TOL_REST_SPEED = 1e-6  # rad/s: what rounding leaves of a speed
 TOL_SAME_GOAL = 0.02  # rad: goals no farther apart are one
@@ -38,7 +39,7 @@ class OrderedArm(ABC):
 
     order_states: ClassVar[frozenset[MoverState]]  # of the mover, in which it takes orders
 
-    def __init__(self, setup: GraspPlanner, mover: Mover) -> None:
+    def __init__(self, setup: Workspace, mover: Mover) -> None:
         self._setup, self.mover = setup, mover
         self._state = MoverState.OFF
         self.q: Array | None = None  # (n,), rad, ordered last
@@ -72,7 +73,7 @@ class StreamedArm(OrderedArm):
 
     order_states = ACCEPTING_STATES | {MoverState.MOVING}
 
-    def __init__(self, setup: GraspPlanner, mover: StreamMover, period: float) -> None:
+    def __init__(self, setup: Workspace, mover: StreamMover, period: float) -> None:
         super().__init__(setup, mover)
         self._stream, self._period = mover.stream, period
         self._follower: TrajectoryFollower | None = None
@@ -108,7 +109,7 @@ class StreamedArm(OrderedArm):
         self._line, self._holding, self.going_back = None, False, False
         assert self.q is not None  # `follow` is ordered only once the controls are there
         if self._follower is None:
-            limits, clear = self._setup.limits, self._setup.workspace.clear
+            limits, clear = self._setup.limits, self._setup.clear
             self._follower = TrajectoryFollower(limits, self.q, self._period, clear)
         step = self._follower.step(goal.q, goal.velocity)
         self._send(step.motion.q)
@@ -181,7 +182,7 @@ class SteppedArm(OrderedArm):
 
     order_states = ACCEPTING_STATES | BUSY_STATES
 
-    def __init__(self, setup: GraspPlanner, mover: Mover) -> None:
+    def __init__(self, setup: Workspace, mover: Mover) -> None:
         super().__init__(setup, mover)
         self._moves: list[tuple[Array, bool]] = []  # joint angles, and whether on a line
         self._top: Array | None = None  # where the line begins, once it was begun
@@ -210,7 +211,7 @@ class SteppedArm(OrderedArm):
         if np.abs(goal.q - self.q).max() < MIN_MOVE:
             return ""
         self._top, self.going_back = None, False
-        obstacle = self._setup.workspace.along(joint_path(self.q, goal.q))
+        obstacle = self._setup.along(joint_path(self.q, goal.q))
         if not obstacle:
             self._moves, self._sent = [(goal.q, False)], False
             self.go()

@@ -21,7 +21,7 @@ from verify.grasping.control.aim import Aim, LoopCycle
 from verify.grasping.control.arm import TOL_SAME_GOAL, DrivenArm
 from verify.grasping.control.states import DeviceOrder, GraspEvent, GraspState, StateMachine
 from verify.grasping.control.watchdog import Observation, Watchdog
-from verify.grasping.planning.plan import GraspPlanner
+from verify.grasping.planning.workspace import Workspace
 from verify.grasping.tracking.target import TargetObservation
 from verify.grasping.tracking.track import TargetTracker
 
@@ -54,7 +54,7 @@ class GraspLoop:
 
     def __init__(
         self,
-        setup: GraspPlanner,
+        setup: Workspace,
         tracker: TargetTracker | None,
         aim: Aim,
         hands: Actuators | None,
@@ -64,11 +64,12 @@ class GraspLoop:
         auto: bool = False,
     ) -> None:
         self._setup, self._tracker, self._hands = setup, tracker, hands
+        self.may_move = hands is not None  # arm and gripper, with permission to move them
         self._joints, self._clock = joints, clock
         self.aim = aim
-        self.machine = StateMachine(hands is not None, clock)
+        self.machine = StateMachine(self.may_move, clock)
         self._watchdog = Watchdog(
-            self.machine, setup.cell.watch, setup.cell.still, auto=auto and hands is not None
+            self.machine, setup.cell.watch, setup.cell.still, auto=auto and self.may_move
         )
         self._acted: GraspState | None = None  # in which state `_act` was last
         self.pictures_t: float | None = None  # s, when the newest pair was taken
@@ -80,11 +81,6 @@ class GraspLoop:
         self._refused = ""  # what a device refused
         self.awaited = ""  # why it cannot begin; empty: it can
         self._fingers: GripperStatus | None = None
-
-    @property
-    def may_move(self) -> bool:
-        """There are arm and gripper, and permission to move them."""
-        return self._hands is not None
 
     @property
     def may_choose(self) -> bool:
@@ -213,7 +209,7 @@ class GraspLoop:
         """The hand is so near that it may hide the object."""
         if self.aim.plan is None or self._q is None:
             return False
-        grip = self._setup.workspace.grip(self._q)[:3, 3]
+        grip = self._setup.grip(self._q)[:3, 3]
         away = float(np.linalg.norm(grip - self.aim.plan.margin.grip))
         return away <= self._setup.cell.approach.hidden
 

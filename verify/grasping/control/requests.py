@@ -4,7 +4,6 @@ Nothing here moves anything; whether an order counts, the state machine decides,
 """
 
 import threading
-from dataclasses import dataclass
 
 from verify.core.records import StereoPair
 from verify.core.rig import Rig
@@ -17,15 +16,6 @@ from verify.grasping.tracking.track import TargetTracker
 
 SELECTION_PLACE = "selection"
 MAX_REPEATED_LETTERS = 80  # characters of a request that an answer repeats
-
-
-@dataclass(frozen=True, slots=True)
-class PendingRequests:
-    """What is to be taken in now, oldest first."""
-
-    orders: tuple[GraspEvent, ...]
-    drawn: BoxSelection | None  # another target
-    refused: tuple[str, ...]  # why a request was none, in words
 
 
 class OperatorRequests:
@@ -66,8 +56,10 @@ class OperatorRequests:
         with self._lock:
             self._drawn = drawn
 
-    def taken(self, passages: int, *, pictures: bool) -> PendingRequests:
-        """Return the requests since the last call.
+    def taken(
+        self, passages: int, *, pictures: bool
+    ) -> tuple[tuple[GraspEvent, ...], BoxSelection | None, tuple[str, ...]]:
+        """Return since the last call: orders, another target, and why a request was none.
 
         `passages`: of the state machine until now; `pictures`: there are new ones, in which a
         selection can be found.
@@ -81,7 +73,7 @@ class OperatorRequests:
         late = [event for event, shown in orders if shown not in (None, passages)]
         late_reasons = [f"{event.value}: the state has changed since; look again" for event in late]
         self.stops += counts.count(GraspEvent.HOLD)
-        return PendingRequests(counts, drawn, (*late_reasons, *([refused] if refused else ())))
+        return counts, drawn, (*late_reasons, *([refused] if refused else ()))
 
     def _refuse(self, reason: str) -> None:
         with self._lock:

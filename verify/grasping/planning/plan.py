@@ -3,19 +3,16 @@
 `HoverPlanner` finds the joint angles that keep the hand above a moving target.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
 import robots
-from robots import Arm, DhArm, RobotError, trajectory
+from robots import trajectory
 from robots.inverse import near_within
-from robots.transforms import carry, invert
+from robots.transforms import invert
 from verify.core.records import Array
-from verify.core.rig import Camera, Rig
-from verify.errors import InputError
-from verify.grasping.cell import Cell
 from verify.grasping.planning import postures
 from verify.grasping.planning.approach import ApproachLine, hand_poses, line_path
 from verify.grasping.planning.object import (
@@ -26,29 +23,10 @@ from verify.grasping.planning.object import (
     grip_point,
 )
 from verify.grasping.planning.workspace import Workspace
-from verify.io.files import restated
 
 MAX_SLOWDOWN = 4.0  # times slower than the cell asks; more is needed beside a singularity only
 TOL_SAME_POSTURE = 0.15  # rad: no other branch and no other turn of the hand is so near
 MAX_POSTURES = 40  # postures whose paths are checked, best first: all branches, some turns of each
-
-
-@dataclass(frozen=True)
-class GraspPlanner:
-    """An arm in its cell."""
-
-    workspace: Workspace
-    limits: trajectory.JointLimits
-
-    @property
-    def arm(self) -> DhArm:
-        """The arm."""
-        return self.workspace.arm
-
-    @property
-    def cell(self) -> Cell:
-        """The cell."""
-        return self.workspace.cell
 
 
 @dataclass(frozen=True)
@@ -65,26 +43,16 @@ class GraspPlan:
     rejected: dict[str, str]  # each branch that is not taken, and why
 
 
-def make_planner(arm: Arm, cell: Cell, cameras: Array) -> GraspPlanner:
-    """Put an arm into its cell; InputError: it has no closed form, or its file states no rates."""
-    if not isinstance(arm, DhArm):
-        expected = "an arm with a closed form is needed to grasp"
-        raise InputError(f'robot "{arm.name}"', "is a URDF", expected, "Write its DH table.")
-    with restated(RobotError):
-        limits = trajectory.joint_limits(arm, cell.moving.share)
-    return GraspPlanner(Workspace(arm, cell, cameras), limits)
-
-
-def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPlan | GraspRefusal:
+def plan_grasp(setup: Workspace, thing: GraspObject, q_now: Array) -> GraspPlan | GraspRefusal:
     """Plan a grasp by an arm that rests at q_now, (n,), rad."""
     margin = grip_margin(thing, setup.cell)
     if isinstance(margin, GraspRefusal):
         return margin
     if problem := trajectory.limit_violation(
         setup.limits, trajectory.rest_motion(q_now)
-    ) or setup.workspace.clear(q_now[None]):
+    ) or setup.clear(q_now[None]):
         return GraspRefusal("way", f"the arm cannot begin where it stands: {problem}")
-    good, reasons = postures.find_postures(setup.workspace, setup.limits, margin.grip, q_now)
+    good, reasons = postures.find_postures(setup, margin.grip, q_now)
     if thing.hand is not None and thing.hand.used:  # a correction holds where it was measured
         good = [p for p in good if np.abs(p.q_above - q_now).max() < TOL_SAME_POSTURE]
     ways: dict[int, str] = {}  # why not, of branches that could stand there
@@ -106,7 +74,7 @@ def plan_grasp(setup: GraspPlanner, thing: GraspObject, q_now: Array) -> GraspPl
 
 
 def _grasp_motion(
-    setup: GraspPlanner, posture: postures.Posture, q_now: Array
+    setup: Workspace, posture: postures.Posture, q_now: Array
 ) -> tuple[tuple[trajectory.Trajectory, ...], trajectory.Trajectory, float] | str:
     """The transfer, the line down, and how much slower it is, in one posture; or why not."""
     found = _descent(setup, posture)
@@ -117,7 +85,7 @@ def _grasp_motion(
 
 
 def _descent(
-    setup: GraspPlanner, posture: postures.Posture
+    setup: Workspace, posture: postures.Posture
 ) -> tuple[trajectory.Trajectory, float] | str:
     """The line down, checked along its whole length, and how much slower it is; or why not."""
     wanted = setup.cell.approach
@@ -135,13 +103,13 @@ def _descent(
         joint = int(np.argmax(path.bounds()[0] / setup.limits.speed)) + 1
         fast = f"at {1e3 * wanted.speed:g} mm/s joint {joint} races"
         return f"on the line down {fast}, {slowed:.0f} times beyond its limits"
-    if problem := setup.workspace.along(path):
+    if problem := setup.along(path):
         return f"on the line down {problem}"
     return trajectory.time_path(path, setup.limits, rates), max(slowed, 1.0)
 
 
 def transfer_motion(
-    setup: GraspPlanner, q_now: Array, q_above: Array
+    setup: Workspace, q_now: Array, q_above: Array
 ) -> tuple[trajectory.Trajectory, ...] | str:
     """Go straight in joint angles, (n,) rad, to above the object, or through home.
 
@@ -153,7 +121,7 @@ def transfer_motion(
     problem = ""
     for way in ways:
         paths = [trajectory.joint_path(a, b) for a, b in pairwise(way)]
-        trouble = next((t for path in paths if (t := setup.workspace.along(path))), "")
+        trouble = next((t for path in paths if (t := setup.along(path))), "")
         if not trouble:
             return tuple(trajectory.time_path(path, setup.limits) for path in paths)
         problem = problem or f"on the way over {trouble}"
@@ -173,32 +141,6 @@ def _rejection_reasons(
     return {postures.branch_name(branch): rejections[branch] for branch in sorted(rejections)}
 
 
-def planner_with_cameras(arm: Arm, cell: Cell, rig: Rig, *, turning: bool) -> GraspPlanner:
-    """Put an arm into its cell, with the rig's cameras to keep away from.
-
-    The optical centre of a turning camera goes round its base's axis: the arm keeps away from the
-    whole circle, as it does from a point, by a clearance that is the circle's radius greater.
-
-    Raises:
-        InputError: see `make_planner`.
-    """
-    circles = [
-        _camera_circle(camera) if turning else (camera.rig_T_camera(camera.pan)[:3, 3], 0.0)
-        for camera in (rig.left, rig.right)
-    ]
-    wider = cell.moving.camera_clearance + max(radius for _, radius in circles)
-    kept = replace(cell, moving=replace(cell.moving, camera_clearance=wider))
-    middles = np.array([middle for middle, _ in circles])
-    return make_planner(arm, kept, carry(invert(rig.rig_T_base), middles))
-
-
-def _camera_circle(camera: Camera) -> tuple[Array, float]:
-    """Where a turning camera's optical centre goes: the circle's middle, rig, m, and its radius."""
-    from_axis, axis = camera.mount[:3, 3], camera.pan_axis
-    along = float(axis @ from_axis)
-    return camera.pan_center + along * axis, float(np.linalg.norm(from_axis - along * axis))
-
-
 @dataclass(frozen=True, slots=True)
 class JointGoal:
     """Where the joints should be now, and how the goal moves."""
@@ -210,7 +152,7 @@ class JointGoal:
 class HoverPlanner:
     """Keeps one branch and one turn of the hand as long as possible, then searches for others."""
 
-    def __init__(self, setup: GraspPlanner) -> None:
+    def __init__(self, setup: Workspace) -> None:
         self._setup = setup
         self._posture: postures.Posture | None = None
 
@@ -224,9 +166,7 @@ class HoverPlanner:
         grip, _ = grip_point(point, self._setup.cell)  # above where the line down will begin
         q = None if self._posture is None else self._same(self._posture, grip, q_now)
         if q is None:
-            good, reasons = postures.find_postures(
-                self._setup.workspace, self._setup.limits, grip, q_now
-            )
+            good, reasons = postures.find_postures(self._setup, grip, q_now)
             if not good:
                 self._posture = None
                 problem = next(iter(reasons.values()))
@@ -249,6 +189,6 @@ class HoverPlanner:
             return None
         if postures.smallest_singular_value(
             setup.arm, q
-        ) < postures.MIN_SINGULAR_VALUE or setup.workspace.clear(q[None]):
+        ) < postures.MIN_SINGULAR_VALUE or setup.clear(q[None]):
             return None
         return q

@@ -83,7 +83,7 @@ class _PostureTable:
 
 
 def find_postures(
-    workspace: Workspace, limits: JointLimits, point: Array, q_now: Array
+    workspace: Workspace, point: Array, q_now: Array
 ) -> tuple[list[Posture], dict[int, str]]:
     """List how the arm could stand above an object and at it: all branches, 24 turns of the hand.
 
@@ -94,15 +94,15 @@ def find_postures(
     """
     now = nearest_turn(workspace.cell.approach.direction, workspace.grip(q_now)[:3, :3])
     turns: Array = now + np.linspace(0.0, 2 * np.pi, N_TURNS, endpoint=False)
-    table = _table(workspace, limits, point, q_now, turns)
+    table = _table(workspace, point, q_now, turns)
     stage = table.stage
     good = [
-        _scored_posture(table, limits, int(turn), int(branch), float(turns[turn]), q_now)
+        _scored_posture(table, workspace.limits, int(turn), int(branch), float(turns[turn]), q_now)
         for turn, branch in np.argwhere(stage == VALID_STAGE)
     ]
     good.sort(key=lambda posture: -posture.score)
     rejected = {
-        branch: _rejection_reason(workspace, limits, table, branch)
+        branch: _rejection_reason(workspace, table, branch)
         for branch in np.argsort(-stage.max(axis=0), kind="stable").tolist()
         if not (stage[:, branch] == VALID_STAGE).any()
     }
@@ -116,10 +116,8 @@ def smallest_singular_value(arm: robots.DhArm, q: Array) -> Array:
     return np.asarray(np.linalg.svd(moves, compute_uv=False)[..., -1])
 
 
-def _table(
-    workspace: Workspace, limits: JointLimits, point: Array, q_now: Array, turns: Array
-) -> _PostureTable:
-    cell, arm = workspace.cell, workspace.arm
+def _table(workspace: Workspace, point: Array, q_now: Array, turns: Array) -> _PostureTable:
+    cell, arm, limits = workspace.cell, workspace.arm, workspace.limits
     approach = cell.approach
     ends = (point - approach.height * approach.direction, point)
     poses = np.array([hand_poses(approach.direction, end, turns) for end in ends])
@@ -157,9 +155,7 @@ def _scored_posture(
     return Posture(branch, angle, q[0], q[1], *(min(max(part, MIN_SCORE), 1.0) for part in parts))
 
 
-def _rejection_reason(
-    workspace: Workspace, limits: JointLimits, table: _PostureTable, branch: int
-) -> str:
+def _rejection_reason(workspace: Workspace, table: _PostureTable, branch: int) -> str:
     """Why a branch has no posture, of its turn of the hand that came farthest."""
     stage = table.stage[:, branch]
     farthest = int(stage.max())
@@ -173,7 +169,7 @@ def _rejection_reason(
         return next(
             f"{end} {problem}"
             for end, q in zip(END_NAMES, ends, strict=True)
-            if (problem := limit_violation(limits, rest_motion(q)))
+            if (problem := limit_violation(workspace.limits, rest_motion(q)))
         )
     if farthest == SINGULAR_STAGE:
         singular = [robots.coupled(workspace.arm, q) for q in ends]

@@ -9,17 +9,22 @@ no point moves farther than travel = sum_j |dq_j| reach_j, so with margins m1 an
 A path is checked along its whole length by halving it until this bound is above -RESOLUTION.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
 
+import msgspec
 import numpy as np
 
 import robots
-from robots import DhArm
-from robots.trajectory import JointPath
+from robots import Arm, DhArm, RobotError
+from robots.trajectory import JointLimits, JointPath, joint_limits
+from robots.transforms import carry, invert
 from verify.core.records import Array
+from verify.core.rig import Camera, Rig
+from verify.errors import InputError
 from verify.grasping.cell import Cell
+from verify.io.files import restated
 
 RESOLUTION = 5e-4  # m: a way is certified to keep every clearance but for that much
 N_FIRST_POSTURES = 9  # postures at which a path is checked first
@@ -30,11 +35,12 @@ BOX_NAME = "grip point in the workspace box"
 
 @dataclass(frozen=True)
 class Workspace:
-    """An arm, its hand, and what they must keep away from; robot's base frame."""
+    """An arm and its hand in their cell, and what they must keep away from; robot's base frame."""
 
     arm: DhArm
     cell: Cell
     cameras: Array  # (k, 3), m, optical centres
+    limits: JointLimits  # of the joints, as the cell lets them move
 
     @cached_property
     def names(self) -> tuple[str, ...]:
@@ -134,6 +140,43 @@ class Workspace:
         beyond = np.cumsum(lengths[::-1])[::-1] - lengths
         # a joint's own d lies on its axis
         return np.asarray(np.abs(self.arm.a) + beyond + max(tool, self.cell.moving.link_radius))
+
+
+def make_workspace(arm: Arm, cell: Cell, cameras: Array) -> Workspace:
+    """Put an arm into its cell; InputError: it has no closed form, or its file states no rates."""
+    if not isinstance(arm, DhArm):
+        expected = "an arm with a closed form is needed to grasp"
+        raise InputError(f'robot "{arm.name}"', "is a URDF", expected, "Write its DH table.")
+    with restated(RobotError):
+        limits = joint_limits(arm, cell.moving.share)
+    return Workspace(arm, cell, cameras, limits)
+
+
+def workspace_with_cameras(arm: Arm, cell: Cell, rig: Rig, *, turning: bool) -> Workspace:
+    """Put an arm into its cell, with the rig's cameras to keep away from.
+
+    The optical centre of a turning camera goes round its base's axis: the arm keeps away from the
+    whole circle, as it does from a point, by a clearance that is the circle's radius greater.
+
+    Raises:
+        InputError: see `make_workspace`.
+    """
+    circles = [
+        _camera_circle(camera) if turning else (camera.rig_T_camera(camera.pan)[:3, 3], 0.0)
+        for camera in (rig.left, rig.right)
+    ]
+    wider = cell.moving.camera_clearance + max(radius for _, radius in circles)
+    moving = msgspec.structs.replace(cell.moving, camera_clearance=wider)
+    kept = replace(cell, moving=moving)
+    middles = np.array([middle for middle, _ in circles])
+    return make_workspace(arm, kept, carry(invert(rig.rig_T_base), middles))
+
+
+def _camera_circle(camera: Camera) -> tuple[Array, float]:
+    """Where a turning camera's optical centre goes: the circle's middle, rig, m, and its radius."""
+    from_axis, axis = camera.mount[:3, 3], camera.pan_axis
+    along = float(axis @ from_axis)
+    return camera.pan_center + along * axis, float(np.linalg.norm(from_axis - along * axis))
 
 
 def _distance(point: Array, a: Array, b: Array) -> Array:

@@ -65,11 +65,6 @@ class LineOfSight:
         """Direction in the rig, of unit depth in the camera, (3,)."""
         return np.asarray(self.placed.rig_T_camera[:3, :3] @ np.append(self.xy, 1.0))
 
-    @property
-    def slant(self) -> Array:
-        """By how much a ball looks wider than on the optical axis, along rows and columns, (2,)."""
-        return np.hypot(1.0, self.xy)
-
 
 def place_camera(camera: Camera, pan: float) -> PannedCamera:
     """Turn a camera to a pan reading, rad."""
@@ -165,7 +160,8 @@ def object_size(left: LineOfSight, right: LineOfSight, place: StereoPoint) -> tu
     weighted by what each pixel is worth, and their standard uncertainties (2,), m.
     """
     lens = np.array([np.diag(left.lens), np.diag(right.lens)])
-    worth = place.depth[:, None] / lens / np.array([left.slant, right.slant])
+    slant = np.hypot(1.0, [left.xy, right.xy])  # a ball looks wider off the optical axis
+    worth = place.depth[:, None] / lens / slant
     metres = (np.array([left.extent, right.extent]) - 2 * RIM_WIDTH) * worth
     weight = 1.0 / (worth * U_EXTENT) ** 2
     mean = (metres * weight).sum(axis=0) / weight.sum(axis=0)

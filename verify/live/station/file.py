@@ -11,7 +11,7 @@ import msgspec
 from verify.core.records import SIDES
 from verify.errors import one_line
 from verify.io.session.keys import check_clock, tolerance
-from verify.io.toml import decode, did_you_mean, key_error, not_negative, one_of
+from verify.io.toml import decode, did_you_mean, key_error, one_of
 from verify.live.station.devices import ENCODER_KEYS, PAN_KEYS
 from verify.live.station.keys import EVENT_KINDS, HOST_PATTERN, StationCameraTable, StationTable
 
@@ -41,8 +41,6 @@ def read(path: Path, kind: type[T]) -> tuple[T, tuple[str, ...]]:
     listed = None if table.tolerance is None else table.tolerance.joints_deg
     # how many joints the robot has is checked later
     tolerance(path, table.tolerance, len(listed) if isinstance(listed, list) else 1)
-    for key in ("resolution_deg", "time_standard_uncertainty_s"):
-        not_negative(path, f"encoders.{key}", getattr(table.encoders, key))
     _check_alarm(path, table)
     _check_recording(path, table)
     return table, (*warnings, *_unused_setting_warnings(path, table))
@@ -63,21 +61,11 @@ def check_cameras(path: Path, table: StationTable) -> None:
 
 
 def _check_camera(path: Path, side: str, table: StationCameraTable) -> None:
-    if isinstance(table.source, int):
-        not_negative(path, f"{side}.source", table.source)
-    elif not table.source:
+    if table.source == "":
         raise key_error(path, f"{side}.source", "is empty", "an index, a device, a URL or a file")
-    if table.size is not None and min(table.size) < 1:
-        raise key_error(path, f"{side}.size", "is {} x {}".format(*table.size), "at least 1 x 1 px")
     if table.format is not None and not re.fullmatch(r"[ -~]{4}", table.format):
         expected = "four letters are expected, such as MJPG or YUYV"
         raise key_error(path, f"{side}.format", f'is "{table.format}"', expected)
-    not_negative(path, f"{side}.rate_hz", table.rate_hz)
-    not_negative(path, f"{side}.delay_ms", table.delay_ms)
-    for key in ("exposure_ms", "white_balance_k"):
-        value = getattr(table, key)
-        if value is not None and value <= 0:
-            raise key_error(path, f"{side}.{key}", f"is {value}", "a number above 0 is expected")
 
 
 def _check_sources(path: Path, table: StationTable) -> None:
@@ -125,8 +113,6 @@ def _check_recording(path: Path, table: StationTable) -> None:
 
 
 def _check_sim(path: Path, table: StationTable) -> None:
-    if table.sim.speed <= 0:
-        raise key_error(path, "sim.speed", f"is {table.sim.speed}", "a number above 0 is expected")
     rate = table.encoders.rate_hz
     if table.encoders.driver == SIM and rate is not None and rate <= 0:
         raise key_error(path, "encoders.rate_hz", f"is {rate}", "a number above 0 is expected")
@@ -134,8 +120,6 @@ def _check_sim(path: Path, table: StationTable) -> None:
         key = f"sim.event[{index}]"
         one_of(path, f"{key}.what", event.what, EVENT_KINDS)
         one_of(path, f"{key}.camera", event.camera, (*SIDES, "both"))
-        not_negative(path, f"{key}.at_s", event.at)
-        not_negative(path, f"{key}.for_s", event.duration)
 
 
 def _unused_setting_warnings(path: Path, table: StationTable) -> list[str]:

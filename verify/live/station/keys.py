@@ -1,7 +1,7 @@
 """The keys of a station file in its own units (degrees, ms, paths), and of a simulation."""
 
 from collections.abc import Callable
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import msgspec
 
@@ -9,7 +9,10 @@ from verify.core.fiducials import Marker
 from verify.core.rig import Rig
 from verify.devices.protocols import CameraDevice, CameraSettings, EncoderDevice, PanDevice
 from verify.io.session import keys
+from verify.io.toml import NotNegative, Positive
 
+Pixels = Annotated[int, msgspec.Meta(ge=1)]
+Baud = Annotated[int, msgspec.Meta(ge=1, le=20_000_000)]
 HOST_PATTERN = r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)"  # a name, or an address
 SECURITY_KEYS = ("certificate", "private_key", "server_certificate", "security_policy")  # OPC UA
 
@@ -17,15 +20,15 @@ SECURITY_KEYS = ("certificate", "private_key", "server_certificate", "security_p
 class StationCameraTable(msgspec.Struct, kw_only=True):
     """The keys of [left] and [right]."""
 
-    source: int | str
-    size: tuple[int, int] | None = None
-    rate_hz: float | None = None
+    source: Annotated[int, msgspec.Meta(ge=0)] | str
+    size: tuple[Pixels, Pixels] | None = None
+    rate_hz: NotNegative | None = None
     format: str | None = None
-    exposure_ms: float | None = None
+    exposure_ms: Positive | None = None
     gain: float | None = None
-    white_balance_k: float | None = None
+    white_balance_k: Positive | None = None
     grey: bool | None = None
-    delay_ms: float = 0.0
+    delay_ms: NotNegative = 0.0
 
 
 class AngleDeviceTable(msgspec.Struct, kw_only=True, omit_defaults=True):
@@ -34,7 +37,7 @@ class AngleDeviceTable(msgspec.Struct, kw_only=True, omit_defaults=True):
     sign: list[int] | None = None
     offset_deg: list[float] | None = None
     port: str | None = None
-    baud: int | None = None
+    baud: Baud | None = None
     checksum: str | None = None
     rate_hz: float | None = None
     unit: str | None = None
@@ -45,8 +48,8 @@ class StationEncodersTable(AngleDeviceTable, kw_only=True, omit_defaults=True):
     """The keys of [encoders]; which of them have a meaning depends on the driver."""
 
     driver: str
-    resolution_deg: float | None = None
-    time_standard_uncertainty_s: float | None = None
+    resolution_deg: NotNegative | None = None
+    time_standard_uncertainty_s: NotNegative | None = None
     data_bits: int | None = None
     parity: str | None = None
     stop_bits: int | None = None
@@ -119,8 +122,8 @@ class SimEvent(msgspec.Struct, frozen=True, rename={"at": "at_s", "duration": "f
     """[[sim.event]]: something that happens to the simulated devices."""
 
     what: str  # one of EVENT_KINDS
-    at: float  # s after the start
-    duration: float | None = None  # s; None: for good
+    at: NotNegative  # s after the start
+    duration: NotNegative | None = None  # s; None: for good
     joint: int | None = None  # counted from 1
     degrees: float = 0.0
     camera: str = "both"  # left, right, both
@@ -139,7 +142,7 @@ class SimSettings(msgspec.Struct, frozen=True, rename={"events": "event"}):
     """[sim]: which simulated station it is."""
 
     scenario: str = "multi_joint_rv_3sd"  # a built-in one's name, or a path
-    speed: float = 1.0  # times real time
+    speed: Positive = 1.0  # times real time
     events: tuple[SimEvent, ...] = ()
 
 

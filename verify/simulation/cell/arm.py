@@ -18,7 +18,7 @@ from verify.grasping.actuators.protocols import (
     MoverStatus,
 )
 from verify.grasping.planning.approach import ApproachLine, line_path
-from verify.grasping.planning.plan import GraspPlanner
+from verify.grasping.planning.workspace import Workspace
 
 POWER_UP_TIME = 0.4  # s from asking for the controls to having them
 STREAM_TIMEOUT = 0.2  # s without a set point, and a stream counts as over
@@ -62,7 +62,7 @@ class SimMover:
     def __init__(
         self,
         arm: CellArm,
-        setup: GraspPlanner,
+        setup: Workspace,
         now: Callable[[], float],
         permission: ExecutePermission,
     ) -> None:

@@ -163,7 +163,7 @@ class CellWorld:
         q = self.arm.q(self.t)
         if self.scene.joint_errors:
             q = q + np.array(self.scene.joint_errors)
-        arm = self.setup.planner.arm
+        arm = self.setup.workspace.arm
         flange = forward(arm, q)
         flange[:3, 3] += self._off
         return RenderedArm(joint_origins(arm, q) + self._off, flange, self.hand.opening)

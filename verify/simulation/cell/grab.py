@@ -38,7 +38,7 @@ class CellSource:
     def devices(self, permission: ExecutePermission) -> tuple[SimMover, SimGripper]:
         """Make arm and gripper, which the operator's permission allows to move."""
         world = self._world
-        self._mover = SimMover(world.arm, world.setup.planner, world.now, permission)
+        self._mover = SimMover(world.arm, world.setup.workspace, world.now, permission)
         return self._mover, SimGripper(world.hand, world.now, permission)
 
     def pair(self) -> StereoPair | None:
@@ -103,14 +103,14 @@ def cell_grab(
     actuators = watch = None
     if permission is not None:
         mover, gripper = cell.devices(permission)
-        arm: DrivenArm = StreamedArm(setup.planner, mover, 1 / RATE)
+        arm: DrivenArm = StreamedArm(setup.workspace, mover, 1 / RATE)
         if mode.stepped:
-            arm = SteppedArm(setup.planner, mover)
+            arm = SteppedArm(setup.workspace, mover)
         actuators = Actuators(arm, gripper)
         if mode.closed:
-            watch = FlangeWatch(setup.planner.arm, setup.rig, setup.marker)
-    aim = Aim(setup.planner, setup.rig, watch)
+            watch = FlangeWatch(setup.workspace.arm, setup.rig, setup.marker)
+    aim = Aim(setup.workspace, setup.rig, watch)
     loop = GraspLoop(
-        setup.planner, tracker, aim, actuators, world.encoders, world.now, auto=mode.auto
+        setup.workspace, tracker, aim, actuators, world.encoders, world.now, auto=mode.auto
     )
     return CellRun(world, cell, loop)

@@ -12,7 +12,7 @@ from verify.core.records import Array
 from verify.core.rig import Camera, Covariance, Rig
 from verify.grasping import cell as grasping_cell
 from verify.grasping.cell import Cell
-from verify.grasping.planning.plan import GraspPlanner, planner_with_cameras
+from verify.grasping.planning.workspace import Workspace, workspace_with_cameras
 from verify.planning.proposal import level_camera, look_at
 
 ROBOT = "rv_3sd_melfa"
@@ -33,14 +33,14 @@ LED_HEIGHTS = np.array([42, 68, 50, 74, 45, 61, 77, 43, 71, 52, 40, 64]) * 1e-3 
 class CellSetup:
     """What is known of the simulated cell by those who work in it."""
 
-    planner: GraspPlanner
+    workspace: Workspace
     rig: Rig
     marker: Marker
 
     @property
     def cell(self) -> Cell:
         """What grab.toml says."""
-        return self.planner.cell
+        return self.workspace.cell
 
     @property
     def home(self) -> Array:
@@ -56,7 +56,7 @@ def cell_setup(size: tuple[int, int] = FULL_SIZE, *, turning: bool = False) -> C
     arm = robots.load(ROBOT)
     cell, _ = grasping_cell.read(Path(__file__).parents[1] / "cell.toml", arm.dof)
     rig = _rig(size, PAN_UNCERTAINTY if turning else None)
-    return CellSetup(planner_with_cameras(arm, cell, rig, turning=turning), rig, _marker())
+    return CellSetup(workspace_with_cameras(arm, cell, rig, turning=turning), rig, _marker())
 
 
 def _rig(size: tuple[int, int], pan_uncertainty: float | None) -> Rig:

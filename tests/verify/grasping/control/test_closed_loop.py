@@ -49,7 +49,7 @@ def test_a_joint_that_is_off_leads_beside_the_object_until_it_is_corrected() -> 
     assert grip_error(grab) < 1e-3
     assert kept_limits(grab)
     true, plan, found = grab.monitor.closed_on, grab.loop.aim.plan, hand(grab).hand
-    left = true - SETUP.planner.workspace.grip(plan.posture.q_grip)[:3, 3] - found.off
+    left = true - SETUP.workspace.grip(plan.posture.q_grip)[:3, 3] - found.off
     assert left @ np.linalg.solve(found.covariance, left) < 16.3  # chi², 3 degrees, 0.1 %
 
 
@@ -102,7 +102,7 @@ def test_no_pairs_are_taken_before_rest_or_during_motion() -> None:
         waiting.append(work)
         return Future()
 
-    watch = FlangeWatch(SETUP.planner.arm, SETUP.rig, SETUP.marker, later)
+    watch = FlangeWatch(SETUP.workspace.arm, SETUP.rig, SETUP.marker, later)
     q = SETUP.home
     for now in (0.0, 0.1, 0.2):
         world.t = now
@@ -120,7 +120,7 @@ def test_no_pairs_are_taken_before_rest_or_during_motion() -> None:
 
 def test_moving_encoders_end_the_measurement() -> None:
     world = CellWorld(SETUP, STANDS)
-    watch = FlangeWatch(SETUP.planner.arm, SETUP.rig, SETUP.marker)
+    watch = FlangeWatch(SETUP.workspace.arm, SETUP.rig, SETUP.marker)
     gathered = None
     for turn in range(100):
         world.t = turn / 30
@@ -142,6 +142,6 @@ def test_a_line_down_ends_in_the_wrist_posture_in_which_it_begins(turn_deg: floa
     start[5] = np.deg2rad(turn_deg)
     end, step = start, approach.height / 500 * np.append(approach.direction, np.zeros(3))
     for _ in range(500):
-        end = end + np.linalg.solve(robots.jacobian(SETUP.planner.arm, end), step)
-    found = Aim(SETUP.planner, SETUP.rig)._end(start)
+        end = end + np.linalg.solve(robots.jacobian(SETUP.workspace.arm, end), step)
+    found = Aim(SETUP.workspace, SETUP.rig)._end(start)
     np.testing.assert_allclose(found, end, atol=2e-3)

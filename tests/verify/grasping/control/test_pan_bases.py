@@ -19,7 +19,7 @@ from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspState
-from verify.grasping.planning.plan import planner_with_cameras
+from verify.grasping.planning.workspace import workspace_with_cameras
 from verify.live.buffers import MAX_PAN_AGE, PanBuffer
 from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, PanTurn
@@ -172,8 +172,8 @@ def test_a_stations_pairs_carry_the_angles_of_their_instant_and_none_of_a_turnin
 def test_the_arm_keeps_away_from_every_place_that_a_turning_camera_can_have() -> None:
     rig = SETUP.rig
     moved = replace(rig, left=off_axis(rig.left), right=off_axis(rig.right))
-    arm, cell = SETUP.planner.arm, cell_setup(SMALL_SIZE).cell
-    turning = planner_with_cameras(arm, cell, moved, turning=True).workspace
+    arm, cell = SETUP.workspace.arm, cell_setup(SMALL_SIZE).cell
+    turning = workspace_with_cameras(arm, cell, moved, turning=True)
     q = np.random.default_rng(3).uniform(arm.lower, arm.upper, (40, arm.dof))
     kept = turning.margins(q)
     names = [i for i, name in enumerate(turning.names) if "camera" in name]
@@ -181,7 +181,7 @@ def test_the_arm_keeps_away_from_every_place_that_a_turning_camera_can_have() ->
     for pan in np.linspace(-np.pi, np.pi, 90):
         placed = [carry(invert(rig.rig_T_base), c.rig_T_camera(pan)[:3, 3])
                   for c in (moved.left, moved.right)]  # fmt: skip
-        fixed = type(turning)(arm, cell, np.array(placed))
+        fixed = replace(turning, cell=cell, cameras=np.array(placed))
         nearest = np.minimum(nearest, fixed.margins(q))
     assert (kept[:, names] <= nearest[:, names] + 1e-9).all()
     assert (kept[:, names] >= nearest[:, names] - 2 * np.hypot(0.03, 0.04) - 1e-3).all()

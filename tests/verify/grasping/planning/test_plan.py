@@ -6,6 +6,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import get_args
 
+import msgspec
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
@@ -28,12 +29,10 @@ from verify.grasping.planning.object import (
 )
 from verify.grasping.planning.plan import (
     GraspPlan,
-    GraspPlanner,
     HoverPlanner,
-    make_planner,
     plan_grasp,
 )
-from verify.grasping.planning.workspace import RESOLUTION
+from verify.grasping.planning.workspace import RESOLUTION, Workspace, make_workspace
 from verify.grasping.record.rows import plan_fields
 from verify.grasping.tracking.target import TargetObservation
 
@@ -41,17 +40,17 @@ PERIOD = 1 / 30
 
 
 @pytest.fixture
-def made(tmp_path: Path) -> GraspPlanner:
+def made(tmp_path: Path) -> Workspace:
     return setup(tmp_path)
 
 
-def planned(made: GraspPlanner, thing: GraspObject) -> GraspPlan:
+def planned(made: Workspace, thing: GraspObject) -> GraspPlan:
     found = plan_grasp(made, thing, home(made))
     assert isinstance(found, GraspPlan), found
     return found
 
 
-def refused(made: GraspPlanner, thing: GraspObject) -> GraspRefusal:
+def refused(made: Workspace, thing: GraspObject) -> GraspRefusal:
     found = plan_grasp(made, thing, home(made))
     assert isinstance(found, GraspRefusal)
     return found
@@ -59,7 +58,7 @@ def refused(made: GraspPlanner, thing: GraspObject) -> GraspRefusal:
 
 @pytest.mark.parametrize("place", [(0.45, 0.0), (0.40, 0.2), (0.52, -0.15), (0.37, -0.25)])
 def test_a_plan_goes_over_down_and_up_within_limits_and_clear(
-    made: GraspPlanner, place: tuple[float, float]
+    made: Workspace, place: tuple[float, float]
 ) -> None:
     found = planned(made, cap(*place))
     trajectories = [*found.over, found.down, found.up]
@@ -69,32 +68,32 @@ def test_a_plan_goes_over_down_and_up_within_limits_and_clear(
     for trajectory in trajectories:
         _, motion = trajectory.sampled(0.01)
         assert limit_violation(made.limits, motion) == ""
-        assert made.workspace.margins(motion.q).min() >= -RESOLUTION
+        assert made.margins(motion.q).min() >= -RESOLUTION
         assert_allclose(motion.velocity[[0, -1]], 0, atol=1e-9)
-    grip = made.workspace.grip(found.down.at(found.down.duration).q)
+    grip = made.grip(found.down.at(found.down.duration).q)
     assert_allclose(grip[:3, 3], [*place, 0.03], atol=5e-5)
     assert_allclose(grip[:3, 2], [0, 0, -1], atol=5e-4)
     assert len(found.rejected) == 7
     times, motion = found.down.sampled(0.01)  # straight, with the speed that the cell asks
-    path = made.workspace.grip(motion.q)[:, :3, 3]
+    path = made.grip(motion.q)[:, :3, 3]
     assert np.abs(path[:, :2] - place).max() < 5e-5
     speed = np.linalg.norm(np.diff(path, axis=0), axis=1)[:-1] / np.diff(times)[:-1]
     assert speed.max() == pytest.approx(0.05, rel=1e-3)
     assert found.slowed == 1.0
 
 
-def test_a_descent_that_the_joints_cannot_follow_is_slowed(made: GraspPlanner) -> None:
-    fast = dataclasses.replace(made.cell.approach, speed=0.15, acceleration=0.6, jerk=3.0)
+def test_a_descent_that_the_joints_cannot_follow_is_slowed(made: Workspace) -> None:
+    fast = msgspec.structs.replace(made.cell.approach, speed=0.15, acceleration=0.6, jerk=3.0)
     found = planned(changed(made, approach=fast), cap())
     assert 1 < found.slowed <= 4
     assert limit_violation(made.limits, found.down.sampled(0.005)[1]) == ""
 
 
-def test_a_low_object_is_gripped_as_low_as_the_tips_allow(made: GraspPlanner) -> None:
+def test_a_low_object_is_gripped_as_low_as_the_tips_allow(made: Workspace) -> None:
     found = planned(made, cap(z=0.010))
     assert found.margin.raised == pytest.approx(0.008)
     assert_allclose(found.margin.grip, [0.45, 0.0, 0.018])
-    tips = made.workspace.grip(found.posture.q_grip)[2, 3] - made.cell.gripper.tips
+    tips = made.grip(found.posture.q_grip)[2, 3] - made.cell.gripper.tips
     assert tips == pytest.approx(made.cell.table.finger_clearance)
 
 
@@ -115,7 +114,7 @@ def test_a_low_object_is_gripped_as_low_as_the_tips_allow(made: GraspPlanner) ->
     ],
 )
 def test_a_grasp_is_refused_with_the_reason(
-    made: GraspPlanner, changes: dict[str, object], kind: str, words: str
+    made: Workspace, changes: dict[str, object], kind: str, words: str
 ) -> None:
     found = refused(made, cap(**changes))
     assert found.kind == kind
@@ -127,28 +126,28 @@ def test_a_grasp_is_refused_with_the_reason(
     assert "cannot begin where it stands" in outside.reason
 
 
-def test_a_way_that_is_not_clear_leads_through_home(made: GraspPlanner) -> None:
+def test_a_way_that_is_not_clear_leads_through_home(made: Workspace) -> None:
     """A camera on a stand in the middle: from one side to the other the arm must go around."""
     side = np.radians([-32.0, 25.0, 95.0, 0.0, 60.0, 0.0])
     direct = plan_grasp(made, cap(0.42, 0.25), side)
     assert len(direct.over) == 1
     path = direct.over[0].path
-    middle = made.workspace.grip(path.q(0.5))[:3, 3]
+    middle = made.grip(path.q(0.5))[:3, 3]
     camera = middle + np.array([0.02, 0.0, -0.15])
     blocked = changed(made, camera[None])
-    assert blocked.workspace.along(path) != ""
+    assert blocked.along(path) != ""
     found = plan_grasp(blocked, cap(0.42, 0.25), side)
     assert len(found.over) == 2
     for part in found.over:
-        assert blocked.workspace.along(part.path) == ""
-    homeless = dataclasses.replace(made.cell.moving, home=None)
+        assert blocked.along(part.path) == ""
+    homeless = msgspec.structs.replace(made.cell.moving, home_deg=None)
     stuck = plan_grasp(changed(blocked, moving=homeless), cap(0.42, 0.25), side)
     assert stuck.kind == "way"
     assert "camera 1" in stuck.reason
 
 
 @pytest.mark.slow
-def test_the_stated_coverage_is_kept_by_what_is_not_refused(made: GraspPlanner) -> None:
+def test_the_stated_coverage_is_kept_by_what_is_not_refused(made: Workspace) -> None:
     """Draw targets and widths: where the margin is just met, 95 % of them go in, or more."""
     random = np.random.default_rng(0)
     robot = made.cell.accuracy.robot
@@ -220,11 +219,11 @@ def test_the_gripped_extent_depends_on_the_viewing_direction() -> None:
 
 @pytest.mark.slow
 def test_the_arm_follows_a_moving_target_from_above_without_ever_leaving_limits_or_box(
-    made: GraspPlanner,
+    made: Workspace,
 ) -> None:
-    setup_ = GraspPlanner(made.workspace, joint_limits(melfa(), 0.5))
+    setup_ = dataclasses.replace(made, limits=joint_limits(melfa(), 0.5))
     hover = HoverPlanner(setup_)
-    follower = TrajectoryFollower(setup_.limits, home(made), PERIOD, setup_.workspace.clear)
+    follower = TrajectoryFollower(setup_.limits, home(made), PERIOD, setup_.clear)
     away = []
     for step in range(150):
         t = (step + 1) * PERIOD
@@ -233,13 +232,13 @@ def test_the_arm_follows_a_moving_target_from_above_without_ever_leaving_limits_
         goal = hover.goal(point, velocity, follower.motion.q)
         ordered = follower.step(goal.q, goal.velocity)
         assert limit_violation(setup_.limits, ordered.motion) == ""
-        assert setup_.workspace.margins(ordered.motion.q[None]).min() >= -RESOLUTION
-        grip = setup_.workspace.grip(ordered.motion.q)[:3, 3]
+        assert setup_.margins(ordered.motion.q[None]).min() >= -RESOLUTION
+        grip = setup_.grip(ordered.motion.q)[:3, 3]
         away.append(np.linalg.norm(grip - point - [0, 0, 0.12]))
     assert max(away[60:]) < 1e-3
 
 
-def test_a_target_out_of_reach_is_refused_with_the_reason(made: GraspPlanner) -> None:
+def test_a_target_out_of_reach_is_refused_with_the_reason(made: Workspace) -> None:
     hover = HoverPlanner(made)
     found = hover.goal(np.array([0.9, 0.0, 0.05]), np.zeros(3), home(made))
     assert "out of reach" in found.reason
@@ -250,13 +249,13 @@ def test_a_target_out_of_reach_is_refused_with_the_reason(made: GraspPlanner) ->
     assert_allclose(moved[:3, :3], 0, atol=1e-8)
 
 
-def test_an_arm_without_a_closed_form_or_rates_is_not_put_into_a_cell(made: GraspPlanner) -> None:
+def test_an_arm_without_a_closed_form_or_rates_is_not_put_into_a_cell(made: Workspace) -> None:
     for name, words in (("ur5", "closed form"), ("iust_6r", "speed_deg_s")):
         with pytest.raises(InputError, match=words):
-            make_planner(robots.load(name), made.cell, made.workspace.cameras)
+            make_workspace(robots.load(name), made.cell, made.cameras)
 
 
-def test_a_grasp_begins_where_the_arm_followed_to(made: GraspPlanner) -> None:
+def test_a_grasp_begins_where_the_arm_followed_to(made: Workspace) -> None:
     thing = cap(z=0.010)  # so low that the grip point is raised
     followed = HoverPlanner(made).goal(thing.position, np.zeros(3), home(made))
     found = plan_grasp(made, thing, followed.q)
@@ -270,7 +269,7 @@ def test_the_page_lists_every_kind_of_refusal() -> None:
         assert f"| `{kind}` |" in DOCS.read_text("utf-8")
 
 
-def test_a_plan_has_page_units_and_a_time_table(made: GraspPlanner) -> None:
+def test_a_plan_has_page_units_and_a_time_table(made: Workspace) -> None:
     found = planned(made, cap())
     output = json.loads(json.dumps(plan_fields(found)))
     assert_allclose(output["grip_mm"], [450, 0, 30])

@@ -4,6 +4,7 @@ import dataclasses
 from itertools import pairwise
 from pathlib import Path
 
+import msgspec
 import numpy as np
 import pinocchio
 import pytest
@@ -18,7 +19,7 @@ from verify.grasping.planning.workspace import BOX_NAME, RESOLUTION, Workspace
 
 @pytest.fixture
 def workspace(tmp_path: Path) -> Workspace:
-    return setup(tmp_path).workspace
+    return setup(tmp_path)
 
 
 SAMPLED = 6e-3  # m: random points miss a sphere's lowest by less, 4000 of them a link
@@ -135,7 +136,7 @@ def test_a_thin_obstacle_does_not_slip_between_samples(workspace: Workspace) -> 
     assert workspace.along(way) == ""
     share = 0.5 + 1 / 32  # between two of the nine postures that are looked at first
     tips = workspace.grip(way.q(share))
-    moving = dataclasses.replace(workspace.cell.moving, camera_clearance=0.0, link_radius=0.01)
+    moving = msgspec.structs.replace(workspace.cell.moving, camera_clearance=0.0, link_radius=0.01)
     outward = tips[:2, 3] / np.linalg.norm(tips[:2, 3])
     far = workspace.cell.gripper.radius - 0.001
     camera = tips[:3, 3] + far * np.array([*outward, 0.0])

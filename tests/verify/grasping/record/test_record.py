@@ -31,7 +31,7 @@ from verify.grasping.tracking.target import TargetObservation
 from verify.live.recording.session import SessionFacts
 
 CELL = quick_cell()
-SPACE = CELL.planner.workspace
+SPACE = CELL.workspace
 NOTHING, SQUARE = np.full(3, np.nan), np.full((3, 3), np.nan)
 SPREAD = np.diag([3e-3, 1e-3, 2e-3]) ** 2  # m², of the object's place
 
@@ -69,7 +69,7 @@ def lift_fields(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
         record.add(one)
     record.close()
     outcome = GraspOutcome(GraspState.LIFTED, "", True, (), len(cycles), False)
-    summary = record.results(outcome, Aim(CELL.planner, CELL.rig)).summary
+    summary = record.results(outcome, Aim(CELL.workspace, CELL.rig)).summary
     return [summary[field] for field in LIFT_FIELDS]
 
 
@@ -127,7 +127,7 @@ def seen() -> OffsetMeasurement:
 
 
 def test_commanded_read_and_measured_positions_are_in_millimetres(tmp_path: Path) -> None:
-    workspace = setup(tmp_path).workspace
+    workspace = setup(tmp_path)
     fields = tool_offset_fields(seen(), workspace)
     commanded = np.array(fields["told_mm"])
     np.testing.assert_allclose(commanded, 1e3 * workspace.grip(Q)[:3, 3])
@@ -144,7 +144,7 @@ def test_commanded_read_and_measured_positions_are_in_millimetres(tmp_path: Path
 
 def test_what_is_not_known_stays_empty(tmp_path: Path) -> None:
     blind = OffsetMeasurement("nothing was corrected", (), TOLD, None, None, None)
-    fields = tool_offset_fields(blind, setup(tmp_path).workspace)
+    fields = tool_offset_fields(blind, setup(tmp_path))
     for key in ("read_mm", "seen_mm", "off_mm", "off_expanded_uncertainty_mm"):
         assert fields[key] is None
     page = document(Results(ENDED | {"hand": fields}, {}, CYCLES))
@@ -152,7 +152,7 @@ def test_what_is_not_known_stays_empty(tmp_path: Path) -> None:
 
 
 def test_report_and_last_line_state_the_outcome(tmp_path: Path) -> None:
-    summary = ENDED | {"hand": tool_offset_fields(seen(), setup(tmp_path).workspace)}
+    summary = ENDED | {"hand": tool_offset_fields(seen(), setup(tmp_path))}
     assert outcome(summary).sentence.startswith("The object came along, by the gripper's status")
     assert outcome(summary).sentence.endswith(". The hand was off.")
     assert "hand was" not in outcome(ENDED).sentence

@@ -167,10 +167,10 @@ def test_a_corrected_plan_keeps_its_posture_and_passes_the_same_checks(tmp_path:
     found = plan_grasp(made, cap(offset=seen([3.0, -3.0, -1.0], used=True)), above)
     assert found.posture.branch == first.posture.branch
     assert np.abs(found.posture.q_above - above).max() < 0.1
-    off = made.workspace.grip(found.posture.q_grip) - made.workspace.grip(first.posture.q_grip)
+    off = made.grip(found.posture.q_grip) - made.grip(first.posture.q_grip)
     np.testing.assert_allclose(off[:3, 3], [-3e-3, 3e-3, 1e-3], atol=2e-5)
     for way in (*found.over, found.down):
-        assert made.workspace.along(way.path) == ""
+        assert made.along(way.path) == ""
     edge = cap(x=float(made.cell.upper[0]) - 1e-3)
     standing = plan_grasp(made, edge, above)
     beyond = plan_grasp(

@@ -72,7 +72,7 @@ def test_a_grab_draws_them_as_they_stand_after_a_turn() -> None:
     setup = quick_cell(turning=True)
     scene = CellScene((Cap("blue", (0.47, 0.03)),), turns=(PanTurn(0.6, TURN, 0.2),), seed=1)
     made = cell_grab(setup, scene, bases=PanBuffer())
-    source = GraspPageSource(GraspFacts(ROBOT, "", setup.planner, setup.rig, False, 2.0))
+    source = GraspPageSource(GraspFacts(ROBOT, "", setup.workspace, setup.rig, False, 2.0))
     drawn: list[list[dict[str, Any]]] = []
 
     def see(cycle: Any) -> None:

@@ -265,7 +265,7 @@ def test_bases_follow_on_request_only(tmp_path: Path) -> None:
         ("tcp:127.0.0.1:10001", "foo://x", "encoders.port: invalid URL, protocol 'foo' not known"),
         (
             *("tcp:127.0.0.1:10001", '/dev/ttyUSB0"\nbaud = 99999999999 # "'),
-            "encoders.port: 99999999999 baud; a rate that a serial line has",
+            "encoders.baud: is 99999999999; a whole number <= 20000000",
         ),
         (
             *('driver = "labenc"', 'driver = "melfa-realtime"'),
@@ -308,7 +308,10 @@ def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str
         ("[pan]\nfollow = true\n", "pan.follow: is true with fixed bases"),
         ('[pan]\ndriver = "sim"\n', "simulated with their cameras"),
         ('[pan]\ndriver = "serial"\n', "pan.port: is missing"),
-        ('[pan]\ndriver = "serial"\nport = "COM1"\nbaud = -5\n', "pan.port: -5 baud; a rate"),
+        (
+            '[pan]\ndriver = "serial"\nport = "COM1"\nbaud = -5\n',
+            "pan.baud: is -5; a whole number >= 1",
+        ),
         ('[[sim.event]]\nwhat = "flood"\nat_s = 1.0\n', r"sim.event\[0\].what"),
     ],
 )

@@ -50,10 +50,10 @@ def test_the_arm_is_late_by_its_delay_and_starts_from_where_it_stood() -> None:
 def test_a_straight_move_begins_where_the_arm_stands_whatever_the_turn_of_its_wrist(
     turn_deg: float,
 ) -> None:
-    arm, start, t = SETUP.planner.arm, SETUP.home.copy(), 0.0
+    arm, start, t = SETUP.workspace.arm, SETUP.home.copy(), 0.0
     start[5] = np.deg2rad(turn_deg)
     moved = CellArm(start, 0.0)
-    mover = SimMover(moved, SETUP.planner, lambda: t, RIGHT)
+    mover = SimMover(moved, SETUP.workspace, lambda: t, RIGHT)
     mover.take_controls()
     t = 1.0
     mover.step()
