@@ -179,12 +179,12 @@ def register(
             expected, remedy = "rig and marker are two files", "Give --marker another name."
             raise InputError(marker_out, "is named for both", expected, remedy)
     refuse_existing(target, force=force)
-    output = registration.RegistrationOutput(out, marker_out, target, force)
     if board_in_base is None:
-        registration.register_by_motion(session, rig, options, output)
+        written = (out, marker_out)
+        registration.register_by_motion(session, rig, options, written, target, force=force)
         return
     board = board_from_options(corners, square_mm, None)
-    registration.register_by_fixture(session, board_in_base, rig, board, output)
+    registration.register_by_fixture(session, board_in_base, rig, board, out, target, force=force)
 
 
 @calibrate.command(cls=option.Command)

@@ -15,7 +15,7 @@ from verify.live.boards.pictures import BoardPictures
 from verify.live.boards.show import BoardPageSource, BoardSnapshot, BoardState, render_snapshot
 from verify.live.boards.take import BoardCapture, BoardDevices
 from verify.live.outputs.terminal import TerminalDisplay
-from verify.live.station.cameras import StationCameras, open_station_cameras
+from verify.live.station.cameras import open_station_cameras
 from verify.simulation.boards.cameras import BoardCameras
 
 FINISH_KEYS = ("q", "f")
@@ -53,7 +53,10 @@ def take_pictures(
         raise InputError("--board", "is missing", "which board is shown must be known", remedy)
     state = BoardState(BoardSnapshot())
     with ExitStack() as stack:
-        devices = _open_devices(opened, stack)
+        devices = BoardDevices(*opened.open_cameras(), opened.open_pan())
+        for device in (devices.left, devices.right, devices.pan):
+            if device is not None:
+                stack.callback(device.close)
         pictures = BoardPictures(folder, board, turning=devices.pan is not None)
         taking = BoardCapture(devices, board, pictures, enough, state)
         if page is not None:
@@ -75,16 +78,6 @@ def take_pictures(
         raise InputError(folder, "no pair was taken", "the board in both pictures, still", remedy)
     terminal.say(f"{len(pictures)} pairs in {folder}")
     terminal.record("pictures", folder=str(folder), pairs=len(pictures))
-
-
-def _open_devices(station: StationCameras, stack: ExitStack) -> BoardDevices:
-    left, right = station.open_cameras()
-    stack.callback(left.close)
-    stack.callback(right.close)
-    pan = station.open_pan()
-    if pan is not None:
-        stack.callback(pan.close)
-    return BoardDevices(left, right, pan)
 
 
 def _draw(state: BoardState, table: TerminalDisplay) -> None:

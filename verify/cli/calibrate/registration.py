@@ -38,16 +38,6 @@ from verify.measurement.chain import Setup, measure
 
 
 @dataclass(frozen=True, slots=True)
-class RegistrationOutput:
-    """What is written, and where."""
-
-    rig: Path
-    marker: Path  # by a motion alone
-    report: Path  # folder
-    force: bool
-
-
-@dataclass(frozen=True, slots=True)
 class RegistrationOptions:
     """What a registration by motion keeps or adds."""
 
@@ -63,9 +53,12 @@ def register_by_fixture(
     fixture: Path,
     rig_path: Path | None,
     board: Board | None,
-    output: RegistrationOutput,
+    out: Path,
+    report: Path,
+    *,
+    force: bool,
 ) -> None:
-    """Register the base by pictures of a board that sits on it; write rig and report."""
+    """Register the base by pictures of a board that sits on it; write rig `out` and report."""
     if rig_path is None:
         expected = "the calibrated cameras are needed"
         raise InputError("--rig", "is missing", expected, "Give the rig of `calibrate boards`.")
@@ -84,16 +77,22 @@ def register_by_fixture(
         replace(found, warnings=warnings),
         ResultsOrigin(folder.resolve().name, inputs=opened.inputs | others),
     )
-    with written_together(output.rig):
-        io_rig.write(output.rig, found.rig)
-        write_report_folder(made, output.report, force=output.force)
-    _print_summary(found.decisions, [output.rig], output.report)
+    with written_together(out):
+        io_rig.write(out, found.rig)
+        write_report_folder(made, report, force=force)
+    _print_summary(found.decisions, [out], report)
 
 
 def register_by_motion(
-    folder: Path, rig: Path | None, options: RegistrationOptions, output: RegistrationOutput
+    folder: Path,
+    rig: Path | None,
+    options: RegistrationOptions,
+    written: tuple[Path, Path],
+    report: Path,
+    *,
+    force: bool,
 ) -> None:
-    """Register base and LEDs by the robot's own motion; write rig, marker and report."""
+    """Register base and LEDs by the robot's own motion; `written`: the rig and the marker file."""
     recording = open_recording(folder, rig=rig)
     given = None if options.known_marker is None else fiducials.read_marker(options.known_marker)
     with terminal.progress("pairs") as progress:
@@ -116,17 +115,17 @@ def register_by_motion(
         base_held=options.keep_base,
         leds_held=options.keep_leds,
     )
-    with written_together(output.rig, output.marker):
-        io_rig.write(output.rig, found.rig)
-        fiducials.write_marker(output.marker, found.marker)  # kept LEDs too: with the registration
-        write_report_folder(made, output.report, force=output.force)
+    with written_together(*written):
+        io_rig.write(written[0], found.rig)
+        fiducials.write_marker(written[1], found.marker)  # kept LEDs too: with the registration
+        write_report_folder(made, report, force=force)
     words = (
         *found.decisions,
         *_hidden_fault_sentences(found.visible_fractions),
         *_hold_out_sentences(found),
         *(swept.decisions if swept else ()),
     )
-    _print_summary(words, [output.rig, output.marker], output.report)
+    _print_summary(words, list(written), report)
 
 
 def register_by_poses(

@@ -87,15 +87,8 @@ class MetricsServer:
             remedy = "Choose another port."
             found = f"cannot be served: {error}"
             raise InputError(f"alarm.prometheus, {address}", found, "", remedy) from error
-        self._thread = threading.Thread(
-            target=self._server.serve_forever, name="metrics", daemon=True
-        )
-        self._thread.start()
-
-    @property
-    def port(self) -> int:
-        """Where it listens."""
-        return int(self._server.server_address[1])
+        self.port = int(self._server.server_address[1])  # where it listens
+        threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True).start()
 
     def close(self) -> None:
         """Answer no more."""

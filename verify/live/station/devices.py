@@ -97,7 +97,7 @@ def open_encoders(
         return sim.encoders(table.rate_hz)
     angles = angle_map(path, "encoders", table, joints)
     try:
-        return _make_encoders(path, table, angles, joints)
+        return _make_encoders(path, table, angles)
     except InputError as error:
         if error.place.startswith(str(path)):
             raise
@@ -138,9 +138,7 @@ def check_pan(path: Path, table: PanTable) -> None:
         pan.close()
 
 
-def _make_encoders(
-    path: Path, table: StationEncodersTable, angles: AngleMap, joints: int
-) -> EncoderDevice:
+def _make_encoders(path: Path, table: StationEncodersTable, angles: AngleMap) -> EncoderDevice:
     match table.driver:
         case "melfa":
             return MelfaEncoders(melfa_settings(path, table), angles)
@@ -156,12 +154,12 @@ def _make_encoders(
                 angles,
             )
         case "csv":
-            return CsvEncoders(_csv_settings(path, table, joints), angles)
+            return CsvEncoders(_csv_settings(path, table, angles.joints), angles)
         case "rtde" | "rosbridge" | "opcua":
-            from verify.live.station.networked import open_networked  # slow to load
+            from verify.live.station.networked import OPENERS  # slow to load
 
-            return open_networked(path, table, angles, joints)
-    return TextEncoders(_text_settings(path, table, joints), angles)
+            return OPENERS[table.driver](path, table, angles)
+    return TextEncoders(_text_settings(path, table, angles.joints), angles)
 
 
 def angle_map(path: Path, name: str, table: AngleDeviceTable, joints: int) -> AngleMap:
@@ -207,8 +205,6 @@ def _serial_line(path: Path, table: StationEncodersTable, usual: SerialLine) -> 
         if value is not None and value not in options:
             expected = f"one of {', '.join(map(str, options))} is expected"
             raise key_error(path, f"encoders.{key}", f"is {value}", expected)
-    if table.baud is not None and table.baud < 1:
-        raise key_error(path, "encoders.baud", f"is {table.baud}", "a positive number is expected")
     return replace(usual, **stated(table, "baud", *allowed, "rts_cts"))
 
 

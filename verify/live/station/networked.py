@@ -1,8 +1,9 @@
-"""From [encoders] to the settings of the controllers that are read over a network protocol."""
+"""From [encoders] to the drivers of the controllers that are read over a network protocol."""
 
 import math
 import os
 import re
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -31,32 +32,21 @@ _PORTS = {  # what the address of each driver looks like, and an example
 }
 
 
-def open_networked(
-    path: Path, table: StationEncodersTable, angles: AngleMap, joints: int
-) -> EncoderDevice:
-    """Open the controller that [encoders] names; InputError: a key is wrong."""
-    match table.driver:
-        case "rtde":
-            return RtdeEncoders(rtde_settings(path, table, joints), angles)
-        case "rosbridge":
-            return RosbridgeEncoders(rosbridge_settings(path, table, joints), angles)
-    return OpcUaEncoders(opcua_settings(path, table, joints), angles)
-
-
-def rtde_settings(path: Path, table: StationEncodersTable, joints: int) -> RtdeSettings:
-    """Settings of a Universal Robots controller; InputError: a key is wrong."""
-    if joints != RTDE_JOINTS:
-        found, expected = 'is "rtde"', f"it reads {RTDE_JOINTS} joints, and the robot has {joints}"
+def open_rtde(path: Path, table: StationEncodersTable, angles: AngleMap) -> RtdeEncoders:
+    """Open a Universal Robots controller; InputError: a key is wrong."""
+    if angles.joints != RTDE_JOINTS:
+        found = 'is "rtde"'
+        expected = f"it reads {RTDE_JOINTS} joints, and the robot has {angles.joints}"
         raise key_error(path, "encoders.driver", found, expected, "Name the arm that is read.")
     _check_range(path, "rate_hz", table.rate_hz, 1.0, MAX_RTDE_RATE)
-    return RtdeSettings(_address(path, table), table.rate_hz)
+    return RtdeEncoders(RtdeSettings(_address(path, table), table.rate_hz), angles)
 
 
-def rosbridge_settings(path: Path, table: StationEncodersTable, joints: int) -> RosbridgeSettings:
-    """Settings of a topic behind rosbridge; InputError: a key is wrong."""
-    names = _named(path, "joint_names", table.joint_names, joints)
-    if len(names) != joints:
-        expected = f"the names of the {joints} joints, in the robot file's order"
+def open_rosbridge(path: Path, table: StationEncodersTable, angles: AngleMap) -> RosbridgeEncoders:
+    """Open a topic behind rosbridge; InputError: a key is wrong."""
+    names = _named(path, "joint_names", table.joint_names, angles.joints)
+    if len(names) != angles.joints:
+        expected = f"the names of the {angles.joints} joints, in the robot file's order"
         raise key_error(path, "encoders.joint_names", f"names {len(names)}", expected)
     given = _stamp_settings(path, table)
     if table.topic is not None:
@@ -64,14 +54,14 @@ def rosbridge_settings(path: Path, table: StationEncodersTable, joints: int) -> 
             expected = "the name of a topic is expected, such as /joint_states"
             raise key_error(path, "encoders.topic", f'is "{table.topic}"', expected)
         given["topic"] = table.topic
-    return RosbridgeSettings(_address(path, table), names, **given)
+    return RosbridgeEncoders(RosbridgeSettings(_address(path, table), names, **given), angles)
 
 
-def opcua_settings(path: Path, table: StationEncodersTable, joints: int) -> OpcUaSettings:
-    """Settings of an OPC UA server; InputError: a key is wrong, or asyncua is not installed."""
-    nodes = _named(path, "nodes", table.nodes, joints)
-    if len(nodes) not in (1, joints):
-        expected = f"a node for each of the {joints} joints, or one that is an array of all"
+def open_opcua(path: Path, table: StationEncodersTable, angles: AngleMap) -> OpcUaEncoders:
+    """Open an OPC UA server; InputError: a key is wrong, or asyncua is not installed."""
+    nodes = _named(path, "nodes", table.nodes, angles.joints)
+    if len(nodes) not in (1, angles.joints):
+        expected = f"a node for each of the {angles.joints} joints, or one that is an array of all"
         raise key_error(path, "encoders.nodes", f"names {len(nodes)}", expected)
     given = _stamp_settings(path, table)
     if table.angle_unit is not None:
@@ -82,7 +72,15 @@ def opcua_settings(path: Path, table: StationEncodersTable, joints: int) -> OpcU
     url = _address(path, table)
     if table.user is not None:
         given |= {"user": table.user, "password": _password(path, table.user, url)}
-    return OpcUaSettings(url, nodes, **given, security=_security(path, table))
+    settings = OpcUaSettings(url, nodes, **given, security=_security(path, table))
+    return OpcUaEncoders(settings, angles)
+
+
+OPENERS: dict[str, Callable[[Path, StationEncodersTable, AngleMap], EncoderDevice]] = {
+    "rtde": open_rtde,
+    "rosbridge": open_rosbridge,
+    "opcua": open_opcua,
+}
 
 
 def _security(path: Path, table: StationEncodersTable) -> OpcUaSecurity | None:

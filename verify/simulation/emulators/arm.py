@@ -248,8 +248,8 @@ class MelfaArm:
         late = lag if self.running else 0.0
         return self._trajectory(max(self._played + since - late, 0.0))
 
-    def data(self, name: str, argument: str, t: float, axes: int) -> str | None:
-        """Data of a reading command; None if it is none."""
+    def obey(self, name: str, argument: str, t: float, axes: int = 6) -> str | int:
+        """Do what a command says: its answer's data (JPOSF tells so many axes), or the error."""
         match name:
             case "JPOSF":
                 return self._position(t, axes)
@@ -265,11 +265,6 @@ class MelfaArm:
             case "PAR" if argument == "MEJAR":
                 degrees = np.rad2deg(np.resize(self._limits, (8, 2))).ravel()
                 return f"MEJAR;{','.join(f'{value:.2f}' for value in degrees)};16"
-        return None
-
-    def obey(self, name: str, argument: str, t: float) -> str | int:
-        """Do what an order says: the answer's data, or the number of the error."""
-        match name:
             case "CNTLON" | "CNTLOFF":
                 self.right = name == "CNTLON"
             case "SRVON":

@@ -11,7 +11,6 @@ from typing import Protocol
 from verify.devices.ports import (
     MAX_READ_BYTES,
     PSEUDO_TERMINALS,
-    Port,
     SerialLine,
     host_and_port,
     open_port,
@@ -20,7 +19,10 @@ from verify.errors import InputError
 
 
 class Endpoint(Protocol):
-    """An address at which one client at a time is served."""
+    """An address at which one client at a time is served.
+
+    Between `unplug` and `plug` nothing else is called.
+    """
 
     address: str  # what a client opens
 
@@ -41,14 +43,13 @@ class TcpEndpoint:
     """A server for one client; a second one is refused."""
 
     def __init__(self, host: str, port: int) -> None:
-        self._listener: socket.socket | None = None
         self._client: socket.socket | None = None
         self._where = (host, port)
         self.plug()
 
     def receive(self, wait: float) -> tuple[bool, bytes]:
         """Accept clients and read bytes."""
-        ready = [s for s in (self._listener, self._client) if s is not None]
+        ready = [self._listener, *([] if self._client is None else [self._client])]
         came, data = False, b""
         for found in select.select(ready, [], [], wait)[0]:
             if found is self._listener:
@@ -77,9 +78,7 @@ class TcpEndpoint:
     def unplug(self) -> None:
         """Close everything."""
         self._disconnect()
-        if self._listener is not None:
-            self._listener.close()
-        self._listener = None
+        self._listener.close()
 
     def plug(self) -> None:
         """Listen; port 0 takes a free one, and keeps it."""
@@ -99,12 +98,11 @@ class UdpEndpoint:
     def __init__(self, host: str, port: int) -> None:
         self._where = (host, port)
         self._peer: tuple[str, int] | None = None
-        self._socket: socket.socket | None = None
         self.plug()
 
     def receive(self, wait: float) -> tuple[bool, bytes]:
         """Take one datagram."""
-        if self._socket is None or not select.select([self._socket], [], [], wait)[0]:
+        if not select.select([self._socket], [], [], wait)[0]:
             return False, b""
         try:
             data, peer = self._socket.recvfrom(MAX_READ_BYTES)
@@ -115,15 +113,13 @@ class UdpEndpoint:
 
     def send(self, data: bytes) -> None:
         """Send one datagram."""
-        if self._socket is not None and self._peer is not None:
+        if self._peer is not None:
             with contextlib.suppress(OSError):
                 self._socket.sendto(data, self._peer)
 
     def unplug(self) -> None:
         """Close the socket."""
-        if self._socket is not None:
-            self._socket.close()
-        self._socket = None
+        self._socket.close()
 
     def plug(self) -> None:
         """Bind; port 0 takes a free one, and keeps it."""
@@ -141,28 +137,24 @@ class PtyEndpoint:
 
     def __init__(self, link: Path | None) -> None:
         self._link = link
-        self._ends: tuple[int, int] | None = None
         self.plug()
 
     def receive(self, wait: float) -> tuple[bool, bytes]:
         """Read bytes; a client that connects cannot be noticed."""
-        if self._ends is None or not select.select([self._ends[0]], [], [], wait)[0]:
+        if not select.select([self._ends[0]], [], [], wait)[0]:
             return False, b""
         return False, os.read(self._ends[0], MAX_READ_BYTES)
 
     def send(self, data: bytes) -> None:
         """Send; what is not read is dropped, as on a serial line."""
-        if self._ends is not None:
-            with contextlib.suppress(BlockingIOError):
-                os.write(self._ends[0], data)
+        with contextlib.suppress(BlockingIOError):
+            os.write(self._ends[0], data)
 
     def unplug(self) -> None:
         """Close both ends."""
-        if self._ends is not None:
-            for end in self._ends:
-                os.close(end)
-            self._remove_link()
-        self._ends = None
+        for end in self._ends:
+            os.close(end)
+        self._remove_link()
 
     def plug(self) -> None:
         """Make a pseudo-terminal that hands every byte through."""
@@ -190,25 +182,21 @@ class SerialEndpoint:
     def __init__(self, path: str, line: SerialLine) -> None:
         self.address = path
         self._line = line
-        self._port: Port | None = None
         self.plug()
 
     def receive(self, wait: float) -> tuple[bool, bytes]:
         """Read bytes; a client that connects cannot be noticed."""
-        if self._port is None or not self._port.wait(wait):
+        if not self._port.wait(wait):
             return False, b""
         return False, self._port.take()
 
     def send(self, data: bytes) -> None:
         """Send."""
-        if self._port is not None:
-            self._port.send(data)
+        self._port.send(data)
 
     def unplug(self) -> None:
         """Close the device."""
-        if self._port is not None:
-            self._port.close()
-        self._port = None
+        self._port.close()
 
     def plug(self) -> None:
         """Open the device."""

@@ -120,8 +120,7 @@ class MelfaEngine(EmulatorEngine):
         if name == "CLOSE":
             self._open = False
             return ""
-        data = self.arm.data(name, argument, t, self._options.axes)
-        return data if data is not None else self.arm.obey(name, argument, t)
+        return self.arm.obey(name, argument, t, self._options.axes)
 
     def _identity(self, client: str) -> str:
         kind = self._options.robot_type

@@ -8,7 +8,7 @@ import threading
 from dataclasses import dataclass
 
 from websockets.exceptions import ConnectionClosed
-from websockets.sync.server import Server, ServerConnection, serve
+from websockets.sync.server import ServerConnection, serve
 
 from verify.simulation.emulators.server import EmulatorEngine, TimedMessage
 from verify.simulation.emulators.trajectory import EmulatedTrajectory
@@ -24,7 +24,6 @@ class WebSocketEndpoint:
         self._where = (host, port)
         self._inbox: queue.SimpleQueue[bytes | None] = queue.SimpleQueue()  # None: a client came
         self._client: ServerConnection | None = None
-        self._server: Server | None = None
         self.plug()
 
     def receive(self, wait: float) -> tuple[bool, bytes]:
@@ -46,11 +45,10 @@ class WebSocketEndpoint:
 
     def unplug(self) -> None:
         """Close everything."""
-        if self._server is not None:
-            self._server.shutdown()
+        self._server.shutdown()
         if self._client is not None:
             self._client.close()
-        self._server = self._client = None
+        self._client = None
 
     def plug(self) -> None:
         """Listen; port 0 takes a free one, and keeps it."""

@@ -198,12 +198,14 @@ class EmulatorServer:
 
     def close(self) -> None:
         """Close the address."""
-        self.front.unplug()
+        if self._plugged:
+            self.front.unplug()
 
     def _begin_faults(self, t: float) -> None:
         if in_span(self._faults.unplug, t) == self._plugged:
+            self._queue.clear()  # what was on its way is lost
+            (self.front.unplug if self._plugged else self.front.plug)()
             self._plugged = not self._plugged
-            (self.front.plug if self._plugged else self.front.unplug)()
         for name in sorted(self._to_come):
             event: tuple[float, float] | None = getattr(self._faults, name)
             if event is not None and t >= event[0]:
