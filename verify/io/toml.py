@@ -245,8 +245,9 @@ def _reword(
     )
     expected = " or ".join(word for word in words if word != "null") or "a known value"
     expected += what[wanted.end() :] if wanted else ""
-    for sign, said in ((" > 0", " above 0"), (" >= 0", " of 0 or more")):
-        expected = re.sub(rf"{sign}(\.0)?$", said, expected)
+    signs = ((">", "above {}"), (">=", "of {} or more"), ("<", "below {}"), ("<=", "of at most {}"))
+    for sign, said in signs:
+        expected = re.sub(rf"{sign} (-?[\d.]+?)(\.0)?$", said.format(r"\1"), expected)
     return key_error(path, key, f"is {shorten(_value_at(tree, key))}", f"{expected} is expected")
 
 

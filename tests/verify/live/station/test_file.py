@@ -265,7 +265,7 @@ def test_bases_follow_on_request_only(tmp_path: Path) -> None:
         ("tcp:127.0.0.1:10001", "foo://x", "encoders.port: invalid URL, protocol 'foo' not known"),
         (
             *("tcp:127.0.0.1:10001", '/dev/ttyUSB0"\nbaud = 99999999999 # "'),
-            "encoders.baud: is 99999999999; a whole number <= 20000000",
+            "encoders.baud: is 99999999999; a whole number of at most 20000000",
         ),
         (
             *('driver = "labenc"', 'driver = "melfa-realtime"'),
@@ -310,7 +310,7 @@ def test_errors_name_file_and_key(tmp_path: Path, old: str, new: str, words: str
         ('[pan]\ndriver = "serial"\n', "pan.port: is missing"),
         (
             '[pan]\ndriver = "serial"\nport = "COM1"\nbaud = -5\n',
-            "pan.baud: is -5; a whole number >= 1",
+            "pan.baud: is -5; a whole number of 1 or more",
         ),
         ('[[sim.event]]\nwhat = "flood"\nat_s = 1.0\n', r"sim.event\[0\].what"),
     ],

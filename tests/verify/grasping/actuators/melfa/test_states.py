@@ -150,8 +150,8 @@ def test_what_the_controller_does_not_do_at_the_end_is_reported(
     engine = found_at(controller(), 37)
     obey = engine.arm.obey
 
-    def disobey(order: str, text: str, t: float) -> int | str:
-        return answer if (order, text) == (name, argument) else obey(order, text, t)
+    def disobey(order: str, text: str, t: float, axes: int) -> int | str:
+        return answer if (order, text) == (name, argument) else obey(order, text, t, axes)
 
     monkeypatch.setattr(engine.arm, "obey", disobey)
     with moving(engine) as arm:
