@@ -1,7 +1,7 @@
 """Offsets at which the motion that was read could be the one that was measured.
 
-Compared is what no registration can disturb: angle and distance between two poses some tenths of a
-second apart, as measured (a) and as read (b), by an offset o,
+Compared is what no base can disturb: angle and distance between two poses some tenths of a second
+apart, as measured (a) and as read (b), by an offset o,
 
     cost(o) = mean over motions of min((a - b(o))² / variance, MAX_SQUARED_MISFIT)
 
