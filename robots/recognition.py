@@ -125,5 +125,5 @@ def _proved(arm: UrdfArm, form: TableForm) -> TableForm | None:
     values = np.linalg.svd(jacobian(plain, q)[..., :6], compute_uv=False)
     regular = values[:, -1] > MIN_REGULAR * values[:, 0]
     away = np.abs(near(found, q[:, None]) - q[:, None]).max(axis=-1)
-    contained = np.nanmin(np.where(np.isnan(away), np.inf, away), axis=-1) < MAX_JOINT_DIFFERENCE
+    contained = (away < MAX_JOINT_DIFFERENCE).any(axis=-1)
     return plain.closed_form if reached and contained[regular].all() and regular.any() else None

@@ -57,7 +57,8 @@ def certificate(results: Results) -> doc.Section:
     ]
     if entries:
         blocks.append(_point_table(entries))
-    blocks.append(doc.remedies(_actions(summary, gaps), _unchecked(summary)))
+    improvement = fmt.capitalise(main_improvement(summary))
+    blocks.append(doc.remedies([*gaps, improvement], _unchecked(summary)))
     return doc.Section("verdict", "Verdict", tuple(blocks))
 
 
@@ -126,11 +127,6 @@ def _point_table(entries: list[dict[str, Any]]) -> doc.Table:
     }
     title = "U (k = 2) of one LED's position: in the middle of the field, and the largest in it."
     return doc.tabulate(title, distance_columns(keys), entries)
-
-
-def _actions(summary: dict[str, Any], gaps: list[str]) -> list[str]:
-    """List what to do: fill the gaps, else what helps most."""
-    return [*gaps, fmt.capitalise(main_improvement(summary))]
 
 
 def _unchecked(summary: dict[str, Any]) -> list[str]:

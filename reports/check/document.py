@@ -135,9 +135,4 @@ def _smallest_change(entry: dict[str, Any]) -> str:
     return fmt.quantity(entry.get("smallest"), UNITS.get(unit, unit))
 
 
-def conditions(results: Results) -> doc.Section:
-    """Say what the check was made from."""
-    return doc.files_and_software(results.summary)
-
-
-EVIDENCE = (lengths, figures, power, conditions)
+EVIDENCE = (lengths, figures, power, doc.files_and_software)

@@ -319,7 +319,7 @@ def provenance(summary: dict[str, Any]) -> tuple[Block, ...]:
     return tuple(blocks)
 
 
-def files_and_software(summary: dict[str, Any], *facts: tuple[str, str]) -> Section:
+def files_and_software(results: Results, *facts: tuple[str, str]) -> Section:
     """Close a report with what it was made from; `facts` come first."""
-    lead = Facts((*facts, ("Software", software(summary))))
-    return Section("conditions", "Files and software", (lead, *provenance(summary)))
+    lead = Facts((*facts, ("Software", software(results.summary))))
+    return Section("conditions", "Files and software", (lead, *provenance(results.summary)))

@@ -394,18 +394,18 @@ def legend(chart: Chart) -> dict[str, Mark]:
 
 def letter_roles(cells: Cells, scheme: int) -> list[list[str]]:
     """Choose black or white for the letters in each cell, on light (0) or on dark (1)."""
-    shares = [share for share, _ in cells.scale]
-    colours = np.array([_channels(PALETTE[role][scheme]) for _, role in cells.scale])
-    place = (cells.values - cells.low) / max(cells.high - cells.low, 1e-12)  # of a flat matrix
-    place = np.nan_to_num(place)
-    behind = np.stack([np.interp(place, shares, channel) for channel in colours.T], axis=-1)
+    behind = cell_colours(cells, scheme) / 255
     linear = np.where(behind <= 0.04045, behind / 12.92, ((behind + 0.055) / 1.055) ** 2.4)
     dark = linear @ np.array([0.2126, 0.7152, 0.0722]) < MAX_DARK_LUMINANCE  # source: WCAG 2.2
     return [["white" if is_dark else "black" for is_dark in line] for line in dark]
 
 
-def _channels(colour: str) -> list[float]:
-    return [int(colour[i : i + 2], 16) / 255 for i in (1, 3, 5)]
+def cell_colours(cells: Cells, scheme: int) -> Array:
+    """The colour of each cell, (rows, columns, 3), 0 to 255, on light (0) or on dark (1)."""
+    shares = [share for share, _ in cells.scale]
+    ends = np.array([list(bytes.fromhex(PALETTE[role][scheme][1:])) for _, role in cells.scale])
+    place = np.nan_to_num(cells.values - cells.low) / max(cells.high - cells.low, 1e-12)
+    return np.stack([np.interp(place, shares, channel) for channel in ends.T], axis=-1)
 
 
 def strips(panels: list[Panel], x_label: str, row_height: float) -> Chart | None:

@@ -298,27 +298,13 @@ def _fitted_course(own: pd.DataFrame, t: Array, changes: pd.DataFrame, zero: flo
 
 def month_ticks(first: float, last: float) -> Ticks:
     """Mark the beginnings of months, no more than a few: (days since 1970, text)."""
-    start = EPOCH + timedelta(days=first)
-    marks: list[tuple[float, str]] = []
+    ends = np.floor([first, last]).astype(np.int64).astype("datetime64[D]").astype("datetime64[M]")
+    months = np.arange(ends[0], ends[1] + 1)  # numbered from 1970 on
+    places = months.astype("datetime64[D]").astype(float)
     for step in TICK_STEPS:
-        marks = list(_month_starts(start, last, step))
-        if len(marks) <= MAX_TICKS:
+        shown = (places >= first) & (places <= last) & (months.astype(int) % step == 0)
+        if shown.sum() <= MAX_TICKS:
             break
-    if len(marks) < 2:  # within a month or two: the ends themselves
-        ends = (first, last) if last - first >= 1 else (first,)
-        return tuple((e, (EPOCH + timedelta(days=e)).strftime("%Y-%m-%d")) for e in ends)
-    return tuple(marks)
-
-
-def _month_starts(start: datetime, last: float, step: int) -> list[tuple[float, str]]:
-    marks: list[tuple[float, str]] = []
-    number = start.year * 12 + start.month - 1
-    number += -number % step
-    while True:
-        at = datetime(number // 12, number % 12 + 1, 1, tzinfo=UTC)
-        place = (at - EPOCH).total_seconds() / 86_400
-        if place > last:
-            return marks
-        if at >= start:
-            marks.append((place, at.strftime("%Y-%m")))
-        number += step
+    if shown.sum() < 2:  # within a month or two: the ends themselves
+        return tuple((e, format_day(e)) for e in ((first, last) if last - first >= 1 else (first,)))
+    return tuple(zip(places[shown].tolist(), months[shown].astype(str).tolist(), strict=True))

@@ -10,7 +10,6 @@ from reports.format.lettering import FAMILY, LINE_PITCH, text_height
 
 DASH_LENGTHS = {"dash": (4.0, 2.0), "dot": (1.2, 1.6)}  # times the line's width
 PT_PER_PX = 0.56  # a line on paper beside the same on a screen
-DESCENT = 0.24  # of a line's pitch: what its letters reach below their base
 CAP = 0.36  # of the letters' size: half a capital's height
 
 

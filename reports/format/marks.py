@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 from functools import singledispatch
 
 import numpy as np
+from numpy.typing import NDArray
 from PIL import Image
 
 from reports.document import charts
 from reports.document.charts import Array, Indices, Mark, isolated_points, pieces
-from reports.format.drawing import Drawing, colour, dash_of, line_width, paint
+from reports.format.drawing import Drawing, dash_of, line_width, paint
 from reports.format.scales import HALF_RUN, Scale, edges
 
 NOTE_SIZE, CELL_SIZE = 6.0, 6.5  # pt
@@ -123,11 +124,12 @@ def _bars(mark: charts.Bars, drawing: Drawing, frame: Frame) -> None:
 @_draw.register
 def _cells(mark: charts.Cells, drawing: Drawing, frame: Frame) -> None:
     x, y = edges(mark.x), edges(mark.y)
-    colours = _cell_colours(mark)
+    known = np.isfinite(mark.values)  # the others are clear
+    colours = np.round(np.dstack([charts.cell_colours(mark, 0), 255 * known])).astype(np.uint8)
     if mark.values.size > MAX_VECTOR_CELLS:
         drawing.parts.append(_picture(frame, colours, x, y))
         return
-    for row, column in zip(*np.nonzero(np.isfinite(mark.values)), strict=True):
+    for row, column in zip(*np.nonzero(known), strict=True):
         outline = _box(frame, x[column : column + 2], y[row : row + 2])
         (left, top), (right, bottom) = outline.min(axis=0), outline.max(axis=0)
         drawing.parts.append(
@@ -145,7 +147,7 @@ def draw_shades(drawing: Drawing, mark: charts.Cells, frame: Frame) -> None:
     _cells(shades, drawing, frame)
 
 
-def _picture(frame: Frame, colours: Array, x: Array, y: Array) -> str:
+def _picture(frame: Frame, colours: NDArray[np.uint8], x: Array, y: Array) -> str:
     """Draw many cells as a picture in the frame: each of its dots has the colour of its cell."""
     (left, top), (right, bottom) = (
         ends(_box(frame, x[[0, -1]], y[[0, -1]]), axis=0) for ends in (np.min, np.max)
@@ -170,16 +172,6 @@ def _cells_at(borders: Array, places: Array) -> Indices:
     found = np.searchsorted(borders[::-1] if falls else borders, places) - 1
     found = np.clip(found, 0, len(borders) - 2)
     return len(borders) - 2 - found if falls else found
-
-
-def _cell_colours(mark: charts.Cells) -> Array:
-    """The colours of the cells, (rows, columns, 4), 0 to 255; none where a value is missing."""
-    shares = [share for share, _ in mark.scale]
-    ends = np.array([list(bytes.fromhex(colour(role)[1:])) for _, role in mark.scale])
-    place = (mark.values - mark.low) / max(mark.high - mark.low, 1e-12)
-    known = np.isfinite(place)
-    channels = [np.interp(np.where(known, place, 0.0), shares, channel) for channel in ends.T]
-    return np.round(np.stack([*channels, 255.0 * known], axis=-1)).astype(np.uint8)
 
 
 def _letters(mark: charts.Cells, drawing: Drawing, frame: Frame) -> None:

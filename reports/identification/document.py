@@ -254,9 +254,7 @@ def observability_table(indexes: dict[str, Any]) -> doc.Table:
     return doc.Table("Observability.", "lr", ("Index", "Value"), rows)
 
 
-def conditions(results: Results) -> doc.Section:
-    """Say what the identification was made from."""
-    return doc.files_and_software(results.summary)
-
-
-EVIDENCE = (residuals, parameters, unidentifiable_parameters, parameter_uncertainty, conditions)
+EVIDENCE = (
+    residuals, parameters, unidentifiable_parameters, parameter_uncertainty,
+    doc.files_and_software,
+)  # fmt: skip

@@ -185,12 +185,11 @@ def _part_field(group: str) -> Callable[[Mapping[str, Any]], str]:
 
 def poses(results: Results) -> doc.Section:
     """List the poses, each where it is first reached."""
-    entries = [
-        entry
-        for number_of, entry in enumerate(records(results.table("poses")))
-        if finite(entry.get("pose")) == 1 or (number_of and finite(entry.get("pose")) is not None)
-    ]
-    first = {finite(entry["pose"]): entry for entry in reversed(entries)}
+    first: dict[float, dict[str, Any]] = {}
+    for row, entry in enumerate(records(results.table("poses"))):
+        pose = finite(entry.get("pose"))
+        if pose == 1 or (row and pose is not None):
+            first.setdefault(pose, entry)
     columns = [
         doc.Column("Pose", "c", doc.field("pose", count)),
         doc.Column("First reached [s]", "r", doc.field("arrive_s", number, 1)),
@@ -198,7 +197,7 @@ def poses(results: Results) -> doc.Section:
     for joint in results.summary.get("joints") or []:
         name = f"q{joint.get('joint')}"
         columns.append(doc.Column(f"{name} [°]", "r", doc.field(f"{name}_deg", number, 1)))
-    listed = [first[pose] for pose in sorted(p for p in first if p is not None)]
+    listed = [first[pose] for pose in sorted(first)]
     table = doc.tabulate("The poses.", columns, listed, PlanNotes.POSES)
     return doc.Section("poses", "Poses", (table,))
 

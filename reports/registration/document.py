@@ -92,7 +92,7 @@ def _share_text(joint: dict[str, Any]) -> str:
 def conditions(results: Results) -> doc.Section:
     """Say what the registration was made from."""
     registration = ("Registration", fmt.text_or_dash(results.summary.get("registration")))
-    return doc.files_and_software(results.summary, registration)
+    return doc.files_and_software(results, registration)
 
 
 EVIDENCE = (visibility, residuals, axes, times, conditions)

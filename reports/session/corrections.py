@@ -57,7 +57,8 @@ def _joint_rows(results: Results, joint: dict[str, Any]) -> list[tuple[doc.Cell,
 
 def _correction(entry: dict[str, Any]) -> tuple[str, str]:
     """Give what to type in for a cause with its uncertainty, and what that corrects."""
-    kind, value, spread = entry.get("kind"), fmt.finite(entry.get("value")), _spread(entry)
+    kind, value = entry.get("kind"), fmt.finite(entry.get("value"))
+    spread = entry.get("expanded_uncertainty")
     what = causes.cause_name(entry)
     if value is None or causes.is_implausible(entry):
         return NOTHING, what
@@ -76,10 +77,6 @@ def _correction(entry: dict[str, Any]) -> tuple[str, str]:
     if kind == "camera_skew":
         return f"{fmt.with_uncertainty(value, spread, 's')}, added to t_right_s", what
     return NOTHING, what
-
-
-def _spread(entry: dict[str, Any]) -> float | None:
-    return fmt.finite(entry.get("expanded_uncertainty"))
 
 
 def _caution(results: Results, entry: dict[str, Any], own: list[dict[str, Any]]) -> str:

@@ -1,6 +1,7 @@
 """What was found: the joints, the causes, the errors over time, the pose."""
 
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from reports.document import blocks as doc
@@ -108,18 +109,15 @@ def _detectability_table(entries: list[dict[str, Any]]) -> doc.Table:
 
 def _combination_table(entries: list[dict[str, Any]]) -> doc.Table:
     value = doc.uncertain_field("mean_error_deg", "standard_uncertainty_deg", k=2)
+    why = doc.field("why", partial(fmt.lookup_label, phrases.COUPLINGS))
     columns = (
         doc.Column("Sum", "l", lambda e: fmt.text_or_dash(e.get("label")).replace("-", fmt.MINUS)),
         doc.Column("Mean error ± U (k = 2) [°]", "r", value),
         doc.Column("Pairs", "r", doc.field("pairs", fmt.count)),
-        doc.Column("Why it is given", "l", _coupling, wide=True),
+        doc.Column("Why it is given", "l", why, wide=True),
     )
     title = "Sums of joint errors that are known where their members are not, or better than they."
     return doc.tabulate(title, columns, entries)
-
-
-def _coupling(entry: dict[str, Any]) -> str:
-    return fmt.lookup_label(phrases.COUPLINGS, entry.get("why"))
 
 
 def diagnosis(results: Results) -> doc.Section:

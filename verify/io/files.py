@@ -220,7 +220,7 @@ class FolderTakenError(InputError):
     """A folder holds something already, or another run has written to it meanwhile."""
 
 
-_PARTIAL = ".verify-partial-"  # first part of the name while a file or folder is built
+PARTIAL_PREFIX = ".verify-partial-"  # first part of the name while a file or folder is built
 _HOST = hashlib.sha256(socket.gethostname().encode()).hexdigest()[:8]
 _FULL = (errno.ENOSPC, errno.EDQUOT)
 
@@ -228,11 +228,11 @@ _FULL = (errno.ENOSPC, errno.EDQUOT)
 def _partial_path(folder: Path) -> Path:
     """Name what is built in a folder, and delete there what a killed process has left."""
     with suppress(OSError):
-        for left in folder.glob(f"{_PARTIAL}{_HOST}-*"):
-            pid = left.name.removeprefix(f"{_PARTIAL}{_HOST}-").partition("-")[0]
+        for left in folder.glob(f"{PARTIAL_PREFIX}{_HOST}-*"):
+            pid = left.name.removeprefix(f"{PARTIAL_PREFIX}{_HOST}-").partition("-")[0]
             if pid.isdecimal() and not _is_running(int(pid)):
                 shutil.rmtree(left) if left.is_dir() else left.unlink()
-    return folder / f"{_PARTIAL}{_HOST}-{os.getpid()}-{secrets.token_hex(8)}"
+    return folder / f"{PARTIAL_PREFIX}{_HOST}-{os.getpid()}-{secrets.token_hex(8)}"
 
 
 def _is_running(pid: int) -> bool:
@@ -352,7 +352,7 @@ def _check_vacant(out: Path, target: Path, force: bool) -> bool:
 
 def _entries(folder: Path) -> list[Path]:
     """List a folder, but for what is being built in it."""
-    return [entry for entry in folder.iterdir() if not entry.name.startswith(_PARTIAL)]
+    return [entry for entry in folder.iterdir() if not entry.name.startswith(PARTIAL_PREFIX)]
 
 
 def _written_meanwhile(out: Path) -> FolderTakenError:

@@ -1,12 +1,12 @@
 """Read poses.csv: metres and rotation matrices from millimetres and unit quaternions."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from verify.core.records import Array, rigid_transform, take_rows
+from verify.core.records import Array, rigid_transform
 from verify.errors import InputError
 from verify.io.series import SORT_REMEDY, CsvTable, open_table, visit_times
 from verify.io.toml import MM
@@ -42,17 +42,6 @@ class Poses:
         """The body in the instrument's frame, (n, 4, 4), m; unturned where positions are alone."""
         turn = np.eye(3) if self.rotation is None else self.rotation
         return rigid_transform(turn, self.position)
-
-    def by_target(self) -> dict[int, "Poses"]:
-        """The poses of each target by itself, by its number."""
-        if self.target is None:
-            return {1: self}
-        return {
-            int(number): replace(
-                take_rows(self, self.target == number), target=None, of_several=True
-            )
-            for number in np.unique(self.target)
-        }
 
     def __len__(self) -> int:
         return len(self.t)

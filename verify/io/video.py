@@ -194,17 +194,17 @@ class NumberedImages(Images):
                     count += 1
             return count
         for number in range(max(len(names), 1)):
-            if _name(number) not in names:
+            if picture_name(number) not in names:
                 last = f" up to {names[-1]}" if names else ""
                 expected = f"it holds {len(names)} numbered images{last}"
                 remedy = "Number them from 000000.png on, without a gap."
-                raise InputError(self.path, f"has no {_name(number)}", expected, remedy)
+                raise InputError(self.path, f"has no {picture_name(number)}", expected, remedy)
         return len(names)
 
     def images(self) -> Generator[Image]:
         """Decode the images; grey where the file is grey, else BGR without alpha."""
         number = 0
-        while (file := self.path / _name(number)).exists():
+        while (file := self.path / picture_name(number)).exists():
             yield decode_picture(file, "PNG", _REMEDY)
             number += 1
 
@@ -269,7 +269,8 @@ def _decoder_refusal(path: Path, found: str) -> InputError:
     return InputError(path, found, "", _REMEDY)
 
 
-def _name(number: int) -> str:
+def picture_name(number: int) -> str:
+    """Name the file of an image in a folder of numbered ones."""
     return f"{number:06d}.png"
 
 

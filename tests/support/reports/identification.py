@@ -15,6 +15,7 @@ from verify.calibration.kinematics.results import (
     ValidationSessions,
     identification_results,
 )
+from verify.calibration.origin import ResultsOrigin
 
 
 @cache
@@ -28,6 +29,7 @@ def made(geometry: float, *, outlying: bool = False, position_only: bool = False
     rows = build_poses(q, seen, covariance)
     found = identify_arm(chain_of(truth.arm), rows, IdentificationOptions(splits=2))
     origin = IdentificationProvenance(
+        origin=ResultsOrigin("monday"),
         arm=robots.load("iust_6r"),
         names=["monday"],
         source=np.zeros(60, dtype=np.int64),

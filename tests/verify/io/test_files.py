@@ -325,7 +325,7 @@ def test_what_a_killed_process_was_building_goes_with_the_next_write(tmp_path: P
     ended = subprocess.run([sys.executable, "-c", "import os; print(os.getpid())"],
                            capture_output=True, text=True, check=True)  # fmt: skip
     for pid in (ended.stdout.strip(), str(os.getppid())):
-        (tmp_path / f"{files._PARTIAL}{files._HOST}-{pid}-ab").mkdir()
+        (tmp_path / f"{files.PARTIAL_PREFIX}{files._HOST}-{pid}-ab").mkdir()
     write_whole(tmp_path / "table.csv", b"a")
     left = {entry.name for entry in tmp_path.iterdir()}
-    assert left == {"table.csv", f"{files._PARTIAL}{files._HOST}-{os.getppid()}-ab"}
+    assert left == {"table.csv", f"{files.PARTIAL_PREFIX}{files._HOST}-{os.getppid()}-ab"}

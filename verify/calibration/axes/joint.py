@@ -16,7 +16,6 @@ from verify.core.records import Array, Index, Measurement
 from verify.io.session.session import Session
 from verify.measurement.systematics import covariance_root, sensitivities, stated_systematics
 
-MIN_POSES = 6  # an axis has four unknowns, and each pair one of its own
 MAX_PARALLEL_ANGLE = np.deg2rad(5.0)  # axes nearer to parallel have no common normal to speak of
 STEP = 1e-6  # rad and m, of numerical derivatives: small against curvature, large against rounding
 MAX_PAIRS = 150  # of one sweep, evenly spread: more only cost time
@@ -119,13 +118,8 @@ def fit_axis(poses: Array, covariance: Array, q: Array) -> SweepAxis:
     The covariance (n, 6, 6) is in m and rad, its perturbation on the left in rig axes. The joint's
     encoder q (n,), rad, starts the fit and orients the axis; its mean is the zero that the angles
     need.
-
-    Raises:
-        ValueError: fewer than six poses.
     """
     n = len(poses)
-    if n < MIN_POSES:
-        raise ValueError(f"needs six poses or more, got {n}")
     swept = circles.SweepData(poses, covariance, np.zeros((n, 6, 0)), q, np.zeros(n))
     # a free angle a pair, less the mean of all, which the start pose holds
     terms = np.linalg.svd(np.ones((1, n)))[2][1:].T

@@ -40,15 +40,6 @@ HIDDEN_CHANGES = (
 
 
 @dataclass(frozen=True, slots=True)
-class DetectableChange:
-    """The smallest change of one kind that this check would have found."""
-
-    change: str
-    smallest: float | None  # in `unit`; None: these figures do not respond to it
-    unit: str
-
-
-@dataclass(frozen=True, slots=True)
 class CheckResult:
     """Whether the calibration holds, and what that rests on."""
 
@@ -57,7 +48,9 @@ class CheckResult:
     lengths: Lengths  # each known length by itself; empty for a board
     square: tuple[float, float, float] | None  # m: known, measured, its standard uncertainty
     reprojection_rms_px: float  # of the spots used against the body's pose
-    visible: tuple[DetectableChange, ...]
+    # the smallest change of each kind that this check would have found, in its unit; None: these
+    # figures do not respond to it
+    visible: dict[str, tuple[float | None, str]]
     uncounted: tuple[str, ...]  # sources that state no uncertainty: taken as exact
     decisions: tuple[str, ...]
     warnings: tuple[str, ...]
@@ -213,16 +206,16 @@ def _result(
     )
 
 
-def _visible(found: rig_check.RigConsistency, limit: float) -> tuple[DetectableChange, ...]:
+def _visible(found: rig_check.RigConsistency, limit: float) -> dict[str, tuple[float | None, str]]:
     """Find the smallest size of each change at which a figure would exceed its limit."""
     needed = (limit + norm_ppf(P_DETECTION)) * found.uncertainty
-    rows = []
+    visible = {}
     for change, (_, unit) in rig_check.CHANGES.items():
         effect = np.abs(np.nan_to_num(found.by_change[change]))
         size = needed[effect > 0] / effect[effect > 0]
         smallest = float(np.nanmin(size)) / UNITS[unit] if len(size) else None
-        rows.append(DetectableChange(change, smallest, unit))
-    return tuple(rows)
+        visible[change] = smallest, unit
+    return visible
 
 
 def _decisions(found: rig_check.RigConsistency, beyond: Flags, limit: float) -> Iterator[str]:

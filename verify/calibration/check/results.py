@@ -3,7 +3,6 @@
 The keys of the summary and the tables are those that `reports.calibration.check` documents.
 """
 
-from dataclasses import asdict
 from typing import Any
 
 import numpy as np
@@ -35,7 +34,10 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
             "figures": _figures(figures),
             "mm_per_m": dict(zip(FIGURES, (figures.per_metre / UNITS).tolist(), strict=True)),
             "square": _square(found.square),
-            "visible": [asdict(change) for change in found.visible],
+            "visible": [
+                {"change": change, "smallest": smallest, "unit": unit}
+                for change, (smallest, unit) in found.visible.items()
+            ],
             "uncounted": list(found.uncounted),
             "decisions": list(found.decisions),
         },

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from robots import Arm, forward
+from robots.transforms import rotation_log
 from verify.analysis.diagnosis.faults import MAX_OFFSET
 from verify.analysis.mistakes import LEVER, joint_mistakes, pose_mistakes
 from verify.calibration.kinematics.chain import (
@@ -218,14 +219,12 @@ def _pairs(arm: Arm, singles: list[WithoutMistake], t: Array) -> list[WithoutMis
     q = np.concatenate([pair.rows.q[few] for pair in pairs])
     flange = forward(arm, q)[:, :3, :3].reshape(len(pairs), len(few), 3, 3)
     target = np.stack([pair.rows.world_T_target[few, :3, :3] for pair in pairs])
-    apart = np.median(np.abs(_angles(flange) - _angles(target)), axis=1)
+    flange_angle, target_angle = (  # between neighbours, (k, n - 1), rad
+        np.linalg.norm(rotation_log(turns[:, :-1] @ np.swapaxes(turns[:, 1:], 2, 3)), axis=2)
+        for turns in (flange, target)
+    )
+    apart = np.median(np.abs(flange_angle - target_angle), axis=1)
     return [pairs[k] for k in np.argsort(apart)[: 2 * MAX_CARRIED].tolist()]
-
-
-def _angles(turns: Array) -> Array:
-    """Angles between neighbours of turns (k, n, 3, 3), (k, n - 1), rad."""
-    trace = np.einsum("knij,knij->kn", turns[:, :-1], turns[:, 1:])
-    return np.asarray(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
 
 
 def _best(arm: Arm, tried: list[WithoutMistake], t: Array) -> tuple[WithoutMistake, float]:

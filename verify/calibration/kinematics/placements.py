@@ -25,7 +25,7 @@ from verify.core.rig import Rig
 from verify.io import rig as io_rig
 from verify.io.fiducials import encode_marker
 from verify.io.session.session import Session
-from verify.io.toml import encode, encode_numbers
+from verify.io.toml import encode, encode_numbers, parse
 
 
 def placement_entries(fit: KinematicFit) -> list[dict[str, Any]]:
@@ -76,7 +76,7 @@ def session_files(
 
 def placement_uncertainty(fit: KinematicFit, kind: str, place: int) -> Array:
     """Standard uncertainties of a base or a tool, (6,), mm and degrees; 0 where it was held."""
-    return np.sqrt(np.diag(_covariance(fit, kind, place)))
+    return np.asarray(np.sqrt(np.diag(_covariance(fit, kind, place))) * POSE_UNITS)
 
 
 def target_in_flange(session: Session, fit: KinematicFit, place: int = 0) -> Array:
@@ -87,19 +87,19 @@ def target_in_flange(session: Session, fit: KinematicFit, place: int = 0) -> Arr
 
 
 def _covariance(fit: KinematicFit, kind: str, place: int) -> Array:
-    """Of a base's or tool's six numbers, (6, 6), mm and degrees; 0 where they were held."""
+    """Of a base's or tool's six numbers, (6, 6), m and rad; 0 where they were held."""
     found = np.zeros((6, 6))
     own = [k for k, p in enumerate(fit.parameters) if (p.kind, p.place) == (kind, place)]
     axes = [AXES.index(fit.parameters[k].axis) for k in own]
     found[np.ix_(axes, axes)] = fit.covariance[np.ix_(own, own)]
-    return found * np.outer(POSE_UNITS, POSE_UNITS)
+    return found
 
 
 def moved_rig(rig: Rig, fit: KinematicFit, place: int) -> Rig:
     """The rig with the robot where it was found: the rows are in the base as the rig had it."""
     moved = rig.rig_T_base @ fit.state.base[place]
     turn = block_diag(moved[:3, :3], moved[:3, :3])
-    own = turn @ (_covariance(fit, "base", place) / np.outer(POSE_UNITS, POSE_UNITS)) @ turn.T
+    own = turn @ _covariance(fit, "base", place) @ turn.T
     known, across = rig.covariance, np.zeros((6, 0))
     if known is not None:
         kept = [i for i, n in enumerate(known.parameters) if n not in BASE_NAMES]
@@ -125,7 +125,7 @@ def _without_cameras(rig: Rig) -> Rig:
 def _moved_marker(session: Session, fit: KinematicFit, place: int) -> Marker:
     """The LEDs where the flange has them: a session's LEDs are its target."""
     tool, marker = fit.state.tool[place], session.marker
-    u = np.sqrt(np.diag(_covariance(fit, "tool", place))) / POSE_UNITS
+    u = np.sqrt(np.diag(_covariance(fit, "tool", place)))
     leds = marker.leds @ tool[:3, :3].T + tool[:3, 3]
     return replace(
         marker, leds=leds, source="motion", registration=None, body_standard_uncertainty=u
@@ -145,7 +145,7 @@ def registered_session(
 
     `place` numbers the target; `robot_file` names the corrected arm, None leaves the arm as it is.
     """
-    tree = tomllib.loads((session.folder / "session.toml").read_text(encoding="utf-8"))
+    tree = parse(session.folder / "session.toml")
     if robot_file is not None:
         tree.pop("robot_frames", None)
         tree["robot"] = robot_file

@@ -1,7 +1,7 @@
 """An identification as results, with the keys that `reports.identification.document` documents."""
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -32,47 +32,43 @@ class ValidationSessions:
 class IdentificationProvenance:
     """What an identification was made from."""
 
+    origin: ResultsOrigin
     arm: robots.Arm
     names: Sequence[str]  # of the sources
     source: Index  # (n,), which of them each row is from
     frame: Index  # (n,), its number there
     free_base: bool
     free_tool: bool
-    description: str = ""
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    warnings: Sequence[str] = ()
 
 
 def identification_results(
     found: IdentificationResult,
     poses: IdentificationPoses,
-    origin: IdentificationProvenance,
+    made_from: IdentificationProvenance,
     robot_file: str,
     judged: ValidationSessions | None = None,
 ) -> Results:
     """Lay an identification out for the report; `judged` are other sessions that judge the arm."""
     chosen = found.chosen
     fitted = chosen.fit
-    columns = origin.source, origin.frame, fitted.distance
+    columns = made_from.source, made_from.frame, fitted.distance
     outlying = [column[~fitted.used].tolist() for column in columns]
     parameters = _parameters(chosen, found)
     summary = {
-        **ResultsOrigin(
-            ", ".join(origin.names), origin.description, origin.inputs, tuple(origin.warnings)
-        ).summary("identification"),
-        "robot": origin.arm.name,
-        "robot_fingerprint": f"sha256:{origin.arm.fingerprint}",
+        **made_from.origin.summary("identification"),
+        "robot": made_from.arm.name,
+        "robot_fingerprint": f"sha256:{made_from.arm.fingerprint}",
         "robot_file": robot_file,
         "poses": {
             "used": int(fitted.used.sum()),
             "outlying": [
-                {"source": origin.names[i], "frame": frame, "squared_distance": distance}
+                {"source": made_from.names[i], "frame": frame, "squared_distance": distance}
                 for i, frame, distance in zip(*outlying, strict=True)
             ],
             "position_only": poses.position_only,
         },
-        "base_free": origin.free_base,
-        "tool_free": origin.free_tool,
+        "base_free": made_from.free_base,
+        "tool_free": made_from.free_tool,
         "level": chosen.name,
         "levels": [_level(level) for level in found.levels],
         "identified": len(chosen.support.supported) - len(chosen.weak),
@@ -82,7 +78,7 @@ def identification_results(
         "candidates": found.level("geometry").support.candidates,
         "parameters": parameters,
         "placements": placement_entries(fitted),
-        "offsets": _offsets(found, origin.arm.dof),
+        "offsets": _offsets(found, made_from.arm.dof),
         "judged": None if judged is None else _judged_entries(judged, poses.position_only),
         "held": _held(found),
         "observability": found.observability,
@@ -91,7 +87,10 @@ def identification_results(
             "correlation": correlation(fitted.covariance).tolist(),
         },
     }
-    tables = {"residuals": _residuals(found, poses, origin), "parameters": pd.DataFrame(parameters)}
+    tables = {
+        "residuals": _residuals(found, poses, made_from),
+        "parameters": pd.DataFrame(parameters),
+    }
     return Results(summary=summary, setup={}, tables=tables)
 
 
@@ -216,11 +215,11 @@ def _lengths(position: Array, orientation: Array) -> dict[str, float]:
 
 
 def _residuals(
-    found: IdentificationResult, poses: IdentificationPoses, origin: IdentificationProvenance
+    found: IdentificationResult, poses: IdentificationPoses, made_from: IdentificationProvenance
 ) -> pd.DataFrame:
     table = {
-        "source": [origin.names[i] for i in origin.source.tolist()],
-        "frame": origin.frame,
+        "source": [made_from.names[i] for i in made_from.source.tolist()],
+        "frame": made_from.frame,
         "used": found.chosen.fit.used,
         "before_mm": np.linalg.norm(found.before[:, :3], axis=1) * MM,
         "after_mm": np.linalg.norm(found.after[:, :3], axis=1) * MM,

@@ -1,7 +1,6 @@
 """The corrected arm as a robot file that `robots.load` reads, with where it comes from."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -13,36 +12,32 @@ from verify.errors import one_line
 from verify.io.toml import encode, encode_numbers
 
 
-@dataclass(frozen=True, slots=True)
-class CorrectionProvenance:
-    """Where a correction comes from."""
-
-    sentences: Sequence[str]
-    inputs: Mapping[str, str]  # files that were read, with their hashes
-
-    def lines(self) -> list[str]:
-        """All of it, a line each."""
-        return [*self.sentences, *(f"{path}: {digest}" for path, digest in self.inputs.items())]
-
-
 def encode_robot(
-    arm: robots.Arm, chain: KinematicChain, provenance: CorrectionProvenance, *, offsets_only: bool
+    arm: robots.Arm,
+    chain: KinematicChain,
+    sentences: Sequence[str],
+    inputs: Mapping[str, str],
+    *,
+    offsets_only: bool,
 ) -> tuple[str, bytes]:
     """Write the corrected arm: its file's name and content.
+
+    The sentences say where the correction comes from, the inputs which files were read, with their
+    hashes.
 
     A DH table of which only the offsets changed, no length and no twist, stays a table with its
     closed form. Any other correction leaves the family of arms that have one, so the arm becomes a
     URDF.
     """
     name = f"{arm.name}_identified"
+    comments = [*sentences, *(f"{path}: {digest}" for path, digest in sorted(inputs.items()))]
     if offsets_only and isinstance(arm, robots.DhArm):
-        return f"{name}.toml", _table(arm, name, chain, provenance)
-    return f"{name}.urdf", _urdf(arm, name, chain, provenance)
+        lead = "".join(f"# {one_line(line)}\n" for line in comments)
+        return f"{name}.toml", lead.encode() + _table(arm, name, chain, sentences)
+    return f"{name}.urdf", _urdf(arm, name, chain, comments)
 
 
-def _table(
-    arm: robots.DhArm, name: str, chain: KinematicChain, provenance: CorrectionProvenance
-) -> bytes:
+def _table(arm: robots.DhArm, name: str, chain: KinematicChain, sentences: Sequence[str]) -> bytes:
     columns = {
         "a_mm": arm.a * 1e3,
         "d_mm": arm.d * 1e3,
@@ -67,22 +62,19 @@ def _table(
         for j in range(arm.dof)
         for linked in [_linkage(chain, j)]
     ]
-    comments = "".join(f"# {one_line(line)}\n" for line in provenance.lines())
-    return comments.encode() + encode(
+    return encode(
         {
             "format": 1,
             "name": name,
             "family": arm.family,
             "description": f"{arm.description}; joint offsets identified",
-            "source": " ".join([arm.source, *provenance.sentences]),
+            "source": " ".join([arm.source, *sentences]),
             "joint": joints,
         }
     )
 
 
-def _urdf(
-    arm: robots.Arm, name: str, chain: KinematicChain, provenance: CorrectionProvenance
-) -> bytes:
+def _urdf(arm: robots.Arm, name: str, chain: KinematicChain, comments: Sequence[str]) -> bytes:
     """A joint's origin holds the link before it and the angle at reading 0."""
     steps = link_transforms(chain)
     names = tuple(f"joint_{j + 1}" for j in range(arm.dof))
@@ -102,7 +94,7 @@ def _urdf(
             )
         )
         before = steps[j]
-    return urdf_text(name, joints, before @ chain.last_T_flange, provenance.lines()).encode()
+    return urdf_text(name, joints, before @ chain.last_T_flange, comments).encode()
 
 
 def _linkage(chain: KinematicChain, joint: int) -> dict[int, int]:

@@ -16,7 +16,7 @@ from verify.calibration.kinematics.chain import ArmState, KinematicChain
 from verify.calibration.kinematics.fit import KinematicFit, pose_residuals
 from verify.calibration.kinematics.poses import IdentificationPoses, build_poses
 from verify.core.readings import Readings
-from verify.core.records import Array, Index, Progress
+from verify.core.records import Array, Index, Progress, take_rows
 from verify.errors import InputError
 from verify.io.series import FrameSeries
 from verify.io.session.session import Session
@@ -101,17 +101,18 @@ def _recorded(session: Session) -> set[str]:
 def split_targets(session: Session) -> list[Session]:
     """The sessions of each target by itself, of an instrument that measured several."""
     instrument = session.instrument
-    if instrument is None or instrument.poses.target is None:
+    if instrument is None or (target := instrument.poses.target) is None:
         return [session]
-    return [
-        replace(
+    parts = []
+    for number in np.unique(target):
+        own = take_rows(instrument.poses, target == number)
+        parts.append(replace(
             session,
-            name=f"{session.name} (target {number})",
-            frames=FrameSeries(poses.t, poses.t, 0 * poses.t, 0 * poses.t),
-            instrument=replace(instrument, poses=poses),
-        )
-        for number, poses in instrument.poses.by_target().items()
-    ]
+            name=f"{session.name} (target {number:.0f})",
+            frames=FrameSeries(own.t, own.t, 0 * own.t, 0 * own.t),
+            instrument=replace(instrument, poses=replace(own, target=None, of_several=True)),
+        ))  # fmt: skip
+    return parts
 
 
 def session_to_poses(

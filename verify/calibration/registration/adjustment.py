@@ -24,7 +24,6 @@ from verify.measurement.pose import MAX_SPOT_CHI2, MODEL_ERROR_PX
 
 MAX_ITERATIONS = 40
 TOL_STEP = 1e-9  # of a step in units of m, rad and s: a hundredth of any uncertainty here
-# chi² of one spot given the others, 2 degrees of freedom: 5e-5 false rejections
 # a joint fault must not pass for wrong spots: poses are left open
 JOINT_PRIOR_SIGMA = np.deg2rad(1.0)
 MAX_ROUNDS = 8  # of rejection

@@ -23,7 +23,8 @@ from verify.calibration.kinematics.identify import (
 )
 from verify.calibration.kinematics.mistakes import refuse_mistaken_readings, refuse_unfit
 from verify.calibration.kinematics.placements import session_files
-from verify.calibration.kinematics.robot_file import CorrectionProvenance, encode_robot
+from verify.calibration.kinematics.robot_file import encode_robot
+from verify.calibration.origin import ResultsOrigin
 from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
 from verify.errors import InputError, one_line
@@ -81,14 +82,14 @@ def identify_sessions(
         )  # fmt: skip
     held = not (options.free_base and options.free_tool)
     doubts = refuse_unfit(opened[0].folder / "encoders.csv", gathered, found, held=held)
-    origin = _identification_provenance(gathered, options, found, doubts)
+    made_from = _identification_provenance(gathered, options, found, doubts)
     name, content = encode_robot(
-        origin.arm, found.chain, _correction_provenance(found, origin),
-        offsets_only=found.chosen.name != "geometry",
+        made_from.arm, found.chain, _correction_sentences(found, made_from),
+        made_from.origin.inputs, offsets_only=found.chosen.name != "geometry",
     )  # fmt: skip
     judged = None if judging is None else _validate(judging, found, options)
-    made = results.identification_results(found, gathered.poses, origin, name, judged)
-    terminal.warn(*origin.warnings)
+    made = results.identification_results(found, gathered.poses, made_from, name, judged)
+    terminal.warn(*made_from.origin.warnings)
     table = made.tables["parameters"].to_csv(index=False, lineterminator="\n")
     with write_folder_whole(target, force) as folder:
         write_report_folder(made, folder, force=True)
@@ -156,16 +157,17 @@ def _identification_provenance(
         for session in sessions
         for path, digest in session.inputs.items()
     }
+    names = [one_line(session.name) for session in sessions]
+    description = sessions[0].description if not several else ""
+    warnings = tuple(dict.fromkeys([*doubts, *_warnings(gathered, options, found)]))
     return results.IdentificationProvenance(
+        origin=ResultsOrigin(", ".join(names), description, inputs, warnings),
         arm=sessions[0].arm,
-        names=[one_line(session.name) for session in sessions],
+        names=names,
         source=gathered.source,
         frame=gathered.frame,
         free_base=options.free_base,
         free_tool=options.free_tool,
-        description=sessions[0].description if not several else "",
-        inputs=inputs,
-        warnings=tuple(dict.fromkeys([*doubts, *_warnings(gathered, options, found)])),
     )
 
 
@@ -208,20 +210,20 @@ def _warnings(
     return warnings
 
 
-def _correction_provenance(
-    found: IdentificationResult, origin: results.IdentificationProvenance
-) -> CorrectionProvenance:
+def _correction_sentences(
+    found: IdentificationResult, made_from: results.IdentificationProvenance
+) -> list[str]:
     level = found.chosen
     used = int(level.fit.used.sum())
     what = f"{len(level.fit.parameters)} parameters from {used} poses"
     sentences = [
-        f"Identified by verify {__version__} from {', '.join(origin.names)}: {what}.",
-        f"Before: {origin.arm.name}, sha256:{origin.arm.fingerprint}.",
+        f"Identified by verify {__version__} from {made_from.origin.source}: {what}.",
+        f"Before: {made_from.arm.name}, sha256:{made_from.arm.fingerprint}.",
     ]
     if level.held_out is not None:
         mean = level.held_out.position[0] * 1e3
         sentences.append(f"Mean position residual on poses held out: {mean:.3f} mm.")
-    return CorrectionProvenance(sentences, dict(sorted(origin.inputs.items())))
+    return sentences
 
 
 def _print_summary(made: Results, target: Path) -> None:

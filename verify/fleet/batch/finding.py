@@ -12,7 +12,8 @@ from typing import Any
 
 from verify.errors import InputError, one_line
 from verify.fleet.batch.records import UNREADABLE, SessionFailure, SessionLocation, printable_path
-from verify.io.files import require_folder, system_refusal
+from verify.io.files import PARTIAL_PREFIX, require_folder, system_refusal
+from verify.io.session.folder import SESSION_FILE
 
 EXCLUDED_FILES = ("truth.csv",)  # by a measurement: it is not fetched either
 
@@ -111,9 +112,6 @@ def _storage_errors(url: str) -> Iterator[None]:
         remedy = "Check the address, the rights, and the storage's package."
         raise InputError(url, found, "", remedy) from error
 
-
-SESSION_FILE = "session.toml"
-PARTIAL_PREFIX = ".verify-partial-"  # begins the name of what is being built by `verify.io.files`
 
 FolderIdentity = tuple[int, int]  # device and inode: the same folder by whatever name
 

@@ -10,7 +10,6 @@ from typing import Any
 from verify.core.records import Progress
 from verify.errors import InputError, one_line
 from verify.fleet.batch.cluster import Cluster
-from verify.fleet.batch.finding import SESSION_FILE
 from verify.fleet.batch.records import (
     COPY,
     KILLED,
@@ -28,6 +27,7 @@ from verify.fleet.batch.store import ResultStore
 from verify.fleet.batch.tasks import CompareTask, MeasureTask, ReportTask
 from verify.fleet.batch.workers import ProcessPool
 from verify.io.files import FolderTakenError
+from verify.io.session.folder import SESSION_FILE
 
 WorkerPool = ProcessPool | Cluster
 

@@ -11,7 +11,7 @@ from reports import Results
 from reports.results import to_json_value
 from verify.analysis.session import analyse
 from verify.errors import InputError, one_line
-from verify.fleet.batch.finding import SESSION_FILE, file_versions, is_url, local_copy
+from verify.fleet.batch.finding import file_versions, is_url, local_copy
 from verify.fleet.batch.records import (
     DEFECT,
     REFUSED,
@@ -25,7 +25,7 @@ from verify.fleet.batch.records import (
 )
 from verify.io.files import digest, lacks_memory, memory_refusal, system_refusal
 from verify.io.results import RESULTS, read_results, write_report_folder
-from verify.io.session.folder import load_arm
+from verify.io.session.folder import SESSION_FILE, load_arm
 from verify.io.session.keys import RunTable
 from verify.io.session.session import open_session
 from verify.io.toml import decode

@@ -151,11 +151,7 @@ def _describe_board(board: Board) -> str:
 def _sides(folder: Path) -> tuple[Images, Images, tuple[tuple[str, Path], ...]]:
     """Find both sides' pictures or videos, whose n-th belong together, and pictures alone."""
     alone: list[tuple[str, Path]] = []
-    found = [_find_images(folder, side) for side in ("left", "right")]
-    for side, images in zip(("left", "right"), found, strict=True):
-        if images is None:
-            raise InputError(folder, f"has no {side}/", EXPECTED_LAYOUT, "Name the folders so.")
-    left, right = (images for images in found if images is not None)
+    left, right = (_find_images(folder, side) for side in ("left", "right"))
     if left.path != folder and left.path.resolve() == right.path.resolve():
         raise InputError(right.path, "leads to the left pictures", "each camera has its own")
     if isinstance(left, PictureFiles) and isinstance(right, PictureFiles):
@@ -178,7 +174,7 @@ def _warn_alone(alone: tuple[tuple[str, Path], ...]) -> Iterator[str]:
             yield one_line(note)
 
 
-def _find_images(folder: Path, side: str) -> Images | None:
+def _find_images(folder: Path, side: str) -> Images:
     inner = folder / side
     videos = [
         file for file in sorted(folder.glob(f"{side}.*")) if file.suffix.lower() in VIDEO_SUFFIXES
@@ -190,8 +186,9 @@ def _find_images(folder: Path, side: str) -> Images | None:
     if videos:
         return Video(videos[0])
     if not inner.is_dir():
-        beside = list_pictures(folder, side)
-        return PictureFiles(folder, beside) if beside else None
+        if beside := list_pictures(folder, side):
+            return PictureFiles(folder, beside)
+        raise InputError(folder, f"has no {side}/", EXPECTED_LAYOUT, "Name the folders so.")
     files = list_pictures(inner)
     if not files:
         kinds = ", ".join(sorted(kind[1:] for kind in PICTURE_SUFFIXES))

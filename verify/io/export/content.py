@@ -32,9 +32,6 @@ class PoseSeries:
     position: Array  # (n, 3), m
     quaternion: Array  # (n, 4), scalar last
 
-    def __len__(self) -> int:
-        return len(self.t)
-
 
 @dataclass(frozen=True, slots=True)
 class AngleSeries:
@@ -114,7 +111,7 @@ def _of_session(folder: Path) -> ExportContent:
     arm, encoders = session.arm, session.encoders
     offset = session.clock.encoder_offset if session.clock is not None else 0.0
     t = encoders.t + offset
-    poses = {ENCODERS: _series(t, np.stack([robots.forward(arm, q) for q in encoders.q]))}
+    poses = {ENCODERS: _series(t, robots.forward(arm, encoders.q))}
     names = tuple(f"q{j}" for j in range(1, arm.dof + 1))
     angles = {f"{n}_deg": v for n, v in zip(names, np.rad2deg(encoders.q).T, strict=True)}
     tables = {"encoders": pd.DataFrame({"t_s": encoders.t, **angles})}
@@ -155,7 +152,7 @@ def _series(t: Array, transforms: Array) -> PoseSeries:
 
 def require_poses(content: ExportContent, source: Path) -> None:
     """Refuse, by an InputError, what holds no poses with a time."""
-    if not any(len(series) for series in content.poses.values()):
+    if not any(len(series.t) for series in content.poses.values()):
         expected = "poses with times are expected, of a session or of `verify run`"
         raise InputError(source, "holds no poses", expected, "Choose --to csv for its tables.")
 

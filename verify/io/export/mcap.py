@@ -78,7 +78,7 @@ def write_mcap(content: ExportContent, path: Path, progress: Progress) -> None:
     streams = [_joint_messages(name, s, names, factory) for name, s in content.joints.items()]
     streams += [_pose_messages(name, s, factory) for name, s in content.poses.items()]
     total = sum(len(series.t) for series in content.joints.values())
-    total += sum(len(series) for series in content.poses.values())
+    total += sum(len(series.t) for series in content.poses.values())
     if content.session is not None:
         total += 2 * len(content.session)
         streams += [iter(_still_messages(content.session, factory))]

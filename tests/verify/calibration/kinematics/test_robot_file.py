@@ -16,11 +16,9 @@ from verify.calibration.kinematics.chain import (
     offset_parameters,
 )
 from verify.calibration.kinematics.model import predict_poses
-from verify.calibration.kinematics.robot_file import CorrectionProvenance, encode_robot
+from verify.calibration.kinematics.robot_file import encode_robot
 
-ORIGIN = CorrectionProvenance(
-    ["Identified from a--b.", "Before: an arm."], {"x/rig.toml": "sha256:00"}
-)
+ORIGIN = ["Identified from a--b.", "Before: an arm."], {"x/rig.toml": "sha256:00"}
 
 
 def corrected(arm: robots.Arm, *, geometry: bool) -> ArmState:
@@ -39,7 +37,7 @@ def test_a_corrected_arm_is_read_back(name: str, geometry: bool, tmp_path: Path)
     arm = robots.load(name.split()[-1])
     arm = linked(arm, 2) if "linked" in name else arm
     state = corrected(arm, geometry=geometry)
-    file, content = encode_robot(arm, state.chain, ORIGIN, offsets_only=not geometry)
+    file, content = encode_robot(arm, state.chain, *ORIGIN, offsets_only=not geometry)
     (tmp_path / file).write_bytes(content)
     again = robots.load(str(tmp_path / file))
     q, none = readings(arm, 10, seed=2), np.zeros(10, dtype=np.int64)
