@@ -69,7 +69,7 @@ def _parse(path: Path) -> tuple[bytes, dict[str, Any]]:
         content = path.read_bytes()
         if DEEP_KEY.search(content):
             raise RobotError(path, "is nested too deeply", "", "Write it as docs/arms.md shows.")
-        return content, tomllib.loads(content.decode())
+        return content, tomllib.loads(content.decode("utf-8-sig"))  # with Windows' mark, too
     except OSError as error:
         remedy = "Check the path, or give the name of a known robot."
         raise RobotError(path, error.strerror or "cannot be read", "", remedy) from error

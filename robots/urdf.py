@@ -91,10 +91,14 @@ def read(path: Path, base: str | None, tip: str | None, name: str, source: str) 
 
 
 def _limits(path: Path, model: "pinocchio.Model", joint: Joint) -> tuple[float, float]:
+    turning = model.joints[model.getJointId(joint.name)]
+    if not np.any(turning.createData().S):
+        place = f'{path}, joint "{joint.name}", axis'
+        raise RobotError(place, "has no length", "a joint turns about a direction")
     if joint.kind == "continuous":
         return -MAX_CONTINUOUS_ANGLE, MAX_CONTINUOUS_ANGLE
-    place = model.joints[model.getJointId(joint.name)].idx_q
-    lower, upper = (float(q[place]) for q in (model.lowerPositionLimit, model.upperPositionLimit))
+    at = turning.idx_q
+    lower, upper = (float(q[at]) for q in (model.lowerPositionLimit, model.upperPositionLimit))
     if not -MAX_LIMIT <= lower < upper <= MAX_LIMIT:
         found = f"lower {lower:g}, upper {upper:g}"
         expected = f"radians within ±{MAX_LIMIT:g}, the lower one less"
@@ -108,8 +112,10 @@ def _parse(path: Path) -> tuple[bytes, list[Joint], set[str]]:
         root = ElementTree.fromstring(content)
     except OSError as error:
         raise RobotError(path, error.strerror or "cannot be read", "", "Check the path.") from error
-    except ElementTree.ParseError as error:
+    except (ElementTree.ParseError, LookupError, ValueError) as error:  # encodings not known
         remedy = "Expand a xacro file first." if path.suffix == ".xacro" else "Correct that line."
+        if not isinstance(error, ElementTree.ParseError):
+            remedy = "Save it as UTF-8."
         raise RobotError(path, f"not valid XML: {error}", "", remedy) from error
     if root.tag != "robot":
         remedy = "Give the robot's own file."

@@ -224,6 +224,10 @@ def test_an_empty_word_is_not_the_current_folder(
     assert list(session.iterdir()) == before
 
 
+def test_a_check_of_what_is_not_there_does_not_ask_for_a_rig(tmp_path: Path) -> None:
+    assert "lost: does not exist" in verify("calibrate", "check", tmp_path / "lost").refusal
+
+
 @pytest.mark.parametrize("command", ["run", "batch", "identify"])
 def test_a_link_to_itself_is_named_as_that(command: str, tmp_path: Path) -> None:
     (tmp_path / "loop").symlink_to("loop")

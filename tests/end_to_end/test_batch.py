@@ -12,6 +12,7 @@ from pathlib import Path
 import pandas as pd
 import pytest
 
+import reports
 from tests.support.command import ROOT, SAMPLES, read_summary, verify
 from tests.support.fleets import record
 from tests.support.processes import TIMEOUT, running, wait_until
@@ -116,6 +117,20 @@ def test_json_gives_one_object_a_line_and_a_day_divides_the_fleet(
     table = pd.read_parquet(place / "results" / "contrasts.parquet")
     assert table[table["shown"]]["joint"].tolist() == [2]
     assert "since 2025-03-05" in (place / "fleet.html").read_text()
+
+
+@pytest.mark.usefixtures("without_pdf")
+def test_the_report_names_failed_sessions_as_they_are_called(
+    lab: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    names = ["001", "1e3", "=1+1"]
+    for name in names:  # a number or a formula, to who reads failures.csv
+        Path(name).mkdir()
+        Path(name, "session.toml").write_text("")
+    done = verify("batch", *names, lab / "01", "-o", "out", "--workers", "1")
+    assert done.status == 4, done.err
+    assert reports.read(Path("out/results")).table("failures")["session"].tolist() == names
 
 
 @pytest.mark.slow

@@ -106,6 +106,14 @@ def registered(session: Session) -> PosesRegistration:
     return register_poses(gather_sessions([rows]))
 
 
+def test_a_session_that_begins_with_a_byte_order_mark_is_registered(tmp_path: Path) -> None:
+    path = tracker(tmp_path / "day", 5) / "session.toml"
+    path.write_text(path.read_text(), encoding="utf-8-sig")
+    session = open_poses(path.parent)
+    assert session is not None
+    assert registered(session).text.startswith(b"format = 1")
+
+
 def test_absorption_is_what_base_and_target_move_with_an_offset(tmp_path: Path) -> None:
     """Registered again with a joint that reads 0.1° higher: they move by -G times that."""
     session = open_poses(tracker(tmp_path / "day", 5))

@@ -108,6 +108,30 @@ def test_a_mistake_in_a_robot_file_is_named(
         assert word in message
 
 
+def test_a_robot_file_may_begin_with_the_mark_that_windows_writes(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text(GOOD, encoding="utf-8-sig")
+    assert_allclose(robots.load(str(tmp_path / "mine.toml")).a, robots.load("iust_6r").a)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("", '<?xml version="1.0" encoding="nonsense"?>', ["not valid XML", "UTF-8"]),
+        ("", '<?xml version="1.0" encoding="shift_jis"?>', ["not valid XML", "UTF-8"]),
+        ("0 0 1", "0 0 0", ['joint "a", axis', "has no length"]),
+    ],
+)
+@pytest.mark.parametrize("kind", ["revolute", "continuous"])
+def test_a_urdf_in_an_unknown_encoding_or_with_an_axis_of_no_length_is_refused(
+    tmp_path: Path, kind: str, old: str, new: str, words: list[str]
+) -> None:
+    path = urdf(tmp_path, kind, kind)
+    assert robots.load(str(path)).dof == 2
+    path.write_text(path.read_text(encoding="utf-8").replace(old, new, 1), encoding="utf-8")
+    message = complaint(str(path))
+    assert [word for word in words if word not in message] == [], message
+
+
 def test_a_file_that_cannot_be_read_is_named(tmp_path: Path) -> None:
     path = tmp_path / "latin.toml"
     path.write_bytes(b'format = 1\nname = "\xe9"')

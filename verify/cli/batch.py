@@ -151,8 +151,6 @@ def _note(progress: "BatchProgress", rate: float | None, left: float | None) -> 
 
 def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
     """Write the tables and the fleet report; tell how it ended."""
-    import pandas as pd
-
     import reports
     from verify.fleet.batch import tables
     from verify.fleet.trends.assess import assess
@@ -165,7 +163,7 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
         else:
             tables.write(folder, done.kept, done.failures)
             sessions = tables.read_flat_columns(folder / "sessions.parquet")
-            failures = pd.read_csv(folder / "failures.csv", keep_default_na=False)
+            failures = tables.failure_table(done.failures)
             reported = [s for s, place in done.kept if (place / "report.html").exists()]
             results = assess(sessions, failures, request, reported)
             reports.write(results, folder / RESULTS)

@@ -43,9 +43,12 @@ def simulate(
             if isinstance(chosen, BoardScenario):
                 made = boards_simulate.simulate_boards(chosen)
                 pairs, write = len(made), partial(files.write, made, place)
+                other, pictures = "session.toml", pairs
             else:
                 session = session_simulate.simulate_session(chosen)
                 pairs, write = len(session), partial(folder.write_session, session, place)
+                other, pictures = "board.toml", pairs * (chosen.recording.format == "png")
+        folder.refuse_remains(out, other, pictures)
         with terminal.progress("pictures") as progress:
             number = count(1)
             write(lambda: progress(next(number), 2 * pairs))

@@ -3,7 +3,7 @@ from pathlib import Path
 import pytest
 
 from tests.support.command import verify
-from tests.support.simulated import MINIMAL
+from tests.support.simulated import MINIMAL, SMALL_BOARDS
 from verify.cli.simulate import simulate
 from verify.errors import InputError
 
@@ -31,6 +31,21 @@ def test_a_folder_that_is_not_empty_is_refused_without_force(scenario: str, tmp_
     simulate(scenario, out, force=True)
     assert (out / "precious.txt").read_text() == "mine"
     assert (out / "session.toml").exists()
+
+
+def test_nothing_of_another_recording_stays_beside_the_new_one(tmp_path: Path) -> None:
+    """Fewer pictures than were there, or a recording of another kind: refused, all as it was."""
+    out, boards, session = tmp_path / "out", tmp_path / "boards.toml", tmp_path / "session.toml"
+    boards.write_text(SMALL_BOARDS.format(pairs=2))
+    session.write_text(MINIMAL)
+    simulate(str(boards), out)
+    simulate(str(boards), out, force=True)  # as many again
+    before = {file: file.read_bytes() for file in out.rglob("*.*")}
+    boards.write_text(SMALL_BOARDS.format(pairs=1))
+    for scenario, remains in ((boards, "left/000001.png"), (session, "board.toml")):
+        with pytest.raises(InputError, match=f"{out / remains}: would stay"):
+            simulate(str(scenario), out, force=True)
+    assert {file: file.read_bytes() for file in out.rglob("*.*")} == before
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ from verify.core.fiducials import Board
 from verify.errors import InputError
 from verify.io import rig as io_rig
 from verify.io.board.folder import open_board_folder
-from verify.io.files import digest
+from verify.io.files import digest, require_folder
 from verify.io.session.session import open_session
 
 
@@ -36,6 +36,8 @@ def run_check(
     if length_uncertainty_mm is not None and length_mm is None:
         found = "is given without --length-mm"
         raise InputError("--length-uncertainty-mm", found, "", "Give --length-mm too.")
+    expected = "a session or a folder of board pictures is expected"
+    require_folder(source, expected, "Give one of those.")
     if (source / "session.toml").exists():
         if board is not None:
             found, expected = "does not apply to a session", "its LEDs are measured"

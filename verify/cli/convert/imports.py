@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 
 import robots
@@ -60,7 +61,7 @@ def convert_bag(sources: Sequence[Path], out: Path, options: ImportOptions, *, f
     """
     (source,) = sources
     require_apart(out, source)
-    arm, robot = _load_robot(options.robot, out)
+    arm, robot, frames = _load_robot(options.robot, out)
     with open_bag(source) as bag:
         topics = choose_topics(bag, *options.topics)
         if options.rig is not None:
@@ -81,8 +82,8 @@ def convert_bag(sources: Sequence[Path], out: Path, options: ImportOptions, *, f
             (folder / "rig.toml").write_bytes(rig_bytes)
             if options.marker is not None:
                 (folder / "marker.toml").write_bytes(read_bytes(options.marker))
-            name = copy_robot(robot, folder)
-            (folder / SESSION_FILE).write_bytes(encode(_bag_keys(name, source, written, options)))
+            keys = _bag_keys(copy_robot(robot, folder), source, written, options)
+            (folder / SESSION_FILE).write_bytes(encode(keys | {"robot_frames": frames}))
     terminal.say(f"topics: {', '.join(topic.name for topic in topics)}", *notes, *written.notes)
     if options.stamps != "header":
         terminal.warn(
@@ -111,8 +112,11 @@ def _bag_keys(
     }
 
 
-def _load_robot(robot: str | None, out: Path) -> tuple[robots.Arm, str]:
-    """Load the robot that --robot names, or the session.toml that stands in `out`."""
+def _load_robot(robot: str | None, out: Path) -> tuple[robots.Arm, str, dict[str, Any] | None]:
+    """Load the robot that --robot names, or the session.toml that stands in `out`.
+
+    With its name or file, and [robot_frames] of that session.toml, where it has some.
+    """
     if robot is None:
         path = out / SESSION_FILE
         if not path.is_file():
@@ -121,9 +125,11 @@ def _load_robot(robot: str | None, out: Path) -> tuple[robots.Arm, str]:
             raise InputError("--robot", "is missing", expected, remedy)
         table = read_keys(path, RunTable)[0]
         is_file = Path(table.robot).suffix in ROBOT_FILES
-        return load_arm(path, table), str(out / table.robot) if is_file else table.robot
+        frames = msgspec.to_builtins(table.robot_frames)
+        name = str(out / table.robot) if is_file else table.robot
+        return load_arm(path, table), name, frames if any(frames.values()) else None
     with restated(robots.RobotError, place="--robot"):
-        return robots.load(robot), robot
+        return robots.load(robot), robot, None
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,7 +156,7 @@ def convert_tables(
         require_apart(out, source, (logs.ENCODERS, logs.POSES, SESSION_FILE))
     tables = [open_log(source) for source in sources]
     needs_robot = options.robot is not None or (out / SESSION_FILE).is_file()
-    arm, robot = _load_robot(options.robot, out) if needs_robot else (None, "")
+    arm, robot, frames = _load_robot(options.robot, out) if needs_robot else (None, "", None)
     with terminal.progress("kB") as progress:
         mapped = [_settle(table, arm, options, progress) for table in tables]
     joints = [m for m in mapped if m.mapping.joints]
@@ -163,10 +169,8 @@ def convert_tables(
     with write_folder_whole(out, force) as folder, terminal.progress("kB") as progress:
         written = _write_tables(joints[:1], poses[:1], folder, progress)
         if joints and poses:
-            name = copy_robot(robot, folder)
-            (folder / SESSION_FILE).write_bytes(
-                encode(_pose_keys(name, joints[0], poses[0], options))
-            )
+            keys = _pose_keys(copy_robot(robot, folder), joints[0], poses[0], options)
+            (folder / SESSION_FILE).write_bytes(encode(keys | {"robot_frames": frames}))
             written.append(SESSION_FILE)
     terminal.say(f"{out}: {', '.join(written)}")
     if not poses:

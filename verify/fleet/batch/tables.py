@@ -7,6 +7,7 @@ joints that an arm does not have, are null. docs/batch.md explains the columns.
 import hashlib
 import json
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import astuple
 from pathlib import Path
 from typing import Any
 
@@ -264,9 +265,13 @@ def _read_table(path: Path, columns: list[str] | None = None) -> pa.Table:
 
 def write_failures(folder: Path, failures: Iterable[SessionFailure]) -> None:
     """Write failures.csv alone."""
-    rows = [[*map(_text_cell, (one.session, one.kind, one.why))] for one in failures]
-    table = pd.DataFrame(rows, columns=FAILURE_COLUMNS)
+    table = failure_table(failures).map(_text_cell)
     table.to_csv(folder / "failures.csv", index=False, lineterminator="\n")
+
+
+def failure_table(failures: Iterable[SessionFailure]) -> pd.DataFrame:
+    """One row a failure, its texts as they are."""
+    return pd.DataFrame(map(astuple, failures), columns=FAILURE_COLUMNS, dtype=str)
 
 
 def _text_cell(text: str) -> str:

@@ -1,4 +1,4 @@
-"""From sessions.parquet and failures.csv to the results of a fleet report."""
+"""From sessions.parquet and the failures to the results of a fleet report."""
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -43,7 +43,7 @@ class TrendRequest:
 def assess(
     sessions: pd.DataFrame, failures: pd.DataFrame, request: TrendRequest, reported: Sequence[str]
 ) -> Results:
-    """Judge a fleet by the rows of sessions.parquet and failures.csv: results of the kind "fleet".
+    """Judge a fleet by the rows of sessions.parquet and its failures: results of the kind "fleet".
 
     The names `reported` are of sessions that have reports of their own.
     """
@@ -70,7 +70,7 @@ def assess(
         "points": _points(list(judged.values())),
         "contrasts": pd.DataFrame(contrasts, columns=_CONTRAST_COLUMNS),
         "worst": _worst_sessions(sessions, set(reported)),
-        "failures": failures.astype(str),
+        "failures": failures,
     }
     return Results(_summary(sessions, failures, request, every), {}, tables)
 
@@ -114,9 +114,7 @@ def _joint_row(
         "without_figure": len(rows) - len(series),
         "undated": int(rows["started"].isna().sum()),
         "state": judged.state if judged else "unknown",
-        "conform": int(verdicts.get("conform", 0)),
-        "nonconform": int(verdicts.get("nonconform", 0)),
-        "undecided": int(verdicts.get("undecided", 0)),
+        **{word: int(verdicts.get(word, 0)) for word in VERDICTS},
         "detectable_deg": _median(rows, f"{name}_minimum_detectable_error_deg"),
         "separable_deg": _median(rows, f"{name}_minimum_separable_error_deg"),
         "visible": _median(rows, f"{name}_visible_fraction"),

@@ -30,8 +30,8 @@ PROGRESS_BYTES = 1000  # progress counts in kB
 MAX_NUMBER = 1e20  # in whatever unit, ns since 1970 too; its square is finite
 REMEDY = "Correct the line, or export the table again."
 
-_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?")
-_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(Z|[-+]\d\d:?\d\d)?")
+_NUMBER = re.compile(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?", re.ASCII)
+_DATE = re.compile(r"\d{4}-\d\d-\d\d[T ]\d\d:\d\d(:\d\d([.,]\d+)?)?(Z|[-+]\d\d:?\d\d)?", re.ASCII)
 _UNIT = re.compile(  # a cell of a line of units
     r"[\[(](?P<bracketed>[^\[\]()]*)[\])]|"
     r"(?P<known>deg|degrees?|rad|radians?|°|s|sec|seconds?|ms|[uµ]s|ns|mm|m|[uµ]m)|-?",
@@ -147,7 +147,8 @@ class LogTable:
                 place = self.names.index(name)
                 cell = cells[place].strip() if place < len(cells) else None
                 kind = _DATE if self.is_date(name) else _NUMBER
-                if cell and kind.fullmatch(cell) and (kind is _DATE or self._is_number(cell)):
+                fits = _is_time if kind is _DATE else self._is_number
+                if cell and kind.fullmatch(cell) and fits(cell):
                     continue
                 found = f'{name} is "{cell[:40]}"' if cell else f"{name} is empty"
                 expected = "a date" if kind is _DATE else f'a number with "{self.decimal}"'
@@ -166,6 +167,15 @@ def _seconds(cells: "pd.Series[str]") -> Array:
     dates = pd.to_datetime(cells.str.replace(",", "."), utc=True, format="ISO8601")
     nanoseconds = dates.dt.as_unit("ns").astype("int64").to_numpy()
     return np.asarray(nanoseconds.astype(np.longdouble) / 1_000_000_000)
+
+
+def _is_time(date: str) -> bool:
+    """Whether there is such a day and time, in the 500 years that nanoseconds count."""
+    try:
+        _seconds(pd.Series([date]))
+    except ValueError:
+        return False
+    return True
 
 
 def open_log(path: Path) -> LogTable:

@@ -10,9 +10,12 @@ import msgspec
 import numpy as np
 
 from verify.core.records import SIDES, Array, Image
+from verify.errors import InputError
 from verify.io import fiducials, rig, toml
+from verify.io.board.pictures import PICTURE_SUFFIXES
 from verify.io.encoding import write_video
 from verify.io.session.folder import copy_robot
+from verify.io.video import picture_name
 from verify.simulation.scenario import ScenarioFault, ScenarioUncertainty
 from verify.simulation.session.simulate import SimulatedSession
 
@@ -174,9 +177,24 @@ def write_csv(path: Path, header: str, table: Array, formats: list[str]) -> None
     np.savetxt(path, table, formats, delimiter=",", header=header, comments="")
 
 
+def refuse_remains(out: Path, other: str, pictures: int) -> None:
+    """Refuse, by an InputError, what would stay in `out` and be read as part of the new files.
+
+    That is a recording of another kind, by its file `other`, and pictures in left/ and right/
+    beyond those that are made, so many a side; with 0 the folders are none of the recording's.
+    """
+    made = {picture_name(index) for index in range(pictures)}
+    there = [file for side in SIDES * bool(made) for file in sorted(out.glob(f"{side}/*"))]
+    remains = [file for file in there if file.suffix.lower() in PICTURE_SUFFIXES]
+    for path in (out / other, *remains):
+        if path.name not in made and path.exists():
+            expected = "a recording has a folder of its own"
+            raise InputError(path, "would stay", expected, "Choose another -o, or delete it.")
+
+
 def write_pngs(folder: Path, images: Iterable[Image], done: Callable[[], object]) -> None:
     """Make a folder of numbered PNG files; `done` is called after each."""
     folder.mkdir()
     for index, image in enumerate(images):
-        (folder / f"{index:06d}.png").write_bytes(cv2.imencode(".png", image)[1].tobytes())
+        (folder / picture_name(index)).write_bytes(cv2.imencode(".png", image)[1].tobytes())
         done()

@@ -262,6 +262,20 @@ def test_readings_go_into_a_session_whose_robot_counts(tmp_path: Path) -> None:
     assert found.description == "small"
 
 
+def test_the_frames_that_a_session_names_in_a_urdf_stay_its_robots(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    out.mkdir()
+    frames = '[robot_frames]\nbase = "base_link"\ntip = "wrist_3_link"\n'
+    keys = f'format = 1\nrobot = "ur5"\nencoders = "encoders.csv"\n{frames}'
+    (out / "session.toml").write_text(keys)
+    rows = np.column_stack([T, PLACES])
+    tracker = write_table(tmp_path / "p.csv", ["time", "x_mm", "y_mm", "z_mm"], rows)
+    log = joints_table(tmp_path / "log.csv")
+    options = ("--yes", "--force", "--instrument", "tracker")
+    assert verify("convert", log, tracker, "-o", out, *options).status == 0
+    assert frames in (out / "session.toml").read_text()
+
+
 def test_units_stand_at_the_end_of_a_name() -> None:
     assert parse_name("time [ms]") == ("time", "ms")
     assert parse_name("J1 (°)") == ("j1", "deg")
@@ -305,6 +319,18 @@ def test_hostile_cells_are_named(
     said = convert(source, tmp_path / "out", "--robot", "ur5", "--yes").refusal
     assert [word for word in words if word not in said] == [], said
     assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize("date", ["2026-13-01T10:00:00.25Z", "9999-01-01T10:00:00.25Z"])
+def test_a_date_that_no_calendar_has_is_named_by_its_line(date: str, tmp_path: Path) -> None:
+    source = joints_table(tmp_path / "log.csv", "time")
+    dates = [f"2026-01-01T10:00:{t:06.3f}Z" for t in T]
+    dates[4] = date
+    head, *rows = rows_of(source)
+    rows = [f"{d},{row.partition(',')[2]}" for d, row in zip(dates, rows, strict=True)]
+    source.write_text("\n".join([head, *rows]) + "\n")
+    said = convert(source, tmp_path / "out", "--robot", "ur5", "--yes").refusal
+    assert f'line 6: time is "{date}"; a date is expected' in said
 
 
 @pytest.mark.parametrize("end", ["\r", "\r\r\n"])
