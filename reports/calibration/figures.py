@@ -212,16 +212,11 @@ def scene(results: Results) -> charts.Path | None:
     ):
         chosen = (kinds == kind) & ((names == wanted) | (wanted == ""))
         if chosen.any():
-            lines.append((_join_with_gaps(shown[chosen], names[chosen]), role, name))
+            lines.append((charts.broken(shown[chosen], names[chosen]), role, name))
     low, high = np.nanmin(shown, axis=0), np.nanmax(shown, axis=0)
     room = 0.02 * float(np.max(high - low))
     ranges = tuple(zip((low - room).tolist(), (high + room).tolist(), strict=True))
     return charts.Path(tuple(lines), ("x [mm]", "distance [mm]", "up [mm]"), ranges)
-
-
-def _join_with_gaps(points: charts.Array, names: charts.Array) -> charts.Array:
-    breaks = np.flatnonzero(names[1:] != names[:-1]) + 1
-    return np.insert(points, breaks, np.nan, axis=0)
 
 
 def accuracy(results: Results) -> charts.Chart | None:

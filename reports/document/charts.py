@@ -80,8 +80,7 @@ def trace(t: Array, y: Array) -> tuple[Array, Array]:
     if len(kept) > MAX_LINE_POINTS:
         chosen = _extremes(y[kept])
         kept, part = kept[chosen], part[chosen]
-    breaks = np.flatnonzero(np.diff(part)) + 1
-    return np.insert(t[kept], breaks, np.nan), np.insert(y[kept], breaks, np.nan)
+    return broken(t[kept], part), broken(y[kept], part)
 
 
 def band(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
@@ -95,12 +94,12 @@ def band(t: Array, low: Array, high: Array) -> tuple[Array, Array, Array]:
         low = np.repeat(np.minimum.reduceat(low, starts), 2)
         high = np.repeat(np.maximum.reduceat(high, starts), 2)
         t, part = t[sides], part[sides]
-    breaks = np.flatnonzero(np.diff(part)) + 1
-    return (
-        np.insert(t, breaks, np.nan),
-        np.insert(low, breaks, np.nan),
-        np.insert(high, breaks, np.nan),
-    )
+    return broken(t, part), broken(low, part), broken(high, part)
+
+
+def broken(points: Array, part: NDArray[Any]) -> Array:
+    """Break a line of points (n,) or (n, k) by NaN wherever `part` (n,) changes."""
+    return np.insert(points, np.flatnonzero(part[1:] != part[:-1]) + 1, np.nan, axis=0)
 
 
 def pieces(x: Array) -> list[slice]:

@@ -86,20 +86,14 @@ def path(results: Results) -> charts.Path | None:
     what, number = np.array(charts.texts(table, "what")), charts.column(table, "number")
     if not np.isfinite(points).any():
         return None
-    arms = [points[(what == "arm") & (number == k)] for k in np.unique(number[what == "arm"])]
+    arm = what == "arm"
     eyes = charts.columns(cameras, (f"{a}_mm" for a in "xyz"))
     ahead = charts.columns(cameras, (f"axis_{a}" for a in "xyz"))
-    axes = [np.stack([eye, eye + AXIS_MM * way]) for eye, way in zip(eyes, ahead, strict=True)]
+    axes = np.stack([eyes, eyes + AXIS_MM * ahead], axis=1).reshape(-1, 3)
     lines = (
         (points[what == "flange"], "measured", "flange"),
-        (_join_with_gaps(arms), "muted", "arm"),
-        (_join_with_gaps(axes), "encoder", "cameras"),
+        (charts.broken(points[arm], number[arm]), "muted", "arm"),
+        (charts.broken(axes, np.repeat(np.arange(len(eyes)), 2)), "encoder", "cameras"),
     )
     every = np.concatenate([line for line, _, _ in lines])
     return charts.Path(lines, ("x [mm]", "y [mm]", "z [mm]"), charts.box(every, 1 + PATH_MARGIN))
-
-
-def _join_with_gaps(pieces: list[charts.Array]) -> charts.Array:
-    gap = np.full((1, 3), np.nan)
-    parts = [part for piece in pieces for part in (piece, gap)]
-    return np.concatenate(parts) if parts else gap

@@ -20,9 +20,12 @@ def conditions(results: Results) -> doc.Section:
     """Say what the measurement was made with, and by which rule it was judged."""
     setup, summary = results.setup, results.summary
     blocks: list[doc.Block] = []
-    blocks += _rig(setup.get("rig") or {})
-    blocks += _marker(setup.get("marker") or {})
-    blocks += _robot(setup.get("robot") or {})
+    for name, describe in (("rig", _rig), ("marker", _marker), ("robot", _robot)):
+        if setup.get(name):
+            blocks += describe(setup[name])
+        else:
+            text = f"The {name} is not described in these results."
+            blocks.append(doc.Paragraph(text, "note"))
     rule = summary.get("decision_rule") or DECISION_RULE
     blocks.append(doc.Facts(tuple(_provenance(summary, fmt.text_or_dash(rule)))))
     blocks += doc.provenance(summary)
@@ -78,8 +81,6 @@ def _source(source: Any) -> str:
 
 
 def _rig(rig: dict[str, Any]) -> list[doc.Block]:
-    if not rig:
-        return [doc.Paragraph("The rig is not described in these results.", "note")]
     base = (
         ("Robot base found", _source(rig.get("base_source"))),
         ("Robot base position", _vector(rig.get("base_position_mm"), 2, "mm")),
@@ -110,8 +111,6 @@ def _rig(rig: dict[str, Any]) -> list[doc.Block]:
 
 
 def _marker(marker: dict[str, Any]) -> list[doc.Block]:
-    if not marker:
-        return [doc.Paragraph("The marker is not described in these results.", "note")]
     if "point_mm" in marker:
         point = _vector(marker["point_mm"], 2, "mm")
         source = _source(marker.get("source"))
@@ -149,8 +148,6 @@ def _marker(marker: dict[str, Any]) -> list[doc.Block]:
 
 
 def _robot(robot: dict[str, Any]) -> list[doc.Block]:
-    if not robot:
-        return [doc.Paragraph("The robot is not described in these results.", "note")]
     facts = (
         ("Robot", fmt.text_or_dash(robot.get("name"))),
         ("Family", fmt.lookup_label({}, robot.get("family"))),

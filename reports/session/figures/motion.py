@@ -107,8 +107,7 @@ def flange_path(results: Results) -> charts.Path | None:
     kept, part = charts.split_at_gaps(charts.time_axis(frames)[0], points.sum(axis=1))
     stride = max(1, -(-len(kept) // charts.MAX_LINE_POINTS))
     kept, part = kept[::stride], part[::stride]
-    breaks = np.flatnonzero(np.diff(part)) + 1
-    points, error = (np.insert(a[kept], breaks, np.nan, axis=0) for a in (points, error))
+    points, error = (charts.broken(values[kept], part) for values in (points, error))
     limit = fmt.finite((results.summary.get("position") or {}).get("tolerance_mm"))
     lines = [
         (_up_to_the_next(points, inside), role, name)
