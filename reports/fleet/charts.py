@@ -20,6 +20,7 @@ from reports.document.charts import (
     Panel,
     Points,
     Ticks,
+    broken,
     column,
     strips,
 )
@@ -274,8 +275,7 @@ def _pieces(t: Array, values: Array, cuts: Indices) -> tuple[Array, Array]:
 
 def _error_bars(t: Array, low: Array, high: Array) -> Band:
     """Upright bars: pieces of one point, parted by NaN."""
-    gap = np.full(len(t), np.nan)
-    x, below, above = (np.stack([values, gap], axis=1).ravel() for values in (t, low, high))
+    x, below, above = (broken(values, np.arange(len(t))) for values in (t, low, high))
     return Band(x, below, above, "error_band", "± 2u")
 
 

@@ -214,20 +214,17 @@ NO_RELATIVE_MOTIONS = (
 )
 
 
-def relative_motions(results: Results) -> doc.Section:
+def relative_motions(results: Results) -> tuple[doc.Block, ...]:
     """Say whether relative motions agree, and which joint could have shown in them."""
     entry = results.summary.get("relative_motions")
     if not entry:
-        return doc.Section(
-            "relative", "Without any registration", (doc.Paragraph(NO_RELATIVE_MOTIONS, "note"),)
-        )
-    blocks: list[doc.Block] = [
+        return (doc.Paragraph(NO_RELATIVE_MOTIONS, "note"),)
+    return (
         doc.Paragraph(_test_text(entry)),
         doc.Paragraph(RELATIVE_NOTE),
         figure_block(results, "relative"),
         _table(entry),
-    ]
-    return doc.Section("relative", "Without any registration", tuple(blocks))
+    )
 
 
 def _test_text(entry: dict[str, Any]) -> str:

@@ -40,8 +40,8 @@ TABLE_NOTE = (
 
 def registration_free_tests(results: Results) -> doc.Section:
     """Lay out all tests that no registration enters: relative motions, then single joints."""
-    section = relative_motions(results)
-    return doc.Section(section.name, section.title, (*section.blocks, *_blocks(results)))
+    blocks = (*relative_motions(results), *_blocks(results))
+    return doc.Section("relative", "Without any registration", blocks)
 
 
 def _blocks(results: Results) -> tuple[doc.Block, ...]:
