@@ -33,6 +33,7 @@ SOURCES = ("jig", "measured", "motion")
 BODY_UNITS = np.array([MM] * 3 + [np.pi / 180] * 3)
 
 MIN_CORNERS = 3  # inner corners a side: fewer tell a tilt from nothing
+MIN_SIZE_MM = 1e-3  # no camera sees a smaller square or marker, and figures lose their digits
 MIN_SQUARE_MM = 1.0  # of a square: a smaller number was hardly meant in millimetres
 
 
@@ -246,8 +247,8 @@ def _format_size(pair: tuple[int, int]) -> str:
 def _check_sizes(path: Path, table: BoardTable) -> None:
     for key in ("square_mm", "marker_mm"):
         size = getattr(table, key)
-        if size is not None and not 0 < size < math.inf:  # an option may be nan
-            raise key_error(path, key, f"is {size}", "a size is positive")
+        if size is not None and not MIN_SIZE_MM <= size < math.inf:  # an option may be nan
+            raise key_error(path, key, f"is {size}", f"a size is {MIN_SIZE_MM:g} mm or more")
     not_negative(path, "square_standard_uncertainty_mm", table.square_standard_uncertainty_mm)
     if (table.markers is None) != (table.marker_mm is None):
         missing, given = ("marker_mm", "markers") if table.markers else ("markers", "marker_mm")

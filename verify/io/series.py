@@ -23,9 +23,10 @@ if TYPE_CHECKING:  # imported where a file is read: what measures live reads non
     import pandas as pd
 
 _PAIR_TIMES = ("t_left_s", "t_right_s")
-_PANS = ("pan_left_deg", "pan_right_deg")
+PAN_COLUMNS = ("pan_left_deg", "pan_right_deg")
 OTHER_UNITS = ("rad", "m", "ms", "us", "ns")  # that a column may be in by mistake
 MAX_NUMBER = 1e20  # in whatever unit; its square is finite
+MAX_PAN = 3600.0  # deg, as in rig.toml: no base turns by more than ten turns
 VISIT_PERIOD = 60.0  # s, of visits without times
 _JOINT = re.compile(r"q[1-9]\d*_deg")
 MAX_FAR_BEYOND = 4 * np.pi  # beyond the limits, in most rows: no count of turns, but another unit
@@ -83,8 +84,8 @@ def read_frames(
     table, warnings = open_table(Path(path), torn)
     timed = any(name in table.header for name in _PAIR_TIMES)
     required = ("frame", *_PAIR_TIMES) if timed else ("frame",)
-    turning = any(name in table.header for name in _PANS)  # one alone is refused
-    columns = table.columns((*required, *_PANS) if turning else required)
+    turning = any(name in table.header for name in PAN_COLUMNS)  # one alone is refused
+    columns = table.columns((*required, *PAN_COLUMNS) if turning else required)
     count = len(columns["frame"])
     table.require_counting(columns["frame"], "images")
     columns |= {} if timed else dict.fromkeys(_PAIR_TIMES, visit_times(count))
@@ -92,7 +93,7 @@ def read_frames(
         table.require_rising(name, columns[name])
     turned = [
         np.deg2rad(columns[name]) if turning else np.full(count, rest)
-        for name, rest in zip(_PANS, pan, strict=True)
+        for name, rest in zip(PAN_COLUMNS, pan, strict=True)
     ]
     return FrameSeries(*(columns[name] for name in _PAIR_TIMES), *turned, timed=timed), warnings
 
@@ -184,7 +185,7 @@ class CsvTable:
 
         Raises:
             InputError: a missing column, a row of another length, a cell that is no number or one
-                beyond MAX_NUMBER.
+                beyond MAX_NUMBER, of a base beyond MAX_PAN.
         """
         for name in names:
             if self.header.count(name) > 1:
@@ -202,17 +203,16 @@ class CsvTable:
                     remedy = f"Convert {alike[0]} to {unit}, and name it {name}."
                 raise InputError(f"{self.path}, line 1", f"has no column {name}", expected, remedy)
         places = {name: self.header.index(name) for name in names}
-        parsed = self._parsed_fast(places)
-        if parsed is None:
-            parsed = self._parsed_by_row(places)
+        parsed = self._parsed_fast(places) or self._parsed_by_row(places)
         if not len(parsed[names[0]]):
             remedy = "Record or export it again."
             raise InputError(self.path, "has no rows below its header", "", remedy)
         for name, values in parsed.items():
-            beyond = np.flatnonzero(np.abs(values) > MAX_NUMBER)
+            most = MAX_PAN if name in PAN_COLUMNS else MAX_NUMBER
+            beyond = np.flatnonzero(np.abs(values) > most)
             if len(beyond):
                 found = f"{name} is {values[beyond[0]]:g}"
-                raise self.fault(int(beyond[0]), found, f"at most {MAX_NUMBER:g} is plausible")
+                raise self.fault(int(beyond[0]), found, f"at most {most:g} is plausible")
         return parsed
 
     def require_counting(self, frame: Array, streams: str) -> None:

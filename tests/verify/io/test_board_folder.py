@@ -69,6 +69,11 @@ def test_pan_columns_are_read_with_times_and_without(folder: Path) -> None:
         assert [pair.pan_left for pair in boards.pairs()] == boards.pan_left.tolist()
 
 
+def test_a_pan_angle_of_many_turns_is_refused(folder: Path) -> None:
+    (folder / "frames.csv").write_text("frame,pan_left_deg,pan_right_deg\n0,1,1\n1,5e16,2\n2,3,3\n")
+    assert "line 3: pan_left_deg is 5e+16; at most 3600 is plausible" in refusal(folder)
+
+
 def test_names_are_sorted_as_people_count(tmp_path: Path) -> None:
     names = ["img2.png", "img10.png", "img1.png"]
     put(tmp_path / "left", names, LEFT)

@@ -165,6 +165,7 @@ def test_millimetres_become_metres(board_path: Path) -> None:
         ("inner_corners = [9, 7]", "inner_corners = [10, 8]\nsquares = [10, 8]", "one fewer"),
         ("inner_corners = [9, 7]", "inner_corners = [9, 2]", "at least 3 a side"),
         ("square_mm = 40.0", "square_mm = -40.0", "square_mm: is -40.0"),
+        ("square_mm = 40.0", "square_mm = 4e-8", "square_mm: is 4e-08; a size is 0.001 mm or more"),
         ("marker_mm = 30.0", "marker_mm = 40.0", "marker_mm: is 40.0; a marker fits into"),
         ("marker_mm = 30.0", "marker_mm = 0.0", "marker_mm: is 0.0"),
         ("marker_mm = 30.0", "", "marker_mm: is missing; markers is there"),

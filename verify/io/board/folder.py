@@ -13,13 +13,13 @@ from verify.errors import InputError, one_line
 from verify.io import fiducials, series
 from verify.io.board.pictures import PICTURE_SUFFIXES, PictureFiles, list_pictures, match_pictures
 from verify.io.files import digest, require_folder
+from verify.io.series import PAN_COLUMNS
 from verify.io.toml import did_you_mean
 from verify.io.video import Images, Video, decode_in_step
 
 VIDEO_SUFFIXES = {".mkv", ".avi", ".mp4", ".mov", ".webm", ".m4v"}
 EXPECTED_LAYOUT = "expected are left/ and right/ with pictures, or two videos left.* and right.*"
 
-PAN_COLUMNS = ("pan_left_deg", "pan_right_deg")
 MIN_PAN_SPAN = np.deg2rad(1.5)  # of a base that is turned on purpose; ± 45° read as radians
 
 Size = tuple[int, int]
