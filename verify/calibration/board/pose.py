@@ -14,6 +14,7 @@ from verify.analysis.least_squares import gauss_newton
 from verify.core.fiducials import Board, BoardPair, BoardView, Marker, unnamed_marker
 from verify.core.records import Array, Flags, Measurement, Pose, Sighting, rigid_transform
 from verify.core.rig import Rig
+from verify.errors import InputError
 from verify.measurement.pose import SightingStack, perturb, predict, stack_sightings
 from verify.measurement.systematics import Systematics, spot_columns
 from verify.measurement.triangulation import fit_rigid, triangulate
@@ -38,13 +39,15 @@ def board_poses(
 
     Returns one measurement a usable pair, by maximum likelihood on the corners of both images. With
     `parameters` single corners are left out that the others contradict, whatever those are off by
-    within their uncertainty. The robot's place is not used.
+    within their uncertainty. The robot's place is not used. InputError: no pose of the board comes
+    near the pictures by this rig.
     """
-    return [
-        _measure_pair(rig, pair, board, parameters)
-        for pair in pairs
-        if max(len(pair.left or ()), len(pair.right or ())) >= MIN_CORNERS
-    ]
+    shown = [p for p in pairs if max(len(p.left or ()), len(p.right or ())) >= MIN_CORNERS]
+    try:
+        return [_measure_pair(rig, pair, board, parameters) for pair in shown]
+    except np.linalg.LinAlgError as error:  # behind the cameras, or at infinity
+        found, remedy = "this rig cannot have taken them", "Give the rig.toml of these cameras."
+        raise InputError("pictures", found, "the board stands before both", remedy) from error
 
 
 def _measure_pair(

@@ -216,8 +216,7 @@ def _consensus(
 def _angles(one: Array, other: Array) -> Array:
     """Angle between every rotation of one (a) and of the other (b), (a, b), rad."""
     trace = np.einsum("aij,bij->ab", one[:, :3, :3], other[:, :3, :3])
-    angles: Array = np.arccos(np.clip((trace - 1) / 2, -1, 1))
-    return angles
+    return np.asarray(np.arccos(np.clip((trace - 1) / 2, -1, 1)))
 
 
 def start_state(

@@ -129,8 +129,7 @@ CHANGE_COLUMNS = [
 
 def point_rows(judged: JointAssessment) -> pd.DataFrame:
     """One row a session, as `POINT_COLUMNS` names them."""
-    series = judged.series
-    course = judged.course
+    series, course = judged.series, judged.course
     shift = np.full(len(series), np.nan)
     fitted = shift.copy()
     shift[judged.ordinary] = course.shift

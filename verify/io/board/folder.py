@@ -157,9 +157,7 @@ def _sides(folder: Path) -> tuple[Images, Images, tuple[tuple[str, Path], ...]]:
     if isinstance(left, PictureFiles) and isinstance(right, PictureFiles):
         left.files, right.files, alone = match_pictures(left.files, right.files)
     elif isinstance(left, PictureFiles) or isinstance(right, PictureFiles):
-        kinds = [
-            "pictures" if isinstance(side, PictureFiles) else "a video" for side in (left, right)
-        ]
+        kinds = ["pictures" if isinstance(s, PictureFiles) else "a video" for s in (left, right)]
         differ = f"has {kinds[0]} on the left and {kinds[1]} on the right"
         raise InputError(folder, differ, EXPECTED_LAYOUT, "Use one form for both.")
     return left, right, tuple(alone)

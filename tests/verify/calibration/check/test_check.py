@@ -118,6 +118,12 @@ def test_one_pair_of_a_board_suffices() -> None:
         assert not check_board(rig, board_pairs(true), board).holds, what
 
 
+def test_a_rig_that_looks_elsewhere_is_refused() -> None:
+    rig = make_rig()
+    with pytest.raises(InputError, match=r"cannot have taken them.*rig\.toml of these cameras"):
+        check_board(replace(rig, left=turned(rig.left, 0, 90.0)), board_pairs(rig, 3), BOARD)
+
+
 def test_the_board_s_squares_come_out_as_much_too_large_as_the_baseline() -> None:
     rig = make_rig()
     result = check_board(stretched(rig, 1.005), board_pairs(rig, 3), BOARD)
