@@ -93,16 +93,14 @@ def _latest_table(results: Results, entries: list[dict[str, Any]]) -> doc.Table:
         doc.Column(
             "Tolerance [°]", "r", lambda e: phrases.tolerance(e.get("latest_tolerance_deg"))
         ),
-        doc.Column("Verdict", "l", _latest_verdict),
+        doc.Column(
+            "Verdict", "l", lambda e: phrases.verdict_cell({"verdict": e.get("latest_verdict")})
+        ),
         doc.Column("Session", "l", lambda e: shorten(e.get("latest_session")), wide=True),
         doc.Column("Date", "l", doc.field("latest_started")),
         doc.Column("Sessions", "r", doc.field("sessions", fmt.count)),
     )
     return doc.tabulate("Mean error of each joint in its latest session, k = 2.", columns, entries)
-
-
-def _latest_verdict(one: dict[str, Any]) -> doc.Cell:
-    return phrases.verdict_cell({"verdict": one.get("latest_verdict")})
 
 
 def _state(one: dict[str, Any]) -> doc.Cell:
