@@ -60,7 +60,7 @@ def middle_pose(poses: Array) -> Array:
 
 
 def misplacement(
-    measured: Array, read: Array, *, of_base: bool, of_body: bool
+    measured: Array, read: Array, of_base: bool = True, of_body: bool = True
 ) -> tuple[Array, Array]:
     """Motions B and X (4, 4) of base and body by which poses (n, 4, 4) as measured are B read X.
 

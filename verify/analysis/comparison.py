@@ -7,7 +7,6 @@ angles of measured poses come from the inverse, the branch nearest the readings.
 """
 
 import contextlib
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import lru_cache
 
@@ -293,9 +292,6 @@ def twist_transport(shift: Array) -> Array:
     return carry
 
 
-Motion = Callable[[Array], Array]  # twists (n, 6, 6) of the flange at its poses (n, 4, 4)
-
-
 def base_motion(base_T_flange: Array) -> Array:
     """Twist (n, 6, 6) of the flange for a motion of what it stands on, base axes."""
     return twist_transport(base_T_flange[:, :3, 3])
@@ -306,6 +302,11 @@ def body_motion(base_T_flange: Array) -> Array:
     motion = np.zeros((len(base_T_flange), 6, 6))
     motion[:, :3, :3] = motion[:, 3:, 3:] = base_T_flange[:, :3, :3]
     return motion
+
+
+def placement_columns(base_T_flange: Array) -> Array:
+    """Twist (n, 6, 12) of the flange for both."""
+    return np.concatenate([base_motion(base_T_flange), body_motion(base_T_flange)], axis=2)
 
 
 def gross_errors(error: Array) -> Array:

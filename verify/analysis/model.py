@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.analysis.clock.estimate import ClockEstimate
-from verify.analysis.comparison import Comparison, JointComparison, base_motion, body_motion
+from verify.analysis.comparison import Comparison, JointComparison, placement_columns
 from verify.analysis.least_squares import Whitener, residual_products, whiten
 from verify.core.fiducials import Marker
 from verify.core.records import Array, Measurement
@@ -107,13 +107,13 @@ def build_model(
     base, body = rig.base_source == "motion", marker.source == "motion"
     hidden, fitted = jacobian, clock_columns
     if rig.absorption is not None and (base or body):
-        full = np.concatenate([base_motion(flange), body_motion(flange)], axis=2)
+        full = placement_columns(flange)
         carried = np.eye(12)  # base motion in rig axes, body motion in flange axes: to base axes
         carried[:3, :3] = carried[3:6, 3:6] = rig.rig_T_base[:3, :3].T
         hidden = jacobian - full @ carried @ rig.absorption
     elif base or body:
-        parts = [*([base_motion(flange)] * base), *([body_motion(flange)] * body)]
-        fitted = np.concatenate([clock_columns, *parts], axis=2)
+        moved = placement_columns(flange)[:, :, np.repeat([base, body], 6)]
+        fitted = np.concatenate([clock_columns, moved], axis=2)
     # of some joints a registration leaves nothing but rounding
     left, whole = (np.linalg.norm(white.rows(part), axis=0) for part in (hidden, jacobian))
     hidden = np.where(left > MIN_VISIBLE_SHARE * whole, hidden, 0.0)

@@ -1,24 +1,23 @@
 """A recorded session from pixels to results: measure, compare, estimate, present."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, replace
 
 import numpy as np
 import pandas as pd
 
 from robots import Arm
+from robots.transforms import misplacement, rotation_log
 from verify.analysis.clock.estimate import ClockEstimate, shown_offset, spread
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
     Comparison,
     JointComparison,
-    Motion,
     ReadingUncertainty,
-    base_motion,
-    body_motion,
     compare,
     gross_errors,
     inflate_covariance,
+    placement_columns,
     relinearise,
     solve_joints,
     without_weight,
@@ -27,7 +26,6 @@ from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
 from verify.analysis.diagnosis.faults import (
     about_turned_camera,
-    misplacement_twists,
     without_misplacement,
 )
 from verify.analysis.instrument import MeasuredSession
@@ -89,7 +87,7 @@ __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
 MIN_DISPLACED = np.deg2rad(0.5)  # an error of a joint: base or body may stand elsewhere instead
-DISPLACED = ((base_motion,), (body_motion,), (base_motion, body_motion))
+DISPLACED = ((True, False), (False, True), (True, True))  # base, LED body
 STEPS_DISPLACED = 3  # of Newton, to where they stand
 MIN_GAIN_DISPLACED = 2.0  # of chi-squared, about the place where they would stand
 MAX_MISFIT_DISPLACED = 2.0  # there: of a joint's step, more is left
@@ -285,17 +283,17 @@ def _tangent(compared: SessionComparison, built: ModelBuilder) -> Comparison:
     joints = solve_joints(start, arm) if late else compared.joints
     middle = _about_joint_errors(start, joints, arm, built)
     far = np.nanmax(np.abs(joints.error), initial=0.0) > MIN_DISPLACED
-    if far and _fit_offsets(built(middle), ())[1] > MAX_MISFIT_DISPLACED:
-        least = min(_fit_offsets(built(middle), motions)[0] for motions in DISPLACED)
-        for motions in DISPLACED:
-            twists = misplacement_twists(start, motions)
+    if far and _fit_offsets(built(middle), (False, False))[1] > MAX_MISFIT_DISPLACED:
+        least = min(_fit_offsets(built(middle), own)[0] for own in DISPLACED)
+        for own in DISPLACED:
+            moved = misplacement(start.base_T_measured, start.base_T_encoder, *own)
+            twists = np.stack([np.append(m[:3, 3], rotation_log(m[:3, :3])) for m in moved])
             for _ in range(STEPS_DISPLACED):
-                there = without_misplacement(start, motions, twists)
+                there = without_misplacement(start, twists)
                 tangent = _about_joint_errors(there, solve_joints(there, arm), arm, built)
-                taken = [motion(tangent.base_T_jacobian) for motion in motions]
-                xi = tangent.xi - np.concatenate(taken, axis=2) @ twists.ravel()
-                tangent = replace(tangent, xi=xi)
-                cost, misfit, twists = _fit_offsets(built(tangent), motions)
+                taken = placement_columns(tangent.base_T_jacobian) @ twists.ravel()
+                tangent = replace(tangent, xi=tangent.xi - taken)
+                cost, misfit, twists = _fit_offsets(built(tangent), own)
                 if cost < least - MIN_GAIN_DISPLACED and misfit < MAX_MISFIT_DISPLACED:
                     middle, least = tangent, cost
     return replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
@@ -316,17 +314,18 @@ def _about_joint_errors(
     return relinearise(start, arm, expected, gross)
 
 
-def _fit_offsets(model: JointErrorModel, motions: Sequence[Motion]) -> tuple[float, float, Array]:
-    """Fit a constant error of every joint and motions: cost, a degree's misfit, twists (m, 6).
+def _fit_offsets(model: JointErrorModel, free: tuple[bool, bool]) -> tuple[float, float, Array]:
+    """Fit joints' constant errors, base and body if `free`: cost, a degree's misfit, twists (2, 6).
 
     The cost is chi-squared and, for each unknown of a motion, twice what it gains by chance.
     """
-    moved = [model.white.rows(motion(model.comparison.base_T_jacobian)) for motion in motions]
-    free = np.concatenate([model.joints, model.fitted, *moved], axis=1)
-    fit = solve(free, model.xi, model.prior)
+    moved = model.white.rows(placement_columns(model.comparison.base_T_jacobian)) * np.repeat(
+        free, 6
+    )
+    fit = solve(np.concatenate([model.joints, model.fitted, moved], axis=1), model.xi, model.prior)
     # what moves the measured flange is less of an error, encoder less measured
-    twists = -fit.value[len(fit.value) - 6 * len(motions) :].reshape(-1, 6)
-    return fit.chi2 + 2 * twists.size, fit.chi2 / max(fit.degrees_of_freedom, 1), twists
+    twists = -fit.value[-12:].reshape(2, 6)
+    return fit.chi2 + 12 * sum(free), fit.chi2 / max(fit.degrees_of_freedom, 1), twists
 
 
 def zero_undetermined_columns(comparison: Comparison) -> Comparison:

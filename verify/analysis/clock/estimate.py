@@ -24,22 +24,8 @@ import numpy as np
 
 import robots
 from robots.transforms import invert, misplacement
-from verify.analysis.clock.search import (
-    COARSE_STEP,
-    MIN_OVERLAP,
-    MODEL_ERROR,
-    MOTION_LAG,
-    coarse_costs,
-    dips,
-)
-from verify.analysis.comparison import (
-    Comparison,
-    Motion,
-    base_motion,
-    body_motion,
-    compare,
-    gross_errors,
-)
+from verify.analysis.clock.search import COARSE_STEP, MIN_OVERLAP, MOTION_LAG, coarse_costs, dips
+from verify.analysis.comparison import Comparison, compare, gross_errors, placement_columns
 from verify.analysis.least_squares import autocorrelation, whiten
 from verify.core.readings import Readings
 from verify.core.records import Array, Index
@@ -66,7 +52,7 @@ MAX_STEP = 0.1  # s: readings are not linear over longer times
 MAX_TRAVEL = 0.5  # s, from a dip: what it leads to farther off is another one's
 # An offset that the motion shows no better than this is no offset: the arm moves 0.3° at 30°/s.
 MAX_UNCERTAINTY = 0.01  # s
-ANGLES_ALONE = (MODEL_ERROR[0], 1.0)  # m: distances do not count
+NO_PLACE = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # m²: a pose with which only its turn counts
 DOUBTFUL = 5e-4  # s, standard: the motion of usual sessions shows an offset better
 MIN_APART, MIN_APART_SIGMA = 2e-3, 5.0  # s, sigmas: of a given offset; nearer, first order does
 PARTS, MIN_PARTS = 4, 3  # of a session, where all of it shows no offset; that agree
@@ -123,10 +109,11 @@ def estimate_clock(
     known = found.standard_uncertainty or np.inf
     if found.source in ("none", "estimated") and known > DOUBTFUL:
         # an LED body elsewhere changes how far its place moves, and not by what angle
-        by_angle = coarse_costs(track, arm, readings, found.offset, MIN_OVERLAP, ANGLES_ALONE)
+        turns = replace(track, covariance_pixels=track.covariance_pixels + NO_PLACE)
+        by_angle = coarse_costs(turns, arm, readings, found.offset)
         at = by_angle[np.argmin(by_angle[:, 1]), 0] if len(by_angle) else found.offset
         there = _without_misplacement(track, arm, readings, at)
-        stood = _search(there, arm, readings, arrival, MIN_OVERLAP, (base_motion, body_motion))
+        stood = _search(there, arm, readings, arrival, MIN_OVERLAP, placed=False)
         if stood.source == "estimated" and (stood.standard_uncertainty or np.inf) < known:
             found = stood
     shared = readings.available(track.t - found.offset).mean()
@@ -142,9 +129,12 @@ def _search(
     readings: Readings,
     arrival: ArrivalClock | None,
     overlap: float,
-    motions: Sequence[Motion] = (),
+    placed: bool = True,
 ) -> ClockEstimate:
-    """The offset, beside `motions`, among those that give a share `overlap` of pairs a reading."""
+    """The offset among those that give a share `overlap` of the pairs a reading.
+
+    Unless base and LED body are `placed`, it is fitted beside small motions of both.
+    """
     guess = None if arrival is None else arrival.offset
     curve = coarse_costs(track, arm, readings, guess, overlap)
     open_clock = _unshown_offset(track, readings, curve, arrival)
@@ -163,7 +153,7 @@ def _search(
         return open_clock
     candidates = [_candidate(track, arm, readings, o, arrival) for o in starts]
     best, rivals = _choose(candidates)
-    fine = _refine(track, arm, readings, best, motions=motions)
+    fine = _refine(track, arm, readings, best, placed=placed)
     if fine is None or fine[1] > MAX_UNCERTAINTY:
         fine = _refine_by_parts(track, arm, readings, best)
     if fine is None or fine[1] > MAX_UNCERTAINTY:
@@ -179,7 +169,7 @@ def _without_misplacement(
     if not known.any():
         return track
     read = robots.forward(arm, readings.at((track.t - offset)[known]))
-    base, body = misplacement(track.base_T_flange[known], read, of_base=True, of_body=True)
+    base, body = misplacement(track.base_T_flange[known], read)
     return replace(track, base_T_flange=invert(base) @ track.base_T_flange @ invert(body))
 
 
@@ -344,9 +334,9 @@ def _refine(
     offset: float,
     earlier: Sequence[float] = (),
     tolerance: float = TOL_OFFSET,
-    motions: Sequence[Motion] = (),
+    placed: bool = True,
 ) -> tuple[float, float] | None:
-    """Newton on the offset with a constant error of every joint, and `motions`, fitted beside it.
+    """Newton on the offset with a constant error of every joint fitted beside it, as in `_search`.
 
     None where nothing shows it, where it goes far, and where it passes an offset that an `earlier`
     search started from: it would go on as that one did. A step back is at most half the one before.
@@ -356,7 +346,7 @@ def _refine(
         comparison = compare(track, arm, readings, offset)
         if len(comparison) < 3:
             return None
-        solved = _step(comparison, motions)
+        solved = _step(comparison, placed=placed)
         if solved is None:
             return None
         step, uncertainty = solved
@@ -387,13 +377,14 @@ def _refine_by_parts(
     return found, float(np.sqrt(max(misfit, 1.0) / weight.sum()))
 
 
-def _step(comparison: Comparison, motions: Sequence[Motion]) -> tuple[float, float] | None:
+def _step(comparison: Comparison, *, placed: bool) -> tuple[float, float] | None:
     """Correction of the offset and its standard uncertainty, or None where nothing shows it."""
     # a later clock reads the joints where they were earlier: d xi / d offset = - J rate
     effect = -np.einsum("nij,nj->ni", comparison.jacobian, comparison.rate)[:, :, None]
-    white, dof = whiten(comparison), comparison.jacobian.shape[2]
-    moved = [motion(comparison.base_T_jacobian) for motion in motions]
-    columns = np.concatenate([comparison.jacobian, *moved], axis=2)
+    white, columns, dof = whiten(comparison), comparison.jacobian, comparison.jacobian.shape[2]
+    if not placed:
+        moved = placement_columns(comparison.base_T_jacobian)
+        columns = np.concatenate([columns, moved], axis=2)
     rows, joints = white.rows(effect)[:, 0], white.rows(columns)
     xi = white.rows(comparison.xi[:, :, None])[:, 0]
     spanned, length, _ = np.linalg.svd(joints, full_matrices=False)

@@ -42,16 +42,14 @@ def coarse_costs(
     readings: Readings,
     guess: float | None = None,
     overlap: float = MIN_OVERLAP,
-    model_error: tuple[float, float] = MODEL_ERROR,
 ) -> Array:
     """Cost of the offsets that give a share `overlap` of pairs a reading, (m, 2): offset s, cost.
 
-    About `guess`, s, where there are more than MAX_OFFSETS to try. `model_error`: of a motion's
-    angle, rad, and distance, m.
+    About `guess`, s, where there are more than MAX_OFFSETS to try.
     """
     offsets = _offsets_to_try(track, readings, guess, overlap)
     if not are_visits(track.t) and not are_visits(readings.t):
-        curve = _costs_by_motion(track, arm, readings, offsets, overlap, model_error)
+        curve = _costs_by_motion(track, arm, readings, offsets, overlap)
         if len(curve):
             return curve
     return _costs_by_pose(track, arm, readings, offsets, overlap)
@@ -98,12 +96,7 @@ def _visit_offsets(t: Array, reading_t: Array, limits: tuple[float, float]) -> A
 
 
 def _costs_by_motion(
-    track: Track,
-    arm: robots.Arm,
-    readings: Readings,
-    offsets: Array,
-    overlap: float,
-    model_error: tuple[float, float],
+    track: Track, arm: robots.Arm, readings: Readings, offsets: Array, overlap: float
 ) -> Array:
     """The curve by relative motions; empty where too few poses are whole."""
     early, late = _motion_ends(track)
@@ -115,7 +108,7 @@ def _costs_by_motion(
         np.trace(track.covariance_pixels[:, block, block], axis1=1, axis2=2) / 3
         for block in (slice(3, 6), slice(0, 3))
     ]
-    variance = np.square(model_error) + np.stack([v[early] + v[late] for v in by_noise], axis=1)
+    variance = np.square(MODEL_ERROR) + np.stack([v[early] + v[late] for v in by_noise], axis=1)
     # by the search's step: the grid is never met exactly
     speed = sizes / np.maximum(track.t[late] - track.t[early], COARSE_STEP)[:, None]
     variance = variance + 2 * np.mean(speed**2, axis=0) * COARSE_STEP**2 / 12

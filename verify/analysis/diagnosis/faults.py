@@ -24,10 +24,9 @@ from functools import partial
 
 import numpy as np
 
-from robots.transforms import invert, misplacement, rotation_exp, rotation_log
+from robots.transforms import invert, rotation_exp
 from verify.analysis.comparison import (
     Comparison,
-    Motion,
     base_motion,
     body_motion,
     twist_difference,
@@ -313,27 +312,14 @@ def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
     return apart[:, :, None] + clock_effect(comparison, steady=True) / 2
 
 
-def misplacement_twists(comparison: Comparison, motions: Sequence[Motion]) -> Array:
-    """Twists (m, 6) of `motions`, of base, LED body or both, that most poses say."""
-    of_base, of_body = (motion in motions for motion in (base_motion, body_motion))
-    measured, read = comparison.base_T_measured, comparison.base_T_encoder
-    base, body = misplacement(measured, read, of_base=of_base, of_body=of_body)
-    moved = np.stack([base if motion is base_motion else body for motion in motions])
-    return np.concatenate([moved[:, :3, 3], rotation_log(moved[:, :3, :3])], axis=1)
+def without_misplacement(comparison: Comparison, twists: Array) -> Comparison:
+    """The comparison with base and LED body moved back by twists (2, 6), m and rad.
 
-
-def without_misplacement(
-    comparison: Comparison, motions: Sequence[Motion], twists: Array
-) -> Comparison:
-    """The comparison with base or LED body (`base_motion`, `body_motion`) moved by twists (m, 6).
-
-    A motion at a tangent times its twist is what that takes off xi: given back, it is linear at
-    any size.
+    `base_motion` and `body_motion` at a tangent, times these, are what that takes off xi: given
+    back, it is linear at any size.
     """
-    there = comparison.base_T_measured
-    for motion, twist in zip(motions, twists, strict=True):
-        back = invert(rigid_transform(rotation_exp(twist[3:]), twist[:3]))
-        there = back @ there if motion is base_motion else there @ back
+    base, body = (rigid_transform(rotation_exp(twist[3:]), twist[:3]) for twist in twists)
+    there = invert(base) @ comparison.base_T_measured @ invert(body)
     xi = twist_difference(comparison.base_T_encoder, there)
     return replace(comparison, base_T_measured=there, xi=xi)
 
