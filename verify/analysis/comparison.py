@@ -44,7 +44,8 @@ class Comparison:
     rate: Array  # (n, j), rad/s
     direction: Array  # (n, j), last direction of travel
     jacobian: Array  # (n, 6, j), carries joint errors to xi; see `relinearise`
-    base_T_jacobian: Array  # (n, 4, 4), the flange where the Jacobian is taken
+    q_jacobian: Array  # (n, j), rad, where the Jacobian is taken
+    base_T_jacobian: Array  # (n, 4, 4), the flange there
     base_T_encoder: Array  # (n, 4, 4), the flange where the readings put it
     base_T_measured: Array  # (n, 4, 4); directions that the LEDs leave open follow the readings
     xi: Array  # (n, 6), readings' pose less measured
@@ -135,6 +136,7 @@ def compare(
         rate=rate,
         direction=readings.direction(there),
         jacobian=jacobian,
+        q_jacobian=q,
         base_T_jacobian=encoder,
         base_T_encoder=encoder,
         base_T_measured=measured,
@@ -182,7 +184,8 @@ def relinearise(comparison: Comparison, arm: robots.Arm, error: Array, gross: Ar
     what joints are grossly off by, `gross` (n, j), it is taken at the truth, and xi is what J
     makes of that beside the rest.
     """
-    flange, jacobian = robots.forward_and_jacobian(arm, comparison.q - (error + gross) / 2)
+    middle = comparison.q - (error + gross) / 2
+    flange, jacobian = robots.forward_and_jacobian(arm, middle)
     xi = comparison.xi
     if gross.any():
         rest = robots.forward(arm, comparison.q - gross)
@@ -193,6 +196,7 @@ def relinearise(comparison: Comparison, arm: robots.Arm, error: Array, gross: Ar
     return replace(
         comparison,
         jacobian=jacobian,
+        q_jacobian=middle,
         base_T_jacobian=flange,
         xi=xi,
         covariance=comparison.covariance + moved,

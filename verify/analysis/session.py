@@ -92,6 +92,7 @@ STEPS_DISPLACED = 3  # of Newton, to where they stand
 MIN_GAIN_DISPLACED = 2.0  # of chi-squared, about the place where they would stand
 MAX_MISFIT_DISPLACED = 2.0  # there: of a joint's step, more is left
 MIN_FAR = np.deg2rad(0.25)  # of an error from the typical one: 1° off it may accuse a neighbour
+MIN_FAR_SIGMA = 5.0  # that a Jacobian does not move with the poses' noise
 MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
 MIN_MISFIT_TURNED = 10.0  # of the causes: a turned camera is tried though it is none of them
 MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
@@ -309,7 +310,8 @@ def _about_joint_errors(
         typical = np.where(known.any(axis=0), typical, first)
     # a step, readings that stand or a rough stretch leave some pairs far from what is typical
     rough = start.local_noise > 2 * start.reading_noise
-    far = known & (rough | (np.abs(error - typical) > MIN_FAR))
+    doubt = np.sqrt(np.diagonal(joints.covariance, axis1=1, axis2=2))
+    far = known & (rough | (np.abs(error - typical) > np.maximum(MIN_FAR, MIN_FAR_SIGMA * doubt)))
     expected, gross = np.where(far, error, typical), gross_errors(joints.error)
     return relinearise(start, arm, expected, gross)
 

@@ -30,7 +30,7 @@ MAX_PARALLEL_SINE = np.sin(np.deg2rad(10.0))  # below, two axes count as paralle
 
 def geometry_fault(model: JointErrorModel, arm: robots.Arm) -> Fault:
     """All links together; what the session's own registration takes in is left out."""
-    rows = model.white.rows(link_displacements(arm, model.comparison.q))
+    rows = model.white.rows(link_displacements(arm, model.comparison.q_jacobian))
     rows = rows / np.maximum(np.linalg.norm(rows, axis=0), 1e-300)
     taken = [model.fitted]
     if model.through_encoders:  # registered by another motion: as if it had been this one
@@ -85,7 +85,7 @@ def rotation_twist(axis: Array, lever: Array) -> Array:
 def link_faults(model: JointErrorModel, arm: robots.DhArm) -> list[Fault]:
     """One fault a link parameter; values are what has to be added to the robot file."""
     comparison = model.comparison
-    frames = robots.link_frames(arm, comparison.q)
+    frames = robots.link_frames(arm, comparison.q_jacobian)
     tip = frames[:, -1, :3, 3]
     parallel = np.append(np.abs(np.sin(arm.alpha[:-1])) < MAX_PARALLEL_SINE, False)
     effects: list[tuple[int, str, str, Array]] = []
