@@ -321,9 +321,8 @@ def _fit_offsets(model: JointErrorModel, free: tuple[bool, bool]) -> tuple[float
 
     The cost is chi-squared and, for each unknown of a motion, twice what it gains by chance.
     """
-    moved = model.white.rows(placement_columns(model.comparison.base_T_jacobian)) * np.repeat(
-        free, 6
-    )
+    flange = model.comparison.base_T_jacobian
+    moved = model.white.rows(placement_columns(flange)) * np.repeat(free, 6)
     fit = solve(np.concatenate([model.joints, model.fitted, moved], axis=1), model.xi, model.prior)
     # what moves the measured flange is less of an error, encoder less measured
     twists = -fit.value[-12:].reshape(2, 6)

@@ -12,13 +12,22 @@ from numpy.testing import assert_allclose
 from scipy.spatial.transform import Rotation
 
 import robots
-from tests.support.motions import ARM, GIVEN, HOME, PERIOD, compared_session, make_track, model_of
+from tests.support.motions import (
+    ARM,
+    GIVEN,
+    HOME,
+    PERIOD,
+    compared,
+    compared_session,
+    make_track,
+    model_of,
+)
 from tests.support.scene import make_marker, make_rig
-from verify.analysis.comparison import base_motion, body_motion, compare
+from verify.analysis.comparison import base_motion, body_motion, compare, relinearise
 from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, find_causes
-from verify.analysis.diagnosis.link_faults import link_displacements
+from verify.analysis.diagnosis.link_faults import link_displacements, link_faults
 from verify.analysis.joint_errors import ResolvedErrors, resolve_errors
 from verify.analysis.model import (
     visibility,
@@ -319,6 +328,20 @@ def test_displaced_links_span_what_a_dh_table_can_have_wrong(name: str) -> None:
     rows = np.concatenate([*columns, robots.jacobian(arm, q)], axis=2).reshape(360, -1)
     size = np.linalg.svd(rows / np.linalg.norm(rows, axis=0), compute_uv=False)
     assert int(np.sum(size > 1e-9 * size[0])) == 4 * arm.dof + 6
+
+
+def test_a_last_link_displaces_the_flange_as_the_led_body_does_wherever_that_is_linearised() -> (
+    None
+):
+    """Along and about its x axis: columns made elsewhere would tell the one from the other."""
+    track, comparison = compared(3)
+    step = np.where(np.arange(len(comparison)) % 2, 0.0, np.deg2rad(2.0))[:, None] * np.ones(6)
+    tangent = relinearise(comparison, ARM, step, 0 * step)
+    model = model_of(track, tangent, "fixture", "jig")
+    body = model.white.rows(body_motion(tangent.base_T_jacobian))
+    links = {f.parameter: f.columns[:, 0] for f in link_faults(model, ARM)}
+    for parameter, column in (("a6", 0), ("alpha6", 3), ("d6", 2)):
+        assert_allclose(np.abs(links[parameter]), np.abs(body[:, column]), atol=1e-6)
 
 
 @pytest.mark.parametrize("source", ["fixture", "motion"])
