@@ -126,13 +126,12 @@ def test_an_unknown_key_is_a_warning_that_names_it(session: Path, tmp_path: Path
     assert "describtion" in outcome.err
 
 
-def test_pictures_whose_times_are_exchanged_are_told_by_the_pairs_that_are_lost(
-    session: Path, tmp_path: Path
-) -> None:
+def test_pictures_whose_times_are_exchanged_are_named(session: Path, tmp_path: Path) -> None:
     edit("frames.csv", "t_left_s,t_right_s", "t_right_s,t_left_s")(session)
-    outcome = verify("run", session, "-o", tmp_path / "out")
-    assert outcome.status == 3
-    assert re.search(r"Only \d of 60 pairs were measured \(\d+ outlier\)", outcome.err)
+    refusal = verify("run", session, "-o", tmp_path / "out").refusal
+    assert "frames.csv: the pictures do not agree with it; t_left_s and t_right_s" in refusal
+    assert re.search(r"exchanged fits: \d+ of 16 pairs from frame \d+ on can be measured", refusal)
+    assert not (tmp_path / "out").exists()
 
 
 def test_an_output_folder_that_exists_is_refused_before_any_work(

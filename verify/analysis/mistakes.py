@@ -206,10 +206,11 @@ def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -
     there = np.convolve(lost, np.ones(size), "valid")
     first, fits, setup = int(np.argmax(there)), [], setup_of(session)
     read = list(islice(session.pairs(), first, first + size))  # once, as a film takes its time
-    if all(np.array_equal(pair.left, pair.right) and np.ptp(pair.left) for pair in read):
+    spots = {pair.frame: setup.detect(pair, None, None) for pair in read}
+    shown = any(len(left.centre) for left, _ in spots.values())
+    if shown and all(np.array_equal(pair.left, pair.right) for pair in read):
         found, remedy = "its pictures are those of the left camera", "Name its own in session.toml."
         raise InputError(session.right.path, found, "pictures of the right camera", remedy)
-    spots = {pair.frame: setup.detect(pair, None, None) for pair in read}
     setup = replace(setup, detect=lambda pair, *_: spots[pair.frame])
     turns = _base_turns(read, setup) if lost.mean() > 1 - MAX_LOST_SHARE else ()
     remedy = "Exchange the pictures of left and right in session.toml."
@@ -217,10 +218,9 @@ def refuse_misread_pans(session: Session, measurements: Sequence[Measurement]) -
     other_side = {"detect": lambda pair, *_: spots[pair.frame][::-1]}
     exchanged = session.left.path, "left and right exchanged", remedy, written, other_side
     for *named, mended, without in (*_picture_mistakes(session, written, turns), exchanged):
-        facts = mended[:, first : first + size].T.tolist()
         pairs = (
-            replace(pair, **dict(zip(PAIR_COLUMNS, own, strict=True)))
-            for pair, own in zip(read, facts, strict=True)
+            replace(pair, **dict(zip(PAIR_COLUMNS, mended[:, pair.frame].tolist(), strict=True)))
+            for pair in read
         )
         tried = measure(pairs, replace(setup, **without))
         fits.append((sum(m.status == "measured" for m in tried), named))
