@@ -24,10 +24,7 @@ from verify.analysis.comparison import (
 )
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
-from verify.analysis.diagnosis.faults import (
-    about_turned_camera,
-    without_misplacement,
-)
+from verify.analysis.diagnosis.faults import about_turned_camera, without_misplacement
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import JointErrors, ResolvedErrors, predict_errors, resolve_errors
 from verify.analysis.least_squares import autocorrelation, solve
@@ -406,7 +403,9 @@ def _results(found: SessionAnalysis) -> Results:
     tables = {
         "frames": frames_table(measured.measurements, found),
         "spots": spots_table(measured.measurements, session.marker),
-        "resolved": resolved_table(found),
+        "resolved": resolved_table(
+            found,
+        ),
         "relative": relative_table(found.relative, found.frame),
         "clock_curve": pd.DataFrame(clock.curve, columns=["offset_s", "cost"]),
         "budget": found.sources.lines,

@@ -25,12 +25,7 @@ from functools import partial
 import numpy as np
 
 from robots.transforms import invert, rotation_exp
-from verify.analysis.comparison import (
-    Comparison,
-    base_motion,
-    body_motion,
-    twist_difference,
-)
+from verify.analysis.comparison import Comparison, base_motion, body_motion, twist_difference
 from verify.analysis.least_squares import solve
 from verify.analysis.model import (
     MIN_SPEED_SIGMA,
