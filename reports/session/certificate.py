@@ -181,9 +181,11 @@ def _causes(summary: dict[str, Any]) -> doc.Facts:
 def _remedies(summary: dict[str, Any], entries: list[dict[str, Any]]) -> list[str]:
     """What to do: first about pictures that contradict the files, as causes may come from that."""
     found = []
-    led = (summary.get("pictures") or {}).get("displaced_led")
-    if led:
+    pictures = summary.get("pictures") or {}
+    if led := pictures.get("displaced_led"):
         found.append(f"measure the place of LED {led.get('name')} again")
+    elif pictures.get("led_shifts"):
+        found.append("measure the places of the LEDs again")
     elif contradiction_text(summary):
         found.append("find out why the pictures contradict rig.toml or marker.toml")
     found += [_remedy_of(entry, len(entries) > 1) for entry in entries]

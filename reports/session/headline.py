@@ -81,7 +81,7 @@ def _conform(results: Results) -> str:
     if not found:
         return (
             f"{sentence}."
-            if lost or _led_left_out(results.summary)
+            if lost or _led_remark(results.summary)
             else f"{sentence}; nothing needs to be done."
         )
     sure = [entry for entry in found if entry.get("kind") != "ambiguous"]
@@ -143,10 +143,19 @@ def contradiction_text(summary: dict[str, Any]) -> str:
     return "the pictures contradict rig.toml or marker.toml" * contradict
 
 
-def _led_left_out(summary: dict[str, Any]) -> dict[str, Any] | None:
-    """The LED that is not in its place, where no figure rests on it."""
-    led = (summary.get("pictures") or {}).get("displaced_led") or {}
-    return led if led.get("left_out") else None
+def _led_remark(summary: dict[str, Any]) -> str:
+    """Say that LEDs are not in their places, and no figure rests on those; empty: they are."""
+    pictures = summary.get("pictures") or {}
+    led = pictures.get("displaced_led") or {}
+    if led.get("left_out"):
+        return f"{_displaced_led_text(led)}: no figure rests on it."
+    if not (shifts := pictures.get("led_shifts")):
+        return ""
+    most = fmt.number(float(np.linalg.norm(shifts["shift_mm"], axis=1).max()), 2)
+    return (
+        f"The LEDs are up to {most} mm from where marker.toml puts them beside each other: all "
+        "figures rest on their places in the pictures."
+    )
 
 
 def _displaced_led_text(led: dict[str, Any]) -> str:
@@ -327,8 +336,8 @@ def _no_verdict(results: Results) -> str:
 def _remarks(results: Results, tone: str) -> list[str]:
     summary = results.summary
     remarks = list(filter(None, [lost_pairs_text(summary)]))
-    if led := _led_left_out(summary):
-        remarks.append(f"{_displaced_led_text(led)}: no figure rests on it.")
+    if remark := _led_remark(summary):
+        remarks.append(remark)
     if tone == "nonconform":
         failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
         if failing and not contradiction_text(summary):

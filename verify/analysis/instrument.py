@@ -15,7 +15,7 @@ from scipy.spatial.transform import Rotation
 import robots
 from robots.transforms import rigid_columns
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare, twist_transport
-from verify.analysis.rig_check.leds import DisplacedLed, PictureMisfit
+from verify.analysis.rig_check.leds import DisplacedLed, LedShifts, PictureMisfit
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
 from verify.core.records import POSE_NAMES, Array, Index, Measurement, Pose, rigid_transform
@@ -65,6 +65,7 @@ class MeasuredSession:
     repeated: frozenset[int] = frozenset()  # of these, those left out, as the readings move
     pictures: PictureMisfit | None = None  # how they agree with rig.toml and marker.toml
     displaced: DisplacedLed | None = None  # not in its place, and left out of all of these
+    shifts: LedShifts | None = None  # of all LEDs from marker.toml's places: not used for these
 
 
 def instrument_setup(session: Session, instrument: Instrument) -> dict[str, Any]:

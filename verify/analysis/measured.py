@@ -1,17 +1,14 @@
-"""Measure a session, through its pictures or by another instrument, and find its clock.
-
-One pair of pictures is kept with its LEDs marked, for the report.
-"""
+"""Measure a session, through its pictures or by another instrument, and find its clock."""
 
 from collections import Counter, deque
 from collections.abc import Callable, Container, Iterable, Iterator, Sequence, Set
 from dataclasses import replace
 from pathlib import Path
 
-import cv2
 import numpy as np
 
 import robots
+from robots.transforms import rigid_columns
 from verify.analysis.clock.estimate import (
     LEAST_OVERLAP,
     ClockEstimate,
@@ -25,22 +22,22 @@ from verify.analysis.instrument import (
     noise_from_scatter,
     stated_noise,
 )
+from verify.analysis.results.picture import draw_pair
 from verify.analysis.results.warnings import rig_moved
 from verify.analysis.rig_check.leds import (
     LED_ADVICE,
     MIN_LEDS,
     displacement_text,
+    led_shifts,
     picture_misfit,
+    shifts_text,
 )
 from verify.analysis.rig_check.tilt import TURN_NAMES, TiltedCamera
-from verify.core.fiducials import Marker
 from verify.core.readings import MAX_GAP, Readings
 from verify.core.records import (
     Array,
-    Image,
     Measurement,
     Progress,
-    Sighting,
     StereoPair,
     no_progress,
     same_picture,
@@ -52,68 +49,20 @@ from verify.measurement.chain import Setup
 from verify.measurement.systematics import Systematics, sensitivities, stated_systematics
 from verify.measurement.track import Track, collect_track
 
-WIDTH, HEIGHT = 720, 450  # px of one picture in the report
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}  # a second
 MIN_STEP_RATIO = 5.0  # from reading to reading, over that of the pairs: nobody logs so little
 MAX_UNREAD_SHARE = 0.1  # of the pairs, before and after the readings
 MIN_MOTION = np.deg2rad(0.3)  # of a joint, beyond which the clock's offset matters
-MARGIN = 0.35  # of the LEDs' extent, left around them
-MIN_SIDE = 160  # px of the original: less shows nothing but squares
-PNG_FLAGS = (
-    cv2.IMWRITE_PNG_FILTER,
-    cv2.IMWRITE_PNG_FILTER_NONE,
-    cv2.IMWRITE_PNG_STRATEGY,
-    cv2.IMWRITE_PNG_STRATEGY_RLE,
-)  # of a dark room: smaller too
-RING_COLOUR = (80, 200, 80)  # BGR
-TEXT_COLOUR = (60, 220, 255)
-MAX_NAME_LETTERS = 12  # of an LED, in a picture
 SAME_PAN = np.deg2rad(0.1)  # a base that stands there is read anew, not turned
 SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
 SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
 MAX_CANDIDATES = 200
 MAX_FRAMES_NAMED = 5
+PLACED_BY_HAND = 2e-3  # m, standard uncertainty of an LED's place, to find it from
+MAX_PLACE_ROUNDS = 6
+TOL_PLACE, MAX_SHIFT = 5e-5, 2e-2  # m, of one round
+MAX_SCALE = 0.7  # of what LEDs are off by: else it is the rig that measures all too long or short
 Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
-
-
-def draw_pair(pair: StereoPair, measurement: Measurement, marker: Marker) -> bytes:
-    """Left and right picture about the LEDs, with a ring and a name at each; PNG bytes."""
-    sides = [
-        _mark_leds(image, sighting, marker)
-        for image, sighting in ((pair.left, measurement.left), (pair.right, measurement.right))
-        if sighting is not None and len(sighting)
-    ]
-    return cv2.imencode(".png", np.concatenate(sides, axis=1), PNG_FLAGS)[1].tobytes()
-
-
-def _mark_leds(image: Image, sighting: Sighting, marker: Marker) -> Image:
-    left, top, width, height = _crop(sighting, image.shape[1], image.shape[0])
-    part = image[top : top + height, left : left + width]
-    scale = WIDTH / width
-    way = cv2.INTER_AREA if scale < 1 else cv2.INTER_LINEAR
-    view = cv2.resize(part, (WIDTH, HEIGHT), interpolation=way)
-    view = view if view.ndim == 3 else cv2.cvtColor(view, cv2.COLOR_GRAY2BGR)
-    centres = (sighting.centre - [left, top] + 0.5) * [scale, HEIGHT / height] - 0.5
-    for led, (x, y) in zip(sighting.led, np.rint(centres).astype(int).tolist(), strict=True):
-        cv2.circle(view, (x, y), round(9 * scale), RING_COLOUR, 1, cv2.LINE_AA)
-        # in the letters that OpenCV has; of a long one its ends, to cover no other
-        name = "".join(c if c.isascii() and c.isprintable() else "?" for c in marker.names[led])
-        name = name if len(name) <= MAX_NAME_LETTERS else f"{name[:5]}..{name[-5:]}"
-        there = (x + round(11 * scale), y - round(5 * scale))
-        cv2.putText(view, name, there, cv2.FONT_HERSHEY_SIMPLEX, 0.6, TEXT_COLOUR, 1, cv2.LINE_AA)
-    return np.asarray(view, dtype=np.uint8)
-
-
-def _crop(sighting: Sighting, width: int, height: int) -> tuple[int, int, int, int]:
-    """Left and top edge, width and height (px) of the part of the picture that is shown."""
-    low, high = sighting.centre.min(axis=0), sighting.centre.max(axis=0)
-    extent = np.maximum((high - low) * (1 + 2 * MARGIN), MIN_SIDE)
-    scale = float(min(WIDTH / extent[0], HEIGHT / extent[1]))
-    scale = max(scale, WIDTH / width, HEIGHT / height)
-    size = np.rint([WIDTH / scale, HEIGHT / scale])
-    corner = np.clip(np.rint((low + high - size) / 2), 0, [width, height] - size)
-    left, top, across, down = np.concatenate([corner, size]).astype(int).tolist()
-    return left, top, across, down
 
 
 def setup_of(session: Session) -> Setup:
@@ -189,6 +138,7 @@ def without_repeats(
         measurements=measurements,
         repeated=frozenset(repeated),
         displaced=measured.displaced,
+        shifts=measured.shifts,
     )
 
 
@@ -232,6 +182,51 @@ def without_displaced_led(
     )
     told = replace(fewer, warnings=(*session.warnings, warning))
     return told, replace(again, displaced=found.led)
+
+
+def with_measured_places(
+    session: Session, measured: MeasuredSession, chain: Chain
+) -> tuple[Session, MeasuredSession]:
+    """Measure again with LEDs that are not in their places where the pictures show them.
+
+    Beside each other, that is. As a whole they stand as the file has them, as well as places tell
+    that are so far off. The session returned has that marker, and a warning. As before where camera
+    or rig may have moved instead, or where the pictures contradict such places too.
+    """
+    found, marker = measured.pictures, session.marker
+    if found is not None and (found.tilted is not None or not found.contradicts):
+        return session, measured
+    leds = marker.leds
+    for _ in range(MAX_PLACE_ROUNDS):
+        there = replace(marker, leds=leds, led_standard_uncertainty=PLACED_BY_HAND)
+        seen = measure_pictures(replace(session, marker=there), no_progress, chain)
+        shown = led_shifts(seen.measurements, session.rig, there, measured.systematics)
+        if shown is None or np.abs(shown.shift).max() > MAX_SHIFT:
+            return session, measured
+        leds = leds + shown.shift
+        if np.abs(shown.shift).max() < TOL_PLACE:
+            break
+    else:
+        return session, measured
+    off, about = replace(shown, shift=leds - marker.leds), leds - leds.mean(axis=0)
+    size = np.sum(off.shift**2)
+    larger = np.sum(off.shift * about) ** 2 / np.sum(about**2)
+    # what so many numbers of a body's shape tell of the scatter of places; beyond, Student's t
+    variance = size / max(3 * len(marker) - 6 - 2, 1)
+    columns, stated = rigid_columns(leds).reshape(-1, 6), marker.body_standard_uncertainty
+    body = np.sqrt(variance * np.diag(np.linalg.inv(columns.T @ columns)))
+    placed = replace(
+        marker,
+        leds=leds,
+        led_standard_uncertainty=off.standard_uncertainty,
+        body_standard_uncertainty=body if stated is None else np.hypot(body, stated),
+    )
+    told = replace(session, marker=placed, warnings=(*session.warnings, shifts_text(off, marker)))
+    again = measure_pictures(told, no_progress, chain)
+    agrees = again.pictures is not None and again.pictures.agrees
+    if larger > MAX_SCALE * size or not agrees or len(again.track) < len(measured.track):
+        return session, measured
+    return told, replace(again, shifts=off)
 
 
 def measure_instrument(

@@ -37,6 +37,7 @@ from verify.analysis.measured import (
     session_clock,
     setup_of,
     with_gaps_named,
+    with_measured_places,
     with_repeats_named,
     with_shown_noise,
     without_displaced_led,
@@ -158,6 +159,7 @@ def measure_session(
         refuse_time_unit(session.folder, session.frames.t_left, readings.t)
         measured = measure_pictures(session, progress, chain)
         session, measured = without_displaced_led(session, measured, chain)
+        session, measured = with_measured_places(session, measured, chain)
         refuse_misread_pans(session, measured.measurements)
         if not len(measured.track):
             raise measurement_refusal(session, measured)

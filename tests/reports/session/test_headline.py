@@ -87,6 +87,14 @@ def test_an_led_that_is_left_out_makes_no_figure_doubtful_and_is_something_to_do
     assert any("LED B is seen 3.00 ± 0.20 mm from its place" in remark for remark in remarks)
 
 
+def test_leds_that_are_not_in_their_places_are_something_to_do() -> None:
+    shifts = {"shift_mm": [[0.3, 0.4, 0.0], [0.0, 0.1, 0.0]], "expanded_uncertainty_mm": 0.03}
+    pictures = {"contradict": False, "displaced_led": None, "led_shifts": shifts}
+    sound = headline(_with(made.conforming(), pictures=pictures))
+    assert "nothing needs to be done" not in sound.sentence
+    assert any("LEDs are up to 0.50 mm from where marker.toml" in r for r in sound.remarks)
+
+
 def test_where_many_pairs_fit_no_pose_that_is_said_before_any_cause() -> None:
     """Whatever is stated of the rig: without, summary.json has no `pictures`."""
     lost = {"recorded": 60, "measured": 22, "rejected": {"outlier": 38}}

@@ -1,4 +1,7 @@
-"""An LED that is not where marker.toml has it, in recorded pictures: it is named and left out."""
+"""LEDs that are not where marker.toml has them, in recorded pictures.
+
+One is named and left out; several are taken where the pictures show them.
+"""
 
 from dataclasses import replace
 from pathlib import Path
@@ -9,7 +12,8 @@ import pytest
 
 from verify.analysis.session import analyse
 from verify.calibration.kinematics.sessions import session_to_poses
-from verify.core.records import no_progress
+from verify.core.records import Array, no_progress
+from verify.errors import InputError
 from verify.io.session.session import Session, open_session
 
 SAMPLES = Path(__file__).parents[3] / "sample_sessions"
@@ -65,5 +69,85 @@ def test_of_two_displaced_leds_none_is_left_out() -> None:
     session = open_session(SAMPLES / "multi_joint_rv_3sd")
     both = with_leds_displaced(session, {"A": [0.0, 0.0, 1.0], "B": [0.0, 1.0, -1.0]})
     pictures = analyse(both).summary["pictures"]
-    assert pictures["contradict"]
+    assert pictures["led_shifts"]
     assert not (pictures["displaced_led"] or {}).get("left_out")
+
+
+def placed_by_hand(session: Session, seed: int, sigma_mm: float) -> Session:
+    """The session with a marker.toml whose every place was measured with that uncertainty."""
+    rng, marker = np.random.default_rng(seed), session.marker
+    leds = marker.leds + rng.normal(0, sigma_mm * 1e-3, marker.leds.shape)
+    return replace(session, marker=replace(marker, leds=leds))
+
+
+def distances(leds: Array) -> Array:
+    return np.linalg.norm(leds[:, None] - leds[None], axis=2)
+
+
+@pytest.mark.parametrize("sample", FAULT)
+@pytest.mark.parametrize("sigma_mm", [0.2, 0.5, 1.0])
+@pytest.mark.parametrize("seed", [21, 22])
+def test_leds_placed_by_hand_are_taken_where_the_pictures_show_them(
+    sample: str, sigma_mm: float, seed: int
+) -> None:
+    session = open_session(SAMPLES / sample)
+    sound = analyse(session)
+    wrong = placed_by_hand(session, seed, sigma_mm)
+    results = analyse(wrong)
+    summary = results.summary
+    assert summary["pairs"]["measured"] == sound.summary["pairs"]["measured"]
+    assert not summary["pictures"]["contradict"]
+    assert [cause["kind"] for cause in summary["diagnosis"]] == FAULT[sample]
+    assert any("not where marker.toml puts them" in warning for warning in summary["warnings"])
+    # the pictures know how far the LEDs are from each other; their places are drawn, with 0.02 mm
+    used = np.array([[led[f"{a}_mm"] for a in "xyz"] for led in results.setup["marker"]["leds"]])
+    true = session.marker.leds * 1e3
+    assert np.abs(distances(used) - distances(true)).max() < 0.1
+    shift = np.array(summary["pictures"]["led_shifts"]["shift_mm"])
+    assert used == pytest.approx(wrong.marker.leds * 1e3 + shift, abs=1e-9)
+    # the last joint turns with the body, whose place nothing shows; all others are as before
+    for one, other in zip(summary["joints"], sound.summary["joints"], strict=True):
+        off = abs(one["mean_error_deg"] - other["mean_error_deg"])
+        assert off < one["expanded_uncertainty_deg"] + other["expanded_uncertainty_deg"]
+    assert max(j["expanded_uncertainty_deg"] for j in summary["joints"][:-1]) < 0.1
+    assert summary["joints"][-1]["expanded_uncertainty_deg"] > 0.25 * sigma_mm
+
+
+def test_parameters_are_identified_with_leds_placed_by_hand_too() -> None:
+    session = open_session(SAMPLES / "multi_joint_fault_6r")
+    found = session_to_poses(placed_by_hand(session, 21, 0.5), no_progress)
+    used, true = found.session.marker.leds, session.marker.leds
+    assert np.abs(distances(used) - distances(true)).max() < 1e-4
+
+
+def test_three_leds_placed_by_hand_are_taken_where_the_pictures_show_them() -> None:
+    session = open_session(SAMPLES / "multi_joint_fault_6r")
+    three = replace(session, marker=session.marker.without("B"))
+    summary = analyse(placed_by_hand(three, 3, 0.5)).summary
+    assert summary["pictures"]["led_shifts"]
+    assert [cause["kind"] for cause in summary["diagnosis"]] == ["offset"]
+
+
+@pytest.mark.parametrize("sample", FAULT)
+@pytest.mark.parametrize("change", ["focal", "principal point", "pan zero", "body scale"])
+def test_what_the_rig_does_is_not_taken_for_places_of_leds(sample: str, change: str) -> None:
+    session = open_session(SAMPLES / sample)
+    rig, marker = session.rig, session.marker
+    matrix = rig.right.matrix.copy()
+    right = rig.right
+    if change == "focal":
+        matrix[[0, 1], [0, 1]] *= 1.01
+        right = replace(right, matrix=matrix)
+    elif change == "principal point":
+        matrix[1, 2] += 3.0
+        right = replace(right, matrix=matrix)
+    elif change == "pan zero":
+        right = replace(right, pan_zero=right.pan_zero + np.deg2rad(0.2))
+    else:
+        marker = replace(marker, leds=marker.leds * 1.01)
+    wrong = replace(session, rig=replace(rig, right=right), marker=marker)
+    try:
+        pictures = analyse(wrong).summary["pictures"]
+    except InputError:
+        return
+    assert pictures is None or pictures["led_shifts"] is None

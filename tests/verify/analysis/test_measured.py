@@ -9,15 +9,8 @@ import numpy as np
 import pytest
 
 from tests.support.simulated import HOME_DEG, InMemory, in_memory, sample, scene
-from verify.analysis.measured import (
-    HEIGHT,
-    RING_COLOUR,
-    WIDTH,
-    _remember_pairs,
-    draw_pair,
-    measure_pictures,
-    without_repeats,
-)
+from verify.analysis.measured import _remember_pairs, measure_pictures, without_repeats
+from verify.analysis.results.picture import HEIGHT, RING_COLOUR, WIDTH, draw_pair
 from verify.analysis.session import analyse
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings

@@ -162,7 +162,7 @@ def summarise(judged: SessionAnalysis) -> dict[str, Any]:
 
 
 def _pictures(measured: MeasuredSession) -> dict[str, Any] | None:
-    found, left_out = measured.pictures, measured.displaced
+    found, left_out, shifts = measured.pictures, measured.displaced, measured.shifts
     if found is None:
         return None
     led = left_out or found.led
@@ -181,6 +181,12 @@ def _pictures(measured: MeasuredSession) -> dict[str, Any] | None:
             "begin_s": finite_number(led.begin),
             "end_s": finite_number(led.end),
             "left_out": left_out is not None,
+        },
+        "led_shifts": None
+        if shifts is None
+        else {
+            "shift_mm": (shifts.shift * MILLIMETRE).tolist(),
+            "expanded_uncertainty_mm": finite_number(2 * shifts.standard_uncertainty * MILLIMETRE),
         },
     }
 

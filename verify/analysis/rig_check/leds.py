@@ -45,7 +45,7 @@ from verify.analysis.rig_check.tilt import (
     unlikelihood,
 )
 from verify.core.fiducials import Marker
-from verify.core.records import Array, Measurement
+from verify.core.records import Array, Index, Measurement
 from verify.core.rig import Rig
 from verify.measurement.pose import MODEL_ERROR_PX, fit_pose
 from verify.measurement.systematics import Systematics, pixel_sensitivities, spot_columns
@@ -94,6 +94,14 @@ class _LedFit:
 
 
 @dataclass(frozen=True, slots=True)
+class LedShifts:
+    """How far every LED is from where marker.toml puts it, beside the others."""
+
+    shift: Array  # (k, 3), m, flange axes; no motion of the whole body is part of it
+    standard_uncertainty: float  # m, of a coordinate
+
+
+@dataclass(frozen=True, slots=True)
 class PictureMisfit:
     """How well the pictures agree with the files: over all pairs, the first and the last fifth."""
 
@@ -129,17 +137,10 @@ def picture_misfit(
     Pairs that no pose explains count too, and so do spots that their pose rejects: a displaced LED
     is one of those. A few pairs far from the others, of a reflection, do not.
     """
-    posed: list[PosedPair] = [
-        (m, m.pose, m.left, m.right)
-        for m in measurements
-        if m.pose is not None and m.left is not None and m.right is not None
-        if len(m.left) and len(m.right)
-    ]
+    posed, parameters = _posed_pairs(measurements), _with_usual_rig(parameters)
     if len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS:
         return None
-    if "rig" in parameters.uncounted:
-        parameters = _with_usual_rig(parameters)
-    spread = np.linspace(0, len(posed) - 1, min(len(posed), MAX_PAIRS)).astype(int)
+    spread = _spread(posed)
     every = _products([posed[i] for i in spread], rig, marker, parameters)
     products = _without_strays(every)
     count = max(len(products.pairs) // PART, 1)
@@ -160,8 +161,43 @@ def picture_misfit(
     return replace(found, led=led)
 
 
+def led_shifts(
+    measurements: Sequence[Measurement], rig: Rig, marker: Marker, parameters: Systematics
+) -> LedShifts | None:
+    """How far all LEDs are from where `marker` puts them; None where too little shows anything.
+
+    `parameters` as of `picture_misfit`, of the LEDs' places too.
+    """
+    posed, parameters = _posed_pairs(measurements), _with_usual_rig(parameters)
+    if len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS:
+        return None
+    some = [posed[i] for i in _spread(posed)]
+    products = _without_strays(_products(some, rig, marker, parameters))
+    total = _beside_stated(products, len(marker), placed=True)
+    covariance = np.linalg.pinv(total[:-1, :-1], rcond=TOL_SHOWN, hermitian=True)
+    shift = covariance @ total[:-1, -1]
+    left = float(total[-1, -1] - shift @ total[:-1, -1]) / max(float(products.freedom.sum()), 1.0)
+    variance = float(np.abs(np.diag(covariance)).max()) * max(left, 1.0)
+    return LedShifts(shift.reshape(-1, 3), variance**0.5)
+
+
+def _posed_pairs(measurements: Sequence[Measurement]) -> list[PosedPair]:
+    return [
+        (m, m.pose, m.left, m.right)
+        for m in measurements
+        if m.pose is not None and m.left is not None and m.right is not None
+        if len(m.left) and len(m.right)
+    ]
+
+
+def _spread(posed: Sequence[PosedPair]) -> Index:
+    return np.linspace(0, len(posed) - 1, min(len(posed), MAX_PAIRS)).astype(int)
+
+
 def _with_usual_rig(parameters: Systematics) -> Systematics:
-    """The same with what calibrations usually leave of rigs whose uncertainty is not stated."""
+    """The same with what calibrations usually leave, of a rig whose uncertainty is not stated."""
+    if "rig" not in parameters.uncounted:
+        return parameters
     names = tuple(f"{side}.{key}" for side in ("left", "right") for key in USUAL_RIG)
     covariance = block_diag(parameters.covariance, np.diag([*USUAL_RIG.values()] * 2) ** 2)
     sources = (*parameters.sources, *["rig"] * len(names))
@@ -330,6 +366,18 @@ def displacement_text(led: DisplacedLed) -> str:
     return (
         f"LED {led.name} is seen {length:.2f} mm (U = {2 * u:.2f} mm; x {x:+.2f}, y {y:+.2f}, "
         f"z {z:+.2f} mm, flange axes) from its place in marker.toml{since}{until}"
+    )
+
+
+def shifts_text(shifts: LedShifts, marker: Marker) -> str:
+    """Say that the LEDs are not in their places in marker.toml, and what all figures rest on."""
+    far = zip(marker.names, np.linalg.norm(shifts.shift, axis=1).tolist(), strict=True)
+    return (
+        "The LEDs are not where marker.toml puts them beside each other: "
+        f"{', '.join(f'{name} {length * 1e3:.2f}' for name, length in far)} mm off (U = "
+        f"{2e3 * shifts.standard_uncertainty:.2f} mm a coordinate). All figures rest on the places "
+        "that the pictures show. Where they stand as a body no picture shows: that is taken to be "
+        "as uncertain as places are that are so far off. Measure them again."
     )
 
 

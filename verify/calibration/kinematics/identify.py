@@ -8,9 +8,14 @@ first: noise and outlying rows are what it leaves. The model that predicts held-
 chosen.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 
+import numpy as np
+
+from verify.analysis.uncertainty.sources import UnstatedEffect
 from verify.calibration.kinematics.chain import (
+    AXES,
     ArmState,
     KinematicChain,
     Parameter,
@@ -23,6 +28,8 @@ from verify.calibration.kinematics.fit import (
     fit_parameters,
     information,
     pose_residuals,
+    scaled_columns,
+    tolerances,
 )
 from verify.calibration.kinematics.identifiability import (
     Identifiability,
@@ -31,7 +38,7 @@ from verify.calibration.kinematics.identifiability import (
     observability_indices,
     unsupported,
 )
-from verify.calibration.kinematics.model import start_state
+from verify.calibration.kinematics.model import predict_with_jacobian, start_state
 from verify.calibration.kinematics.noise import initial_scale
 from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.validation import (
@@ -41,8 +48,9 @@ from verify.calibration.kinematics.validation import (
     hold_out,
     with_scatter,
 )
-from verify.core.records import Array
+from verify.core.records import Array, take_rows
 
+SCALE, LENGTH, ANGLE = 1e-3, 1e-3, float(np.radians(0.1))  # share, m, rad: what is asked after
 LEVELS = ("registration", "offsets", "geometry")
 MIN_PRIOR_SHARE = 0.5  # of a prior's standard deviation: what is left of it where poses say little
 MIN_NUMBERS_PER_PARAMETER = 1.5  # measured: with fewer, residuals do not judge a model
@@ -196,3 +204,47 @@ def _fitted(support: Identifiability) -> tuple[Parameter, ...]:
     """
     shared = [h.parameter for h in support.held if any(not p.axis for p, _ in h.confounded_with)]
     return (*support.supported, *shared)
+
+
+def unstated_effects(
+    fit: KinematicFit, poses: IdentificationPoses, scales: Iterable[str], held: dict[str, str]
+) -> list[UnstatedEffect]:
+    """What errors of 0.1 %, 1 mm or 0.1° would do to the offsets of the chosen model's fit.
+
+    `scales` are sources of an unknown scale of all positions; `held` sources by "base" or "tool",
+    where that is held as if exact.
+
+        δp = (D'D + σ⁻²)⁻¹ D' W c
+
+    with c (n, 6) the change that a scale off by 0.1 %, or a held base or target off by 1 mm or
+    0.1°, makes to the measured poses.
+    """
+    offsets = [k for k, p in enumerate(fit.parameters) if p.kind == "correction"]
+    if not offsets:
+        return []
+    rows = take_rows(poses, fit.used)
+    white = fit.scale.of(rows)
+    _, columns = scaled_columns(fit.state, rows, fit.parameters)
+    design = (white @ np.concatenate([columns, rows.nuisance], axis=2)).reshape(6 * len(rows), -1)
+    weight = np.ones(design.shape[1])
+    weight[: len(fit.parameters)] = [(p.tolerance / p.prior) ** 2 for p in fit.parameters]
+    normal = design.T @ design + np.diag(weight)
+
+    def moved(change: Array) -> tuple[int, float]:
+        found = np.linalg.solve(normal, design.T @ (white @ change).reshape(6 * len(rows), -1))
+        angles = np.abs(found[offsets] * tolerances(fit.parameters)[offsets, None]).max(axis=1)
+        worst = int(np.argmax(angles))
+        return fit.parameters[offsets[worst]].place, float(angles[worst])
+
+    effects = []
+    for source in scales:
+        change = np.zeros((len(rows), 6, 1))
+        places = rows.world_T_target[:, :3, 3]
+        change[:, :3, 0] = SCALE * (places - places.mean(axis=0))
+        effects.append(UnstatedEffect(source, "0.1 % of scale", *moved(change)))
+    for kind, source in held.items():
+        for error, size, axes in (("1 mm", LENGTH, AXES[:3]), ("0.1°", ANGLE, AXES[3:])):
+            moves = tuple(Parameter(kind, 0, axis) for axis in axes)
+            change = predict_with_jacobian(fit.state, rows.q, rows.base, rows.tool, moves)[1]
+            effects.append(UnstatedEffect(source, error, *moved(size * change)))
+    return effects

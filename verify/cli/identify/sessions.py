@@ -12,7 +12,6 @@ from verify.analysis.instrument import BODY_SOURCE, CALIBRATION_SOURCE
 from verify.calibration.kinematics import results
 from verify.calibration.kinematics import sessions as arm_sessions
 from verify.calibration.kinematics.chain import chain_of
-from verify.calibration.kinematics.doubts import unstated_effects
 from verify.calibration.kinematics.fit import pose_residuals
 from verify.calibration.kinematics.identify import (
     LEVELS,
@@ -20,6 +19,7 @@ from verify.calibration.kinematics.identify import (
     IdentificationResult,
     identify_arm,
     register,
+    unstated_effects,
 )
 from verify.calibration.kinematics.mistakes import refuse_mistaken_readings, refuse_unfit
 from verify.calibration.kinematics.placements import session_files

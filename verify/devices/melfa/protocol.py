@@ -7,8 +7,10 @@ An answer ends with CR, CR LF or NUL, or after a silence where the controller se
 """
 
 import re
+import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import ClassVar, Final
 
@@ -28,48 +30,12 @@ READ_COMMANDS: Final = MappingProxyType(
         "ERRORMES": "[0-9]{4,5}",
     }
 )
-# number -> meaning, from the makers' lists for CRn-500 (the two that both print agree)
+# number -> meaning
 ERROR_MEANINGS: Final[Mapping[int, str]] = {
-    40: "door switch",
-    50: "emergency stop: external",
-    60: "emergency stop: panel",
-    70: "emergency stop: pendant",
-    2000: "the servo is off",
-    2140: "outside a joint limit",
-    2600: "the current point is out of reach",
-    2601: "the start point is out of reach",
-    2602: "the target point is out of reach",
-    2603: "the via point is out of reach",
-    2802: "the target is not valid",
-    3110: "argument out of range",
-    3810: "argument of another type",
-    4140: "the program is missing",
-    4160: "that is no robot program",
-    4210: "line too long",
-    4220: "syntax error",
-    4340: "unknown variable",
-    5000: "the pendant is enabled (key)",
-    5010: "automatic operation is not allowed",
-    5100: "no program is selected",
-    5130: "the servo cannot be switched on now",
-    5150: "the origin is not set",
-    5600: "refused during an alarm",
-    5610: "the stop input is active",
-    5630: "the servo-off input is active",
-    5640: "refused while running",
-    5650: "refused while stopping",
-    5990: "unknown command",
-    6010: "unknown command, or too early",
-    6020: "no operation right",
-    6030: "no edit right",
-    6080: "message too long",
-    6130: "network fault",
-    6500: "the line is not opened",
-    6510: "RS-232 parameter",
-    7810: "Ethernet parameter",
-    7820: "real-time control was silent too long",
-    7830: "the Ethernet function is absent or off",
-    7840: "real-time control got bad data",
+    int(number): meaning
+    for number, meaning in tomllib.loads(
+        Path(__file__).with_name("errors.toml").read_text(encoding="utf-8")
+    ).items()
 }
 PROCEDURAL = re.compile(rb"^[\x02\x05\x06\x15]")  # STX, ENQ, ACK, NAK: the other kind of RS-232
 

@@ -9,7 +9,7 @@ import numpy as np
 from verify.core.records import SIDES
 from verify.io import fiducials, rig, toml
 from verify.simulation.boards.simulate import SimulatedBoards
-from verify.simulation.session.folder import write_csv, write_pngs
+from verify.simulation.session.folder import fill_template, write_csv, write_pngs
 
 PAIR_INTERVAL_S = 4.0  # between two pairs: time to hold the board elsewhere
 
@@ -57,8 +57,7 @@ def _write_fixture(boards: SimulatedBoards, path: Path) -> None:
 
 def _readme(boards: SimulatedBoards) -> str:
     """Describe what the folder shows, what is true and how the pictures came about."""
-    scenario, image = boards.scenario, boards.scenario.image
-    board = boards.board
+    scenario = boards.scenario
     pans = np.degrees(boards.pan)
     turned = "stand still"
     if np.ptp(pans, axis=0).any():
@@ -66,35 +65,6 @@ def _readme(boards: SimulatedBoards) -> str:
             f"{low:g} to {high:g} deg" for low, high in zip(pans.min(0), pans.max(0), strict=True)
         ]
         turned = f"are turned from pair to pair: left {spans[0]}, right {spans[1]}"
-    return f"""# {scenario.description or "Board pictures"}
-
-Simulated board pictures (seed {scenario.seed}), made by `verify simulate`.
-
-{len(boards)} pairs of a chessboard of {board.columns} x {board.rows} inner corners of \
-{1000 * board.square:g} mm. The cameras stand {scenario.rig.baseline_mm:g} mm apart; their bases \
-{turned}. Both cameras see the whole board in every pair.
-
-## Truth
-
-`rig_true.toml` is the rig, `board_poses.csv` holds rig_T_board of each pair: rotation vector, \
-rad, and position, mm. No calibration reads either.
-{_readings(boards)}{_fixture(boards)}
-## Pictures
-
-Rays through the exact lens onto the board; lamp, lens blur of {image.blur_px:g} px (standard \
-deviation), shot noise ({image.electrons_per_dn:g} electrons per DN), read noise \
-({image.read_noise_dn:g} DN), rounded to 0 … 255. Pixel centres at whole numbers.
-"""
-
-
-def _readings(boards: SimulatedBoards) -> str:
-    u = boards.scenario.bases.standard_uncertainty_deg
-    if not u:
-        return "The pan angles in frames.csv are exact.\n"
-    return f"The true pan angles lie off those in frames.csv by {u:g} deg (standard deviation).\n"
-
-
-def _fixture(boards: SimulatedBoards) -> str:
-    if boards.scenario.fixture is None:
-        return ""
-    return "The board stands still on the robot's base, where `board_in_base.toml` says.\n"
+    return fill_template(
+        "boards.md", boards=boards, scenario=scenario, image=scenario.image, turned=turned
+    )

@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import cv2
+import jinja2
 import msgspec
 import numpy as np
 
@@ -16,84 +17,33 @@ from verify.io.board.pictures import PICTURE_SUFFIXES
 from verify.io.encoding import write_video
 from verify.io.session.folder import copy_robot
 from verify.io.video import picture_name
-from verify.simulation.scenario import ScenarioFault, ScenarioUncertainty
 from verify.simulation.session.simulate import SimulatedSession
+
+TEMPLATES = Path(__file__).parents[1] / "templates"
 
 
 def readme(session: SimulatedSession) -> str:
     """Write the session's README.md: what it shows, what is true, how the pictures came about."""
-    scenario, image = session.scenario, session.scenario.image
-    spans = ", ".join(f"{span:.1f}" for span in np.degrees(np.ptp(session.truth, axis=0)))
+    scenario = session.scenario
     distance = np.linalg.norm(session.world.led_points(session.t[:, 0]), axis=-1)
-    bases = "follow the LEDs" if scenario.rig.bases == "follow" else "stand still"
-    return f"""# {scenario.description or session.world.arm.name}
-
-A simulated session ({session.world.arm.name}, seed {scenario.seed}), made by `verify simulate`.
-
-{len(session)} pairs at {scenario.recording.rate_hz:g} per second; motion: \
-{scenario.motion.__struct_config__.tag}, joint spans {spans} deg. {len(scenario.marker.led)} LEDs, \
-{distance.min():.2f} to {distance.max():.2f} m from the rig. The cameras stand \
-{scenario.rig.baseline_mm:g} mm apart; their bases {bases}. The right camera fires \
-{1000 * scenario.recording.skew_s:g} ms after the left, with \
-{1000 * scenario.recording.skew_jitter_s:g} ms of jitter (both times stand in frames.csv).
-
-## Truth
-
-{_faults(scenario.fault)}
-{_clock(session)}
-Encoders: {scenario.encoders.rate_hz:g} Hz, noise {scenario.encoders.noise_deg:g} deg, \
-resolution {scenario.encoders.resolution_deg:g} deg.
-{_belief(scenario.uncertainty)}
-`truth.csv` holds the joints at each pair's left time; no measurement reads it.
-
-## Pictures
-
-LEDs are evenly bright discs of {scenario.marker.led_diameter_mm:g} mm that face the camera, \
-blurred by {image.blur_px:g} px (standard deviation). A pixel is its light, shot noise \
-({image.electrons_per_dn:g} electrons per DN), read noise ({image.read_noise_dn:g} DN) and a black \
-level of {image.black_level_dn:g} DN, rounded to 0 … 255.
-"""
-
-
-def _faults(faults: list[ScenarioFault]) -> str:
-    if not faults:
-        return "No encoder is at fault."
-    lines = []
-    for fault in faults:
-        parts = {
-            f"offset {fault.offset_deg:+g} deg": fault.offset_deg,
-            f"gain {fault.gain:+g}": fault.gain,
-            f"backlash {fault.backlash_deg:+g} deg": fault.backlash_deg,
-            f"eccentricity {fault.eccentricity_deg:g} deg, phase {fault.phase_deg:g} deg, "
-            f"{fault.per_turn} per turn": fault.eccentricity_deg,
-            f"step {fault.step_deg:g} deg at {fault.step_t_s:g} s": fault.step_deg,
-        }
-        present = "; ".join(text for text, size in parts.items() if size)
-        lines.append(f"The encoder of joint {fault.joint} is at fault: {present}.")
-    return "\n".join(lines)
-
-
-def _clock(session: SimulatedSession) -> str:
-    encoders = session.scenario.encoders
-    stated = "does not say so" if session.clock_offset is None else "says so"
-    if session.clock_offset is not None and session.clock_offset != encoders.clock_offset_s:
-        stated = f"says {session.clock_offset:.6f} s"
-    drift = f", growing by {encoders.clock_drift_ppm:g} ppm" if encoders.clock_drift_ppm else ""
-    return (
-        f"Add {encoders.clock_offset_s:g} s{drift} to the encoders' time to get the cameras'; "
-        f"`session.toml` {stated}."
+    return fill_template(
+        "session.md",
+        session=session,
+        scenario=scenario,
+        encoders=scenario.encoders,
+        image=scenario.image,
+        arm=session.world.arm.name,
+        motion=scenario.motion.__struct_config__.tag,
+        spans=", ".join(f"{span:.1f}" for span in np.degrees(np.ptp(session.truth, axis=0))),
+        distances=f"{distance.min():.2f} to {distance.max():.2f}",
     )
 
 
-def _belief(stated: ScenarioUncertainty | None) -> str:
-    if stated is None:
-        return "`rig.toml` and `marker.toml` are exact and state no uncertainty."
-    if not stated.draw:
-        return "`rig.toml` and `marker.toml` are exact, and state uncertainties all the same."
-    return (
-        "The true cameras, base and LEDs lie off what `rig.toml` and `marker.toml` say, by one "
-        "draw from the standard uncertainties that these state."
-    )
+def fill_template(name: str, **facts: object) -> str:
+    """Fill in a text of `templates`; a backslash at the end of a line joins it with the next."""
+    text = (TEMPLATES / name).read_text(encoding="utf-8").replace("\\\n", "")
+    filled = jinja2.Template(text, undefined=jinja2.StrictUndefined, trim_blocks=True)
+    return f"{filled.render(facts)}\n"
 
 
 START_TIME = datetime(2026, 1, 15, 9, 0, tzinfo=UTC)  # any: a fixed one keeps bytes the same
