@@ -58,7 +58,8 @@ SEARCH_SPAN = 2.0  # s about a pair, for readings whose clock is not known yet
 SEARCH_STEP = 0.05  # s: arms turn a degree or two in it, branches and LEDs lie further apart
 MAX_CANDIDATES = 200
 MAX_FRAMES_NAMED = 5
-PLACED_BY_HAND = 2e-3  # m, standard uncertainty of an LED's place, to find it from
+ROUGHLY_PLACED = 2e-4  # m, standard uncertainty of an LED's place: pictures show it better
+PLACED_BY_HAND = 2e-3  # m, to find it from
 MAX_PLACE_ROUNDS = 6
 TOL_PLACE, MAX_SHIFT = 5e-5, 2e-2  # m, of one round
 MAX_SCALE = 0.7  # of what LEDs are off by: else it is the rig that measures all too long or short
@@ -194,13 +195,17 @@ def with_measured_places(
     or rig may have moved instead, or where the pictures contradict such places too.
     """
     found, marker = measured.pictures, session.marker
-    if found is not None and (found.tilted is not None or not found.contradicts):
+    stated = marker.led_standard_uncertainty or 0.0
+    sound = found is not None and not found.contradicts and stated < ROUGHLY_PLACED
+    if sound or (found is not None and found.tilted is not None):
         return session, measured
+    free = replace(marker, led_standard_uncertainty=None)
+    known = stated_systematics(session.rig, free, _turned(session))
     leds = marker.leds
     for _ in range(MAX_PLACE_ROUNDS):
         there = replace(marker, leds=leds, led_standard_uncertainty=PLACED_BY_HAND)
         seen = measure_pictures(replace(session, marker=there), no_progress, chain)
-        shown = led_shifts(seen.measurements, session.rig, there, measured.systematics)
+        shown = led_shifts(seen.measurements, session.rig, there, known)
         if shown is None or np.abs(shown.shift).max() > MAX_SHIFT:
             return session, measured
         leds = leds + shown.shift
@@ -212,14 +217,14 @@ def with_measured_places(
     size = np.sum(off.shift**2)
     larger = np.sum(off.shift * about) ** 2 / np.sum(about**2)
     # what so many numbers of a body's shape tell of the scatter of places; beyond, Student's t
-    variance = size / max(3 * len(marker) - 6 - 2, 1)
-    columns, stated = rigid_columns(leds).reshape(-1, 6), marker.body_standard_uncertainty
+    variance = max(size / max(3 * len(marker) - 6 - 2, 1), stated**2)
+    columns, before = rigid_columns(leds).reshape(-1, 6), marker.body_standard_uncertainty
     body = np.sqrt(variance * np.diag(np.linalg.inv(columns.T @ columns)))
     placed = replace(
         marker,
         leds=leds,
         led_standard_uncertainty=off.standard_uncertainty,
-        body_standard_uncertainty=body if stated is None else np.hypot(body, stated),
+        body_standard_uncertainty=body if before is None else np.hypot(body, before),
     )
     told = replace(session, marker=placed, warnings=(*session.warnings, shifts_text(off, marker)))
     again = measure_pictures(told, no_progress, chain)

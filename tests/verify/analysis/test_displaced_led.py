@@ -73,11 +73,12 @@ def test_of_two_displaced_leds_none_is_left_out() -> None:
     assert not (pictures["displaced_led"] or {}).get("left_out")
 
 
-def placed_by_hand(session: Session, seed: int, sigma_mm: float) -> Session:
+def placed_by_hand(session: Session, seed: int, sigma_mm: float, stated: bool = False) -> Session:
     """The session with a marker.toml whose every place was measured with that uncertainty."""
     rng, marker = np.random.default_rng(seed), session.marker
     leds = marker.leds + rng.normal(0, sigma_mm * 1e-3, marker.leds.shape)
-    return replace(session, marker=replace(marker, leds=leds))
+    u = sigma_mm * 1e-3 if stated else marker.led_standard_uncertainty
+    return replace(session, marker=replace(marker, leds=leds, led_standard_uncertainty=u))
 
 
 def distances(leds: Array) -> Array:
@@ -86,13 +87,13 @@ def distances(leds: Array) -> Array:
 
 @pytest.mark.parametrize("sample", FAULT)
 @pytest.mark.parametrize("sigma_mm", [0.2, 0.5, 1.0])
-@pytest.mark.parametrize("seed", [21, 22])
+@pytest.mark.parametrize(("seed", "stated"), [(21, False), (22, False), (23, True)])
 def test_leds_placed_by_hand_are_taken_where_the_pictures_show_them(
-    sample: str, sigma_mm: float, seed: int
+    sample: str, sigma_mm: float, seed: int, stated: bool
 ) -> None:
     session = open_session(SAMPLES / sample)
     sound = analyse(session)
-    wrong = placed_by_hand(session, seed, sigma_mm)
+    wrong = placed_by_hand(session, seed, sigma_mm, stated)
     results = analyse(wrong)
     summary = results.summary
     assert summary["pairs"]["measured"] == sound.summary["pairs"]["measured"]
