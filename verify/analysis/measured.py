@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 
 import robots
-from robots.transforms import rigid_columns
 from verify.analysis.clock.estimate import (
     LEAST_OVERLAP,
     ClockEstimate,
@@ -27,21 +26,16 @@ from verify.analysis.results.warnings import rig_moved
 from verify.analysis.rig_check.leds import (
     LED_ADVICE,
     MIN_LEDS,
+    LedShifts,
     displacement_text,
     led_shifts,
     picture_misfit,
+    shifted_marker,
     shifts_text,
 )
 from verify.analysis.rig_check.tilt import TURN_NAMES, TiltedCamera
 from verify.core.readings import MAX_GAP, Readings
-from verify.core.records import (
-    Array,
-    Measurement,
-    Progress,
-    StereoPair,
-    no_progress,
-    same_picture,
-)
+from verify.core.records import Array, Measurement, Progress, StereoPair, no_progress, same_picture
 from verify.errors import InputError
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
@@ -62,7 +56,6 @@ ROUGHLY_PLACED = 2e-4  # m, standard uncertainty of an LED's place: pictures sho
 PLACED_BY_HAND = 2e-3  # m, to find it from
 MAX_PLACE_ROUNDS = 6
 TOL_PLACE, MAX_SHIFT = 5e-5, 2e-2  # m, of one round
-MAX_SCALE = 0.7  # of what LEDs are off by: else it is the rig that measures all too long or short
 Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 
@@ -197,41 +190,36 @@ def with_measured_places(
     found, marker = measured.pictures, session.marker
     stated = marker.led_standard_uncertainty or 0.0
     sound = found is not None and not found.contradicts and stated < ROUGHLY_PLACED
-    if sound or (found is not None and found.tilted is not None):
+    tilted = found is not None and found.tilted is not None
+    if sound or tilted or len(marker) < MIN_LEDS:
         return session, measured
-    free = replace(marker, led_standard_uncertainty=None)
-    known = stated_systematics(session.rig, free, _turned(session))
+    off = _shown_shifts(session, chain)
+    if off is None:
+        return session, measured
+    warnings = (*session.warnings, shifts_text(off, marker))
+    told = replace(session, marker=shifted_marker(marker, off), warnings=warnings)
+    again = measure_pictures(told, no_progress, chain)
+    agrees = again.pictures is not None and again.pictures.agrees
+    if off.is_scale or not agrees or len(again.track) < len(measured.track):
+        return session, measured
+    return told, replace(again, shifts=off)
+
+
+def _shown_shifts(session: Session, chain: Chain) -> LedShifts | None:
+    """Fit the LEDs' places and measure by them in turns; None where they do not settle."""
+    marker = replace(session.marker, led_standard_uncertainty=None)
+    systematics = stated_systematics(session.rig, marker, _turned(session))
     leds = marker.leds
     for _ in range(MAX_PLACE_ROUNDS):
         there = replace(marker, leds=leds, led_standard_uncertainty=PLACED_BY_HAND)
         seen = measure_pictures(replace(session, marker=there), no_progress, chain)
-        shown = led_shifts(seen.measurements, session.rig, there, known)
-        if shown is None or np.abs(shown.shift).max() > MAX_SHIFT:
-            return session, measured
-        leds = leds + shown.shift
-        if np.abs(shown.shift).max() < TOL_PLACE:
-            break
-    else:
-        return session, measured
-    off, about = replace(shown, shift=leds - marker.leds), leds - leds.mean(axis=0)
-    size = np.sum(off.shift**2)
-    larger = np.sum(off.shift * about) ** 2 / np.sum(about**2)
-    # what so many numbers of a body's shape tell of the scatter of places; beyond, Student's t
-    variance = max(size / max(3 * len(marker) - 6 - 2, 1), stated**2)
-    columns, before = rigid_columns(leds).reshape(-1, 6), marker.body_standard_uncertainty
-    body = np.sqrt(variance * np.diag(np.linalg.inv(columns.T @ columns)))
-    placed = replace(
-        marker,
-        leds=leds,
-        led_standard_uncertainty=off.standard_uncertainty,
-        body_standard_uncertainty=body if before is None else np.hypot(body, before),
-    )
-    told = replace(session, marker=placed, warnings=(*session.warnings, shifts_text(off, marker)))
-    again = measure_pictures(told, no_progress, chain)
-    agrees = again.pictures is not None and again.pictures.agrees
-    if larger > MAX_SCALE * size or not agrees or len(again.track) < len(measured.track):
-        return session, measured
-    return told, replace(again, shifts=off)
+        found = led_shifts(seen.measurements, session.rig, there, systematics)
+        if found is None or np.abs(found.shift).max() > MAX_SHIFT:
+            return None
+        leds = leds + found.shift
+        if np.abs(found.shift).max() < TOL_PLACE:
+            return replace(found, leds=leds, shift=leds - marker.leds)
+    return None
 
 
 def measure_instrument(

@@ -55,6 +55,7 @@ MIN_LEDS, MIN_PAIRS = 3, 10  # fewer show nothing beside their own pose, or noth
 LED_SIGMA = 2e-4  # m, of an LED's place where none is stated: a good jig's
 MAX_UNSTATED = 5 * LED_SIGMA  # m, that nobody is told of then
 TOL_SHOWN = 1e-9  # of the best known axis of a displacement
+MAX_SCALE = 0.7  # of what LEDs are off by, in which all of it is one scale
 MIN_SHARE = 0.3  # of the misfit beyond noise, that it explains
 LED_ADVICE = "check that it is fixed, and measure its place again."
 # px, ratios and rad, of each camera of a rig that states no uncertainty
@@ -97,8 +98,16 @@ class _LedFit:
 class LedShifts:
     """How far every LED is from where marker.toml puts it, beside the others."""
 
+    leds: Array  # (k, 3), m, flange frame: where they are seen
     shift: Array  # (k, 3), m, flange axes; no motion of the whole body is part of it
     standard_uncertainty: float  # m, of a coordinate
+
+    @property
+    def is_scale(self) -> bool:
+        """Whether they are mostly larger or smaller as a whole: so a rig measures that is off."""
+        about = self.leds - self.leds.mean(axis=0)
+        larger = np.sum(self.shift * about) ** 2 / np.sum(about**2)
+        return bool(larger > MAX_SCALE * np.sum(self.shift**2))
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,10 +146,9 @@ def picture_misfit(
     Pairs that no pose explains count too, and so do spots that their pose rejects: a displaced LED
     is one of those. A few pairs far from the others, of a reflection, do not.
     """
-    posed, parameters = _posed_pairs(measurements), _with_usual_rig(parameters)
-    if len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS:
+    (posed, spread), parameters = _posed_pairs(measurements, marker), _with_usual_rig(parameters)
+    if not len(spread):
         return None
-    spread = _spread(posed)
     every = _products([posed[i] for i in spread], rig, marker, parameters)
     products = _without_strays(every)
     count = max(len(products.pairs) // PART, 1)
@@ -168,30 +176,51 @@ def led_shifts(
 
     `parameters` as of `picture_misfit`, of the LEDs' places too.
     """
-    posed, parameters = _posed_pairs(measurements), _with_usual_rig(parameters)
-    if len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS:
+    (posed, spread), parameters = _posed_pairs(measurements, marker), _with_usual_rig(parameters)
+    if not len(spread):
         return None
-    some = [posed[i] for i in _spread(posed)]
-    products = _without_strays(_products(some, rig, marker, parameters))
+    every = _products([posed[i] for i in spread], rig, marker, parameters)
+    products = _without_strays(every)
     total = _beside_stated(products, len(marker), placed=True)
     covariance = np.linalg.pinv(total[:-1, :-1], rcond=TOL_SHOWN, hermitian=True)
     shift = covariance @ total[:-1, -1]
     left = float(total[-1, -1] - shift @ total[:-1, -1]) / max(float(products.freedom.sum()), 1.0)
     variance = float(np.abs(np.diag(covariance)).max()) * max(left, 1.0)
-    return LedShifts(shift.reshape(-1, 3), variance**0.5)
+    shift = shift.reshape(-1, 3)
+    return LedShifts(marker.leds + shift, shift, variance**0.5)
 
 
-def _posed_pairs(measurements: Sequence[Measurement]) -> list[PosedPair]:
-    return [
+def shifted_marker(marker: Marker, shifts: LedShifts) -> Marker:
+    """The marker with LEDs where they are seen, the body as uncertain as such a file's places are.
+
+    A coordinate has the variance that so many numbers of the body's shape tell (Student's t), at
+    least what is stated; the body's pose what a rigid motion fitted to such places has.
+    """
+    stated, before = marker.led_standard_uncertainty or 0.0, marker.body_standard_uncertainty
+    variance = max(np.sum(shifts.shift**2) / max(3 * len(marker) - 8, 1), stated**2)
+    columns = rigid_columns(shifts.leds).reshape(-1, 6)
+    body = np.sqrt(variance * np.diag(np.linalg.inv(columns.T @ columns)))
+    return replace(
+        marker,
+        leds=shifts.leds,
+        led_standard_uncertainty=shifts.standard_uncertainty,
+        body_standard_uncertainty=body if before is None else np.hypot(body, before),
+    )
+
+
+def _posed_pairs(
+    measurements: Sequence[Measurement], marker: Marker
+) -> tuple[list[PosedPair], Index]:
+    """Pairs with spots and a pose, and which of them to use; none: they would show nothing."""
+    posed: list[PosedPair] = [
         (m, m.pose, m.left, m.right)
         for m in measurements
         if m.pose is not None and m.left is not None and m.right is not None
         if len(m.left) and len(m.right)
     ]
-
-
-def _spread(posed: Sequence[PosedPair]) -> Index:
-    return np.linspace(0, len(posed) - 1, min(len(posed), MAX_PAIRS)).astype(int)
+    few = len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS
+    count = 0 if few else min(len(posed), MAX_PAIRS)
+    return posed, np.linspace(0, len(posed) - 1, count).astype(int)
 
 
 def _with_usual_rig(parameters: Systematics) -> Systematics:

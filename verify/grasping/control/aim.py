@@ -23,12 +23,7 @@ from verify.grasping.planning.object import (
     base_covariance,
     object_from_target,
 )
-from verify.grasping.planning.plan import (
-    GraspPlan,
-    HoverPlanner,
-    JointGoal,
-    plan_grasp,
-)
+from verify.grasping.planning.plan import GraspPlan, HoverPlanner, JointGoal, plan_grasp
 from verify.grasping.planning.workspace import Workspace
 from verify.grasping.tool_offset.offset import (
     MAX_OFFSET,

@@ -50,12 +50,7 @@ class BlobSearch(NamedTuple):
     most: int  # blobs listed
 
 
-def find_blobs(
-    image: Image,
-    windows: Boxes,
-    margin: int,
-    search: BlobSearch,
-) -> Array:
+def find_blobs(image: Image, windows: Boxes, margin: int, search: BlobSearch) -> Array:
     """List compact bright blobs in windows of a grey picture, (m, 4), as `compact_blobs` does.
 
     `windows` (n, 4): x0, y0, x1, y1, upper bounds exclusive; a `margin`, px, about them is
