@@ -27,6 +27,16 @@ static inline double dot(const double *a, const double *b)
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
 }
 
+/* Scalar product of two vectors (n,). */
+static inline double sum_products(int64_t n, const double *restrict a, const double *restrict b)
+{
+    double sum = 0.0;
+#pragma omp simd reduction(+ : sum)
+    for (int64_t i = 0; i < n; i++)
+        sum += a[i] * b[i];
+    return sum;
+}
+
 /* Distance of two points (3,). */
 static inline double distance(const double *a, const double *b)
 {
@@ -87,6 +97,14 @@ static inline void rotate(double *axes, int width, const double *vector)
         axes[width + j] = b + sine * e + versine * (z * d - x * f);
         axes[2 * width + j] = c + sine * f + versine * (x * e - y * d);
     }
+}
+
+/* Move a pose (4, 4) in place by translation and rotation vector (6,). */
+static inline void move_pose(double *pose, const double *step)
+{
+    rotate(pose, 4, step + 3);
+    for (int j = 0; j < 3; j++)
+        pose[4 * j + 3] += step[j];
 }
 
 /* Fill in the lower Cholesky factor of a matrix (n, n) with `less` taken off its diagonal; what is

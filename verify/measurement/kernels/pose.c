@@ -58,15 +58,6 @@ typedef struct { /* a pose's fit to n spots */
     double *figures; /* acceleration assumed, a component, m/s^2 and rad/s^2; chi^2 of residuals */
 } Fit;
 
-static double sum_products(int64_t n, const double *restrict a, const double *restrict b)
-{
-    double sum = 0.0;
-#pragma omp simd reduction(+ : sum)
-    for (int64_t i = 0; i < n; i++)
-        sum += a[i] * b[i];
-    return sum;
-}
-
 /* Fill in the spots' images (n, 2) at a pose (4, 4), and how they change with point and pose. */
 static void predict_spots(const double *pose, const Spots *at, double *pixels, double *by_point,
                           double *by_pose)
@@ -93,14 +84,6 @@ static void predict_spots(const double *pose, const Spots *at, double *pixels, d
             cross(arm, slope, by_pose + N_FREE * row + 3);
         }
     }
-}
-
-/* Move a pose (4, 4) in place by translation and rotation vector (6,). */
-static void move_pose(double *pose, const double *step)
-{
-    rotate(pose, 4, step + 3);
-    for (int j = 0; j < 3; j++)
-        pose[4 * j + 3] += step[j];
 }
 
 /* Fill in the image acceleration of the spots at a pose under a steady twist.
@@ -202,14 +185,18 @@ static void kept_covariance(Kept kept, const Fit *fit, const double *tolerance, 
     }
 }
 
-/* chi^2 of the kept residuals, by their covariance's lower Cholesky factor. */
-static double residual_chi2(Kept kept, const Fit *fit, const double *root)
+/* chi^2 of the kept residuals after a step (6,), by their covariance's lower Cholesky factor and
+ * their weights in the step (count, 6). */
+static double residual_chi2(Kept kept, const Fit *fit, const double *root, const double *weighted,
+                            const double *step)
 {
     Mark mark = scratch_mark();
     double *off = TAKE(double, kept.count), *solved = TAKE(double, kept.count);
     for (int64_t i = 0; i < kept.count; i++)
         off[i] = solved[i] = fit->residual[kept.rows[i]];
     solve((int)kept.count, root, solved);
+    for (int64_t i = 0; i < kept.count; i++)
+        solved[i] -= sum_products(N_FREE, weighted + N_FREE * i, step);
     double chi2 = sum_products(kept.count, off, solved);
     scratch_release(mark);
     return chi2;
@@ -262,7 +249,7 @@ static bool fit_spots(const Spots *spots, Kept kept, double *pose, const Fit *fi
     int64_t n = kept.n, size = kept.count * kept.count;
     double *total = TAKE(double, size), *root = TAKE(double, size);
     double *weighted = TAKE(double, N_FREE * kept.count);
-    double inverse[N_FREE * N_FREE], step[N_FREE], largest = INFINITY;
+    double inverse[N_FREE * N_FREE], step[N_FREE] = {0.0}, largest = INFINITY;
     bool straight = false, finite = true;
     for (int64_t s = 0; s < spots->n; s++)
         straight = straight || spots->lever[3 * s] != 0.0;
@@ -295,7 +282,7 @@ static bool fit_spots(const Spots *spots, Kept kept, double *pose, const Fit *fi
                 sum_products(N_FREE, inverse + N_FREE * i, weighted + N_FREE * r);
     pose_covariance(n, fit->gain, fit->noise, fit->covariances);
     pose_covariance(n, fit->gain, fit->acceleration, fit->covariances + N_FREE * N_FREE);
-    fit->figures[2] = residual_chi2(kept, fit, root);
+    fit->figures[2] = residual_chi2(kept, fit, root, weighted, step);
     scratch_release(mark);
     return finite;
 }
@@ -340,6 +327,9 @@ static int64_t judge_fit(Kept kept, const Fit *fit, const double *tolerance, con
     Mark mark = scratch_mark();
     int64_t size = kept.count * kept.count, worst = 0, freedom = kept.count;
     double *total = TAKE(double, size), *root = TAKE(double, size), chi2 = fit->figures[2];
+    double *weighted = TAKE(double, N_FREE * kept.count), step[N_FREE] = {0.0};
+    double inverse[N_FREE * N_FREE], directions[N_FREE * N_FREE];
+    bool known[N_FREE];
     kept_covariance(kept, fit, tolerance, total);
     *most = -INFINITY;
     for (int64_t first = 0; first + 1 < kept.count; first += 2) {
@@ -352,9 +342,13 @@ static int64_t judge_fit(Kept kept, const Fit *fit, const double *tolerance, con
     for (int i = 0; i < N_FREE; i++)
         freedom -= fit->known[i];
     double most_chi2 = bounds[MAX(freedom, 0)];
-    if (!(chi2 < most_chi2)) { /* the tolerance explains more */
+    if (!(chi2 < most_chi2)) { /* the tolerance explains more, at the pose that it makes likeliest */
+        Fit other = *fit;
+        other.directions = directions;
+        other.known = known;
         factor((int)kept.count, total, 0.0, root);
-        chi2 = residual_chi2(kept, fit, root);
+        find_step(kept, &other, root, inverse, weighted, step);
+        chi2 = residual_chi2(kept, fit, root, weighted, step);
     }
     scratch_release(mark);
     return 2 * worst + (chi2 < most_chi2);
