@@ -301,14 +301,14 @@ def _refuse_standing(
     unknown = clock.source == "none" and len(clock.curve)  # standing readings hide the clock
     offset = clock.curve[np.argmin(clock.curve[:, 1]), 0] if unknown else clock.offset
     error, angle = _joint_errors(written, float(offset), MAX_STANDING_PAIRS)
-    t, found = written.readings.t, []
+    t, found, least = written.readings.t, [], MIN_STANDING * np.median(np.diff(written.track.t))
     for joint, q in enumerate(written.readings.q.T if len(error) else ()):
         runs = np.append(np.flatnonzero(np.diff(q, prepend=np.nan)), len(q))
         first, after = runs[np.argmax(np.diff(runs)) + np.arange(2)].tolist()
         stands = np.abs(np.sin((error[:, joint] + angle[:, joint] - q[first]) / 2)) < MAX_FROZEN / 2
         there, rest = angle[stands, joint], error[~stands, joint]
-        if len(there) < MIN_STANDING or bool(len(rest)) != part:
-            continue
+        if t[after - 1] - t[first] < least or len(there) < MIN_STANDING or bool(len(rest)) != part:
+            continue  # values that noise repeats now and then are no run
         turn = float(np.ptp(there))
         off = np.quantile(np.abs(rest - np.median(rest)), HIGH) if part else 0.0
         leap = np.abs(np.diff(there)).max() if part else 0.0

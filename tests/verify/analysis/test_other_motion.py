@@ -242,6 +242,19 @@ def test_a_joint_that_holds_twice_for_a_few_pairs_of_many_is_named(
         judge((session, many), q)
 
 
+def test_a_resting_joint_whose_noise_repeats_a_reading_does_not_stand_still(
+    recording: tuple[Session, Track],
+) -> None:
+    """Poses that determine it to degrees are no sign that it turned."""
+    session, track = recording
+    rest = np.where(np.arange(6) == 3, np.deg2rad(8.0), session.encoders.q)
+    noise = np.random.default_rng(4).normal(0.0, np.deg2rad(0.01), rest.shape)
+    angles = Readings(session.encoders.t, rest).at(track.t - 0.085)
+    angles[:, 3] += np.deg2rad(2.4) * np.exp(-np.square((track.t - 3.0) / 0.3))
+    poses = replace(track, base_T_flange=robots.forward(session.arm, angles))
+    judge((session, poses), rest + noise)
+
+
 @pytest.mark.parametrize(("ahead", "what"), [(1, "lost 1"), (-2, "repeated 2")])
 def test_pictures_that_both_cameras_lose_or_repeat_are_told_beside_the_clock(
     recording: tuple[Session, Track], ahead: int, what: str
