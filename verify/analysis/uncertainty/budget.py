@@ -104,9 +104,9 @@ def budget(
         np.where(known, sum((li.variance for li in lines if li.kind == k), 0.0), np.nan)
         for k in ("random", "systematic")
     )
-    noise = [li.variance for li in lines if li.kind == "random" and li.degrees is own]
+    shown = [li.variance for li in lines if li.degrees is own]
     degrees = effective_degrees(
-        random + systematic, np.sum(noise, axis=0), own, *calibration_variance(held, by_pair)
+        random + systematic, np.sum(shown, axis=0), own, *calibration_variance(held, by_pair)
     )
     return Budget(
         lines=_table(lines, random + systematic),

@@ -82,10 +82,15 @@ def made(
     tied: float = 0.0,
     pan: float = np.nan,
     rig_degrees: float = DEGREES,
+    cause: float = 0.0,
+    pairs: Array = PAIRS,
 ) -> Made:
-    """A healthy arm swinging; rig and base tied by a correlation, pairs that repeat each other."""
+    """A healthy arm swinging; rig and base tied by a correlation, pairs that repeat each other.
+
+    `cause` is the size of a common cause, in the pairs' own noise.
+    """
     rng = np.random.default_rng(seed)
-    track = make_track(PAIRS, swinging(PAIRS), rng)
+    track = make_track(pairs, swinging(pairs), rng)
     n = len(track)
     columns = rng.normal(size=(1, 6, len(NAMES) + 2)) + 0.3 * rng.normal(
         size=(n, 6, len(NAMES) + 2)
@@ -120,6 +125,8 @@ def made(
         encoder_resolution=1e-4, encoder_time_standard_uncertainty=1e-4,
     )  # fmt: skip
     resolved = resolve_errors(model)
+    if cause:
+        resolved = replace(resolved, common=cause * rng.normal(size=(len(model.xi), 1)))
     return Made(model, plain, resolved, budget(model, compared, resolved, []))
 
 
@@ -313,6 +320,21 @@ def test_degrees_of_freedom_by_welch_and_satterthwaite_and_student_below_fifty()
         assert_allclose(this.found.coverage_factor[j - 1], expected)
     assert this.found.coverage_factor.max() > 2.02
     assert np.all(made(rig_degrees=np.inf).found.coverage_factor == 2.0)
+
+
+def test_a_common_cause_is_known_by_the_degrees_of_freedom_of_the_session() -> None:
+    """Its size is estimated from the same few pairs: GUM G.4.1 by hand, and Student's factor."""
+    this = made(rig_degrees=np.inf, cause=3.0, pairs=PAIRS[::10])
+    for j in range(1, 7):
+        mine = this.found.lines[this.found.lines["joint"] == j].set_index("source")
+        square = mine["standard_uncertainty_deg"] ** 2
+        own = mine["degrees_of_freedom"]["pixels"]
+        assert mine["degrees_of_freedom"]["causes found"] == own < 20
+        shown = square[["pixels", "readings' noise", "causes found"]].sum()
+        degrees = square.sum() ** 2 / (shown**2 / own)
+        assert_allclose(this.found.degrees[j - 1], degrees, rtol=1e-6)
+        expected = 2.0 if degrees > 50 else student.ppf(0.97725, degrees)
+        assert_allclose(this.found.coverage_factor[j - 1], expected)
 
 
 def test_what_averages_out_falls_with_the_pairs_and_the_rest_does_not() -> None:
