@@ -94,7 +94,7 @@ def _remarks(summary: dict[str, Any]) -> list[str]:
     remarks = [f"{count} parameters were identified from {fmt.count(used)} poses, {level}."]
     if blind:
         remarks.append(f"The offset of {fmt.joint_names(blind)} was not identified.")
-    if text := observability_text(summary.get("observability") or {}):
+    if text := observability_text(summary):
         remarks.append(text)
     factor = fmt.finite(summary.get("coverage_factor"))
     if factor is not None and factor > MAX_COVERAGE_FACTOR:
@@ -112,12 +112,14 @@ def _remarks(summary: dict[str, Any]) -> list[str]:
     return [*remarks, *(fmt.text_or_dash(text) for text in summary.get("warnings") or [])]
 
 
-def observability_text(indexes: dict[str, Any]) -> str:
+def observability_text(summary: dict[str, Any]) -> str:
     """Say in one sentence whether the poses determine the parameters well; empty: not known.
 
     O2 is one over the condition number. The columns are whitened and scaled by 1 mm and 1°, so
-    one over O3 is the standard uncertainty of the combination that is known worst.
+    one over O3 is the standard uncertainty of the combination that is known worst, by the noise of
+    the poses: what recordings differ by is in the parameters' uncertainties alone.
     """
+    indexes = summary.get("observability") or {}
     inverse, least = fmt.finite(indexes.get("O2")), fmt.finite(indexes.get("O3"))
     if not inverse or not least:
         return ""
@@ -127,11 +129,13 @@ def observability_text(indexes: dict[str, Any]) -> str:
     verdict = "good" if well else "poor"
     side = "below" if well else "above"
     advice = "" if well else " Add poses that differ more in every joint."
+    scatter = fmt.finite((summary.get("recordings") or {}).get("scatter"))
+    alone = " by the poses' noise alone" if scatter is not None and scatter > 1 else ""
     return (
         f"Observability (O1 to O5) is {verdict}: the condition number is "
         f"{fmt.significant(condition)}, {side} the limit of {MAX_CONDITION:.0f} for reliable "
         f"results, and the combination of parameters that is known worst has U = {worst} "
-        f"(mm or °, k = 2).{advice}"
+        f"(mm or °, k = 2){alone}.{advice}"
     )
 
 

@@ -243,7 +243,7 @@ def parameter_uncertainty(results: Results) -> doc.Section:
     blocks: list[doc.Block] = [_figure_block(results, "parameter_correlation")]
     if results.summary.get("observability"):
         table = observability_table(results.summary["observability"])
-        notes = (observability_text(results.summary["observability"]), IdentificationNotes.INDEXES)
+        notes = (observability_text(results.summary), IdentificationNotes.INDEXES)
         blocks.append(replace(table, notes=notes))
     return doc.Section("sureness", "Correlations and observability", tuple(blocks))
 

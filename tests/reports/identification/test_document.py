@@ -43,9 +43,13 @@ def test_the_verdict_is_first(every: dict[str, Results]) -> None:
 
 def test_observability_is_judged_by_the_condition_and_the_worst_combination() -> None:
     assert observability_text({}) == ""
-    poor = observability_text({"O2": 1 / 250, "O3": 4.0})
+    few = {"observability": {"O2": 1 / 250, "O3": 4.0}}
+    poor = observability_text(few)
     assert "is poor: the condition number is 250, above the limit of 100" in poor
     assert "U = 0.50 (mm or °, k = 2). Add poses" in poor
+    # what recordings differ by enlarges every parameter's U beyond it
+    several = observability_text(few | {"recordings": {"count": 3, "scatter": 4.4}})
+    assert "U = 0.50 (mm or °, k = 2) by the poses' noise alone. Add poses" in several
 
 
 @pytest.mark.parametrize(

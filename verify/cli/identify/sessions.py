@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from reports import Results
-from reports.document.formatting import decimals_of, number, with_uncertainty
+from reports.document.formatting import decimals_of, expanded, number, with_uncertainty
 from verify.analysis.instrument import BODY_SOURCE, CALIBRATION_SOURCE
 from verify.calibration.kinematics import results
 from verify.calibration.kinematics import sessions as arm_sessions
@@ -251,7 +251,7 @@ def _print_summary(made: Results, target: Path) -> None:
 
 
 def _joint_line(joint: dict[str, float | None]) -> str:
-    add, u = joint["add_to_reading_deg"], joint["expanded_uncertainty_deg"]
+    add, u = joint["add_to_reading_deg"], expanded(joint["standard_uncertainty_deg"])
     if add is None or u is None:
         return f"  joint {joint['joint']}: offset not identified"
     error = with_uncertainty(-add, u, "°")
