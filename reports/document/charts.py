@@ -24,6 +24,7 @@ N_BINS = 1_000
 MAX_COUNT_STEPS = 8  # of an axis that counts
 # times the usual step: one dropped pair (2) is bridged, two are a break in the line
 MAX_GAP_RATIO = 2.5
+MAX_JOINED = 1.5  # s, or rows: pairs farther apart are single visits
 
 
 def column(table: pd.DataFrame, name: str) -> Array:
@@ -185,9 +186,8 @@ def split_at_gaps(t: Array, y: Array) -> tuple[Indices, Indices]:
         return kept, kept
     # a gap shorter than this could not be drawn
     stretch = len(kept) / N_BINS if len(kept) > MAX_LINE_POINTS else 1.0
-    broken = (np.diff(kept) > stretch) | (
-        np.diff(t[kept]) > MAX_GAP_RATIO * stretch * median_step(t)
-    )
+    longest = stretch * min(MAX_GAP_RATIO * median_step(t), MAX_JOINED)
+    broken = (np.diff(kept) > stretch) | (np.diff(t[kept]) > longest)
     return kept, np.concatenate([[0], np.cumsum(broken)])
 
 

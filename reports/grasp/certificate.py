@@ -148,7 +148,7 @@ def _identification(results: Results) -> list[tuple[str, str]]:
     items = [
         ("Target", fmt.text_or_dash(summary.get("target"))),
         ("Allowed to move", "yes" if summary.get("execute") else "no"),
-        ("State at the end", fmt.text_or_dash(summary.get("state"))),
+        ("State reached", fmt.text_or_dash(summary.get("state"))),
         ("Controls given back", "yes" if summary.get("released") else "no"),
         ("Cycles", fmt.count(summary.get("cycles"))),
         ("Work per cycle", f"{work} ms (median)"),

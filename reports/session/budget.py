@@ -93,6 +93,7 @@ PARTS_NOTE = (
     "those of the mean, autocorrelation included; systematic parts do not average out. Effective ν "
     "by Welch and Satterthwaite. Expanded: combined times its coverage factor k."
 )
+NEGATIVE_NOTE = "A negative figure: errors cancel there; its square is taken off the variance."
 UNITS_NOTE = (
     "Degrees of a joint's mean error by one unit of the parameter. All parameters stand in "
     "results/budget_parameters.parquet. Where no u is stated, the parameter is taken as exact."
@@ -191,7 +192,7 @@ def _source_table(table: pd.DataFrame, summary: dict[str, Any]) -> doc.Table:
         "llcr" + "r" * len(joints),
         ("Source", "Kind", "Type", "ν", *(f"q{joint}" for joint in joints)),
         tuple(rows),
-        (PARTS_NOTE,),
+        (PARTS_NOTE, *[NEGATIVE_NOTE] * bool((frame["u"] < 0).any())),
         wide=(0,),
     )
 

@@ -13,7 +13,7 @@ from reports.document.charts import Array, records, square
 from reports.results import Results
 from reports.session import causes, phrases
 
-MIN_RELATIVE_WEIGHT = 0.1  # of the largest weight: left out of a sum's name
+MIN_RELATIVE_WEIGHT = 0.1  # of the largest weight: less is left out of a sum
 MIN_JOINTS = 2  # joints
 
 
@@ -30,7 +30,7 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     part = covariance[np.ix_(determined, determined)]
     if len(determined) < MIN_JOINTS or not np.isfinite(part).all():
         return []
-    values, vectors = np.linalg.eigh(part)
+    vectors = np.linalg.eigh(part)[1]
     sums = [c for c in summary.get("combinations") or [] if c.get("why") == "well_known"]
     rows = [
         doc.row(
@@ -54,12 +54,14 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
                     "a member by itself",
                 )
             )
+    sizes: list[float] = []
     for which, why in ((0, "known best of all sums"), (-1, "known worst of all sums")):
-        weights = vectors[:, which] / vectors[np.argmax(np.abs(vectors[:, which])), which]
+        exact = vectors[:, which] / vectors[np.argmax(np.abs(vectors[:, which])), which]
+        # the figures are those of the sum that is named, not of the one beside it
+        weights = np.where(np.abs(exact) > MIN_RELATIVE_WEIGHT, np.round(exact, 2), 0.0)
         label = _combination_name(weights, [names[k] for k in determined])
-        # of weights whose largest is one, as a sum of joints has them
-        size = float(np.sqrt(max(values[which], 0.0))) / float(np.abs(vectors[:, which]).max())
-        value = fmt.with_uncertainty(weights @ mean[determined], 2 * size)
+        sizes.append(math.sqrt(max(float(weights @ part @ weights), 0.0)))
+        value = fmt.with_uncertainty(weights @ mean[determined], 2 * sizes[-1])
         rows.append(doc.row(label, value, "2", why))
     return [
         doc.Table(
@@ -67,17 +69,17 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
             "lrrl",
             ("Sum", "Mean error ± U [°]", "k", "Why it is given"),
             tuple(rows),
-            (_uncertainty_ratio_text(values),),
+            (_uncertainty_ratio_text(*sizes),),
         )
     ]
 
 
-def _uncertainty_ratio_text(values: Array) -> str:
-    ratio = float(np.sqrt(values[-1] / values[0])) if values[0] > 0 else None
+def _uncertainty_ratio_text(best: float, worst: float) -> str:
+    ratio = worst / best if best > 0 else None
     return (
         f"The worst known sum is {fmt.quantity(ratio, '')} times as uncertain as the best known "
         "one: single joints are to be read together with their correlation. Weights under a tenth "
-        "are left out of a sum's name."
+        "of the largest are left out."
     )
 
 
@@ -95,7 +97,7 @@ def _combination_name(weights: Array, names: list[str]) -> str:
     terms = [
         f"{'+' if w > 0 else '−'}{'' if abs(abs(w) - 1) < 0.005 else f'{abs(w):.2f}·'}q{name}"
         for w, name in zip(weights, names, strict=True)
-        if abs(w) > MIN_RELATIVE_WEIGHT
+        if w
     ]
     return "".join(terms).removeprefix("+")
 

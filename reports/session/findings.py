@@ -38,7 +38,7 @@ def clock_text(summary: dict[str, Any]) -> str:
     if offset == fmt.DASH:
         return "not observable" if entry.get("observable") is False else fmt.DASH
     source = fmt.lookup_label(phrases.CLOCK_SOURCES, entry.get("source"))
-    return f"{offset} (k = 2), {source}"
+    return f"{offset}{' (k = 2)' * ('±' in offset)}, {source}"
 
 
 def joints(results: Results) -> doc.Section:
@@ -202,13 +202,15 @@ def errors_over_time(results: Results) -> doc.Section:
         "One strip a joint: error in degrees against time, with uncertainty bands, the resolved "
         "error's curve and the tolerance as dotted lines.",
     )
+    carried = motion.pose_errors(results)
+    of_pairs = "distance and angle between the measured and the encoders' pose of each pair, and "
+    single = isinstance(carried, Chart) and "error of a pair" in legend(carried)
     flange = doc.Figure(
         "pose_errors",
-        "Position and orientation error of the flange: distance and angle between the measured "
-        "and the encoders' pose of each pair, and the resolved joint errors carried through the "
-        "arm.",
+        f"Position and orientation error of the flange: {of_pairs * single}the resolved joint "
+        "errors carried through the arm.",
         "Two strips against time: position error in millimetres, orientation error in degrees.",
-        motion.pose_errors(results),
+        carried,
     )
     otherwise = "There is no measured pair with an encoder reading to draw."
     block = doc.block_or_paragraph(figure, drawing, otherwise)
@@ -231,13 +233,15 @@ def path(results: Results) -> doc.Section:
 
 def components(results: Results) -> doc.Section:
     """Show the components of the flange's pose, measured and from the encoders."""
+    drawing = motion.pose(results)
+    measured = isinstance(drawing, Chart) and "measured" in legend(drawing)
     figure = doc.Figure(
         "pose",
         "Position (x, y, z) and rotation vector (rx, ry, rz) of the flange in the robot's base "
-        "frame, measured and computed from the encoders.",
+        f"frame, {'measured and ' * measured}computed from the encoders.",
         "Six panels against time: x, y, z in millimetres and the three components of the "
-        "rotation vector in degrees, each measured and from the encoders.",
-        motion.pose(results),
+        f"rotation vector in degrees, {'each measured and ' * measured}from the encoders.",
+        drawing,
     )
     blocks = _drawn((figure,), results.summary)
     return doc.Section("components", "Components of the pose", blocks)

@@ -50,7 +50,8 @@ def headline(results: Results) -> Verdict:
             else f"{contradiction}, and what follows may come from that and not from the robot: "
             f"{sentence}"
         )
-    return Verdict(tone, LABELS[tone], fmt.capitalise(sentence), tuple(_remarks(results, tone)))
+    remarks = _remarks(results, tone, sentence)
+    return Verdict(tone, LABELS[tone], fmt.capitalise(sentence), tuple(remarks))
 
 
 def with_verdict(summary: dict[str, Any], verdict: str) -> list[dict[str, Any]]:
@@ -190,7 +191,10 @@ def _exceeding(summary: dict[str, Any], failing: list[dict[str, Any]]) -> str:
         if entry.get("verdict") == "nonconform":
             limit = fmt.exact_number(entry.get(f"tolerance_{unit}"))
             sign = "°" if unit == "deg" else f" {unit}"
-            pose.append(f"the flange's {name} error exceeds {limit}{sign}")
+            u = fmt.expanded(entry.get(f"worst_error_standard_uncertainty_{unit}"))
+            size = fmt.with_uncertainty(entry.get(f"worst_error_{unit}"), u, sign.strip(), False)
+            largest = "" if size == fmt.DASH else f" (largest error: {size}, k = 2)"
+            pose.append(f"the flange's {name} error exceeds {limit}{sign}{largest}")
     return fmt.join_words(pose) or "the tolerance is exceeded"
 
 
@@ -333,15 +337,16 @@ def _no_verdict(results: Results) -> str:
     return f"{sentence}; the largest mean error is that of joint {worst.get('joint')}, {amount}."
 
 
-def _remarks(results: Results, tone: str) -> list[str]:
+def _remarks(results: Results, tone: str, sentence: str) -> list[str]:
+    """Say what the verdict rests on and leaves open, but not again what its sentence says."""
     summary = results.summary
     remarks = list(filter(None, [lost_pairs_text(summary)]))
     if remark := _led_remark(summary):
         remarks.append(remark)
     if tone == "nonconform":
         failing, open_joints = with_verdict(summary, tone), with_verdict(summary, "undecided")
-        if failing and not contradiction_text(summary):
-            remarks.append(fmt.capitalise(_exceeding(summary, failing)) + ".")
+        if (exceeding := _exceeding(summary, failing)) not in sentence:
+            remarks.append(fmt.capitalise(exceeding) + ".")
         if open_joints:
             names = fmt.joint_names([joint.get("joint") for joint in open_joints])
             remarks.append(

@@ -179,15 +179,12 @@ def _resolved_per_frame(results: Results) -> pd.DataFrame:
 def _pose_panel(
     t: charts.Array, measured: charts.Array, encoder: charts.Array, label: str, unit: str, time: str
 ) -> charts.Panel:
-    return charts.Panel(
-        (
-            charts.Line(*charts.trace(t, measured), "measured", "measured"),
-            charts.Line(*charts.trace(t, encoder), "encoder", "from encoders"),
-        ),
-        label,
-        time,
-        unit=unit,
+    drawn = (
+        charts.Line(*charts.trace(t, measured), "measured", "measured"),
+        charts.Line(*charts.trace(t, encoder), "encoder", "from encoders"),
     )
+    marks = tuple(line for line in drawn if np.isfinite(line.y).any())
+    return charts.Panel(marks, label, time, unit=unit)
 
 
 def _error_panel(

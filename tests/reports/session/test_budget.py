@@ -1,10 +1,12 @@
 """Budget, Monte-Carlo check and single-joint sweeps in the report."""
 
+import re
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pandas as pd
+import pytest
 
 from reports.document.blocks import Figure, Paragraph, Section, Table, to_template_data
 from reports.document.charts import Chart, Points
@@ -115,6 +117,47 @@ def test_the_budget_adds_what_a_reader_checks_it_by() -> None:
     assert rows["effective ν"][4] == "339"
     assert rows["k"][3] == "2.00"
     assert {"random, together", "systematic, together", "combined", "expanded"} <= set(rows)
+
+
+def test_a_sum_has_the_figures_of_the_weights_that_its_name_states() -> None:
+    results = made.nonconforming()
+    joints, correlation = results.summary["joints"], np.eye(6)
+    correlation[1, 5] = correlation[5, 1] = 0.05  # joint 2's error has a weight under a tenth
+    correlation[2, 3] = correlation[3, 2] = -0.3
+    tied = results.summary | {"joint_error_correlation": correlation.tolist()}
+    results = replace(results, summary=tied)
+    table = next(
+        block for block in section(results, "budget").blocks
+        if isinstance(block, Table) and "those known well" in block.caption
+    )  # fmt: skip
+    mean, u = (
+        np.array([joint[key] for joint in joints])
+        for key in ("mean_error_deg", "standard_uncertainty_deg")
+    )
+    covariance = correlation * np.outer(u, u)
+    spreads = []
+    for label, figures, _, why in (tuple(cell.text for cell in row) for row in table.rows):
+        if "of all sums" not in why:
+            continue
+        weights = np.zeros(len(joints))
+        for sign, size, joint in re.findall(r"(\+|−|^)(?:([\d.]+)·)?q(\d)", label):
+            weights[int(joint) - 1] = float(size or 1) * (-1 if sign == "−" else 1)
+        value, spread = (float(text.replace("−", "-")) for text in figures.split(" ± "))
+        digit = 10.0 ** -len(figures.partition(".")[2].partition(" ")[0])
+        spreads.append(2 * np.sqrt(weights @ covariance @ weights))
+        assert abs(value - weights @ mean) <= 0.501 * digit
+        assert abs(spread - spreads[-1]) <= 0.501 * digit
+    ratio = re.search(r"([\d.]+) times as uncertain", table.notes[0])
+    assert ratio
+    assert float(ratio[1]) == pytest.approx(spreads[1] / spreads[0], rel=0.05)
+
+
+def test_a_negative_figure_of_the_budget_is_explained() -> None:
+    results = made.nonconforming()
+    lines = results.table("budget")
+    for kept, said in ((lines, True), (lines[lines["standard_uncertainty_deg"] >= 0], False)):
+        of = replace(results, tables={**results.tables, "budget": kept})
+        assert ("A negative figure" in texts(section(of, "budget"))) == said
 
 
 def test_monte_carlo_states_where_linear_propagation_holds() -> None:

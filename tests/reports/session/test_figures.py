@@ -9,7 +9,7 @@ import pytest
 import typst
 
 from reports.document import charts
-from reports.document.blocks import collect_figures
+from reports.document.blocks import Figure, collect_figures
 from reports.document.charts import Band, Line, Path
 from reports.format import pdf, plotly, svg
 from reports.format.lettering import printable
@@ -18,9 +18,11 @@ from reports.session.document import document
 from reports.session.evidence import relative_errors
 from reports.session.figures import motion
 from reports.session.figures.evidence import residuals
-from reports.session.findings import errors_over_time
+from reports.session.findings import clock_text, components, errors_over_time
 from tests.support.reports import session as made
 from tests.support.reports.page import chart_of, drawing_of, made_of
+
+POSE = ["x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg"]
 
 
 def test_each_joint_has_a_strip_with_bands_resolved_line_and_tolerance() -> None:
@@ -52,6 +54,25 @@ def test_a_caption_names_the_errors_of_pairs_only_where_the_figure_has_them(show
     assert any("the resolved error on which the verdict rests" in c for c in captions)
 
 
+def test_what_two_leds_do_not_determine_is_in_no_legend_and_no_caption() -> None:
+    """The flange's pose is drawn as the encoders say, and its error as it is resolved."""
+    results = made_of("nonconforming")
+    frames = results.tables["frames"].copy()
+    frames.loc[:, [*POSE, "position_error_mm", "orientation_error_deg"]] = np.nan
+    few = replace(results, tables={**results.tables, "frames": frames})
+    shown = components(few).blocks[0]
+    assert isinstance(shown, Figure)
+    assert isinstance(shown.drawing, charts.Chart)
+    assert list(charts.legend(shown.drawing)) == ["from encoders"]
+    captions = " ".join(
+        getattr(block, "caption", "") for block in (shown, *errors_over_time(few).blocks)
+    )
+    assert "frame, computed from the encoders." in captions
+    assert "error of the flange: the resolved joint errors" in captions
+    every = errors_over_time(results).blocks[1]
+    assert "distance and angle between the measured" in getattr(every, "caption", "")
+
+
 def test_no_error_of_a_pair_leaves_its_frame() -> None:
     for name in ("nonconforming", "undecided", "seven_joints", "visits"):
         chart = chart_of(name, "joint_errors")
@@ -69,6 +90,20 @@ def test_visits_far_apart_are_not_joined_by_lines() -> None:
         if isinstance(mark, Line):
             steps = np.diff(mark.x)
             assert np.nanmax(steps) < 1.0  # s; visits are a minute apart
+
+
+def test_visits_at_even_intervals_are_not_joined_either() -> None:
+    results = made_of("nonconforming")
+    tables = dict(results.tables)
+    for name in ("frames", "resolved"):
+        table = tables[name].copy()
+        table["t_s"] = 50.0 * np.arange(len(table))
+        tables[name] = table
+    chart = motion.joint_errors(replace(results, tables=tables))
+    assert chart is not None
+    lines = [m for panel in chart.panels for m in panel.marks if isinstance(m, Line)]
+    assert lines
+    assert not any(np.isfinite(np.diff(line.x)).any() for line in lines)
 
 
 def test_the_path_breaks_where_pairs_are_missing_and_names_no_class_that_is_not_drawn() -> None:
@@ -177,3 +212,10 @@ def test_one_long_bar_does_not_set_the_scale_of_the_relative_motions() -> None:
     error = relative["turn_error_deg"]
     assert low < error.min() < error.max() < high
     assert high - low < np.ptp(error) + 10 * usual
+
+
+def test_a_clock_offset_has_a_coverage_factor_only_beside_an_uncertainty() -> None:
+    clock = {"encoder_offset_s": 0.0, "standard_uncertainty_s": None, "source": "none"}
+    assert clock_text({"clock": clock}) == "0.000 s, not shown by the motion"
+    known = clock | {"standard_uncertainty_s": 0.0005, "source": "given"}
+    assert clock_text({"clock": known}) == "0.0000 ± 0.0010 s (k = 2), given with the session"

@@ -130,6 +130,24 @@ def test_a_cause_that_is_found_is_something_to_do_and_the_headline_of_a_pose_tha
     assert "oint 2" in headline(failing).sentence
 
 
+def test_a_pose_that_fails_is_named_where_no_joint_does_and_once() -> None:
+    """A cause in the headline does not say why the robot fails; a sentence of its own need not."""
+    results = made.nonconforming()
+    joints = [joint | {"verdict": "undecided"} for joint in results.summary["joints"]]
+    position = {
+        "verdict": "nonconform", "tolerance_mm": 1.0, "worst_error_mm": 2.053,
+        "worst_error_standard_uncertainty_mm": 0.083,
+    }  # fmt: skip
+    rest = {"joints": joints, "position": position, "orientation": {}}
+    said = "flange's position error exceeds 1 mm (largest error: 2.05 ± 0.17 mm, k = 2)"
+    named = headline(_with(results, diagnosis=[OFFSET], **rest))
+    assert said not in named.sentence
+    assert f"The {said}." in named.remarks
+    alone = headline(_with(results, diagnosis=[], **rest))
+    assert said in alone.sentence
+    assert not any(said in remark for remark in alone.remarks)
+
+
 def test_undecided_never_reads_as_conforming() -> None:
     message = headline(made.undecided())
     text = " ".join((message.label, message.sentence, *message.remarks))
