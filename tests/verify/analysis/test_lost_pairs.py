@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import robots
-from tests.support.simulated import HOME_DEG, in_memory, measured_at_spots, scene
+from tests.support.simulated import HOME_DEG, in_memory, marker_of, measured_at_spots, scene
 from verify.analysis.session import analyse
 from verify.analysis.verdict import Verdict, borne_verdict
 from verify.core.records import Measurement, StereoPair
@@ -41,8 +41,19 @@ def judged(
 def test_three_pairs_of_thirty_conform_to_nothing_and_three_recorded_ones_do() -> None:
     verdicts, warnings = judged(3, "too_few_leds")
     assert set(verdicts) == {"undecided"}
-    assert any("Only 3 of 30 pairs were measured (27 too_few_leds)" in one for one in warnings)
+    assert any("Only 3 of 30 pairs gave a pose (27 too_few_leds)" in one for one in warnings)
     assert set(judged(3, "too_few_leds", pairs=3)[0]) == {"conform"}
+
+
+def test_how_many_pairs_show_two_leds_alone_is_counted() -> None:
+    session = in_memory(scene(marker=marker_of("AB")))
+    systematics = stated_systematics(session.rig, session.marker, turning=False)
+
+    def chain(_pairs: Iterable[StereoPair], _setup: Setup) -> Iterator[Measurement]:
+        return measured_at_spots(session, systematics, np.random.default_rng(3))
+
+    warnings = analyse(session, chain=chain).summary["warnings"]
+    assert any("The LEDs of 12 of 12 pairs determine only 5 of 6 degrees" in w for w in warnings)
 
 
 def test_hidden_leds_leave_pairs_that_bear_a_verdict_and_contradictions_do_not() -> None:

@@ -27,14 +27,21 @@ def test_of_few_lost_pairs_nothing_is_said(statuses: str) -> None:
 
 def test_a_camera_that_was_moved_shows_by_the_pairs_since() -> None:
     warning = lost_pairs_warning(pairs("m" * 30 + "oaomooaaoo" + "o" * 10)) or ""
-    assert re.match(r"Only 31 of 50 pairs were measured \(16 outlier, 3 ambiguous_leds\)", warning)
+    assert re.match(r"Only 31 of 50 pairs gave a pose \(16 outlier, 3 ambiguous_leds\)", warning)
     assert "from t_left_s = 3.00 on" in warning
     assert "no camera or LED has moved" in warning
 
 
+@pytest.mark.parametrize("statuses", ["mmmmmo", "m" * 12 + "oo"])
+def test_a_last_pair_or_two_that_are_lost_are_no_beginning(statuses: str) -> None:
+    warning = lost_pairs_warning(pairs(statuses)) or ""
+    assert f"Only {statuses.count('m')} of {len(statuses)} pairs gave a pose" in warning
+    assert "nearly all lost" not in warning
+
+
 def test_pairs_lost_all_over_have_no_beginning_and_hidden_leds_another_advice() -> None:
     scattered = lost_pairs_warning(pairs("mmo" * 20)) or ""
-    assert scattered.startswith("Only 40 of 60 pairs were measured (20 outlier). The pictures")
+    assert scattered.startswith("Only 40 of 60 pairs gave a pose (20 outlier). The pictures")
     hidden = lost_pairs_warning(pairs("mmmf" * 20)) or ""
     assert "lit and in view" in hidden
     assert "contradict" not in hidden

@@ -19,6 +19,7 @@ from verify.measurement.systematics import Systematics
 
 MAX_LOST_SHARE = 0.1  # of the pairs: fewer may be hidden LEDs
 MIN_LASTING = 0.8  # of the pairs from the first lost one on, where something has moved then
+MAX_FEW = 2  # pairs that may be lost by chance, though they end the session
 CONTRADICTION_ADVICE = (
     "The pictures contradict rig.toml and marker.toml there: errors and causes found in the other "
     "pairs may come from that and not from the robot. Check that both files belong to the "
@@ -80,11 +81,11 @@ def lost_pairs_warning(measurements: list[Measurement]) -> str | None:
         return None
     reasons = Counter(measurements[i].status for i in lost)
     named = ", ".join(f"{number} {status}" for status, number in reasons.most_common())
-    lasting = lost[0] > 0 and len(lost) > MIN_LASTING * (count - lost[0])
+    lasting = lost[0] > 0 and len(lost) > max(MIN_LASTING * (count - lost[0]), MAX_FEW)
     since = f"; nearly all lost from t_left_s = {measurements[lost[0]].t:.2f} on" * lasting
     contradicting = sum(reasons[status] for status in CONTRADICTING)
     advice = HIDDEN_ADVICE if 2 * contradicting < len(lost) else CONTRADICTION_ADVICE
-    return f"Only {count - len(lost)} of {count} pairs were measured ({named}){since}. {advice}"
+    return f"Only {count - len(lost)} of {count} pairs gave a pose ({named}){since}. {advice}"
 
 
 def rig_moved(
@@ -152,14 +153,13 @@ def _dof_warnings(session: Session, model: JointErrorModel) -> Iterator[str]:
             "mean errors come from a fit over the session."
         )
     if known < POSE_DOF:
-        seen = (
-            "In some poses only" if session.instrument else "In some pairs the LEDs determine only"
-        )
-        told = " are determined" if session.instrument else ""
+        few = sum(b.shape[1] < POSE_DOF for b in model.comparison.determined)
+        of = f"{few} of {len(model.comparison)}"
+        who = f"{of} poses" if session.instrument else f"The LEDs of {of} pairs"
         yield (
-            f"{seen} {known} of 6 degrees of freedom{told}: joints that the open ones move "
-            "stay empty there; mean errors of joints that no pair tells come from a fit over the "
-            "session."
+            f"{who} determine only {known} of 6 degrees of freedom: joints that the open ones "
+            "move stay empty there; mean errors of joints that no pair determines come from a fit "
+            "over the session."
         )
 
 
