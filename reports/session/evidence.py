@@ -142,17 +142,19 @@ def _rms_residual(spots: pd.DataFrame) -> float | None:
 
 
 def clock(results: Results) -> doc.Section:
-    """Say how the encoder clock was brought to the cameras' clock."""
+    """Say how the encoder clock was brought to that of the cameras or the instrument."""
     entry = results.summary.get("clock") or {}
+    other = "cameras'" if "instrument" not in results.setup else "instrument's"
+    between = f"The offset between the encoder clock and the {other} clock"
     if entry.get("observable") is False:
         text = (
-            "The offset between the encoder clock and the cameras' clock could not be observed: "
-            "the motion was too slow or too even to tell a delay from an offset of the joints."
+            f"{between} could not be observed. At rest, at constant speed, or in too few pairs, a "
+            "delay looks like an offset of the joints."
         )
         if fmt.finite(entry.get("encoder_offset_s")) is not None:
             text += f" The offset used is {clock_text(results.summary)}."
     elif fmt.finite(entry.get("encoder_offset_s")) is None:
-        text = "The offset between the encoder clock and the cameras' clock is not known."
+        text = f"{between} is not known."
     else:
         text = f"Offset added to the encoders' times: {clock_text(results.summary)}."
     return doc.Section("clock", "Clock", (doc.Paragraph(text), _cost_curve(results)))
@@ -205,8 +207,8 @@ def pairs(results: Results) -> doc.Section:
 P_SIGNIFICANT = 0.001  # p-value: below it noise is no explanation
 RELATIVE_NOTE = (
     "Between two poses the flange turns by an angle and advances along an axis. Both are the same "
-    "wherever the robot stands and wherever the LEDs sit, so no registration enters here: only "
-    "cameras, clock and arm."
+    "wherever the robot stands and wherever the measured body sits on the flange, so no "
+    "registration enters here: only instrument, clock and arm."
 )
 NO_RELATIVE_MOTIONS = (
     "No test without registration: this session holds too few pairs of fully seen poses between "
@@ -240,7 +242,7 @@ def _test_text(entry: dict[str, Any]) -> str:
     if agrees:
         return f"{text} Measured and encoders' motions agree."
     return (
-        f"{text} They do not agree: something is wrong with arm, cameras or clock, whatever the "
+        f"{text} They do not agree: something is wrong with arm, instrument or clock, whatever the "
         "registration."
     )
 
@@ -258,5 +260,5 @@ def _table(entry: dict[str, Any]) -> doc.Table:
         "lr",
         ("Joint", "Offset [°]"),
         rows,
-        ("An offset that turns the whole arm, or the LEDs with the flange, never shows here.",),
+        ("An offset that turns the whole arm, or the body on the flange, never shows here.",),
     )

@@ -19,8 +19,9 @@ PANEL_MARGIN = 0.05  # of the span, free on either side
 POINT_SIZE = 2.0  # of a point: a sweep has some tens
 SWEEP_NOTE = (
     "While one joint turns alone, the flange turns about that joint's axis, wherever the robot "
-    "stands, however the LEDs are mounted and whatever the arm's table says. How far it turned, "
-    "against what the encoder says, shows that joint directly. A constant offset does not show."
+    "stands, however the measured body is mounted and whatever the arm's table says. How far it "
+    "turned, against what the encoder says, shows that joint directly. A constant offset does not "
+    "show."
 )
 NO_SWEEPS = (
     "No single-joint sweep: turn one joint alone by 10° or more, up and down, while all others "

@@ -1,5 +1,6 @@
 """Hidden offsets and missing statements on the first page and in the setup."""
 
+import re
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
@@ -11,6 +12,7 @@ import pytest
 import reports
 from reports.document.blocks import Facts
 from reports.results import Results
+from reports.session import evidence
 from reports.session.conditions import conditions
 from reports.session.headline import headline
 from tests.support import recorded
@@ -156,3 +158,20 @@ def test_statements_are_shown_and_missing_ones_reported(registered_by_motion: Re
     facts = _facts(_results({}, setup=setup))
     assert facts["Registration"] == "of monday"
     assert facts["u of each LED"] == "0.050 mm"
+
+
+def test_where_another_instrument_measured_no_camera_and_no_led_is_blamed() -> None:
+    results = made.nonconforming()
+    hidden = results.summary["clock"] | {"observable": False, "standard_uncertainty_s": None}
+    posed = replace(
+        results,
+        summary=results.summary | {"clock": hidden},
+        setup=results.setup | {"instrument": {"name": "a laser tracker"}},
+    )
+    blocks = (*evidence.relative_motions(posed), evidence.clock(posed).blocks[0])
+    said = " ".join(getattr(block, "text", "") for block in blocks)
+    assert "something is wrong with arm, instrument or clock" in said
+    assert "encoder clock and the instrument's clock could not be observed." in said
+    assert not re.search("camera|LED", said)
+    pictured = evidence.clock(replace(posed, setup=results.setup)).blocks[0]
+    assert "the cameras' clock could not be observed." in getattr(pictured, "text", "")
