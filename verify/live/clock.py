@@ -44,8 +44,8 @@ class LiveClock:
     def words(self) -> str:
         """Say which clock a line rests on."""
         u = self.standard_uncertainty
-        known = "" if u is None else f" ± {2 * u:.1e} s (k = 2)"
-        return f"{self.source} {self.offset:.6f} s{known}"
+        known = "" if u is None else f" ± {2e3 * u:.2f} ms (k = 2)"
+        return f"{self.source} {1e3 * self.offset:.2f} ms{known}"
 
 
 class ClockLine:

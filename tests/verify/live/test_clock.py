@@ -11,7 +11,7 @@ from verify.analysis.clock.estimate import ClockEstimate
 from verify.devices.protocols import EncoderReading
 from verify.live.alarms.joints import AlarmLimits
 from verify.live.buffers import ReadingBuffer, ReadingSeries
-from verify.live.clock import U_ARRIVAL, ClockLine, clock_from_arrivals
+from verify.live.clock import U_ARRIVAL, ClockLine, LiveClock, clock_from_arrivals
 
 
 def estimate(offset: float, u: float = 1e-4) -> ClockEstimate:
@@ -183,3 +183,10 @@ def test_an_offset_that_arrivals_exclude_is_said_and_not_taken() -> None:
     assert last.source == "arrival"
     assert (last.standard_uncertainty or 0.0) > 2.0
     assert "-4.6" in keeper.trouble
+
+
+def test_a_line_on_the_terminal_gives_clock_and_u_to_one_decimal_place() -> None:
+    assert LiveClock(-0.041998, 3.85e-4, "estimated").words() == (
+        "estimated -42.00 ms ± 0.77 ms (k = 2)"
+    )
+    assert LiveClock(0.0, None, "given").words() == "given 0.00 ms"
