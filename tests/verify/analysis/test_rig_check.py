@@ -12,7 +12,13 @@ from tests.support.moved_rig import bumped, seen_by, stretched, turned
 from tests.support.recorded import require_shared
 from tests.support.scene import facing, make_marker, make_rig
 from tests.support.simulated import in_memory, sample
-from verify.analysis.rig_check.check import CHANGES, RigConsistency, consistency, moved_warning
+from verify.analysis.rig_check.check import (
+    CHANGES,
+    RigConsistency,
+    consistency,
+    figures_text,
+    moved_warning,
+)
 from verify.analysis.session import analyse
 from verify.core.fiducials import Marker
 from verify.core.records import Measurement
@@ -160,3 +166,13 @@ def test_the_recorded_session_passes_and_a_moved_rig_fails() -> None:
         measurements = list(measure(pairs, Setup(rig, session.marker)))
         found = of(measurements, rig, session.marker)
         assert (moved_warning(found, ()) is None) == (what == "healthy")
+
+
+def test_a_figure_has_the_digits_of_its_uncertainty() -> None:
+    found = RigConsistency(
+        np.array([-2.763e-3, 0.313, np.nan]), np.diag([1.726e-3, 0.431, np.nan]) ** 2,
+        np.zeros((3, 3)), {}, {}, 1000.0, np.arange(120), np.zeros((120, 3)), (),
+    )  # fmt: skip
+    lengths, height, _ = figures_text(found)
+    assert lengths == "known lengths are measured 2.8 mm/m too short (U = 3.5 mm/m)"
+    assert height == "the right image lies 0.31 mm/m too low (U = 0.86 mm/m)"

@@ -144,8 +144,8 @@ def _registration_warnings(model: JointErrorModel) -> Iterator[str]:
 
 
 def _dof_warnings(session: Session, model: JointErrorModel) -> Iterator[str]:
-    joints = session.arm.dof
-    known = min(b.shape[1] for b in model.comparison.determined)
+    joints, determined = session.arm.dof, model.comparison.determined
+    known = min(b.shape[1] for b in determined)
     if joints > POSE_DOF:
         yield (
             f"A pose determines six combinations of the robot's {joints} joints: along its "
@@ -153,8 +153,7 @@ def _dof_warnings(session: Session, model: JointErrorModel) -> Iterator[str]:
             "mean errors come from a fit over the session."
         )
     if known < POSE_DOF:
-        few = sum(b.shape[1] < POSE_DOF for b in model.comparison.determined)
-        of = f"{few} of {len(model.comparison)}"
+        of = f"{sum(b.shape[1] < POSE_DOF for b in determined)} of {len(determined)}"
         who = f"{of} poses" if session.instrument else f"The LEDs of {of} pairs"
         yield (
             f"{who} determine only {known} of 6 degrees of freedom: joints that the open ones "

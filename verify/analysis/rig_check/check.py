@@ -152,15 +152,16 @@ def moved_warning(found: RigConsistency, uncounted: Sequence[str]) -> str | None
 
 
 def figures_text(found: RigConsistency) -> tuple[str, str, str]:
-    """The figures in words, in mm per metre with their expanded uncertainties (k = 2)."""
-    scale, vertical, roll = found.per_metre * found.value
-    u = [f"(U = {spread:.3f} mm/m)" for spread in 2 * found.per_metre * found.uncertainty]
-    length, height = "long" if scale > 0 else "short", "low" if vertical > 0 else "high"
-    way = "clockwise" if roll > 0 else "anticlockwise"
+    """The figures in words, mm per metre, to the two digits of their U (k = 2)."""
+    value, spread = found.per_metre * found.value, 2 * found.per_metre * found.uncertainty
+    digits = np.nan_to_num(1 - np.floor(np.log10(np.maximum(spread, 1e-3)))).clip(0).astype(int)
+    size = [f"{abs(v):.{n}f} mm/m" for v, n in zip(value, digits, strict=True)]
+    u = [f"(U = {v:.{n}f} mm/m)" for v, n in zip(spread, digits, strict=True)]
+    length, height, way = np.where(value > 0, ("long", "low", ""), ("short", "high", "anti"))
     return (
-        f"known lengths are measured {abs(scale):.3f} mm/m too {length} {u[0]}",
-        f"the right image lies {abs(vertical):.3f} mm/m too {height} {u[1]}",
-        f"the right image is turned {abs(roll):.3f} mm/m {way} {u[2]}",
+        f"known lengths are measured {size[0]} too {length} {u[0]}",
+        f"the right image lies {size[1]} too {height} {u[1]}",
+        f"the right image is turned {size[2]} {way}clockwise {u[2]}",
     )
 
 
