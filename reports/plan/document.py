@@ -227,7 +227,7 @@ def _sources(results: Results) -> tuple[doc.Block, ...]:
         return ()
     sizes = column(parts, "standard_uncertainty_deg").reshape(len(names), len(every))
     rows = tuple(
-        doc.row(name, *(number(expanded(size), 4) for size in line))
+        doc.row(name, *(significant(expanded(size)) for size in line))
         for name, line in zip(names, sizes.tolist(), strict=True)
     )
     heads = ("Source", *(f"q{joint.get('joint')} [°]" for joint in every))

@@ -98,6 +98,15 @@ def test_parts_make_up_the_uncertainty_that_is_printed(every: dict[str, Results]
         assert whole**2 == pytest.approx(sum(part**2 for part in parts), rel=0.15)
 
 
+def test_no_source_that_counts_is_shown_as_zero(every: dict[str, Results]) -> None:
+    """A good motion learns the rig: what is left of that source is tiny, and is not nothing."""
+    parts = every["plain"].tables["sources"]
+    tiny = parts.assign(standard_uncertainty_deg=1e-3 * parts["standard_uncertainty_deg"])
+    results = replace(every["plain"], tables={**every["plain"].tables, "sources": tiny})
+    table = tables(document(results))["What the uncertainty of each joint's mean error comes from."]
+    assert all(float(cell.text) > 0 for row in table.rows for cell in row[1:])
+
+
 def test_every_picture_is_there(every: dict[str, Results]) -> None:
     assert set(collect_figures(document(every["plain"]))) == PICTURES
     assert not collect_figures(document(every["bare"]))
