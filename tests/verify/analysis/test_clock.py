@@ -68,6 +68,24 @@ def test_a_motion_without_information_on_the_clock_is_reported(motion) -> None:
         assert estimate.standard_uncertainty is None
 
 
+def swinging_slowly(t: Array) -> Array:
+    """Up to 5°/s: what faults leave makes the offset doubtful by hundredths of a second."""
+    turn = 2 * np.pi * t[:, None] * np.array([0.010, 0.021, 0.028, 0.019, 0.025, 0.023])
+    return HOME + np.deg2rad([18.0, 12.0, 18.0, 22.0, 24.0, 35.0]) * np.sin(turn + np.arange(6))
+
+
+def test_a_slow_arm_with_faults_shows_the_offset_as_well_as_it_matters() -> None:
+    """Taken as zero, and exact, it would pass for gears and backlash of the joints."""
+    t, log = np.arange(1.0, 241.0), np.arange(-2.0, 244.0, 0.02)
+    error = 0.02 * swinging_slowly(log) * (np.arange(6) == 1)
+    error[log > 100.0, 4] += np.deg2rad(1.0)
+    estimate = estimated(7, swinging_slowly, 0.085, t, log, error=error)
+    assert estimate.source == "estimated"
+    assert estimate.standard_uncertainty is not None
+    assert estimate.standard_uncertainty > 0.01
+    assert abs(estimate.offset - 0.085) < 3 * estimate.standard_uncertainty
+
+
 def cycling(t: Array) -> Array:
     """A motion that repeats every 2.5 s."""
     turn = 2 * np.pi * t[:, None] / 2.5

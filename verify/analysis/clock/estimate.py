@@ -50,8 +50,8 @@ MAX_ITERATIONS = 30
 TOL_OFFSET, TOL_START = 1e-7, 1e-5  # s; of the offset, and of those that are compared before
 MAX_STEP = 0.1  # s: readings are not linear over longer times
 MAX_TRAVEL = 0.5  # s, from a dip: what it leads to farther off is another one's
-# An offset that the motion shows no better than this is no offset: the arm moves 0.3° at 30°/s.
-MAX_UNCERTAINTY = 0.01  # s
+# s, s, rad: an offset that is known worse is none; a slow arm moves as little in a longer time
+MAX_UNCERTAINTY, MAX_UNCERTAINTY_SLOW, MAX_MOVED = 0.01, 0.1, np.deg2rad(0.3)
 NO_PLACE = np.diag([1.0, 1.0, 1.0, 0.0, 0.0, 0.0])  # m²: a pose with which only its turn counts
 DOUBTFUL = 5e-4  # s, standard: the motion of usual sessions shows an offset better
 MIN_APART, MIN_APART_SIGMA = 2e-3, 5.0  # s, sigmas: of a given offset; nearer, first order does
@@ -141,8 +141,7 @@ def _search(
     if not len(curve):
         return open_clock
     sample = subset(track, spread(len(track), MAX_PAIRS_COMPARED))
-    lowest = float(curve[np.argmin(curve[:, 1]), 0])
-    gross = gross_zeros(sample, arm, readings, lowest)
+    gross = gross_zeros(sample, arm, readings, float(curve[np.argmin(curve[:, 1]), 0]))
     if gross.any():
         readings = Readings(readings.t, readings.q - gross)
         curve = coarse_costs(track, arm, readings, guess, overlap)
@@ -151,12 +150,13 @@ def _search(
     starts = _merge([fit[0] for fit in fits if fit is not None])
     if not starts:
         return open_clock
-    candidates = [_candidate(track, arm, readings, o, arrival) for o in starts]
-    best, rivals = _choose(candidates)
+    best, rivals = _choose([_candidate(track, arm, readings, o, arrival) for o in starts])
     fine = _refine(track, arm, readings, best, placed=placed)
     if fine is None or fine[1] > MAX_UNCERTAINTY:
-        fine = _refine_by_parts(track, arm, readings, best)
-    if fine is None or fine[1] > MAX_UNCERTAINTY:
+        fine = _refine_by_parts(track, arm, readings, best) or fine
+    rate = readings.motion(sample.t - best)[1]
+    longest = MAX_MOVED / max(float((rate**2).mean(axis=0).max()) ** 0.5, 1e-9)
+    if fine is None or fine[1] > np.clip(longest, MAX_UNCERTAINTY, MAX_UNCERTAINTY_SLOW):
         return open_clock
     return ClockEstimate(*fine, "ambiguous" if rivals else "estimated", curve, rivals)
 
