@@ -61,7 +61,7 @@ SAME_AS = {
     "camera_tilted": "the pictures contradict the rig: one camera, tilted by about twice the turn,",
 }
 
-# the motion that tells causes apart; {joints} is joint 3, or joints 3 and 4
+# the motion that tells causes apart; {joints} is joint 3, or joints 3 and 4, {singly} how they move
 MOTIONS = {
     "independent_registration": "find base and LED body by fixture and jig, then record again",
     "other_distances": "record again at other distances from the cameras",
@@ -71,7 +71,7 @@ MOTIONS = {
     "two_sided_stops": "record again with stops of {joints} at one angle, reached from both sides",
     "lever_both_sides": "record again with the arm beyond {joints} stretched out, upright and back",
     "wider_swing": "record again with wider swings of {joints}",
-    "other_postures": "record again in other postures, moving {joints} one at a time",
+    "other_postures": "record again in other postures, moving {joints} {singly}",
 }
 # Sizes beyond which an arm would not have worked: such a figure comes from a motion that hardly
 # tells its causes apart.
@@ -179,7 +179,8 @@ def separation(entry: dict[str, Any]) -> str:
     numbers = entry.get("separating_joints") or []
     if motion is None or ("{joints}" in motion and not numbers):
         return "record a motion that tells these apart (verify plan proposes one)"
-    return motion.format(joints=fmt.joint_names(numbers))
+    singly = "alone" if len(numbers) == 1 else "one at a time"
+    return motion.format(joints=fmt.joint_names(numbers), singly=singly)
 
 
 def runner_up(entry: dict[str, Any]) -> str:

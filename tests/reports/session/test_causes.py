@@ -134,6 +134,15 @@ def test_many_pairs_left_out_are_not_all_printed() -> None:
     assert "and 50 more" in text
 
 
+@pytest.mark.parametrize(
+    ("numbers", "words"),
+    [([2], "moving joint 2 alone"), ([2, 3], "moving joints 2 and 3 one at a time")],
+)
+def test_one_joint_is_moved_alone_and_several_one_at_a_time(numbers: list[int], words: str) -> None:
+    entry = UNCLEAR | {"separating_motion": "other_postures", "separating_joints": numbers}
+    assert session_causes.separation(entry) == f"record again in other postures, {words}"
+
+
 @pytest.mark.parametrize("motion", [*session_causes.MOTIONS, "unheard_of"])
 @pytest.mark.parametrize("numbers", [[], [3], [3, 4]])
 def test_an_ambiguous_entry_names_the_separating_motion(motion: str, numbers: list[int]) -> None:
