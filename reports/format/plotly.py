@@ -6,6 +6,7 @@ when the reader's scheme changes. Numbers travel as base64 float arrays, a third
 
 import base64
 import html
+import math
 from typing import Any
 
 import numpy as np
@@ -22,6 +23,7 @@ STRIP_GAP_PX = 14  # between strips that share their time axis
 TITLE_GAP_PX = 18  # more, where a panel has a title
 LABEL_GAP_PX = 16  # more, where a label stands above a title
 TOP_PX, BOTTOM_PX = 34, 44  # for the legend and for the label of the time axis
+LEGEND_ROW_PX, NARROW_NAMES = 29, 2  # more for each row of it; names of a row on a narrow screen
 MAX_BOX_DIAGONAL = 1.2  # diagonal of a box, its longest side 1, that the nearest view holds
 MAX_STEPS = 5  # between the numbers of the longest axis in space
 CORNERS = {"x": 0.05, "y": 0.05, "z": 0.13}  # of an axis in space, free of numbers
@@ -52,6 +54,9 @@ def specification(chart: Chart | Path) -> dict[str, Any]:
     }
     for layout in layouts.values():
         layout["showlegend"] = bool(shown - {""})
+    more = LEGEND_ROW_PX * max(math.ceil(len(shown - {""}) / NARROW_NAMES) - 1, 0)
+    layouts["narrow"]["margin"]["t"] += more
+    layouts["narrow"]["height"] += more
     time = chart.panels[-1].x_label if chart.shared_x else ""
     return {"data": data, **layouts, "width": chart.width, "time": time}
 

@@ -232,7 +232,7 @@ def relative_motions(results: Results) -> tuple[doc.Block, ...]:
 def _test_text(entry: dict[str, Any]) -> str:
     p = fmt.finite(entry.get("p_value"))
     agrees = p is not None and p >= P_SIGNIFICANT
-    chance = f"{p:.2g}" if p is not None and p >= 1e-6 else "under 0.000001"
+    chance = fmt.significant(p) if p is not None and p >= 1e-6 else "under 0.000001"
     text = (
         f"{fmt.count(entry.get('motions'))} relative motions: turns differ by "
         f"{fmt.number(entry.get('turn_rms_error_deg'), 3)}° rms, advances by "

@@ -168,9 +168,11 @@ def test_where_another_instrument_measured_no_camera_and_no_led_is_blamed() -> N
         summary=results.summary | {"clock": hidden},
         setup=results.setup | {"instrument": {"name": "a laser tracker"}},
     )
+    posed.summary["relative_motions"] = posed.summary["relative_motions"] | {"p_value": 6.2e-6}
     blocks = (*evidence.relative_motions(posed), evidence.clock(posed).blocks[0])
     said = " ".join(getattr(block, "text", "") for block in blocks)
-    assert "something is wrong with arm, instrument or clock" in said
+    assert "with probability 0.0000062. They do not agree: something is wrong with arm, " in said
+    assert "instrument or clock" in said
     assert "encoder clock and the instrument's clock could not be observed." in said
     assert not re.search("camera|LED", said)
     pictured = evidence.clock(replace(posed, setup=results.setup)).blocks[0]

@@ -219,3 +219,13 @@ def test_a_clock_offset_has_a_coverage_factor_only_beside_an_uncertainty() -> No
     assert clock_text({"clock": clock}) == "0.000 s, not shown by the motion"
     known = clock | {"standard_uncertainty_s": 0.0005, "source": "given"}
     assert clock_text({"clock": known}) == "0.0000 ± 0.0010 s (k = 2), given with the session"
+
+
+def test_on_a_narrow_screen_a_legend_of_several_rows_has_room_above_the_figure() -> None:
+    chart = chart_of("nonconforming", "joint_errors")
+    names = charts.legend(chart)
+    assert len(names) == 5
+    plot = plotly.specification(chart)
+    wide, narrow = plot["layout"], plot["narrow"]
+    assert narrow["margin"]["t"] >= wide["margin"]["t"] + 2 * 25  # px: three rows of two names
+    assert narrow["height"] - narrow["margin"]["t"] == wide["height"] - wide["margin"]["t"]
