@@ -137,11 +137,12 @@ def fault_figures(
     if not fault.unit:
         return float("nan"), float("nan"), {}
     if fault.freedom == 1 or fault.kind == "camera_drift":  # of a creep: at the last pair
-        return float(values[-1]), float(np.sqrt(covariance[-1, -1])), {}
+        # a gain's column is the reading: of the true angle, which is smaller, its share is larger
+        true = 1 - values[-1] if fault.kind == "gain" else 1.0
+        return float(values[-1] / true), float(np.sqrt(covariance[-1, -1]) / true**2), {}
     if fault.kind == "eccentricity":
         size, u = _size_uncertainty(values, covariance)
-        waves = fault.per_turn or 1
-        return size, u, {"phase": float(np.arctan2(values[1], values[0]) / waves)}
+        return size, u, {"phase": float(np.arctan2(values[1], values[0]) / (fault.per_turn or 1))}
     shift, u = _size_uncertainty(values[:3], covariance[:3, :3])
     return shift, u, {"turn": float(np.linalg.norm(values[3:]))}
 

@@ -60,8 +60,7 @@ def _input_warnings(
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the verdict holds "
             "on that condition."
         )
-    unseen = _unused_leds(session, measurements)
-    if unseen:
+    if unseen := _unused_leds(session, measurements):
         yield (
             f"Not detected, in any pair, where marker.toml puts them: LED {', '.join(unseen)}. "
             "Check that they are lit and in view, and their position_mm."

@@ -23,6 +23,8 @@ from tests.support.motions import (
     model_of,
 )
 from tests.support.scene import make_marker, make_rig
+from tests.support.simulated import in_memory, measured_at_spots, scene
+from verify import analyse
 from verify.analysis.comparison import base_motion, body_motion, compare, relinearise
 from verify.analysis.diagnosis import diagnose
 from verify.analysis.diagnosis.detectability import detectable
@@ -39,6 +41,7 @@ from verify.core.readings import Readings
 from verify.core.records import Array
 from verify.measurement.systematics import stated_systematics
 from verify.measurement.track import Track
+from verify.simulation.scenario import ScenarioFault, ScenarioRecording
 
 T = np.linspace(1.0, 13.0, 90)
 LOG = np.arange(0.0, 14.0, 0.02)
@@ -108,6 +111,19 @@ def test_each_kind_of_fault_of_a_joint_is_named_with_its_value(kind: str) -> Non
     assert abs(entry["value"] - value) < 2 * entry["expanded_uncertainty"]  # 4 u
     assert entry["standard_uncertainty"] < 0.1 * abs(value)
     assert entry["runner_up"]["advantage"] > 15
+
+
+@pytest.mark.parametrize("gain", [0.03, -0.03])
+def test_a_gain_is_the_share_of_the_true_angle_and_not_of_the_reading(gain: float) -> None:
+    recording = ScenarioRecording(pairs=40, rate_hz=10.0)
+    session = in_memory(scene(recording=recording, fault=[ScenarioFault(joint=5, gain=gain)]))
+    stated = stated_systematics(session.rig, session.marker, turning=False)
+    rng = np.random.default_rng(3)
+    results = analyse(session, chain=lambda *_: measured_at_spots(session, stated, rng))
+    (cause,) = results.summary["diagnosis"]
+    assert (cause["kind"], cause["joint"]) == ("gain", 5)
+    assert abs(cause["value"] - gain) < 2 * cause["expanded_uncertainty"]  # 4 u
+    assert cause["expanded_uncertainty"] < 1e-4  # of the reading it is 0.0291 or -0.0309
 
 
 @pytest.mark.parametrize("joint", [2, 3])
