@@ -84,6 +84,10 @@ def test_a_slow_arm_with_faults_shows_the_offset_as_well_as_it_matters() -> None
     assert estimate.standard_uncertainty is not None
     assert estimate.standard_uncertainty > 0.01
     assert abs(estimate.offset - 0.085) < 3 * estimate.standard_uncertainty
+    # deliveries within milliseconds are known better than that
+    arrived = estimated(7, swinging_slowly, 0.085, t, log, late=0.004, error=error)
+    assert arrived.source == "arrival"
+    assert abs(arrived.offset - 0.085) < 0.01
 
 
 def cycling(t: Array) -> Array:

@@ -156,7 +156,8 @@ def _search(
         fine = _refine_by_parts(track, arm, readings, best) or fine
     rate = readings.motion(sample.t - best)[1]
     longest = MAX_MOVED / max(float((rate**2).mean(axis=0).max()) ** 0.5, 1e-9)
-    if fine is None or fine[1] > np.clip(longest, MAX_UNCERTAINTY, MAX_UNCERTAINTY_SLOW):
+    most = MAX_UNCERTAINTY if arrival else MAX_UNCERTAINTY_SLOW  # arrivals say more than that
+    if fine is None or fine[1] > np.clip(longest, MAX_UNCERTAINTY, most):
         return open_clock
     return ClockEstimate(*fine, "ambiguous" if rivals else "estimated", curve, rivals)
 

@@ -54,8 +54,7 @@ def _input_warnings(
     systematics: Systematics,
     clock: ClockEstimate,
 ) -> Iterator[str]:
-    exact = unstated_sources(systematics, clock)
-    if exact:
+    if exact := unstated_sources(systematics, clock):
         yield (
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the verdict holds "
             "on that condition."
