@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from reports import Results
-from reports.document.formatting import decimals_of, expanded, number, with_uncertainty
+from reports.document.formatting import decimals_of, number, with_uncertainty
 from verify.analysis.instrument import BODY_SOURCE, CALIBRATION_SOURCE
 from verify.calibration.kinematics import results
 from verify.calibration.kinematics import sessions as arm_sessions
@@ -233,7 +233,7 @@ def _print_summary(made: Results, target: Path) -> None:
         f"{summary['identified']} parameters identified ({summary['level']}) from {used} poses; "
         f"{summary['rank']} of {summary['candidates']} can be told apart"
     )
-    terminal.say(*map(_joint_line, summary["offsets"]))
+    terminal.say(*(_joint_line(joint, summary["coverage_factor"]) for joint in summary["offsets"]))
     for level in summary["levels"]:
         if (held := level["held_out"]) is not None:
             terminal.say(f"  held out, {level['name']}: {held['mean_mm']:.3f} mm mean")
@@ -250,12 +250,12 @@ def _print_summary(made: Results, target: Path) -> None:
     terminal.record("result", out=str(target), summary=summary)
 
 
-def _joint_line(joint: dict[str, float | None]) -> str:
-    add, u = joint["add_to_reading_deg"], expanded(joint["standard_uncertainty_deg"])
+def _joint_line(joint: dict[str, float | None], factor: float) -> str:
+    add, u = joint["add_to_reading_deg"], joint["expanded_uncertainty_deg"]
     if add is None or u is None:
         return f"  joint {joint['joint']}: offset not identified"
     error = with_uncertainty(-add, u, "°")
     return (
-        f"  joint {joint['joint']}: encoder less measured {error} (k = 2); "
+        f"  joint {joint['joint']}: encoder less measured {error} (k = {factor:.3g}); "
         f"add {number(add, decimals_of(u), signed=True)}° to the reading"
     )
