@@ -116,7 +116,9 @@ def refusal(truth: TrueArm, rows: IdentificationPoses) -> str:
     sessions = [
         SimpleNamespace(
             session=SimpleNamespace(arm=truth.arm),
-            comparison=SimpleNamespace(t=rows.block[rows.tool == k] * 10.0),
+            comparison=SimpleNamespace(
+                t=rows.block[rows.tool == k] * 10.0, direction=0 * rows.q[rows.tool == k]
+            ),
         )
         for k in targets
     ]

@@ -17,6 +17,7 @@ from tests.support.command import SAMPLES, read_summary, verify
 from tests.support.published import series, write_session
 from tests.support.true_arm import faulty_arm, measured, readings, recorded, true_arm
 from verify.calibration.kinematics.poses import build_poses
+from verify.core.records import Array
 
 
 @pytest.mark.shared
@@ -162,6 +163,7 @@ def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:
         ("quaternion", (), "the column qx reversed fits"),
         ("scale", (), "joint 5 scaled by 1.3 fits"),
         ("slip", (), "joint 3 slipped by +12° at about pose"),
+        ("eccentricity", (), "joint 3 with eccentricity of 0."),
         ("base", ("--base", "held"), "another base and target fit"),
     ],
 )
@@ -179,6 +181,8 @@ def test_what_no_identification_can_describe_is_named(
         q = q * [1, 1, 1, 1, 1.3, 1] + np.radians(10) * np.eye(6)[2]
     elif spoil == "slip":
         q[30:, 2] += np.radians(12)
+    elif spoil == "eccentricity":
+        q[:, 2] += np.radians(0.5) * np.cos(q[:, 2] - 0.7)
     folder = write_session(tmp_path / "one", build_poses(q, poses), robot="iust_6r", period=10.0)
     if spoil == "quaternion":
         table = pd.read_csv(folder / "poses.csv")
@@ -206,3 +210,77 @@ def test_a_session_that_does_not_agree_with_the_others_is_named(
     both = verify("identify", *folders[:2], *words, "-o", tmp_path / "no").refusal
     assert f"does not agree with {folders[0]}: " in both or f"with {folders[1]}: " in both
     assert "Leave one of them out" in both
+
+
+FREE = ("--base", "free", "--leds", "free", "--splits", "3")
+
+
+def seen(
+    name: str, seed: int, rows: Array | None = None, spoil: float = 0.0
+) -> tuple[Array, Array]:
+    """Readings and poses of an arm with errors of 0.3 mm and 0.3°; one is off by `spoil`, m."""
+    truth = true_arm(name, seed)
+    q = readings(truth.arm, 60, seed)
+    poses, _ = measured(truth, q, seed)
+    poses[10, :3, 3] += spoil
+    return (q, poses) if rows is None else (q[rows], poses[rows])
+
+
+def test_a_grossly_wrong_pose_is_listed_and_the_others_identify(tmp_path: Path) -> None:
+    rows = build_poses(*seen("iust_6r", 5, spoil=5.0))
+    folder = write_session(tmp_path / "one", rows, robot="iust_6r", period=10.0)
+    done = verify("identify", folder, *FREE, "-o", tmp_path / "out")
+    assert done.status == 0, done.err
+    summary = read_summary(tmp_path / "out")
+    assert [one["frame"] for one in summary["poses"]["outlying"]] == [10]
+    true = -np.degrees(true_arm("iust_6r", 5).correction)
+    for joint in range(1, 5):
+        found = summary["offsets"][joint]
+        assert abs(found["error_deg"] - true[joint]) < 4 * found["standard_uncertainty_deg"]
+
+
+def test_another_arm_s_file_is_refused_though_its_links_could_be_bent_to_fit(
+    tmp_path: Path,
+) -> None:
+    rows = build_poses(*seen("rv_3sd_melfa", 5))
+    folder = write_session(tmp_path / "one", rows, robot="ur10", period=10.0)
+    said = verify("identify", folder, *FREE, "-o", tmp_path / "no").refusal
+    assert "only with offset_2 changed by" in said
+    assert not (tmp_path / "no").exists()
+
+
+def test_a_model_smaller_than_the_poses_call_for_is_warned_of(tmp_path: Path) -> None:
+    folder = write_session(
+        tmp_path / "one", build_poses(*seen("rv_3sd_melfa", 4)), robot="rv_3sd_melfa", period=10.0
+    )
+    done = verify("identify", folder, *FREE, "--model", "offsets", "-o", tmp_path / "out")
+    assert "warning: --model offsets leaves 2." in done.err
+    assert "offsets may be off by more than their U" in done.err
+
+
+@pytest.mark.parametrize("count", [6, 7, 8, 9])
+def test_few_poses_of_unknown_noise_call_for_no_geometry(count: int, tmp_path: Path) -> None:
+    """As many positions as parameters are fitted exactly, and then show no noise at all."""
+    for seed in range(4):
+        rows = build_poses(*seen("iust_6r", seed, np.arange(count)))
+        folder = write_session(tmp_path / f"{seed}", rows, robot="iust_6r", period=10.0)
+        done = verify("identify", folder, *FREE, "-o", tmp_path / f"out{seed}")
+        assert done.status == 0, done.err
+        assert read_summary(tmp_path / f"out{seed}")["level"] != "geometry"
+
+
+def test_poses_that_are_repeated_count_once(tmp_path: Path) -> None:
+    """Twelve poses, each copied five times, say no more than the twelve; three say too little."""
+    uncertainty = []
+    for times in (1, 5):
+        rows = build_poses(*seen("rv_3sd_melfa", 5, np.tile(np.arange(12), times)))
+        folder = write_session(tmp_path / f"{times}", rows, robot="rv_3sd_melfa", period=10.0)
+        out = tmp_path / f"out{times}"
+        assert verify("identify", folder, *FREE, "--model", "geometry", "-o", out).status == 0
+        offsets = read_summary(out)["offsets"][1:5]
+        uncertainty.append([one["standard_uncertainty_deg"] for one in offsets])
+    assert np.all(np.array(uncertainty[1]) > 0.8 * np.array(uncertainty[0]))
+    rows = build_poses(*seen("iust_6r", 5, np.arange(60) % 3))
+    folder = write_session(tmp_path / "three", rows, robot="iust_6r", period=10.0)
+    said = verify("identify", folder, *FREE, "-o", tmp_path / "no").refusal
+    assert "3 different postures with readings" in said

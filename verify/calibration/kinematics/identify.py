@@ -54,6 +54,9 @@ SCALE, LENGTH, ANGLE = 1e-3, 1e-3, float(np.radians(0.1))  # share, m, rad: what
 LEVELS = ("registration", "offsets", "geometry")
 MIN_PRIOR_SHARE = 0.5  # of a prior's standard deviation: what is left of it where poses say little
 MIN_NUMBERS_PER_PARAMETER = 1.5  # measured: with fewer, residuals do not judge a model
+# where positions and turns each show their own noise: either half could else be fitted exactly, a
+# tenth left out as outlying, and its noise would be none
+MIN_NUMBERS_OF_TWO_NOISES = 2.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,6 +105,7 @@ class IdentificationResult:
     levels: tuple[LevelResult, ...]  # smallest first
     richest: KinematicFit  # of the largest model that the data can judge
     chosen: LevelResult
+    best: LevelResult  # that predicts poses held out best
     observability: dict[str, float]
     before: Array  # (n, 6), m and rad: left by registration alone
     after: Array  # (n, 6): left by the chosen model
@@ -132,7 +136,9 @@ def identify_arm(
     begun = replace(known, chain=chain) if known is not None else start_state(chain, poses)
     supports = _supports(begun, poses, _registration(begun, poses, options))
     fitted = [_fitted(support) for support in supports]
-    numbers = int(poses.dimensions.sum()) / MIN_NUMBERS_PER_PARAMETER
+    one_noise = poses.stated or poses.position_only
+    distinct = int(poses.dimensions[poses.first_visits].sum()) / MIN_NUMBERS_PER_PARAMETER
+    numbers = min(distinct, poses.numbers / (1.0 if one_noise else MIN_NUMBERS_OF_TWO_NOISES))
     judged = [len(support.supported) <= numbers for support in supports]
     largest = [f for f, enough in zip(fitted, judged, strict=True) if enough] or fitted[:1]
     richest = fit_parameters(begun, poses, largest[-1])
@@ -144,12 +150,13 @@ def identify_arm(
         return LevelResult(name, support, with_scatter(fit, poses), held_out)
 
     levels = tuple(map(level, LEVELS, fitted, supports))
-    best = best_model([level.held_out for level in levels], poses.block)
-    chosen = levels[best if options.level is None else LEVELS.index(options.level)]
+    best = levels[best_model([level.held_out for level in levels], poses.block)]
+    chosen = best if options.level is None else levels[LEVELS.index(options.level)]
     return IdentificationResult(
         levels,
         richest,
         chosen,
+        best,
         observability_indices(chosen.known, int(chosen.fit.used.sum())),
         pose_residuals(levels[0].fit.state, poses),
         pose_residuals(chosen.fit.state, poses),

@@ -3,8 +3,8 @@
 Before the fit, usual mistakes, one or two at once: base and target are free, so poses and readings
 cannot be laid side by side, and each is judged by what a registration leaves of a few poses, the
 best ones with the joints' offsets free. Two at once are sought by the angles between poses, which
-no registration disturbs. After the fit, where its largest model leaves more than scaled readings,
-slipped belts (`terms`) or another base and target than those held would, these are named.
+no registration disturbs. After the fit, where its largest model leaves more than faulty readings
+(`terms`) or another base and target than those held would, these are named.
 """
 
 from collections.abc import Callable, Iterator
@@ -41,6 +41,14 @@ MIN_ROWS = 12  # of each session
 MAX_CARRIED = 4  # mistakes, to a fit with the offsets free; sessions, to one without them
 MIN_NEARER = 1.2  # a session that is off is named, where another base fits better by less
 MIN_SHARE = 0.5  # of chi², that a scale or slip explains: parts of a real UR10's have up to 0.35
+MAX_PRIORS = 15.0  # standard deviations, 3 mm or 3°: what is off by more is another arm
+MEND = "Mend the encoder or the gear, or judge the arm as it is by `verify run`."
+REMEDIES = {
+    "scale": "Undo the scale.",
+    "slip": "Identify from the poses on one side of the slip.",
+    "eccentricity": MEND,
+    "backlash": MEND,
+}
 MAX_PAIRED = 40  # poses, by which two mistakes at once are sought
 
 
@@ -65,15 +73,15 @@ def refuse_mistaken_readings(file: Path, gathered: CombinedPoses) -> None:
     written = _registered(first.arm, rows)
     if written < MIN_LEFT:
         return
-    offset, limit = _with_offsets(first.arm, rows, t)
+    offset, limit = _with_offsets(first.arm, rows)
     if offset > MAX_OFFSET:  # no encoder is at fault by as much
         limit = written
     if limit < MIN_LEFT / MIN_FACTOR:
         return
     singles = list(_mistakes(file, gathered, rows))
-    best, least = _best(first.arm, singles, t)
+    best, least = _best(first.arm, singles)
     if least > MIN_LEFT:
-        two, left = _best(first.arm, _pairs(first.arm, singles, t), t)
+        two, left = _best(first.arm, _pairs(first.arm, singles, t))
         if left < MIN_LEFT:
             best, least = two, left
     if least * MIN_FACTOR < limit:
@@ -86,46 +94,52 @@ def refuse_unfit(
 ) -> list[str]:
     """Refuse readings that nothing which was identified makes this arm's motion.
 
-    `held`: base or target were not free. Gives a warning where a scale or slip explains less than
-    half of what is left, and more than noise does.
+    `held`: base or target were not free. Gives a warning where faults of readings explain less than
+    half of what is left, and more than noise does. Outlying poses do not count.
 
     Raises:
-        InputError: scales, slips or another base explain most of what is left, or more is left than
-            any arm's own errors leave.
+        InputError: faults or another base explain most of what is left, or more is left than any
+            arm's own errors leave.
     """
-    (some, t), chain = _some(gathered), chain_of(gathered.sessions[0].session.arm)
+    chain, used = chain_of(gathered.sessions[0].session.arm), found.richest.used
+    some, t = _some(gathered, used)
     rows, parameters = take_rows(gathered.poses, some), found.richest.parameters
     start = gathered.state(chain) if held else start_state(chain, rows)
-    written = fit_terms(start, rows, t, parameters)
+    written = fit_terms(start, rows, parameters)
     size, most = _mm(_length(written.left, rows)), _misfit(written, rows) / MIN_FACTOR
-    base = None
+    base, elsewhere = None, 0.0
     if held:
         free = (*_placed(rows), *(p for p in parameters if not p.axis))
-        other = fit_terms(start_state(chain, rows), rows, t, free)
+        other = fit_terms(start_state(chain, rows), rows, free)
         gain = written.chi2(rows, other.scale) - other.chi2(rows, other.scale)
         if gain > max(other.freedom, float(chi2_isf(P_FALSE, len(free) - len(parameters)))):
             most = max(most, MIN_NEARER * _misfit(other, rows))
-            fits = f"another base and target fit: {_mm(_length(other.left, rows))}"
+            elsewhere = _length(other.left, rows)
+            fits = f"another base and target fit: {_mm(elsewhere)}"
             remedy = "Register again, or free both: --base free --leds free."
             base = _refusal(file, f"{size}, base and target held; {fits}", remedy)
     _refuse_disagreeing(
         gathered, some, written.left, most,
-        lambda kept: fit_terms(start, take_rows(rows, kept), t[kept], parameters),
+        lambda kept: fit_terms(start, take_rows(rows, kept), parameters),
     )  # fmt: skip
-    if base is not None:
+    alone = len(np.unique(rows.recording)) == 1
+    direction = np.concatenate([one.comparison.direction for one in gathered.sessions])[some]
+    explained = explain(written, start, rows, t, direction, parameters, slips=alone)
+    named, rest = _words(explained, gathered), _length(explained.left, rows)
+    if base is not None and rest > elsewhere:
         raise base
-    one = len(np.unique(rows.recording)) == 1
-    explained = explain(written, start, rows, t, parameters, slips=one)
-    named = _words(explained, gathered)
-    if explained.terms and explained.share.max() >= MIN_SHARE:
-        least = _fits(named, _length(explained.left, rows))
-        remedy = "Undo the scale, or identify from the poses on one side of the slip."
-        raise _refusal(file, f"{size}; {least}", remedy)
-    judged = found.chosen.held_out
-    length = _length(found.after, gathered.poses) if judged is None else judged.position[0]
+    length = _length(found.after[used], take_rows(gathered.poses, used))
+    # of the motion of another arm anything explains a part
+    if max(explained.share, default=0.0) >= MIN_SHARE and 2 * rest < max(length, MIN_LEFT):
+        remedy = " ".join(dict.fromkeys(REMEDIES[term.kind] for term in explained.terms))
+        raise _refusal(file, f"{size}; {_fits(named, rest)}", remedy)
+    check = "Check units, signs and order in both files: more than one thing may be wrong."
     if length > MIN_LEFT:
-        check = "Check units, signs and order in both files: more than one thing may be wrong."
-        raise _refusal(file, f"{_mm(length)}; no usual mistake, scale or slip explains it", check)
+        raise _refusal(file, f"{_mm(length)}; no usual mistake or fault explains it", check)
+    for one, change in zip(found.chosen.fit.parameters, found.chosen.fit.change, strict=True):
+        if not one.axis and abs(change) > MAX_PRIORS * replace(one, spread=None).prior:
+            size = f"{change / one.tolerance:+.3g} {'°' if one.angular else 'mm'}"
+            raise _refusal(file, f"only with {one.name} changed by {size} they would be", check)
     if not explained.terms:
         return []
     share = f"explains {explained.share.max():.0%} of the squared residuals"
@@ -163,19 +177,19 @@ def _misfit(fit: TermFit, rows: IdentificationPoses) -> float:
     return _length(fit.left, rows) * float(np.sqrt(factor)) if factor < 2 else np.inf
 
 
-def _some(gathered: CombinedPoses) -> tuple[Flags, Array]:
-    """Which rows are looked at, (n,) of all, some of each session; their instants, s."""
+def _some(gathered: CombinedPoses, used: Flags) -> tuple[Flags, Array]:
+    """Which rows are looked at, (n,) of all, some used ones of each session; their instants, s."""
     t = np.concatenate([one.comparison.t for one in gathered.sessions])
     some, each = np.zeros(len(t), dtype=bool), max(MAX_ROWS // len(gathered.sessions), MIN_ROWS)
     for i in range(len(gathered.sessions)):
-        own = np.flatnonzero(gathered.source == i)
+        own = np.flatnonzero((gathered.source == i) & used)
         some[own[np.unique(np.linspace(0, len(own) - 1, each).astype(int))]] = True
     return some, t[some]
 
 
 def _few(gathered: CombinedPoses) -> tuple[IdentificationPoses, Array]:
     """Some rows, an instrument's as its file has them, and their instants, s."""
-    rows, (some, t) = gathered.poses, _some(gathered)
+    rows, (some, t) = gathered.poses, _some(gathered, np.ones(len(gathered.poses), dtype=bool))
     targets = rows.world_T_target.copy()
     for i, one in enumerate(gathered.sessions):
         if (instrument := one.session.instrument) is not None:
@@ -227,11 +241,11 @@ def _pairs(arm: Arm, singles: list[WithoutMistake], t: Array) -> list[WithoutMis
     return [pairs[k] for k in np.argsort(apart)[: 2 * MAX_CARRIED].tolist()]
 
 
-def _best(arm: Arm, tried: list[WithoutMistake], t: Array) -> tuple[WithoutMistake, float]:
-    """The mistake that leaves least of poses at t (n,), s, and how much, m, mean."""
+def _best(arm: Arm, tried: list[WithoutMistake]) -> tuple[WithoutMistake, float]:
+    """The mistake that leaves least of the poses, and how much, m, mean."""
     left = np.array([_registered(arm, one.rows) for one in tried])
     for k in np.argsort(left)[:MAX_CARRIED].tolist():
-        offset, rest = _with_offsets(arm, tried[k].rows, t)
+        offset, rest = _with_offsets(arm, tried[k].rows)
         if offset < MAX_OFFSET:
             left[k] = min(left[k], rest)
     best = int(np.argmin(left))
@@ -243,11 +257,11 @@ def _registered(arm: Arm, rows: IdentificationPoses) -> float:
     return _length(pose_residuals(start_state(chain_of(arm), rows), rows), rows)
 
 
-def _with_offsets(arm: Arm, rows: IdentificationPoses, t: Array) -> tuple[float, float]:
+def _with_offsets(arm: Arm, rows: IdentificationPoses) -> tuple[float, float]:
     """The largest of the joints' offsets when these are free as well, rad, and what is left, m."""
     start = start_state(chain_of(arm), rows)
     bare = replace(rows, nuisance=rows.nuisance[:, :, :0])
-    fit = fit_terms(start, bare, t, (*_placed(rows), *offset_parameters(start.chain)))
+    fit = fit_terms(start, bare, (*_placed(rows), *offset_parameters(start.chain)))
     return float(np.abs(fit.state.chain.correction).max()), _length(fit.left, rows)
 
 
@@ -266,11 +280,16 @@ def _length(left: Array, rows: IdentificationPoses) -> float:
 def _words(fit: TermFit, gathered: CombinedPoses) -> str:
     """The terms of a fit; slips by the number of the first pose after them."""
     t, words = gathered.sessions[0].comparison.t, []
-    for term, x in zip(fit.terms, fit.x.tolist(), strict=True):
-        what = f"scaled by {1 / (1 - x):.3g}"
-        if term.since is not None:
+    for term, x in zip(fit.terms, fit.x, strict=True):
+        size = float(np.degrees(np.linalg.norm(x)))
+        if term.kind == "scale":
+            change = float(1 / (1 - x[0]) - 1)  # by two digits of it
+            what = f"scaled by {round(1 + change, 1 - int(np.floor(np.log10(abs(change))))):g}"
+        elif term.since is None:
+            what = f"with {term.kind} of {size:.2g}°"
+        else:
             pose = int(gathered.frame[np.searchsorted(t, term.since)]) + 1
-            what = f"slipped by {np.rad2deg(x):+.2g}° at about pose {pose}"
+            what = f"slipped by {np.sign(x[0]) * size:+.2g}° at about pose {pose}"
         words.append(f"joint {term.joint + 1} {what}")
     return " and ".join(words)
 

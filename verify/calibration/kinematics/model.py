@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from robots.transforms import invert
-from verify.calibration.handeye import nearest_rotation, solve_hand_eye
+from verify.calibration.handeye import nearest_rotation, solve_robustly
 from verify.calibration.kinematics.chain import AXES, ArmState, KinematicChain, Parameter
 from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.core.records import Array, Index, rigid_transform
@@ -20,6 +20,7 @@ from verify.core.records import Array, Index, rigid_transform
 X, Y, Z = 0, 1, 2
 MAX_ITERATIONS = 100  # of base and tool in turn; the fit does the rest
 TOL_STEP = 1e-6  # m
+MAX_RESIDUAL_RATIO = 10.0  # times the median: a pose that is not the arm's spoils the start
 
 
 class _JacobianBuilder:
@@ -137,7 +138,7 @@ def start_state(chain: KinematicChain, poses: IdentificationPoses) -> ArmState:
         if poses.position_only:
             state.base[base], state.tool[tool] = _by_points(targets[:, :3, 3], flange[own])
         else:
-            solved = solve_hand_eye(targets, flange[own])
+            solved, _ = solve_robustly(targets, flange[own], MAX_RESIDUAL_RATIO)
             state.base[base], state.tool[tool] = solved.y, invert(solved.x)
     return state
 

@@ -2,9 +2,9 @@
 
     s² = Σ |w_i ξ_i|² / (m - Σ h)
 
-over the m measured numbers of places, or of turns, with h the share of each in the fit (leverage):
-what a fit with many parameters takes away is given back. A stated uncertainty is never reduced,
-and enlarged only where residuals exceed it by more than their own scatter.
+over the m independent numbers of places, or of turns, with h the share of each in the fit
+(leverage): what a fit with many parameters takes away is given back. A stated uncertainty is never
+reduced, and enlarged only where residuals exceed it by more than their own scatter.
 """
 
 from collections.abc import Callable
@@ -70,7 +70,8 @@ def residual_scale(
     def estimate(part: slice, factor: float) -> tuple[float, float]:
         white = _marginal_whitener(poses, part)
         taken = np.einsum("nac,cd,nad->", design := white @ columns[:, part], covariance, design)
-        freedom = max(np.count_nonzero(np.any(white != 0, axis=2)) - float(taken) / factor**2, 1.0)
+        numbers = np.sum(poses.votes[:, part] * np.any(white != 0, axis=2))
+        freedom = max(float(numbers - taken / factor**2), 1.0)
         variance = float(np.sum((white @ left[:, part, None]) ** 2)) / freedom
         if poses.stated and variance < 1 + MIN_EXCESS_SIGMA * np.sqrt(2 / freedom):
             return 1.0, np.inf

@@ -6,6 +6,8 @@ import numpy as np
 
 from verify.core.records import Array, Index, rigid_transform
 
+SAME_POSTURE = np.deg2rad(0.5)  # joints that differ by less are in one posture
+
 
 @dataclass(frozen=True, slots=True)
 class IdentificationPoses:
@@ -21,6 +23,7 @@ class IdentificationPoses:
     block: Index  # (n,): rows of one block are held out together, as they repeat each other
     nuisance: Array  # (n, 6, p), of unit variance: what does not average out
     position_only: bool
+    votes: Array  # (n, 6), how many independent numbers each whitened one counts for, at most 1
 
     def __len__(self) -> int:
         """Count the rows."""
@@ -30,6 +33,22 @@ class IdentificationPoses:
     def dimensions(self) -> Index:
         """How many numbers each row determines, (n,)."""
         return np.asarray(np.any(self.whitener != 0, axis=2).sum(axis=1))
+
+    @property
+    def posture(self) -> Index:
+        """Which rows share posture, base and tool, (n,) from 0: they show noise, no more."""
+        key = np.column_stack([np.round(self.q / SAME_POSTURE), self.base, self.tool])
+        return np.asarray(np.unique(key, axis=0, return_inverse=True)[1])
+
+    @property
+    def first_visits(self) -> Index:
+        """The first row of each posture."""
+        return np.asarray(np.unique(self.posture, return_index=True)[1])
+
+    @property
+    def numbers(self) -> float:
+        """How many independent numbers were measured."""
+        return float(np.sum(self.votes * np.any(self.whitener != 0, axis=2)))
 
 
 def build_poses(
@@ -69,6 +88,7 @@ def build_poses(
         block=np.arange(n),
         nuisance=np.zeros((n, 6, 0)) if nuisance is None else nuisance,
         position_only=position_only,
+        votes=np.ones((n, 6)),
     )
 
 

@@ -244,15 +244,37 @@ def _mounting(one: SessionPoses) -> bytes:
 
 
 def deflate_repetition(gathered: CombinedPoses, fit: KinematicFit) -> CombinedPoses:
-    """Reduce the weight of pairs that repeat each other's errors, by a first fit's residuals."""
+    """Reduce the weight of rows that repeat each other's errors, by a first fit's residuals.
+
+    Neighbours in time do, and visits to one posture, by what the model does not describe.
+    """
     rows = gathered.poses
     white = fit.scale.whiten(rows, pose_residuals(fit.state, rows))
     white[np.all(rows.whitener == 0, axis=2) | ~fit.used[:, None]] = np.nan
-    whitener = rows.whitener.copy()
+    factors = _posture_correlation(white, rows.posture)
     for i in range(len(gathered.sessions)):
         own = gathered.source == i
-        whitener[own] /= np.sqrt(autocorrelation(white[own]))[:, None]
-    return replace(gathered, poses=replace(rows, whitener=whitener))
+        factors[own] = np.maximum(factors[own], autocorrelation(white[own]))
+    whitener = rows.whitener / np.sqrt(factors)[:, :, None]
+    return replace(gathered, poses=replace(rows, whitener=whitener, votes=rows.votes / factors))
+
+
+def _posture_correlation(white: Array, posture: Index) -> Array:
+    """By how much whitened residuals (n, 6) alike in one posture inflate a mean's variance, >= 1.
+
+    1 + (m - 1) rho in a posture (n,) of m rows, with rho the intraclass correlation.
+    """
+    seen = np.isfinite(white)
+    value = np.where(seen, white, 0.0)
+    place = (posture, slice(None))
+    total, square, count = (np.zeros((int(posture.max()) + 1, white.shape[1])) for _ in range(3))
+    for sums, each in (total, value), (square, value**2), (count, seen):
+        np.add.at(sums, place, each)
+    pairs = np.maximum(np.sum(count * (count - 1), axis=0), 1)
+    power = np.sum(square, axis=0) / np.maximum(np.sum(count, axis=0), 1)
+    alike = np.sum(total**2 - square, axis=0) / pairs
+    rho = np.clip(alike / np.where(power > 0, power, 1.0), 0.0, 1.0)
+    return np.asarray(1 + np.maximum(count[posture] - 1, 0) * rho)
 
 
 def _groups(keys: Iterable[bytes]) -> Index:

@@ -1,19 +1,23 @@
-"""Fit scaled readings and slipped belts along with an arm, and keep those that explain much.
+"""Fit faults of readings along with an arm, and keep those that explain much.
 
-    readings = angles + offset + Σ f_c x_c      f_c (n,): a joint's readings, or 1 from some pose on
+    readings = angles + offset + Σ F_c x_c      F_c (n, w), w numbers x_c of a term
 
-The terms x are added by steps: the scales of all joints, or a slip of every joint at one pose,
-whichever explain more of what is left. In the end those stay whose
+F is a joint's readings q (a scale), 1 from some pose on (a slip of its belt), cos q and sin q (an
+eccentric encoder), or half the last direction of travel (backlash). The terms are added by steps,
+each time the one that explains most of what is left. In the end those stay whose
 
-    t² / (t² + degrees of freedom) >= MIN_SHARE,     t² = x² / u² >= t_P²
+    g² / (g² + degrees of freedom) >= MIN_SHARE,     g² = x' C⁻¹ x >= w F_P
 
-which is the share of the chi² left without a term that it explains; and noise alone keeps any in
-less than P of the recordings.
+with C (w, w) the covariance of x: the share of the chi² left without a term that it explains; and
+noise alone keeps any in less than P of the recordings.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from scipy.special import fdtri
 
 from verify.analysis.least_squares import gauss_newton
 from verify.calibration.kinematics.chain import (
@@ -27,9 +31,8 @@ from verify.calibration.kinematics.fit import scaled_columns, tolerances, withou
 from verify.calibration.kinematics.noise import NoiseScale, initial_scale, residual_scale
 from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.core.records import Array
-from verify.core.statistics import t_isf
 
-P_FALSE = 1e-3  # of a recording without scale and slip, that one is kept
+P_FALSE = 1e-3  # of a recording without any of these faults, that one is kept
 MIN_SHARE = 0.2  # of the chi² left without it, that a step explains, and each term
 MAX_STEPS = 3
 MIN_SIDE = 6  # poses on either side of a slip
@@ -39,16 +42,14 @@ TOL_STEP = 1e-4  # of 1 mm or 1°
 TOL_REDUNDANT = 1e-6  # of a column: what is left of one that the others make up
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)  # arrays have no plain equality
 class Term:
-    """A joint's readings scaled, or slipped from an instant on."""
+    """A fault of one joint's readings, in n rows."""
 
     joint: int  # from 0
-    since: float | None = None  # s; None: a scale
-
-    def factor(self, q: Array, t: Array) -> Array:
-        """What x is multiplied with, (n,), of readings q (n, j), rad, at t (n,), s."""
-        return q[:, self.joint] if self.since is None else (t >= self.since).astype(np.float64)
+    kind: str  # "scale", "eccentricity", "backlash" or "slip"
+    factors: Array  # (n, w), what its w numbers are multiplied with
+    since: float | None = None  # s, of a slip
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +57,8 @@ class TermFit:
     """Parameters and c terms that fit n rows best; p columns in all."""
 
     terms: tuple[Term, ...]
-    x: Array  # (c,), of a scale without unit, of a slip in rad
-    t_squared: Array  # (c,), x² / u²
+    x: tuple[Array, ...]  # c of (w,), of a scale without unit, of all others in rad
+    gain: Array  # (c,), x' C⁻¹ x
     state: ArmState
     left: Array  # (n, 6), m and rad, nuisances taken out
     turns: Array  # (n, 6, j), the pose's change with each joint's angle, a rad
@@ -68,7 +69,7 @@ class TermFit:
     @property
     def share(self) -> Array:
         """Of the chi² left without each term, what that one explains, (c,)."""
-        return self.t_squared / (self.t_squared + self.freedom)
+        return self.gain / (self.gain + self.freedom)
 
     def chi2(self, rows: IdentificationPoses, scale: NoiseScale) -> float:
         """Squared length of what is left, by a noise."""
@@ -78,18 +79,20 @@ class TermFit:
 def fit_terms(
     start: ArmState,
     rows: IdentificationPoses,
-    t: Array,
     parameters: tuple[Parameter, ...],
     terms: tuple[Term, ...] = (),
 ) -> TermFit:
-    """Fit L parameters and terms to rows at t (n,), s; the noise is what they leave."""
+    """Fit L parameters and terms to rows; the noise is what they leave."""
     count, dof, length = len(rows), start.chain.dof, len(parameters)
-    factors = np.zeros((count, dof, len(terms)))
-    for k, term in enumerate(terms):
-        factors[:, term.joint, k] = term.factor(rows.q, t)
+    ends = length + np.cumsum([0, *(term.factors.shape[1] for term in terms)])
+    own = [slice(*pair) for pair in pairwise(ends.tolist())]
+    factors = np.zeros((count, dof, int(ends[-1]) - length))
+    for term, part in zip(terms, own, strict=True):
+        factors[:, term.joint, part.start - length : part.stop - length] = term.factors
     every = (*parameters, *offset_parameters(start.chain))
     priors = [one.tolerance / one.prior for one in parameters]
-    ends = np.diag([*priors, *[ANGLE_UNIT] * len(terms), *[1.0] * rows.nuisance.shape[2]])
+    priors += [ANGLE_UNIT] * factors.shape[2] + [1.0] * rows.nuisance.shape[2]
+    held = np.diag(priors)
     scale = initial_scale(rows)
 
     def linearise(at: tuple[ArmState, Array]) -> tuple[Array, Array, Array]:
@@ -101,9 +104,9 @@ def fit_terms(
     def solve_step(at: tuple[ArmState, Array]) -> tuple[Array, Array]:
         left, columns, _ = linearise(at)
         white = scale.of(rows)
-        design = np.vstack([(white @ columns).reshape(6 * count, -1), ends])
+        design = np.vstack([(white @ columns).reshape(6 * count, -1), held])
         known = np.concatenate([at[1], np.zeros(rows.nuisance.shape[2])])
-        right = np.concatenate([(white @ left[:, :, None]).reshape(-1), -ends @ known])
+        right = np.concatenate([(white @ left[:, :, None]).reshape(-1), -held @ known])
         u, size, vt = np.linalg.svd(design, full_matrices=False)
         return (vt.T / size @ (u.T @ right))[: len(at[1])], (vt.T / size**2) @ vt
 
@@ -111,7 +114,7 @@ def fit_terms(
         change = step[:length] * tolerances(parameters)
         return change_state(at[0], parameters, change), at[1] + step
 
-    at = (start, np.zeros(length + len(terms)))
+    at = (start, np.zeros(int(ends[-1])))
     for _ in range(MAX_ROUNDS):
         at, covariance = gauss_newton(
             at, solve_step, move, max_iterations=MAX_ITERATIONS, tol_step=TOL_STEP
@@ -122,12 +125,15 @@ def fit_terms(
         if scale.near(before):
             break
     design = (scale.of(rows) @ columns).reshape(6 * count, -1)
-    freedom = np.count_nonzero(rows.whitener.any(axis=2)) - np.sum(design @ covariance * design)
-    variance = np.diag(covariance)[length : length + len(terms)]
-    x = at[1][length:]
+    freedom = rows.numbers - np.sum(design @ covariance * design)
+    x = [at[1][part] for part in own]
+    gain = [
+        y @ np.linalg.pinv(covariance[part, part], hermitian=True) @ y
+        for y, part in zip(x, own, strict=True)
+    ]
     return TermFit(
-        terms, x * ANGLE_UNIT, x**2 / variance, at[0], left, turns / ANGLE_UNIT,
-        np.vstack([design, ends]), scale, max(float(freedom), 1.0),
+        terms, tuple(y * ANGLE_UNIT for y in x), np.array(gain), at[0], left, turns / ANGLE_UNIT,
+        np.vstack([design, held]), scale, max(float(freedom), 1.0),
     )  # fmt: skip
 
 
@@ -136,43 +142,65 @@ def explain(
     start: ArmState,
     rows: IdentificationPoses,
     t: Array,
+    direction: Array,
     parameters: tuple[Parameter, ...],
     *,
     slips: bool,
 ) -> TermFit:
-    """The scales, and slips where they are sought, that explain what a fit without any leaves."""
-    joints, visits = range(start.chain.dof), np.unique(t)
+    """The faults, slips where they are sought, that explain what a fit without any leaves.
+
+    The rows are at t (n,), s; `direction` (n, j) is every joint's last one of travel, ±1, or 0
+    where there was none.
+    """
+    visits = np.unique(t)
     since = visits[MIN_SIDE : len(visits) - MIN_SIDE + 1].tolist() if slips else []
-    groups = [tuple(Term(j, at) for j in joints) for at in (None, *since)]
+    kinds: list[tuple[str, Array, float | None]] = [
+        ("scale", rows.q[:, :, None], None),
+        ("eccentricity", np.stack([np.cos(rows.q), np.sin(rows.q)], axis=2), None),
+        ("backlash", direction[:, :, None] / 2, None),
+    ]
+    kinds += [("slip", np.ones((*rows.q.shape, 1)) * (t >= s)[:, None, None], s) for s in since]
+    every = [
+        Term(j, kind, factors[:, j], s)
+        for kind, factors, s in kinds
+        for j in range(start.chain.dof)
+    ]
     found = written
     for _ in range(MAX_STEPS):
-        shares = [0.0 if g[0] in found.terms else _share(found, rows, t, g) for g in groups]
+        shares = _shares(found, rows, every)
         if max(shares) < MIN_SHARE:
             break
-        terms = (*found.terms, *groups[int(np.argmax(shares))])
-        found = fit_terms(start, rows, t, parameters, terms)
+        terms = (*found.terms, every[int(np.argmax(shares))])
+        found = fit_terms(start, rows, parameters, terms)
     while found.terms:
-        tests = 2.0 * (len(joints) * len(groups)) ** len(found.terms)
-        least = float(t_isf(P_FALSE / tests, found.freedom)) ** 2
-        weakest = int(np.argmin(found.t_squared))
-        if found.t_squared[weakest] >= least and found.share[weakest] >= MIN_SHARE:
+        width = np.array([len(x) for x in found.x])
+        tests = len(every) ** len(found.terms)
+        least = width * fdtri(width, found.freedom, 1 - P_FALSE / tests)
+        weakest = int(np.argmin(found.gain / width))
+        if found.gain[weakest] >= least[weakest] and found.share[weakest] >= MIN_SHARE:
             break
         kept = (*found.terms[:weakest], *found.terms[weakest + 1 :])
-        found = fit_terms(start, rows, t, parameters, kept)
+        found = fit_terms(start, rows, parameters, kept)
     return found
 
 
-def _share(fit: TermFit, rows: IdentificationPoses, t: Array, terms: tuple[Term, ...]) -> float:
-    """Share of the chi² left that more terms of every joint would explain, to first order."""
+def _shares(fit: TermFit, rows: IdentificationPoses, terms: Sequence[Term]) -> list[float]:
+    """Share of the chi² left that each of further terms would explain, to first order."""
     white, ends = fit.scale.of(rows), len(fit.design) - 6 * len(rows)
-    factors = np.stack([term.factor(rows.q, t) for term in terms], axis=1)
-    moved = np.concatenate([fit.left[:, :, None], fit.turns * factors[:, None]], axis=2)
-    whole = np.vstack(
-        [(white @ moved).reshape(6 * len(rows), -1), np.zeros((ends, 1 + len(terms)))]
-    )
     basis = np.linalg.qr(fit.design)[0]
-    open_part = whole - basis @ (basis.T @ whole)
-    left, columns = open_part[:, 0], open_part[:, 1:]
-    told = np.linalg.norm(columns, axis=0) > TOL_REDUNDANT * np.linalg.norm(whole[:, 1:], axis=0)
-    across = np.linalg.qr(columns[:, told])[0].T @ left
-    return float(across @ across / max(left @ left, np.finfo(float).tiny))
+
+    def open_part(moved: Array) -> Array:
+        whole = (white @ moved).reshape(6 * len(rows), -1)
+        whole = np.vstack([whole, np.zeros((ends, whole.shape[1]))])
+        open_ones = whole - basis @ (basis.T @ whole)
+        told = np.linalg.norm(open_ones, axis=0) > TOL_REDUNDANT * np.linalg.norm(whole, axis=0)
+        return np.asarray(open_ones[:, told])
+
+    left = open_part(fit.left[:, :, None]).sum(axis=1)
+    size = max(float(left @ left), np.finfo(float).tiny)
+    shares = []
+    for term in terms:
+        columns = open_part(fit.turns[:, :, term.joint, None] * term.factors[:, None])
+        across = np.linalg.qr(columns)[0].T @ left
+        shares.append(0.0 if term in fit.terms else float(across @ across) / size)
+    return shares

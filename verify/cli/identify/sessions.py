@@ -108,10 +108,10 @@ def _combine_poses(sessions: Sequence[Session], *, registered: bool) -> arm_sess
             measured.append(arm_sessions.session_to_poses(session, progress, registered=registered))
     gathered = arm_sessions.gather_sessions(measured)
     places = gathered.poses.base * (int(gathered.poses.tool.max()) + 1) + gathered.poses.tool
-    count = np.bincount(places)[np.unique(places)]
+    count = np.bincount(places[gathered.poses.first_visits])[np.unique(places)]
     if count.min() < MIN_POSES:
         raise InputError(
-            sessions[0].folder, f"{count.min()} poses with readings",
+            sessions[0].folder, f"{count.min()} different postures with readings",
             f"{MIN_POSES} or more are needed of each placing of robot and LEDs",
             "Record a longer session.",
         )  # fmt: skip
@@ -201,6 +201,13 @@ def _warnings(
         warnings.append(
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the uncertainties "
             f"hold on that condition{said}."
+        )
+    chosen, best = found.chosen, found.best
+    if best.held_out and chosen.held_out and LEVELS.index(chosen.name) < LEVELS.index(best.name):
+        left, least = (level.held_out.position[0] * 1e3 for level in (chosen, best))
+        warnings.append(
+            f"--model {chosen.name} leaves {left:.3g} mm of poses held out, {best.name} "
+            f"{least:.3g} mm: offsets may be off by more than their U."
         )
     if found.chosen.fit.scatter is None:
         warnings.append(
