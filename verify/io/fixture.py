@@ -12,6 +12,8 @@ from verify.errors import one_line
 from verify.io.rig import Matrix, Triple, nearest_pose
 from verify.io.toml import MM, decode, key_error, not_negative
 
+MIN_POSITION_MM = 2.0  # no board's corner stands as near to the middle of a robot's base
+
 
 class FixtureTable(msgspec.Struct, kw_only=True):
     """The keys of a fixture file; a rotation is given in one of two ways."""
@@ -52,6 +54,9 @@ def read(path: str | Path) -> tuple[Fixture, tuple[str, ...]]:
         values = np.broadcast_to(0.0 if given is None else np.array(given, dtype=float), 3)
         not_negative(path, key, float(values.min()))
         sigma.append(values * unit)
+    if 0 < np.abs(table.position_mm).max() < MIN_POSITION_MM:
+        given = f"position_mm is {list(table.position_mm)}; is that in metres?"
+        warnings = (*warnings, one_line(f"{path}: {given}"))
     if missing:
         warning = f"{path}: {' and '.join(missing)} not stated; taken as exact."
         warnings = (*warnings, one_line(warning))

@@ -4,7 +4,7 @@ Nothing of the robot's own is used, neither encoders nor DH table, so this regis
 fault of theirs.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from hashlib import sha256
 
@@ -14,6 +14,7 @@ from scipy.linalg import block_diag
 from robots.transforms import cross_matrix, difference, invert
 from verify.calibration.board.pose import board_marker, board_poses, residual_beside
 from verify.calibration.registration.uncertainty import BASE_NAMES
+from verify.calibration.stereo.calibrate import drop_copies
 from verify.calibration.stereo.records import extend_covariance, rms
 from verify.core.fiducials import Board, BoardPair, Marker
 from verify.core.records import Array, Index, Measurement
@@ -29,6 +30,8 @@ P_FALSE_ALARM = 1e-3  # of pairs being said to disagree where noise alone is at 
 # letting it fall below 1 overstates the base's covariance by 4 % where corners keep their word
 MIN_DEGREES = 100
 MIN_NOISE_FACTOR = 0.25  # times what is stated: pictures without any noise would agree with nothing
+MAX_NOISE_FACTOR = 10.0  # times what is stated: beyond it an error, of which no mean is rid
+MAX_RMS_PX = 2.0  # with it: no board and no lens model is off by as much
 MAX_REJECTED_SHARE = 0.25  # of the pairs; more that disagree, and it is not known which are right
 
 
@@ -81,6 +84,7 @@ def register_fixture(
         names = enumerate(given.parameters)
         given = given.take([i for i, n in names if n.startswith(("left.", "right."))])
     rig = replace(rig, rig_T_base=np.eye(4), covariance=given)
+    pairs, copies = drop_copies(pairs)
     turning = len({(p.pan_left, p.pan_right) for p in pairs}) > 1
     marker = board_marker(board)
     parameters = stated_systematics(rig, marker, turning)
@@ -89,6 +93,7 @@ def register_fixture(
         expected = "at least one picture that shows six of its corners is needed"
         raise InputError("board on the base", "is in no picture", expected, "Turn the cameras.")
     noise = _noise(seen, parameters, rig, marker)
+    _refuse_unlike(seen, noise)
     effects = [sensitivities(parameters, m, rig, marker) for m in seen]
     used, common, warnings = _consistent_pairs(seen, effects, parameters, noise)
     base, by_board, by_fixture = _base(common.pose, base_T_board)
@@ -115,7 +120,7 @@ def register_fixture(
         residual_rms_px=rms(np.concatenate(left)),
         noise=noise,
         decisions=_decisions(seen, used, noise, common, fixture),
-        warnings=(*warnings, *_unstated_warnings(rig, parameters, base_T_board_covariance)),
+        warnings=(*copies, *warnings, *_warnings(rig, parameters, base_T_board_covariance, noise)),
     )
 
 
@@ -149,6 +154,15 @@ def _noise(seen: list[Measurement], parameters: Systematics, rig: Rig, marker: M
     degrees = sum(m.pose.degrees_of_freedom for m in seen if m.pose)
     factor = float(np.sqrt(chi2_sum / degrees))
     return max(factor, MIN_NOISE_FACTOR if degrees >= MIN_DEGREES else 1.0)
+
+
+def _refuse_unlike(seen: list[Measurement], noise: float) -> None:
+    """Raise InputError for a pattern that is not where its own pose by this rig puts it."""
+    left = rms(np.concatenate([m.pose.residual[~m.pose.rejected] for m in seen if m.pose]))
+    if noise > MAX_NOISE_FACTOR and left > MAX_RMS_PX:
+        found = f"its corners are {left:.1f} px (rms) from where any place of it would show them"
+        remedy = "Check the rig, the square's edge, and the pan angles in frames.csv."
+        raise InputError("board on the base", found, f"{MAX_RMS_PX:.0f} px at most", remedy)
 
 
 def _consistent_pairs(
@@ -265,11 +279,16 @@ def _decisions(
     return tuple(words)
 
 
-def _unstated_warnings(rig: Rig, parameters: Systematics, fixture: Array) -> list[str]:
+def _warnings(rig: Rig, parameters: Systematics, fixture: Array, noise: float) -> Iterator[str]:
     unstated = {
         "rig": rig.covariance is None,
         "pan angle": "pan angle" in parameters.uncounted,
         "fixture": not np.any(fixture),
     }
-    exact = ", ".join(source for source, is_exact in unstated.items() if is_exact)
-    return [f"No uncertainty is stated for {exact}: taken as exact."] if exact else []
+    if exact := ", ".join(source for source, is_exact in unstated.items() if is_exact):
+        yield f"No uncertainty is stated for {exact}: taken as exact."
+    if noise > MAX_NOISE_FACTOR:
+        yield (
+            f"Corners lie {noise:.0f} times as far from where the board's pose puts them as their "
+            "noise explains: rig, square or pan angles are off, and the base by more than its U."
+        )

@@ -18,7 +18,7 @@ from verify.calibration.registration.uncertainty import (
 )
 from verify.calibration.stereo.records import rms
 from verify.core.fiducials import Marker
-from verify.errors import one_line
+from verify.errors import InputError, one_line
 from verify.io import fiducials
 from verify.io import rig as io_rig
 from verify.io.session.session import Recording
@@ -26,6 +26,9 @@ from verify.io.session.session import Recording
 N_BLOCKS = 10  # of a session, every other one registered, the rest judged
 MIN_HELD_OUT_PAIRS = 5  # pairs in each half, or there is no holding out
 MIN_REPORTED_MISFIT = 2.0  # chi² a degree of freedom
+MAX_REFUSED_SHARE = 0.1  # of the spots, before it is worth a warning
+MAX_REFUSED_OF_KEPT = 0.5  # of the spots of an LED whose place is kept: it is not there
+MAX_LED_SIGMA = 3.0  # standard uncertainties that an LED may be from its place
 MIN_SKEW_SIGMA = 4.0  # standard uncertainties by which the stamps must differ to be blamed
 
 
@@ -93,7 +96,7 @@ def registration_outcome(
         spots=spotted,
         residual=adjusted.predicted.residual,
         decisions=tuple(_decisions(recording, named, held, adjusted, diameter)),
-        warnings=tuple(map(one_line, _warnings(adjusted, found.start, shown))),
+        warnings=tuple(map(one_line, _warnings(adjusted, found.start, shown, marker.names))),
     )
 
 
@@ -147,8 +150,34 @@ def _decisions(
         )
 
 
+def refuse_misplaced_led(adjusted: AdjustedRegistration, marker: Marker) -> None:
+    """Raise InputError for an LED of a marker that is kept, which the spots show elsewhere."""
+    worst, share = _most_refused(adjusted)
+    mine, seen = adjusted.spotted.led == worst, adjusted.predicted
+    columns = seen.design[mine, :, 6 + 3 * worst : 9 + 3 * worst].reshape(-1, 3)
+    away = np.linalg.norm(np.linalg.lstsq(columns, seen.residual[mine].reshape(-1))[0])
+    if share > MAX_REFUSED_OF_KEPT and away > MAX_LED_SIGMA * (
+        marker.led_standard_uncertainty or 0
+    ):
+        raise InputError(
+            "--known-marker", f"puts LED {marker.names[worst]} {away * 1e3:.1f} mm from where the "
+            "pictures show it", "a marker that is kept says where each LED sits",
+            "Measure that LED's place again, or leave out --keep-leds.",
+        )  # fmt: skip
+
+
+def _most_refused(adjusted: AdjustedRegistration) -> tuple[int, float]:
+    """The LED of whose spots most were refused, and the share of these."""
+    led, refused = adjusted.spotted.led, ~adjusted.spotted.used
+    share = np.bincount(led, refused) / np.maximum(np.bincount(led), 1)
+    return int(np.argmax(share)), float(share.max())
+
+
 def _warnings(
-    adjusted: AdjustedRegistration, start: RegistrationStart, shown: list[float | None]
+    adjusted: AdjustedRegistration,
+    start: RegistrationStart,
+    shown: list[float | None],
+    names: tuple[str, ...],
 ) -> Iterator[str]:
     if start.rivals:
         others = ", ".join(f"{o:+.3f}" for o in start.rivals[:4])
@@ -161,6 +190,14 @@ def _warnings(
         yield (
             f"The right camera's stamps are {skew * 1e3:+.2f} ms ± {2 * u * 1e3:.2f} ms (k = 2) "
             "early against the left one's: add that to t_right_s in frames.csv."
+        )
+    refused = ~adjusted.spotted.used
+    if refused.mean() > MAX_REFUSED_SHARE:
+        worst, share = _most_refused(adjusted)
+        yield (
+            f"{int(refused.sum())} of {len(refused)} spots contradict the others and were "
+            f"rejected, of LED {names[worst]} {share:.0%}: check its place, and what hides or "
+            "mirrors it."
         )
     misfit = adjusted.chi2 / max(adjusted.degrees_of_freedom, 1)
     if misfit > MIN_REPORTED_MISFIT:

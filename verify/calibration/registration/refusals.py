@@ -28,6 +28,7 @@ MIN_PARALLEL_COSINE = 0.999  # cosine between directions that are called one
 MIN_TURN_SHARE = 0.2
 MAX_TURN_DIFFERENCE = np.deg2rad(5.0)  # median; a degree of joint error makes one
 Restart = Callable[[Readings], RegistrationStart]
+MAX_REFUSED_SHARE = 0.5  # of the spots: with more, neither rig nor readings fit
 MAX_RMS_PX = 10.0  # a degree of joint error makes a few; these are another robot's readings
 
 
@@ -164,7 +165,14 @@ def _difference(start: RegistrationStart) -> float:
 def _name_mistake(
     start: RegistrationStart, readings: Readings, restart: Restart
 ) -> tuple[str, str] | None:
-    """The usual mistake in the readings without which flange and LEDs move alike; its remedy."""
+    """The mistake without which flange and LEDs move alike, and its remedy.
+
+    Either what is kept, or a usual one in the readings.
+    """
+    fitted = _difference(restart(readings))
+    if fitted <= MAX_LEFT_SHARE * _difference(start):
+        found = f"; base and LEDs elsewhere than those kept fit: {np.rad2deg(fitted):.2g}°"
+        return found, "Leave out --keep-base or --keep-leds, or correct what it keeps."
     if np.ptp(readings.q, axis=0).max() < MAX_FROZEN:
         return "; the readings never change", "Log the encoders while the robot moves."
     tried = [(_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)]
@@ -183,13 +191,19 @@ def refuse_misfit(
 ) -> None:
     """Raise InputError for LEDs farther from their predicted pixels than joint errors explain.
 
-    `restart` gives the start with other readings.
+    `restart` gives the start with other readings, neither base nor LEDs held.
     """
-    left = adjusted.predicted.residual[adjusted.spotted.used]
+    used = adjusted.spotted.used
+    left, lost = adjusted.predicted.residual[used], int((~used).sum())
     distance = rms(left) if len(left) else np.inf
     if distance > MAX_RMS_PX:
         found = f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen"
         expected = f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain"
-        remedy = "Check the robot's name, the readings' unit (degrees) and order, and the rig."
-        name, remedy = _name_mistake(start, readings, restart) or ("", remedy)
-        raise InputError(folder / "encoders.csv", f"{found}{name}", expected, remedy)
+    elif lost > MAX_REFUSED_SHARE * len(used):
+        found = f"{lost} of {len(used)} spots contradict the others"
+        expected = "most must be of one body that moves as the readings say, seen by this rig"
+    else:
+        return
+    remedy = "Check the robot's name, the readings' unit (degrees) and order, and the rig."
+    name, remedy = _name_mistake(start, readings, restart) or ("", remedy)
+    raise InputError(folder / "encoders.csv", f"{found}{name}", expected, remedy)

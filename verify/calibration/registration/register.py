@@ -29,6 +29,7 @@ from verify.calibration.registration.model import (
 from verify.calibration.registration.outcome import (
     AdjustmentOutcome,
     FixedParameters,
+    refuse_misplaced_led,
     registration_outcome,
 )
 from verify.calibration.registration.records import MotionRegistration, order_like_marker
@@ -89,6 +90,8 @@ def register_motion(
     adjusted = _adjust_observable(stack_spots(poses, recording.rig), setup, at, free)
     adjusted, wild = _reject_pairs(adjusted, setup)
     refusals.refuse_misfit(adjusted, recording.folder, start, setup.readings, restart)
+    if held.leds is not None:
+        refuse_misplaced_led(adjusted, held.leds)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
     diameter = round(float(np.median([pose.diameter for pose in poses])), 4)
     found = AdjustmentOutcome(adjusted, setup, start, diameter, dict(sorted(left_out.items())))

@@ -122,7 +122,7 @@ def gather_pairs(
     views = [(usable_view(p.left, board), usable_view(p.right, board)) for p in pairs]
     usable = [replace(p, left=v[0], right=v[1]) for p, v in zip(pairs, views, strict=True)]
     usable, notes = _drop_foreign(usable, board)
-    usable, copies = _drop_copies(usable)
+    usable, copies = drop_copies(usable)
     refusals.refuse_unseen(usable, " ".join(copies))
     notes += copies
     lenses = [start.start_lens(_views(usable, side), board, image_size) for side in (0, 1)]
@@ -180,7 +180,7 @@ def _drop_foreign(pairs: list[BoardPair], board: Board) -> tuple[list[BoardPair]
     return pairs, notes
 
 
-def _drop_copies(pairs: list[BoardPair]) -> tuple[list[BoardPair], list[str]]:
+def drop_copies(pairs: Sequence[BoardPair]) -> tuple[list[BoardPair], list[str]]:
     """Drop pairs whose two pictures are those of an earlier pair: they show nothing more."""
     first: dict[tuple[bytes, ...], int] = {}
     kept, copies = [], []

@@ -100,6 +100,27 @@ def test_pairs_of_which_none_is_known_to_be_right_are_refused() -> None:
         register_fixture(RIG, pairs, BOARD, BASE_T_BOARD, FIXED)
 
 
+def test_a_rig_that_cannot_have_taken_the_pictures_is_no_scatter_of_corners() -> None:
+    """A pan reading 1° off bends the pattern by pixels; one 0.2° off still moves the base."""
+    rng = np.random.default_rng(2)
+    gross = pair(RIG, placed(), rng, error=(np.radians(1.0), 0.0))
+    with pytest.raises(InputError, match=r"its corners are \d\.\d px"):
+        register_fixture(RIG, [gross], BOARD, BASE_T_BOARD, FIXED)
+    little = pair(RIG, placed(), rng, error=(np.radians(0.2), 0.0))
+    found = register_fixture(RIG, [little], BOARD, BASE_T_BOARD, FIXED)
+    assert any("times as far from where the board's pose puts them" in w for w in found.warnings)
+    sound = register_fixture(RIG, [pair(RIG, placed(), rng)], BOARD, BASE_T_BOARD, FIXED)
+    assert not any("times as far" in w for w in sound.warnings)
+
+
+def test_copies_of_a_pair_count_once() -> None:
+    one = pair(RIG, placed(), np.random.default_rng(1))
+    pairs = [replace(one, frame=i) for i in range(6)]
+    found, single = (register_fixture(RIG, p, BOARD, BASE_T_BOARD, FIXED) for p in (pairs, [one]))
+    assert_allclose(found.base_covariance, single.base_covariance)
+    assert any("the same pictures" in w for w in found.warnings)
+
+
 def test_no_view_of_the_board_is_refused() -> None:
     blind = replace(pair(RIG, placed()), left=None, right=None)
     with pytest.raises(InputError, match="is in no picture"):
@@ -141,6 +162,8 @@ def test_a_fixture_file_gives_place_and_uncertainty(tmp_path: Path) -> None:
     fixture, warnings = io_fixture.read(path)
     assert not fixture.covariance.any()
     assert "rotation_standard_uncertainty_deg not stated; taken as exact" in warnings[0]
+    path.write_text(FIXTURE.replace("[120.0, -40.0, 15.0]", "[0.12, -0.04, 0.015]") + stated)
+    assert "is that in metres?" in io_fixture.read(path)[1][0]
 
 
 @pytest.mark.parametrize(

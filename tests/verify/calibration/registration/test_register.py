@@ -275,6 +275,34 @@ def test_keeping_both_leaves_nothing_to_register(simulated: InMemory) -> None:
         register_motion(simulated, keep_base=True, keep_leds=True, marker=simulated.marker)
 
 
+def test_what_is_kept_and_does_not_fit_is_named(simulated: InMemory) -> None:
+    """An LED 5 mm from where marker.toml has it; a base 50 mm from where rig.toml has it."""
+    leds = simulated.marker.leds.copy()
+    leds[0, 0] += 5e-3
+    with pytest.raises(InputError, match=r"puts LED A 5\.0 mm from where the pictures show it"):
+        register_motion(simulated, marker=replace(simulated.marker, leds=leds), keep_leds=True)
+    base = simulated.rig.rig_T_base.copy()
+    base[0, 3] += 0.05
+    moved = replace(simulated, rig=replace(simulated.rig, rig_T_base=base))
+    with pytest.raises(InputError, match="base and LEDs elsewhere than those kept fit"):
+        register_motion(moved, keep_base=True)
+
+
+def test_a_rig_that_most_spots_contradict_is_refused_one_that_some_do_warned_of(
+    simulated: InMemory,
+) -> None:
+    """A camera turned by 1.1° from where the rig has it; a base held 5 mm beside its place."""
+    rig = simulated.rig
+    yawed = replace(rig, left=replace(rig.left, pan_zero=rig.left.pan_zero + 0.02))
+    with pytest.raises(InputError, match=r"of \d+ spots contradict the others"):
+        register_motion(replace(simulated, rig=yawed))
+    base = rig.rig_T_base.copy()
+    base[0, 3] += 0.005
+    moved = replace(simulated, rig=replace(rig, rig_T_base=base))
+    warnings = register_motion(moved, keep_base=True).warnings
+    assert any("spots contradict the others and were rejected, of LED" in w for w in warnings)
+
+
 def test_a_recording_needs_neither_a_robot_base_nor_a_marker(tmp_path: Path) -> None:
     folder = write_session(tmp_path / "monday")
     (folder / "marker.toml").unlink()
