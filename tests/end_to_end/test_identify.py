@@ -254,7 +254,7 @@ def test_a_model_smaller_than_the_poses_call_for_is_warned_of(tmp_path: Path) ->
         tmp_path / "one", build_poses(*seen("rv_3sd_melfa", 4)), robot="rv_3sd_melfa", period=10.0
     )
     done = verify("identify", folder, *FREE, "--model", "offsets", "-o", tmp_path / "out")
-    assert "warning: --model offsets leaves 2." in done.err
+    assert "warning: --model offsets: 2." in done.err
     assert "offsets may be off by more than their U" in done.err
 
 

@@ -266,10 +266,9 @@ def _posture_correlation(white: Array, posture: Index) -> Array:
     """
     seen = np.isfinite(white)
     value = np.where(seen, white, 0.0)
-    place = (posture, slice(None))
     total, square, count = (np.zeros((int(posture.max()) + 1, white.shape[1])) for _ in range(3))
     for sums, each in (total, value), (square, value**2), (count, seen):
-        np.add.at(sums, place, each)
+        np.add.at(sums, posture, each)
     pairs = np.maximum(np.sum(count * (count - 1), axis=0), 1)
     power = np.sum(square, axis=0) / np.maximum(np.sum(count, axis=0), 1)
     alike = np.sum(total**2 - square, axis=0) / pairs

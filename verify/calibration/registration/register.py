@@ -72,6 +72,9 @@ def register_motion(
             and which movement to add.
     """
     place = str(recording.folder)
+    if leds is not None and marker is not None and leds != len(marker):
+        given = f"is {leds}, and the known marker has {len(marker)} LEDs"
+        raise InputError("--leds", given, "", "Leave it out.")
     held = _check_held(recording, marker, keep_base, keep_leds)
     pairs = find_spots(recording, progress)
     moving = drop_still_spots(pairs)

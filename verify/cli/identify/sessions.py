@@ -203,11 +203,11 @@ def _warnings(
             f"hold on that condition{said}."
         )
     chosen, best = found.chosen, found.best
-    if best.held_out and chosen.held_out and LEVELS.index(chosen.name) < LEVELS.index(best.name):
-        left, least = (level.held_out.position[0] * 1e3 for level in (chosen, best))
+    if LEVELS.index(chosen.name) < LEVELS.index(best.name):
+        left, least = (one.position[0] * 1e3 for m in (chosen, best) if (one := m.held_out))
         warnings.append(
-            f"--model {chosen.name} leaves {left:.3g} mm of poses held out, {best.name} "
-            f"{least:.3g} mm: offsets may be off by more than their U."
+            f"--model {chosen.name}: {left:.3g} mm are left of poses held out, by {best.name} "
+            f"{least:.3g} mm; offsets may be off by more than their U."
         )
     if found.chosen.fit.scatter is None:
         warnings.append(

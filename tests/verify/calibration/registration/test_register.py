@@ -273,6 +273,8 @@ def test_two_axes_that_are_not_parallel_suffice() -> None:
 def test_keeping_both_leaves_nothing_to_register(simulated: InMemory) -> None:
     with pytest.raises(InputError, match="nothing is left"):
         register_motion(simulated, keep_base=True, keep_leds=True, marker=simulated.marker)
+    with pytest.raises(InputError, match="--leds: is 3, and the known marker has 4 LEDs"):
+        register_motion(simulated, leds=3, marker=simulated.marker)
 
 
 def test_what_is_kept_and_does_not_fit_is_named(simulated: InMemory) -> None:
