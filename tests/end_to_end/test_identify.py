@@ -164,6 +164,7 @@ def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:
         ("scale", (), "joint 5 scaled by 1.3 fits"),
         ("slip", (), "joint 3 slipped by +12° at about pose"),
         ("eccentricity", (), "joint 3 with eccentricity of 0."),
+        ("backlash", (), "joint 3 with backlash of 0."),
         ("base", ("--base", "held"), "another base and target fit"),
     ],
 )
@@ -183,6 +184,8 @@ def test_what_no_identification_can_describe_is_named(
         q[30:, 2] += np.radians(12)
     elif spoil == "eccentricity":
         q[:, 2] += np.radians(0.5) * np.cos(q[:, 2] - 0.7)
+    elif spoil == "backlash":
+        q[1:, 2] += np.radians(0.25) * np.sign(np.diff(q[:, 2]))
     folder = write_session(tmp_path / "one", build_poses(q, poses), robot="iust_6r", period=10.0)
     if spoil == "quaternion":
         table = pd.read_csv(folder / "poses.csv")

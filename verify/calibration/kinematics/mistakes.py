@@ -41,6 +41,7 @@ MIN_ROWS = 12  # of each session
 MAX_CARRIED = 4  # mistakes, to a fit with the offsets free; sessions, to one without them
 MIN_NEARER = 1.2  # a session that is off is named, where another base fits better by less
 MIN_SHARE = 0.5  # of chi², that a scale or slip explains: parts of a real UR10's have up to 0.35
+MIN_JUMP = np.deg2rad(2.0)  # of a joint between two poses: it says where it came from
 MAX_PRIORS = 15.0  # standard deviations, 3 mm or 3°: what is off by more is another arm
 MEND = "Mend the encoder or the gear, or judge the arm as it is by `verify run`."
 REMEDIES = {
@@ -69,7 +70,13 @@ def refuse_mistaken_readings(file: Path, gathered: CombinedPoses) -> None:
         InputError: names the mistakes and what remains without them.
     """
     first = gathered.sessions[0].session
-    rows, t = _few(gathered)
+    every = np.ones(len(gathered.poses), dtype=bool)
+    targets = gathered.poses.world_T_target.copy()
+    for i, one in enumerate(gathered.sessions):  # an instrument's as its file has them
+        if (instrument := one.session.instrument) is not None:
+            targets[gathered.source == i] = instrument.poses.transforms[one.frame]
+    some, t = _some(gathered, every)
+    rows = take_rows(replace(gathered.poses, world_T_target=targets), some)
     written = _registered(first.arm, rows)
     if written < MIN_LEFT:
         return
@@ -123,7 +130,9 @@ def refuse_unfit(
         lambda kept: fit_terms(start, take_rows(rows, kept), parameters),
     )  # fmt: skip
     alone = len(np.unique(rows.recording)) == 1
-    direction = np.concatenate([one.comparison.direction for one in gathered.sessions])[some]
+    direction = np.concatenate([one.comparison.direction for one in gathered.sessions])
+    jump = np.diff(gathered.poses.q, axis=0, prepend=gathered.poses.q[:1])  # from visit to visit
+    direction = np.where(np.abs(jump) > MIN_JUMP, np.sign(jump), direction)[some]
     explained = explain(written, start, rows, t, direction, parameters, slips=alone)
     named, rest = _words(explained, gathered), _length(explained.left, rows)
     if base is not None and rest > elsewhere:
@@ -185,16 +194,6 @@ def _some(gathered: CombinedPoses, used: Flags) -> tuple[Flags, Array]:
         own = np.flatnonzero((gathered.source == i) & used)
         some[own[np.unique(np.linspace(0, len(own) - 1, each).astype(int))]] = True
     return some, t[some]
-
-
-def _few(gathered: CombinedPoses) -> tuple[IdentificationPoses, Array]:
-    """Some rows, an instrument's as its file has them, and their instants, s."""
-    rows, (some, t) = gathered.poses, _some(gathered, np.ones(len(gathered.poses), dtype=bool))
-    targets = rows.world_T_target.copy()
-    for i, one in enumerate(gathered.sessions):
-        if (instrument := one.session.instrument) is not None:
-            targets[gathered.source == i] = instrument.poses.transforms[one.frame]
-    return take_rows(replace(rows, world_T_target=targets), some), t
 
 
 def _mistakes(

@@ -145,37 +145,25 @@ def _offsets(found: IdentificationResult, joints: int) -> list[dict[str, Any]]:
 
 def _held(found: IdentificationResult) -> list[dict[str, Any]]:
     """List the parameters that the chosen model leaves as they were, and why."""
-    largest = found.level("geometry")
-    rows = [
-        _held_row(
-            entry.parameter,
-            "gauge" if entry.redundant else "prior",
-            None if entry.redundant else entry.uncertainty_if_free,
-            entry.confounded_with,
-        )
-        for entry in (*largest.support.held, *found.chosen.weak)
+    largest, chosen = found.level("geometry"), found.chosen.fit.parameters
+    held = [
+        (one.parameter, "gauge" if one.redundant else "prior", one.uncertainty_if_free,
+         one.confounded_with)
+        for one in (*largest.support.held, *found.chosen.weak)
+    ]  # fmt: skip
+    sigma = zip(largest.fit.parameters, largest.fit.standard_uncertainty.tolist(), strict=True)
+    held += [(p, "not_called_for", u, ()) for p, u in sigma if p not in chosen]
+    return [
+        {
+            "name": parameter.name,
+            "unit": _unit(parameter)[1],
+            "reason": reason,
+            "confounded_with": [{"name": p.name, "share": share} for p, share in confounded],
+            # infinite of a gauge
+            "standard_uncertainty_if_free": u * _unit(parameter)[0] if np.isfinite(u) else None,
+        }
+        for parameter, reason, u, confounded in held
     ]
-    sigma = largest.fit.standard_uncertainty.tolist()
-    for parameter, u in zip(largest.fit.parameters, sigma, strict=True):
-        if parameter not in found.chosen.fit.parameters:
-            rows.append(_held_row(parameter, "not_called_for", u))
-    return rows
-
-
-def _held_row(
-    parameter: Parameter,
-    reason: str,
-    uncertainty: float | None,
-    confounded: Sequence[tuple[Parameter, float]] = (),
-) -> dict[str, Any]:
-    scale, unit = _unit(parameter)
-    return {
-        "name": parameter.name,
-        "unit": unit,
-        "reason": reason,
-        "confounded_with": [{"name": p.name, "share": share} for p, share in confounded],
-        "standard_uncertainty_if_free": None if uncertainty is None else uncertainty * scale,
-    }
 
 
 def _level(level: LevelResult) -> dict[str, Any]:

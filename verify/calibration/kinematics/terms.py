@@ -4,7 +4,7 @@
 
 F is a joint's readings q (a scale), 1 from some pose on (a slip of its belt), cos q and sin q (an
 eccentric encoder), or half the last direction of travel (backlash). The terms are added by steps,
-each time the one that explains most of what is left. In the end those stay whose
+each time the one that explains most of what is left, as long as of every term
 
     g² / (g² + degrees of freedom) >= MIN_SHARE,     g² = x' C⁻¹ x >= w F_P
 
@@ -167,20 +167,15 @@ def explain(
     ]
     found = written
     for _ in range(MAX_STEPS):
-        shares = _shares(found, rows, every)
-        if max(shares) < MIN_SHARE:
+        order = np.argsort(_shares(found, rows, every)).tolist()
+        best = {every[k].kind: every[k] for k in order}  # of each kind: first order misleads
+        tried = (fit_terms(start, rows, parameters, (*found.terms, one)) for one in best.values())
+        more = min(tried, key=lambda one: one.chi2(rows, found.scale))
+        width = np.array([len(x) for x in more.x])
+        least = width * fdtri(width, more.freedom, 1 - P_FALSE / len(every))
+        if (more.gain < least).any() or more.share.min() < MIN_SHARE:
             break
-        terms = (*found.terms, every[int(np.argmax(shares))])
-        found = fit_terms(start, rows, parameters, terms)
-    while found.terms:
-        width = np.array([len(x) for x in found.x])
-        tests = len(every) ** len(found.terms)
-        least = width * fdtri(width, found.freedom, 1 - P_FALSE / tests)
-        weakest = int(np.argmin(found.gain / width))
-        if found.gain[weakest] >= least[weakest] and found.share[weakest] >= MIN_SHARE:
-            break
-        kept = (*found.terms[:weakest], *found.terms[weakest + 1 :])
-        found = fit_terms(start, rows, parameters, kept)
+        found = more
     return found
 
 

@@ -47,19 +47,11 @@ def _parameters(calibration: Calibration) -> pd.DataFrame:
     for side, camera in (("left", calibration.rig.left), ("right", calibration.rig.right)):
         values = _values(camera)
         for key in PARAMETER_KEYS:
-            name = f"{side}.{key}"
-            u = stated.get(name, 0.0)
-            rows.append(
-                {
-                    "camera": side,
-                    "parameter": key,
-                    "unit": UNIT.get(key.rpartition("_")[2], ""),
-                    "value": values[key],
-                    "standard_uncertainty": u if u > 0 else np.nan,
-                    "state": "found" if u > 0 else "gauge",
-                }
-            )
-    return pd.DataFrame(rows)
+            u, unit = stated.get(f"{side}.{key}", 0.0), UNIT.get(key.rpartition("_")[2], "")
+            known = (u, "found") if u > 0 else (np.nan, "gauge")
+            rows.append((side, key, unit, values[key], *known))
+    columns = ["camera", "parameter", "unit", "value", "standard_uncertainty", "state"]
+    return pd.DataFrame(rows, columns=columns)
 
 
 def _values(camera: Camera) -> dict[str, float]:

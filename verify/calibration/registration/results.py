@@ -147,10 +147,8 @@ def poses_results(
 def _base_shifts(found: MotionRegistration) -> list[float | None]:
     """How far a constant offset of each joint moved the base, mm per degree; None: not known."""
     moved = found.rig.absorption
-    if moved is None:
-        return [None] * len(found.visible_fractions)
-    shifts: list[float | None] = (np.linalg.norm(moved[:3], axis=0) * MM / DEG).tolist()
-    return shifts
+    size = None if moved is None else np.linalg.norm(moved[:3], axis=0) * MM / DEG
+    return [None] * len(found.visible_fractions) if size is None else size.tolist()
 
 
 def _base(rig_T_base: Array, u: Array, *, held: bool) -> dict[str, Any]:
@@ -197,28 +195,13 @@ def _residuals(found: MotionRegistration) -> pd.DataFrame:
 def _sweep_tables(found: SweepResult | None) -> dict[str, pd.DataFrame]:
     if found is None:
         return {}
-    axes = [
-        {
-            "joints": f"{pair.joints[0]} and {pair.joints[1]}",
-            "angle_deg": pair.angle * DEG,
-            "angle_table_deg": pair.angle_table * DEG,
-            "angle_u_deg": pair.angle_uncertainty * DEG,
-            "distance_mm": pair.distance * MM,
-            "distance_table_mm": pair.distance_table * MM,
-            "distance_u_mm": pair.distance_uncertainty * MM,
-            "agrees": pair.agrees,
-        }
-        for pair in found.pairs
-    ]
-    gears = [
-        {
-            "joint": swept.joint,
-            "span_deg": swept.span * DEG,
-            "gear": swept.gear,
-            "gear_u": swept.gear_uncertainty,
-        }
-        for swept in found.joints
-    ]
+    axes = pd.DataFrame({"joints": [f"{p.joints[0]} and {p.joints[1]}" for p in found.pairs]})
+    for kind, unit, scale in (("angle", "deg", DEG), ("distance", "mm", MM)):
+        for name, key in ("", ""), ("_table", "_table"), ("_u", "_uncertainty"):
+            values = [getattr(p, f"{kind}{key}") * scale for p in found.pairs]
+            axes[f"{kind}{name}_{unit}"] = values
+    axes["agrees"] = [pair.agrees for pair in found.pairs]
+    gears = [(one.joint, one.span * DEG, one.gear, one.gear_uncertainty) for one in found.joints]
     sweeps = [
         pd.DataFrame(
             {
@@ -231,7 +214,7 @@ def _sweep_tables(found: SweepResult | None) -> dict[str, pd.DataFrame]:
         for swept in found.joints
     ]
     return {
-        "axes": pd.DataFrame(axes),
-        "gears": pd.DataFrame(gears),
+        "axes": axes,
+        "gears": pd.DataFrame(gears, columns=["joint", "span_deg", "gear", "gear_u"]),
         "sweeps": pd.concat(sweeps, ignore_index=True) if sweeps else pd.DataFrame(),
     }
