@@ -43,13 +43,8 @@ MIN_NEARER = 1.2  # a session that is off is named, where another base fits bett
 MIN_SHARE = 0.5  # of chi², that a scale or slip explains: parts of a real UR10's have up to 0.35
 MIN_JUMP = np.deg2rad(2.0)  # of a joint between two poses: it says where it came from
 MAX_PRIORS = 15.0  # standard deviations, 3 mm or 3°: what is off by more is another arm
+REMEDIES = {"scale": "Undo the scale.", "slip": "Identify from the poses on one side of the slip."}
 MEND = "Mend the encoder or the gear, or judge the arm as it is by `verify run`."
-REMEDIES = {
-    "scale": "Undo the scale.",
-    "slip": "Identify from the poses on one side of the slip.",
-    "eccentricity": MEND,
-    "backlash": MEND,
-}
 MAX_PAIRED = 40  # poses, by which two mistakes at once are sought
 
 
@@ -140,7 +135,7 @@ def refuse_unfit(
     length = _length(found.after[used], take_rows(gathered.poses, used))
     # of the motion of another arm anything explains a part
     if max(explained.share, default=0.0) >= MIN_SHARE and 2 * rest < max(length, MIN_LEFT):
-        remedy = " ".join(dict.fromkeys(REMEDIES[term.kind] for term in explained.terms))
+        remedy = " ".join(dict.fromkeys(REMEDIES.get(one.kind, MEND) for one in explained.terms))
         raise _refusal(file, f"{size}; {_fits(named, rest)}", remedy)
     check = "Check units, signs and order in both files: more than one thing may be wrong."
     if length > MIN_LEFT:

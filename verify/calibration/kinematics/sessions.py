@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 
 from robots.transforms import rigid_columns
 from verify.analysis.comparison import Comparison, ReadingUncertainty, compare
@@ -264,16 +265,13 @@ def _posture_correlation(white: Array, posture: Index) -> Array:
 
     1 + (m - 1) rho in a posture (n,) of m rows, with rho the intraclass correlation.
     """
-    seen = np.isfinite(white)
-    value = np.where(seen, white, 0.0)
-    total, square, count = (np.zeros((int(posture.max()) + 1, white.shape[1])) for _ in range(3))
-    for sums, each in (total, value), (square, value**2), (count, seen):
-        np.add.at(sums, posture, each)
-    pairs = np.maximum(np.sum(count * (count - 1), axis=0), 1)
-    power = np.sum(square, axis=0) / np.maximum(np.sum(count, axis=0), 1)
-    alike = np.sum(total**2 - square, axis=0) / pairs
-    rho = np.clip(alike / np.where(power > 0, power, 1.0), 0.0, 1.0)
-    return np.asarray(1 + np.maximum(count[posture] - 1, 0) * rho)
+    alike = pd.DataFrame(white).groupby(posture)
+    total, count = (alike.transform(kind).to_numpy() for kind in ("sum", "count"))
+    others = np.maximum(count - 1, 0)
+    pairs = np.maximum(np.where(np.isnan(white), 0, others).sum(axis=0), 1)
+    power = np.nansum(white**2, axis=0) / np.maximum(np.isfinite(white).sum(axis=0), 1)
+    rho = np.nansum(white * (total - white), axis=0) / pairs / np.where(power > 0, power, 1.0)
+    return np.asarray(1 + others * np.clip(rho, 0.0, 1.0))
 
 
 def _groups(keys: Iterable[bytes]) -> Index:

@@ -40,25 +40,20 @@ class FixedParameters:
     leds: Marker | None  # the marker with these LEDs; None: they are adjusted
 
 
-@dataclass(frozen=True, slots=True)
-class AdjustmentOutcome:
-    """What the adjustment of a session gave."""
-
-    adjusted: AdjustedRegistration
-    setup: AdjustmentSetup
-    start: RegistrationStart
-    diameter: float  # m, of an LED, from its image
-    left_out: dict[int, str]  # by frame
-
-
 def registration_outcome(
-    recording: Recording, named: Marker | None, held: FixedParameters, found: AdjustmentOutcome
+    recording: Recording,
+    named: Marker | None,
+    held: FixedParameters,
+    adjusted: AdjustedRegistration,
+    setup: AdjustmentSetup,
+    start: RegistrationStart,
+    diameter: float,
 ) -> MotionRegistration:
     """Turn an adjustment into the contents of rig and marker file and of the report.
 
-    The marker gives the LEDs' names; what is held was not adjusted.
+    The marker gives the LEDs' names; what is held was not adjusted; the diameter, m, is that of an
+    LED, from its image. No pair is left out yet.
     """
-    adjusted, setup, diameter = found.adjusted, found.setup, found.diameter
     spotted, at = adjusted.spotted, adjusted.at
     marker = held.leds or build_marker(at.leds, diameter, named)
     before = inherited_absorption(recording.rig, base=held.base, leds=held.leds)
@@ -92,11 +87,11 @@ def registration_outcome(
         held_out_rms_px=held_out,
         misfit=adjusted.chi2 / max(adjusted.degrees_of_freedom, 1),
         pairs_used=len(np.unique(spotted.pair[spotted.used])),
-        left_out=found.left_out,
+        left_out={},
         spots=spotted,
         residual=adjusted.predicted.residual,
         decisions=tuple(_decisions(recording, named, held, adjusted, diameter)),
-        warnings=tuple(map(one_line, _warnings(adjusted, found.start, shown, marker.names))),
+        warnings=tuple(map(one_line, _warnings(adjusted, start, shown, marker.names))),
     )
 
 

@@ -27,7 +27,6 @@ from verify.calibration.registration.model import (
     stack_spots,
 )
 from verify.calibration.registration.outcome import (
-    AdjustmentOutcome,
     FixedParameters,
     refuse_misplaced_led,
     registration_outcome,
@@ -97,8 +96,8 @@ def register_motion(
         refuse_misplaced_led(adjusted, held.leds)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
     diameter = round(float(np.median([pose.diameter for pose in poses])), 4)
-    found = AdjustmentOutcome(adjusted, setup, start, diameter, dict(sorted(left_out.items())))
-    return registration_outcome(recording, marker, held, found)
+    outcome = registration_outcome(recording, marker, held, adjusted, setup, start, diameter)
+    return replace(outcome, left_out=dict(sorted(left_out.items())))
 
 
 def _check_held(

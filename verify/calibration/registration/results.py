@@ -20,6 +20,7 @@ from verify.calibration.registration.fixture import FixtureRegistration
 from verify.calibration.registration.records import MotionRegistration
 from verify.core.fiducials import Marker
 from verify.core.records import POSE_NAMES, SIDES, Array
+from verify.core.rig import Rig
 from verify.io.session.session import Session
 
 
@@ -33,19 +34,11 @@ def motion_results(
     leds_held: bool = False,
 ) -> Results:
     """Lay a registration from motion out for the report, with axes of single joints if swept."""
-    given = found.rig.covariance
-    stated = {} if given is None else given.by_name
-    base_u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in POSE_NAMES])
+    stated = {} if found.rig.covariance is None else found.rig.covariance.by_name
+    left_out = dict(sorted(Counter(found.left_out.values()).items()))
     summary = {
-        **(origin or ResultsOrigin()).summary("registration"),
-        "method": "motion",
-        "robot": robot,
-        "registration": found.rig.registration,
-        "pairs": {
-            "used": found.pairs_used,
-            "left_out": dict(sorted(Counter(found.left_out.values()).items())),
-        },
-        "base": _base(found.rig.rig_T_base, base_u, held=base_held),
+        **_begin(origin, "motion", robot, found.rig, held=base_held),
+        "pairs": {"used": found.pairs_used, "left_out": left_out},
         "leds": _led_entries(found.marker, stated),
         "leds_held": leds_held,
         "clock": _time(found.clock_offset, found.clock_standard_uncertainty),
@@ -74,16 +67,11 @@ def motion_results(
 
 def fixture_results(found: FixtureRegistration, origin: ResultsOrigin | None = None) -> Results:
     """Lay a registration by a board on the robot's base out for the report."""
-    u = np.sqrt(np.diag(found.base_covariance)) * POSE_UNITS
     difference = dict(zip(POSE_NAMES, (found.pair_difference * POSE_UNITS).T, strict=True))
     pairs = pd.DataFrame({"frame": found.frames, **difference, "chi2": found.pair_chi2})
     summary = {
-        **(origin or ResultsOrigin()).summary("registration"),
-        "method": "fixture",
-        "robot": "a robot by a board on its base",
-        "registration": found.rig.registration,
+        **_begin(origin, "fixture", "a robot by a board on its base", found.rig, held=False),
         "pairs": {"used": len(found.frames), "left_out": {}},
-        "base": _base(found.rig.rig_T_base, u, held=False),
         "leds": [],
         "joints": [],
         "fit": {"rms_px": found.residual_rms_px, "noise": found.noise},
@@ -107,8 +95,6 @@ def poses_results(
 ) -> Results:
     """Lay a registration by another instrument's poses out for the report."""
     target = target_in_flange(session, found.fit)
-    stated = {} if found.rig.covariance is None else found.rig.covariance.by_name
-    base_u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in POSE_NAMES])
     residual = found.residual * POSE_UNITS
     sizes = [np.linalg.norm(part, axis=1) for part in np.split(residual, 2, axis=1)]
     turned = session.instrument is not None and not session.instrument.positions_alone
@@ -117,12 +103,8 @@ def poses_results(
     if not turned:
         target_u[3:] = np.nan
     summary = {
-        **origin.summary("registration"),
-        "method": "poses",
-        "robot": session.robot,
-        "registration": found.rig.registration,
+        **_begin(origin, "poses", session.robot, found.rig, held=base_held),
         "pairs": {"used": int(found.fit.used.sum()), "left_out": left_out},
-        "base": _base(found.rig.rig_T_base, base_u, held=base_held),
         "target": _base(target, target_u, held=target_held),
         "leds": [],
         "joints": [
@@ -142,6 +124,17 @@ def poses_results(
         }
     )
     return Results(summary=summary, setup={}, tables={"poses": table})
+
+
+def _begin(
+    origin: ResultsOrigin | None, method: str, robot: str, rig: Rig, *, held: bool
+) -> dict[str, Any]:
+    """Begin a summary: what was registered how, and the base with its stated uncertainties."""
+    stated = {} if rig.covariance is None else rig.covariance.by_name
+    u = np.array([stated.get(f"robot_base.{key}", np.nan) for key in POSE_NAMES])
+    begun = (origin or ResultsOrigin()).summary("registration")
+    named = {"method": method, "robot": robot, "registration": rig.registration}
+    return {**begun, **named, "base": _base(rig.rig_T_base, u, held=held)}
 
 
 def _base_shifts(found: MotionRegistration) -> list[float | None]:
