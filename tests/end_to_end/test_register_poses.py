@@ -154,3 +154,12 @@ def test_what_no_base_and_target_explain_is_refused(tmp_path: Path) -> None:
     (other / "encoders.csv").write_text("\n".join([*shuffled, ""]))
     assert "mm (rms) of the poses are left" in refusal(other)
     assert not (tmp_path / "out").exists()
+
+
+def test_three_postures_again_and_again_are_three(tmp_path: Path) -> None:
+    """Base and target fit three places exactly: nothing is left that could show the noise."""
+    q = readings(TRUTH.arm, 3, 1)[np.arange(60) % 3]
+    rows = build_poses(q, measured(TRUTH, q, 1)[0])
+    session = write_session(tmp_path / "day", rows, robot=ROBOT, period=10.0)
+    said = verify("calibrate", "register", session, "-o", tmp_path / "no").refusal
+    assert "3 different postures with readings; 6 at least" in said

@@ -68,8 +68,8 @@ def register_poses(
     session, rows = gathered.sessions[0].session, gathered.poses
     place = str(session.folder / "encoders.csv")
     _check_kept(session, keep_base=keep_base, keep_target=keep_target)
-    if len(rows) < MIN_POSES:
-        found = f"{len(rows)} poses with readings"
+    if (count := len(rows.first_visits)) < MIN_POSES:
+        found = f"{count} different postures with readings"
         raise InputError(session.folder, found, f"{MIN_POSES} at least", "Record more of them.")
     options = IdentificationOptions(free_base=not keep_base, free_tool=not keep_target)
     chain = chain_of(session.arm)
