@@ -8,6 +8,7 @@ import io
 import json
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, cast
 
 import cv2
@@ -186,30 +187,7 @@ def _size_refusal(board: Board, paper: str) -> InputError:
     return InputError("--paper", found, expected, f"Choose smaller squares{remedy}.")
 
 
-_SHEET = """
-#let data = json("sheet.json")
-#let at(point) = point.map(v => v * 1mm)
-#set page(width: data.page.at(0) * 1mm, height: data.page.at(1) * 1mm, margin: 0mm)
-#set text(font: "Libertinus Serif", size: if data.text.at(2) > 300 { 10pt } else { 7.5pt },
-  fallback: false)
-#set par(leading: 0.45em, spacing: 0.45em)
-#let put(x, y, body) = place(top + left, dx: x * 1mm, dy: y * 1mm, body)
-// One path for all that is black: areas that share an edge leave no hair line between them.
-#put(0, 0, curve(fill: black, ..data.black.map(polygon => (
-  curve.move(at(polygon.first())),
-  ..polygon.slice(1).map(p => curve.line(at(p))),
-  curve.close(mode: "straight"))).flatten()))
-#put(0, 0, curve(stroke: 0.1mm + black, ..data.lines.map(line => (
-  curve.move(at(line.at(0))), curve.line(at(line.at(1))))).flatten()))
-#for l in data.labels {
-  put(l.at(0) - 5, l.at(1) - 1.5, box(width: 10mm, height: 3mm, align(center + horizon,
-    text(size: 6pt, l.at(2)))))
-}
-#let said = box(width: data.text.at(2) * 1mm, height: data.strip * 1mm, inset: (top: 1mm),
-  for line in data.words { par(line) })
-#put(data.text.at(0), data.text.at(1),
-  if data.upwards { rotate(-90deg, reflow: true, said) } else { said })
-"""
+_SHEET = Path(__file__).with_name("sheet.typ")
 _compile = cast("Callable[..., bytes]", typst.compile)  # its types leave out files in memory
 
 
@@ -229,7 +207,8 @@ def png(board: Board, layout: PageLayout) -> bytes:
 
 
 def _typeset(board: Board, layout: PageLayout, **options: Any) -> bytes:
-    files = {"main.typ": _SHEET.encode(), "sheet.json": json.dumps(_sheet(board, layout)).encode()}
+    shown = json.dumps(_sheet(board, layout)).encode()
+    files = {"main.typ": _SHEET.read_bytes(), "sheet.json": shown}
     return _compile(files, ignore_system_fonts=True, **options)
 
 

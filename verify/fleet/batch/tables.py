@@ -149,6 +149,8 @@ def frames_schema(joints: int) -> pa.Schema:
     )
 
 
+CLOCK_KEYS = ("encoder_offset_s", "standard_uncertainty_s", "source", "observable")
+SUMMARY_KEYS = ("verdict", "decision_rule", "diagnosis", "warnings", "known_dof")
 _PAN_RANGE_KEYS = ("pan_min_deg", "pan_max_deg")  # of the session, not of the calibration
 
 
@@ -174,18 +176,11 @@ def session_row(results: Results, kept_in: str) -> dict[str, Any]:
         "pairs_recorded": pairs["recorded"],
         "pairs_measured": pairs["measured"],
         **{f"rejected_{name}": pairs["rejected"].get(name, 0) for name in STATUSES},
-        "clock_encoder_offset_s": clock["encoder_offset_s"],
-        "clock_standard_uncertainty_s": clock["standard_uncertainty_s"],
-        "clock_source": clock["source"],
-        "clock_observable": clock["observable"],
-        "verdict": summary["verdict"],
-        "decision_rule": summary["decision_rule"],
+        **{f"clock_{key}": clock[key] for key in CLOCK_KEYS},
+        **{key: summary[key] for key in SUMMARY_KEYS},
         "joint_error_correlation": [c for line in summary["joint_error_correlation"] for c in line],
-        "diagnosis": summary["diagnosis"],
         "uncounted": summary["budget"]["uncounted"],
         "inputs": [{"file": f, "digest": d} for f, d in sorted(summary["inputs"].items())],
-        "warnings": summary["warnings"],
-        "known_dof": summary["known_dof"],
     }
     own = _session_uncertainty(results)
     for entry in summary["joints"]:

@@ -7,13 +7,14 @@ import math
 import socket
 import threading
 from collections.abc import Callable, Iterable, Mapping
-from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from functools import partial
 
 from verify.errors import InputError
 from verify.live.page.access import PageAccess, is_loopback
 from verify.live.state import LiveState
 
 Labels = Mapping[str, str]
+JOIN_TIMEOUT = 2.0  # s, for an answer under way
 
 
 def exposition(state: LiveState) -> str:
@@ -65,9 +66,6 @@ def _escaped(text: str) -> str:
     return text.replace("\\", "\\\\").replace('"', '\\"').replace("\n", "\\n")
 
 
-REQUEST_TIMEOUT = 5.0  # s for a request; who says nothing is let go
-
-
 class MetricsServer:
     """Answers GET /metrics at HOST:PORT of this computer with a text, and nothing else.
 
@@ -76,56 +74,48 @@ class MetricsServer:
     """
 
     def __init__(self, address: str, text: Callable[[], str]) -> None:
+        import uvicorn  # here: no other run needs a server in this process
+        from starlette.applications import Starlette
+        from starlette.requests import Request
+        from starlette.responses import PlainTextResponse
+        from starlette.routing import Route
+
+        from verify.live.page.server import TimedHttp
+
         host, _, port = address.rpartition(":")
         if not host or not port.isdecimal():
             expected = "HOST:PORT is expected"
             raise InputError("alarm.prometheus", f'is "{address}"', expected, "Correct it.")
         host = host.strip("[]")
         try:
-            self._server = _MetricsHttpServer(host, int(port), _handler(host, text))
+            family = socket.AF_INET6 if ":" in host else socket.AF_INET
+            listening = socket.create_server((host, int(port)), family=family)
         except (OSError, OverflowError) as error:
             remedy = "Choose another port."
             found = f"cannot be served: {error}"
             raise InputError(f"alarm.prometheus, {address}", found, "", remedy) from error
-        self.port = int(self._server.server_address[1])  # where it listens
-        threading.Thread(target=self._server.serve_forever, name="metrics", daemon=True).start()
+        self.port = int(listening.getsockname()[1])  # where it listens
+        access = PageAccess(host, self.port, None)
+
+        async def metrics(request: Request) -> PlainTextResponse:
+            """Give the metrics; no script of a web page may read them, whatever name it takes."""
+            headers = request.headers
+            refused = is_loopback(host) and access.refusal(headers, None, script=False)
+            if "origin" in headers or refused:
+                return PlainTextResponse("", 403)
+            return PlainTextResponse(text(), media_type="text/plain; version=0.0.4")
+
+        config = uvicorn.Config(
+            Starlette(routes=[Route("/metrics", metrics)]), http=TimedHttp, lifespan="off",
+            log_level="critical", access_log=False, server_header=False,
+            timeout_graceful_shutdown=1,
+        )  # fmt: skip
+        self._server = uvicorn.Server(config)
+        run = partial(self._server.run, [listening])
+        self._thread = threading.Thread(target=run, name="metrics", daemon=True)
+        self._thread.start()
 
     def close(self) -> None:
         """Answer no more."""
-        self._server.shutdown()
-        self._server.server_close()
-
-
-class _MetricsHttpServer(ThreadingHTTPServer):
-    """A server at an address of version 4 or 6."""
-
-    def __init__(self, host: str, port: int, handler: type[BaseHTTPRequestHandler]) -> None:
-        self.address_family = socket.AF_INET6 if ":" in host else socket.AF_INET
-        super().__init__((host, port), handler)
-
-
-def _handler(host: str, text: Callable[[], str]) -> type[BaseHTTPRequestHandler]:
-    local = is_loopback(host)
-
-    class Handler(BaseHTTPRequestHandler):
-        timeout = REQUEST_TIMEOUT
-
-        def do_GET(self) -> None:
-            """Give the metrics; no script of a web page may read them, whatever name it takes."""
-            headers = {name.lower(): value for name, value in self.headers.items()}
-            access = PageAccess(host, int(self.connection.getsockname()[1]), None)
-            foreign = "origin" in headers or (
-                local and access.refusal(headers, None, script=False) is not None
-            )
-            status = 403 if foreign else 200 if self.path == "/metrics" else 404
-            body = text().encode() if status == 200 else b""
-            self.send_response(status)
-            self.send_header("Content-Type", "text/plain; version=0.0.4; charset=utf-8")
-            self.send_header("Content-Length", str(len(body)))
-            self.end_headers()
-            self.wfile.write(body)
-
-        def log_message(self, format: str, *args: object) -> None:  # noqa: A002
-            """Say nothing: the terminal is the run's."""
-
-    return Handler
+        self._server.should_exit = True
+        self._thread.join(JOIN_TIMEOUT)

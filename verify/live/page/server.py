@@ -239,7 +239,7 @@ class _Server(uvicorn.Server):
         yield
 
 
-class _TimedHttp(H11Protocol):
+class TimedHttp(H11Protocol):
     """Closes a connection in time: uvicorn itself waits for ever for the rest of a request."""
 
     def connection_made(self, transport: asyncio.Transport) -> None:  # type: ignore[override]
@@ -295,7 +295,7 @@ async def _serve(
         log_level="critical",
         access_log=False,
         lifespan="off",
-        http=_TimedHttp,
+        http=TimedHttp,
         ws="websockets-sansio",
         ws_max_size=MAX_MESSAGE_BYTES,
         ws_per_message_deflate=False,  # JPEGs do not get smaller
