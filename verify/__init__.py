@@ -25,18 +25,9 @@ if TYPE_CHECKING:
     from verify.measurement.chain import Setup, measure
 
 __all__ = [
-    "InputError",
-    "Measurement",
-    "Results",
-    "Session",
-    "Setup",
-    "Tolerance",
-    "__version__",
-    "analyse",
-    "measure",
-    "open_results",
-    "open_session",
-]
+    "InputError", "Measurement", "Results", "Session", "Setup", "Tolerance", "__version__",
+    "analyse", "measure", "open_results", "open_session",
+]  # fmt: skip
 
 
 # loaded when first asked for: the command line must answer --help at once

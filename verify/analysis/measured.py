@@ -191,9 +191,8 @@ def with_measured_places(
     stated = marker.led_standard_uncertainty or 0.0
     sound = found is not None and not found.contradicts and stated < ROUGHLY_PLACED
     tilted = found is not None and found.tilted is not None
-    if sound or tilted or len(marker) < MIN_LEDS:
-        return session, measured
-    off = _shown_shifts(session, chain)
+    few = len(marker) < MIN_LEDS
+    off = None if sound or tilted or few else _shown_shifts(session, chain)
     if off is None:
         return session, measured
     warnings = (*session.warnings, shifts_text(off, marker))

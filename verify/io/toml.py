@@ -22,21 +22,12 @@ MAX_UNKNOWN_KEYS = 10  # that are named
 # Names of keys that end so have values of at most so much: more is a slip of the unit. The first
 # ending that fits counts.
 PLAUSIBLE: tuple[tuple[str, float, str], ...] = (
-    ("line_time_s", 1e-3, "s"),
-    ("exposure_s", 10.0, "s"),
-    ("standard_uncertainty_s", 1e3, "s"),
-    ("standard_uncertainty_mm", 1e3, "mm"),
-    ("standard_uncertainty_deg", 180.0, "deg"),
-    ("_s", 1e12, "s"),
-    ("_ms", 1e7, "ms"),
-    ("_us", 1e7, "µs"),
-    ("_mm", 1e5, "mm"),
-    ("_deg", 3600.0, "deg"),
-    ("_px", 1e5, "px"),
-    ("_hz", 1e6, "Hz"),
-    ("temperature_c", 200.0, "°C"),
-    ("", 1e15, ""),
-)
+    ("line_time_s", 1e-3, "s"), ("exposure_s", 10.0, "s"),
+    ("standard_uncertainty_s", 1e3, "s"), ("standard_uncertainty_mm", 1e3, "mm"),
+    ("standard_uncertainty_deg", 180.0, "deg"), ("temperature_c", 200.0, "°C"),
+    ("_s", 1e12, "s"), ("_ms", 1e7, "ms"), ("_us", 1e7, "µs"), ("_mm", 1e5, "mm"),
+    ("_deg", 3600.0, "deg"), ("_px", 1e5, "px"), ("_hz", 1e6, "Hz"), ("", 1e15, ""),
+)  # fmt: skip
 SLIPS = {"s": (("ms", 1e-3), ("µs", 1e-6), ("ns", 1e-9)), "mm": (("µm", 1e-3), ("nm", 1e-6))}
 FORMAT = 1  # the edition of session.toml, rig.toml and marker.toml that this code reads
 MM = 1e-3  # m

@@ -13,21 +13,13 @@ MIN_ADVANTAGE = 15.0  # in chi-squared over every rival with as many coefficient
 MIN_BIC_ADVANTAGE = 10.0  # over rivals with more or fewer, by Schwarz's criterion
 # What would tell two faults apart, by the first kind that either has.
 SEPARATING_MOTIONS = (
-    ("geometry", "other_postures"),
-    ("camera_drift", "other_distances"),
-    ("base_drift", "other_postures"),
-    ("base_moved", "independent_registration"),
-    ("led_body_slipped", "independent_registration"),
-    ("camera_turned", "other_distances"),
-    ("clock_drift", "longer_record"),
-    ("drift", "return_to_start"),
-    ("step", "return_to_start"),
-    ("camera_skew", "varied_speeds"),
-    ("clock", "varied_speeds"),
-    ("latency", "varied_speeds"),
-    ("backlash", "two_sided_stops"),
-    ("compliance", "lever_both_sides"),
-)
+    ("geometry", "other_postures"), ("camera_drift", "other_distances"),
+    ("base_drift", "other_postures"), ("base_moved", "independent_registration"),
+    ("led_body_slipped", "independent_registration"), ("camera_turned", "other_distances"),
+    ("clock_drift", "longer_record"), ("drift", "return_to_start"), ("step", "return_to_start"),
+    ("camera_skew", "varied_speeds"), ("clock", "varied_speeds"), ("latency", "varied_speeds"),
+    ("backlash", "two_sided_stops"), ("compliance", "lever_both_sides"),
+)  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True)

@@ -23,13 +23,9 @@ MIN_AGREEING = 2  # images that must show another pattern
 MIN_MARKERS = 4  # in an image: one or two are found in anything
 # One of each kind: the smaller ones of a kind are its first markers.
 MARKER_DICTIONARIES = (
-    "DICT_4X4_250",
-    "DICT_5X5_250",
-    "DICT_6X6_250",
-    "DICT_7X7_250",
-    "DICT_ARUCO_ORIGINAL",
+    "DICT_4X4_250", "DICT_5X5_250", "DICT_6X6_250", "DICT_7X7_250", "DICT_ARUCO_ORIGINAL",
     "DICT_APRILTAG_36H11",
-)
+)  # fmt: skip
 QUEUE_PER_CORE = 2  # pairs a core that wait decoded: enough to keep it busy, few enough for memory
 
 

@@ -33,22 +33,16 @@ class PictureEncoding:
 
 
 ENCODINGS = {
-    "mono8": PictureEncoding("u1", 1),
-    "8uc1": PictureEncoding("u1", 1),
-    "mono16": PictureEncoding("u2", 1),
-    "16uc1": PictureEncoding("u2", 1),
-    "bgr8": PictureEncoding("u1", 3),
-    "8uc3": PictureEncoding("u1", 3),
+    **dict.fromkeys(("mono8", "8uc1"), PictureEncoding("u1", 1)),
+    **dict.fromkeys(("mono16", "16uc1"), PictureEncoding("u2", 1)),
+    **dict.fromkeys(("bgr8", "8uc3"), PictureEncoding("u1", 3)),
     "rgb8": PictureEncoding("u1", 3, cv2.COLOR_RGB2BGR),
-    "bgra8": PictureEncoding("u1", 4, cv2.COLOR_BGRA2BGR),
-    "8uc4": PictureEncoding("u1", 4, cv2.COLOR_BGRA2BGR),
+    **dict.fromkeys(("bgra8", "8uc4"), PictureEncoding("u1", 4, cv2.COLOR_BGRA2BGR)),
     "rgba8": PictureEncoding("u1", 4, cv2.COLOR_RGBA2BGR),
     "bgr16": PictureEncoding("u2", 3),
     "rgb16": PictureEncoding("u2", 3, cv2.COLOR_RGB2BGR),
-    "yuv422": PictureEncoding("u1", 2, cv2.COLOR_YUV2BGR_UYVY),
-    "uyvy": PictureEncoding("u1", 2, cv2.COLOR_YUV2BGR_UYVY),
-    "yuv422_yuy2": PictureEncoding("u1", 2, cv2.COLOR_YUV2BGR_YUYV),
-    "yuyv": PictureEncoding("u1", 2, cv2.COLOR_YUV2BGR_YUYV),
+    **dict.fromkeys(("yuv422", "uyvy"), PictureEncoding("u1", 2, cv2.COLOR_YUV2BGR_UYVY)),
+    **dict.fromkeys(("yuv422_yuy2", "yuyv"), PictureEncoding("u1", 2, cv2.COLOR_YUV2BGR_YUYV)),
 } | {
     f"bayer_{order}{bits}": PictureEncoding(dtype, 1, conversion)
     for bits, dtype in ((8, "u1"), (16, "u2"))
