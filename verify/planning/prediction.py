@@ -30,7 +30,8 @@ RANDOM_SOURCE = "pixels, alignment, readings"
 TOL_COLUMN = 1e-6  # of a column's squared length: rounding
 TOL_LEVER = 1e-6  # m: rounding of a flange that lies on the axis
 GROUPS = {
-    RANDOM_SOURCE: "pixels", CLOCK: "clock",
+    RANDOM_SOURCE: "pixels",
+    CLOCK: "clock",
     **dict.fromkeys(("rig", PAN_ANGLE), "calibration"),
     **dict.fromkeys(("robot base", "LED body"), "registration"),
     **dict.fromkeys(("LED positions", "apparent LED centre"), "leds"),
