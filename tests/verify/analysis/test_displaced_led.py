@@ -114,6 +114,15 @@ def test_leds_placed_by_hand_are_taken_where_the_pictures_show_them(
     assert summary["joints"][-1]["expanded_uncertainty_deg"] > 0.25 * sigma_mm
 
 
+def test_two_leds_that_are_off_by_centimetres_are_found_too() -> None:
+    session = open_session(SAMPLES / "multi_joint_fault_6r")
+    wrong = with_leds_displaced(session, {"B": [-10.0, 0.0, 0.0], "C": [0.0, -5.0, 0.0]})
+    summary = analyse(wrong).summary
+    assert summary["pairs"]["measured"] == 60
+    assert [cause["kind"] for cause in summary["diagnosis"]] == ["offset"]
+    assert summary["pictures"]["displaced_led"] is None  # C was, by one stray pair, U = 0.00 mm
+
+
 def test_parameters_are_identified_with_leds_placed_by_hand_too() -> None:
     session = open_session(SAMPLES / "multi_joint_fault_6r")
     found = session_to_poses(placed_by_hand(session, 21, 0.5), no_progress)

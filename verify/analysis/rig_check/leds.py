@@ -356,8 +356,8 @@ def _refined(
     rig: Rig,
     marker: Marker,
     parameters: Systematics,
-) -> DisplacedLed:
-    """The same LED beside poses that have it where it was found: its place had turned them."""
+) -> DisplacedLed | None:
+    """The same LED beside poses that have it where it was found; None: strays alone show it."""
     k, leds = marker.names.index(found.name), marker.leds.copy()
     leds[k] += found.displacement
     there = replace(marker, leds=leds)
@@ -372,7 +372,7 @@ def _refined(
     shift = found.displacement + fit.shift[k]
     along = shift / np.linalg.norm(shift)
     u = float(np.sqrt(along @ fit.covariance[k] @ along * scatter))
-    return replace(found, displacement=shift, standard_uncertainty=u)
+    return replace(found, displacement=shift, standard_uncertainty=u) if u else None
 
 
 def _fit_leds(products: SpotProducts, leds: int) -> _LedFit:
