@@ -277,9 +277,9 @@ def _picture_mistakes(
         remedy = f"Correct {keys}, if entered wrong; else calibrate again: the figure is rough."
         yield file, name, remedy, written + np.eye(4)[side][:, None] * turn, {}
     marker_file = session.marker_file or session.folder / "marker.toml"
-    for unit, size in (("centimetres", 10.0), ("metres", 1000.0)):
+    for unit, size in (("centimetres", 10.0), ("inches", 25.4), ("metres", 1000.0)):
         left, right = (replace(c, pan_center=c.pan_center * size) for c in (rig.left, rig.right))
-        leds, remedy = replace(marker, leds=marker.leds * size), f"Multiply them by {size:.0f}."
+        leds, remedy = replace(marker, leds=marker.leds * size), f"Multiply them by {size:g}."
         placed = {"rig": replace(rig, left=left, right=right)}
         yield rig_file, f"pan_center_mm in {unit}", remedy, written, placed
         yield marker_file, f"position_mm of the LEDs in {unit}", remedy, written, {"marker": leds}

@@ -87,13 +87,15 @@ def test_lengths_off_by_some_per_cent_are_not_taken_for_a_turned_base() -> None:
     assert "too small" not in str(caught.value)
 
 
-@pytest.mark.parametrize(("unit", "size"), [("centimetres", 10.0), ("metres", 1e3)])
+@pytest.mark.parametrize(
+    ("unit", "size"), [("centimetres", 10.0), ("inches", 25.4), ("metres", 1e3)]
+)
 def test_places_in_another_unit_are_named(unit: str, size: float) -> None:
     session = recorded()
     rig, marker = session.rig, session.marker
     cameras = [replace(c, pan_center=c.pan_center / size) for c in (rig.left, rig.right)]
     with pytest.raises(
-        InputError, match=rf"rig\.toml: .*pan_center_mm in {unit} fits.* by {size:.0f}"
+        InputError, match=rf"rig\.toml: .*pan_center_mm in {unit} fits.* by {size:g}\."
     ):
         analyse(replace(session, rig=replace(rig, left=cameras[0], right=cameras[1])))
     leds = replace(marker, leds=marker.leds / size)
