@@ -14,7 +14,14 @@ from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import rigid_columns
-from verify.analysis.comparison import Comparison, ReadingUncertainty, compare, twist_transport
+from verify.analysis.comparison import (
+    Comparison,
+    ReadingUncertainty,
+    body_motion,
+    compare,
+    placement_columns,
+    twist_transport,
+)
 from verify.analysis.rig_check.leds import DisplacedLed, LedShifts, PictureMisfit
 from verify.core.fiducials import Marker
 from verify.core.readings import Readings
@@ -23,8 +30,7 @@ from verify.core.rig import Rig
 from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 from verify.measurement.alignment import MAX_GAP
-from verify.measurement.sensitivities import AXES
-from verify.measurement.systematics import Systematics, stated_systematics
+from verify.measurement.systematics import Systematics, by_base, stated_systematics
 from verify.measurement.track import Track, collect_track
 
 NOISE = "the instrument's noise"
@@ -223,20 +229,12 @@ def instrument_sensitivities(
     """
     if measurement.pose is None:
         raise ValueError("only a measured pose has sensitivities")
-    rig_T_flange, rig_T_base = measurement.pose.rig_T_flange, rig.rig_T_base
+    by_body = -body_motion(np.linalg.inv(rig.rig_T_base) @ measurement.pose.rig_T_flange[None])[0]
+    by = {"body": by_body, "robot_base": by_base(rig, measurement.pose)}
     columns = np.zeros((6, len(parameters.names) + 2))
     for i, name in enumerate(parameters.names):
         head, _, key = name.partition(".")
-        turns, axis = divmod(POSE_NAMES.index(key), len(AXES))
-        if head == "body":
-            moved, arm = rig_T_flange[:3, axis], np.zeros(3)
-        else:
-            moved, arm = np.eye(3)[axis], rig_T_flange[:3, 3] - rig_T_base[:3, 3]
-        # the flange's place in what holds it moves against that
-        columns[:3, i] = -np.cross(moved, arm) if turns else -moved
-        columns[3:, i] = -moved if turns else 0.0
-    base_R_rig = rig_T_base[:3, :3].T
-    columns[:3], columns[3:] = base_R_rig @ columns[:3], base_R_rig @ columns[3:]
+        columns[:, i] = by[head][:, POSE_NAMES.index(key)]
     return columns
 
 
@@ -290,18 +288,15 @@ def _full_model_variances(
     Its columns: base and target moved, and of each joint a constant, sine and cosine of its angle.
     """
     n, dof = comparison.q.shape
-    joints = comparison.jacobian.copy()
-    lever = (comparison.base_T_encoder[:, :3, :3] @ point[:3])[:, :, None]
-    joints[:, :3] += np.cross(joints[:, 3:], lever, axis=1)
+    to_point = twist_transport(comparison.base_T_encoder[:, :3, :3] @ point[:3])
+    joints = to_point @ comparison.jacobian
     waves = np.stack([np.ones_like(comparison.q), np.sin(comparison.q), np.cos(comparison.q)])
     of_joints = np.concatenate([joints * wave[:, None] for wave in waves], axis=2)
-    turned = comparison.base_T_encoder[:, :3, :3]
-    place = comparison.base_T_encoder[:, :3, 3, None] + lever
-    still = np.tile(np.eye(3), (n, 1, 1))
-    swung = np.cross(still, place, axis=1)
+    placed = to_point @ placement_columns(comparison.base_T_encoder)
+    every = np.concatenate([of_joints, placed], axis=2)
     total, freedom = [], 0
-    for part, placed in ((PARTS[0], [still, swung, turned]), (PARTS[1], [still, turned])):
-        design = np.concatenate([of_joints[:, part], *placed], axis=2).reshape(3 * n, -1)
+    for part in PARTS:
+        design = every[:, part].reshape(3 * n, -1)
         wanted = off[:, part].reshape(-1)
         freedom = 3 * n - int(np.linalg.matrix_rank(design))
         if freedom < 3 * dof:

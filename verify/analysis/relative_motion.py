@@ -9,6 +9,7 @@ where the base stands and how the LEDs are mounted cancel; cameras, clock and ar
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 from scipy.spatial.transform import Rotation
 
 from verify.analysis.model import DETECTION_SIGMA, JointErrorModel
@@ -60,10 +61,8 @@ def compare_relative_motions(model: JointErrorModel) -> RelativeMotion | None:
     )
     shared = by_early @ model.prior_columns[early] + by_late @ model.prior_columns[late]
     flat = error.reshape(-1)
-    covariance = np.zeros((len(early), 2, len(early), 2))  # of all turns and advances
-    np.einsum("iaib->iab", covariance)[:] = own
     columns = shared.reshape(len(flat), -1)
-    total = covariance.reshape(len(flat), -1) + columns @ columns.T
+    total = block_diag(*np.asarray(own)) + columns @ columns.T  # of all turns and advances
     weight = np.asarray(np.linalg.inv(total), dtype=np.float64)
     chi2 = float(flat @ weight @ flat)
     spread = np.einsum("naa->na", own) + np.sum(shared**2, axis=2)
@@ -121,19 +120,14 @@ def screw_derivatives(a_T_early: Array, a_T_late: Array) -> tuple[Array, Array]:
 
 def _partners(base_T_flange: Array, rows: Index) -> tuple[Index, Index]:
     """Pairs of rows, none in two of them, that turn far enough: of a few ways the richest."""
-    best: tuple[float, Index, Index] = (-1.0, rows[:0], rows[:0])
-    for part in PARTNER_SHIFTS:
-        shift = len(rows) // part
-        if shift == 0:
-            continue
-        first = np.flatnonzero(np.arange(len(rows)) // shift % 2 == 0)
-        first = first[first + shift < len(rows)]
+    best, early, late = -1.0, rows[:0], rows[:0]
+    for shift in (len(rows) // part for part in PARTNER_SHIFTS if len(rows) >= part):
+        first = np.flatnonzero(np.arange(len(rows) - shift) // shift % 2 == 0)
         turn = screw_motion(base_T_flange[first], base_T_flange[first + shift])[:, 0]
-        useful = first[(turn > MIN_TURN) & (turn < MAX_TURN)]
-        worth = float(np.sum(np.sin(turn[(turn > MIN_TURN) & (turn < MAX_TURN)] / 2) ** 2))
-        if worth > best[0]:
-            best = worth, rows[useful], rows[useful + shift]
-    _, early, late = best
+        useful = (turn > MIN_TURN) & (turn < MAX_TURN)
+        worth = float(np.sum(np.sin(turn[useful] / 2) ** 2))
+        if worth > best:
+            best, early, late = worth, rows[first[useful]], rows[first[useful] + shift]
     thinned = np.linspace(0, len(early) - 1, min(len(early), MAX_MOTIONS)).round().astype(np.int64)
     return early[thinned], late[thinned]
 

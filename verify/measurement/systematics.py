@@ -177,7 +177,7 @@ def sensitivities(
     columns = -gain @ pixel_sensitivities(names, measurement, rig, marker)
     places, axes = _base_columns(parameters.names)
     if places:
-        columns[:, places] = _by_base(rig, pose)[:, axes]
+        columns[:, places] = by_base(rig, pose)[:, axes]
     return columns
 
 
@@ -234,7 +234,7 @@ def covariance_root(covariance: Array) -> Array:
     return root
 
 
-def _by_base(rig: Rig, pose: Pose) -> Array:
+def by_base(rig: Rig, pose: Pose) -> Array:
     """Change of the flange's pose in the base when the base's place in the rig changes, (6, 6)."""
     base_R_rig = rig.rig_T_base[:3, :3].T
     x, y, z = (pose.rig_T_flange[:3, 3] - rig.rig_T_base[:3, 3]).tolist()

@@ -115,11 +115,9 @@ def _orientation_deviations(passages: Sequence[PathRun], t: Array) -> Array:
             for p, one in zip(passages, t, strict=True)]  # fmt: skip
     read = np.array([p.read_turn[r] for p, r in zip(passages, rows, strict=True)])
     own = np.array([_interpolate(p.t, p.turn, one) for p, one in zip(passages, t, strict=True)])
-    found = np.zeros((t.shape[1], len(passages), 3))
-    for i in range(t.shape[1]):
-        mean = Rotation.from_matrix(read[:, i]).mean()
-        found[i] = (Rotation.from_matrix(read[:, i]) * mean.inv()).as_rotvec() + own[:, i]
-    return found
+    means = (Rotation.from_matrix(station).mean().as_matrix() for station in read.swapaxes(0, 1))
+    off = [indices.orientation_deviations(read[:, i], mean) for i, mean in enumerate(means)]
+    return np.asarray(np.array(off) + own.swapaxes(0, 1), dtype=float)
 
 
 def assess_path(
