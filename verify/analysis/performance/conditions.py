@@ -38,8 +38,9 @@ def condition_deviations(
         mixed = [p.visits.name for p in found.poses if p.variation is not None]
         if mixed:
             listed.append({"kind": "approach", "poses": mixed})
-        if any(p.drift for p in found.poses) and found.duration < MIN_DRIFT_S:
-            listed.append({"kind": "drift", "found_s": round(found.duration, 3)})
+        if any(p.drift for p in found.poses) and not found.duration >= MIN_DRIFT_S:
+            seconds = round(found.duration, 3) if np.isfinite(found.duration) else None
+            listed.append({"kind": "drift", "found_s": seconds})
         listed += _uncertain_poses(found.poses)
     if found.paths:
         fewest = min(p.passages for p in found.paths)
@@ -108,6 +109,7 @@ def session_performance(
             if instrument is not None and instrument.positions_alone
             else None
         ),
+        timed=session.frames.timed,
     )
     if not isinstance(found, Performance):
         return {"performance": None, "performance_reason": found}, performance_tables(None)

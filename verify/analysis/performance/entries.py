@@ -31,7 +31,7 @@ def performance_summary(found: Performance, deviations: list[dict[str, Any]]) ->
             else None,
             "correlation_factor": _rounded_or_none(noise.together),
         },
-        "poses": [_pose(p) for p in found.poses],
+        "poses": [_pose(p, timed=np.isfinite(found.duration)) for p in found.poses],
         "distances": [_distance(d) for d in found.distances],
         "paths": [_path(p) for p in found.paths],
         "poses_seldom_visited": found.seldom,
@@ -71,14 +71,12 @@ def _repeatability(
     return {
         **_interval(found.found, name, unit, scale),
         f"{name}_floor_{unit}": _rounded_or_none(found.floor, scale),
-        f"{name}_robot_{unit}": None
-        if found.robot is None
-        else _rounded_or_none(found.robot, scale),
+        f"{name}_robot_{unit}": _rounded_or_none(found.robot, scale),
         f"{name}_robot_at_most_{unit}": _rounded_or_none(found.robot_at_most, scale),
     }
 
 
-def _pose(p: poses.PoseIndices) -> dict[str, Any]:
+def _pose(p: poses.PoseIndices, *, timed: bool) -> dict[str, Any]:
     worded: dict[str, Any] = {
         "pose": p.visits.name,
         "visits": len(p.visits.t),
@@ -100,7 +98,7 @@ def _pose(p: poses.PoseIndices) -> dict[str, Any]:
     if p.drift is not None:
         worded["drift"] = {
             "blocks": p.drift.blocks,
-            "duration_s": _rounded_or_none(p.drift.duration),
+            "duration_s": _rounded_or_none(np.ptp(p.visits.t) if timed else np.nan),
             "dap_mm": _rounded_or_none(p.drift.accuracy, MM),
             "dap_of_noise_mm": _rounded_or_none(p.drift.noise[0], MM),
             "drp_mm": _rounded_or_none(p.drift.repeatability, MM),

@@ -13,12 +13,9 @@ from verify.measurement.alignment import MAX_GAP
 
 MAX_REST_SPEED = np.deg2rad(0.1)  # rad/s of any joint: slower is standing
 MAX_SPEED_SIGMA = 4.0  # standard deviations of a speed that readings at rest may show beside
-MAX_HOLD_TRAVEL = np.deg2rad(
-    0.2
-)  # rad of any joint: a hold that goes on from elsewhere is another one
+MAX_HOLD_TRAVEL = np.deg2rad(0.2)  # rad of any joint: what goes on from elsewhere is another hold
 MIN_HOLD_TIME = 0.2  # s: shorter is turning back, not standing
 MAX_POSE_DISTANCE = np.deg2rad(0.5)  # rad of any joint: commanded poses of a test lie further apart
-
 MIN_DOF = 20  # of the scatter within holds: fewer know it worse than what is stated
 
 

@@ -107,7 +107,6 @@ def repeatability_of(covariance: Array) -> float:
     if total == 0.0:
         return 0.0
     share = spread / total
-
     u = NODES / (1 - NODES)  # all of u > 0, where dx / x² stands for du / u²
     product = np.prod((1 + 2 * share[:, None] * u * u) ** -0.5, axis=0)
     mean = float(np.sum(WEIGHTS * (1 - product) / NODES**2)) / np.sqrt(np.pi)

@@ -50,7 +50,7 @@ class Repeatability:
 
     found: Interval
     floor: float  # what the instrument's noise alone would show
-    robot: float | None  # with the floor taken off in quadrature; None: not told from the floor
+    robot: float  # with the floor taken off in quadrature; nan: not told from the floor
     robot_at_most: float  # the upper end of the interval, likewise
 
 
@@ -83,7 +83,6 @@ class Drift:
     repeatability: float  # dRP, m
     noise: tuple[float, float]  # m, what the same visits in any order stay under in 95 % of cases
     blocks: int
-    duration: float  # s
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,7 +136,7 @@ def assess_pose(visits: PoseVisits, noise: HoldNoise, *, oriented: bool) -> Pose
         angle_accuracy=angle_accuracy,
         angle_repeatability=angle_repeatability,
         variation=_variation(visits, deviations, angles),
-        drift=_drift(visits.t, deviations),
+        drift=_drift(deviations),
     )
 
 
@@ -162,9 +161,13 @@ def mean_deviation(deviations: Array, systematic: Array) -> PoseAccuracy:
 
 
 def subtract_noise(found: Interval, floor: float) -> Repeatability:
-    """Take the instrument's own scatter off in quadrature, where the interval lies above it."""
-    robot = float(np.sqrt(found.value**2 - floor**2)) if found.low > floor else None
-    return Repeatability(found, floor, robot, float(np.sqrt(max(found.high**2 - floor**2, 0.0))))
+    """Take the instrument's own scatter off in quadrature, where the interval lies above it.
+
+    Of the bound no more goes off than the visits surely show: a floor beyond is stated too high.
+    """
+    robot = float(np.sqrt(found.value**2 - floor**2)) if found.low > floor else np.nan
+    at_most = float(np.sqrt(found.high**2 - min(floor, found.low) ** 2))
+    return Repeatability(found, floor, robot, at_most)
 
 
 def _variation(
@@ -194,7 +197,7 @@ def _variation(
     return AccuracyVariation(Interval(value, interval.low, interval.high), turn, len(ways), noise)
 
 
-def _drift(t: Array, deviations: Array) -> Drift | None:
+def _drift(deviations: Array) -> Drift | None:
     blocks = min(len(deviations) // MIN_BLOCK_VISITS, MAX_BLOCKS)
     if blocks < 2:
         return None
@@ -202,13 +205,10 @@ def _drift(t: Array, deviations: Array) -> Drift | None:
     none = np.zeros(3)
     accuracy, repeatability = drift(deviations, none, starts).tolist()
     rng = np.random.default_rng(SEED)
-    shuffled = rng.permuted(
-        np.tile(np.arange(len(deviations)), (N_SHUFFLES, 1)), axis=1
-    )  # every row in an order of its own
+    orders = np.tile(np.arange(len(deviations)), (N_SHUFFLES, 1))
+    shuffled = rng.permuted(orders, axis=1)  # every row in an order of its own
     noise = np.quantile(drift(deviations[shuffled], none, starts), 1 - 2 * P_TAIL, axis=0)
-    return Drift(
-        accuracy, repeatability, (float(noise[0]), float(noise[1])), blocks, float(t[-1] - t[0])
-    )
+    return Drift(accuracy, repeatability, (float(noise[0]), float(noise[1])), blocks)
 
 
 @dataclass(frozen=True, slots=True)

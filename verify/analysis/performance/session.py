@@ -56,7 +56,7 @@ class Performance:
     oriented: bool
     seldom: int  # poses visited more than once, but fewer than five times
     empty: tuple[TimeInterval, ...]  # named, but the arm was not measured standing there
-    duration: float  # s, from the first to the last pair
+    duration: float  # s, from the first to the last pair; nan where visits were not timed
 
 
 @dataclass(frozen=True, slots=True)
@@ -84,13 +84,14 @@ def performance(
     named_poses: Sequence[TimeInterval] = (),
     named_paths: Sequence[TimeInterval] = (),
     point: Array | None = None,
+    timed: bool = True,
 ) -> Performance | str:
     """Find repeated poses and paths in a session and judge them.
 
     `offset`, s, is added to the readings' time to get the cameras' clock. Where visits of poses are
     named, others do not count, and so with passages of paths. `point` (3,), m, flange frame: where
-    positions alone were measured, of this point. Gives the indices, or why there are none:
-    `no_holds`, `no_repeats`, `poses_not_determined`.
+    positions alone were measured, of this point; `timed`: the times are those of the visits. Gives
+    the indices, or why there are none: `no_holds`, `no_repeats`, `poses_not_determined`.
     """
     comparison = model.comparison
     measured = _at_point(model, arm, readings, offset, point)
@@ -124,7 +125,7 @@ def performance(
         oriented=measured.oriented,
         seldom=sum(1 < count < MIN_VISITS for count in counts),
         empty=tuple(empty),
-        duration=float(comparison.t[-1] - comparison.t[0]),
+        duration=float(comparison.t[-1] - comparison.t[0]) if timed else np.nan,
     )
 
 

@@ -20,9 +20,10 @@ from tests.support.repeated_poses import (
     repeated,
 )
 from verify.analysis.performance.conditions import condition_deviations
+from verify.analysis.performance.entries import performance_summary
 from verify.analysis.performance.holds import HoldNoise
 from verify.analysis.performance.indices import repeatability
-from verify.analysis.performance.poses import assess_pose
+from verify.analysis.performance.poses import assess_pose, subtract_noise
 from verify.analysis.performance.session import Performance, performance
 from verify.analysis.session import analyse
 from verify.core.records import Array
@@ -84,7 +85,7 @@ def test_the_noise_is_that_of_the_holds(found: Performance) -> None:
 def test_an_arm_that_repeats_exactly_shows_the_floor_alone() -> None:
     exact = repeated(CYCLES, servo=0.0)
     shares = [p.repeatability for p in of(exact, followed(exact)).poses]
-    assert sum(one.robot is None for one in shares) >= 4  # at 95 %, as it should be
+    assert sum(np.isnan(one.robot) for one in shares) >= 4  # at 95 %, as it should be
     assert all(one.robot_at_most < 2 * one.floor for one in shares)
     for one in shares:
         assert one.floor == pytest.approx(one.found.value, rel=0.45)  # 12 visits, 15 % each way
@@ -310,3 +311,23 @@ def test_a_sessions_named_poses_count_and_a_misspelt_key_is_warned_of(tmp_path: 
     entry = analyse(session).summary["performance"]
     assert entry["recognised"] == "named"
     assert [(p["pose"], p["visits"]) for p in entry["poses"]] == [("home", 7)]
+
+
+def test_a_floor_that_is_stated_too_high_bounds_no_robot_below_what_it_shows(
+    found: Performance,
+) -> None:
+    shown = found.poses[0].repeatability.found
+    for floor in (shown.high, 3 * shown.high):
+        share = subtract_noise(shown, floor)
+        assert np.isnan(share.robot)
+        assert share.robot_at_most > 0.8 * shown.value
+
+
+def test_drift_of_visits_without_times_has_no_duration() -> None:
+    untimed = of(RUN, followed(RUN), timed=False)
+    assert isinstance(untimed, Performance)
+    listed = condition_deviations(untimed, temperature_c=20.0, through_encoders=False)
+    assert {"kind": "drift", "found_s": None} in listed
+    drifts = [p["drift"] for p in performance_summary(untimed, [])["poses"]]
+    assert drifts
+    assert all(d["duration_s"] is None for d in drifts)
