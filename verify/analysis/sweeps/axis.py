@@ -16,14 +16,14 @@ c           k      size of each term f of the encoder's error
 No base, LED position or table of the arm enters: each only says in which frame the axis lies.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
 from robots.transforms import difference, displace, rotation_exp, rotation_log
 from verify.analysis.joint_errors import MIN_PAIRS_PER_DIRECTION
 from verify.analysis.least_squares import RegressionFit, autocorrelation, gauss_newton, solve
-from verify.core.records import Array, Flags, rigid_transform
+from verify.core.records import Array, Flags, Index, rigid_transform
 from verify.core.statistics import chi2_sf
 
 N_FREE = 10  # parameters of the axis and of the start pose
@@ -42,6 +42,20 @@ class SweepData:
     held: Array  # (n, 6, p), columns of unit variance: what is stated and does not average out
     q: Array  # (n,), rad, reading
     reading_variance: Array  # (n,), rad²
+
+
+@dataclass(frozen=True, slots=True)
+class SweepPairs(SweepData):
+    """A sweep's pairs with what the terms of the encoder's error need."""
+
+    rows: Index  # (n,), of the comparison
+    direction: Array  # (n,), of travel, +1 or -1
+    rate: Array | None  # (n,), rad/s, of a clock that is fitted along
+
+    def without(self, left_out: Flags) -> "SweepPairs":
+        """The other pairs."""
+        every = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(self, **{k: v[~left_out] for k, v in every.items() if v is not None})
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,23 +159,16 @@ def fit_circles(
     return replace(found, state=state)
 
 
-def sweep_angle(swept: SweepData, terms: Array, state: AxisState) -> Array:
-    """The fitted angle about the axis, zero as the reading's, (n,), rad."""
-    return swept.q - terms @ state.value
-
-
 def perpendiculars(direction: Array) -> Array:
     """Two unit vectors at right angles to a direction and to each other, (2, 3)."""
     return np.asarray(np.linalg.svd(direction[None])[2][1:], dtype=np.float64)
 
 
-def fit_terms(
-    swept: SweepData, direction: Array, rate: Array | None, *, circular: bool
-) -> tuple[EncoderTerms, AxisFit]:
+def fit_terms(swept: SweepPairs, *, circular: bool) -> tuple[EncoderTerms, AxisFit]:
     """Fit with terms of the true angle, which the first fit shows."""
     turned = swept.q
     for _ in range(2):
-        terms = _terms(turned, direction, rate, circular=circular)
+        terms = _terms(turned, swept.direction, swept.rate, circular=circular)
         fit = fit_axis(swept, terms.columns)
         turned = fit.turned
     return terms, fit
@@ -177,13 +184,13 @@ def term_figure(fit: AxisFit, place: int, misfit: float) -> UncertainValue:
 
 
 def find_eccentricity(
-    terms: EncoderTerms, fit: AxisFit
+    terms: EncoderTerms, fit: AxisFit, misfit: float
 ) -> tuple[UncertainValue, UncertainValue, bool]:
-    """Amplitude, phase, and whether it is there at all."""
+    """Amplitude, phase, and whether it is there at all; `misfit` as of `term_figure`."""
     both = slice(terms.circular, terms.circular + 2)
     if not fit.estimable[both].all():
         return NO_FIGURE, NO_FIGURE, False
-    part, spread = fit.value[both], fit.covariance[both, both]
+    part, spread = fit.value[both], fit.covariance[both, both] * misfit
     size = float(np.hypot(*part))
     there = bool(chi2_sf(float(part @ np.linalg.solve(spread, part)), 2) < P_FALSE_ECCENTRICITY)
     along = part / size if size > 0 else part
@@ -266,7 +273,7 @@ def _split_residuals(swept: SweepData, terms: Array, found: CircleFit) -> AxisFi
         value=found.state.value,
         covariance=found.solved.covariance[N_FREE:, N_FREE:],
         estimable=found.solved.estimable[N_FREE:],
-        turned=sweep_angle(swept, terms, found.state),
+        turned=swept.q - terms @ found.state.value,
         angle_left=angle,
         angle_variance=variance,
         rest=rest,

@@ -6,7 +6,7 @@ encoder says, shows gear ratio, hysteresis, eccentricity and what is left of a s
 constant offset of the joint does not show.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from verify.analysis.joint_errors import MIN_SPAN_CIRCULAR, P_LACK_OF_FIT
 from verify.analysis.model import JointErrorModel, SessionComparison
 from verify.analysis.sweeps.axis import (
     NO_FIGURE,
-    SweepData,
+    AxisFit,
+    SweepPairs,
     UncertainValue,
     find_eccentricity,
     fit_terms,
@@ -30,6 +31,8 @@ from verify.measurement.track import Track, subset
 MAX_PAIRS = 150  # of one sweep, evenly spread: more only cost time
 P_OUTLIER = 1e-3  # chance of any in a sweep that has none
 MAX_OUTLIER_SHARE = 0.1  # of the pairs; more are no outliers
+MIN_PLAY_SIGMA = 4.0  # standard uncertainties: a hysteresis beyond may be play
+PLAY_MARGIN = 1.5  # of the hysteresis first found: the travel that takes up the play
 MAX_SWEEPS = 60  # of a session, the widest: a fiftieth of a second each
 
 
@@ -70,13 +73,15 @@ def judge_sweeps(model: JointErrorModel, compared: SessionComparison) -> list[Jo
         if segment.span >= least[-1]:
             pairs = _sweep_pairs(model, compared, segment, direction)
             outlying = _outliers(pairs)
-            judged.append(_judge_sweep(pairs.without(outlying), pairs.rows[outlying]))
+            kept = pairs.without(outlying)
+            settled = kept.without(_in_play(kept))
+            judged.append(_judge_sweep(segment.joint, settled, pairs.rows[outlying]))
     return judged
 
 
 def _sweep_pairs(
     model: JointErrorModel, compared: SessionComparison, segment: SweepSegment, direction: Array
-) -> "_SweepPairs":
+) -> SweepPairs:
     """Take a segment's pairs, MAX_PAIRS at most, with what is known of each."""
     session, comparison, joint = compared.session, model.comparison, segment.joint
     count = min(len(segment.rows), MAX_PAIRS)
@@ -89,15 +94,16 @@ def _sweep_pairs(
     variance = np.full(count, comparison.reading_noise[joint] ** 2)
     variance += (session.encoder_resolution or 0.0) ** 2 / 12
     variance += (rate * (session.encoder_time_standard_uncertainty or 0.0)) ** 2
-    swept = SweepData(
+    return SweepPairs(
         poses=comparison.base_T_measured[rows],
         covariance=covariance,
         held=model.prior_columns[rows],
         q=comparison.q[rows, joint],
         reading_variance=variance,
+        rows=rows,
+        direction=direction[chosen],
+        rate=None if compared.clock.source == "given" else rate,
     )
-    given = compared.clock.source == "given"
-    return _SweepPairs(swept, rows, joint, direction[chosen], None if given else rate)
 
 
 def _own_noise(track: Track, segment: Index, rows: Index) -> Array:
@@ -113,79 +119,82 @@ def _own_noise(track: Track, segment: Index, rows: Index) -> Array:
     return total + left[:, :, None] * left[:, None, :]
 
 
-@dataclass(frozen=True, slots=True)
-class _SweepPairs:
-    """A sweep's pairs, n of them."""
-
-    swept: SweepData
-    rows: Index
-    joint: int
-    direction: Array
-    rate: Array | None  # of a clock that is fitted along
-
-    def without(self, left_out: Flags) -> "_SweepPairs":
-        """The other pairs."""
-        parts = {f.name: getattr(self.swept, f.name)[~left_out] for f in fields(SweepData)}
-        rate = None if self.rate is None else self.rate[~left_out]
-        return _SweepPairs(
-            SweepData(**parts), self.rows[~left_out], self.joint, self.direction[~left_out], rate
-        )
-
-
-def _outliers(case: _SweepPairs) -> Flags:
+def _outliers(case: SweepPairs) -> Flags:
     """Pairs that lie off the circle by more than all others, (n,): a spot that was bitten, say.
 
-    A flange that leaves its circle again and again is no outlier: then none is left out.
+    The farthest draw the circle after them, so they go first. A flange that leaves its circle again
+    and again is no outlier: then none is left out.
     """
-    _, fit = fit_terms(case.swept, case.direction, case.rate, circular=False)
     count = len(case.rows)
-    off = np.linalg.solve(case.swept.covariance, fit.rest[:, :, None])[:, :, 0]
-    far = np.sum(fit.rest * off, axis=1) > chi2_isf(P_OUTLIER / count, 5)
-    few = np.sum(far) <= max(1, int(MAX_OUTLIER_SHARE * count))
-    return far if few else np.zeros(count, dtype=bool)
+    far = np.zeros(count, dtype=bool)
+    while np.sum(far) <= max(1, int(MAX_OUTLIER_SHARE * count)):
+        kept = case.without(far)
+        _, fit = fit_terms(kept, circular=False)
+        off = np.linalg.solve(kept.covariance, fit.rest[:, :, None])[:, :, 0]
+        square = np.sum(fit.rest * off, axis=1)
+        beyond = square > max(chi2_isf(P_OUTLIER / count, 5), square.max() / 2)
+        if not beyond.any():
+            return far
+        far[~far] = beyond
+    return np.zeros(count, dtype=bool)
 
 
-def _judge_sweep(case: _SweepPairs, outlying: Index) -> JointSweep:
-    swept, rows, direction, rate = case.swept, case.rows, case.direction, case.rate
-    terms, fit = fit_terms(swept, direction, rate, circular=False)
+def _in_play(case: SweepPairs) -> Flags:
+    """Pairs after a turning back, or the start, at which a joint with backlash may rest, (n,)."""
+    terms, fit = fit_terms(case, circular=False)
+    found = term_figure(fit, terms.hysteresis, _lack_of_fit(fit)[2])
+    turned = np.flatnonzero(np.diff(case.direction))  # the last pairs before
+    last = np.concatenate([[0], turned])[np.searchsorted(turned, np.arange(len(case.rows)))]
+    travel = np.abs(case.q - case.q[last])
+    # such pairs themselves make the hysteresis look smaller
+    there = abs(found.value) > MIN_PLAY_SIGMA * found.uncertainty
+    return np.asarray(there & (travel < PLAY_MARGIN * abs(found.value)))
+
+
+def _lack_of_fit(fit: AxisFit) -> tuple[int, float, float]:
+    """Degrees of freedom of the angles left, chance that noise alone leaves such, and the misfit.
+
+    A fit that lacks knows its figures no better than it describes the pairs (Birge).
+    """
+    degrees = max(len(fit.angle_left) - len(fit.value) - 1, 1)
+    chance = float(chi2_sf(fit.chi2_angle, degrees))
+    return degrees, chance, max(1.0, fit.chi2_angle / degrees) if chance < P_LACK_OF_FIT else 1.0
+
+
+def _judge_sweep(joint: int, case: SweepPairs, outlying: Index) -> JointSweep:
+    terms, fit = fit_terms(case, circular=False)
     eccentricity, phase, eccentric = NO_FIGURE, NO_FIGURE, False
-    if np.ptp(swept.q) > MIN_SPAN_CIRCULAR:
-        wide = fit_terms(swept, direction, rate, circular=True)
-        eccentricity, phase, eccentric = find_eccentricity(*wide)
+    if np.ptp(case.q) > MIN_SPAN_CIRCULAR:
+        wide = fit_terms(case, circular=True)
+        eccentricity, phase, eccentric = find_eccentricity(*wide, _lack_of_fit(wide[1])[2])
         if eccentric:
             terms, fit = wide
-    angle_degrees = len(rows) - terms.columns.shape[1] - 1
-    rest_degrees = 5 * len(rows) - 9  # of line and start pose, a shift along the angle taken out
-    nonlinear_p = float(chi2_sf(fit.chi2_angle, max(angle_degrees, 1)))
-    # a fit that lacks knows its figures no better than it describes the pairs (Birge)
-    misfit = (
-        max(1.0, fit.chi2_angle / max(angle_degrees, 1)) if nonlinear_p < P_LACK_OF_FIT else 1.0
-    )
+    rest_degrees = (
+        5 * len(case.rows) - 9
+    )  # of line and start pose, a shift along the angle taken out
+    degrees, nonlinear_p, misfit = _lack_of_fit(fit)
     by_clock = terms.columns[:, terms.clock] * fit.value[terms.clock] if terms.clock >= 0 else 0.0
     curve = terms.columns @ fit.value - by_clock
     error = curve - fit.angle_left
-    line = terms.columns[:, 0] * fit.value[0]
-    if terms.hysteresis >= 0:
-        line = line + terms.columns[:, terms.hysteresis] * fit.value[terms.hysteresis]
+    straight = [0] if terms.hysteresis < 0 else [0, terms.hysteresis]
+    line = terms.columns[:, straight] @ fit.value[straight]
     left = error - line - np.mean(error - line)
     rms = float(np.sqrt(np.mean(left**2)))
     return JointSweep(
-        joint=case.joint,
-        rows=rows,
+        joint=joint,
+        rows=case.rows,
         outlying=outlying,
-        q=swept.q,
-        direction=direction,
+        q=case.q,
+        direction=case.direction,
         error=error,
         uncertainty=np.sqrt(fit.angle_variance),
         curve=curve,
         gain=term_figure(fit, 0, misfit),
         hysteresis=term_figure(fit, terms.hysteresis, misfit),
-        eccentricity=replace(
-            eccentricity, uncertainty=eccentricity.uncertainty * float(np.sqrt(misfit))
-        ),
+        eccentricity=eccentricity,
         phase=phase,
         eccentric=eccentric,
-        nonlinearity=UncertainValue(rms, rms / float(np.sqrt(2 * max(angle_degrees, 1)))),
+        nonlinearity=UncertainValue(rms, rms / float(np.sqrt(2 * degrees))),
         noise=float(np.sqrt(np.mean(fit.angle_variance))),
         nonlinear_p=nonlinear_p,
         wobble=(

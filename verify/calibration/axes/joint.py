@@ -142,7 +142,7 @@ def fit_axis(poses: Array, covariance: Array, q: Array) -> SweepAxis:
         across=circles.perpendiculars(state.direction),
         covariance=covariance[: circles.N_LINE, : circles.N_LINE] * scatter,
         by_pose=by_pose[: circles.N_LINE],
-        angle=circles.sweep_angle(swept, terms, state),
+        angle=swept.q - terms @ state.value,
         angle_covariance=terms @ covariance[circles.N_FREE :, circles.N_FREE :] @ terms.T * scatter,
         angle_by_pose=-terms @ by_pose[circles.N_FREE :],
         noise=float(np.sqrt(scatter)),

@@ -160,6 +160,58 @@ def test_readings_of_a_coarse_grain_flicker_and_still_rest() -> None:
     assert abs(pull(fourth.value, fourth.uncertainty, np.deg2rad(0.4))) < 4
 
 
+def test_play_that_is_taken_up_shows_as_hysteresis_and_as_nothing_else() -> None:
+    """The driven side rests until the play is taken up: the truth follows step by step."""
+    path, play = one_by_one(35.0), np.deg2rad(0.3)
+    fine = np.arange(0.0, T[-1] + 0.01, 0.005)
+    driving = path.angles(fine)
+    driven = driving[:, 3].copy()
+    for i in range(1, len(fine)):
+        low, high = driving[i, 3] - play / 2, driving[i, 3] + play / 2
+        driven[i] = min(max(driven[i - 1], low), high)
+    true = path.angles(T)
+    true[:, 3] = np.interp(T, fine, driven)
+
+    def measured(poses: Array) -> Array:
+        noise = poses @ np.linalg.inv(robots.forward(ARM, path.angles(T)))
+        return np.asarray(noise @ robots.forward(ARM, true))
+
+    for seed in range(4):
+        for s in swept(400 + seed, motion=path, moved=measured):
+            there = play if s.joint == 3 else 0.0
+            assert abs(pull(s.hysteresis.value, s.hysteresis.uncertainty, there)) < 3.5
+            assert abs(pull(s.gain.value, s.gain.uncertainty)) < 4
+            assert not s.eccentric
+            assert s.hysteresis.uncertainty < np.deg2rad(0.02)
+
+
+def test_one_pose_far_off_is_left_out_and_accuses_no_joint() -> None:
+    def measured(poses: Array) -> Array:
+        wrong = poses.copy()
+        wrong[80, 0, 3] += 0.02
+        return wrong
+
+    second = swept(500, motion=one_by_one(35.0), moved=measured)[1]
+    assert second.joint == 1
+    assert len(second.outlying) == 1
+    assert abs(pull(second.gain.value, second.gain.uncertainty)) < 4
+    assert second.gain.uncertainty < 1e-3
+    assert not second.eccentric
+    assert second.nonlinear_p > 1e-3
+
+
+def test_poses_that_repeat_while_the_joint_turns_make_no_eccentricity() -> None:
+    def measured(poses: Array) -> Array:
+        wrong = poses.copy()
+        wrong[80:86] = wrong[80]
+        return wrong
+
+    second = swept(500, motion=one_by_one(35.0), moved=measured)[1]
+    assert second.joint == 1
+    assert not second.eccentric
+    assert abs(pull(second.gain.value, second.gain.uncertainty)) < 4
+
+
 @pytest.mark.parametrize("joint", range(6))
 def test_the_axis_is_where_pinocchio_has_it(joint: int) -> None:
     """Noise-free poses of a UR5 by pinocchio, one joint turning through 60°."""
