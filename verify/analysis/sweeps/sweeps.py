@@ -169,9 +169,8 @@ def _judge_sweep(joint: int, case: SweepPairs, outlying: Index) -> JointSweep:
         eccentricity, phase, eccentric = find_eccentricity(*wide, _lack_of_fit(wide[1])[2])
         if eccentric:
             terms, fit = wide
-    rest_degrees = (
-        5 * len(case.rows) - 9
-    )  # of line and start pose, a shift along the angle taken out
+    # of line and start pose, a shift along the angle taken out
+    rest_degrees = 5 * len(case.rows) - 9
     degrees, nonlinear_p, misfit = _lack_of_fit(fit)
     by_clock = terms.columns[:, terms.clock] * fit.value[terms.clock] if terms.clock >= 0 else 0.0
     curve = terms.columns @ fit.value - by_clock
