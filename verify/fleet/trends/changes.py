@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.core.records import Array
-from verify.core.statistics import t_isf
+from verify.core.statistics import chi2_isf, t_isf
 from verify.fleet.trends.series import (
     DAYS_PER_MONTH,
     JointSeries,
@@ -23,6 +23,7 @@ from verify.fleet.trends.series import (
 
 MIN_SESSIONS = 3  # sessions on either side of a change: one or two odd ones are no change
 MAX_TERMS = 6
+P_MISFIT = 0.1  # chance that a scatter that is right is doubted
 MIN_BIC_DIFFERENCE = 10.0  # ΔBIC: odds of 150 to 1
 MAX_CHI2_DATE = 6.63  # χ²(1), 99 %: how far a date may be from the best one
 
@@ -65,18 +66,20 @@ class JointTrend:
 def find_changes(series: JointSeries, false_alarm: float) -> JointTrend:
     """Find the changes of one joint over three sessions or more: its level over time.
 
-    `false_alarm` is the chance that anything is found where nothing changed. Where sessions scatter
-    beyond what they state, neighbours tell poorly by how much: then the best change is tried by
-    what it leaves itself, too (F test), each with half the chance.
+    `false_alarm` is the chance that anything is found where nothing changed. Half of it is for what
+    the stated scatter, or the neighbours', asks for. Where the stated one does not explain what
+    that leaves, or the neighbours' shows nothing, changes are tried by what they leave (F test).
     """
     every = candidates(series)
-    if series.excess == 1.0 or not every:
-        return _course(series, _find_terms(series, every, false_alarm), every)
     terms = _find_terms(series, every, false_alarm / 2)
-    if not terms:
+    stated, left = series.excess == 1.0, max(len(series) - 1 - len(terms), 1)
+    explained = fit(series, _design(series, terms)).chi2 <= chi2_isf(P_MISFIT, left)
+    if not every or (stated and explained):
+        return _course(series, terms, every)
+    if stated or not terms:
         best = every[int(np.argmax(_candidate_worth(series, [], every)))]
-        left = scattered_about(series, _design(series, [best]))
-        terms = _find_terms(left, every, false_alarm / 2)
+        scattered = scattered_about(series, _design(series, terms or [best]))
+        terms = _find_terms(scattered, every, false_alarm / 2)
     return _course(scattered_about(series, _design(series, terms)), terms, every)
 
 
@@ -158,7 +161,7 @@ def _find_terms(series: JointSeries, every: list[TrendTerm], false_alarm: float)
 
 def _drift_until_step(series: JointSeries, every: list[TrendTerm]) -> list[TrendTerm]:
     """A drift from the beginning, taken back by a step with which it ends, where that fits best."""
-    places = [t.place for t in every if t.kind == "step"]
+    places = [t.place for t in every if t.kind == "step" and series.t[t.place - 1] > series.t[0]]
     places = [k for k in places if TrendTerm("drift", k) in every]
     choices = [[TrendTerm("drift", 0), TrendTerm("step", k), TrendTerm("drift", k)] for k in places]
     return min(choices, key=lambda some: _bic(series, some), default=[])
@@ -169,8 +172,12 @@ def _prune(
 ) -> list[TrendTerm]:
     """Settle the terms, and drop those that the others make superfluous."""
     terms = _refine(series, terms, every)
-    while len(terms) > 1 and (weak := _superfluous_term(series, terms, threshold)) is not None:
-        terms = [t for t in terms if t != weak]
+    while len(terms) > 1:
+        # what each one alone takes off
+        lost = [_candidate_gains(series, [t for t in terms if t != one], [one])[0] for one in terms]
+        if min(lost) >= threshold:
+            break
+        del terms[int(np.argmin(lost))]
     return terms
 
 
@@ -189,17 +196,6 @@ def _refine(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm])
         if terms == before:
             break
     return list(dict.fromkeys(terms))
-
-
-def _superfluous_term(
-    series: JointSeries, terms: list[TrendTerm], threshold: float
-) -> TrendTerm | None:
-    """The term that the others make superfluous, if one is."""
-    lost = [
-        _candidate_gains(series, [t for t in terms if t != term], [term])[0] for term in terms
-    ]  # what each one alone takes off
-    least = int(np.argmin(lost))
-    return terms[least] if lost[least] < threshold else None
 
 
 def _candidate_gains(series: JointSeries, terms: list[TrendTerm], every: list[TrendTerm]) -> Array:

@@ -16,14 +16,12 @@ MEDIAN_VARIANCE = {1: 1.0, 2: 0.5, 3: 0.449}  # of so many, in that of one (norm
 
 
 def find_outliers(series: JointSeries, false_alarm: float) -> Flags:
-    """Tell which of a joint's sessions stand apart from both sides, (n,).
+    """Tell which of a joint's sessions, two or more, stand apart from both sides, (n,).
 
     `false_alarm` is the chance that any is named where all are alike.
     """
     n = len(series)
     apart = np.zeros(n, dtype=bool)
-    if n <= N_NEIGHBOURS:
-        return apart
     limit = t_isf(false_alarm / n / 2, series.degrees_of_freedom)
     for i in range(n):
         sides = [slice(max(i - N_NEIGHBOURS, 0), i), slice(i + 1, i + 1 + N_NEIGHBOURS)]

@@ -15,7 +15,9 @@ from verify.fleet.trends.assess import P_FALSE_ALARM, TrendRequest, assess, requ
 from verify.fleet.trends.changes import candidates, find_changes
 from verify.fleet.trends.joints import assess_joint
 from verify.fleet.trends.series import (
+    DAYS_PER_MONTH,
     JointSeries,
+    _with_excess,
     apply_inverse_covariance,
     contrast,
     fit,
@@ -133,6 +135,18 @@ def test_constant_series_seldom_show_a_change(count: int) -> None:
     assert named <= stats.binom.isf(0.001, 100, 0.05)
 
 
+def test_scatter_beyond_what_is_stated_seldom_shows_a_change() -> None:
+    rng, count, named = np.random.default_rng(1), 12, 0
+    false_alarm = P_FALSE_ALARM / 18  # a fleet of three arms
+    for _ in range(720):
+        u, zeros = rng.uniform(0.015, 0.04, count), np.zeros(count)
+        t = np.sort(rng.uniform(0, 365, count))
+        error = rng.normal(0, 2.5 * u)
+        series = JointSeries("a", 1, ("",) * count, t, error, u, zeros, zeros.astype(int))
+        named += len(assess_joint(_with_excess(series), false_alarm).course.changes) > 0
+    assert named <= stats.binom.isf(0.001, 720, false_alarm)
+
+
 def test_one_odd_session_is_marked_and_is_no_change() -> None:
     sessions = rows(6)
     at = sessions.index[sessions["robot"] == "arm_a"][37]
@@ -204,6 +218,16 @@ def test_a_step_lies_between_two_starts() -> None:
     places = [one.place for one in candidates(series_of(sessions, "a", 5)) if one.kind == "step"]
     assert places == [8]
     assert not len(changes(sessions))
+
+
+def test_changes_after_several_sessions_of_one_start_are_found() -> None:
+    month = np.array([0, 0, 0, 0, 1, 2, 3, 4, 5, 6, 7, 8])
+    error, zeros = np.repeat([0.0, 8.0, 4.0], 4), np.zeros(12)
+    series = JointSeries(
+        "a", 1, ("",) * 12, DAYS_PER_MONTH * month, error, zeros + 0.25, zeros, zeros.astype(int)
+    )
+    found = find_changes(series, 0.01).changes
+    assert [(c.term.kind, c.term.place) for c in found] == [("step", 4), ("step", 8)]
 
 
 def test_before_and_after_a_day_compares_each_joint() -> None:
