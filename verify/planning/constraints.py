@@ -153,8 +153,12 @@ class PostureConstraints:
             upper = np.minimum(upper, near + request.within)
         self.limits = lower, upper  # least and greatest joint angles, (j,) each, rad
         self._links = LinkChain(setup.arm)
+        # the LEDs go on where the links end, as far as each is from the flange
+        reach = np.linalg.norm(setup.marker.leds, axis=1)
+        way = np.concatenate([self._links.way, self._links.way[-1] + reach])
+        self._moving: Flags = np.concatenate([self._links.moving, reach >= 0])
         # pairs of points that are far from each other along the links: first (n,), second (n,)
-        apart = np.abs(self._links.way[:, None] - self._links.way)
+        apart = np.abs(way[:, None] - way)
         self._apart = np.nonzero(np.triu(apart > MIN_LINK_SEPARATION))
         base_T_rig = np.linalg.inv(setup.rig.rig_T_base)
         placed = [c.rig_T_camera(c.pan) for c in (setup.rig.left, setup.rig.right)]
@@ -194,9 +198,11 @@ class PostureConstraints:
         return reason
 
     def _arm_reason(self, frames: Array, passing: bool) -> Index:
-        """Check the arm itself: floor, cameras, its own links, singularities."""
-        points = self._links.points(frames)
-        raised = points[:, self._links.moving]
+        """Check arm and LEDs: floor, cameras, the arm's own links, singularities."""
+        flange, leds = frames[:, -1], self.setup.marker.leds
+        leds = leds @ np.swapaxes(flange[:, :3, :3], 1, 2) + flange[:, None, :3, 3]
+        points = np.concatenate([self._links.points(frames), leds], axis=1)
+        raised = points[:, self._moving]
         away = np.linalg.norm(raised[:, :, None] - self._cameras, axis=-1).min(axis=(1, 2))
         first, second = self._apart
         gaps = np.linalg.norm(points[:, first] - points[:, second], axis=-1)

@@ -78,6 +78,26 @@ def test_touching_images_are_reported(bench: PlanningSetup) -> None:
         assert view.apart.tolist() == [[False, False, True]]
 
 
+@pytest.mark.parametrize("reason", REASONS[3:6])
+def test_no_led_goes_below_the_floor_or_near_to_camera_or_arm(
+    reason: str, bench: PlanningSetup
+) -> None:
+    q = build_roadmap(PostureConstraints(bench, wish()), np.random.default_rng(0)).q[:1]
+    frames, rig = robots.link_frames(bench.arm, q)[0], bench.rig
+    camera = np.linalg.inv(rig.rig_T_base) @ rig.left.rig_T_camera(rig.left.pan)[:, 3]
+    there = dict(zip(REASONS[3:6], ([0.4, 0.0, -0.01], camera[:3], frames[1, :3, 3]), strict=True))
+    arm_T_led = np.linalg.inv(frames[-1]) @ [*there[reason], 1.0]
+    marker = replace(
+        bench.marker,
+        names=(*bench.marker.names, "far"),
+        colours=(*bench.marker.colours, "white"),
+        leds=np.vstack([bench.marker.leds, arm_T_led[:3]]),
+    )
+    assert PostureConstraints(bench, wish()).reason(q).tolist() == [-1]
+    found = PostureConstraints(replace(bench, marker=marker), wish()).reason(q)
+    assert [REASONS[k] for k in found] == [reason]
+
+
 def test_every_posture_and_leg_of_the_roadmap_keeps_everything(bench: PlanningSetup) -> None:
     constraints = PostureConstraints(bench, wish())
     known = build_roadmap(constraints, np.random.default_rng(0))
