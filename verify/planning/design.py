@@ -143,12 +143,10 @@ def choose_poses(information: DesignInformation, count: int) -> list[int]:
     for _ in range(min(count, len(information.rows))):
         chosen.append(_best(information, chosen))
     for _ in range(MAX_ROUNDS):
-        changed = False
+        before = list(chosen)
         for place in range(len(chosen)):
-            better = _best(information, chosen[:place] + chosen[place + 1 :], chosen[place])
-            changed |= better != chosen[place]
-            chosen[place] = better
-        if not changed:
+            chosen[place] = _best(information, chosen[:place] + chosen[place + 1 :], chosen[place])
+        if chosen == before:
             break
     return chosen
 

@@ -228,7 +228,9 @@ def contrast(series: JointSeries, second: Flags, false_alarm: float) -> Contrast
     `false_alarm` is the chance that a difference is shown where there is none.
     """
     counts = int((~second).sum()), int(second.sum())
-    found = fit(series, np.column_stack([np.ones(len(series)), second.astype(float)]))
+    design = np.column_stack([np.ones(len(series)), second.astype(float)])
+    series = scattered_about(series, design)  # neighbours may agree by chance
+    found = fit(series, design)
     first, difference = found.coefficients.tolist()
     u = float(np.sqrt(found.covariance[1, 1]))
     limit = float(t_isf(false_alarm / 2, series.degrees_of_freedom)) * u

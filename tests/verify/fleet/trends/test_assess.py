@@ -247,6 +247,18 @@ def test_before_and_after_a_day_compares_each_joint() -> None:
     assert contrast(series, second, 0.05).difference == pytest.approx(other - first)
 
 
+def test_scatter_beyond_what_is_stated_seldom_shows_a_difference() -> None:
+    rng, count, shown = np.random.default_rng(1), 8, 0
+    for _ in range(2000):
+        u, zeros = rng.uniform(0.015, 0.04, count), np.zeros(count)
+        error = rng.normal(0, 2.5 * u)
+        t = np.arange(count) * 7.0
+        series = JointSeries("a", 1, ("",) * count, t, error, u, zeros, zeros.astype(int))
+        found = contrast(_with_excess(series), np.arange(count) >= 4, 0.001)
+        shown += abs(found.difference) > found.limit
+    assert shown <= stats.binom.isf(0.001, 2000, 0.001)
+
+
 def test_two_folders_are_compared_and_one_without_sessions_is_refused() -> None:
     sessions = rows(11)
     moved = sessions["robot"] == "arm_b"
