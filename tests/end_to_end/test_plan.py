@@ -67,6 +67,7 @@ def test_a_plan_is_a_motion_and_its_prediction(rig: Path, tmp_path: Path) -> Non
         (("--duration-s", "-3"), "--duration-s: -3; a number above 0"),
         (("--speed-deg-s", "nan"), "--speed-deg-s: is nan; a finite number"),
         (("--rate-hz", "0"), "--rate-hz: 0; a number above 0"),
+        (("--rate-hz", "1e6"), "'--rate-hz': 1000000.0 is not in the range x<=200.0"),
         (("--skew-ms", "200"), "--skew-ms: 200 ms; less than the time between two pairs"),
         (("--marker", "nowhere.toml"), "nowhere.toml"),
         (("--observe", "everything"), "everything"),

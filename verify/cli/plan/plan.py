@@ -77,7 +77,7 @@ def plan(
     view_angle_deg: Annotated[
         float, Option(help="LEDs are visible up to this angle from the flange's z; 180: all.")
     ] = 60.0,
-    rate_hz: Annotated[float, Option(help="Stereo pairs per second.")] = 10.0,
+    rate_hz: Annotated[float, Option(max=200.0, help="Stereo pairs per second.")] = 10.0,
     spot_noise_px: Annotated[
         float, Option(help="Standard uncertainty of an LED's image, each coordinate.")
     ] = 0.05,
