@@ -62,6 +62,7 @@ def test_a_machine_without_a_compiler_is_told_what_to_do(
     assert "the Python package ziglang" in found["inner loops"]["text"]
 
 
+@pytest.mark.realtime
 def test_a_simulated_station_works(tmp_path: Path) -> None:
     (tmp_path / "station.toml").write_text(file.template())
     status, found = examined(tmp_path / "station.toml")
@@ -74,6 +75,7 @@ def test_a_simulated_station_works(tmp_path: Path) -> None:
     assert found["pan bases"]["outcome"] == "works"
 
 
+@pytest.mark.realtime
 def test_settings_that_are_refused_are_doubtful(tmp_path: Path) -> None:
     text = file.template().replace("# gain = 0  ", "gain = 3  ", 1)
     (tmp_path / "station.toml").write_text(text)
