@@ -86,6 +86,7 @@ TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
 MIN_DISPLACED = np.deg2rad(0.5)  # an error of a joint: base or body may stand elsewhere instead
 DISPLACED = ((True, False), (False, True), (True, True))  # base, LED body
+MIN_LOOSE = np.deg2rad(0.25)  # of a body's turn, stated: it may take up what joints leave
 STEPS_DISPLACED = 3  # of Newton, to where they stand
 MIN_GAIN_DISPLACED = 2.0  # of chi-squared, about the place where they would stand
 MAX_MISFIT_DISPLACED = 2.0  # there: of a joint's step, more is left
@@ -283,7 +284,9 @@ def _tangent(compared: SessionComparison, built: ModelBuilder) -> Comparison:
     joints = solve_joints(start, arm) if late else compared.joints
     middle = _about_joint_errors(start, joints, arm, built)
     far = np.nanmax(np.abs(joints.error), initial=0.0) > MIN_DISPLACED
-    if far and _fit_offsets(built(middle), (False, False))[1] > MAX_MISFIT_DISPLACED:
+    body = compared.session.marker.body_standard_uncertainty
+    loose = body is not None and body[3:].max() > MIN_LOOSE
+    if far and (loose or _fit_offsets(built(middle), (False, False))[1] > MAX_MISFIT_DISPLACED):
         least = min(_fit_offsets(built(middle), own)[0] for own in DISPLACED)
         for own in DISPLACED:
             moved = misplacement(start.base_T_measured, start.base_T_encoder, *own)

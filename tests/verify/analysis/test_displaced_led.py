@@ -114,6 +114,19 @@ def test_leds_placed_by_hand_are_taken_where_the_pictures_show_them(
     assert summary["joints"][-1]["expanded_uncertainty_deg"] > 0.25 * sigma_mm
 
 
+@pytest.mark.parametrize("sample", FAULT)
+@pytest.mark.parametrize("seed", [1000, 1001, 1004, 1013])
+def test_a_body_that_stands_degrees_off_accuses_no_joint(sample: str, seed: int) -> None:
+    """Places that are off by 2 mm turn the body by degrees, which first order does not tell."""
+    session = open_session(SAMPLES / sample)
+    summary = analyse(placed_by_hand(session, seed, 2.0)).summary
+    assert summary["pictures"]["led_shifts"]
+    assert [cause["joint"] for cause in summary["diagnosis"] if cause["joint"]] in ([], [2])
+    for joint in summary["joints"][:-1]:
+        fault = 0.35 * (sample == "multi_joint_fault_6r" and joint["joint"] == 2)
+        assert abs(joint["mean_error_deg"] - fault) < 1.5 * joint["expanded_uncertainty_deg"]
+
+
 def test_two_leds_that_are_off_by_centimetres_are_found_too() -> None:
     session = open_session(SAMPLES / "multi_joint_fault_6r")
     wrong = with_leds_displaced(session, {"B": [-10.0, 0.0, 0.0], "C": [0.0, -5.0, 0.0]})

@@ -218,8 +218,7 @@ def _posed_pairs(
         if m.pose is not None and m.left is not None and m.right is not None
         if len(m.left) and len(m.right)
     ]
-    few = len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS
-    count = 0 if few else min(len(posed), MAX_PAIRS)
+    count = 0 if len(marker) < MIN_LEDS or len(posed) < MIN_PAIRS else min(len(posed), MAX_PAIRS)
     return posed, np.linspace(0, len(posed) - 1, count).astype(int)
 
 
