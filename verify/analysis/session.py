@@ -408,9 +408,7 @@ def _results(found: SessionAnalysis) -> Results:
     tables = {
         "frames": frames_table(measured.measurements, found),
         "spots": spots_table(measured.measurements, session.marker),
-        "resolved": resolved_table(
-            found,
-        ),
+        "resolved": resolved_table(found),
         "relative": relative_table(found.relative, found.frame),
         "clock_curve": pd.DataFrame(clock.curve, columns=["offset_s", "cost"]),
         "budget": found.sources.lines,
