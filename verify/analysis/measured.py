@@ -189,7 +189,9 @@ def with_measured_places(
     """
     found, marker = measured.pictures, session.marker
     stated = marker.led_standard_uncertainty or 0.0
+    half = len(session) / 2
     sound = found is not None and not found.contradicts and stated < ROUGHLY_PLACED
+    sound &= len(measured.track) >= half  # pairs that fit no pose tell nothing of what is wrong
     tilted = found is not None and found.tilted is not None
     few = len(marker) < MIN_LEDS
     off = None if sound or tilted or few else _shown_shifts(session, chain)
@@ -199,7 +201,7 @@ def with_measured_places(
     told = replace(session, marker=shifted_marker(marker, off), warnings=warnings)
     again = measure_pictures(told, no_progress, chain)
     agrees = again.pictures is not None and again.pictures.agrees
-    if off.is_scale or not agrees or len(again.track) < len(measured.track):
+    if off.is_scale or not agrees or len(again.track) < max(len(measured.track), half):
         return session, measured
     return told, replace(again, shifts=off)
 

@@ -127,6 +127,14 @@ def test_a_body_that_stands_degrees_off_accuses_no_joint(sample: str, seed: int)
         assert abs(joint["mean_error_deg"] - fault) < 1.5 * joint["expanded_uncertainty_deg"]
 
 
+def test_places_are_sought_where_the_few_pairs_that_fit_agree_with_the_files() -> None:
+    wrong = placed_by_hand(open_session(SAMPLES / "multi_joint_rv_3sd"), 1006, 2.0)
+    summary = analyse(wrong).summary  # of 60 pairs 11 fit a pose by marker.toml's places
+    assert summary["pairs"]["measured"] == 60
+    assert summary["pictures"]["led_shifts"]
+    assert summary["diagnosis"] == []
+
+
 def test_two_leds_that_are_off_by_centimetres_are_found_too() -> None:
     session = open_session(SAMPLES / "multi_joint_fault_6r")
     wrong = with_leds_displaced(session, {"B": [-10.0, 0.0, 0.0], "C": [0.0, -5.0, 0.0]})
