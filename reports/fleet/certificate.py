@@ -103,8 +103,9 @@ def _changed(
 
 
 def _scattered(results: Results) -> list[dict[str, Any]]:
-    """Joints that show no change, and scatter far more than their sessions state."""
-    return [one for one in records(results.table("joints")) if one["state"] == "scattered"]
+    """Joints whose sessions scatter more than they state, and show no change by that scatter."""
+    states = ("scattered", "unclear")
+    return [one for one in records(results.table("joints")) if one["state"] in states]
 
 
 def _scatter_text(results: Results) -> str:
@@ -297,7 +298,7 @@ def _change_cell(entry: dict[str, Any]) -> doc.Cell:
     told = [f"{fmt.joint_names(joints)}: {fleet_charts.STATES.get(state, state)}"
             for state, joints in states.items() if state not in ("steady", "unknown")]  # fmt: skip
     if told:
-        changed = states.keys() - {"steady", "unknown", "scattered"}
+        changed = states.keys() - {"steady", "unknown", "scattered", "unclear"}
         return doc.Cell("; ".join(told), "nonconform" if changed else "undecided")
     if "steady" in states:
         return doc.Cell("none", "conform")

@@ -30,15 +30,16 @@ EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
 STATES = {
     "steady": "no change",
     "scattered": "scatter not explained",
+    "unclear": "change or scatter: too few sessions",
     "step": "stepped",
     "drift": "drifts",
     "change": "changed: step or drift",
     "several": "changed more than once",
     "unknown": "not enough sessions",
 }
-TONES = {"steady": "conform", "scattered": "undecided", "unknown": "undecided",
-         "step": "nonconform", "drift": "nonconform", "change": "nonconform",
-         "several": "nonconform"}  # fmt: skip
+TONES = {"steady": "conform", "scattered": "undecided", "unclear": "undecided",
+         "unknown": "undecided", "step": "nonconform", "drift": "nonconform",
+         "change": "nonconform", "several": "nonconform"}  # fmt: skip
 KINDS = {"step": "step", "drift": "drift", "change": "step or drift"}
 VERDICTS = {"conform": "conform", "nonconform": "do not conform", "undecided": "undecided"}
 

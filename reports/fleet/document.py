@@ -60,8 +60,8 @@ def document(results: Results) -> doc.Document:
 
 def joints(results: Results) -> doc.Section:
     """A row a joint: state, trend, error now."""
-    order = {"several": 0, "drift": 1, "step": 1, "change": 1, "scattered": 2, "steady": 3,
-             "unknown": 4}  # fmt: skip
+    order = {"several": 0, "drift": 1, "step": 1, "change": 1, "unclear": 2, "scattered": 2,
+             "steady": 3, "unknown": 4}  # fmt: skip
     entries = sorted(
         records(results.table("joints")),
         key=lambda e: (order.get(str(e["state"]), 3), str(e["arm"]), int(e["joint"])),

@@ -50,8 +50,9 @@ METHOD_PARAGRAPHS = tuple(
         (
             "Where sessions scatter more than that, by the median of how far each lies from the",
             "line through those before and after, their uncertainties grow by that factor, and",
-            "Student's distribution allows for its being estimated; the best change is tried by",
-            "what it leaves itself, too (F test).",
+            "Student's distribution allows for its being estimated. A change, an odd session or a",
+            "difference counts if it is also beyond chance by the scatter that it leaves (F or t",
+            "test). What is more than stated and not beyond that is change or scatter: undecided.",
         ),
         (
             "Level: a constant, steps, and drifts that begin at sessions, by generalised least",
@@ -108,6 +109,8 @@ def _mean_and_sessions(side: str, entry: dict[str, Any]) -> str:
 def _contrast_result(entry: dict[str, Any]) -> doc.Cell:
     if entry["shown"] is True:
         return doc.Cell("changed", "nonconform")
+    if entry.get("unclear") is True:
+        return doc.Cell("change or scatter: too few sessions", "undecided")
     return doc.Cell("no change shown", "conform")
 
 

@@ -19,6 +19,7 @@ _special: Any = special  # its type stubs accept no general arrays
 _Ufunc = Callable[..., Array]
 _chdtri: _Ufunc = _special.chdtri
 _chdtrc: _Ufunc = _special.chdtrc
+_fdtrc: _Ufunc = _special.fdtrc
 _gammaincinv: _Ufunc = _special.gammaincinv
 _stdtrit: _Ufunc = _special.stdtrit
 norm_ppf: _Ufunc = _special.ndtri  # value that a standard normal variable is below, by chance
@@ -52,6 +53,11 @@ def chi2_sf(value: ArrayLike, degrees: ArrayLike) -> Array:
 def chi2_ppf(share: ArrayLike, degrees: ArrayLike) -> Array:
     """Value that a chi² variable stays below with a given probability."""
     return 2.0 * _gammaincinv(np.asarray(degrees) / 2, share)
+
+
+def f_sf(value: ArrayLike, degrees: ArrayLike, below: ArrayLike) -> Array:
+    """Probability that an F variable exceeds a value; `below`: degrees of its denominator."""
+    return _fdtrc(degrees, below, value)
 
 
 def t_ppf(share: ArrayLike, degrees: ArrayLike) -> Array:

@@ -77,7 +77,7 @@ def assess(
 
 _CONTRAST_COLUMNS = [
     "question", "arm", "joint", "first", "second", "first_sessions", "second_sessions",
-    "first_deg", "second_deg", "difference_deg", "difference_u_deg", "shown",
+    "first_deg", "second_deg", "difference_deg", "difference_u_deg", "shown", "unclear",
 ]  # fmt: skip
 
 
@@ -130,7 +130,7 @@ def _joint_row(
         "trend_deg_per_month": judged.course.slope,
         "trend_u_deg_per_month": judged.course.slope_uncertainty,
         "worse": judged.worse,
-        "odd_sessions": int(judged.odd.sum()),
+        "odd_sessions": int(judged.course.odd.sum()),
         "excess": judged.series.excess,
     }
 
@@ -199,9 +199,11 @@ def _contrast_rows(
     rows = []
     for one, second in possible:
         difference = contrast(one, second, P_FALSE_ALARM / len(possible))
+        size = abs(difference.difference)
+        shown = size > difference.limit
         rows.append((question, one.arm, one.joint, *names, *difference.sessions,
                      *difference.level, difference.difference, difference.standard_uncertainty,
-                     abs(difference.difference) > difference.limit))  # fmt: skip
+                     shown, size > difference.expected and not shown))  # fmt: skip
     return rows
 
 

@@ -14,14 +14,13 @@ import numpy as np
 import pandas as pd
 
 from verify.core.records import Array, Flags, Index
-from verify.core.statistics import t_isf
+from verify.core.statistics import norm_isf, t_isf
 
 SECONDS_PER_DAY = 86_400.0  # s
 DAYS_PER_MONTH = 365.25 / 12  # days
 MIN_SESSIONS_FOR_SCATTER = 5  # sessions from which the scatter between them is looked at
 NORMAL_MEDIAN = 0.6745  # of |z|
 _BY_SESSION = ("t", "error", "own", "shared", "group")  # arrays of a series
-EFFICIENCY = 0.19  # of the scatter's estimate: a median (0.37) of pseudo-residuals (18/35)
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,10 +49,8 @@ class JointSeries:
 
     @property
     def degrees_of_freedom(self) -> float:
-        """Of `scatter`: infinite where the stated uncertainties explain it."""
-        if self.excess == 1.0:
-            return np.inf
-        return float(max(len(self) - self.about if self.about else EFFICIENCY * len(self), 1.0))
+        """Of `scatter`: infinite where it is as stated, or that of neighbours."""
+        return float(len(self) - self.about) if self.about and self.excess > 1.0 else np.inf
 
     def chosen(self, which: Flags) -> "JointSeries":
         """Keep the sessions that `which` (n,) marks."""
@@ -168,17 +165,21 @@ def scattered_about(series: JointSeries, design: Array) -> JointSeries:
 
 
 def scan(series: JointSeries, months: Array, design: Array, found: SeriesFit) -> dict[str, Array]:
-    """What a step, or a drift, at each session alone would take off χ² beside a fit; (n,) each.
+    """What a step, a drift, or an error of one session would take off χ² beside a fit; (n,) each.
 
     A step at k is 1 from session k on; a drift at k is the time since session k, from there on. All
     products of such columns with V⁻¹ are sums over the sessions from k on. `months` (n,) is the
     sessions' time, in order, `design` (n, p) holds the columns of the fit.
     """
+    alone = series.scatter**-2  # of V⁻¹ the diagonal
+    for inside, square in _calibration_blocks(series):
+        alone[inside] -= square * alone[inside] ** 2 / (1 + square * alone[inside].sum())
     weighted = apply_inverse_covariance(series, design)
     columns = np.column_stack([found.residual_weighted, weighted])
     sums = zip(_tail_sums(months[:, None], columns), _squares(series, months), strict=True)
     step, drift = (_gain(tail[:, 0], tail[:, 1:], own, found) for tail, own in sums)
-    return {"step": step, "drift": drift}
+    odd = _gain(found.residual_weighted, weighted, alone, found)
+    return {"step": step, "drift": drift, "odd": odd}
 
 
 def _tail_sums(t: Array, values: Array) -> tuple[Array, Array]:
@@ -219,19 +220,22 @@ class Contrast:
     level: tuple[float, float]
     difference: float  # second less first
     standard_uncertainty: float  # of the difference: what both share drops out
-    limit: float  # of |difference|, beyond which it is shown
+    limit: float  # of |difference|, beyond which it is shown; infinite with one session a side
+    expected: float  # of |difference|, beyond which the stated uncertainties do not explain it
 
 
 def contrast(series: JointSeries, second: Flags, false_alarm: float) -> Contrast:
     """Compare the sessions that are `second` (n,) with the others; neither set is empty.
 
-    `false_alarm` is the chance that a difference is shown where there is none.
+    `false_alarm` is the chance that a difference is shown where there is none, however far sessions
+    scatter: by what is left about either side's level (t test), never less than what is stated.
     """
-    counts = int((~second).sum()), int(second.sum())
+    counts, left = (int((~second).sum()), int(second.sum())), len(series) - 2
     design = np.column_stack([np.ones(len(series)), second.astype(float)])
-    series = scattered_about(series, design)  # neighbours may agree by chance
-    found = fit(series, design)
+    stated = fit(replace(series, excess=1.0), design).covariance[1, 1]
+    found = fit(scattered_about(series, design), design)
     first, difference = found.coefficients.tolist()
     u = float(np.sqrt(found.covariance[1, 1]))
-    limit = float(t_isf(false_alarm / 2, series.degrees_of_freedom)) * u
-    return Contrast(counts, (first, first + difference), difference, u, limit)
+    limit = float(t_isf(false_alarm / 2, left)) * u if left else np.inf
+    expected = float(norm_isf(false_alarm / 2) * np.sqrt(stated))
+    return Contrast(counts, (first, first + difference), difference, u, limit, expected)
