@@ -1,6 +1,7 @@
 """Page one of a fleet report: which arm and joint, how far off, since when, what to do."""
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 from reports.document import blocks as doc
@@ -34,13 +35,14 @@ def headline(results: Results) -> doc.Verdict:
     found, failing = records(results.table("changes")), nonconforming_sessions(results, short=True)
     held = results.summary.get("sessions") or {}
     remarks = [
-        f"{_counted(count, 'session')} {what}."
+        f"{counted(count, 'session')} {what}."
         for key, what in (
             ("failed", "could not be measured"),
             ("copies", "not counted: the same recording as another"),
         )
         if (count := int(held.get(key) or 0))
     ]
+    remarks = [*several_arms(results), *remarks]
     if exact := results.summary.get("uncounted"):
         remarks.append(
             f"The figures hold on the condition that {fmt.join_words(exact)} are exact: some "
@@ -97,9 +99,33 @@ def _changed(
     if len(found) > MAX_NAMED:
         texts.append(f"{fmt.count(len(found) - MAX_NAMED)} further changes are in the appendix")
     steady = judged - accused - len(_scattered(results))
-    rest = f" The other {_counted(steady, 'joint')} show no change." if steady else ""
+    rest = f" The other {counted(steady, 'joint')} show no change." if steady else ""
     sentence = f"{fmt.capitalise('; '.join(texts))}.{_scatter_text(results)}{rest}"
     return doc.Verdict("nonconform", label, sentence, remarks)
+
+
+def several_arms(results: Results) -> list[str]:
+    """Say of each arm whose sessions look like those of several which of them differ."""
+    held: dict[str, dict[str, Any]] = {}
+    differences = [one for one in records(results.table("contrasts")) if one["shown"] is True]
+    # of each arm the largest; folders before calibrations
+    for one in sorted(
+        differences, key=lambda one: (one["question"] == "folder", abs(one["difference_deg"]))
+    ):
+        if one["question"] in ("folder", "calibration"):
+            held[str(one["arm"])] = one
+    told = []
+    for one in held.values():
+        size = fmt.with_uncertainty(one["difference_deg"], 2 * one["difference_u_deg"], "°")
+        which, advice = f"in {one['second']}", "--by folder follows each by itself"
+        if one["question"] == "calibration":
+            which, advice = "of one calibration", "state serial_number in session.toml"
+        told.append(
+            f"{fmt.text_or_dash(one['arm'])}: the {fmt.count(one['second_sessions'])} sessions "
+            f"{which} differ in joint {one['joint']} by {size} (k = 2) from those between them. "
+            f"They may be of several arms: {advice}."
+        )
+    return told
 
 
 def _scattered(results: Results) -> list[dict[str, Any]]:
@@ -246,7 +272,7 @@ def _table(results: Results) -> tuple[doc.Table, ...]:
     )
     caption = "Each arm: its sessions, the largest present error of a joint, k = 2, and changes."
     more = len(ranked) - MAX_ROWS
-    notes = [f"{_counted(more, 'arm')} more: in the appendix."] if more > 0 else []
+    notes = [f"{counted(more, 'arm')} more: in the appendix."] if more > 0 else []
     return (doc.tabulate(caption, columns, entries, *notes),)
 
 
@@ -271,10 +297,18 @@ def session_table(results: Results, most: int) -> tuple[doc.Table, ...]:
             "r",
             doc.uncertain_field("worst_error_deg", "worst_error_u_deg", k=2),
         ),
-        doc.Column("Verdict", "l", lambda e: phrases.verdict_cell({"verdict": e["verdict"]})),
+        doc.Column("Verdict", "l", _session_verdict),
     )
     caption = "Sessions with the largest errors, k = 2; those that do not conform first."
     return (doc.tabulate(caption, columns, entries[:most]),)
+
+
+def _session_verdict(one: dict[str, Any]) -> doc.Cell:
+    """A session's verdict, with the flange's pose where that, and not the joint, makes it."""
+    cell = phrases.verdict_cell({"verdict": one["verdict"]})
+    if one.get("pose") and one.get("joint_verdict") != one["verdict"]:
+        return replace(cell, text=f"{cell.text}: {one['pose']}")
+    return cell
 
 
 def verdict_counts(one: dict[str, Any]) -> str:
@@ -342,13 +376,11 @@ def _unchecked(results: Results) -> list[str]:
     young = sum(one["state"] == "unknown" for one in joints)
     if young:
         sentences.append(
-            f"Changes over time of {fmt.count(young)} of {_counted(len(joints), 'joint')}: too few "
+            f"Changes over time of {fmt.count(young)} of {counted(len(joints), 'joint')}: too few "
             "sessions."
         )
     if held.get("undated"):
-        sentences.append(
-            f"{_counted(int(held['undated']), 'session')} without a date: in no chart."
-        )
+        sentences.append(f"{counted(int(held['undated']), 'session')} without a date: in no chart.")
     sentences.append("Poses, directions and speeds that no session shows.")
     return sentences
 
@@ -359,5 +391,6 @@ def is_hidden(share: Any) -> bool:
     return figure is not None and figure < phrases.MAX_HIDDEN_SHARE
 
 
-def _counted(number: int, noun: str) -> str:
+def counted(number: int, noun: str) -> str:
+    """Write a number of things."""
     return f"{fmt.count(number)} {noun}{'' if number == 1 else 's'}"

@@ -97,6 +97,12 @@ CAPTION = (
 )
 
 
+MAX_CALIBRATION_MARKS = 12  # of a strip: more hide its sessions
+MAX_OVERREACH = 3.0  # times the span of sessions and usual limits: what lies farther is cut
+CUT_NOTE = "Bars and limits of the most uncertain sessions leave the frame."
+UNMARKED_NOTE = "Calibrations are too many to be marked."
+
+
 def charts(results: Results) -> Section | None:
     """One figure an arm, a strip a joint."""
     points = results.table("points")
@@ -114,10 +120,15 @@ def charts(results: Results) -> Section | None:
         if not accused:
             outcome = "No joint changed."
         share = 100 * float(results.summary.get("false_alarm") or 0)
+        notes = [
+            note
+            for note, applies in ((CUT_NOTE, _cut_range), (UNMARKED_NOTE, _has_many_calibrations))
+            if any(applies(strip) for _, strip in own.groupby("joint"))
+        ]
         blocks.append(
             Figure(
                 f"chart_{number}",
-                CAPTION.format(arm=name, share=f"{share:g}"),
+                " ".join([CAPTION.format(arm=name, share=f"{share:g}"), *notes]),
                 f"Control charts of {name}, one strip a joint over time. {outcome}",
                 arm_chart(own, found[found["arm"] == arm]),
             )
@@ -236,6 +247,7 @@ def _panel(own: pd.DataFrame, changes: pd.DataFrame, zero: float, ticks: Ticks) 
     marks += [
         Level(place, "muted", "new calibration", upright=True)
         for place in _calibration_changes(own, t)
+        if not _has_many_calibrations(own)
     ]
     steps = changes[changes["term"] == "step"]
     marks += [  # in front of a new calibration at the same place
@@ -248,10 +260,28 @@ def _panel(own: pd.DataFrame, changes: pd.DataFrame, zero: float, ticks: Ticks) 
     return Panel(
         tuple(marks),
         y_label=f"q{int(own['joint'].iloc[0])} [°]",
+        y_range=_cut_range(own),
         x_range=(float(t.min()) - 3, float(t.max()) + 3),
         x_ticks=tuple((place - zero, text) for place, text in ticks),
         unit="°",
     )
+
+
+def _has_many_calibrations(own: pd.DataFrame) -> bool:
+    return len(_calibration_changes(own, column(own, "t_days"))) > MAX_CALIBRATION_MARKS
+
+
+def _cut_range(own: pd.DataFrame) -> tuple[float, float] | None:
+    """The range of sessions and usual limits, where single bars or limits would dwarf them."""
+    error, u, low, high = (
+        column(own, key) for key in ("error_deg", "u_deg", "low_deg", "high_deg")
+    )
+    whole = np.concatenate([error - 2 * u, error + 2 * u, low, high])
+    usual = np.concatenate([error, [np.median(low), np.median(high)]])
+    if np.ptp(whole) <= MAX_OVERREACH * np.ptp(usual):
+        return None
+    margin = 0.08 * float(np.ptp(usual))
+    return float(usual.min()) - margin, float(usual.max()) + margin
 
 
 def _break_at_calibrations(own: pd.DataFrame, t: Array, values: Array) -> tuple[Array, Array]:

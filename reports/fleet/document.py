@@ -10,6 +10,7 @@ from reports.fleet import evidence, names
 from reports.fleet.certificate import (
     certificate,
     change_text,
+    counted,
     judged_joints,
     present_error,
     verdict_counts,
@@ -51,7 +52,7 @@ def document(results: Results) -> doc.Document:
     asked = evidence.contrasts(results)
     return doc.lay_out(
         title=f"Fleet report: {'1 arm' if arms == 1 else f'{fmt.count(arms)} arms'}",
-        subtitle=f"{fmt.count(held.get('measured'))} sessions{period}",
+        subtitle=f"{counted(int(held.get('measured') or 0), 'session')}{period}",
         footer=f"{doc.software(results.summary)} · fleet report",
         sections=(page, *([asked] if asked else []), *appendix),
         sortable=True,

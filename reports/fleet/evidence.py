@@ -24,8 +24,8 @@ CONTRAST_NOTE = (
     "A difference counts as shown beyond what chance gives all joints together."
 )
 LARGEST_NOTE = (
-    "The resolved error of largest magnitude in each session, of the joints that do not conform "
-    "where any do not, with its expanded uncertainty (k = 2)."
+    "The resolved error of largest magnitude in each session, of the joints with the session's "
+    "verdict where any have it, with its expanded uncertainty (k = 2)."
 )
 UNREPORTED_NOTE = (
     "Sessions have no reports of their own yet: run the same command with --reports; nothing is "
@@ -70,23 +70,25 @@ METHOD_PARAGRAPHS = tuple(
 def contrasts(results: Results) -> doc.Section | None:
     """Before and after, or one folder against another, where that was asked."""
     table = results.table("contrasts")
+    table = table[table["question"].isin(["since", "compare"])]
     if not (results.summary.get("since") or results.summary.get("compare")):
         return None
+    title = "Before and after" if results.summary.get("since") else "Two folders"
     if not len(table):
-        text = "No joint has dated sessions with a figure on both sides."
-        return doc.Section("contrasts", "Before and after", (doc.Paragraph(text, "note"),))
+        text = "No joint of one arm has dated sessions with a figure on both sides."
+        return doc.Section("contrasts", title, (doc.Paragraph(text, "note"),))
     blocks: list[doc.Block] = []
     for (first, second), rows in table.groupby(["first", "second"], sort=False):
         blocks.append(_contrast_table(str(first), str(second), records(rows)))
-    return doc.Section("contrasts", "Before and after", tuple(blocks))
+    return doc.Section("contrasts", title, tuple(blocks))
 
 
 def _contrast_table(first: str, second: str, entries: list[dict[str, Any]]) -> doc.Table:
     columns = (
         doc.Column("Arm", "l", doc.field("arm")),
         doc.Column("Joint", "l", doc.field("joint", str)),
-        doc.Column("Before [°]", "r", partial(_mean_and_sessions, "first")),
-        doc.Column("Since [°]", "r", partial(_mean_and_sessions, "second")),
+        doc.Column(f"{_side(first)} [°]", "r", partial(_mean_and_sessions, "first")),
+        doc.Column(f"{_side(second)} [°]", "r", partial(_mean_and_sessions, "second")),
         doc.Column(
             "Difference ± U [°]",
             "r",
@@ -102,16 +104,23 @@ def _contrast_table(first: str, second: str, entries: list[dict[str, Any]]) -> d
     )
 
 
+def _side(name: str) -> str:
+    """A side as the head of a column: of a folder its own name."""
+    return fmt.text_or_dash(name.rstrip("/").rpartition("/")[2])
+
+
 def _mean_and_sessions(side: str, entry: dict[str, Any]) -> str:
     return f"{fmt.number(entry[f'{side}_deg'])} ({fmt.count(entry[f'{side}_sessions'])})"
 
 
 def _contrast_result(entry: dict[str, Any]) -> doc.Cell:
+    since = entry["question"] == "since"
     if entry["shown"] is True:
-        return doc.Cell("changed", "nonconform")
+        return doc.Cell("changed" if since else "differs", "nonconform")
+    what = "change" if since else "difference"
     if entry.get("unclear") is True:
-        return doc.Cell("change or scatter: too few sessions", "undecided")
-    return doc.Cell("no change shown", "conform")
+        return doc.Cell(f"{what} or scatter: too few sessions", "undecided")
+    return doc.Cell(f"no {what} shown", "conform")
 
 
 def worst_sessions(results: Results) -> doc.Section | None:
@@ -196,7 +205,7 @@ def method(results: Results) -> doc.Section:
     summary = results.summary
     share = fmt.finite(summary.get("false_alarm"))
     rate = fmt.DASH if share is None else fmt.exact_number(100 * share)
-    by = {"robot": "the robot that session.toml names",
+    by = {"robot": "the robot that session.toml names, and its serial number where several are",
           "folder": "that robot and the folder that holds the session"}  # fmt: skip
     grouping = by.get(str(summary.get("by")), fmt.text_or_dash(summary.get("by")))
     items = (

@@ -6,7 +6,10 @@ from typing import Any
 from reports.document import formatting as fmt
 from reports.results import Results
 
-KEYS = {"worst": "session", "changes": "session", "failures": "session", "joints": "latest_session"}
+KEYS = {
+    "points": "session", "recent": "session", "worst": "session", "changes": "session",
+    "failures": "session", "joints": "latest_session",
+}  # fmt: skip
 
 
 def common_folder(results: Results) -> str:

@@ -205,6 +205,7 @@ def test_where_no_session_can_be_measured_failures_are_written_and_nothing_else(
         (".", "--since", "yesterday"),
         (".", "--by", "colour"),
         (".", "--compare", "s", "elsewhere"),
+        (".", "--compare", "s", "s"),
         (".", "--workers", "0"),
         *((SAMPLES, "-o", "out", f"--tolerance={wrong}")
           for wrong in ("abc", "nan", "0", "0.2,0.2")),

@@ -92,6 +92,7 @@ def _table(
         "started": pd.Timestamp(BEGIN) + pd.to_timedelta(t, unit="D"),
         "kept_in": [f"sessions/{i}" for i in range(n)],
         "calibration": [f"{arm}-{c}" for c in calibration],
+        "serial_number": pd.Series([None] * n, dtype=object),
         "joints": [6] * n,
         "pairs_recorded": [60] * n,
         "pairs_measured": [60] * n,

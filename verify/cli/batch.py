@@ -181,13 +181,15 @@ def _finish(done: "BatchResult", out: Path, request: "TrendRequest") -> int:
 
 
 def _print_summary(done: "BatchResult", out: Path, results: "Results") -> None:
-    from reports.fleet.certificate import nonconforming_sessions
+    from reports.fleet.certificate import nonconforming_sessions, several_arms
 
     progress, copies = done.progress, len(done.failures) - len(done.failed)
-    not_counted = f", {copies} not counted: the same recording as another" if copies else ""
+    not_counted = f"; {copies} not counted: the same recording as another" if copies else ""
     terminal.warn(*(one.why for one in done.failures if one not in done.failed))
+    terminal.warn(*several_arms(results))
+    counted = "1 session" if progress.measured == 1 else f"{progress.measured} sessions"
     terminal.say(
-        f"{progress.measured} sessions measured, {progress.kept} kept from before, "
+        f"{counted} measured, {progress.kept} kept from before, "
         f"{len(done.failed)} failed{not_counted}"
     )
     terminal.say(*(f"  does not conform: {line}" for line in nonconforming_sessions(results)))

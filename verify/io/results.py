@@ -9,7 +9,6 @@ import json
 import os
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
-from html import escape
 from pathlib import Path, PurePath
 from typing import TYPE_CHECKING
 
@@ -226,35 +225,9 @@ class Results(reports.Results):
 
     def _repr_html_(self) -> str:
         """Show verdict, joints and conditions in a notebook."""
-        from reports.session import phrases
+        from reports.session.notebook import fragment
 
-        verdict = self._headline()
-        head = ("joint", "error ± U", "largest error ± U", "tolerance", "verdict")
-        lines = [_html_row("th", head), *(_html_row("td", row) for row in self._rows())]
-        conditions = "".join(f"<br><small>{escape(text)}</small>" for text in verdict.remarks)
-        factors = phrases.coverage(self.summary["joints"])
-        return (
-            f"<p><strong>{escape(verdict.label)}:</strong> {escape(verdict.sentence)}</p>"
-            f"<table>{''.join(lines)}</table>"
-            f"<p><small>Errors: reading less true angle. {factors}.</small>{conditions}</p>"
-        )
-
-    def _rows(self) -> list[tuple[str, ...]]:
-        from reports.document import formatting as fmt
-        from reports.session import phrases
-
-        return [
-            (
-                str(joint),
-                fmt.with_uncertainty(row["mean_error_deg"], row["expanded_uncertainty_deg"], "°"),
-                fmt.with_uncertainty(
-                    row["worst_error_deg"], row["worst_error_expanded_uncertainty_deg"], "°"
-                ),
-                "" if pd.isna(row["tolerance_deg"]) else f"±{row['tolerance_deg']:g}°",
-                phrases.VERDICTS.get(row["verdict"], ""),
-            )
-            for joint, row in self.joints.iterrows()
-        ]
+        return fragment(self, self.joints)
 
     def _headline(self) -> "Verdict":
         from reports.session.headline import headline
@@ -275,10 +248,6 @@ def open_results(folder: str | Path) -> Results:
         remedy = "Name a folder that `verify run` wrote."
         raise InputError(Path(folder) / RESULTS, found, "results of a session are expected", remedy)
     return Results(read.summary, read.setup, read.tables, read.images)
-
-
-def _html_row(tag: str, cells: tuple[str, ...]) -> str:
-    return f"<tr>{''.join(f'<{tag}>{escape(cell)}</{tag}>' for cell in cells)}</tr>"
 
 
 def _with_film(results: reports.Results, folder: Path) -> reports.Results:

@@ -14,9 +14,12 @@ from reports.document.charts import Level, Line, Points, isolated_points
 from reports.document.formatting import DASH, with_uncertainty
 from reports.fleet.charts import MAX_TICKS, arm_chart, format_day, month_ticks, present_errors
 from reports.fleet.document import document
+from reports.fleet.names import common_folder
 from reports.results import Results
+from tests.support.fleets import NO_FAILURES, rows
 from tests.support.reports import fleet as made_fleet
 from tests.support.reports.page import page_one
+from verify.fleet.trends.assess import TrendRequest, assess
 
 HOSTILE = '</script><b>x</b>&"\n, y'
 
@@ -87,6 +90,8 @@ def test_sessions_that_do_not_conform_are_the_headline_where_nothing_changed() -
     table = table.assign(joint_verdict="conform", pose="position")
     moved = verdict_of(replace(failing, tables=failing.tables | {"worst": table}))
     assert "iust_6r, the flange's position is beyond its tolerance" in moved.sentence
+    (worst,) = section(replace(failing, tables=failing.tables | {"worst": table}), "worst")
+    assert [row[-1].text for row in worst.rows] == ["does not conform: position", "conforms"]
     first = page_one(document(failing))
     for words in (
         "What to do Read the reports",
@@ -183,6 +188,39 @@ def test_before_and_after_is_shown_on_request() -> None:
     (table,) = section(made_fleet.changed(since=date(2025, 6, 12)), "contrasts")
     assert "before 2025-06-12, since 2025-06-12" in table.caption
     assert table.rows[0][-1].text == "changed"
+    assert table.head[2:4] == ("before 2025-06-12 [°]", "since 2025-06-12 [°]")
+    sessions = rows(1, sessions=6)
+    sessions["robot"] = sessions["robot"].replace("arm_b", "arm_a")
+    request = TrendRequest(compare=("lab/arm_a", "lab/arm_b"))
+    (table,) = section(assess(sessions, NO_FAILURES, request, ()), "contrasts")
+    assert table.head[2:4] == ("arm_a [°]", "arm_b [°]")
+    assert {row[-1].text for row in table.rows} == {"no difference shown"}
+
+
+def test_the_common_folder_is_that_of_all_sessions_not_only_of_the_worst() -> None:
+    results = made_fleet.changed()
+    worst = results.table("worst").assign(session="lab/arm_b/007")
+    none = worst.iloc[:0]
+    tables = results.tables | {"worst": worst, "changes": none, "failures": none}
+    joints = results.table("joints").assign(latest_session="lab/arm_b/007")
+    assert common_folder(replace(results, tables=tables | {"joints": joints})) == "lab"
+
+
+def test_one_uncertain_session_and_many_calibrations_do_not_hide_the_others() -> None:
+    results = made_fleet.quiet()
+    points = results.table("points").query("arm == 'arm_a'").copy()
+    far = points["session"] == points["session"].iloc[4]
+    points.loc[far, ["u_deg", "low_deg", "high_deg"]] = [5.0, -40.0, 40.0]
+    points["calibration"] = points.groupby("joint").cumcount()
+    chart = arm_chart(points, results.table("changes"))
+    assert chart is not None
+    for panel in chart.panels:
+        assert panel.y_range is not None
+        assert max(map(abs, panel.y_range)) < 1.0
+        assert not [m for m in panel.marks if isinstance(m, Level) and m.name == "new calibration"]
+    figure, *_ = section(replace(results, tables=results.tables | {"points": points}), "charts")
+    assert "leave the frame" in figure.caption
+    assert "too many to be marked" in figure.caption
 
 
 def test_markup_in_names_is_shown_and_never_run() -> None:

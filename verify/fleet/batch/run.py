@@ -27,7 +27,6 @@ from verify.fleet.batch.store import ResultStore
 from verify.fleet.batch.tasks import CompareTask, MeasureTask, ReportTask
 from verify.fleet.batch.workers import ProcessPool
 from verify.io.files import FolderTakenError
-from verify.io.session.folder import SESSION_FILE
 
 WorkerPool = ProcessPool | Cluster
 
@@ -110,10 +109,10 @@ def measure_all(
     first: dict[frozenset[str], str] = {}
     copies = []
     for session, inputs in sorted(work.done.items()):
-        recorded = frozenset(digest for name, digest in inputs.items() if name != SESSION_FILE)
+        recorded = frozenset(was for name, was in inputs.items() if not name.endswith(".toml"))
         if (original := first.setdefault(recorded, session)) != session:
             why = f"{session}: holds the same recording as {original}, and is not counted again."
-            copies.append(SessionFailure(session, COPY, one_line(f"{why} Delete the copy.")))
+            copies.append(SessionFailure(session, COPY, one_line(f"{why} Delete one of them.")))
     kept = [(session, work.store.place(session)) for session in sorted(first.values())]
     return BatchResult(kept, sorted([*work.progress.failures, *copies]), work.progress)
 

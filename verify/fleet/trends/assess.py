@@ -10,9 +10,11 @@ import numpy as np
 import pandas as pd
 
 from reports import Results
+from verify.core.records import Flags
 from verify.core.version import __version__
 from verify.errors import InputError
 from verify.fleet.batch.records import COPY
+from verify.fleet.trends.changes import MIN_SESSIONS
 from verify.fleet.trends.joints import (
     CHANGE_COLUMNS,
     MIN_SESSIONS_TO_ASSESS,
@@ -82,11 +84,16 @@ _CONTRAST_COLUMNS = [
 
 
 def _arms(sessions: pd.DataFrame, by: str) -> pd.Series:
-    """Name the arm of each session: its robot, or that and the folder that holds the session."""
+    """Name the arm of each session: its robot and serial number, or that robot and the folder.
+
+    The number where sessions of one robot state several, the folder that holds the session.
+    """
+    robot, serial = sessions["robot"], sessions["serial_number"]
     if by == "robot":
-        return sessions["robot"]
+        several = serial.groupby(robot).transform("nunique") > 1
+        return robot.where(serial.isna() | ~several, robot + " no. " + serial.astype(str))
     above = sessions["session"].map(lambda name: PurePosixPath(name).parent.name or ".")
-    return sessions["robot"] + " in " + above
+    return robot + " in " + above
 
 
 def _points(judged: list[JointAssessment]) -> pd.DataFrame:
@@ -98,6 +105,14 @@ def _arm_row(arm: str, rows: pd.DataFrame) -> dict[str, Any]:
     """How many sessions of an arm there are, by their verdict."""
     counts = {word: int((rows["verdict"] == word).sum()) for word in VERDICTS}
     return {"arm": arm, "sessions": len(rows), "last": _day(rows["started"].max()), **counts}
+
+
+_MEDIANS = {
+    "detectable_deg": "minimum_detectable_error_deg",
+    "separable_deg": "minimum_separable_error_deg",
+    "visible": "visible_fraction",
+    "visible_since": "visible_fraction_since_registration",
+}
 
 
 def _joint_row(
@@ -115,10 +130,7 @@ def _joint_row(
         "undated": int(rows["started"].isna().sum()),
         "state": judged.state if judged else "unknown",
         **{word: int(verdicts.get(word, 0)) for word in VERDICTS},
-        "detectable_deg": _median(rows, f"{name}_minimum_detectable_error_deg"),
-        "separable_deg": _median(rows, f"{name}_minimum_separable_error_deg"),
-        "visible": _median(rows, f"{name}_visible_fraction"),
-        "visible_since": _median(rows, f"{name}_visible_fraction_since_registration"),
+        **{short: rows[f"{name}_{figure}"].median() for short, figure in _MEDIANS.items()},
         **_latest_error(rows, name),
     }
     if judged is None:
@@ -131,7 +143,7 @@ def _joint_row(
         "trend_u_deg_per_month": judged.course.slope_uncertainty,
         "worse": judged.worse,
         "odd_sessions": int(judged.course.odd.sum()),
-        "excess": judged.series.excess,
+        "excess": judged.course.series.excess,
     }
 
 
@@ -170,34 +182,52 @@ def _recent_rows(sessions: pd.DataFrame) -> list[tuple[Any, ...]]:
     ]  # fmt: skip
 
 
-def _median(rows: pd.DataFrame, name: str) -> float | None:
-    values = rows[name].dropna()
-    return float(values.median()) if len(values) else None
+Side = tuple[tuple[str, str, str], JointSeries, Flags]  # question, first, second; who is second
 
 
 def _contrasts(
     sessions: pd.DataFrame, every: list[JointSeries], request: TrendRequest
 ) -> list[tuple[Any, ...]]:
-    rows: list[tuple[Any, ...]] = []
+    rows = _contrast_rows(_alternating_sides(every)) if request.by == "robot" else []
     if request.since is not None:
         day = pd.Timestamp(request.since, tz="UTC").value / DAY_NS
-        names = f"before {request.since}", f"since {request.since}"
-        rows += _contrast_rows("since", names, [(one, one.t >= day) for one in every])
+        names = "since", f"before {request.since}", f"since {request.since}"
+        rows += _contrast_rows([(names, one, one.t >= day) for one in every])
     if request.compare is not None:
         first, second = (_sessions_below(sessions["session"], folder) for folder in request.compare)
         both = first | second
         some = [one.chosen(np.array([s in both for s in one.session], bool)) for one in every]
         chosen = [(one, np.array([s in second for s in one.session], bool)) for one in some]
-        rows += _contrast_rows("compare", request.compare, chosen)
+        rows += _contrast_rows([(("compare", *request.compare), *pair) for pair in chosen])
     return rows
 
 
-def _contrast_rows(
-    question: str, names: tuple[str, str], sides: list[tuple[JointSeries, Any]]
-) -> list[tuple[Any, ...]]:
-    possible = [(one, second) for one, second in sides if second.any() and not second.all()]
+def _alternating_sides(every: list[JointSeries]) -> list[Side]:
+    """Hold the sessions of a folder, or calibration, against others where their dates alternate.
+
+    No change over time makes them differ: several arms may be taken as one.
+    """
+    folders = [np.array([str(PurePosixPath(s).parent) for s in one.session]) for one in every]
+    return [
+        ((question, "the others", str(name)), one, labels == name)
+        for one, folder in zip(every, folders, strict=True)
+        for question, labels in (("folder", folder), ("calibration", one.group))
+        for name in np.unique(labels)
+        if _alternates(labels == name)
+    ]
+
+
+def _alternates(second: Flags) -> bool:
+    """Tell whether two sets of sessions, in order of time, mix as often as chance mixes them."""
+    n, inside = len(second), int(second.sum())
+    turns = int(np.count_nonzero(second[1:] != second[:-1]))
+    return MIN_SESSIONS <= inside <= n - MIN_SESSIONS and turns >= 2 * inside * (n - inside) / n
+
+
+def _contrast_rows(sides: list[Side]) -> list[tuple[Any, ...]]:
+    possible = [side for side in sides if side[2].any() and not side[2].all()]
     rows = []
-    for one, second in possible:
+    for (question, *names), one, second in possible:
         difference = contrast(one, second, P_FALSE_ALARM / len(possible))
         size = abs(difference.difference)
         shown = size > difference.limit
@@ -208,8 +238,9 @@ def _contrast_rows(
 
 
 def require_folders(names: Sequence[str], request: TrendRequest) -> None:
-    """Raise InputError where a folder to compare holds no session, before hours of work."""
-    for folder in request.compare or ():
+    """Raise InputError where a comparison has no session on a side, or one on both."""
+    folders = request.compare or ()
+    for folder in folders:
         if not _sessions_below(names, folder):
             raise InputError(
                 f"--compare {folder}",
@@ -217,6 +248,11 @@ def require_folders(names: Sequence[str], request: TrendRequest) -> None:
                 "a folder with sessions of this batch is expected, written as in the command",
                 "Name two of the batch's folders.",
             )
+    shared = set.intersection(*(_sessions_below(names, folder) for folder in folders), set(names))
+    if folders and shared:
+        found = f"both hold the session {min(shared)}"
+        expected = "two folders are expected, neither inside the other"
+        raise InputError(f"--compare {' '.join(folders)}", found, expected)
 
 
 def _sessions_below(names: Iterable[str], folder: str) -> set[str]:
@@ -242,10 +278,10 @@ def _worst_sessions(sessions: pd.DataFrame, reported: set[str]) -> pd.DataFrame:
 
 
 def _worst_row(session: pd.Series, reported: set[str]) -> dict[str, Any] | None:
-    """Give a session's joint that is off most, of those that do not conform where any do not."""
+    """Give a session's joint that is off most, of those with the session's verdict if any have."""
     joints = range(1, int(session["joints"]) + 1)
     errors = [
-        (session[f"q{j}_verdict"] == "nonconform", abs(session[f"q{j}_worst_error_deg"]), j)
+        (session[f"q{j}_verdict"] == session["verdict"], abs(session[f"q{j}_worst_error_deg"]), j)
         for j in joints
         if pd.notna(session[f"q{j}_worst_error_deg"])
     ]
@@ -254,7 +290,7 @@ def _worst_row(session: pd.Series, reported: set[str]) -> dict[str, Any] | None:
     joint = max(errors)[2]
     name = f"q{joint}"
     beyond = [part for part in ("position", "orientation")
-              if session.get(f"{part}_verdict") == "nonconform"]  # fmt: skip
+              if session.get(f"{part}_verdict") == session["verdict"] != "conform"]  # fmt: skip
     return {
         "session": session["session"],
         "arm": session["arm"],
@@ -266,7 +302,7 @@ def _worst_row(session: pd.Series, reported: set[str]) -> dict[str, Any] | None:
         "worst_error_u_deg": session[f"{name}_worst_error_standard_uncertainty_deg"],
         "tolerance_deg": session.get(f"{name}_tolerance_deg"),
         "joint_verdict": session[f"{name}_verdict"],
-        "pose": " and ".join(beyond),  # beyond its tolerance
+        "pose": " and ".join(beyond),  # with the session's verdict
         "verdict": session["verdict"],
         "kept_in": session["kept_in"],
         "reported": session["session"] in reported,

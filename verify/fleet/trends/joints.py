@@ -19,7 +19,6 @@ MIN_SESSIONS_TO_ASSESS = 2 * changes.MIN_SESSIONS  # sessions, below which chang
 class JointAssessment:
     """What a joint's sessions say together."""
 
-    series: JointSeries
     course: changes.JointTrend
     half: Array  # (n,), degrees: how far from its place a session lies if nothing changed
     scattered: bool  # far beyond what is stated, and by more than chance
@@ -64,7 +63,7 @@ def assess_joint(series: JointSeries, false_alarm: float) -> JointAssessment:
     scattered = series.excess > MIN_UNEXPLAINED and bool(
         series.excess**2 > chi2_isf(false_alarm, degrees) / degrees
     )
-    return JointAssessment(series, course, half, scattered)
+    return JointAssessment(course, half, scattered)
 
 
 POINT_COLUMNS = [
@@ -79,7 +78,7 @@ CHANGE_COLUMNS = [
 
 def point_rows(judged: JointAssessment) -> pd.DataFrame:
     """One row a session, as `POINT_COLUMNS` names them."""
-    series, course = judged.series, judged.course
+    course, series = judged.course, judged.course.series
     fitted = np.where(course.odd, np.nan, course.fitted + course.shift)
     reference = course.reference + course.shift
     columns = (
@@ -92,7 +91,8 @@ def point_rows(judged: JointAssessment) -> pd.DataFrame:
 def change_rows(judged: JointAssessment) -> list[tuple[Any, ...]]:
     """One row a change, as `CHANGE_COLUMNS` names them."""
     rows = []
-    series, t, group = judged.series, judged.series.t, judged.series.group
+    series = judged.course.series
+    t, group = series.t, series.group
     for one in judged.course.changes:
         step, place = one.term.kind == "step", one.term.place
         rows.append((

@@ -105,6 +105,8 @@ def test_a_copy_is_named_and_not_counted_again(lab: Path, tmp_path: Path) -> Non
     shutil.copytree(lab / "one", lab / "two")
     settings = lab / "two" / "session.toml"
     settings.write_text(settings.read_text() + "# copied\n")
+    rig = lab / "two" / "rig.toml"  # nor is it another recording by another calibration
+    rig.write_text(rig.read_text() + "# calibrated again\n")
     for _ in range(2):  # measured, and kept from before
         done = batch(lab, tmp_path / "out", Inline())
         assert [name for name, _ in done.kept] == [f"{lab}/one"]

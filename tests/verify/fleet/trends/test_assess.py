@@ -1,5 +1,6 @@
 """Steps and drifts are found, dated and distinguished; a fleet without change has none."""
 
+import re
 from datetime import date
 from typing import Any
 
@@ -8,6 +9,7 @@ import pandas as pd
 import pytest
 from scipy import stats
 
+from reports.fleet.certificate import several_arms
 from reports.results import Results
 from tests.support.fleets import BEGIN, NO_FAILURES, rows
 from verify.errors import InputError
@@ -296,6 +298,9 @@ def test_two_folders_are_compared_and_one_without_sessions_is_refused() -> None:
     assert 1 in set(table[table["shown"]]["joint"])
     names = sessions["session"].tolist()
     require_folders(names, TrendRequest(compare=folders))
+    for both in (("lab/arm_a", "lab/arm_a/"), ("lab", "lab/arm_b")):
+        with pytest.raises(InputError, match="both hold the session lab/arm_"):
+            require_folders(names, TrendRequest(compare=both))
     with pytest.raises(InputError, match="lab/arm_z"):
         require_folders(names, TrendRequest(compare=("lab/arm_a", "lab/arm_z")))
 
@@ -306,6 +311,64 @@ def test_arms_of_one_kind_are_distinguished_by_folder() -> None:
     assert assessed(sessions).summary["arms"] == ["same"]
     by = assessed(sessions, by="folder").summary["arms"]
     assert by == ["same in arm_a", "same in arm_b", "same in arm_c"]
+
+
+def two_arms_as_one(offset: float, *, alternating: bool = True) -> pd.DataFrame:
+    """Sessions of two arms of one robot file; joint 2 of the second is off."""
+    sessions = rows(15, sessions=12).query("robot != 'arm_c'").copy()
+    second = sessions["robot"] == "arm_b"
+    sessions["calibration"] = sessions["robot"]
+    sessions["robot"] = "same"
+    sessions.loc[second, "q2_mean_error_deg"] += offset
+    if not alternating:
+        sessions.loc[second, "started"] += pd.Timedelta(days=400)
+    return sessions
+
+
+def test_sessions_that_differ_by_folder_and_not_by_time_may_be_of_several_arms() -> None:
+    (text,) = several_arms(assessed(two_arms_as_one(0.8)))
+    assert re.match(
+        r"same: the 12 sessions in lab/arm_. differ in joint 2 by [+−]0\.[78]\d+° ± .* --by folder",
+        text,
+    )
+    gathered = two_arms_as_one(0.8)
+    gathered["session"] = gathered["session"].str.replace("arm_b/", "arm_a/b")
+    (text,) = several_arms(assessed(gathered))
+    assert "of one calibration differ in joint 2" in text
+    for other in (two_arms_as_one(0.0), two_arms_as_one(0.8, alternating=False)):
+        assert not several_arms(assessed(other))
+    assert not several_arms(assessed(two_arms_as_one(0.8), by="folder"))
+
+
+def test_folders_of_one_arm_are_seldom_said_to_be_several_arms() -> None:
+    told = 0
+    for seed in range(40):
+        sessions = rows(3000 + seed, sessions=8, scatter=2.5)
+        folder = np.random.default_rng(seed).choice(["monday", "friday"], len(sessions))
+        sessions["session"] = sessions["session"].str.replace("lab/", "") + "/"
+        sessions["session"] = folder + "/" + sessions["session"].str.replace("/", "-")
+        told += bool(several_arms(assessed(sessions)))
+    assert told <= stats.binom.isf(0.001, 40, P_FALSE_ALARM)
+
+
+def test_serial_numbers_distinguish_arms() -> None:
+    sessions = two_arms_as_one(0.0)
+    assert assessed(sessions.assign(serial_number="7")).summary["arms"] == ["same"]
+    sessions["serial_number"] = sessions["calibration"].map({"arm_a": "A7", "arm_b": None})
+    assert assessed(sessions).summary["arms"] == ["same"]
+    sessions["serial_number"] = sessions["calibration"].map({"arm_a": "A7", "arm_b": "B8"})
+    assert assessed(sessions).summary["arms"] == ["same no. A7", "same no. B8"]
+
+
+def test_an_undecided_session_is_listed_with_what_is_undecided() -> None:
+    sessions = rows(16, sessions=1)
+    sessions[["verdict", "position_verdict"]] = "undecided"
+    sessions[[f"q{j}_verdict" for j in range(1, 7)]] = "conform"
+    assert assessed(sessions).table("worst")["pose"].tolist() == ["position"] * 3
+    small = sessions["q1_worst_error_deg"].abs().idxmin()
+    sessions.loc[small, ["q1_verdict", "q1_worst_error_deg"]] = ["undecided", 1e-6]
+    worst = assessed(sessions).table("worst").set_index("session")
+    assert worst.loc[sessions["session"][small], "joint"] == 1
 
 
 def test_sessions_without_date_or_figure_are_counted() -> None:
