@@ -31,12 +31,14 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
     if len(determined) < MIN_JOINTS or not np.isfinite(part).all():
         return []
     vectors = np.linalg.eigh(part)[1]
+    k = phrases.sum_factor(entries)
+    factor = fmt.exact_number(round(k, 2))
     sums = [c for c in summary.get("combinations") or [] if c.get("why") == "well_known"]
     rows = [
         doc.row(
             fmt.text_or_dash(c.get("label")).replace("-", fmt.MINUS),
-            fmt.with_uncertainty(c.get("mean_error_deg"), 2 * c["standard_uncertainty_deg"]),
-            "2",
+            fmt.with_uncertainty(c.get("mean_error_deg"), k * c["standard_uncertainty_deg"]),
+            factor,
             "axes are parallel",
         )
         for c in sums
@@ -61,8 +63,8 @@ def combination_blocks(summary: dict[str, Any]) -> list[doc.Block]:
         weights = np.where(np.abs(exact) > MIN_RELATIVE_WEIGHT, np.round(exact, 2), 0.0)
         label = _combination_name(weights, [names[k] for k in determined])
         sizes.append(math.sqrt(max(float(weights @ part @ weights), 0.0)))
-        value = fmt.with_uncertainty(weights @ mean[determined], 2 * sizes[-1])
-        rows.append(doc.row(label, value, "2", why))
+        value = fmt.with_uncertainty(weights @ mean[determined], k * sizes[-1])
+        rows.append(doc.row(label, value, factor, why))
     return [
         doc.Table(
             "Sums of the joints' mean errors, those known well beside those known badly.",

@@ -58,7 +58,7 @@ def joints(results: Results) -> doc.Section:
             )
         )
     if summary.get("combinations"):
-        blocks.append(_combination_table(summary["combinations"]))
+        blocks.append(_combination_table(summary["combinations"], summary["joints"]))
     figure = doc.Figure(
         "correlation",
         "Correlation of the joints' mean errors, systematic part included. Joints that "
@@ -107,12 +107,13 @@ def _detectability_table(entries: list[dict[str, Any]]) -> doc.Table:
     return doc.tabulate(title, columns, entries, DETECTABILITY_NOTE)
 
 
-def _combination_table(entries: list[dict[str, Any]]) -> doc.Table:
-    value = doc.uncertain_field("mean_error_deg", "standard_uncertainty_deg", k=2)
+def _combination_table(entries: list[dict[str, Any]], joints: list[dict[str, Any]]) -> doc.Table:
+    k = phrases.sum_factor(joints)
+    value = doc.uncertain_field("mean_error_deg", "standard_uncertainty_deg", k=k)
     why = doc.field("why", partial(fmt.lookup_label, phrases.COUPLINGS))
     columns = (
         doc.Column("Sum", "l", lambda e: fmt.text_or_dash(e.get("label")).replace("-", fmt.MINUS)),
-        doc.Column("Mean error ± U (k = 2) [°]", "r", value),
+        doc.Column(f"Mean error ± U ({fmt.coverage_text(k)}) [°]", "r", value),
         doc.Column("Pairs", "r", doc.field("pairs", fmt.count)),
         doc.Column("Why it is given", "l", why, wide=True),
     )

@@ -24,7 +24,7 @@ SCOPE = "This covers the poses, directions and speeds that the session shows, an
 WORST_ERROR = phrases.worst_error("°")
 # of sources that are no quantity to improve: what would make them smaller
 IMPROVEMENTS = {
-    "causes found": "what tells the causes found from the joints' errors (more pairs, in other "
+    "causes found": "what separates the causes found from the joints' errors (more pairs, in other "
     "postures)",
     "lack of fit": "what the errors follow beside the causes found",
     "autocorrelation": "the number of pairs that do not repeat each other's errors",
@@ -316,7 +316,7 @@ def _largest_source(results: Results, names: list[Any]) -> str:
     source = str(largest["source"]).replace("_", " ")
     joint = f"joint {largest['joint']}'s standard uncertainty"
     if source in IMPROVEMENTS:
-        return f"{IMPROVEMENTS[source]}: {source} makes {amount} of {joint}"
+        return f"{IMPROVEMENTS[source]}: this part of {joint} is {amount}"
     return f"{source}, which alone makes {amount} of {joint}"
 
 

@@ -5,6 +5,7 @@ from typing import Any
 
 from reports.document.blocks import Cell, uncertain_field
 from reports.document.formatting import (
+    COVERAGE_FACTOR,
     DASH,
     coverage_text,
     exact_number,
@@ -21,6 +22,12 @@ worst_error = partial(with_expanded, "worst_error_deg", "worst_error_standard_un
 def coverage(joints: list[dict[str, Any]]) -> str:
     """Say the coverage factors of the joints' errors: k = 2, or k = 2 to 2.19."""
     return coverage_text(*(joint.get("coverage_factor") for joint in joints))
+
+
+def sum_factor(joints: list[dict[str, Any]]) -> float:
+    """K of a sum of joints' errors: the largest of theirs, whose noise rests on the same pairs."""
+    known = [k for joint in joints if (k := finite(joint.get("coverage_factor"))) is not None]
+    return max(known, default=COVERAGE_FACTOR)
 
 
 # visible shares of an offset

@@ -119,8 +119,11 @@ def test_the_budget_adds_what_a_reader_checks_it_by() -> None:
     assert {"random, together", "systematic, together", "combined", "expanded"} <= set(rows)
 
 
-def test_a_sum_has_the_figures_of_the_weights_that_its_name_states() -> None:
+@pytest.mark.parametrize("factor", [2.0, 13.97])  # the latter: of two pairs
+def test_a_sum_has_the_figures_of_the_weights_that_its_name_states(factor: float) -> None:
     results = made.nonconforming()
+    joints = [joint | {"coverage_factor": factor} for joint in results.summary["joints"]]
+    results = replace(results, summary=results.summary | {"joints": joints})
     joints, correlation = results.summary["joints"], np.eye(6)
     correlation[1, 5] = correlation[5, 1] = 0.05  # joint 2's error has a weight under a tenth
     correlation[2, 3] = correlation[3, 2] = -0.3
@@ -136,7 +139,7 @@ def test_a_sum_has_the_figures_of_the_weights_that_its_name_states() -> None:
     )
     covariance = correlation * np.outer(u, u)
     spreads = []
-    for label, figures, _, why in (tuple(cell.text for cell in row) for row in table.rows):
+    for label, figures, k, why in (tuple(cell.text for cell in row) for row in table.rows):
         if "of all sums" not in why:
             continue
         weights = np.zeros(len(joints))
@@ -144,7 +147,8 @@ def test_a_sum_has_the_figures_of_the_weights_that_its_name_states() -> None:
             weights[int(joint) - 1] = float(size or 1) * (-1 if sign == "−" else 1)
         value, spread = (float(text.replace("−", "-")) for text in figures.split(" ± "))
         digit = 10.0 ** -len(figures.partition(".")[2].partition(" ")[0])
-        spreads.append(2 * np.sqrt(weights @ covariance @ weights))
+        spreads.append(factor * np.sqrt(weights @ covariance @ weights))
+        assert k == f"{factor:g}"
         assert abs(value - weights @ mean) <= 0.501 * digit
         assert abs(spread - spreads[-1]) <= 0.501 * digit
     ratio = re.search(r"([\d.]+) times as uncertain", table.notes[0])

@@ -175,8 +175,8 @@ def test_causes_found_are_no_quantity_to_improve() -> None:
     results = _with(made.conforming(), verdict="undecided", joints=rows)
     budget = results.tables["budget"].assign(source="causes found")
     sentence = headline(replace(results, tables=results.tables | {"budget": budget})).sentence
-    assert "improve first is what tells the causes found from" in sentence
-    assert "(more pairs, in other postures): causes found makes" in sentence
+    assert "improve first is what separates the causes found from" in sentence
+    assert "(more pairs, in other postures): this part of joint " in sentence
 
 
 def test_a_joint_hidden_by_the_clock_requires_the_clock_offset() -> None:
