@@ -168,11 +168,12 @@ def _excess(one: dict[str, Any]) -> str:
     upto, key = "", "mean_error"
     if mean is None or tolerance is None or abs(mean) <= tolerance:
         upto, key = "up to ", "worst_error"
-    error, u = float(one[f"{key}_deg"]), fmt.expanded(one.get(f"{key}_u_deg"))
-    amount = fmt.with_uncertainty(abs(error), u, "°", signed=False)
+    error, k = float(one[f"{key}_deg"]), one.get("coverage_factor")
+    spread = expanded(one, f"{key}_u_deg", "coverage_factor")
+    amount = fmt.with_uncertainty(abs(error), spread, "°", signed=False)
     bound = "" if tolerance is None else f", tolerance ±{fmt.exact_number(tolerance)}°"
     way, joint = "high" if error > 0 else "low", fmt.joint_names([one.get("joint")])
-    return f"{arm}, {joint} reads {upto}{amount} (k = 2) too {way}{bound}"
+    return f"{arm}, {joint} reads {upto}{amount} ({fmt.coverage_text(k)}) too {way}{bound}"
 
 
 def _list_few(lines: list[str]) -> str:
@@ -191,16 +192,29 @@ def _largest_text(results: Results) -> str:
     value, u = present_error(one)
     return (
         f"Largest present error: {fmt.text_or_dash(one.get('arm'))}, joint {one.get('joint')}, "
-        f"{fmt.with_uncertainty(value, u, '°')} (k = 2)."
+        f"{fmt.with_uncertainty(value, u, '°')} ({fmt.coverage_text(_present_factor(one))})."
     )
 
 
 def present_error(one: dict[str, Any]) -> tuple[float | None, float | None]:
-    """A joint's error and U (k = 2), °: the level of its sessions, else that of the latest one."""
+    """A joint's error and U, °: the level of its sessions (k = 2), else that of the latest one."""
     level = fmt.finite(one.get("error_deg"))
     if level is not None:
         return level, fmt.expanded(one.get("error_u_deg"))
-    return fmt.finite(one.get("latest_error_deg")), fmt.expanded(one.get("latest_error_u_deg"))
+    spread = expanded(one, "latest_error_u_deg", "latest_coverage_factor")
+    return fmt.finite(one.get("latest_error_deg")), spread
+
+
+def _present_factor(one: dict[str, Any]) -> Any:
+    """The coverage factor of `present_error`: of a level 2."""
+    known = fmt.finite(one.get("error_deg")) is not None
+    return None if known else one.get("latest_coverage_factor")
+
+
+def expanded(one: dict[str, Any], u_key: str, k_key: str) -> float | None:
+    """U of an entry by its own coverage factor; k = 2 where it has none."""
+    u, k = fmt.finite(one.get(u_key)), fmt.finite(one.get(k_key))
+    return fmt.expanded(u) if u is None or k is None else k * u
 
 
 def _identification(results: Results) -> list[tuple[str, str]]:
@@ -231,9 +245,10 @@ def _picture(results: Results) -> doc.Block:
         )
         drawing = fleet_charts.changed_joints(results, MAX_PANELS)
     else:
+        factors = fmt.coverage_text(*map(_present_factor, records(results.table("joints"))))
         figure = doc.Figure(
             "present_errors",
-            "Mean error of each joint with U (k = 2), and the tolerance: the level that its "
+            f"Mean error of each joint with U ({factors}), and the tolerance: the level that its "
             "sessions show; where they are too few for that, each session, the latest apart.",
             "Panels, one an arm: mean error of each joint in degrees, with its uncertainty.",
         )
@@ -295,11 +310,14 @@ def session_table(results: Results, most: int) -> tuple[doc.Table, ...]:
         doc.Column(
             "Largest error ± U [°]",
             "r",
-            doc.uncertain_field("worst_error_deg", "worst_error_u_deg", k=2),
+            doc.uncertain_field(
+                "worst_error_deg", "worst_error_u_deg", k=2, k_key="coverage_factor"
+            ),
         ),
         doc.Column("Verdict", "l", _session_verdict),
     )
-    caption = "Sessions with the largest errors, k = 2; those that do not conform first."
+    factors = fmt.coverage_text(*(one.get("coverage_factor") for one in entries[:most]))
+    caption = f"Sessions with the largest errors, {factors}; those that do not conform first."
     return (doc.tabulate(caption, columns, entries[:most]),)
 
 

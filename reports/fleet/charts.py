@@ -175,7 +175,7 @@ def changed_joints(results: Results, most: int) -> Chart | None:
 
 
 def present_errors(results: Results, arms: list[str]) -> Chart | None:
-    """A panel an arm: the present error of each joint with U (k = 2), and its tolerance.
+    """A panel an arm: the present error of each joint with U, and its tolerance.
 
     Of a joint that has no level yet all its sessions are shown, the latest one apart.
     """
@@ -185,15 +185,17 @@ def present_errors(results: Results, arms: list[str]) -> Chart | None:
         own = table[table["arm"] == arm]
         joints = column(own, "joint")
         level = column(own, "error_deg")
-        groups = [("level", "resolved", joints, level, column(own, "error_u_deg"))]
+        groups = [("level", "resolved", joints, level, 2 * column(own, "error_u_deg"))]
         young = recent[recent["arm"] == arm] if len(recent) else recent
         young = young[young["joint"].isin(joints[~np.isfinite(level)])] if len(young) else young
         for name, role, chosen in (
             ("earlier", "muted", young[young["order"] > 0] if len(young) else young),
             ("latest", "error", young[young["order"] == 0] if len(young) else young),
         ):
-            place, error, u = (column(chosen, key) for key in ("joint", "error_deg", "u_deg"))
-            groups.append((name, role, place, error, u))
+            place, error, u, k = (
+                column(chosen, key) for key in ("joint", "error_deg", "u_deg", "coverage_factor")
+            )
+            groups.append((name, role, place, error, np.where(np.isfinite(k), k, 2.0) * u))
         if any(np.isfinite(group[3]).any() for group in groups):
             panels.append(_error_panel(arm, own, groups))
     if not panels:
@@ -202,7 +204,7 @@ def present_errors(results: Results, arms: list[str]) -> Chart | None:
     return Chart(tuple(panels), min(2, len(panels)), row_height=1.9 if len(panels) < 3 else 1.45)
 
 
-Group = tuple[str, str, Array, Array, Array]  # name, role, joints, mean errors and their u, degrees
+Group = tuple[str, str, Array, Array, Array]  # name, role, joints, mean errors and their U, degrees
 
 
 def _error_panel(arm: str, own: pd.DataFrame, groups: list[Group]) -> Panel:
@@ -217,7 +219,7 @@ def _error_panel(arm: str, own: pd.DataFrame, groups: list[Group]) -> Panel:
         known = np.isfinite(error)
         if not known.any():
             continue
-        x, y, half = place[known], error[known], 2 * np.nan_to_num(u[known])
+        x, y, half = place[known], error[known], np.nan_to_num(u[known])
         x = x + GROUP_SHIFT * (role != "muted")
         bars = np.stack([y - half, y + half, np.full(len(y), np.nan)], axis=1).ravel()
         marks += [Line(np.repeat(x, 3), bars, role), Points(x, y, role, name, size=3.0)]

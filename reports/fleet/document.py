@@ -101,7 +101,9 @@ def _latest_table(results: Results, entries: list[dict[str, Any]]) -> doc.Table:
         doc.Column("Date", "l", doc.field("latest_started")),
         doc.Column("Sessions", "r", doc.field("sessions", fmt.count)),
     )
-    return doc.tabulate("Mean error of each joint in its latest session, k = 2.", columns, entries)
+    factors = fmt.coverage_text(*(one.get("latest_coverage_factor") for one in entries))
+    caption = f"Mean error of each joint in its latest session, {factors}."
+    return doc.tabulate(caption, columns, entries)
 
 
 def _state(one: dict[str, Any]) -> doc.Cell:

@@ -25,7 +25,7 @@ CONTRAST_NOTE = (
 )
 LARGEST_NOTE = (
     "The resolved error of largest magnitude in each session, of the joints with the session's "
-    "verdict where any have it, with its expanded uncertainty (k = 2)."
+    "verdict where any have it, with its expanded uncertainty."
 )
 UNREPORTED_NOTE = (
     "Sessions have no reports of their own yet: run the same command with --reports; nothing is "

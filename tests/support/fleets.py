@@ -105,6 +105,7 @@ def _table(
             f"{q}_standard_uncertainty_deg": np.hypot(own[:, j], shared),
             f"{q}_session_uncertainty_deg": own[:, j],
             f"{q}_verdict": [np.nan] * n,
+            f"{q}_coverage_factor": [2.0] * n,
             f"{q}_worst_error_deg": error[:, j],
             f"{q}_worst_error_standard_uncertainty_deg": own[:, j],
             f"{q}_visible_fraction": [1.0] * n,

@@ -6,6 +6,7 @@ from dataclasses import replace
 from datetime import date
 from typing import Any
 
+import numpy as np
 import pytest
 
 from reports import render_html, render_pdf
@@ -242,6 +243,31 @@ def test_below_six_sessions_each_of_them_is_drawn_the_latest_apart() -> None:
         own = recent[recent["order"] == order]
         assert points[name].y.tolist() == own["error_deg"].tolist()
     assert recent[recent["order"] == 0]["session"].unique().tolist() == ["lab/arm_a/001"]
+
+
+def test_a_session_has_the_coverage_factor_of_its_own_report() -> None:
+    sessions = rows(1, sessions=2).query("robot == 'arm_a'").copy()
+    last = sessions["session"] == "lab/arm_a/001"  # measured in two pairs
+    sessions.loc[last, [f"q{j}_coverage_factor" for j in range(1, 7)]] = 13.97
+    results = assess(sessions, NO_FAILURES, TrendRequest(), ())
+    own = sessions[last].iloc[0]
+    (latest,) = section(results, "joints")
+    for joint, row in enumerate(latest.rows, start=1):
+        u = 13.97 * own[f"q{joint}_standard_uncertainty_deg"]
+        assert row[2].text == with_uncertainty(own[f"q{joint}_mean_error_deg"], u)
+    assert latest.caption.endswith("k = 13.97.")
+    (worst,) = section(results, "worst")
+    row = next(row for row in worst.rows if row[0].text == "001")
+    joint = int(row[3].text)
+    u = 13.97 * own[f"q{joint}_worst_error_standard_uncertainty_deg"]
+    assert row[4].text == with_uncertainty(own[f"q{joint}_worst_error_deg"], u)
+    assert "k = 2 to 13.97" in worst.caption
+    assert re.search(r"Largest present error: .* \(k = 13\.97\)", page_one(document(results)))
+    drawn = present_errors(results, ["arm_a"])
+    assert drawn is not None
+    bars = [m for m in drawn.panels[0].marks if isinstance(m, Line) and m.role == "error"]
+    widest = max(float(np.nanmax(m.y) - np.nanmin(m.y)) for m in bars)
+    assert widest > 2 * 13.97 * own["q1_standard_uncertainty_deg"]
 
 
 def test_where_every_session_has_its_own_calibration_levels_are_dashes_behind_the_sessions() -> (

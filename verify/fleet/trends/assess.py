@@ -158,12 +158,13 @@ def _latest_error(rows: pd.DataFrame, name: str) -> dict[str, Any]:
         "latest_started": _day(last["started"]),
         "latest_error_deg": last[f"{name}_mean_error_deg"],
         "latest_error_u_deg": last[f"{name}_standard_uncertainty_deg"],
+        "latest_coverage_factor": last[f"{name}_coverage_factor"],
         "latest_tolerance_deg": last.get(f"{name}_tolerance_deg"),
         "latest_verdict": last[f"{name}_verdict"],
     }
 
 
-_RECENT_COLUMNS = ["arm", "joint", "session", "order", "error_deg", "u_deg"]
+_RECENT_COLUMNS = ["arm", "joint", "session", "order", "error_deg", "u_deg", "coverage_factor"]
 
 
 def _recent_rows(sessions: pd.DataFrame) -> list[tuple[Any, ...]]:
@@ -174,7 +175,7 @@ def _recent_rows(sessions: pd.DataFrame) -> list[tuple[Any, ...]]:
     ordered = sessions.sort_values("started", kind="stable", na_position="first")
     return [
         (arm, joint, one["session"], order, one[f"q{joint}_mean_error_deg"],
-         one[f"q{joint}_standard_uncertainty_deg"])
+         one[f"q{joint}_standard_uncertainty_deg"], one[f"q{joint}_coverage_factor"])
         for arm, rows in ordered.groupby("arm", sort=True)
         for order, (_, one) in enumerate(rows.iloc[: -MIN_SESSIONS_TO_ASSESS : -1].iterrows())
         for joint in range(1, int(one["joints"]) + 1)
@@ -263,7 +264,8 @@ def _sessions_below(names: Iterable[str], folder: str) -> set[str]:
 
 _WORST_COLUMNS = [
     "session", "arm", "started", "joint", "mean_error_deg", "mean_error_u_deg", "worst_error_deg",
-    "worst_error_u_deg", "tolerance_deg", "joint_verdict", "pose", "verdict", "kept_in", "reported",
+    "worst_error_u_deg", "coverage_factor", "tolerance_deg", "joint_verdict", "pose",
+    "verdict", "kept_in", "reported",
 ]  # fmt: skip
 
 
@@ -300,6 +302,7 @@ def _worst_row(session: pd.Series, reported: set[str]) -> dict[str, Any] | None:
         "mean_error_u_deg": session[f"{name}_standard_uncertainty_deg"],
         "worst_error_deg": session[f"{name}_worst_error_deg"],
         "worst_error_u_deg": session[f"{name}_worst_error_standard_uncertainty_deg"],
+        "coverage_factor": session[f"{name}_coverage_factor"],
         "tolerance_deg": session.get(f"{name}_tolerance_deg"),
         "joint_verdict": session[f"{name}_verdict"],
         "pose": " and ".join(beyond),  # with the session's verdict
