@@ -245,7 +245,9 @@ def _picture(results: Results) -> doc.Block:
         )
         drawing = fleet_charts.changed_joints(results, MAX_PANELS)
     else:
-        factors = fmt.coverage_text(*map(_present_factor, records(results.table("joints"))))
+        young = [] if judged_joints(results) else records(results.table("recent"))
+        present = [_present_factor(one) for one in records(results.table("joints"))]
+        factors = fmt.coverage_text(*present, *(one.get("coverage_factor") for one in young))
         figure = doc.Figure(
             "present_errors",
             f"Mean error of each joint with U ({factors}), and the tolerance: the level that its "

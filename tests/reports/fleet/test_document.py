@@ -263,6 +263,7 @@ def test_a_session_has_the_coverage_factor_of_its_own_report() -> None:
     assert row[4].text == with_uncertainty(own[f"q{joint}_worst_error_deg"], u)
     assert "k = 2 to 13.97" in worst.caption
     assert re.search(r"Largest present error: .* \(k = 13\.97\)", page_one(document(results)))
+    assert "with U (k = 2 to 13.97)" in page_one(document(results))
     drawn = present_errors(results, ["arm_a"])
     assert drawn is not None
     bars = [m for m in drawn.panels[0].marks if isinstance(m, Line) and m.role == "error"]
