@@ -12,6 +12,7 @@ def test_quantiles_and_tails_are_those_of_the_library_of_laws() -> None:
     for one, other in [
         (ours.chi2_isf(SHARES, DEGREES), value),
         (ours.chi2_sf(value, DEGREES), stats.chi2.sf(value, DEGREES)),
+        (ours.f_sf(value, 3, DEGREES), stats.f.sf(value, 3, DEGREES)),
         (ours.chi2_ppf(SHARES, DEGREES), stats.chi2.ppf(SHARES, DEGREES)),
         (ours.t_ppf(SHARES, DEGREES), stats.t.ppf(SHARES, DEGREES)),
         (ours.t_isf(SHARES, DEGREES), stats.t.isf(SHARES, DEGREES)),
