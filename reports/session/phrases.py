@@ -57,7 +57,7 @@ STATUSES = {
     "no_encoder": "no encoder reading at that time",
     "unreachable": "pose out of the arm's reach",
     "outlier": "LEDs do not fit the marker",
-    "unaligned": "left and right not at one instant",
+    "unaligned": "not of one instant, or repeated",
 }
 
 CHOICES = {

@@ -5,7 +5,7 @@ poses' own scatter, and the systematic parameters are those of the robot's base 
 the flange.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 import robots
-from robots.transforms import rigid_columns
+from robots.transforms import difference, rigid_columns
 from verify.analysis.comparison import (
     Comparison,
     ReadingUncertainty,
@@ -41,6 +41,7 @@ MIN_WINDOWS = 12  # for a scatter that is worth the name; else a fit tells
 MEDIAN_CHI2 = 5.348  # of six degrees of freedom: two that are left over, of three coordinates
 # a variance from a median of squares is less certain than one from their mean
 MEDIAN_VARIANCE_FACTOR = 1.3
+LAST_DIGIT = 2 * np.sqrt(12)  # standard uncertainties of its rounding: twice a last digit
 PARTS = (slice(0, 3), slice(3, 6))  # translation and rotation of a twist
 
 
@@ -124,23 +125,53 @@ def measure_poses(
     readings: Readings,
     noise: InstrumentNoise,
     offset: float | None = None,
+    repeated: Set[int] = frozenset(),
 ) -> MeasuredSession:
     """Take an instrument's poses as measured; each carries this noise.
 
     The poses are the session's, or others. `offset`, s, is that of the readings' clock as far as it
-    is known; None: as session.toml has it. Where positions alone were measured the orientation
-    follows the readings, a gauge that no statistic sees; the nearer, the sooner it settles.
+    is known; None: as session.toml has it. `repeated` rows are left out. Where positions alone were
+    measured the orientation follows the readings, a gauge that no statistic sees; the nearer, the
+    sooner it settles.
     """
     if offset is None:
         offset = 0.0 if session.clock is None else session.clock.encoder_offset
-    measurements = list(_measurements(session, instrument, readings, noise, offset))
+    measurements = [
+        replace(m, status="unaligned", pose=None) if m.frame in repeated else m
+        for m in _measurements(session, instrument, readings, noise, offset)
+    ]
     systematics = _stated_uncertainties(session, noise)
     moved = [
-        instrument_sensitivities(systematics, m, session.rig, session.marker) for m in measurements
+        instrument_sensitivities(systematics, m, session.rig, session.marker)
+        for m in measurements
+        if m.pose is not None
     ]
-    return MeasuredSession(
-        measurements, collect_track(measurements, session.rig, moved), systematics
-    )
+    track = collect_track(measurements, session.rig, moved)
+    return MeasuredSession(measurements, track, systematics, repeated=frozenset(repeated))
+
+
+def repeated_poses(
+    session: Session, instrument: Instrument, readings: Readings, offset: float
+) -> set[int]:
+    """Rows that repeat an earlier one to the last digit, though the measured body has moved.
+
+    The readings show that, by more than the last digit; `offset`, s, is added to their time.
+    """
+    poses, t = instrument.poses, instrument.poses.t - offset
+    numbers = poses.transforms.reshape(len(poses), 16)
+    _, first, group = np.unique(numbers, axis=0, return_index=True, return_inverse=True)
+    since = first[group]
+    q, known = readings.at(t), readings.available(t)
+    read = robots.forward(session.arm, q) @ instrument.flange_T_body
+    digit = LAST_DIGIT * np.repeat(poses.rounding, 3)
+    changed = np.abs(difference(read, read[since])) > digit
+    changed[:, 3:] &= not instrument.positions_alone
+    turned = np.abs(q - q[since]) > readings.resolved
+    moved = np.flatnonzero(changed.any(axis=1) & turned.any(axis=1) & known & known[since])
+    # back where it had measured that pose, it still repeats it
+    begin = np.full(len(first), len(poses))
+    np.minimum.at(begin, group[moved], moved)
+    return set(np.flatnonzero(np.arange(len(poses)) >= begin[group]).tolist())
 
 
 def _measurements(

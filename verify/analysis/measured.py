@@ -19,6 +19,7 @@ from verify.analysis.instrument import (
     MeasuredSession,
     measure_poses,
     noise_from_scatter,
+    repeated_poses,
     stated_noise,
 )
 from verify.analysis.results.picture import draw_pair
@@ -56,6 +57,14 @@ ROUGHLY_PLACED = 2e-4  # m, standard uncertainty of an LED's place: pictures sho
 PLACED_BY_HAND = 2e-3  # m, to find it from
 MAX_PLACE_ROUNDS = 6
 TOL_PLACE, MAX_SHIFT = 5e-5, 2e-2  # m, of one round
+CAMERA_REPEATS = (
+    "A camera repeats pictures where its exposure is longer than the time between pairs, or the "
+    "line is too slow: expose shorter, or record fewer pairs a second."
+)
+INSTRUMENT_REPEATS = (
+    "An instrument that has lost its target, or a log that is faster than it, repeats the last "
+    "value: measure these poses again, or log its own instants."
+)
 Chain = Callable[[Iterable[StereoPair], Setup], Iterator[Measurement]]
 
 
@@ -241,11 +250,14 @@ def measure_instrument(
     noise = stated_noise(instrument)
     seen = measure_poses(session, instrument, readings, noise)
     clock = session_clock(session, seen.track, readings)
+    if repeated := repeated_poses(session, instrument, readings, clock.offset):
+        seen = measure_poses(session, instrument, readings, noise, clock.offset, repeated)
+        clock = session_clock(session, seen.track, readings)
     found = None
     if not noise.known:
         found = noise_from_scatter(session, instrument, seen.track, readings, clock.offset)
     if found is not None:
-        seen = measure_poses(session, instrument, readings, found, clock.offset)
+        seen = measure_poses(session, instrument, readings, found, clock.offset, repeated)
         if not instrument.positions_alone:  # places and turns now weigh as much as they are worth
             clock = session_clock(session, seen.track, readings)
     return seen, clock
@@ -394,11 +406,12 @@ def with_repeats_named(session: Session, repeated: Set[int]) -> Session:
     """The session, with a warning that pairs were left out that show an earlier instant."""
     named = ", ".join(map(str, sorted(repeated)[:MAX_FRAMES_NAMED]))
     more = f" and {len(repeated) - MAX_FRAMES_NAMED} more" * (len(repeated) > MAX_FRAMES_NAMED)
+    whose, advice = "pairs have a picture of an earlier pair", CAMERA_REPEATS
+    if session.instrument is not None:
+        whose, advice = "poses repeat an earlier one", INSTRUMENT_REPEATS
     warning = (
-        f"{len(repeated)} of {len(session)} pairs have a picture of an earlier pair while the "
-        f"readings move, and are left out: frames {named}{more}. A camera repeats pictures where "
-        "its exposure is longer than the time between pairs, or the line is too slow: expose "
-        "shorter, or record fewer pairs a second."
+        f"{len(repeated)} of {len(session)} {whose} while the readings move, and are left out: "
+        f"frames {named}{more}. {advice}"
     )
     return replace(session, warnings=(*session.warnings, warning))
 

@@ -168,11 +168,12 @@ def measure_session(
         measured = without_repeats(session, measured, readings, clock.offset, chain)
         if measured.repeated:
             clock = session_clock(session, measured.track, readings)
-            session = with_repeats_named(session, measured.repeated)
     else:
         measured, clock = measure_instrument(session, instrument, readings)
         progress(len(session), len(session))
         refuse_misread(session, instrument, measured.track, readings, clock)
+    if measured.repeated:
+        session = with_repeats_named(session, measured.repeated)
     if registered:
         refuse_other_motion(session, measured.track, readings, clock)
     return session, measured, clock

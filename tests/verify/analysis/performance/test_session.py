@@ -1,17 +1,22 @@
 """Repeated poses and paths found in a session, against what the arm truly did."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from reports import Results
 from tests.support.command import SAMPLES
 from tests.support.motions import ARM, SIGMA, swinging
 from tests.support.posed import encoders_csv, poses_csv, write_posed
 from tests.support.recorded import refusal
 from tests.support.repeated_poses import (
+    DWELL,
+    MOVE,
     OFF,
+    SERVO,
     Repeated,
     measured_poses,
     model_of,
@@ -331,3 +336,40 @@ def test_drift_of_visits_without_times_has_no_duration() -> None:
     drifts = [p["drift"] for p in performance_summary(untimed, [])["poses"]]
     assert drifts
     assert all(d["duration_s"] is None for d in drifts)
+
+
+def visited(
+    folder: Path, change: Callable[[Array], None], *, stated: bool = True, cycles: int = 6
+) -> Results:
+    """A session of single visits without times, its poses (n, 4, 4) changed in place."""
+    run = repeated(cycles, servo=SERVO / 4)
+    t = np.arange(len(run.order)) * (DWELL + MOVE)
+    poses = measured_poses(run, t)
+    change(poses)
+    without = [
+        "".join(line.partition(",")[2] for line in text.splitlines(keepends=True))
+        for text in (poses_csv(t, poses), encoders_csv(t, run.joints(t)))
+    ]
+    like, more = SAMPLES / "multi_joint_fault_6r", (STATED + TURNS) * stated
+    write_posed(folder, like, without[0], frame="robot_base", more=more, encoders=without[1])
+    return analyse(open_session(folder))
+
+
+def test_a_pose_that_the_instrument_repeats_is_left_out(tmp_path: Path) -> None:
+    def stale(poses: Array) -> None:
+        poses[10:15] = poses[9]  # the last one stands where that was measured
+
+    summary = visited(tmp_path / "session", stale).summary
+    assert summary["pairs"]["rejected"] == {"unaligned": 5}
+    assert any("5 of 31 poses repeat an earlier one" in w for w in summary["warnings"])
+    poses = summary["performance"]["poses"]
+    assert sum(p["visits"] for p in poses) == 26
+    assert all(p["rp_mm"] < 0.5 for p in poses)  # with them: 160 mm
+
+
+def test_a_coarse_instrument_at_rest_repeats_no_pose(tmp_path: Path) -> None:
+    def coarse(poses: Array) -> None:
+        poses[:, :3, 3] = np.round(poses[:, :3, 3], 3)
+
+    summary = visited(tmp_path / "session", coarse).summary
+    assert summary["pairs"]["measured"] == 31
