@@ -419,8 +419,9 @@ def _results(found: SessionAnalysis) -> Results:
         "detectable": detectable(found.diagnosis.products),
     }
     images = {"pair": measured.preview} if measured.preview is not None else {}
-    repeated, repeated_tables = session_performance(session, found.model, clock.offset)
-    return Results(summarise(found) | repeated, describe(session), tables | repeated_tables, images)
+    entry, more, told = session_performance(session, found.model, clock.offset, found.frame)
+    found.warnings.extend(told)
+    return Results(summarise(found) | entry, describe(session), tables | more, images)
 
 
 def _flange(

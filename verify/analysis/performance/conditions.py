@@ -1,5 +1,6 @@
 """Performance of a session for its results, with its deviations from ISO 9283's conditions."""
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ from verify.analysis.performance.entries import performance_summary, performance
 from verify.analysis.performance.poses import PoseIndices
 from verify.analysis.performance.session import Performance, performance
 from verify.core.readings import Readings
+from verify.core.records import Array, Index
 from verify.io.session.keys import RunTable
 from verify.io.session.session import Session
 from verify.io.toml import decode
@@ -18,6 +20,7 @@ CYCLES, PASSAGES, POSES = 30, 10, 5
 MAX_UNCERTAINTY_SHARE = 0.25  # of a characteristic, that the uncertainty of measurement may reach
 TEMPERATURE_C = (18.0, 22.0)
 MIN_DRIFT_S = 8 * 3600.0
+MAX_NAMED = 5  # pairs in a warning
 MAX_OFF_PLANE = 0.02  # of the poses' extent: off one plane by less is in it
 
 
@@ -84,13 +87,13 @@ def _uncertain_poses(poses: tuple[PoseIndices, ...]) -> list[dict[str, Any]]:
 
 
 def session_performance(
-    session: Session, model: JointErrorModel, offset: float
-) -> tuple[dict[str, Any], dict[str, pd.DataFrame]]:
+    session: Session, model: JointErrorModel, offset: float, frame: Array
+) -> tuple[dict[str, Any], dict[str, pd.DataFrame], list[str]]:
     """Find and judge the poses and paths that a session names or, where it names none, repeats.
 
-    `offset`, s, is added to the readings' time to get the cameras' clock. Gives `performance` (null
-    where nothing is repeated) and `performance_reason` (why, else null) of summary.json; and the
-    tables.
+    `offset`, s, is added to the readings' time to get the cameras' clock; `frame` (n,): the pairs'
+    numbers. Gives `performance` (null where nothing is repeated) and `performance_reason` (why,
+    else null) of summary.json; the tables; and warnings.
     """
     file = session.folder / "session.toml"
     # a simulated one has no folder
@@ -110,11 +113,36 @@ def session_performance(
             else None
         ),
         timed=session.frames.timed,
+        frame=frame.astype(np.int64),
     )
     if not isinstance(found, Performance):
-        return {"performance": None, "performance_reason": found}, performance_tables(None)
+        return {"performance": None, "performance_reason": found}, performance_tables(None), []
     listed = condition_deviations(
         found, temperature_c=session.temperature_c, through_encoders=model.through_encoders
     )
     entry = performance_summary(found, listed)
-    return {"performance": entry, "performance_reason": None}, performance_tables(found)
+    summary = {"performance": entry, "performance_reason": None}
+    return summary, performance_tables(found), list(_outlier_warnings(found))
+
+
+def _outlier_warnings(found: Performance) -> Iterator[str]:
+    if len(found.left_out):
+        yield (
+            "Repeated poses: left out of AP and RP, as they lie far off the others of their hold "
+            f"while the readings stand: pairs {_listed(found.left_out)}."
+        )
+    for one in found.outlying:
+        visits, rp = next((len(p.visits.t), p.repeatability.found.value) for p in found.poses
+                          if p.visits.name == one.name)  # fmt: skip
+        yield (
+            f"Repeated poses: outlying among {visits} visits of {one.name}: "
+            f"{_listed(one.visits + 1)} (pairs {_listed(one.pairs)}), up to "
+            f"{one.apart[0] * 1e3:.3g} mm off the others. AP and RP = {rp * 1e3:.3g} mm rest on "
+            f"them; without them RP = {one.repeatability * 1e3:.3g} mm. Check the instrument and "
+            "the arm there before either is quoted."
+        )
+
+
+def _listed(pairs: Index) -> str:
+    more = f" and {len(pairs) - MAX_NAMED} more" * (len(pairs) > MAX_NAMED)
+    return ", ".join(map(str, pairs[:MAX_NAMED].tolist())) + more

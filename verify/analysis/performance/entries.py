@@ -38,6 +38,18 @@ def performance_summary(found: Performance, deviations: list[dict[str, Any]]) ->
         "named_but_not_seen": [
             {"name": n.name, "t_start_s": n.start, "t_end_s": n.end} for n in found.empty
         ],
+        "pairs_left_out": found.left_out.tolist(),
+        "outlying_visits": [
+            {
+                "pose": o.name,
+                "visits": (o.visits + 1).tolist(),
+                "pairs": o.pairs.tolist(),
+                "off_mm": _rounded_or_none(o.apart[0], MM),
+                "off_deg": _rounded_or_none(o.apart[1], DEG),
+                "rp_without_mm": _rounded_or_none(o.repeatability, MM),
+            }
+            for o in found.outlying
+        ],
         "deviations": deviations,
     }
 

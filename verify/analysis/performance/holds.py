@@ -2,9 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
+from verify.analysis.clock.search import are_visits
 from verify.analysis.comparison import Comparison
 from verify.core.readings import Readings
 from verify.core.records import Array, Flags, Index
@@ -16,6 +18,8 @@ MAX_SPEED_SIGMA = 4.0  # standard deviations of a speed that readings at rest ma
 MAX_HOLD_TRAVEL = np.deg2rad(0.2)  # rad of any joint: what goes on from elsewhere is another hold
 MIN_HOLD_TIME = 0.2  # s: shorter is turning back, not standing
 MAX_POSE_DISTANCE = np.deg2rad(0.5)  # rad of any joint: commanded poses of a test lie further apart
+MAX_APART = 10.0  # of the usual distance from the middle: 6.5 standard deviations
+MIN_APART = 1e-7  # m or rad: less is rounding
 MIN_DOF = 20  # of the scatter within holds: fewer know it worse than what is stated
 
 
@@ -71,46 +75,85 @@ def _long_enough(t: Array, rows: Index) -> bool:
     return bool(min(before, after) > MAX_GAP)
 
 
-def number_visits(comparison: Comparison, holds: Sequence[Index]) -> list[Visit]:
+def number_visits(comparison: Comparison, holds: Sequence[Index]) -> list[int]:
     """Number the poses that the holds are visits of, by the readings, in order of first visit.
 
     A hold is of the pose at whose first visit every joint read the same within 0.5°, so that no two
     visits of a pose lie more than 1° apart.
     """
     firsts = np.zeros((len(holds), comparison.q.shape[1]))
-    found: list[Visit] = []
-    known = 0
+    found: list[int] = []
     for rows in holds:
-        q = comparison.q[rows].mean(axis=0)
+        q, known = comparison.q[rows].mean(axis=0), max(found, default=-1) + 1
         near = np.flatnonzero(np.abs(firsts[:known] - q).max(axis=1) <= MAX_POSE_DISTANCE)
-        pose = int(near[0]) if len(near) else known
-        if pose == known:
+        found.append(int(near[0]) if len(near) else known)
+        if found[-1] == known:
             firsts[known] = q
-            known += 1
-        found.append(Visit(pose, rows, found[-1].pose if found else -1))
     return found
 
 
-def named_visits(
+def named_holds(
     comparison: Comparison, named: Sequence[TimeInterval]
-) -> tuple[list[Visit], tuple[str, ...], list[TimeInterval]]:
-    """Take the visits that session.toml names, in time's order, and the poses' names by number.
+) -> tuple[list[Index], list[str], list[TimeInterval]]:
+    """Rows of each visit that session.toml names, in time's order, and the names.
 
     Also gives the stretches in which no pair was measured while the arm stood.
     """
     still = at_rest(comparison)
-    names = tuple(dict.fromkeys(one.name for one in named))
-    found, empty = [], []
-    came = -1
-    for one in sorted(named, key=lambda one: one.start):
-        inside = (comparison.t >= one.start) & (comparison.t <= one.end) & still
-        if not inside.any():
-            empty.append(one)
-            continue
-        pose = names.index(one.name)
-        found.append(Visit(pose, np.flatnonzero(inside), came))
-        came = pose
-    return found, names, empty
+    ordered = sorted(named, key=lambda one: one.start)
+    rows = [
+        np.flatnonzero((comparison.t >= one.start) & (comparison.t <= one.end) & still)
+        for one in ordered
+    ]
+    found = [(r, one.name) for r, one in zip(rows, ordered, strict=True) if len(r)]
+    empty = [one for r, one in zip(rows, ordered, strict=True) if not len(r)]
+    return [r for r, _ in found], [name for _, name in found], empty
+
+
+def with_origins(
+    comparison: Comparison,
+    readings: Readings,
+    offset: float,
+    frame: Index,
+    holds: Sequence[Index],
+    poses: Sequence[int],
+) -> list[Visit]:
+    """The visits of poses, each with the pose before it.
+
+    That is not known where the arm stood elsewhere in between, by its readings (`offset`, s, is
+    added to their time), or where a single visit in between was lost: `frame` (n,) numbers pairs.
+    """
+    alone, logged = are_visits(comparison.t), not are_visits(readings.t)
+    came = [-1]
+    for (before, after), pose in zip(pairwise(holds), poses, strict=False):
+        ends = np.array([before[-1], after[0]])
+        between = slice(*np.searchsorted(readings.t, comparison.t[ends] - offset))
+        t, q = readings.t[between], readings.q[between]
+        away = np.abs(q[:, None] - comparison.q[ends]).max(axis=2).min(axis=1) > MAX_POSE_DISTANCE
+        if logged:  # only to pass by is no visit
+            later = np.searchsorted(t, t + MIN_HOLD_TIME)
+            away &= later < len(t)
+            later = later[away]
+            turn = np.abs(q[later] - q[away]).max(axis=1, initial=0.0)
+            away = turn <= MAX_REST_SPEED * (t[later] - t[away]) + readings.resolved.max()
+        lost = alone and np.ptp(frame[ends]) > 1
+        came.append(-1 if lost or away.any() else pose)
+    return [Visit(*one) for one in zip(poses, holds, came[: len(holds)], strict=True)]
+
+
+def far_off(groups: Sequence[Array], *, oriented: bool) -> list[Flags]:
+    """Members (k, 6), m and rad, of each group that lie far off its middle, (k,) each.
+
+    Far is MAX_APART of the usual distance in all groups of three or more, of positions or, if
+    `oriented`, of turns. Where half of a group lies far off it has no middle, and nobody does.
+    """
+    parts = (slice(0, 3), slice(3, 6)) if oriented else (slice(0, 3),)
+    off = [one - np.median(one, axis=0) for one in groups]
+    apart = [np.stack([np.linalg.norm(o[:, p], axis=1) for p in parts], axis=1) for o in off]
+    several = [one for one in apart if len(one) > 2]
+    usual = np.median(np.concatenate(several), axis=0) if several else np.zeros(len(parts))
+    far = [np.any(one > MAX_APART * np.maximum(usual, MIN_APART), axis=1) for one in apart]
+    return [one & (2 * np.count_nonzero(one) < len(one)) for one in far]
 
 
 @dataclass(frozen=True, slots=True)

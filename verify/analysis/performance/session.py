@@ -15,12 +15,14 @@ from verify.analysis.performance.holds import (
     MAX_POSE_DISTANCE,
     HoldNoise,
     Visit,
+    far_off,
     find_holds,
-    named_visits,
+    named_holds,
     number_visits,
     static_noise,
+    with_origins,
 )
-from verify.analysis.performance.indices import repeatability_of
+from verify.analysis.performance.indices import repeatability, repeatability_of
 from verify.analysis.performance.paths import PathIndices, PathRun, assess_path, crossings
 from verify.analysis.performance.poses import (
     MIN_VISITS,
@@ -44,6 +46,17 @@ NO_HOLDS, NO_REPEATS, OPEN_POSES = "no_holds", "no_repeats", "poses_not_determin
 
 
 @dataclass(frozen=True, slots=True)
+class OutlyingVisits:
+    """Visits of a pose that lie far off the others: the instrument's mistake, or the arm's."""
+
+    name: str
+    visits: Index  # from 0
+    pairs: Index  # their numbers
+    apart: Array  # m and rad (nan: no orientation was measured), of the farthest from the middle
+    repeatability: float  # RP, m, of the others
+
+
+@dataclass(frozen=True, slots=True)
 class Performance:
     """What repeated poses and paths of a session show."""
 
@@ -56,6 +69,8 @@ class Performance:
     oriented: bool
     seldom: int  # poses visited more than once, but fewer than five times
     empty: tuple[TimeInterval, ...]  # named, but the arm was not measured standing there
+    left_out: Index  # numbers of the pairs that lie far off the others of their hold
+    outlying: tuple[OutlyingVisits, ...]  # they count: nothing beside them shows whose mistake
     duration: float  # s, from the first to the last pair; nan where visits were not timed
 
 
@@ -71,6 +86,7 @@ class MeasuredPoints:
     read: Array  # (n, 4, 4)
     systematic: Array  # (n, 6, p), d pose at the point / d unit of what does not average out
     off: Array  # (n, 6), attained less read, m and rad
+    frame: Index  # (n,), the pairs' numbers
     whole: Flags  # (n,), pairs whose pose (or point) is wholly determined
     oriented: bool  # whether the orientation was measured
 
@@ -85,19 +101,28 @@ def performance(
     named_paths: Sequence[TimeInterval] = (),
     point: Array | None = None,
     timed: bool = True,
+    frame: Index | None = None,
 ) -> Performance | str:
     """Find repeated poses and paths in a session and judge them.
 
     `offset`, s, is added to the readings' time to get the cameras' clock. Where visits of poses are
     named, others do not count, and so with passages of paths. `point` (3,), m, flange frame: where
-    positions alone were measured, of this point; `timed`: the times are those of the visits. Gives
-    the indices, or why there are none: `no_holds`, `no_repeats`, `poses_not_determined`.
+    positions alone were measured, of this point; `timed`: the times are those of the visits;
+    `frame` (n,): the pairs' numbers. Gives the indices, or why there are none: `no_holds`,
+    `no_repeats`, `poses_not_determined`.
     """
     comparison = model.comparison
-    measured = _at_point(model, arm, readings, offset, point)
+    frame = comparison.index if frame is None else frame
+    measured = _at_point(model, arm, readings, offset, frame, point)
     if not measured.whole.any():
         return OPEN_POSES
     visits, names, empty = _visits(measured, named_poses)
+    far = far_off([measured.off[v.rows] for v in visits], oriented=measured.oriented)
+    left_out = np.concatenate(
+        [np.zeros(0, np.int64), *(v.rows[f] for v, f in zip(visits, far, strict=True))]
+    )
+    measured.whole[left_out] = False
+    visits = [replace(v, rows=v.rows[~f]) for v, f in zip(visits, far, strict=True)]
     if not visits and not named_paths:
         return NO_HOLDS
     stated = measured.comparison.covariance_measured[measured.whole].mean(axis=0)
@@ -105,12 +130,9 @@ def performance(
     noise = static_noise(
         [v.rows for v in visits], off[:, :3], off[:, 3:], (stated[:3, :3], stated[3:, 3:])
     )
-    counts = [sum(v.pose == i for v in visits) for i in range(len(names))]
-    by_pose = [
-        _visits_of_poses(measured, [v for v in visits if v.pose == i], names[i])
-        for i, count in enumerate(counts)
-        if count >= MIN_VISITS
-    ]
+    by_number = [[v for v in visits if v.pose == i] for i in range(len(names))]
+    often = {names[i]: some for i, some in enumerate(by_number) if len(some) >= MIN_VISITS}
+    by_pose = [_visits_of_poses(measured, some, name) for name, some in often.items()]
     runs = _named_runs(measured, named_paths) or _runs_between(visits, names)
     paths = _paths(measured, runs, repeatability_of(noise.position))
     if not by_pose and not paths:
@@ -123,24 +145,49 @@ def performance(
         noise=noise,
         point=np.zeros(3) if point is None else point,
         oriented=measured.oriented,
-        seldom=sum(1 < count < MIN_VISITS for count in counts),
+        seldom=sum(1 < len(some) < MIN_VISITS for some in by_number),
         empty=tuple(empty),
+        left_out=measured.frame[left_out],
+        outlying=_outlying(measured, often, by_pose),
         duration=float(comparison.t[-1] - comparison.t[0]) if timed else np.nan,
     )
+
+
+def _outlying(
+    measured: MeasuredPoints, often: dict[str, list[Visit]], by_pose: Sequence[PoseVisits]
+) -> tuple[OutlyingVisits, ...]:
+    """Visits whose mean, measured less read, lies far off that of the others of their pose."""
+    off = [np.array([measured.off[v.rows].mean(axis=0) for v in some]) for some in often.values()]
+    far = far_off(off, oriented=measured.oriented)
+    found = []
+    for one, visits, own, away in zip(by_pose, often.values(), off, far, strict=True):
+        if away.any():
+            apart = (own - np.median(own, axis=0))[away].reshape(-1, 2, 3)
+            size = np.linalg.norm(apart, axis=2).max(axis=0)
+            size[1] = size[1] if measured.oriented else np.nan
+            rows = np.concatenate([v.rows for v, f in zip(visits, away, strict=True) if f])
+            others = float(repeatability(one.attained[~away, :3, 3]))
+            found.append(
+                OutlyingVisits(one.name, np.flatnonzero(away), measured.frame[rows], size, others)
+            )
+    return tuple(found)
 
 
 def _visits(
     measured: MeasuredPoints, named: Sequence[TimeInterval]
 ) -> tuple[list[Visit], tuple[str, ...], list[TimeInterval]]:
     """Find the visits of poses, their names, and what was named without a measured pair."""
-    comparison, whole = measured.comparison, measured.whole
-    empty: list[TimeInterval] = []
+    comparison, readings, offset = measured.comparison, measured.readings, measured.offset
     if named:
-        visits, names, empty = named_visits(comparison, named)
+        holds, called, empty = named_holds(comparison, named)
+        names = tuple(dict.fromkeys(one.name for one in named))
+        poses = [names.index(name) for name in called]
     else:
-        holds = find_holds(comparison, measured.readings, measured.offset)
-        visits = number_visits(comparison, holds)
-        names = tuple(f"P{i + 1}" for i in range(1 + max((v.pose for v in visits), default=-1)))
+        holds, empty = find_holds(comparison, readings, offset), []
+        poses = number_visits(comparison, holds)
+        names = tuple(f"P{i + 1}" for i in range(1 + max(poses, default=-1)))
+    visits = with_origins(comparison, readings, offset, measured.frame, holds, poses)
+    whole = measured.whole
     visits = [replace(v, rows=v.rows[whole[v.rows]]) for v in visits if whole[v.rows].any()]
     return visits, names, empty
 
@@ -150,6 +197,7 @@ def _at_point(
     arm: robots.Arm,
     readings: Readings,
     offset: float,
+    frame: Index,
     measured_point: Array | None,
 ) -> MeasuredPoints:
     comparison = model.comparison
@@ -164,7 +212,7 @@ def _at_point(
     systematic[:, :3] += np.cross(systematic[:, 3:], lever[:, :, None], axis=1)
     return MeasuredPoints(
         comparison, arm, readings, offset, attained, read, systematic, difference(attained, read),
-        whole, measured_point is None,
+        frame, whole, measured_point is None,
     )  # fmt: skip
 
 

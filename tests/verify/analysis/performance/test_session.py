@@ -373,3 +373,49 @@ def test_a_coarse_instrument_at_rest_repeats_no_pose(tmp_path: Path) -> None:
 
     summary = visited(tmp_path / "session", coarse).summary
     assert summary["pairs"]["measured"] == 31
+
+
+def test_a_visit_far_off_the_others_is_named_beside_the_figure(tmp_path: Path) -> None:
+    def gross(poses: Array) -> None:
+        poses[10, :3, 3] += [0.0, 0.005, 0.0]
+
+    summary = visited(tmp_path / "session", gross).summary
+    (named,) = summary["performance"]["outlying_visits"]
+    assert (named["pose"], named["visits"], named["pairs"]) == ("P1", [3], [10])
+    assert named["off_mm"] == pytest.approx(5.0, abs=0.2)
+    assert named["rp_without_mm"] < 0.5 < summary["performance"]["poses"][0]["rp_mm"]
+    (warning,) = [w for w in summary["warnings"] if "Repeated poses" in w]
+    assert "P1: 3 (pairs 10), up to" in warning
+    assert "without them RP = 0." in warning
+
+
+def test_visits_that_only_scatter_are_not_named(found: Performance) -> None:
+    assert found.outlying == ()
+    assert not len(found.left_out)
+
+
+@pytest.mark.parametrize("pairs", [1, 2])
+def test_pairs_far_off_the_others_of_their_hold_are_left_out(
+    found: Performance, pairs: int
+) -> None:
+    readings, t = readings_of(RUN), followed(RUN)
+    model = model_of(RUN, t, readings)
+    rows = np.searchsorted(t, 20 * (DWELL + MOVE)) + 1 + np.arange(pairs)
+    model.comparison.base_T_measured[rows, 0, 3] += 0.005
+    judged = performance(model, ARM, readings, 0.0)
+    assert judged.left_out.tolist() == rows.tolist()
+    assert judged.outlying == ()
+    sigma, before = (np.sqrt(np.diag(one.noise.position)) for one in (judged, found))
+    np.testing.assert_allclose(sigma, before, rtol=0.1)
+    for one, plain in zip(judged.poses, found.poses, strict=True):
+        after = one.repeatability.found.value
+        assert after == pytest.approx(plain.repeatability.found.value, rel=0.1)
+
+
+def test_where_the_arm_came_from_is_unknown_after_a_visit_that_was_lost() -> None:
+    t = followed(RUN)
+    stop = t // (DWELL + MOVE)
+    judged = of(RUN, t[stop != 7])
+    came = {p.visits.name: p.visits.came_from for p in judged.poses}
+    assert came["P4"] == (2, -1, *[2] * (CYCLES - 2))  # stop 7, of P3, was lost
+    assert of(RUN, t).poses[3].visits.came_from == (2,) * CYCLES
