@@ -78,6 +78,7 @@ def test_several_values_make_a_table(tmp_path: Path) -> None:
         (("--baseline", "1..2"), "--baseline: "),
         (("--baseline", "0.4", "--assume", "focal=1"), "a name of focal_px, principal_point_px"),
         (("--baseline", "0.4", "--assume", "focal_px=-1"), "a value at or above 0"),
+        (("--assume", "focal_px=1", "--assume", "focal_px=2"), "focal_px is given twice"),
         (("--baseline", "0.4", "--marker", "m.toml"), "--marker: is given without RIG"),
         (("rig.toml", "--table"), "--table: is given with rig.toml"),
         (("rig.toml", "--led", "4,120mm"), "--led: is given with rig.toml"),

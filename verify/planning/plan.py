@@ -22,6 +22,7 @@ from verify.planning.roadmap import Roadmap, build_roadmap
 from verify.planning.selection import MIN_POSES, TimedMotion, predict_visits
 
 Progress = Callable[[int, int, str], None]
+MAX_PAIRS = 36_000  # an hour, ten a second: their prediction takes 3 GB
 STAGES = ("postures in view", "poses", "session predicted")
 
 
@@ -53,7 +54,8 @@ def plan_motion(
     `progress` is called with stages done, stages in all, and the stage that begins.
 
     Raises:
-        InputError: no posture is in view and allowed; too few, or too little time, for a plan.
+        InputError: no posture is in view and allowed; too few, or too little time, for a plan; or
+            more pairs than can be predicted.
     """
     rng = np.random.default_rng(request.seed)
     constraints = PostureConstraints(setup, request)
@@ -67,6 +69,13 @@ def plan_motion(
         )  # fmt: skip
     progress(1, len(STAGES), STAGES[1])
     timed = predict_visits(constraints, roadmap, conditions, rng).motion()
+    pairs = timed.duration * conditions.rate
+    if pairs > MAX_PAIRS:
+        raise InputError(
+            "--rate-hz", f"{pairs:.3g} pairs in a motion of {timed.duration:.3g} s",
+            f"at most {MAX_PAIRS:,} can be predicted",
+            "Give a higher --speed-deg-s, fewer poses, a shorter --hold-s or a lower --rate-hz.",
+        )  # fmt: skip
     progress(2, len(STAGES), STAGES[2])
     t = np.arange(0.0, timed.duration + 1e-9, 1 / conditions.rate)
     prediction = predict_session(setup, timed.q, t, request, conditions, rng)

@@ -61,9 +61,12 @@ def plan(
     duration_s: Annotated[
         float | None, Option(help="Duration, filled with as many poses as fit.")
     ] = None,
-    hold_s: Annotated[float, Option(min=0.0, help="Seconds of rest at each pose.")] = 0.5,
+    hold_s: Annotated[
+        float, Option(min=0.0, max=3600.0, help="Seconds of rest at each pose.")
+    ] = 0.5,
     speed_deg_s: Annotated[
-        float, Option(help="Greatest speed of any joint; the arm's own limits also apply.")
+        float,
+        Option(min=1e-3, help="Greatest speed of any joint; the arm's own limits also apply."),
     ] = 30.0,
     near: Annotated[
         str | None, Option(help="Posture to stay near, degrees: 0,-60,45,0,-85,15.")

@@ -225,9 +225,11 @@ def _length(option: str, text: str) -> float:
 def _uncertainties(words: list[str]) -> dict[str, float]:
     """Replace typical standard uncertainties by NAME=VALUE; 0: taken as exact."""
     values = dict(proposal.TYPICAL_UNCERTAINTIES)
-    for word in words:
-        name, _, number = word.partition("=")
-        value = _number(number)
+    names = [word.partition("=")[0] for word in words]
+    for name, word in zip(names, words, strict=True):
+        value = _number(word.partition("=")[2])
+        if names.count(name) > 1:
+            raise InputError("--assume", f"{name} is given twice", "one value", "Leave one out.")
         if name not in values or not (math.isfinite(value) and value >= 0):
             raise InputError(
                 "--assume", f'"{word}"',
