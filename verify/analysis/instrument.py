@@ -38,6 +38,8 @@ CALIBRATION_SOURCE = "the instrument's own calibration"
 BODY_SOURCE = "the body on the flange"
 WINDOW = 5  # poses in a row that a parabola is laid through: two are left over
 MIN_WINDOWS = 12  # for a scatter that is worth the name; else a fit tells
+MAX_GAIN = 100.0  # of the variance left without it: by chance once in a million poses
+MIN_KEPT = 0.9  # of the poses: more are no single mistakes
 MEDIAN_CHI2 = 5.348  # of six degrees of freedom: two that are left over, of three coordinates
 # a variance from a median of squares is less certain than one from their mean
 MEDIAN_VARIANCE_FACTOR = 1.3
@@ -317,6 +319,7 @@ def _full_model_variances(
     """What a model of all causes leaves of places and turns (n, 6), and its relative doubt.
 
     Its columns: base and target moved, and of each joint a constant, sine and cosine of its angle.
+    Single poses far off count for nothing, as with a median.
     """
     n, dof = comparison.q.shape
     to_point = twist_transport(comparison.base_T_encoder[:, :3, :3] @ point[:3])
@@ -325,16 +328,28 @@ def _full_model_variances(
     of_joints = np.concatenate([joints * wave[:, None] for wave in waves], axis=2)
     placed = to_point @ placement_columns(comparison.base_T_encoder)
     every = np.concatenate([of_joints, placed], axis=2)
-    total, freedom = [], 0
+    total, doubts = [], []
     for part in PARTS:
-        design = every[:, part].reshape(3 * n, -1)
-        wanted = off[:, part].reshape(-1)
-        freedom = 3 * n - int(np.linalg.matrix_rank(design))
-        if freedom < 3 * dof:
-            return None
-        left = wanted - design @ np.linalg.lstsq(design, wanted, rcond=None)[0]
-        total.append(float(left @ left) / freedom)
-    return total, float(np.sqrt(2 / freedom))
+        kept = np.arange(n)
+        while True:
+            design, wanted = every[kept, part], off[kept, part]
+            basis, size, _ = np.linalg.svd(design.reshape(3 * len(kept), -1), full_matrices=False)
+            basis = basis[:, size > 3 * n * np.finfo(float).eps * size[0]]
+            freedom = basis.shape[0] - basis.shape[1]
+            if freedom < 3 * dof:
+                return None
+            left = wanted - (basis @ (basis.T @ wanted.reshape(-1))).reshape(-1, 3)
+            square, rows = float(np.sum(left**2)), basis.reshape(len(kept), 3, -1)
+            # what leaving a pose out gains: of one that is far off, nearly all that is left
+            own = np.eye(3) - rows @ rows.swapaxes(1, 2)
+            gain = np.einsum("ni,nij,nj->n", left, np.linalg.pinv(own, hermitian=True), left)
+            rest = max(square - gain.max(), 0.0) / (freedom - 3)
+            if gain.max() <= MAX_GAIN * rest or len(kept) <= MIN_KEPT * n:
+                break
+            kept = np.delete(kept, np.argmax(gain))
+        total.append(square / freedom)
+        doubts.append(np.sqrt(2 / freedom))
+    return total, float(max(doubts))
 
 
 def _windows(t: Array) -> Index:

@@ -419,3 +419,11 @@ def test_where_the_arm_came_from_is_unknown_after_a_visit_that_was_lost() -> Non
     came = {p.visits.name: p.visits.came_from for p in judged.poses}
     assert came["P4"] == (2, -1, *[2] * (CYCLES - 2))  # stop 7, of P3, was lost
     assert of(RUN, t).poses[3].visits.came_from == (2,) * CYCLES
+
+
+def test_the_noise_of_single_visits_is_not_that_of_one_gross_pose(tmp_path: Path) -> None:
+    def gross(poses: Array) -> None:
+        poses[10, :3, 3] += [0.0, 0.005, 0.0]
+
+    noise = visited(tmp_path / "session", gross, stated=False).summary["performance"]["noise_floor"]
+    assert max(noise["position_mm"]) < 2 * 1e3 * SIGMA[0]  # with it: 0.5 mm
