@@ -7,6 +7,7 @@ from reports.document import blocks as doc
 from reports.document import formatting as fmt
 from reports.results import Results
 from reports.session.figures.performance import path_band, pose_clusters
+from reports.session.outliers import outlier_notes
 
 REASONS = {
     "no_holds": (
@@ -142,7 +143,8 @@ def performance(results: Results) -> doc.Section:
     poses, paths = entry.get("poses") or [], entry.get("paths") or []
     blocks: list[doc.Block] = []
     if poses:
-        blocks += [doc.Paragraph(_pose_summary(poses)), *_outliers(entry), _positions(entry)]
+        blocks += [doc.Paragraph(_pose_summary(poses)), _positions(entry)]
+        blocks[1:1] = [doc.Paragraph(note, "note") for note in outlier_notes(entry)]
         blocks.append(doc.figure_or_text(FIGURES, results, "pose_clusters"))
         tables = (make(poses) for make in (_orientations, _variation, _drift))
         blocks += [table for table in tables if table is not None]
@@ -174,25 +176,6 @@ def _pose_summary(poses: list[dict[str, Any]]) -> str:
         f"{scatter['pose']}, of which the robot's share is "
         f"{_format_robot_share(scatter, 'rp')} mm."
     )
-
-
-def _outliers(entry: dict[str, Any]) -> list[doc.Block]:
-    """Name visits and pairs that lie far off the others, and what RP is without them."""
-    rp = {p["pose"]: p.get("rp_mm") for p in entry.get("poses") or []}
-    told = [
-        f"Outlying among the visits of {o['pose']}: {fmt.join_words(list(map(str, o['visits'])))} "
-        f"(pairs {', '.join(map(str, o['pairs']))}), up to {fmt.quantity(o.get('off_mm'), 'mm')} "
-        f"off the others. AP and RP = {fmt.quantity(rp.get(o['pose']), 'mm')} rest on them; "
-        f"without them RP = {fmt.quantity(o.get('rp_without_mm'), 'mm')}. Nothing here shows "
-        "whether the instrument or the arm was off."
-        for o in entry.get("outlying_visits") or []
-    ]
-    if pairs := entry.get("pairs_left_out"):
-        told.append(
-            "Left out, as they lie far off the others of their hold while the readings stand: "
-            f"pairs {', '.join(map(str, pairs))}."
-        )
-    return [doc.Paragraph(text, "note") for text in told]
 
 
 def _path_summary(paths: list[dict[str, Any]]) -> str:

@@ -42,7 +42,7 @@ class Spotted(SessionComparison):
 
     def check(self, **options: Any) -> MonteCarlo:
         """Run the Monte-Carlo check."""
-        found = monte_carlo(self, self.measurements, **options)
+        found = monte_carlo(self, **options)
         assert found is not None
         return found
 

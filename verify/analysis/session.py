@@ -6,6 +6,7 @@ from dataclasses import asdict, replace
 import numpy as np
 import pandas as pd
 
+from reports.session.outliers import outlier_notes
 from robots import Arm
 from robots.transforms import misplacement, rotation_log
 from verify.analysis.clock.estimate import ClockEstimate, shown_offset, spread
@@ -53,7 +54,7 @@ from verify.analysis.model import (
     visibility,
 )
 from verify.analysis.other_motion import refuse_other_motion
-from verify.analysis.performance.conditions import session_performance
+from verify.analysis.performance.entries import session_performance
 from verify.analysis.plausibility import refuse_misread
 from verify.analysis.relative_motion import compare_relative_motions
 from verify.analysis.results.entries import monte_carlo_table, sweeps_table
@@ -380,8 +381,7 @@ def _estimate(
         systematic=joints.inverse @ model.prior_columns,
         clock=(joints.inverse @ clock_effect(comparison))[:, :, 0],
     )
-    used = [m for m in measured.measurements if m.status == "measured"]
-    sources = budget(model, compared, resolved, used)
+    sources = budget(model, compared, resolved)
     stated = {name: limit for name, limit in asdict(tolerance).items() if limit is not None}
     return SessionAnalysis(
         measured=measured,
@@ -393,7 +393,7 @@ def _estimate(
         resolved=resolved,
         combinations=combinations(compared, model, errors, resolved),
         sources=sources,
-        monte_carlo=monte_carlo(compared, used),
+        monte_carlo=monte_carlo(compared),
         sweeps=judge_sweeps(model, compared),
         visibility=visibility(model),
         relative=compare_relative_motions(model),
@@ -419,8 +419,8 @@ def _results(found: SessionAnalysis) -> Results:
         "detectable": detectable(found.diagnosis.products),
     }
     images = {"pair": measured.preview} if measured.preview is not None else {}
-    entry, more, told = session_performance(session, found.model, clock.offset, found.frame)
-    found.warnings.extend(told)
+    entry, more = session_performance(found)
+    found.warnings.extend(outlier_notes(entry["performance"]))
     return Results(summarise(found) | entry, describe(session), tables | more, images)
 
 

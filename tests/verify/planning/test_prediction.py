@@ -225,7 +225,7 @@ def test_a_plan_s_coverage_factor_is_the_budget_s(
         rig=rig,
         marker=bench.marker,
     )
-    stated = budget(model, compared, resolve_errors(model), []).coverage_factor
+    stated = budget(model, compared, resolve_errors(model)).coverage_factor
     assert_allclose(judged.coverage_factor, stated, rtol=1e-9)
     assert np.all(stated < 2.65)
     assert np.any(stated > 2.0) if degrees < 10 else np.any(stated == 2.0)

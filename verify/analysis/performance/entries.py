@@ -1,5 +1,9 @@
-"""Repeated poses and paths at the door: summary.json's entry and the tables, in mm and degrees."""
+"""Repeated poses and paths at the door, in mm and degrees: summary.json's entry, and the tables.
 
+The entry lists in what the session differs from ISO 9283's conditions.
+"""
+
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -8,10 +12,23 @@ import pandas as pd
 from verify.analysis.performance import indices, poses
 from verify.analysis.performance.indices import Interval
 from verify.analysis.performance.paths import PathIndices
-from verify.analysis.performance.session import Performance
+from verify.analysis.performance.session import Performance, performance
+from verify.analysis.results.summary import SessionAnalysis
+from verify.core.readings import Readings
+from verify.io.session.keys import RunTable
+from verify.io.toml import decode
 
 MM, DEG = 1e3, 180 / np.pi
 AXES = ("rx", "ry", "rz")
+VISIT_COLUMNS = ("pose", "visit", "t_s", "pairs", "came_from", "dx_mm", "dy_mm", "dz_mm",
+                 "drx_deg", "dry_deg", "drz_deg")  # fmt: skip
+STATION_COLUMNS = ("path", "station", "along_mm", "x_mm", "y_mm", "z_mm", "off_mm", "rt_mm",
+                   "largest_off_mm")  # fmt: skip
+CYCLES, PASSAGES, POSES = 30, 10, 5
+MAX_UNCERTAINTY_SHARE = 0.25  # of a characteristic, that the uncertainty of measurement may reach
+TEMPERATURE_C = (18.0, 22.0)
+MIN_DRIFT_S = 8 * 3600.0
+MAX_OFF_PLANE = 0.02  # of the poses' extent: off one plane by less is in it
 
 
 def performance_summary(found: Performance, deviations: list[dict[str, Any]]) -> dict[str, Any]:
@@ -150,35 +167,129 @@ def _path(p: PathIndices) -> dict[str, Any]:
 
 def performance_tables(found: Performance | None) -> dict[str, pd.DataFrame]:
     """A row a visit of a pose, and a row a station of a path; none where there are none."""
-    return {"performance_poses": _visits(found), "performance_paths": _stations(found)}
+    visits = map(_visits, found.poses if found else ())
+    stations = map(_stations, found.paths if found else ())
+    return {
+        "performance_poses": _stacked(VISIT_COLUMNS, visits),
+        "performance_paths": _stacked(STATION_COLUMNS, stations),
+    }
 
 
-def _visits(found: Performance | None) -> pd.DataFrame:
-    names = ["pose", "visit", "t_s", "pairs", "came_from"]
-    names += ["dx_mm", "dy_mm", "dz_mm", "drx_deg", "dry_deg", "drz_deg"]
-    parts = []
-    for p in found.poses if found else ():
-        n = len(p.visits.t)
-        turns = np.full((n, 3), np.nan) if p.angles is None else p.angles * DEG
-        columns: list[Any] = [[p.visits.name] * n, np.arange(1, n + 1), p.visits.t]
-        columns += [p.visits.counts.astype(np.int64), np.array(p.visits.came_from) + 1]
-        columns += [*(p.deviations * MM).T, *turns.T]
-        parts.append(pd.DataFrame(dict(zip(names, columns, strict=True))))
-    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=names)
+def _stacked(names: tuple[str, ...], parts: Iterable[list[Any]]) -> pd.DataFrame:
+    tables = [pd.DataFrame(dict(zip(names, columns, strict=True))) for columns in parts]
+    return pd.concat(tables, ignore_index=True) if tables else pd.DataFrame(columns=names)
 
 
-def _stations(found: Performance | None) -> pd.DataFrame:
-    names = ["path", "station", "along_mm", "x_mm", "y_mm", "z_mm"]
-    names += ["off_mm", "rt_mm", "largest_off_mm"]
-    parts = []
-    for p in found.paths if found else ():
-        places = p.crossings
-        off = places.attained - places.commanded[:, None]
-        m = len(places.along)
-        columns: list[Any] = [[p.name] * m, np.arange(1, m + 1), places.along * MM]
-        barycentre = np.linalg.norm(off.mean(axis=1), axis=1)
-        furthest = np.linalg.norm(off, axis=2).max(axis=1)
-        columns += [*(places.commanded * MM).T, barycentre * MM]
-        columns += [indices.repeatability(off) * MM, furthest * MM]
-        parts.append(pd.DataFrame(dict(zip(names, columns, strict=True))))
-    return pd.concat(parts, ignore_index=True) if parts else pd.DataFrame(columns=names)
+def _visits(p: poses.PoseIndices) -> list[Any]:
+    n = len(p.visits.t)
+    turns = np.full((n, 3), np.nan) if p.angles is None else p.angles * DEG
+    columns: list[Any] = [[p.visits.name] * n, np.arange(1, n + 1), p.visits.t]
+    columns += [p.visits.counts.astype(np.int64), np.array(p.visits.came_from) + 1]
+    return [*columns, *(p.deviations * MM).T, *turns.T]
+
+
+def _stations(p: PathIndices) -> list[Any]:
+    places, m = p.crossings, len(p.crossings.along)
+    off = places.attained - places.commanded[:, None]
+    barycentre = np.linalg.norm(off.mean(axis=1), axis=1)
+    furthest = np.linalg.norm(off, axis=2).max(axis=1)
+    columns: list[Any] = [[p.name] * m, np.arange(1, m + 1), places.along * MM]
+    columns += [*(places.commanded * MM).T, barycentre * MM]
+    return [*columns, indices.repeatability(off) * MM, furthest * MM]
+
+
+def condition_deviations(
+    found: Performance, *, temperature_c: float | None, through_encoders: bool
+) -> list[dict[str, Any]]:
+    """List what is other than the standard's conditions, or not known.
+
+    One entry a deviation: its `kind`, and figures that belong to it. `through_encoders`: base or
+    LEDs were registered through the robot's own encoders.
+    """
+    listed: list[dict[str, Any]] = []
+    if found.poses:
+        fewest = min(len(p.visits.t) for p in found.poses)
+        if fewest < CYCLES:
+            listed.append({"kind": "cycles", "found": fewest, "standard": CYCLES})
+        listed += _mean_positions(found.poses)
+        mixed = [p.visits.name for p in found.poses if p.variation is not None]
+        if mixed:
+            listed.append({"kind": "approach", "poses": mixed})
+        if any(p.drift for p in found.poses) and not found.duration >= MIN_DRIFT_S:
+            seconds = round(found.duration, 3) if np.isfinite(found.duration) else None
+            listed.append({"kind": "drift", "found_s": seconds})
+        listed += _uncertain_poses(found.poses)
+    if found.paths:
+        fewest = min(p.passages for p in found.paths)
+        if fewest < PASSAGES:
+            listed.append({"kind": "passages", "found": fewest, "standard": PASSAGES})
+    if through_encoders:
+        listed.append({"kind": "registration"})
+    listed.append({"kind": "commanded"})
+    if temperature_c is None:
+        listed.append({"kind": "temperature_unknown"})
+    elif not TEMPERATURE_C[0] <= temperature_c <= TEMPERATURE_C[1]:
+        listed.append({"kind": "temperature", "found_c": temperature_c})
+    listed += [{"kind": kind} for kind in ("load", "speed", "warm_up", "settling", "cube")]
+    listed.append({"kind": "point" if np.any(found.point) else "flange"})
+    return listed
+
+
+def _mean_positions(poses: tuple[poses.PoseIndices, ...]) -> list[dict[str, Any]]:
+    if len(poses) != POSES:
+        return [{"kind": "poses", "found": len(poses), "standard": POSES}]
+    places = np.array([p.commanded[:3, 3] for p in poses])
+    centred = places - places.mean(axis=0)
+    _, size, axes = np.linalg.svd(centred)
+    off = float(np.abs(centred @ axes[2]).max())  # m, from the best plane
+    if off <= MAX_OFF_PLANE * size[0]:
+        return []
+    return [{"kind": "plane", "off_plane_mm": round(off * 1e3, 3)}]
+
+
+def _uncertain_poses(poses: tuple[poses.PoseIndices, ...]) -> list[dict[str, Any]]:
+    """Name poses whose accuracy is stated with more than a quarter of itself in doubt."""
+    doubtful = [
+        p.visits.name
+        for p in poses
+        if p.accuracy.expanded_uncertainty > MAX_UNCERTAINTY_SHARE * p.accuracy.found.value
+    ]
+    if not doubtful:
+        return []
+    smallest = max(p.accuracy.expanded_uncertainty for p in poses) / MAX_UNCERTAINTY_SHARE
+    return [{"kind": "uncertainty", "poses": doubtful, "smallest_mm": round(smallest * 1e3, 6)}]
+
+
+def session_performance(
+    judged: SessionAnalysis,
+) -> tuple[dict[str, Any], dict[str, pd.DataFrame]]:
+    """Find and judge the poses and paths that a session names or, where it names none, repeats.
+
+    Gives `performance` (null where nothing is repeated) and `performance_reason` (why, else null)
+    of summary.json; and the tables.
+    """
+    session, model = judged.compared.session, judged.model
+    file = session.folder / "session.toml"
+    # a simulated one has no folder
+    table = decode(file, RunTable)[0] if file.exists() else None
+    named, paths = ((), ()) if table is None else (table.pose, table.path)
+    instrument = session.instrument
+    alone = instrument is not None and instrument.positions_alone
+    found = performance(
+        model,
+        session.arm,
+        Readings(session.encoders.t, session.encoders.q),
+        judged.compared.clock.offset,
+        named_poses=named,
+        named_paths=paths,
+        point=instrument.flange_T_body[:3, 3] if instrument is not None and alone else None,
+        timed=session.frames.timed,
+        frame=judged.frame.astype(np.int64),
+    )
+    if not isinstance(found, Performance):
+        return {"performance": None, "performance_reason": found}, performance_tables(None)
+    listed = condition_deviations(
+        found, temperature_c=session.temperature_c, through_encoders=model.through_encoders
+    )
+    entry = performance_summary(found, listed)
+    return {"performance": entry, "performance_reason": None}, performance_tables(found)

@@ -123,21 +123,16 @@ def with_origins(
     That is not known where the arm stood elsewhere in between, by its readings (`offset`, s, is
     added to their time), or where a single visit in between was lost: `frame` (n,) numbers pairs.
     """
-    alone, logged = are_visits(comparison.t), not are_visits(readings.t)
+    limit = MAX_REST_SPEED + MAX_SPEED_SIGMA * np.sqrt(comparison.rate_variance)
     came = [-1]
     for (before, after), pose in zip(pairwise(holds), poses, strict=False):
         ends = np.array([before[-1], after[0]])
-        between = slice(*np.searchsorted(readings.t, comparison.t[ends] - offset))
-        t, q = readings.t[between], readings.q[between]
+        t = readings.t[slice(*np.searchsorted(readings.t, comparison.t[ends] - offset))]
+        q, rate = readings.motion(t)  # of single visits the speed is 0: none is passed by
         away = np.abs(q[:, None] - comparison.q[ends]).max(axis=2).min(axis=1) > MAX_POSE_DISTANCE
-        if logged:  # only to pass by is no visit
-            later = np.searchsorted(t, t + MIN_HOLD_TIME)
-            away &= later < len(t)
-            later = later[away]
-            turn = np.abs(q[later] - q[away]).max(axis=1, initial=0.0)
-            away = turn <= MAX_REST_SPEED * (t[later] - t[away]) + readings.resolved.max()
-        lost = alone and np.ptp(frame[ends]) > 1
-        came.append(-1 if lost or away.any() else pose)
+        lost = are_visits(comparison.t) and np.ptp(frame[ends]) > 1
+        stood = np.any(away & np.all(np.abs(rate) < limit, axis=1))
+        came.append(-1 if lost or stood else pose)
     return [Visit(*one) for one in zip(poses, holds, came[: len(holds)], strict=True)]
 
 

@@ -33,7 +33,7 @@ from verify.analysis.uncertainty.sources import (
     unstated_effects,
     unstated_sources,
 )
-from verify.core.records import Array, Measurement
+from verify.core.records import Array
 from verify.measurement.systematics import unit
 
 BUDGET_COLUMNS = [
@@ -76,12 +76,10 @@ def budget(
     model: JointErrorModel,
     compared: SessionComparison,
     resolved: ResolvedErrors,
-    used: list[Measurement],
 ) -> Budget:
     """Take apart the uncertainties of the means that `resolved`, the fit, gave.
 
-    `compared` is the session before pairs that repeat each other were counted for fewer; `used` are
-    the track's pairs.
+    `compared` is the session before pairs that repeat each other were counted for fewer.
     """
     by_row = mean_sensitivities(model, resolved)
     by_pair = pair_sensitivities(model, by_row)
@@ -116,7 +114,7 @@ def budget(
         degrees=degrees,
         coverage_factor=coverage_factor(degrees),
         uncounted=exact,
-        unstated=tuple(unstated_effects(model.comparison, compared, used, exact, by_pair)),
+        unstated=tuple(unstated_effects(model.comparison, compared, exact, by_pair)),
     )
 
 

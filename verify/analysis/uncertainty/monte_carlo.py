@@ -15,7 +15,7 @@ import robots
 from verify.analysis.comparison import Comparison, JointComparison, alignment_scale
 from verify.analysis.model import SessionComparison, prior_columns
 from verify.analysis.uncertainty.draws import WorldDraws
-from verify.core.records import Array, Flags, Index, Measurement
+from verify.core.records import Array, Flags, Index
 
 N_PAIRS = 20  # spread over the session, beside the worst known ones
 N_DRAWS = 200
@@ -52,7 +52,6 @@ class MonteCarlo:
 
 def monte_carlo(
     compared: SessionComparison,
-    measurements: list[Measurement],
     *,
     pairs: int = N_PAIRS,
     draws: int = N_DRAWS,
@@ -77,7 +76,7 @@ def monte_carlo(
     read, straight = (np.empty((len(chosen), draws, N_JOINTS)) for _ in range(2))
     for m, i in enumerate(chosen.tolist()):
         row = int(comparison.index[i])
-        drawn, twist = world.poses(measurements[row], track, row, float(scale[row]))
+        drawn, twist = world.poses(compared.measurements[row], track, row, float(scale[row]))
         left = comparison.alignment_error[i], comparison.tilt[i]
         poses[m], by_alignment = world.aligned(drawn, *left)
         late = world.readings(comparison.rate[i], comparison.local_noise[i])

@@ -13,7 +13,7 @@ from verify.analysis.diagnosis.link_faults import rotation_twist, translation_tw
 from verify.analysis.instrument import CALIBRATION_SOURCE, instrument_sensitivities
 from verify.analysis.instrument import NOISE as INSTRUMENT_NOISE
 from verify.analysis.model import JointErrorModel, SessionComparison, clock_effect, pan_columns
-from verify.core.records import POSE_NAMES, SIDES, Array, Measurement
+from verify.core.records import POSE_NAMES, SIDES, Array
 from verify.core.rig import Rig
 from verify.measurement.sensitivities import AXES
 from verify.measurement.systematics import (
@@ -84,18 +84,17 @@ def unstated_sources(systematics: Systematics, clock: ClockEstimate) -> tuple[st
 def unstated_effects(
     comparison: Comparison,
     compared: SessionComparison,
-    used: list[Measurement],
     exact: tuple[str, ...],
     by_pair: Array,
 ) -> list[UnstatedEffect]:
     """What an error of each source in `exact` would move, the largest first.
 
-    The comparison is the model's; `used` are the track's pairs; `by_pair` (n, j, 6) takes xi to the
-    mean errors. What the session fits beside the joints moves nothing.
+    The comparison is the model's; `by_pair` (n, j, 6) takes xi to the mean errors. What the
+    session fits beside the joints moves nothing.
     """
     effects = []
     for source in exact:
-        for error, columns in _unstated_columns(source, comparison, compared, used):
+        for error, columns in _unstated_columns(source, comparison, compared):
             moved = np.abs(np.einsum("njk,nkp->jp", by_pair, columns)).max(axis=1, initial=0.0)
             joint = int(np.argmax(np.nan_to_num(moved)))
             if moved[joint] > MIN_EFFECT:
@@ -104,7 +103,7 @@ def unstated_effects(
 
 
 def _unstated_columns(
-    source: str, comparison: Comparison, compared: SessionComparison, used: list[Measurement]
+    source: str, comparison: Comparison, compared: SessionComparison
 ) -> Iterator[tuple[str, Array]]:
     """The errors that are asked after of a source, and what each does to xi, (n, 6, ways)."""
     session = compared.session
@@ -112,7 +111,7 @@ def _unstated_columns(
     def of(*names: str) -> Array:
         asked = replace(compared.systematics, names=names)
         moves = sensitivities if session.instrument is None else instrument_sensitivities
-        there = [used[i] for i in comparison.index.tolist()]
+        there = [compared.measurements[i] for i in comparison.index.tolist()]
         columns = np.array([moves(asked, m, session.rig, session.marker) for m in there])
         place = compared.track.base_T_flange[comparison.index, :3, 3]
         carry = twist_transport(comparison.base_T_measured[:, :3, 3] - place)

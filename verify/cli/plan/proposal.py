@@ -11,7 +11,8 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 
-from reports.document.formatting import DASH, expanded, significant
+from reports.document.formatting import expanded
+from reports.plan.summary import rig_lines
 from robots import Arm
 from verify.cli.terminal import terminal
 from verify.core.records import Array
@@ -24,18 +25,11 @@ from verify.planning.prediction import joint_levers
 from verify.planning.request import PlanningSetup, PlanRequest, SessionConditions
 from verify.planning.results import flange_entry
 
-# what a table compares where an option is not given
-COMPARED = {
-    "--camera": ("640x480,60deg", "1280x720,60deg"),
-    "--led": ("4,80mm", "4,160mm"),
-    "--baseline": ("0.2", "0.4"),
-    "--distance": ("0.7", "1.5"),
-}
-USUAL = {
-    "--camera": ("1280x720,60deg",),
-    "--led": ("4,120mm",),
-    "--baseline": ("0.4",),
-    "--distance": ("1.0",),
+USUAL = {  # where an option is not given: of one rig, and what a table compares
+    "--camera": (("1280x720,60deg",), ("640x480,60deg", "1280x720,60deg")),
+    "--led": (("4,120mm",), ("4,80mm", "4,160mm")),
+    "--baseline": (("0.4",), ("0.2", "0.4")),
+    "--distance": (("1.0",), ("0.7", "1.5")),
 }
 MIN_LENGTH, MAX_LENGTH = 0.02, 20.0  # m, of baseline and distance
 MIN_CIRCLE, MAX_CIRCLE = 0.02, 1.0  # m, of the LEDs
@@ -53,8 +47,7 @@ def proposed_rigs(
     Raises:
         InputError: a value cannot be used; names its option.
     """
-    usual = COMPARED if table else USUAL
-    values = {name: given.get(name) or list(usual[name]) for name in usual}
+    values = {name: given.get(name) or usual[table] for name, usual in USUAL.items()}
     u = _uncertainties(assumed)
     cameras = [_camera(text) for text in values["--camera"]]
     leds = [_leds(text) for text in values["--led"]]
@@ -119,7 +112,7 @@ def compare_rigs(
         progress(len(rigs), len(rigs))
     if len(problems) == len(rigs):
         raise problems[0]
-    terminal.say(*_lines(rows, arm.dof))
+    terminal.say(*rig_lines(rows, arm.dof))
     for row in rows:
         terminal.record("rig", **row)
     if out is not None:
@@ -158,31 +151,6 @@ def _describe(rig: proposal.ProposedRig) -> dict[str, str]:
         "baseline": f"{rig.baseline:g} m",
         "distance": f"{rig.distance:g} m",
     }
-
-
-def _lines(rows: list[dict[str, str | float | None]], joints: int) -> list[str]:
-    """A table in Markdown: ± ° / ± mm a joint, k = 2."""
-    names = ["camera", "LEDs", "baseline", "distance", "flange ° / mm"]
-    names += [f"q{j + 1} ° / mm" for j in range(joints)]
-    pairs = ["flange", *(f"q{j + 1}" for j in range(joints))]
-    cells = [
-        [
-            *(str(row[key]) for key in ("camera", "leds", "baseline", "distance")),
-            *(_both(row.get(f"{name}_deg"), row.get(f"{name}_mm")) for name in pairs),
-        ]
-        for row in rows
-    ]
-    return [_line(names), _line(["---"] * len(names)), *map(_line, cells)]
-
-
-def _line(cells: list[str]) -> str:
-    return f"| {' | '.join(cells)} |"
-
-
-def _both(degrees: object, millimetres: object) -> str:
-    if degrees is None:
-        return DASH
-    return f"{significant(degrees)} / {significant(millimetres)}"
 
 
 def _camera(text: str) -> tuple[tuple[int, int], float]:

@@ -24,8 +24,7 @@ from tests.support.repeated_poses import (
     readings_of,
     repeated,
 )
-from verify.analysis.performance.conditions import condition_deviations
-from verify.analysis.performance.entries import performance_summary
+from verify.analysis.performance.entries import condition_deviations, performance_summary
 from verify.analysis.performance.holds import HoldNoise
 from verify.analysis.performance.indices import repeatability
 from verify.analysis.performance.poses import assess_pose, subtract_noise
@@ -384,8 +383,8 @@ def test_a_visit_far_off_the_others_is_named_beside_the_figure(tmp_path: Path) -
     assert (named["pose"], named["visits"], named["pairs"]) == ("P1", [3], [10])
     assert named["off_mm"] == pytest.approx(5.0, abs=0.2)
     assert named["rp_without_mm"] < 0.5 < summary["performance"]["poses"][0]["rp_mm"]
-    (warning,) = [w for w in summary["warnings"] if "Repeated poses" in w]
-    assert "P1: 3 (pairs 10), up to" in warning
+    (warning,) = [w for w in summary["warnings"] if "Outlying among" in w]
+    assert "P1: 3 (pairs 10), up to 5" in warning
     assert "without them RP = 0." in warning
 
 

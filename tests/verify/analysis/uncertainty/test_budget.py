@@ -127,7 +127,7 @@ def made(
     resolved = resolve_errors(model)
     if cause:
         resolved = replace(resolved, common=cause * rng.normal(size=(len(model.xi), 1)))
-    return Made(model, plain, resolved, budget(model, compared, resolved, []))
+    return Made(model, plain, resolved, budget(model, compared, resolved))
 
 
 CASES: dict[str, dict[str, Any]] = {

@@ -101,4 +101,4 @@ def test_without_a_wholly_known_pose_there_is_no_check(both: dict[str, Spotted])
     part = replace(
         made.comparison, determined=tuple(np.eye(6)[:, :5] for _ in range(len(made.comparison)))
     )
-    assert monte_carlo(replace(made, comparison=part), made.measurements) is None
+    assert monte_carlo(replace(made, comparison=part)) is None
