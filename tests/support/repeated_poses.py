@@ -85,7 +85,9 @@ def pose_visits(
     attained, there = np.tile(np.eye(4), (2, n, 1, 1))
     attained[:, :3, 3], there[:, 0, 3] = places, read
     t, ways = begin + 60.0 * np.arange(n), came_from or (0,) * n
-    return PoseVisits("A", t, attained, there, np.ones(n), ways, np.zeros((6, 1)))
+    own, pairs = np.zeros((n, 6)), tuple(np.arange(n)[:, None])
+    own[:, :3] = attained[:, :3, 3] - there[:, :3, 3]
+    return PoseVisits("A", t, attained, there, own, pairs, ways, np.zeros((6, 1)))
 
 
 def model_of(run: Repeated, t: Array, readings: Readings) -> Any:

@@ -7,10 +7,8 @@ the flange.
 
 from collections.abc import Iterator, Set
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 import robots
 from robots.transforms import difference, rigid_columns
@@ -75,37 +73,6 @@ class MeasuredSession:
     pictures: PictureMisfit | None = None  # how they agree with rig.toml and marker.toml
     displaced: DisplacedLed | None = None  # not in its place, and left out of all of these
     shifts: LedShifts | None = None  # of all LEDs from marker.toml's places: not used for these
-
-
-def instrument_setup(session: Session, instrument: Instrument) -> dict[str, Any]:
-    """What a reader needs to know of the instrument, JSON-able; millimetres and degrees.
-
-    As `description.describe` words rig and marker; of these, what there is without cameras.
-    """
-    rig, body = session.rig, instrument.flange_T_body
-    base_turn, body_turn = (
-        Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True).tolist()
-        for pose in (rig.rig_T_base, body)
-    )
-    return {
-        "instrument": {
-            "name": instrument.name,
-            "poses": len(instrument.poses),
-            "positions_alone": instrument.positions_alone,
-        },
-        "rig": {
-            "instrument": instrument.name,
-            "base_source": rig.base_source,
-            "base_position_mm": (rig.rig_T_base[:3, 3] * 1e3).tolist(),
-            "base_rotation_vector_deg": base_turn,
-            "registration": rig.registration,
-        },
-        "marker": {
-            "source": session.marker.source,
-            "point_mm": (body[:3, 3] * 1e3).tolist(),
-            "body_rotation_vector_deg": None if instrument.positions_alone else body_turn,
-        },
-    }
 
 
 def stated_noise(instrument: Instrument) -> InstrumentNoise:

@@ -253,9 +253,9 @@ def measure_instrument(
     if repeated := repeated_poses(session, instrument, readings, clock.offset):
         seen = measure_poses(session, instrument, readings, noise, clock.offset, repeated)
         clock = session_clock(session, seen.track, readings)
-    found = None
-    if not noise.known:
-        found = noise_from_scatter(session, instrument, seen.track, readings, clock.offset)
+    if noise.known:
+        return seen, clock
+    found = noise_from_scatter(session, instrument, seen.track, readings, clock.offset)
     if found is not None:
         seen = measure_poses(session, instrument, readings, found, clock.offset, repeated)
         if not instrument.positions_alone:  # places and turns now weigh as much as they are worth

@@ -3,13 +3,14 @@
 The entry lists in what the session differs from ISO 9283's conditions.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
 import pandas as pd
 
 from verify.analysis.performance import indices, poses
+from verify.analysis.performance.holds import far_off
 from verify.analysis.performance.indices import Interval
 from verify.analysis.performance.paths import PathIndices
 from verify.analysis.performance.session import Performance, performance
@@ -56,19 +57,28 @@ def performance_summary(found: Performance, deviations: list[dict[str, Any]]) ->
             {"name": n.name, "t_start_s": n.start, "t_end_s": n.end} for n in found.empty
         ],
         "pairs_left_out": found.left_out.tolist(),
-        "outlying_visits": [
-            {
-                "pose": o.name,
-                "visits": (o.visits + 1).tolist(),
-                "pairs": o.pairs.tolist(),
-                "off_mm": _rounded_or_none(o.apart[0], MM),
-                "off_deg": _rounded_or_none(o.apart[1], DEG),
-                "rp_without_mm": _rounded_or_none(o.repeatability, MM),
-            }
-            for o in found.outlying
-        ],
+        "outlying_visits": list(_outlying(found)),
         "deviations": deviations,
     }
+
+
+def _outlying(found: Performance) -> Iterator[dict[str, Any]]:
+    """Visits far off the others of their pose; they count, as nothing shows whose mistake it is."""
+    far = far_off([p.visits.own for p in found.poses], oriented=found.oriented)
+    for p, away in zip(found.poses, far, strict=True):
+        if away.any():
+            apart = (p.visits.own - np.median(p.visits.own, axis=0))[away].reshape(-1, 2, 3)
+            size = np.linalg.norm(apart, axis=2).max(axis=0)
+            visits = np.flatnonzero(away)
+            others = float(indices.repeatability(p.deviations[~away]))
+            yield {
+                "pose": p.visits.name,
+                "visits": (visits + 1).tolist(),
+                "pairs": [int(frame) for i in visits for frame in p.visits.pairs[i]],
+                "off_mm": _rounded_or_none(size[0], MM),
+                "off_deg": _rounded_or_none(size[1], DEG) if found.oriented else None,
+                "rp_without_mm": _rounded_or_none(others, MM),
+            }
 
 
 def _rounded_or_none(value: float, scale: float = 1.0) -> float | None:
@@ -260,21 +270,17 @@ def _uncertain_poses(poses: tuple[poses.PoseIndices, ...]) -> list[dict[str, Any
     return [{"kind": "uncertainty", "poses": doubtful, "smallest_mm": round(smallest * 1e3, 6)}]
 
 
-def session_performance(
-    judged: SessionAnalysis,
-) -> tuple[dict[str, Any], dict[str, pd.DataFrame]]:
+def session_performance(judged: SessionAnalysis) -> tuple[dict[str, Any], dict[str, pd.DataFrame]]:
     """Find and judge the poses and paths that a session names or, where it names none, repeats.
 
     Gives `performance` (null where nothing is repeated) and `performance_reason` (why, else null)
     of summary.json; and the tables.
     """
     session, model = judged.compared.session, judged.model
-    file = session.folder / "session.toml"
-    # a simulated one has no folder
+    file = session.folder / "session.toml"  # a simulated one has no folder
     table = decode(file, RunTable)[0] if file.exists() else None
     named, paths = ((), ()) if table is None else (table.pose, table.path)
-    instrument = session.instrument
-    alone = instrument is not None and instrument.positions_alone
+    other = session.instrument
     found = performance(
         model,
         session.arm,
@@ -282,7 +288,7 @@ def session_performance(
         judged.compared.clock.offset,
         named_poses=named,
         named_paths=paths,
-        point=instrument.flange_T_body[:3, 3] if instrument is not None and alone else None,
+        point=other.flange_T_body[:3, 3] if other and other.positions_alone else None,
         timed=session.frames.timed,
         frame=judged.frame.astype(np.int64),
     )

@@ -114,14 +114,13 @@ def with_origins(
     comparison: Comparison,
     readings: Readings,
     offset: float,
-    frame: Index,
     holds: Sequence[Index],
     poses: Sequence[int],
 ) -> list[Visit]:
     """The visits of poses, each with the pose before it.
 
     That is not known where the arm stood elsewhere in between, by its readings (`offset`, s, is
-    added to their time), or where a single visit in between was lost: `frame` (n,) numbers pairs.
+    added to their time), or where a single visit in between has no reading.
     """
     limit = MAX_REST_SPEED + MAX_SPEED_SIGMA * np.sqrt(comparison.rate_variance)
     came = [-1]
@@ -130,7 +129,7 @@ def with_origins(
         t = readings.t[slice(*np.searchsorted(readings.t, comparison.t[ends] - offset))]
         q, rate = readings.motion(t)  # of single visits the speed is 0: none is passed by
         away = np.abs(q[:, None] - comparison.q[ends]).max(axis=2).min(axis=1) > MAX_POSE_DISTANCE
-        lost = are_visits(comparison.t) and np.ptp(frame[ends]) > 1
+        lost = are_visits(comparison.t) and np.ptp(comparison.index[ends]) > 1
         stood = np.any(away & np.all(np.abs(rate) < limit, axis=1))
         came.append(-1 if lost or stood else pose)
     return [Visit(*one) for one in zip(poses, holds, came[: len(holds)], strict=True)]
@@ -167,19 +166,15 @@ class HoldNoise:
         return self.position * factor, self.turn * factor
 
 
-def static_noise(
-    holds: Sequence[Index], positions: Array, turns: Array, stated: tuple[Array, Array]
-) -> HoldNoise:
-    """Pool the scatter within the holds, of positions (n, 3), m, and turns (n, 3), rad.
+def static_noise(holds: Sequence[Index], off: Array, stated: Array) -> HoldNoise:
+    """Pool the scatter within the holds of poses measured less read (n, 6), m and rad.
 
-    Both are measured less read; `stated`, (3, 3) each: by the poses, where too few holds have
-    several pairs.
+    `stated`, (6, 6): by the poses, where too few holds have several pairs.
     """
     freedom = sum(len(rows) - 1 for rows in holds)
     if freedom < MIN_DOF:
-        return HoldNoise(*stated, 1.0, "stated", 0)
-    both = np.concatenate([positions, turns], axis=1)
-    inside = [both[rows] - both[rows].mean(axis=0) for rows in holds if len(rows) > 1]
+        return HoldNoise(stated[:3, :3], stated[3:, 3:], 1.0, "stated", 0)
+    inside = [off[rows] - off[rows].mean(axis=0) for rows in holds if len(rows) > 1]
     square = sum(one.T @ one for one in inside) / freedom
     return HoldNoise(square[:3, :3], square[3:, 3:], _correlation_factor(inside), "holds", freedom)
 

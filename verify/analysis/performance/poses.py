@@ -22,7 +22,7 @@ from verify.analysis.performance.indices import (
     spread_interval,
     square_root,
 )
-from verify.core.records import Array, rigid_transform
+from verify.core.records import Array, Index, rigid_transform
 
 MIN_VISITS = 5  # visits: fewer tell no scatter in three directions
 MIN_VISITS_PER_DIRECTION = 3  # visits from one direction
@@ -39,9 +39,15 @@ class PoseVisits:
     t: Array  # (n,), s
     attained: Array  # (n, 4, 4), measured, the mean of each visit's pairs, at the measured point
     read: Array  # (n, 4, 4), where the readings put it
-    counts: Array  # (n,), pairs of each visit
+    own: Array  # (n, 6), m and rad, attained less read: what both do alike is no doubt of AP
+    pairs: tuple[Index, ...]  # n, numbers of each visit's pairs
     came_from: tuple[int, ...]  # n, number of the pose before; -1 where not known
     systematic: Array  # (6, p), what does not average out, of the mean at the point: m and rad
+
+    @property
+    def counts(self) -> Array:
+        """Pairs of each visit, (n,)."""
+        return np.array([len(pairs) for pairs in self.pairs], dtype=float)
 
 
 @dataclass(frozen=True, slots=True)
@@ -108,8 +114,6 @@ def assess_pose(visits: PoseVisits, noise: HoldNoise, *, oriented: bool) -> Pose
     """
     commanded = mean_pose(visits.read)
     deviations = visits.attained[:, :3, 3] - commanded[:3, 3]
-    # the readings' mean stands for the command: what the arm and they do alike is no doubt of AP
-    own = visits.attained[:, :3, 3] - visits.read[:, :3, 3]
     still, still_turn = noise.of_means(visits.counts)
     angles = (
         orientation_deviations(visits.attained[:, :3, :3], commanded[:3, :3]) if oriented else None
@@ -119,9 +123,8 @@ def assess_pose(visits: PoseVisits, noise: HoldNoise, *, oriented: bool) -> Pose
     if angles is not None:
         doubt = np.linalg.norm(visits.systematic[3:], axis=1)
         floors = 3 * np.sqrt(np.diag(still_turn))
-        own_angles = angles - orientation_deviations(visits.read[:, :3, :3], commanded[:3, :3])
         angle_accuracy = tuple(
-            mean_interval(a, u) for a, u in zip(own_angles.T, doubt, strict=True)
+            mean_interval(a, u) for a, u in zip(visits.own[:, 3:].T, doubt, strict=True)
         )
         angle_repeatability = tuple(
             subtract_noise(spread_interval(a), f) for a, f in zip(angles.T, floors, strict=True)
@@ -130,7 +133,7 @@ def assess_pose(visits: PoseVisits, noise: HoldNoise, *, oriented: bool) -> Pose
         visits=visits,
         commanded=commanded,
         deviations=deviations,
-        accuracy=mean_deviation(own, visits.systematic[:3]),
+        accuracy=mean_deviation(visits.own[:, :3], visits.systematic[:3]),
         repeatability=subtract_noise(repeatability_interval(deviations), repeatability_of(still)),
         angles=angles,
         angle_accuracy=angle_accuracy,
@@ -178,9 +181,7 @@ def _variation(
     ways = [rows for rows in ways if len(rows) >= MIN_VISITS_PER_DIRECTION]
     if len(ways) < 2:
         return None
-    value, (one, other) = barycentre_spread(
-        np.array([deviations[rows].mean(axis=0) for rows in ways])
-    )
+    _, (one, other) = barycentre_spread(np.array([deviations[rows].mean(axis=0) for rows in ways]))
     inside = np.concatenate([deviations[rows] - deviations[rows].mean(axis=0) for rows in ways])
     freedom = len(inside) - len(ways)
     pooled = inside.T @ inside / freedom
@@ -194,7 +195,7 @@ def _variation(
     alone = np.linalg.norm(drawn[:, :, None] - drawn[:, None], axis=3).max(axis=(1, 2))
     interval = length_interval(apart, random, freedom, np.zeros((3, 3)))
     noise = float(np.quantile(alone, 1 - 2 * P_TAIL))
-    return AccuracyVariation(Interval(value, interval.low, interval.high), turn, len(ways), noise)
+    return AccuracyVariation(interval, turn, len(ways), noise)
 
 
 def _drift(deviations: Array) -> Drift | None:

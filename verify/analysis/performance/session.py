@@ -22,7 +22,7 @@ from verify.analysis.performance.holds import (
     static_noise,
     with_origins,
 )
-from verify.analysis.performance.indices import repeatability, repeatability_of
+from verify.analysis.performance.indices import repeatability_of
 from verify.analysis.performance.paths import PathIndices, PathRun, assess_path, crossings
 from verify.analysis.performance.poses import (
     MIN_VISITS,
@@ -46,17 +46,6 @@ NO_HOLDS, NO_REPEATS, OPEN_POSES = "no_holds", "no_repeats", "poses_not_determin
 
 
 @dataclass(frozen=True, slots=True)
-class OutlyingVisits:
-    """Visits of a pose that lie far off the others: the instrument's mistake, or the arm's."""
-
-    name: str
-    visits: Index  # from 0
-    pairs: Index  # their numbers
-    apart: Array  # m and rad (nan: no orientation was measured), of the farthest from the middle
-    repeatability: float  # RP, m, of the others
-
-
-@dataclass(frozen=True, slots=True)
 class Performance:
     """What repeated poses and paths of a session show."""
 
@@ -70,7 +59,6 @@ class Performance:
     seldom: int  # poses visited more than once, but fewer than five times
     empty: tuple[TimeInterval, ...]  # named, but the arm was not measured standing there
     left_out: Index  # numbers of the pairs that lie far off the others of their hold
-    outlying: tuple[OutlyingVisits, ...]  # they count: nothing beside them shows whose mistake
     duration: float  # s, from the first to the last pair; nan where visits were not timed
 
 
@@ -126,13 +114,13 @@ def performance(
     if not visits and not named_paths:
         return NO_HOLDS
     stated = measured.comparison.covariance_measured[measured.whole].mean(axis=0)
-    off = measured.off
-    noise = static_noise(
-        [v.rows for v in visits], off[:, :3], off[:, 3:], (stated[:3, :3], stated[3:, 3:])
-    )
-    by_number = [[v for v in visits if v.pose == i] for i in range(len(names))]
-    often = {names[i]: some for i, some in enumerate(by_number) if len(some) >= MIN_VISITS}
-    by_pose = [_visits_of_poses(measured, some, name) for name, some in often.items()]
+    noise = static_noise([v.rows for v in visits], measured.off, stated)
+    counts = [sum(v.pose == i for v in visits) for i in range(len(names))]
+    by_pose = [
+        _visits_of_poses(measured, [v for v in visits if v.pose == i], names[i])
+        for i, count in enumerate(counts)
+        if count >= MIN_VISITS
+    ]
     runs = _named_runs(measured, named_paths) or _runs_between(visits, names)
     paths = _paths(measured, runs, repeatability_of(noise.position))
     if not by_pose and not paths:
@@ -145,32 +133,11 @@ def performance(
         noise=noise,
         point=np.zeros(3) if point is None else point,
         oriented=measured.oriented,
-        seldom=sum(1 < len(some) < MIN_VISITS for some in by_number),
+        seldom=sum(1 < count < MIN_VISITS for count in counts),
         empty=tuple(empty),
         left_out=measured.frame[left_out],
-        outlying=_outlying(measured, often, by_pose),
         duration=float(comparison.t[-1] - comparison.t[0]) if timed else np.nan,
     )
-
-
-def _outlying(
-    measured: MeasuredPoints, often: dict[str, list[Visit]], by_pose: Sequence[PoseVisits]
-) -> tuple[OutlyingVisits, ...]:
-    """Visits whose mean, measured less read, lies far off that of the others of their pose."""
-    off = [np.array([measured.off[v.rows].mean(axis=0) for v in some]) for some in often.values()]
-    far = far_off(off, oriented=measured.oriented)
-    found = []
-    for one, visits, own, away in zip(by_pose, often.values(), off, far, strict=True):
-        if away.any():
-            apart = (own - np.median(own, axis=0))[away].reshape(-1, 2, 3)
-            size = np.linalg.norm(apart, axis=2).max(axis=0)
-            size[1] = size[1] if measured.oriented else np.nan
-            rows = np.concatenate([v.rows for v, f in zip(visits, away, strict=True) if f])
-            others = float(repeatability(one.attained[~away, :3, 3]))
-            found.append(
-                OutlyingVisits(one.name, np.flatnonzero(away), measured.frame[rows], size, others)
-            )
-    return tuple(found)
 
 
 def _visits(
@@ -180,13 +147,12 @@ def _visits(
     comparison, readings, offset = measured.comparison, measured.readings, measured.offset
     if named:
         holds, called, empty = named_holds(comparison, named)
-        names = tuple(dict.fromkeys(one.name for one in named))
-        poses = [names.index(name) for name in called]
     else:
         holds, empty = find_holds(comparison, readings, offset), []
-        poses = number_visits(comparison, holds)
-        names = tuple(f"P{i + 1}" for i in range(1 + max(poses, default=-1)))
-    visits = with_origins(comparison, readings, offset, measured.frame, holds, poses)
+        called = [f"P{i + 1}" for i in number_visits(comparison, holds)]
+    names = tuple(dict.fromkeys([*(one.name for one in named), *called]))
+    poses = [names.index(name) for name in called]
+    visits = with_origins(comparison, readings, offset, holds, poses)
     whole = measured.whole
     visits = [replace(v, rows=v.rows[whole[v.rows]]) for v in visits if whole[v.rows].any()]
     return visits, names, empty
@@ -223,7 +189,8 @@ def _visits_of_poses(measured: MeasuredPoints, visits: Sequence[Visit], name: st
         t=np.array([measured.comparison.t[v.rows].mean() for v in visits]),
         attained=np.array([mean_pose(measured.attained[v.rows]) for v in visits]),
         read=np.array([mean_pose(measured.read[v.rows]) for v in visits]),
-        counts=np.array([len(v.rows) for v in visits], dtype=float),
+        own=np.array([measured.off[v.rows].mean(axis=0) for v in visits]),
+        pairs=tuple(measured.frame[v.rows] for v in visits),
         came_from=tuple(v.came_from for v in visits),
         systematic=measured.systematic[rows].mean(axis=0),
     )

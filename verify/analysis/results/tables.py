@@ -7,7 +7,6 @@ import pandas as pd
 from scipy.spatial.transform import Rotation
 
 import robots
-from verify.analysis.instrument import instrument_setup
 from verify.analysis.model import vector_length
 from verify.analysis.relative_motion import RelativeMotion
 from verify.analysis.results.entries import finite_number
@@ -15,6 +14,7 @@ from verify.analysis.results.summary import SessionAnalysis
 from verify.core.fiducials import Marker
 from verify.core.records import POSE_NAMES, Array, Measurement
 from verify.core.rig import Camera, Rig
+from verify.io.session.poses import Instrument
 from verify.io.session.session import Session
 
 PLACE, TURN = slice(0, 3), slice(3, 6)  # of a twist
@@ -131,7 +131,7 @@ def relative_table(found: RelativeMotion | None, frame: Array) -> pd.DataFrame:
 def describe(session: Session) -> dict[str, Any]:
     """Everything that a reader needs to know of the set-up, JSON-able."""
     if session.instrument is not None:
-        return instrument_setup(session, session.instrument) | {"robot": _robot(session.arm)}
+        return _instrument(session, session.instrument) | {"robot": _robot(session.arm)}
     return {
         "rig": _rig(session.rig, session.frames.pan_left, session.frames.pan_right),
         "marker": _marker(session.marker),
@@ -141,16 +141,41 @@ def describe(session: Session) -> dict[str, Any]:
 
 def _rig(rig: Rig, pan_left: Array, pan_right: Array) -> dict[str, Any]:
     baseline = np.linalg.norm(rig.right.pan_center - rig.left.pan_center)
-    turn = Rotation.from_matrix(rig.rig_T_base[:3, :3]).as_rotvec(degrees=True)
     return {
         "image_size_px": list(rig.image_size),
         "left": _camera(rig.left, pan_left),
         "right": _camera(rig.right, pan_right),
         "baseline_mm": float(baseline) * 1e3,
+        **_base(rig),
+    }
+
+
+def _base(rig: Rig) -> dict[str, Any]:
+    return {
         "base_source": rig.base_source,
         "base_position_mm": (rig.rig_T_base[:3, 3] * 1e3).tolist(),
-        "base_rotation_vector_deg": turn.tolist(),
+        "base_rotation_vector_deg": _rotation_vector(rig.rig_T_base),
         "registration": rig.registration,
+    }
+
+
+def _rotation_vector(pose: Array) -> list[float]:
+    """Degrees."""
+    return [float(v) for v in Rotation.from_matrix(pose[:3, :3]).as_rotvec(degrees=True)]
+
+
+def _instrument(session: Session, instrument: Instrument) -> dict[str, Any]:
+    """Of an instrument's session what there is without cameras."""
+    body, alone = instrument.flange_T_body, instrument.positions_alone
+    poses = {"poses": len(instrument.poses), "positions_alone": alone}
+    return {
+        "instrument": {"name": instrument.name, **poses},
+        "rig": {"instrument": instrument.name, **_base(session.rig)},
+        "marker": {
+            "source": session.marker.source,
+            "point_mm": (body[:3, 3] * 1e3).tolist(),
+            "body_rotation_vector_deg": None if alone else _rotation_vector(body),
+        },
     }
 
 

@@ -192,20 +192,20 @@ def _length(option: str, text: str) -> float:
 
 def _uncertainties(words: list[str]) -> dict[str, float]:
     """Replace typical standard uncertainties by NAME=VALUE; 0: taken as exact."""
-    values = dict(proposal.TYPICAL_UNCERTAINTIES)
-    names = [word.partition("=")[0] for word in words]
-    for name, word in zip(names, words, strict=True):
-        value = _number(word.partition("=")[2])
-        if names.count(name) > 1:
-            raise InputError("--assume", f"{name} is given twice", "one value", "Leave one out.")
-        if name not in values or not (math.isfinite(value) and value >= 0):
+    typical, values = proposal.TYPICAL_UNCERTAINTIES, dict[str, float]()
+    for word in words:
+        name, _, number = word.partition("=")
+        value = _number(number)
+        if name not in typical or not (math.isfinite(value) and value >= 0):
             raise InputError(
                 "--assume", f'"{word}"',
-                f"NAME=VALUE is expected, a value at or above 0, a name of {', '.join(values)}",
+                f"NAME=VALUE is expected, a value at or above 0, a name of {', '.join(typical)}",
                 "Example: --assume base_position_mm=0.2",
             )  # fmt: skip
+        if name in values:
+            raise InputError("--assume", f"{name} is given twice", "one value", "Leave one out.")
         values[name] = value
-    return values
+    return typical | values
 
 
 def _number(text: str) -> float:
