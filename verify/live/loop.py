@@ -28,13 +28,7 @@ from verify.live.joint_row import JointRow
 from verify.live.pan_follow import PanFollower
 from verify.live.protocols import Alarm, ExpectedPoses, Listener, LiveDevices, MonitoredRobot
 from verify.live.recording.recorder import SessionRecorder
-from verify.live.state import (
-    SILENCE_TIMEOUT,
-    DeviceStatus,
-    LiveState,
-    device_status,
-    with_troubles,
-)
+from verify.live.state import SILENCE_TIMEOUT, DeviceStatus, LiveState, device_status, with_troubles
 
 DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
 JOIN_TIMEOUT = 3.0  # s
@@ -117,8 +111,6 @@ class LiveLoop:
             look: called ten times a second, from this thread.
         """
         begin = time.monotonic()
-        self._target.begin(begin)
-        self._lost.begin(begin)
         halt = threading.Event()
         works = [
             threading.Thread(target=self._measure, name="measurement", daemon=True),
@@ -280,8 +272,8 @@ class LiveLoop:
     def _judge(self, row: JointRow) -> list[Alarm]:
         now = time.time()
         with self._watching:
-            alarms = self._target.take(row, time.monotonic(), now)
-        return alarms + self._joints.take(row, now)
+            alarms, misfit = self._target.take(row, time.monotonic(), now), self._target.misfit
+        return alarms if misfit else alarms + self._joints.take(row, now)
 
     def _publish(self, row: JointRow, alarms: list[Alarm]) -> None:
         statistic = self._joints.statistic

@@ -6,7 +6,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -18,6 +18,7 @@ from rich.console import Console
 
 from tests.support.rounding import ROUNDING_RAD
 from tests.support.spot_level import READ_EVERY, SpotRun, facing_rig, picture, without_pictures
+from verify.core.fiducials import Marker
 from verify.core.readings import Readings
 from verify.core.records import Array, Measurement, StereoPair
 from verify.devices.protocols import CameraFrame, CameraState, DeviceState, EncoderReading
@@ -165,15 +166,19 @@ class Listener:
         pass
 
 
-def watched(seconds: float, stage: Stage) -> tuple[LiveLoop, Memory, Listener]:
+def watched(
+    seconds: float, stage: Stage, *, marker: Marker | None = None, tolerance: Array | None = None
+) -> tuple[LiveLoop, Memory, Listener]:
+    """Watch; `marker`: what the watch believes, where that is not so."""
     run = stage.run
+    believed = run.marker if marker is None else marker
     devices = LiveDevices(PlayedCamera(stage, 0), PlayedCamera(stage, 1), PlayedEncoders(stage))
     recorder, listener = Memory(), Listener()
-    subject = MonitoredRobot(run.arm, run.rig, run.marker, None)
-    limits = AlarmLimits(0.1, RATE, None)
+    subject = MonitoredRobot(run.arm, run.rig, believed, None)
+    limits = AlarmLimits(0.1, RATE, tolerance)
 
     def here(pairs: Iterator[StereoPair], expected: ExpectedPoses) -> Iterator[Measurement]:
-        return measure(pairs, Setup(run.rig, run.marker, expected), causal=True)
+        return measure(pairs, Setup(run.rig, believed, expected), causal=True)
 
     computation = LoopComputation(estimate_offset, here)
     live = LiveLoop(
@@ -260,6 +265,20 @@ def test_covered_leds_are_a_lost_target_and_never_no_error() -> None:
     dark = [r for r in listener.rows if r.status == "too_few_leds"]
     assert dark
     assert all(np.isnan(r.error).all() for r in dark)
+
+
+@pytest.mark.realtime
+def test_leds_placed_by_hand_are_said_at_once_and_no_joint_is_accused() -> None:
+    played = stage()
+    placed = played.run.marker.leds + np.random.default_rng(2).normal(0, 6e-4, (4, 3))  # m
+    marker = replace(played.run.marker, leds=placed)
+    _, _, heard = watched(6.0, played, marker=marker, tolerance=np.full(6, np.deg2rad(0.1)))
+    first = next(a for a in heard.alarms if "marker.toml" in a.text)
+    causal = [r for r in heard.rows if not r.settled]
+    assert 10 <= sum(r.t <= first.t for r in causal) <= 30
+    # a few fit by chance, with errors that are wrong
+    assert any(r.status == "measured" for r in causal)
+    assert {a.kind for a in heard.alarms} == {"target"}
 
 
 @pytest.mark.realtime

@@ -1,4 +1,4 @@
-"""Alarms when no pair is measured for a while, or a device gives nothing."""
+"""Alarms when no pair is measured for a while, most fit no pose, or a device gives nothing."""
 
 import itertools
 import math
@@ -11,34 +11,49 @@ from verify.live.joint_row import JointRow
 from verify.live.protocols import Alarm
 
 LOSS_TIMEOUT = 1.0  # s without a measured pair
+MAX_FITS, MIN_FITS = 30, 10  # pairs with spots: the latest ones, and how few show that most misfit
+BEGIN_SHARE, END_SHARE = 1 / 2, 2 / 3  # of them that fit a pose: fewer, and so many again
 
 
 class TargetWatch:
-    """Raises an alarm when no pair was measured for `lost_after` s, and says why."""
+    """Raises an alarm when no pair was measured for `lost_after` s, or most misfit; says why.
+
+    `misfit`: most pairs fit no pose. Then those that fit one do by chance: their errors are wrong.
+    """
 
     def __init__(self, lost_after: float, numbers: "itertools.count[int]") -> None:
         self._after, self._numbers, self._measured_at = lost_after, numbers, math.inf
         self._why: Counter[str] = Counter()
         self._standing: Alarm | None = None
-
-    def begin(self, t: float) -> None:
-        """Begin to watch at t, s, host's monotonic clock."""
-        self._measured_at = t
+        self._fits: deque[bool] = deque(maxlen=MAX_FITS)
+        self.misfit = False
 
     def take(self, row: JointRow, t: float, now: float) -> list[Alarm]:
         """Watch one row; t is the host's monotonic clock, now s since the epoch."""
-        if row.status != "measured":
+        measured = row.status == "measured"
+        if measured or row.status in MISFITS:
+            self._fits.append(measured)
+        fits, count, before = sum(self._fits), len(self._fits), self.misfit
+        least = (END_SHARE if before else BEGIN_SHARE) * count
+        self.misfit = count >= MIN_FITS and fits < least
+        if self.misfit and not before:
+            alarm = self._standing or Alarm(next(self._numbers), "target", now, t, "")
+            text = f"{count - fits} of the last {count} pairs fit no pose: {MISFIT_TEXT}"
+            self._standing = replace(alarm, text=text, revised=self._standing is not None)
+            return [self._standing]
+        if not measured:
             self._why[row.status] += 1
             return self.look(t, now)
         self._measured_at = t
         self._why.clear()
-        if self._standing is None:
+        if self._standing is None or self.misfit:
             return []
         ended, self._standing = replace(self._standing, ended=now), None
         return [ended]
 
     def look(self, t: float, now: float) -> list[Alarm]:
         """Look without a row: where no pairs come there is no target either."""
+        self._measured_at = min(self._measured_at, t)  # it begins with the first look
         if self._standing is not None or t - self._measured_at <= self._after:
             return []
         why = STATUS_TEXTS.get(self._why.most_common(1)[0][0], "") if self._why else NO_PAIRS
@@ -48,6 +63,12 @@ class TargetWatch:
         return [self._standing]
 
 
+MISFITS = {"outlier", "ambiguous_leds"}
+MISFIT_TEXT = (
+    "joint errors are not judged. Probably LEDs are not where marker.toml has them; else a camera "
+    "or an LED was moved, or there are lamps. End the watch: its report looks for the cause, and "
+    "finds LEDs that are some millimetres off. Then measure their places again."
+)
 NO_PAIRS = "no pairs of pictures arrive"
 STATUS_TEXTS = {
     "too_few_leds": "too few LEDs are visible",
@@ -76,10 +97,6 @@ class DeviceWatch:
         self._standing: dict[str, Alarm] = {}
         self._arrivals: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=N_ARRIVALS))
 
-    def begin(self, t: float) -> None:
-        """Begin to watch at t, s, host's monotonic clock."""
-        self._start = t
-
     def take(
         self, device: str, age: float | None, sentence: str, t: float, now: float
     ) -> list[Alarm]:
@@ -87,13 +104,13 @@ class DeviceWatch:
 
         `t` is the host's monotonic clock, s; `now` s since the epoch.
         """
+        self._start = min(self._start, t)  # it begins with the first look
         silent = t - self._start if age is None else age
         arrivals, standing = self._arrivals[device], self._standing.get(device)
         if age is not None and (not arrivals or t - age > arrivals[-1] + TOL_ARRIVAL):
             arrivals.append(t - age)
         if silent > self.timeout(device) and standing is None:
-            text = f"Nothing has come from the {device} for {silent:.1f} s: {sentence}"
-            text += "" if text.endswith(".") else "."
+            text = f"Nothing has come from the {device} for {silent:.1f} s: {sentence.rstrip('.')}."
             alarm = Alarm(next(self._numbers), "device", now, t, text, device=device)
             self._standing[device] = alarm
             return [alarm]

@@ -19,7 +19,7 @@ from verify.live.protocols import LiveDevices
 from verify.live.recording.recorder import SessionRecorder
 from verify.live.registration.goals import MIN_LEDS, MotionCoverage, leds_seen
 from verify.live.registration.show import RecordingState, SpotDetection
-from verify.live.state import SILENCE_TIMEOUT, device_status, with_troubles
+from verify.live.state import SILENCE_TIMEOUT, DeviceStatus, device_status, with_troubles
 from verify.measurement import chain
 
 DEVICE_CHECK_PERIOD = 0.1  # s from one look at the devices to the next
@@ -82,7 +82,6 @@ class RecordingLoop:
             look: called several times a second, from this thread.
         """
         begin = time.monotonic()
-        self._lost.begin(begin)
         work = threading.Thread(target=self._record, name="recording", daemon=True)
         self._intake.start()
         work.start()
@@ -101,7 +100,8 @@ class RecordingLoop:
             self._intake.end_readings()
             self._recorder.close()
             self._intake.close()
-        self._report(finished=True)
+        # closed devices say nothing of the run
+        self._report(self._state.snapshot().devices, finished=True)
         look()
         return tuple(f"The {name} has failed: {why}" for name, why in self._intake.troubles.items())
 
@@ -157,26 +157,22 @@ class RecordingLoop:
 
     def _check_devices(self) -> None:
         t, now = time.monotonic(), time.time()
+        lines = []
         for name, device in self._intake.named.items():
             state = device.state()
             for alarm in self._lost.take(name, state.age, state.sentence, t, now):
                 self._warn(alarm.text if alarm.ended is None else f"The {name} is back.")
-        self._report()
+            lines.append(device_status(name, state, self._lost.timeout(name)))
+        self._report(tuple(lines))
 
-    def _report(self, *, finished: bool = False) -> None:
+    def _report(self, devices: tuple[DeviceStatus, ...], *, finished: bool = False) -> None:
         with self._lock:
             goals = self._coverage.goals()
-        known = self._state.snapshot().devices
-        if not finished:  # closed devices say nothing of the run
-            known = tuple(
-                device_status(n, d.state(), self._lost.timeout(n))
-                for n, d in self._intake.named.items()
-            )
         recorder, dropped = self._recorder.state(), self._intake.dropped()
         if overrun := dropped.pop(OVERRUN, 0):
             dropped[DISK_BEHIND] = overrun
         self._state.change(
-            goals=goals, devices=with_troubles(known, self._intake.troubles),
+            goals=goals, devices=with_troubles(devices, self._intake.troubles),
             pairs=recorder.pairs, readings=recorder.readings, dropped=dropped,
             recording=recorder.sentence, finished=finished,
         )  # fmt: skip

@@ -138,7 +138,7 @@ def test_an_error_at_its_tolerance_is_not_beyond_it() -> None:
 
 def test_a_target_that_is_not_measured_is_an_alarm_with_its_reason() -> None:
     watch = TargetWatch(1.0, itertools.count(1))
-    watch.begin(0.0)
+    assert watch.look(0.0, 0.0) == []
     lost = replace(row(0.0, np.zeros(6), np.zeros(6), None), status="too_few_leds")
     found = [a for k in range(40) for a in watch.take(lost, k / 30, 0.0)]
     assert len(found) == 1
@@ -147,9 +147,41 @@ def test_a_target_that_is_not_measured_is_an_alarm_with_its_reason() -> None:
     assert [a.ended for a in back] == [5.0]
 
 
+def test_most_pairs_that_fit_no_pose_are_one_alarm_with_the_likely_cause() -> None:
+    watch, t = TargetWatch(1.0, itertools.count(1)), itertools.count(1)
+    assert watch.look(0.0, 0.0) == []
+    one = row(0.0, np.zeros(6), np.zeros(6), None)
+
+    def take(statuses: list[str]) -> list[Alarm]:
+        rows = [replace(one, status=status) for status in statuses]
+        return [a for r in rows for a in watch.take(r, next(t) / 30, 5.0)]
+
+    assert take(["measured", "outlier"] * 15) == []
+    assert not watch.misfit
+    by_chance = ["measured", *["outlier"] * 14, "ambiguous_leds"]  # LEDs placed by hand
+    raised = take(by_chance * 4)
+    assert [(a.kind, a.number, a.ended) for a in raised] == [("target", 1, None)]
+    assert watch.misfit
+    assert "of the last 30 pairs fit no pose" in raised[0].text
+    assert "LEDs are not where marker.toml has them" in raised[0].text
+    assert [(a.number, a.ended) for a in take(["measured"] * 30)] == [(1, 5.0)]
+    assert not watch.misfit
+
+
+def test_a_lost_target_is_revised_once_its_pairs_show_the_likely_cause() -> None:
+    watch = TargetWatch(1.0, itertools.count(1))
+    assert watch.look(0.0, 0.0) == []
+    lost = replace(row(0.0, np.zeros(6), np.zeros(6), None), status="outlier")
+    raised = [a for k in range(30) for a in watch.take(lost, k / 5, 0.0)]
+    assert [(a.number, a.revised, "marker.toml" in a.text) for a in raised] == [
+        (1, False, False),
+        (1, True, True),
+    ]
+
+
 def test_where_no_pairs_come_the_target_is_lost_too() -> None:
     watch = TargetWatch(1.0, itertools.count(1))
-    watch.begin(100.0)
+    assert watch.look(100.0, 0.0) == []
     assert watch.look(100.9, 0.0) == []
     assert [a.kind for a in watch.look(101.1, 0.0)] == ["target"]
     assert watch.look(105.0, 0.0) == []
@@ -157,7 +189,6 @@ def test_where_no_pairs_come_the_target_is_lost_too() -> None:
 
 def test_a_silent_device_is_named_with_its_message() -> None:
     watch = DeviceWatch(1.0, itertools.count(1))
-    watch.begin(0.0)
     assert watch.take("left camera", 0.2, "reading", 5.0, 0.0) == []
     output = watch.take("left camera", 1.2, "unplugged", 6.0, 0.0)
     assert [(a.device, "unplugged" in a.text) for a in output] == [("left camera", True)]
@@ -168,7 +199,6 @@ def test_a_silent_device_is_named_with_its_message() -> None:
 @pytest.mark.parametrize("rate", [0.5, 0.8, 5.0, 100.0])
 def test_a_device_is_silent_by_its_own_period(rate: float) -> None:
     watch, silence, raised = DeviceWatch(1.0, itertools.count(1)), 60.0, []
-    watch.begin(0.0)
     for t in np.arange(0.1, silence + 10.0, 0.1).tolist():
         came = np.floor(min(t, silence) * rate) / rate
         raised += [(t, a.ended) for a in watch.take("encoders", t - came, "", t, t)]

@@ -153,6 +153,8 @@ export class Strips {
     const end = this.rows.at(-1)?.t_s;
     const recent = this.rows.filter((row) => row.t_s > end - STATE_SPAN && row.u_deg);
     if (!recent.length) return ["waits", "no pair measured"];
+    const misfits = recent.filter((row) => ["outlier", "ambiguous_leds"].includes(row.status)).length;
+    if (2 * misfits > recent.length) return ["ill", "not judged: most pairs fit no pose"];
     if (!this.tolerance?.some((t) => t !== null)) return ["waits", "no tolerance: errors are shown, not judged"];
     const states = this.tolerance.map((tolerance, j) => {
       const known = recent.filter((row) => row.error_deg[j] !== null && row.u_deg[j] !== null);
