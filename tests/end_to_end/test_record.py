@@ -203,6 +203,16 @@ def test_devices_that_fail_and_a_full_disk_are_told_in_one_line(tmp_path: Path) 
         assert len(open_recording(disk / "c", rig=_rig(tmp_path))) >= 1
 
 
+@pytest.mark.realtime
+@pytest.mark.slow
+def test_sessions_of_a_clock_that_began_anew_are_all_named_beside_the_counts(
+    tmp_path: Path,
+) -> None:
+    path = station(tmp_path, "reset.toml", events=event("encoder_reset", at_s=5.0))
+    said = verify("record", path, "-o", tmp_path / "a", "--for", "6s").out
+    assert f"readings in {tmp_path / 'a'}, {tmp_path / 'a-2'}" in said
+
+
 def _rig(folder: Path) -> Path:
     """A rig for the small pictures: only their count matters here."""
     truth = simulate_session(library.load(str(folder / "small.toml")))

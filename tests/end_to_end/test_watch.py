@@ -226,7 +226,17 @@ WIDE = (
 
 
 @pytest.mark.realtime
-def test_an_unmeasurable_part_does_not_affect_the_others(tmp_path: Path) -> None:
+def test_a_watch_without_any_reading_says_so_and_why(tmp_path: Path) -> None:
+    path = station(tmp_path, event("encoder_silent", 0.0))
+    refusal = verify("run", path, "--for", "1s", "-o", tmp_path / "out").refusal
+    assert "pairs and no reading (encoders: simulated encoders: silent)" in refusal
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.realtime
+def test_an_unmeasurable_part_does_not_affect_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     good = SAMPLES / "multi_joint_rv_3sd"
     broken = tmp_path / "broken"
     shutil.copytree(good, broken)
@@ -237,4 +247,7 @@ def test_an_unmeasurable_part_does_not_affect_the_others(tmp_path: Path) -> None
     assert (tmp_path / "out-2" / "report.pdf").exists()
     assert not (tmp_path / "out").exists()
     with pytest.raises(InputError, match=r"encoders\.csv"):
-        measure_and_report_all([broken], tmp_path / "again", asked, force=False)
+        measure_and_report_all(
+            [broken], tmp_path / "again", asked, force=False, warnings=("9 pairs are missing.",)
+        )
+    assert "9 pairs are missing." in capsys.readouterr().err

@@ -77,6 +77,7 @@ def measure_and_report_all(
         except InputError as refusal:
             refusals.append(refusal)
     if not verdicts:
+        terminal.warn(*warnings)  # no report says them
         raise refusals[0]
     terminal.warn(*map(str, refusals))
     return verdicts

@@ -7,12 +7,11 @@ from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
+from verify.cli import watch
 from verify.cli.options import PageOptions
 from verify.cli.terminal import terminal
-from verify.cli.watch import open_devices, require_recordable, show_state, stop_on_signal
 from verify.errors import InputError, WatchDefectError
 from verify.io.files import refused_as_input_error
-from verify.live.outputs.terminal import TerminalDisplay
 from verify.live.recording.recorder import RecorderState
 from verify.live.registration import show
 from verify.live.registration.loop import RecordingLoop, warm_up
@@ -40,9 +39,9 @@ def record_session(
     station = open_recording_station(path, partial(SimulatedStation, apart=True))
     if out is not None:
         station = replace(station, recording=_settings(out))
-        require_recordable(out, out)
+        watch.require_recordable(out, out)
     else:
-        require_recordable(station.recording.folder, f"{path}, recording.folder")
+        watch.require_recordable(station.recording.folder, f"{path}, recording.folder")
     terminal.warn(*station.warnings)
     state = show.RecordingState(show.RecordingSnapshot())
     with ExitStack() as stack:
@@ -53,12 +52,15 @@ def record_session(
             )
             stack.callback(shown.close)
         warm_up(station.arm)  # before the first pair comes
-        devices = open_devices(station)
+        devices = watch.open_devices(station)
         recorder = station.open_recorder(MAX_LAG, MAX_LAG)
         stack.callback(recorder.close)
         loop = RecordingLoop(station.arm, station.rig, devices, recorder, state, terminal.warn)
-        look = stack.enter_context(show_state(partial(_draw, state), shown, _printer(state)))
-        defects = loop.run(stack.enter_context(stop_on_signal()), duration, look)
+        drawn = watch.show_state(
+            lambda: show.render_recording(state.snapshot()), shown, _printer(state)
+        )
+        look = stack.enter_context(drawn)
+        defects = loop.run(stack.enter_context(watch.stop_on_signal()), duration, look)
     _conclude(station, recorder.state(), state.snapshot(), defects)
 
 
@@ -70,11 +72,6 @@ def _settings(out: Path) -> RecordingSettings:
         remedy = "Give another name with -o, or remove it."
         raise InputError(out, "exists", "a session is recorded into a new folder", remedy)
     return RecordingSettings(out.parent, out.name.replace("%", "%%"))  # no marks of strftime
-
-
-def _draw(state: show.RecordingState, table: TerminalDisplay) -> None:
-    now = state.snapshot()
-    table.draw(lambda: show.render_recording(now), at_once=now.finished)
 
 
 def _printer(state: show.RecordingState) -> Callable[[], None]:
@@ -111,7 +108,6 @@ def _conclude(
     defects: tuple[str, ...],
 ) -> None:
     """Say what was recorded; raise what went wrong."""
-    silent = [line for line in now.devices if not line.well]
     if defects:
         raise WatchDefectError(f"{' '.join(defects)} {recorded.sentence}.")
     if recorded.trouble:
@@ -121,26 +117,14 @@ def _conclude(
             "a disk that takes files, has room and keeps up",
             "Record to another one, or at a lower rate.",
         )
-    why = "; ".join(f"{line.name}: {line.sentence}" for line in silent)
-    if not recorded.folders:
-        raise InputError(
-            station.path, f"no pair of pictures was recorded{f' ({why})' if why else ''}",
-            "two cameras that deliver", "Try `verify doctor` on this file.",
-        )  # fmt: skip
-    folder = recorded.folders[0]
-    if not recorded.readings:
-        raise InputError(
-            folder, f"{recorded.pairs} pairs and no reading{f' ({why})' if why else ''}",
-            "the robot's readings are needed with the pictures",
-            "Try `verify doctor` on the station file, then record again.",
-        )  # fmt: skip
-    terminal.warn(*(f"{line.name}: {line.sentence}" for line in silent))
+    watch.require_recorded(station, recorded, now.devices)
+    terminal.warn(*(f"{line.name}: {line.sentence}" for line in now.devices if not line.well))
+    names = ", ".join(map(str, recorded.folders))
     if len(recorded.folders) > 1:
-        names = ", ".join(map(str, recorded.folders))
         terminal.warn(f"The controller's clock began anew: {names} are sessions of their own.")
     rig = "" if "rig.toml" in station.facts.files else " --rig rig.toml"
-    terminal.say(f"{recorded.pairs} pairs and {recorded.readings} readings in {folder}")
-    terminal.say(f"Next: verify calibrate register {folder}{rig} -o registered.toml")
+    terminal.say(f"{recorded.pairs} pairs and {recorded.readings} readings in {names}")
+    terminal.say(f"Next: verify calibrate register {recorded.folders[0]}{rig} -o registered.toml")
     terminal.record(
         "result",
         out=[str(path) for path in recorded.folders],

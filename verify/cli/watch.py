@@ -5,7 +5,7 @@ import os
 import signal
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import pandas as pd
-from rich.console import Console
+from rich.console import Console, RenderableType
 
 from verify.analysis.clock.estimate import ClockEstimate
 from verify.cli.options import PageOptions
@@ -34,7 +34,8 @@ from verify.live.outputs.metrics import MetricsServer
 from verify.live.outputs.terminal import TerminalDisplay, render_snapshot
 from verify.live.page.run import RunFacts, RunPageSource
 from verify.live.protocols import Alarm, Listener, LiveDevices
-from verify.live.state import LiveState
+from verify.live.recording.recorder import RecorderState
+from verify.live.state import DeviceStatus, LiveState
 from verify.live.station.station import PanDrive, RecordingStation, Station
 
 if TYPE_CHECKING:  # imported when it is served
@@ -77,9 +78,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         joints = station.tolerance.joints
     limits = AlarmLimits(station.alarm.false_alarms_per_hour, station.rate, joints)
     state = LiveState()
-    facts = RunFacts(
-        station.robot, station.name, joints, limits.false_alarms_per_hour, options.duration
-    )
+    facts = RunFacts(station.robot, station.name, limits, options.duration)
     with ExitStack() as stack:
         stack.callback(sys.setswitchinterval, sys.getswitchinterval())
         sys.setswitchinterval(SWITCH_INTERVAL)
@@ -95,7 +94,11 @@ def watch(station: Station, options: RunOptions) -> RunResult:
             answer_requests, estimate_offset, name="clock", background=True
         )
         stack.callback(clock.stop)
-        chain = _start_measuring(station)
+        try:
+            chain = MeasuringProcess(station.rig, station.watched.marker, terminal.warn)
+        except ChildLostError as error:
+            why = f"The measuring process does not start: {error}. Nothing was watched or recorded."
+            raise WatchDefectError(why) from error
         stack.callback(chain.close)
         recorder = station.open_recorder()
         stack.callback(recorder.close)
@@ -118,7 +121,7 @@ def watch(station: Station, options: RunOptions) -> RunResult:
         stack.enter_context(_frozen_garbage_collector())
         degrees = None if joints is None else np.rad2deg(joints).tolist()
         look = stack.enter_context(
-            show_state(lambda t: t.draw(lambda: render_snapshot(state.snapshot(), degrees)), page)
+            show_state(lambda: render_snapshot(state.snapshot(), degrees), page)
         )
         live.run(stack.enter_context(stop_on_signal()), lambda _: look())
     _print_summary(state)
@@ -126,17 +129,33 @@ def watch(station: Station, options: RunOptions) -> RunResult:
     terminal.say(recorded.sentence)
     if not recorded.folders and live.defects:
         raise WatchDefectError(" ".join(live.defects))
-    if not recorded.folders:
-        raise InputError(
-            station.path, f"no pair of pictures was recorded ({recorded.sentence})",
-            "two working cameras and free disk space are needed",
-            "Try `verify doctor` on this file.",
-        )  # fmt: skip
     now = state.snapshot()
+    require_recorded(station, recorded, now.devices)
     missing = now.pairs - recorded.pairs - recorded.dropped  # the disk was full or too slow
     told = f"{missing} of {now.pairs} watched pairs were not recorded and are not in the report."
     warnings = (told,) if missing > 0 else ()
     return RunResult(recorded.folders, now.alarms[::-1], live.defects, warnings)
+
+
+def require_recorded(
+    station: RecordingStation, recorded: RecorderState, devices: Iterable[DeviceStatus]
+) -> None:
+    """Refuse a recording without a pair or reading; the InputError says which device is silent."""
+    why = "; ".join(f"{line.name}: {line.sentence}" for line in devices if not line.well)
+    why = recorded.trouble or why
+    told = f" ({why})" if why else ""
+    if not recorded.folders:
+        raise InputError(
+            station.path, f"no pair of pictures was recorded{told}",
+            "two working cameras and free disk space are needed",
+            "Try `verify doctor` on this file.",
+        )  # fmt: skip
+    if not recorded.readings:
+        raise InputError(
+            recorded.folders[0], f"{recorded.pairs} pairs and no reading{told}",
+            "the robot's readings are needed with the pictures",
+            "Try `verify doctor` on the station file, then record again.",
+        )  # fmt: skip
 
 
 def alarms_table(alarms: tuple[Alarm, ...]) -> pd.DataFrame:
@@ -144,24 +163,12 @@ def alarms_table(alarms: tuple[Alarm, ...]) -> pd.DataFrame:
     rows = [alarm.fields() for alarm in alarms]
     for row in rows:
         row["not_told_apart_from"] = "+".join(map(str, row["not_told_apart_from"]))
-        for key in ("began_s", "ended_s"):
-            row[key.replace("_s", "_utc")] = _utc(row.pop(key))
+        for key in ("began", "ended"):
+            t = row.pop(f"{key}_s")
+            time = None if t is None else datetime.fromtimestamp(t, UTC)
+            row[f"{key}_utc"] = time and time.isoformat(timespec="milliseconds")
         del row["revised"]
     return pd.DataFrame(rows, columns=list(ALARM_COLUMNS)).astype({"joint": "Int64"})
-
-
-def _utc(epoch: float | None) -> str | None:
-    if epoch is None:
-        return None
-    return datetime.fromtimestamp(epoch, UTC).isoformat(timespec="milliseconds")
-
-
-def _start_measuring(station: Station) -> MeasuringProcess:
-    try:
-        return MeasuringProcess(station.rig, station.watched.marker, terminal.warn)
-    except ChildLostError as error:
-        text = f"The measuring process does not start: {error}. Nothing was watched or recorded."
-        raise WatchDefectError(text) from error
 
 
 def require_recordable(folder: Path, place: Path | str) -> None:
@@ -219,21 +226,21 @@ def _frozen_garbage_collector() -> Iterator[None]:
 
 @contextmanager
 def show_state(
-    draw: Callable[[TerminalDisplay], None],
+    render: Callable[[], RenderableType],
     page: "Page | None" = None,
     otherwise: Callable[[], None] = lambda: None,
 ) -> Iterator[Callable[[], None]]:
-    """Draw where there is a terminal to draw on, do `otherwise` elsewhere; with each call once.
+    """Show `render` where there is a terminal, do `otherwise` elsewhere; with each call once.
 
     Warns once of a page that is gone.
     """
     warned = False
-    with TerminalDisplay(Console()) if terminal.draws else nullcontext() as table:
+    with TerminalDisplay(Console(), render) if terminal.draws else nullcontext() as table:
 
         def look() -> None:
             nonlocal warned
             if table is not None:
-                draw(table)
+                table.draw()
             else:
                 otherwise()
             if page is not None and page.trouble and not warned:

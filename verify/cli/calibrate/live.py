@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from contextlib import ExitStack
-from functools import partial
 from pathlib import Path
 
 from verify.cli.options import PageOptions
@@ -14,7 +13,6 @@ from verify.io import fiducials
 from verify.live.boards.pictures import BoardPictures
 from verify.live.boards.show import BoardPageSource, BoardSnapshot, BoardState, render_snapshot
 from verify.live.boards.take import BoardCapture, BoardDevices
-from verify.live.outputs.terminal import TerminalDisplay
 from verify.live.station.cameras import open_station_cameras
 from verify.simulation.boards.cameras import BoardCameras
 
@@ -63,7 +61,10 @@ def take_pictures(
             source = BoardPageSource(state, board, opened.name)
             requests = {"take": taking.ask, "finish": taking.finish}
             stack.callback(page.serve(source, commands=requests).close)
-        look = stack.enter_context(show_state(partial(_draw, state), None, _printer(state)))
+        drawn = show_state(
+            lambda: render_snapshot(state.snapshot(), KEYS_HELP), otherwise=_printer(state)
+        )
+        look = stack.enter_context(drawn)
         stop = stack.enter_context(stop_on_signal())
         _read_commands(taking)
 
@@ -78,11 +79,6 @@ def take_pictures(
         raise InputError(folder, "no pair was taken", "the board in both pictures, still", remedy)
     terminal.say(f"{len(pictures)} pairs in {folder}")
     terminal.record("pictures", folder=str(folder), pairs=len(pictures))
-
-
-def _draw(state: BoardState, table: TerminalDisplay) -> None:
-    now = state.snapshot()
-    table.draw(lambda: render_snapshot(now, KEYS_HELP), at_once=now.finished)
 
 
 def _printer(state: BoardState) -> Callable[[], None]:

@@ -22,25 +22,26 @@ MIN_SCALE_DEG = 0.1  # degrees at the end of a bar, where no tolerance tells
 
 
 class TerminalDisplay:
-    """Draws in a terminal a few times a second; used as a context."""
+    """Draws what `render` gives, in a terminal a few times a second and at the context's end."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: Console, render: Callable[[], RenderableType]) -> None:
         self._display = Display(console=console, auto_refresh=False, transient=False)
-        self._due = 0.0
+        self._render, self._due = render, 0.0
 
     def __enter__(self) -> Self:
         self._display.start()
         return self
 
     def __exit__(self, *_: object) -> None:
+        self._display.update(self._render(), refresh=True)
         self._display.stop()
 
-    def draw(self, render: Callable[[], RenderableType], *, at_once: bool = False) -> None:
-        """Draw again if it is time, or at once."""
+    def draw(self) -> None:
+        """Draw again if it is time."""
         now = time.monotonic()
-        if now >= self._due or at_once:
+        if now >= self._due:
             self._due = now + REFRESH_PERIOD
-            self._display.update(render(), refresh=True)
+            self._display.update(self._render(), refresh=True)
 
 
 def render_snapshot(now: LiveSnapshot, tolerance_deg: list[float] | None) -> RenderableType:

@@ -10,6 +10,7 @@ import numpy as np
 from robots.transforms import invert
 from verify.core.records import Array, Image, Sighting, StereoPair
 from verify.core.rig import Rig
+from verify.live.alarms.joints import AlarmLimits
 from verify.live.joint_row import JointRow
 from verify.live.outputs.metrics import exposition
 from verify.live.page.scene import image_size, joint_origins, millimetres, pose_fields, small_jpeg
@@ -24,8 +25,7 @@ class RunFacts:
 
     robot: str
     description: str
-    tolerance: Array | None  # (j,), rad
-    false_alarms_per_hour: float
+    limits: AlarmLimits
     duration: float | None = None  # s, of the watch; None: until it is ended
 
 
@@ -41,7 +41,7 @@ class RunPageSource:
     def hello(self) -> dict[str, Any]:
         """What never changes."""
         subject, facts = self._subject, self._facts
-        tolerance = facts.tolerance
+        tolerance = facts.limits.tolerance
         return {
             "mode": "run",
             "run": f"{self._began:.3f}",
@@ -51,7 +51,7 @@ class RunPageSource:
             "joints": subject.arm.dof,
             "leds": list(subject.marker.names),
             "tolerance_deg": None if tolerance is None else _degrees(tolerance),
-            "false_alarms_per_hour": facts.false_alarms_per_hour,
+            "false_alarms_per_hour": facts.limits.false_alarms_per_hour,
             "cameras": camera_poses(subject.rig, None),
         }
 

@@ -113,28 +113,19 @@ class MotionCoverage:
         stuck = [f"{j + 1}" for j in np.flatnonzero(both < MIN_TRAVEL)]
         swing = f"{np.rad2deg(SWING_ANGLE):.0f}° either way"
         degrees = float(np.rad2deg(1.0))
-        return (
-            RegistrationGoal(
-                "postures with LEDs", float(len(self._q)), MIN_POSTURES, "",
-                f"show {MIN_LEDS} LEDs or more to both cameras in others",
-            ),
-            RegistrationGoal(
-                "turn about one axis", first * degrees, MIN_TURNS[0] * degrees, "°",
-                f"turn the flange by {swing}",
-            ),
-            RegistrationGoal(
-                "turn about a second axis", second * degrees, MIN_TURNS[1] * degrees, "°",
-                f"move joint {across} by {swing}",
-            ),
-            RegistrationGoal(
-                "positions, two directions", float(spread) * 1e3, MIN_SPREAD * 1e3, " mm",
-                "move the flange up, sideways, nearer and farther",
-            ),
-            RegistrationGoal(
-                "joints moved both ways", float(self._arm.dof - len(stuck)), self._arm.dof, "",
-                f"move joint{'s' * (len(stuck) > 1)} {' and '.join(stuck)} to and fro",
-            ),
+        goals = (
+            ("postures with LEDs", float(len(self._q)), MIN_POSTURES, "",
+             f"show {MIN_LEDS} LEDs or more to both cameras in others"),
+            ("turn about one axis", first * degrees, MIN_TURNS[0] * degrees, "°",
+             f"turn the flange by {swing}"),
+            ("turn about a second axis", second * degrees, MIN_TURNS[1] * degrees, "°",
+             f"move joint {across} by {swing}"),
+            ("positions, two directions", float(spread) * 1e3, MIN_SPREAD * 1e3, " mm",
+             "move the flange up, sideways, nearer and farther"),
+            ("joints moved both ways", float(self._arm.dof - len(stuck)), self._arm.dof, "",
+             f"move joint{'s' * (len(stuck) > 1)} {' and '.join(stuck)} to and fro"),
         )  # fmt: skip
+        return tuple(RegistrationGoal(*goal) for goal in goals)
 
     def _turn_extents(self) -> tuple[float, float, int]:
         """Extents about the first axis and across it, rad; the joint that turns across it most."""

@@ -14,6 +14,7 @@ from verify.core.records import Array, Measurement, StereoPair
 from verify.core.rig import Rig
 from verify.grasping.control.run import StopConditions, run
 from verify.grasping.page import GraspFacts, GraspPageSource
+from verify.live.alarms.joints import AlarmLimits
 from verify.live.buffers import PanBuffer
 from verify.live.joint_row import JointRow
 from verify.live.page.run import RunFacts, RunPageSource
@@ -51,7 +52,9 @@ def test_a_run_draws_them_as_they_stood_for_the_pair_on_the_page() -> None:
     rig = replace(rig, left=off_axis(rig.left), right=off_axis(rig.right))
     arm, state = robots.load("iust_6r"), LiveState()
     source = RunPageSource(
-        state, MonitoredRobot(arm, rig, marker, None), RunFacts("iust_6r", "", None, 0.1)
+        state,
+        MonitoredRobot(arm, rig, marker, None),
+        RunFacts("iust_6r", "", AlarmLimits(0.1, 30.0, None)),
     )
     still = turned(rig, (0.0, 0.0))
     assert_drawn(source.hello()["cameras"], still)

@@ -22,6 +22,7 @@ from tests.support.processes import wait_until
 from tests.support.spot_level import HOME, facing_rig
 from verify.core.records import Measurement, Sighting, StereoPair
 from verify.errors import InputError
+from verify.live.alarms.joints import AlarmLimits
 from verify.live.clock import LiveClock
 from verify.live.joint_row import JointRow
 from verify.live.outputs.metrics import MetricsServer
@@ -44,7 +45,9 @@ class Playing:
     def __init__(self, description: str = "played") -> None:
         self.state = LiveState()
         subject = MonitoredRobot(ARM, RIG, MARKER, None)
-        facts = RunFacts("iust_6r", description, np.full(6, np.deg2rad(0.2)), 0.1)
+        facts = RunFacts(
+            "iust_6r", description, AlarmLimits(0.1, 30.0, np.full(6, np.deg2rad(0.2)))
+        )
         self.source = RunPageSource(self.state, subject, facts)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._play, daemon=True)
