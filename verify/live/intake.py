@@ -96,14 +96,20 @@ class PollingThread(threading.Thread):
     """Calls a function until it is stopped.
 
     A step reads once, within a fraction of a second; False if nothing came. `failed` is called with
-    its error; the thread goes on.
+    the first error of several in a row, `recovered` with their number once something comes again;
+    the thread goes on.
     """
 
     def __init__(
-        self, name: str, step: Callable[[], bool], failed: Callable[[str, Exception], None]
+        self,
+        name: str,
+        step: Callable[[], bool],
+        failed: Callable[[str, Exception], None],
+        recovered: Callable[[str, int], None] = lambda *_: None,
     ) -> None:
         super().__init__(name=name, daemon=True)
-        self._step, self._failed, self._over = step, failed, threading.Event()
+        self._step, self._failed, self._recovered = step, failed, recovered
+        self._over, self._failures = threading.Event(), 0
 
     def stop(self) -> None:
         """Ask it to stop."""
@@ -115,8 +121,13 @@ class PollingThread(threading.Thread):
             begin = time.monotonic()
             try:
                 gave = self._step()
+                if gave and self._failures:
+                    self._recovered(self.name, self._failures)
+                    self._failures = 0
             except Exception as error:  # a driver promises to raise nothing; others go on
-                self._failed(self.name, error)
+                if not self._failures:
+                    self._failed(self.name, error)
+                self._failures += 1
                 gave = False
             if not gave and time.monotonic() - begin < IDLE_DELAY:
                 self._over.wait(IDLE_DELAY)

@@ -3,10 +3,9 @@
 from collections import deque
 from collections.abc import Sequence
 from contextlib import AbstractContextManager, closing, nullcontext
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
-from reports import Results
 from reports.grasp.certificate import outcome, seen_left_behind
 from reports.results import to_json_value
 from verify.cli.options import PageOptions
@@ -50,7 +49,7 @@ class GraspPage:
             inputs={"grab": requests.grab, "select": requests.select},
         )
         self._pair: StereoPair | None = None  # of the last cycle
-        self._selected = ""
+        self.selected = ""  # what was selected on the page
         self._trouble = ""
         if selects:
             loop.look_for(None)
@@ -88,12 +87,6 @@ class GraspPage:
         after = back if self._loop.may_move else "nothing was moved"
         self._source.end(f"{outcome.state.value}: {outcome.reason or 'it had not begun'}; {after}")
 
-    def name_target(self, results: Results) -> Results:
-        """Name in the results the object that was selected on the page."""
-        if not self._selected:
-            return results
-        return replace(results, summary={**results.summary, "target": self._selected})
-
     def close(self) -> None:
         """Show the end, and stop serving."""
         self._page.close()
@@ -103,9 +96,9 @@ class GraspPage:
         if reason := select_target(self._loop, self._rig, drawn, pair):
             self.refuse(f"selection {where}: {reason}")
             return
-        self._selected = f"{SELECTED_NAME}, {where}"
-        self._source.answer(self._selected)
-        terminal.say(self._selected)
+        self.selected = f"{SELECTED_NAME}, {where}"
+        self._source.answer(self.selected)
+        terminal.say(self.selected)
         terminal.record("selected", side=drawn.side, box_px=list(drawn.box))
 
 
@@ -177,8 +170,8 @@ def conduct(stage: GraspRun, stop: StopConditions, out: Path, *, force: bool) ->
         finally:
             record.close()
         results = record.results(ended, aim)
-        if page is not None:
-            results = page.name_target(results)
+        if page is not None and page.selected:
+            results.summary["target"] = page.selected
         write_report_folder(results, folder, force=True)
     verdict = outcome(results.summary)
     terminal.say(f"{verdict.label}: {verdict.sentence}")

@@ -19,7 +19,7 @@ from verify.core.records import StereoPair
 from verify.core.rig import Rig
 from verify.devices.ports import open_port
 from verify.devices.protocols import CameraDevice, EncoderReading, PanDevice
-from verify.errors import InputError
+from verify.errors import InputError, defect_text
 from verify.grasping import cell as grasping_cell
 from verify.grasping.actuators.emulator_check import (
     EmulatorPortOpener,
@@ -81,7 +81,12 @@ class LivePairs:
         if pan is not None:
             steps["pan bases"] = readings_step(pan, self._angles.add)
         self._threads = [
-            PollingThread(name, step, lambda name, error: terminal.warn(f"{name}: {error}"))
+            PollingThread(
+                name,
+                step,
+                lambda name, error: terminal.warn(f"{name}: {defect_text(error)}"),
+                lambda name, n: terminal.warn(f"{name}: reads again; reads that failed: {n}"),
+            )
             for name, step in steps.items()
         ]
         for thread in self._threads:

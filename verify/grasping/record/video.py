@@ -1,5 +1,6 @@
 """Write the film of a grasp: both pictures, the searched windows, the target, and the state."""
 
+from fractions import Fraction
 from pathlib import Path
 
 import av
@@ -22,7 +23,8 @@ class Mp4Writer:
     def __init__(self, path: Path, rate: float) -> None:
         self.codec = next(name for name in CODECS if name in av.codecs_available)
         self._container = av.open(str(path), "w")
-        stream = self._container.add_stream(self.codec, round(rate), ENCODER_OPTIONS[self.codec])
+        exact = max(Fraction(rate).limit_denominator(1000), Fraction(1, 1000))  # MPEG-4's limits
+        stream = self._container.add_stream(self.codec, exact, ENCODER_OPTIONS[self.codec])
         assert isinstance(stream, av.VideoStream)
         self._stream = stream
         stream.width, stream.height = 2 * WIDTH, HEIGHT + STRIP_HEIGHT

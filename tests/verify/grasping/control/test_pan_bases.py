@@ -14,6 +14,7 @@ from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
 from tests.support.grasp.monitor import MonitoredRun, monitored
 from tests.support.scene import off_axis
 from verify.cli.grab.station import LivePairs
+from verify.cli.terminal import terminal
 from verify.devices.protocols import CameraFrame, DeviceState, PanReading
 from verify.grasping.actuators.protocols import ExecutePermission
 from verify.grasping.control.aim import LoopCycle
@@ -185,3 +186,34 @@ def test_the_arm_keeps_away_from_every_place_that_a_turning_camera_can_have() ->
         nearest = np.minimum(nearest, fixed.margins(q))
     assert (kept[:, names] <= nearest[:, names] + 1e-9).all()
     assert (kept[:, names] >= nearest[:, names] - 2 * np.hypot(0.03, 0.04) - 1e-3).all()
+
+
+class FailingCamera(GivenCamera):
+    """A camera whose driver fails now and then."""
+
+    def read(self) -> CameraFrame | None:
+        if self.things and isinstance(self.things[0], Exception):
+            raise self.things.popleft()
+        return super().read()
+
+
+@pytest.mark.realtime
+def test_reads_that_fail_are_said_once_and_again_when_they_recover(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    said: list[str] = []
+    monkeypatch.setattr(type(terminal), "warn", lambda _, *words: said.extend(words))
+    failing = FailingCamera(*(OSError("no device") for _ in range(20)), frame(101.0))
+    cameras = (failing, GivenCamera(frame(101.0)))
+    live = LivePairs(cameras, None, SETUP.rig, 30.0, 100.0)  # type: ignore[arg-type]
+    try:
+        assert soon(live.pair).t_left == pytest.approx(1.0)
+        failing.things.append(OSError("no device"))
+        assert soon(lambda: None if failing.things else True)
+    finally:
+        live.close()
+    assert len(said) == 3
+    assert "left camera" in said[0]
+    assert "no device" in said[0]
+    assert said[1] == "left camera: reads again; reads that failed: 20"
+    assert said[2] == said[0]

@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+import av
 import numpy as np
 import pandas as pd
 import pytest
@@ -26,6 +27,7 @@ from verify.grasping.control.states import GraspState
 from verify.grasping.planning.object import GraspObject
 from verify.grasping.record.record import LIFT_FIELDS, GraspContext, GraspRecord
 from verify.grasping.record.rows import tool_offset_fields, tool_offset_table
+from verify.grasping.record.video import Mp4Writer
 from verify.grasping.tool_offset.offset import FlangeMeasurement, OffsetMeasurement, ToolOffset
 from verify.grasping.tracking.target import TargetObservation
 from verify.live.recording.session import SessionFacts
@@ -71,6 +73,18 @@ def lift_fields(folder: Path, cycles: Sequence[LoopCycle]) -> list[Any]:
     outcome = GraspOutcome(GraspState.LIFTED, "", True, (), len(cycles), False)
     summary = record.results(outcome, Aim(CELL.workspace, CELL.rig)).summary
     return [summary[field] for field in LIFT_FIELDS]
+
+
+@pytest.mark.parametrize("rate", [0.0001, 0.3, 29.97])
+def test_a_film_has_the_rate_of_its_pictures_however_slow(tmp_path: Path, rate: float) -> None:
+    film = Mp4Writer(tmp_path / "film.mp4", rate)
+    for _ in range(3):
+        film.add(cycle(GraspState.LIFTING, raised(0.0), None))
+    film.close()
+    with av.open(str(tmp_path / "film.mp4")) as opened:
+        stream = opened.streams.video[0]
+        assert float(stream.average_rate or 0) == pytest.approx(max(rate, 1e-3), rel=1e-3)
+        assert sum(1 for _ in opened.decode(stream)) == 3
 
 
 def test_the_last_detection_in_the_lift_is_kept(tmp_path: Path) -> None:
