@@ -13,11 +13,10 @@ from verify.errors import one_line
 from verify.io.session.keys import check_clock, tolerance
 from verify.io.toml import decode, did_you_mean, key_error, one_of
 from verify.live.station.devices import ENCODER_KEYS, PAN_KEYS
-from verify.live.station.keys import EVENT_KINDS, HOST_PATTERN, StationCameraTable, StationTable
+from verify.live.station.keys import EVENT_KINDS, HOST_AND_PORT, StationCameraTable, StationTable
 
 SIM = "sim"
-_HOST_AND_PORT = re.compile(rf"{HOST_PATTERN}:[0-9]{{1,5}}")
-_MQTT = re.compile(rf"mqtt://([^\s/@]+@)?{HOST_PATTERN}(:[0-9]{{1,5}})?/[^\s/]\S*")
+_MQTT = rf"mqtt://([^\s/@]+@)?{HOST_AND_PORT}?/[^\s/]\S*"
 
 
 T = TypeVar("T", bound=StationTable)
@@ -93,11 +92,11 @@ def _check_alarm(path: Path, table: StationTable) -> None:
         found = f"is {alarm.false_alarms_per_hour}"
         expected = "a number above 0 is expected: every test has false alarms"
         raise key_error(path, "alarm.false_alarms_per_hour", found, expected)
-    if alarm.mqtt is not None and not _MQTT.fullmatch(alarm.mqtt):
+    if alarm.mqtt is not None and not re.fullmatch(_MQTT, alarm.mqtt):
         expected = "mqtt://HOST:PORT/TOPIC is expected"
         raise key_error(path, "alarm.mqtt", f'is "{alarm.mqtt}"', expected)
-    if alarm.prometheus is not None and not _HOST_AND_PORT.fullmatch(alarm.prometheus):
-        expected = "HOST:PORT is expected, such as 127.0.0.1:9105"
+    if alarm.prometheus is not None and not re.fullmatch(HOST_AND_PORT, alarm.prometheus):
+        expected = "HOST:PORT is expected, such as 127.0.0.1:9105, a port to 65535"
         raise key_error(path, "alarm.prometheus", f'is "{alarm.prometheus}"', expected)
 
 

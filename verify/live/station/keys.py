@@ -13,7 +13,9 @@ from verify.io.toml import NotNegative, Positive
 
 Pixels = Annotated[int, msgspec.Meta(ge=1)]
 Baud = Annotated[int, msgspec.Meta(ge=1, le=20_000_000)]
-HOST_PATTERN = r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)"  # a name, or an address
+_HOST = r"(\[[0-9A-Fa-f:.]+\]|[^\s:/@\[\]]+)"  # a name, or an address
+_PORT = r"(?!6553[6-9]|655[4-9]\d|65[6-9]\d\d|6[6-9]\d{3}|[7-9]\d{4})[0-9]{1,5}"  # to 65535
+HOST_AND_PORT = f"{_HOST}(:{_PORT})"  # "?" behind it: the port may be missing
 SECURITY_KEYS = ("certificate", "private_key", "server_certificate", "security_policy")  # OPC UA
 
 

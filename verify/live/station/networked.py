@@ -14,21 +14,15 @@ from verify.devices.encoders.rtde import MAX_RTDE_RATE, RTDE_JOINTS, RtdeEncoder
 from verify.devices.protocols import EncoderDevice
 from verify.io.toml import key_error, one_of
 from verify.live.station.devices import stated
-from verify.live.station.keys import HOST_PATTERN, SECURITY_KEYS, StationEncodersTable
+from verify.live.station.keys import HOST_AND_PORT, SECURITY_KEYS, StationEncodersTable
 
 MAX_POLL_RATE = 200.0  # Hz: a poll of more is slower than its server
 RADIANS_PER_UNIT = {"deg": math.radians(1.0), "rad": 1.0}
 PASSWORD_VARIABLE = "VERIFY_OPCUA_PASSWORD"
 _PORTS = {  # what the address of each driver looks like, and an example
-    "rtde": (re.compile(rf"tcp:{HOST_PATTERN}:[0-9]{{1,5}}"), "tcp:192.168.0.20:30004"),
-    "rosbridge": (
-        re.compile(rf"wss?://{HOST_PATTERN}(:[0-9]{{1,5}})?(/\S*)?"),
-        "ws://192.168.0.20:9090",
-    ),
-    "opcua": (
-        re.compile(rf"opc\.tcp://([^\s@/]+@)?{HOST_PATTERN}(:[0-9]{{1,5}})?(/\S*)?"),
-        "opc.tcp://192.168.0.20:4840",
-    ),
+    "rtde": (f"tcp:{HOST_AND_PORT}", "tcp:192.168.0.20:30004"),
+    "rosbridge": (rf"wss?://{HOST_AND_PORT}?(/\S*)?", "ws://192.168.0.20:9090"),
+    "opcua": (rf"opc\.tcp://([^\s@/]+@)?{HOST_AND_PORT}?(/\S*)?", "opc.tcp://192.168.0.20:4840"),
 }
 
 
@@ -112,7 +106,7 @@ def _password(path: Path, user: str, url: str) -> str:
 def _address(path: Path, table: StationEncodersTable) -> str:
     pattern, example = _PORTS[table.driver]
     port = table.port
-    if port is None or not pattern.fullmatch(port):
+    if port is None or not re.fullmatch(pattern, port):
         shown = (port or "").rpartition("@")[2]  # no password
         found = "is missing" if port is None else f'is "{shown}"'
         raise key_error(path, "encoders.port", found, f"an address such as {example} is expected")
