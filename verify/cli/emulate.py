@@ -9,7 +9,6 @@ from typer import Argument, Option
 from verify.cli.terminal import terminal
 
 if TYPE_CHECKING:  # imported when the command runs: `--help` answers at once
-    from verify.simulation.emulators.endpoints import Endpoint
     from verify.simulation.emulators.opcua import OpcUaEmulator
     from verify.simulation.emulators.server import EmulatorEngine, EmulatorFaults
 
@@ -58,6 +57,10 @@ DEFAULT_PORTS = dict.fromkeys(EmulatedDevice, "pty") | {
     EmulatedDevice.ROSBRIDGE: "tcp:9090",
     EmulatedDevice.OPCUA: "tcp:4840",
 }
+MOTION, JOINTS, RATE = "sines", 6, 100  # unless others are given
+ARMS = frozenset(EmulatedDevice) - {EmulatedDevice.PAN, EmulatedDevice.GRIPPER}
+BYTEWISE = frozenset(EmulatedDevice) - {EmulatedDevice.OPCUA}  # its server sends as it likes
+RATED = frozenset(map(EmulatedDevice, ("labenc", "pan", "rosbridge", "opcua")))
 
 
 def emulate(
@@ -68,8 +71,8 @@ def emulate(
     ] = None,
     motion: Annotated[
         str, Option(help="hold, sweep, sines, or a CSV like a session's encoders.csv.")
-    ] = "sines",
-    joints: Annotated[int, Option(min=1, max=8, help="How many joints the arm has.")] = 6,
+    ] = MOTION,
+    joints: Annotated[int, Option(min=1, max=8, help="How many joints the arm has.")] = JOINTS,
     idle: Annotated[
         bool,
         Option(
@@ -82,7 +85,7 @@ def emulate(
     ] = None,
     rate: Annotated[
         int, Option(min=1, help="Samples per second of labenc, pan, rosbridge and opcua.")
-    ] = 100,
+    ] = RATE,
     object_mm: Annotated[
         float | None,
         Option(min=0, max=150, help="Width of the object between the gripper's fingers."),
@@ -113,7 +116,7 @@ def emulate(
     from verify.io.files import restated
     from verify.live.station.template import joint_names
     from verify.simulation.emulators.encoders import LabencEngine, LabencOptions, PanEngine
-    from verify.simulation.emulators.endpoints import listening_at, open_front, opening
+    from verify.simulation.emulators.endpoints import TcpEndpoint, open_front
     from verify.simulation.emulators.gripper import MAX_FAULT, GripperEngine, GripperOptions
     from verify.simulation.emulators.hand import contact_positions
     from verify.simulation.emulators.melfa import RealtimeEngine
@@ -127,12 +130,19 @@ def emulate(
     from verify.simulation.emulators.trajectory import load
 
     gripper = device is EmulatedDevice.GRIPPER
-    if object_mm is not None and not gripper:
-        raise InputError("--object-mm", f"{device.value} has no fingers", "", "Leave it out.")
-    if idle and device is not EmulatedDevice.MELFA:
-        raise InputError("--idle", f"{device.value} runs no program", "", "Leave it out.")
-    if robot is not None and device is not EmulatedDevice.ROSBRIDGE:
-        raise InputError("--robot", f"{device.value} names no joints", "", "Leave it out.")
+    for name, given, owners, why in (
+        ("--object-mm", object_mm is not None, {EmulatedDevice.GRIPPER}, "has no fingers"),
+        ("--idle", idle, {EmulatedDevice.MELFA}, "runs no program"),
+        ("--robot", robot is not None, {EmulatedDevice.ROSBRIDGE}, "names no joints"),
+        ("--motion", motion != MOTION, ARMS, "has no motion of its own"),
+        ("--joints", joints != JOINTS, ARMS, "has no joints"),
+        ("--rate", rate != RATE, RATED, "sends at a rate of its own"),
+        ("--baud", baud is not None, BYTEWISE, "is no serial line"),
+        ("--seed", seed != 0, BYTEWISE, "has no random faults"),
+        ("--joints", joints != JOINTS and robot is not None, (), "has the joints of --robot"),
+    ):
+        if given and device not in owners:
+            raise InputError(name, f"{device.value} {why}", "", "Leave it out.")
     if device is EmulatedDevice.RTDE and joints != RTDE_JOINTS:
         expected = f"every arm that speaks RTDE has {RTDE_JOINTS} joints"
         raise InputError("--joints", f"is {joints}", expected, "Leave it out.")
@@ -165,12 +175,8 @@ def emulate(
     if engine is None:
         server = _opcua(where, motion, joints, rate, faults)
     else:
-        front: Endpoint
-        if device is EmulatedDevice.ROSBRIDGE:
-            with opening(where):
-                front = WebSocketEndpoint(*listening_at(where))
-        else:
-            front = open_front(where, SerialLine(baud or 115200))
+        kind_of = WebSocketEndpoint if device is EmulatedDevice.ROSBRIDGE else TcpEndpoint
+        front = open_front(where, SerialLine(baud or 115200), kind_of)
         server = EmulatorServer(front, engine, faults, baud, seed)
     terminal.say(f"{device.value} listens at {server.address}; Ctrl-C ends it")
     terminal.record("listening", device=device.value, address=server.address)

@@ -4,7 +4,7 @@ import contextlib
 import os
 import select
 import socket
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Protocol
 
@@ -203,8 +203,10 @@ class SerialEndpoint:
         self._port = open_port(self.address, self._line)
 
 
-def open_front(where: str, line: SerialLine) -> Endpoint:
-    """Open the endpoint that the user names; `line` is how a serial device is set.
+def open_front(
+    where: str, line: SerialLine, server: Callable[[str, int], Endpoint] = TcpEndpoint
+) -> Endpoint:
+    """Open the endpoint that the user names; `line` sets a serial device, `server` serves TCP.
 
     It is `tcp:PORT`, `tcp:HOST:PORT`, `udp:…`, `pty`, `pty:LINK`, or a serial device's path.
     Without a host only this computer can connect; port 0 takes a free one.
@@ -215,7 +217,7 @@ def open_front(where: str, line: SerialLine) -> Endpoint:
     kind, _, rest = where.partition(":")
     with opening(where):
         if kind == "tcp":
-            return TcpEndpoint(*listening_at(where))
+            return server(*listening_at(where))
         if kind == "udp":
             return UdpEndpoint(*listening_at(where))
         if kind == "pty":

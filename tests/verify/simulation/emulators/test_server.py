@@ -133,6 +133,20 @@ def test_a_device_on_another_kind_of_line_is_refused(device: str, port: str, kin
     assert f"--port {port}: is another kind of line; {device} is reached at {kind}:PORT" in line
 
 
+@pytest.mark.parametrize(
+    ("device", "option"),
+    [
+        ("gripper", "--motion hold"), ("pan", "--joints 3"), ("pan", "--motion hold"),
+        ("melfa", "--rate 50"), ("gripper", "--rate 50"), ("opcua", "--baud 9600"),
+        ("opcua", "--seed 1"), ("rosbridge", "--joints 7 --robot ur5"),
+    ],
+)  # fmt: skip
+def test_an_option_that_the_device_does_not_have_is_refused(device: str, option: str) -> None:
+    line = verify("emulate", device, *option.split(), "--fault", "none").refusal  # never serves
+    assert line.startswith(f"error: {option.split()[0]}: {device} ")
+    assert line.endswith("Leave it out.")
+
+
 def test_a_controller_of_another_number_of_joints_answers_or_is_refused() -> None:
     assert "--joints: is 7; every arm" in verify("emulate", "rtde", "--joints", "7").refusal
     with (
