@@ -154,20 +154,14 @@ class ReadingBuffer:
             return self._series.copied(int(np.searchsorted(self._series.t, t)))
 
     def half_width_about(self, t: float) -> float:
-        """Half-width within which the readings beside an instant were taken, s: the larger one.
+        """Half-width within which the readings beside an instant, or the newest, were taken, s.
 
-        A controller's answers take different times, so the newest does not stand for the others.
+        The larger one: a controller's answers take different times.
         """
         with self._arrived:
             after = int(np.searchsorted(self._series.t, t))
             beside = self._series.rows[max(after - 1, 0) : after + 1]
             return float(beside[:, HALF_WIDTH].max()) if len(beside) else 0.0
-
-    def half_width(self) -> float:
-        """Half-width within which the newest reading was taken, s."""
-        with self._arrived:
-            newest = self._series.rows[-1:]
-            return float(newest[0, HALF_WIDTH]) if len(newest) else 0.0
 
 
 PAN_SPAN = 5.0  # s
@@ -214,9 +208,7 @@ class PanBuffer:
             # it may have begun to move just now
             self._arrived.wait_for(lambda: self._readings[-1].t + delay >= t, PAN_TIMEOUT)
             about = [r for r in self._readings if abs(r.t + delay - t) <= MAX_PAN_AGE]
-        if not about:
-            return None
-        if any(r.moving and abs(r.t + delay - t) <= SETTLING_TIME for r in about):
+        if not about or any(r.moving and abs(r.t + delay - t) <= SETTLING_TIME for r in about):
             return None
         nearest = min(about, key=lambda r: abs(r.t + delay - t))
         return float(nearest.pan[0]), float(nearest.pan[1])

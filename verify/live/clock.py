@@ -200,7 +200,7 @@ class ClockKeeper:
         if delay is None:
             return None
         # what deliveries suggest is less well known where the motion contradicts it
-        width = math.hypot(max(self._book.half_width(), doubt), self._contradiction)
+        width = math.hypot(max(self._book.half_width_about(math.inf), doubt), self._contradiction)
         return clock_from_arrivals(delay, width, self._segment)
 
     def estimate_now(self) -> bool:

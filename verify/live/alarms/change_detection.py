@@ -35,9 +35,13 @@ class Cusum:
     """The sums of all joints."""
 
     def __init__(self, joints: int, limit: float) -> None:
-        self.limit = limit
-        self.sums = np.zeros((2, joints))  # upward, downward
-        self._since = np.zeros((2, joints), dtype=int)
+        self.limit, self._joints = limit, joints
+        self.restart()
+
+    def restart(self) -> None:
+        """Begin anew: the change has been told, or something else has changed."""
+        self.sums = np.zeros((2, self._joints))  # upward, downward
+        self._since = np.zeros((2, self._joints), dtype=int)
         self.count = 0  # pairs since it began anew
 
     def take(self, innovation: Innovation) -> None:
@@ -56,12 +60,6 @@ class Cusum:
     def begun(self) -> int:
         """Pairs since the largest sum left zero: when the change began, as far as it tells."""
         return int(self._since.flat[int(np.argmax(self.sums))])
-
-    def restart(self) -> None:
-        """Begin anew: the change has been told, or something else has changed."""
-        self.sums[:] = 0.0
-        self._since[:] = 0
-        self.count = 0
 
 
 # pairs by which a change may have come later than its sum left zero: noise keeps sums off zero
