@@ -41,6 +41,7 @@ from verify.simulation.cell.setup import ROBOT, SMALL_SIZE, cell_setup
 from verify.simulation.emulators.gripper import GripperEngine, GripperOptions
 from verify.simulation.emulators.hand import contact_positions
 from verify.simulation.emulators.melfa import MelfaEngine
+from verify.simulation.emulators.server import TimedMessage
 
 SIMULATED = ("--sim", "--small", "--seed", "4")
 
@@ -208,6 +209,28 @@ def test_a_grasp_goes_through_the_real_drivers_and_emulators_need_no_confirmatio
     summary = read_summary(tmp_path / "out")
     assert summary["execute"]
     assert (summary["state"], summary["released"]) == ("lifted", True)
+
+
+@pytest.mark.realtime
+@pytest.mark.slow
+def test_a_controller_that_falls_silent_has_not_given_its_controls_back(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    with cell(tmp_path, 8.0) as (station, _, gripper):
+        typed(monkeypatch, "")
+        step, quiet = MelfaEngine.step, time.monotonic() + 4.0
+
+        def silent(engine: MelfaEngine, t: float, received: bytes) -> list[TimedMessage]:
+            answers = step(engine, t, received)
+            return answers if time.monotonic() < quiet else []
+
+        monkeypatch.setattr(MelfaEngine, "step", silent)
+        assert not grasp(station, gripper, GRABS)
+    summary = read_summary(tmp_path / "out")
+    assert not summary["released"]
+    said = "".join(capsys.readouterr())  # whatever the tests before have set
+    assert "controls were NOT given back" in said
+    assert "controls returned. Use the emergency stop if it moves" in said
 
 
 @pytest.mark.realtime

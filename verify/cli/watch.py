@@ -141,9 +141,8 @@ def require_recorded(
     station: RecordingStation, recorded: RecorderState, devices: Iterable[DeviceStatus]
 ) -> None:
     """Refuse a recording without a pair or reading; the InputError says which device is silent."""
-    why = "; ".join(f"{line.name}: {line.sentence}" for line in devices if not line.well)
-    why = recorded.trouble or why
-    told = f" ({why})" if why else ""
+    silent = "; ".join(f"{line.name}: {line.sentence}" for line in devices if not line.well)
+    told = f" ({why})" if (why := recorded.trouble or silent) else ""
     if not recorded.folders:
         raise InputError(
             station.path, f"no pair of pictures was recorded{told}",

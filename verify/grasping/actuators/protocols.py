@@ -64,6 +64,7 @@ class MoverStatus:
     q: Array | None  # (joints,), rad, the robot file's own; None before the first position
     t: float | None  # s, host's monotonic clock, when that was so
     speed: float | None  # m/s of the hand's end, where the controller tells
+    given_back: bool = False  # it has ended, and the controller has confirmed all of it
 
 
 class Mover(Protocol):

@@ -246,10 +246,11 @@ class GraspLoop:
         elif order in (DeviceOrder.CLOSE, DeviceOrder.CHECK, DeviceOrder.OPEN):
             arm.hold()
             self._grip(hands.gripper, order, entered=entered)
-        elif order is DeviceOrder.RELEASE:
+        elif order is DeviceOrder.RELEASE or self.machine.state is GraspState.RELEASED:
             arm.hold()
             if arm.resting:
                 arm.mover.release()
+            if self.arm is not None and self.arm.given_back:
                 self.machine.tell(GraspEvent.STOPPED)
         elif order is DeviceOrder.HOLD and arm.takes_orders:
             arm.hold()

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 from verify.core.records import StereoPair
+from verify.grasping.actuators.protocols import FINAL_STATES
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.loop import GraspLoop
 from verify.grasping.control.states import GraspEvent, GraspState, StateChange
@@ -48,7 +49,6 @@ class GraspOutcome:
     stopped: bool  # the operator ended it
 
 
-EventSource = Callable[[], Sequence[GraspEvent]]
 CycleCallback = Callable[[LoopCycle], None]
 
 
@@ -57,7 +57,7 @@ def run(
     source: PairSource,
     ends: StopConditions,
     on_cycle: CycleCallback,
-    orders: EventSource = tuple,
+    orders: Callable[[], Sequence[GraspEvent]] = tuple,
     say: Callable[[str], None] = lambda _: None,
     stop: Callable[[], bool] = lambda: False,
 ) -> GraspOutcome:
@@ -93,15 +93,22 @@ def run(
     reason = loop.awaited if state is GraspState.IDLE else loop.reason
     count += _release(loop, source, on_cycle)
     released = machine.state is GraspState.RELEASED
+    if loop.arm is not None and not loop.arm.given_back:
+        released, why = False, loop.arm.reason or "the arm does not answer"
+        say(f"the controls were NOT given back: {why}. Look whether it stands")
     return GraspOutcome(state, reason, released, tuple(machine.log), count, stopped)
 
 
 def _release(loop: GraspLoop, source: PairSource, on_cycle: CycleCallback) -> int:
     """Come to rest and give the controls back; says in how many cycles."""
-    loop.machine.tell(GraspEvent.INTERRUPT)
-    began, count = loop.machine.since, 0
-    now = began
-    while loop.machine.state is GraspState.RELEASING and now - began < RELEASE_TIMEOUT:
+    machine, count = loop.machine, 0
+    machine.tell(GraspEvent.INTERRUPT)
+    began = now = machine.since
+    while now - began < RELEASE_TIMEOUT:
+        machine.tell(GraspEvent.INTERRUPT)  # again after a fault meanwhile
+        ended = loop.arm is None or loop.arm.state in FINAL_STATES
+        if ended and machine.state is GraspState.RELEASED:
+            break
         source.wait()
         cycle = loop.cycle(source.pair())
         on_cycle(cycle)

@@ -156,7 +156,8 @@ class SimMover:
         elif self._state is MoverState.MOVING and now - self._since > STREAM_TIMEOUT:
             self._enter(MoverState.HELD)
         angles = None if self._state is MoverState.OFF else self._arm.q(now)
-        return MoverStatus(self._state, self._reason, angles, now, None)
+        ended = self._state in FINAL_STATES
+        return MoverStatus(self._state, self._reason, angles, now, None, given_back=ended)
 
     def close(self) -> None:
         """Give the controls back. See `Mover.close`."""

@@ -8,10 +8,11 @@ import pytest
 
 from tests.support.grasp.cells import grip_error, kept_limits, quick_cell
 from tests.support.grasp.monitor import MonitoredRun, monitored
-from verify.grasping.actuators.protocols import ExecutePermission
+from verify.grasping.actuators.protocols import ExecutePermission, MoverState, MoverStatus
 from verify.grasping.control.aim import LoopCycle
 from verify.grasping.control.run import GraspOutcome, StopConditions, run
 from verify.grasping.control.states import GraspEvent, GraspState
+from verify.simulation.cell.arm import SimMover
 from verify.simulation.cell.grab import CellMode, cell_grab
 from verify.simulation.cell.scene import Cap, CellScene, SceneEvent
 
@@ -181,6 +182,28 @@ def test_ctrl_c_in_mid_approach_comes_to_rest_and_gives_the_controls_back() -> N
     assert ended.stopped
     assert ended.released
     assert kept_limits(grab)
+
+
+def test_controls_of_an_arm_that_does_not_answer_are_not_said_to_be_given_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    step, why = SimMover.step, "the controller did not answer: stop, servo off"
+
+    def unanswered(mover: SimMover) -> MoverStatus:
+        status = step(mover)
+        if status.state is not MoverState.RELEASED:
+            return status
+        return replace(status, state=MoverState.FAILED, reason=why, given_back=False)
+
+    monkeypatch.setattr(SimMover, "step", unanswered)
+    said: list[str] = []
+    grab = made(STANDS)
+    near = lambda: bool(grab.loop.machine.state is GraspState.FOLLOWING)  # noqa: E731
+    ended = run(grab.loop, grab.source, ENDS, lambda _: None, say=said.append, stop=near)
+    assert not ended.released
+    assert said == [f"the controls were NOT given back: {why}. Look whether it stands"]
+    # neither is the arm said to be at rest
+    assert GraspEvent.STOPPED not in [passage.event for passage in ended.passages]
 
 
 def test_a_grasp_that_never_began_says_what_it_waited_for() -> None:

@@ -119,4 +119,6 @@ class MelfaMover:
         if controls.state is MoverState.CONNECTING and not controls.line.link.connected:
             reason = controls.line.link.fault
         text = f"{self._settings.port}: {reason}" if reason else ""
-        return MoverStatus(controls.state, text, read.q, read.t, read.speed)
+        back = controls.giving_back
+        given_back = controls.state in FINAL_STATES and not (back and back.notes)
+        return MoverStatus(controls.state, text, read.q, read.t, read.speed, given_back)
