@@ -76,8 +76,11 @@ def certificate(results: Results) -> doc.Section:
     if summary.get("figures"):
         blocks.append(_figure_table(summary))
     held = summary.get("verdict") == "held"
+    led, beyond = summary.get("displaced_led"), _beyond(summary)
     remedy = "Measure: nothing needs to be done." if held else RECALIBRATE
-    if not held and exact:
+    if led and not beyond:
+        remedy = "Do not measure with this marker.toml: fix the LED, or measure its place again."
+    elif not held and exact:
         remedy += f" If no camera has moved, check {fmt.join_words(exact)} first."
     blocks.append(doc.remedies((remedy,), _unchecked(summary)))
     return doc.Section("verdict", "Verdict", tuple(blocks))
@@ -87,11 +90,18 @@ def _tested(summary: dict[str, Any]) -> list[dict[str, Any]]:
     return [e for e in summary.get("figures") or [] if fmt.finite(e.get("z")) is not None]
 
 
+def _beyond(summary: dict[str, Any]) -> list[dict[str, Any]]:
+    """The figures beyond their limit; none where that is not known."""
+    limit = fmt.finite(summary.get("limit"))
+    return [e for e in _tested(summary) if limit is not None and abs(e["z"]) > limit]
+
+
 def _verdict_text(summary: dict[str, Any]) -> str:
-    limit, entries = fmt.finite(summary.get("limit")), _tested(summary)
-    if limit is None or not entries:
+    entries, beyond = _tested(summary), _beyond(summary)
+    if fmt.finite(summary.get("limit")) is None or not entries:
         return "Nothing was tested."
-    beyond = [entry for entry in entries if abs(entry["z"]) > limit]
+    if (led := summary.get("displaced_led")) and not beyond:
+        return fmt.text_or_dash(led)
     if not beyond:
         largest = max(entries, key=lambda entry: abs(entry["z"]))
         return (

@@ -9,7 +9,7 @@ from verify.analysis.clock.estimate import ClockEstimate
 from verify.analysis.combinations import POSE_DOF
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.model import JointErrorModel, SessionComparison
-from verify.analysis.rig_check.check import consistency, moved_warning
+from verify.analysis.rig_check.check import consistency, moved_warning, unused_leds_warning
 from verify.analysis.rig_check.leds import PictureMisfit, misfit_warning
 from verify.analysis.uncertainty.sources import unstated_sources
 from verify.analysis.verdict import CONTRADICTING
@@ -59,11 +59,8 @@ def _input_warnings(
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the verdict holds "
             "on that condition."
         )
-    if unseen := _unused_leds(session, measurements):
-        yield (
-            f"Not detected, in any pair, where marker.toml puts them: LED {', '.join(unseen)}. "
-            "Check that they are lit and in view, and their position_mm."
-        )
+    if unseen := unused_leds_warning(measurements, session.marker):
+        yield unseen
     if systematics.unknown:
         yield (
             "rig.toml [covariance]: not counted, as the names are not known here: "
@@ -118,16 +115,6 @@ def _standing_pans(session: Session) -> str:
     turning = " and " not in standing or any(c.pan_standard_uncertainty for c in cameras)
     text = f"frames.csv: no two readings of {standing} differ. If that base turns, pairs are lost "
     return f"{text}by it: check how it is recorded." if standing and turning else ""
-
-
-def _unused_leds(session: Session, measurements: list[Measurement]) -> list[str]:
-    """LEDs that no measured pair used, by name."""
-    used: set[int] = set()
-    for m in measurements:
-        if m.status == "measured" and m.pose and m.left is not None and m.right is not None:
-            led = np.concatenate([m.left.led, m.right.led])
-            used.update(led[~m.pose.rejected].tolist())
-    return [name for i, name in enumerate(session.marker.names) if i not in used]
 
 
 def _registration_warnings(model: JointErrorModel) -> Iterator[str]:

@@ -151,6 +151,18 @@ def moved_warning(found: RigConsistency, uncounted: Sequence[str]) -> str | None
     )
 
 
+def unused_leds_warning(measurements: Sequence[Measurement], marker: Marker) -> str | None:
+    """Name the LEDs that no measured pair used; None where there are none."""
+    used: set[int] = set()
+    for m in measurements:
+        if m.status == "measured" and m.pose and m.left is not None and m.right is not None:
+            led = np.concatenate([m.left.led, m.right.led])
+            used.update(led[~m.pose.rejected].tolist())
+    unseen = [name for i, name in enumerate(marker.names) if i not in used]
+    text = f"Not detected, in any pair, where marker.toml puts them: LED {', '.join(unseen)}. "
+    return f"{text}Check that they are lit and in view, and their position_mm." if unseen else None
+
+
 def figures_text(found: RigConsistency) -> tuple[str, str, str]:
     """The figures in words, mm per metre, to the two digits of their U (k = 2)."""
     value, spread = found.per_metre * found.value, 2 * found.per_metre * found.uncertainty

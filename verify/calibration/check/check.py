@@ -17,6 +17,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.analysis.rig_check import check as rig_check
+from verify.analysis.rig_check.leds import (
+    LED_ADVICE,
+    displacement_text,
+    misfit_warning,
+    picture_misfit,
+)
 from verify.calibration.board.pose import board_marker, board_poses
 from verify.calibration.check.lengths import BarTracker, Lengths, measured_lengths
 from verify.calibration.stereo.records import rms
@@ -54,6 +60,7 @@ class CheckResult:
     uncounted: tuple[str, ...]  # sources that state no uncertainty: taken as exact
     decisions: tuple[str, ...]
     warnings: tuple[str, ...]
+    displaced: str | None = None  # the LED that is not where marker.toml puts it, in words
 
     @property
     def verdict(self) -> str:
@@ -138,9 +145,18 @@ def check_rig(measurements: Sequence[Measurement], rig: Rig, marker: Marker) -> 
         )
     each = measured_lengths(posed, rig, marker, rig_check.drop_registration(parameters))
     result = _result(found, each, None, posed, parameters.uncounted)
-    lost = len(measurements) - len(posed)
-    note = f"{lost} of {len(measurements)} pairs could not be measured."
-    return replace(result, warnings=(note, *result.warnings)) if lost else result
+    if (lost := len(measurements) - len(posed)) > 0:
+        note = f"{lost} of {len(measurements)} pairs could not be measured."
+        result = replace(result, warnings=(note, *result.warnings))
+    if result.holds and (unseen := rig_check.unused_leds_warning(posed, marker)):
+        result = replace(result, warnings=(unseen, *result.warnings))
+    pictures = picture_misfit(measurements, rig, marker, parameters)
+    if pictures is None or pictures.led is None:
+        misfit = None if pictures is None else misfit_warning(pictures, told=not result.holds)
+        return replace(result, warnings=(*result.warnings, *filter(None, [misfit])))
+    displaced = f"{displacement_text(pictures.led)}: {LED_ADVICE}"
+    decisions = (displaced, *result.decisions)
+    return replace(result, holds=False, displaced=displaced, decisions=decisions)
 
 
 def check_board(rig: Rig, pairs: Sequence[BoardPair], board: Board) -> CheckResult:

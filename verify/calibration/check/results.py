@@ -27,6 +27,7 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
             "method": "check",
             "warnings": list(found.warnings),
             "verdict": found.verdict,
+            "displaced_led": found.displaced,
             "confidence": P_CONFIDENCE,
             "limit": figure_limit(figures),
             "pairs": {"used": len(figures.frame), "left_out": list(figures.left_out)},

@@ -8,9 +8,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 import robots
 from robots.transforms import rigid_columns
+from verify.analysis.diagnosis.faults import MAX_OFFSET
 from verify.analysis.mistakes import LEVER, joint_mistakes
 from verify.analysis.other_motion import MAX_FROZEN, MAX_LEFT_SHARE
 from verify.calibration.registration.adjustment import AdjustedRegistration
@@ -29,6 +31,8 @@ MIN_TURN_SHARE = 0.2
 MAX_TURN_DIFFERENCE = np.deg2rad(5.0)  # median; a degree of joint error makes one
 Restart = Callable[[Readings], RegistrationStart]
 MAX_REFUSED_SHARE = 0.5  # of the spots: with more, neither rig nor readings fit
+TOL_ZERO = np.deg2rad(0.02)
+MAX_MISFIT = 5.0  # times the noise, above which a joint's zero is sought
 MAX_RMS_PX = 10.0  # a degree of joint error makes a few; these are another robot's readings
 
 
@@ -178,8 +182,34 @@ def _name_mistake(
     tried = [(_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)]
     least, name, remedy = min(tried)
     if least > MAX_LEFT_SHARE * _difference(start):
-        return None
+        return _name_zero(start, readings, restart)
     return f"; {name} fits: {np.rad2deg(least):.2g}° instead", remedy
+
+
+def _name_zero(
+    start: RegistrationStart, readings: Readings, restart: Restart
+) -> tuple[str, str] | None:
+    """The joint whose zero is off by more than joint errors are, and the remedy; None: none is.
+
+    Those of the first and the last joint are turns of base and LEDs, and leave no trace.
+    """
+
+    def left(by: float, joint: int) -> float:
+        q = readings.q.copy()
+        q[:, joint] += by
+        return _difference(restart(Readings(readings.t, q)))
+
+    bounds = (-MAX_OFFSET, MAX_OFFSET)
+    fits = [
+        (found.fun, float(np.rad2deg(found.x)), j + 1)
+        for j in range(1, readings.q.shape[1] - 1)
+        if (found := minimize_scalar(left, args=(j,), bounds=bounds, options={"xatol": TOL_ZERO}))
+    ]
+    least, zero, joint = min(fits, default=(np.inf, 0.0, 0))
+    if least > MAX_LEFT_SHARE * _difference(start) or abs(zero) < np.rad2deg(MAX_TURN_DIFFERENCE):
+        return None
+    name = f"joint {joint} with its zero moved by about {zero:+.0f}° fits"
+    return f"; {name}: {np.rad2deg(least):.2g}° instead", f"Set the zero of joint {joint} anew."
 
 
 def refuse_misfit(
@@ -196,14 +226,17 @@ def refuse_misfit(
     used = adjusted.spotted.used
     left, lost = adjusted.predicted.residual[used], int((~used).sum())
     distance = rms(left) if len(left) else np.inf
-    if distance > MAX_RMS_PX:
-        found = f"the readings put the LEDs {distance:.0f} px (rms) from where they are seen"
-        expected = f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain"
-    elif lost > MAX_REFUSED_SHARE * len(used):
+    found = f"the readings put the LEDs {distance:.1f} px (rms) from where they are seen"
+    expected = f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain"
+    if distance < MAX_RMS_PX and lost > MAX_REFUSED_SHARE * len(used):
         found = f"{lost} of {len(used)} spots contradict the others"
         expected = "most must be of one body that moves as the readings say, seen by this rig"
-    else:
-        return
+    elif distance < MAX_RMS_PX:
+        far = adjusted.chi2 > MAX_MISFIT**2 * adjusted.degrees_of_freedom
+        if (zero := _name_zero(start, readings, restart) if far else None) is None:
+            return
+        expected = "a base is found by joints whose zeros are set"
+        raise InputError(folder / "encoders.csv", f"{found}{zero[0]}", expected, zero[1])
     remedy = "Check the robot's name, the readings' unit (degrees) and order, and the rig."
     name, remedy = _name_mistake(start, readings, restart) or ("", remedy)
     raise InputError(folder / "encoders.csv", f"{found}{name}", expected, remedy)

@@ -22,6 +22,7 @@ from verify.calibration.check.check import (
     check_rig,
     check_session,
 )
+from verify.calibration.check.results import check_results
 from verify.core.fiducials import Board
 from verify.core.records import Measurement
 from verify.errors import InputError
@@ -53,6 +54,34 @@ def test_a_bumped_rig_is_not_held(what: str) -> None:
     result = check_rig(seen_by((true, STATED), (rig, STATED), 1), rig, STATED)
     assert result.verdict == "not_held"
     assert any("beyond" in d for d in result.decisions)
+
+
+@pytest.mark.parametrize("away", [(0.0, 0.0, 5e-3), (1e-3, 0.0, 0.0)], ids=["5 mm", "1 mm"])
+def test_an_led_that_is_not_where_the_marker_file_has_it_is_named(
+    away: tuple[float, float, float],
+) -> None:
+    rig, leds = doubtful_rig(), STATED.leds.copy()
+    leds[1] += away
+    believed_to_be = rig, replace(STATED, leds=leds)
+    result = check_rig(seen_by((make_rig(), STATED), believed_to_be, 3, 24), *believed_to_be)
+    assert result.verdict == "not_held"
+    text, size = result.decisions[0], 1e3 * float(np.linalg.norm(away))
+    assert text.startswith(f"LED {STATED.names[1]} is seen ")
+    assert "measure its place again" in text
+    assert abs(float(text.split()[4]) - size) < 0.2
+    assert check_results(result).summary["displaced_led"] == text
+    sound = check_rig(seen_by((make_rig(), STATED), (rig, STATED), 3, 24), rig, STATED)
+    assert sound.holds
+    assert sound.displaced is None
+
+
+def test_an_led_that_no_pair_shows_is_named() -> None:
+    session = in_memory(sample(pairs=8))
+    leds = session.marker.leds.copy()
+    leds[0] += np.array([20.0, 20.0, 10.0]) * 1e-3
+    result = check_session(replace(session, marker=replace(session.marker, leds=leds)))
+    assert any("where marker.toml puts them: LED A." in w for w in result.warnings)
+    assert not any("Not detected" in w for w in check_session(session).warnings)
 
 
 def test_lengths_show_a_baseline_off_by_half_a_percent() -> None:

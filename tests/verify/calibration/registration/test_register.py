@@ -305,6 +305,14 @@ def test_a_rig_that_most_spots_contradict_is_refused_one_that_some_do_warned_of(
     assert any("spots contradict the others and were rejected, of LED" in w for w in warnings)
 
 
+@pytest.mark.parametrize("joint", [2, 3, 5])
+def test_a_joint_whose_zero_is_far_off_is_named(simulated: InMemory, joint: int) -> None:
+    zero = rf"joint {joint} with its zero moved by about -20° fits"
+    with pytest.raises(InputError, match=zero) as refused:
+        register_motion(with_offset(simulated, joint - 1, 20.0))
+    assert refused.value.remedy == f"Set the zero of joint {joint} anew."
+
+
 def test_a_recording_needs_neither_a_robot_base_nor_a_marker(tmp_path: Path) -> None:
     folder = write_session(tmp_path / "monday")
     (folder / "marker.toml").unlink()
