@@ -72,3 +72,12 @@ def test_a_template_changes_the_page_and_a_folder_moved_is_no_obstacle(
     assert verify("report", moved, "--template", own).status == 0
     page = (moved / "report.html").read_text(encoding="utf-8")
     assert page == "<p>Encoder verification of iust_6r | page</p>"
+
+
+def test_a_file_or_nothing_in_place_of_a_report_s_folder_is_named(tmp_path: Path) -> None:
+    (tmp_path / "report.html").write_text("<html>")
+    assert (
+        "report.html: is a file; the folder of a report"
+        in verify("report", tmp_path / "report.html").refusal
+    )
+    assert "lost: does not exist; the folder" in verify("report", tmp_path / "lost").refusal

@@ -120,6 +120,7 @@ def write_reports(results: reports.Results, folder: Path, name: str = "report") 
 
 def read_results(out: Path) -> reports.Results:
     """Read what an earlier run left; raises InputError: `out` holds no results, or damaged ones."""
+    files.require_folder(out, "the folder of a report is expected", "Name what a command wrote.")
     with files.restated(reports.ReportError):
         return _with_film(reports.read(out / RESULTS), out)
 

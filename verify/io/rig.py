@@ -21,6 +21,7 @@ SOURCES = ("fixture", "motion")
 TOL_ROTATION = 1e-6  # of R'R - I: seven decimals in the file; more is a wrong matrix, not rounding
 # of symmetry, unit diagonal and smallest eigenvalue: six decimals in the file; more is an error
 TOL_CORRELATION = 1e-6
+MIN_FOCAL_SHARE = 0.05  # of the longer side: less, as in mm, is a field of 168° and more
 MAX_CENTRE_OFFSET = 0.2  # of the image's size: a principal point farther off is worth a warning
 # m or rad a radian in a unit of the file (mm or deg a degree), (12, 1)
 ABSORPTION_UNITS = np.tile([toml.MM * 180 / np.pi] * 3 + [1.0] * 3, 2)[:, None]
@@ -176,7 +177,7 @@ def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, 
         **read_base(path, table.robot_base),
     )
     sides = (("left", rig.left), ("right", rig.right))
-    off = [_principal_point(path, *side, rig.image_size) for side in sides]
+    off = [_check_intrinsics(path, *side, rig.image_size) for side in sides]
     return rig, (*warnings, *off[0], *off[1])
 
 
@@ -234,10 +235,6 @@ def read_base(path: Path, base: BaseTable | None) -> dict[str, Any]:
 
 def _camera(path: Path, side: str, table: CameraTable) -> Camera:
     k = np.array(table.camera_matrix)
-    for axis, key in ((0, "fx"), (1, "fy")):
-        if k[axis, axis] <= 0:
-            found = f"has {key} = {k[axis, axis]} px"
-            raise toml.key_error(path, f"{side}.camera_matrix", found, "a focal length is positive")
     if k[1, 0] != 0 or k[2].tolist() != [0.0, 0.0, 1.0]:
         expected = "expected is [[fx, skew, cx], [0, fy, cy], [0, 0, 1]]"
         raise toml.key_error(path, f"{side}.camera_matrix", "is not a camera matrix", expected)
@@ -298,12 +295,15 @@ def nearest_pose(path: Path, key: str, rotation: Matrix, position_mm: Triple) ->
     return rigid_transform(polar(matrix)[0], np.array(position_mm) * toml.MM)
 
 
-def _principal_point(path: Path, side: str, camera: Camera, size: tuple[int, int]) -> list[str]:
-    """Refuse a principal point outside the image; warn of one far off its centre."""
+def _check_intrinsics(path: Path, side: str, camera: Camera, size: tuple[int, int]) -> list[str]:
+    """Refuse what no camera of such images has; warn of a principal point far off the centre."""
     warnings = []
-    key = f"{side}.camera_matrix"
+    key, least = f"{side}.camera_matrix", MIN_FOCAL_SHARE * max(size)
     for axis, name, extent in ((0, "cx", size[0]), (1, "cy", size[1])):
-        at = camera.matrix[axis, 2]
+        focal, at = camera.matrix[axis, [axis, 2]]
+        if focal < least:
+            expected = f"a focal length in pixels is {least:.0f} px or more at that image size"
+            raise toml.key_error(path, key, f"has f{'xy'[axis]} = {focal} px", expected)
         if not -0.5 <= at <= extent - 0.5:  # pixel centres at whole numbers
             found = f"has {name} = {at} px, outside an image of {size[0]} x {size[1]}"
             expected = "the optical axis meets the sensor"

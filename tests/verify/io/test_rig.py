@@ -30,7 +30,7 @@ def motions(draw: st.DrawFn) -> Array:
 
 @st.composite
 def cameras(draw: st.DrawFn) -> Camera:
-    fx, fy, skew = draw(positive), draw(positive), draw(finite)
+    fx, fy, skew = draw(st.floats(64, 1e4)), draw(st.floats(64, 1e4)), draw(finite)
     cx, cy = draw(st.floats(0, 1279)), draw(st.floats(0, 719))
     return Camera(
         matrix=np.array([[fx, skew, cx], [0, fy, cy], [0, 0, 1]]),
@@ -182,6 +182,11 @@ correlation = [[1.0, 0.5], [0.5, 1.0]]
             ["robot_base.absorption: has 1 rows", "12"],
         ),
         ("[[50.0, 0.0, 31.5]", "[[-50.0, 0.0, 31.5]", ["left.", "has fx = -50.0 px"]),
+        (  # millimetres
+            "[[50.0, 0.0, 31.5]",
+            "[[0.8, 0.0, 31.5]",
+            ["left.camera_matrix: has fx = 0.8 px", "in pixels is 3 px or more"],
+        ),
         ("[0.0, 50.0, 23.5]", "[1.0, 50.0, 23.5]", ["left.", "is not a camera matrix"]),
         ("[[1.0, 0.0, 0.0]", "[[1.1, 0.0, 0.0]", ["left.mount_rotation: is not a rotation"]),
     ],

@@ -61,6 +61,10 @@ def convert_bag(sources: Sequence[Path], out: Path, options: ImportOptions, *, f
     """
     (source,) = sources
     require_apart(out, source)
+    boards = [name for name in ("board.toml", "left", "right") if (out / name).exists()]
+    if boards and not (out / SESSION_FILE).exists():
+        found, expected = f"holds {boards[0]}, of board pictures", "a session has its own folder"
+        raise InputError(out, found, expected, "Choose another -o.")
     arm, robot, frames = _load_robot(options.robot, out)
     with open_bag(source) as bag:
         topics = choose_topics(bag, *options.topics)

@@ -115,6 +115,12 @@ def test_mcap_of_a_session_holds_its_pictures_and_comes_back(session: Path, tmp_
     options = ("--robot", "iust_6r", "--marker", session / "marker.toml")
     assert verify("convert", tmp_path / "s.mcap", "-o", tmp_path / "back", *options).status == 0
     assert (tmp_path / "back" / "encoders.csv").is_file()
+    boards = tmp_path / "boards"  # of `verify calibrate boards`
+    (boards / "left").mkdir(parents=True)
+    (boards / "frames.csv").write_text("frame,pan_left_deg,pan_right_deg\n0,5,-5\n")
+    said = verify("convert", tmp_path / "s.mcap", "-o", boards, *options, "--force").refusal
+    assert "boards: holds left, of board pictures" in said
+    assert sorted(path.name for path in boards.iterdir()) == ["frames.csv", "left"]
 
 
 def test_jpegs_go_through_as_they_are(session: Path, tmp_path: Path) -> None:
