@@ -21,7 +21,7 @@ from tests.support import commands
 from tests.support.command import ROOT, sample_results, verify
 from tests.support.pictures import first_page, gallery, notebook, stamp
 from verify.cli.main import app
-from verify.io import fiducials, fixture, rig
+from verify.io import fiducials, rig
 from verify.io.session import keys as session_keys
 from verify.simulation import library
 
@@ -278,7 +278,7 @@ def test_every_file_shown_is_read_without_a_warning(document: Path, tmp_path: Pa
         "rig": rig.read,
         "marker": fiducials.read_marker,
         "board": fiducials.read_board,
-        "fixture": fixture.read,
+        "fixture": fiducials.read_fixture,
     }
     for text in blocks(document, "toml"):
         name = text.partition("\n")[0].removeprefix("# ").removesuffix(".toml")

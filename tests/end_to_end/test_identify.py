@@ -166,6 +166,9 @@ def test_unsuitable_sessions_are_refused_in_one_line(tmp_path: Path) -> None:
         ("eccentricity", (), "joint 3 with eccentricity of 0."),
         ("backlash", (), "joint 3 with backlash of 0."),
         ("base", ("--base", "held"), "another base and target fit"),
+        ("moved base", (), "the base moved by 4 mm and 0.2"),
+        ("moved base", ("--base", "held"), "° at about pose 31 fits"),
+        ("moved target", (), "the target moved by 3.6 mm and 0.0"),
     ],
 )
 def test_what_no_identification_can_describe_is_named(
@@ -177,8 +180,16 @@ def test_what_no_identification_can_describe_is_named(
         turn = rotation_exp(np.radians([2.0, 2.0, 0.0]))
         truth.world_T_base[:] = block_diag(turn, 1.0)
     q = readings(truth.arm, 60, 1)
+    if spoil.startswith("moved"):  # 4.0 mm and 0.2°, or 3.6 mm, from pose 31 on
+        truth.world_T_base[:] = np.eye(4)
     poses, _ = measured(replace(truth, flange_T_target=np.eye(4)), q, 1)
-    if spoil == "scale":
+    if spoil == "moved base":
+        turn = block_diag(rotation_exp(np.radians([0.2, 0.0, 0.0])), 1.0)
+        poses[30:] = turn @ poses[30:]
+        poses[30:, :3, 3] += [3e-3, -2e-3, 1.73e-3]
+    elif spoil == "moved target":
+        poses[30:, :3, 3] += poses[30:, :3, :3] @ [3e-3, 0.0, 2e-3]
+    elif spoil == "scale":
         q = q * [1, 1, 1, 1, 1.3, 1] + np.radians(10) * np.eye(6)[2]
     elif spoil == "slip":
         q[30:, 2] += np.radians(12)
@@ -192,6 +203,18 @@ def test_what_no_identification_can_describe_is_named(
         table.assign(qx=-table["qx"]).to_csv(folder / "poses.csv", index=False)
     free = ("--base", "free", "--leds", "free", "--splits", "2")
     assert message in verify("identify", folder, *(words or free), "-o", tmp_path / "no").refusal
+
+
+def test_an_instrument_s_scale_is_told_to_be_in_all_lengths(tmp_path: Path) -> None:
+    truth = true_arm("iust_6r", 3, geometry=0.0)
+    q = readings(truth.arm, 60, 1)
+    poses, _ = measured(truth, q, 1)
+    poses[:, :3, 3] *= 1.001
+    folder = write_session(tmp_path / "one", build_poses(q, poses), robot="iust_6r", period=10.0)
+    done = verify("identify", folder, *FREE, "--model", "geometry", "-o", tmp_path / "out")
+    assert "a scale that is off makes every length off by as much" in done.err
+    longest = next(p for p in read_summary(tmp_path / "out")["parameters"] if p["name"] == "a_2")
+    assert longest["change"] == pytest.approx(1e-3 * longest["nominal"], rel=0.2)  # so it is
 
 
 @pytest.mark.parametrize("words", [(), ("--base", "free", "--leds", "free", "--splits", "2")])

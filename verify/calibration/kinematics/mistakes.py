@@ -28,7 +28,7 @@ from verify.calibration.kinematics.identify import IdentificationResult
 from verify.calibration.kinematics.model import start_state
 from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.sessions import CombinedPoses
-from verify.calibration.kinematics.terms import P_FALSE, TermFit, explain, fit_terms
+from verify.calibration.kinematics.terms import MOVE_SIGMA, P_FALSE, TermFit, explain, fit_terms
 from verify.core.readings import Readings
 from verify.core.records import Array, Flags, take_rows
 from verify.core.statistics import chi2_isf
@@ -43,7 +43,11 @@ MIN_NEARER = 1.2  # a session that is off is named, where another base fits bett
 MIN_SHARE = 0.5  # of chi², that a scale or slip explains: parts of a real UR10's have up to 0.35
 MIN_JUMP = np.deg2rad(2.0)  # of a joint between two poses: it says where it came from
 MAX_PRIORS = 15.0  # standard deviations, 3 mm or 3°: what is off by more is another arm
-REMEDIES = {"scale": "Undo the scale.", "slip": "Identify from the poses on one side of the slip."}
+REMEDIES = {
+    "scale": "Undo the scale.",
+    "slip": "Identify from the poses on one side of the slip.",
+    **dict.fromkeys(("base", "target"), "Make the poses before and after it two sessions."),
+}
 MEND = "Mend the encoder or the gear, or judge the arm as it is by `verify run`."
 MAX_PAIRED = 40  # poses, by which two mistakes at once are sought
 
@@ -276,13 +280,18 @@ def _words(fit: TermFit, gathered: CombinedPoses) -> str:
     t, words = gathered.sessions[0].comparison.t, []
     for term, x in zip(fit.terms, fit.x, strict=True):
         size = float(np.degrees(np.linalg.norm(x)))
+        pose = int(gathered.frame[np.searchsorted(t, term.since or 0.0)]) + 1
+        if term.joint < 0:
+            shift, turn = np.linalg.norm(np.reshape(x * MOVE_SIGMA, (2, 3)), axis=1).tolist()
+            by = f"by {shift * 1e3:.2g} mm and {np.degrees(turn):.2g}°"
+            words.append(f"the {term.kind} moved {by} at about pose {pose}")
+            continue
         if term.kind == "scale":
             change = float(1 / (1 - x[0]) - 1)  # by two digits of it
             what = f"scaled by {round(1 + change, 1 - int(np.floor(np.log10(abs(change))))):g}"
         elif term.since is None:
             what = f"with {term.kind} of {size:.2g}°"
         else:
-            pose = int(gathered.frame[np.searchsorted(t, term.since)]) + 1
             what = f"slipped by {np.sign(x[0]) * size:+.2g}° at about pose {pose}"
         words.append(f"joint {term.joint + 1} {what}")
     return " and ".join(words)

@@ -4,7 +4,7 @@ With the DH table held, what a motion leaves open is a motion of the base that a
 the LED body makes up for: a turn about, or a shift along, the only axis that turned.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,7 @@ MAX_TURN_DIFFERENCE = np.deg2rad(5.0)  # median; a degree of joint error makes o
 Restart = Callable[[Readings], RegistrationStart]
 MAX_REFUSED_SHARE = 0.5  # of the spots: with more, neither rig nor readings fit
 TOL_ZERO = np.deg2rad(0.02)
-MAX_MISFIT = 5.0  # times the noise, above which a joint's zero is sought
+MAX_MISFIT = 5.0  # times the noise, above which a mistake in the readings is sought
 MAX_RMS_PX = 10.0  # a degree of joint error makes a few; these are another robot's readings
 
 
@@ -182,34 +182,26 @@ def _name_mistake(
     tried = [(_difference(restart(q)), name, do) for name, do, q in joint_mistakes(readings)]
     least, name, remedy = min(tried)
     if least > MAX_LEFT_SHARE * _difference(start):
-        return _name_zero(start, readings, restart)
+        least, name, remedy = min(_zeros(readings, restart), default=(np.inf, "", ""))
+    if least > MAX_LEFT_SHARE * _difference(start):
+        return None
     return f"; {name} fits: {np.rad2deg(least):.2g}° instead", remedy
 
 
-def _name_zero(
-    start: RegistrationStart, readings: Readings, restart: Restart
-) -> tuple[str, str] | None:
-    """The joint whose zero is off by more than joint errors are, and the remedy; None: none is.
+def _zeros(readings: Readings, restart: Restart) -> Iterator[tuple[float, str, str]]:
+    """What is left, name, remedy of each joint's best zero, where no joint error is as large.
 
     Those of the first and the last joint are turns of base and LEDs, and leave no trace.
     """
+    for j, one in list(enumerate(np.eye(readings.q.shape[1])))[1:-1]:
 
-    def left(by: float, joint: int) -> float:
-        q = readings.q.copy()
-        q[:, joint] += by
-        return _difference(restart(Readings(readings.t, q)))
+        def left(by: float, one: Array = one) -> float:
+            return _difference(restart(Readings(readings.t, readings.q + by * one)))
 
-    bounds = (-MAX_OFFSET, MAX_OFFSET)
-    fits = [
-        (found.fun, float(np.rad2deg(found.x)), j + 1)
-        for j in range(1, readings.q.shape[1] - 1)
-        if (found := minimize_scalar(left, args=(j,), bounds=bounds, options={"xatol": TOL_ZERO}))
-    ]
-    least, zero, joint = min(fits, default=(np.inf, 0.0, 0))
-    if least > MAX_LEFT_SHARE * _difference(start) or abs(zero) < np.rad2deg(MAX_TURN_DIFFERENCE):
-        return None
-    name = f"joint {joint} with its zero moved by about {zero:+.0f}° fits"
-    return f"; {name}: {np.rad2deg(least):.2g}° instead", f"Set the zero of joint {joint} anew."
+        found = minimize_scalar(left, bounds=(-MAX_OFFSET, MAX_OFFSET), options={"xatol": TOL_ZERO})
+        if abs(found.x) > MAX_TURN_DIFFERENCE:
+            name = f"joint {j + 1} with its zero moved by about {np.rad2deg(found.x):+.0f}°"
+            yield float(found.fun), name, f"Set the zero of joint {j + 1} anew."
 
 
 def refuse_misfit(
@@ -228,15 +220,15 @@ def refuse_misfit(
     distance = rms(left) if len(left) else np.inf
     found = f"the readings put the LEDs {distance:.1f} px (rms) from where they are seen"
     expected = f"{MAX_RMS_PX:.0f} px are the worst that joint errors explain"
-    if distance < MAX_RMS_PX and lost > MAX_REFUSED_SHARE * len(used):
-        found = f"{lost} of {len(used)} spots contradict the others"
+    refused = distance > MAX_RMS_PX
+    if not refused and lost > MAX_REFUSED_SHARE * len(used):
+        refused, found = True, f"{lost} of {len(used)} spots contradict the others"
         expected = "most must be of one body that moves as the readings say, seen by this rig"
-    elif distance < MAX_RMS_PX:
-        far = adjusted.chi2 > MAX_MISFIT**2 * adjusted.degrees_of_freedom
-        if (zero := _name_zero(start, readings, restart) if far else None) is None:
-            return
-        expected = "a base is found by joints whose zeros are set"
-        raise InputError(folder / "encoders.csv", f"{found}{zero[0]}", expected, zero[1])
-    remedy = "Check the robot's name, the readings' unit (degrees) and order, and the rig."
-    name, remedy = _name_mistake(start, readings, restart) or ("", remedy)
-    raise InputError(folder / "encoders.csv", f"{found}{name}", expected, remedy)
+    if not refused and adjusted.chi2 < MAX_MISFIT**2 * adjusted.degrees_of_freedom:
+        return
+    named = _name_mistake(start, readings, restart)
+    if refused or named is not None:
+        remedy = "Check the robot's name, the readings' unit (degrees) and order, and the rig."
+        name, remedy = named or ("", remedy)
+        expected = expected if refused else "readings of the motion that is seen are expected"
+        raise InputError(folder / "encoders.csv", f"{found}{name}", expected, remedy)

@@ -12,7 +12,7 @@ from verify.calibration.kinematics.sessions import gather_sessions, session_to_p
 from verify.calibration.origin import ResultsOrigin
 from verify.calibration.registration import results
 from verify.calibration.registration.fixture import register_fixture
-from verify.calibration.registration.records import MotionRegistration
+from verify.calibration.registration.model import MotionRegistration
 from verify.calibration.registration.register import register_motion
 from verify.cli.calibrate.boards import error_in_folder, require_same_size
 from verify.cli.terminal import report_files, terminal
@@ -21,7 +21,6 @@ from verify.core.records import Array
 from verify.core.rig import Rig
 from verify.errors import InputError
 from verify.io import fiducials
-from verify.io import fixture as io_fixture
 from verify.io import rig as io_rig
 from verify.io.board.folder import open_board_folder
 from verify.io.files import (
@@ -63,7 +62,7 @@ def register_by_fixture(
         expected = "the calibrated cameras are needed"
         raise InputError("--rig", "is missing", expected, "Give the rig of `calibrate boards`.")
     rig, rig_warnings = io_rig.read(rig_path, registered=False)
-    place, fixture_warnings = io_fixture.read(fixture)
+    place, fixture_warnings = fiducials.read_fixture(fixture)
     others = {str(path): digest(path) for path in (fixture, rig_path)}
     opened = open_board_folder(folder, board)
     require_same_size(opened.folder, opened.image_size, rig)

@@ -149,8 +149,7 @@ def _convert_out(source: Path, out: Path, to: str | None, *, force: bool) -> Non
         InputError: the folder is damaged, lacks what the format shows, or `out` cannot be written.
     """
     from verify.errors import InputError
-    from verify.io.export.content import read_content, require_poses
-    from verify.io.export.tables import FOLDERS
+    from verify.io.export.content import FOLDERS, read_content, require_poses
     from verify.io.files import require_apart, write_file_whole, write_folder_whole
     from verify.io.results import refuse_file
 
@@ -181,7 +180,7 @@ def _convert_out(source: Path, out: Path, to: str | None, *, force: bool) -> Non
 
 def _write_file(content: "ExportContent", kind: str, path: Path) -> None:
     if kind == "mat":
-        from verify.io.export.tables import write_mat
+        from verify.io.export.content import write_mat
 
         write_mat(content, path)
         return

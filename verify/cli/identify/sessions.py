@@ -22,8 +22,7 @@ from verify.calibration.kinematics.identify import (
     unstated_effects,
 )
 from verify.calibration.kinematics.mistakes import refuse_mistaken_readings, refuse_unfit
-from verify.calibration.kinematics.placements import session_files
-from verify.calibration.kinematics.robot_file import encode_robot
+from verify.calibration.kinematics.placements import encode_robot, session_files
 from verify.calibration.origin import ResultsOrigin
 from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__
@@ -191,13 +190,16 @@ def _warnings(
     )
     if exact:
         held = {"robot base": "base", "LED body": "tool", BODY_SOURCE: "tool"}
+        scales = [source for source in exact if source in ("rig", CALIBRATION_SOURCE)]
         effects = unstated_effects(
             found.chosen.fit,
             gathered.poses,
-            [source for source in exact if source in ("rig", CALIBRATION_SOURCE)],
+            scales,
             {held[source]: source for source in exact if source in held},
         )
         said = "".join(f"; {effect.source}: {effect}" for effect in effects)
+        if scales and found.chosen.name == "geometry":
+            said += "; a scale that is off makes every length off by as much"
         warnings.append(
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the uncertainties "
             f"hold on that condition{said}."

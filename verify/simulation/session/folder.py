@@ -13,7 +13,7 @@ import numpy as np
 from verify.core.records import SIDES, Array, Image
 from verify.errors import InputError
 from verify.io import fiducials, rig, toml
-from verify.io.board.pictures import PICTURE_SUFFIXES
+from verify.io.board.folder import PICTURE_SUFFIXES
 from verify.io.encoding import write_video
 from verify.io.session.folder import copy_robot
 from verify.io.video import picture_name

@@ -17,7 +17,7 @@ from verify.calibration.registration.results import fixture_results
 from verify.core.records import Array
 from verify.core.rig import Covariance, Rig
 from verify.errors import InputError
-from verify.io import fixture as io_fixture
+from verify.io import fiducials
 from verify.io import rig as io_rig
 
 FIXED = np.diag(np.square([2e-4] * 3 + [np.deg2rad(0.03)] * 3))
@@ -152,18 +152,18 @@ def test_a_fixture_file_gives_place_and_uncertainty(tmp_path: Path) -> None:
     stated = "position_standard_uncertainty_mm = 0.1\n"
     stated += "rotation_standard_uncertainty_deg = [0.1, 0.2, 0.3]\n"
     path.write_text(FIXTURE + stated)
-    fixture, warnings = io_fixture.read(path)
+    fixture, warnings = fiducials.read_fixture(path)
     assert not warnings
     expected = [[0, -1, 0, 0.12], [1, 0, 0, -0.04], [0, 0, 1, 0.015]]
     assert_allclose(fixture.base_T_board[:3], expected, atol=1e-15)
     sigma = [1e-4] * 3 + np.deg2rad([0.1, 0.2, 0.3]).tolist()
     assert_allclose(np.sqrt(np.diag(fixture.covariance)), sigma)
     path.write_text(FIXTURE)
-    fixture, warnings = io_fixture.read(path)
+    fixture, warnings = fiducials.read_fixture(path)
     assert not fixture.covariance.any()
     assert "rotation_standard_uncertainty_deg not stated; taken as exact" in warnings[0]
     path.write_text(FIXTURE.replace("[120.0, -40.0, 15.0]", "[0.12, -0.04, 0.015]") + stated)
-    assert "is that in metres?" in io_fixture.read(path)[1][0]
+    assert "is that in metres?" in fiducials.read_fixture(path)[1][0]
 
 
 @pytest.mark.parametrize(
@@ -182,4 +182,4 @@ def test_a_wrong_fixture_file_is_refused(tmp_path: Path, text: str, message: str
     path = tmp_path / "fixture.toml"
     path.write_text(text)
     with pytest.raises(InputError, match=message):
-        io_fixture.read(path)
+        fiducials.read_fixture(path)
