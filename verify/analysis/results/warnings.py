@@ -59,8 +59,7 @@ def _input_warnings(
             f"No uncertainty is stated for {', '.join(exact)}: taken as exact; the verdict holds "
             "on that condition."
         )
-    if unseen := unused_leds_warning(measurements, session.marker):
-        yield unseen
+    yield from filter(None, [unused_leds_warning(measurements, session.marker)])
     if systematics.unknown:
         yield (
             "rig.toml [covariance]: not counted, as the names are not known here: "

@@ -16,7 +16,6 @@ and the tables are those that `reports.check` documents.
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import pandas as pd
@@ -24,7 +23,7 @@ from numpy.typing import ArrayLike
 
 from reports import Results
 from verify.analysis.rig_check import check as rig_check
-from verify.analysis.rig_check.check import FIGURES, RigConsistency
+from verify.analysis.rig_check.check import FIGURES
 from verify.analysis.rig_check.leds import LED_ADVICE, displacement_text, picture_misfit
 from verify.calibration.board.pose import board_marker, board_poses
 from verify.calibration.check.lengths import BarTracker, Lengths, measured_lengths
@@ -151,11 +150,10 @@ def check_rig(measurements: Sequence[Measurement], rig: Rig, marker: Marker) -> 
         )
     each = measured_lengths(posed, rig, marker, rig_check.drop_registration(parameters))
     result = _result(found, each, None, posed, parameters.uncounted)
-    if (lost := len(measurements) - len(posed)) > 0:
-        note = f"{lost} of {len(measurements)} pairs could not be measured."
-        result = replace(result, warnings=(note, *result.warnings))
-    if result.holds and (unseen := rig_check.unused_leds_warning(posed, marker)):
-        result = replace(result, warnings=(unseen, *result.warnings))
+    lost = len(measurements) - len(posed)
+    notes = [f"{lost} of {len(measurements)} pairs could not be measured."] * (lost > 0)
+    unseen = rig_check.unused_leds_warning(posed, marker) if result.holds else None
+    result = replace(result, warnings=(*filter(None, [unseen]), *notes, *result.warnings))
     pictures = picture_misfit(measurements, rig, marker, parameters)
     if pictures is None or pictures.led is None:
         return result
@@ -275,6 +273,7 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
     """Lay an interim check of a session or of pictures out for the report."""
     figures, each = found.found, found.lengths
     square = None if found.square is None else [MM * size for size in found.square]
+    sizes = np.array([figures.value * FACTORS, figures.uncertainty * FACTORS, figures.z])
     keys = ("known_mm", "measured_mm", "standard_uncertainty_mm")
     return Results(
         summary={
@@ -287,7 +286,15 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
             "limit": figure_limit(figures),
             "pairs": {"used": len(figures.frame), "left_out": list(figures.left_out)},
             "reprojection": {"rms_px": found.reprojection_rms_px},
-            "figures": _figures(figures),
+            "figures": [
+                {
+                    "figure": name,
+                    key: x,
+                    f"standard_uncertainty_{key.rpartition('_')[2]}": u,
+                    "z": z,
+                }
+                for name, key, x, u, z in zip(FIGURES, NAMES, *sizes.tolist(), strict=True)
+            ],
             "mm_per_m": dict(zip(FIGURES, (figures.per_metre / FACTORS).tolist(), strict=True)),
             "square": square and dict(zip(keys, square, strict=True)),
             "visible": [
@@ -313,14 +320,6 @@ def check_results(found: CheckResult, origin: ResultsOrigin | None = None) -> Re
             "sources": _table("source", [*figures.by_source], [*figures.by_source.values()]),
         },
     )
-
-
-def _figures(found: RigConsistency) -> list[dict[str, Any]]:
-    figures = np.array([found.value * FACTORS, found.uncertainty * FACTORS, found.z])
-    return [
-        {"figure": name, key: value, f"standard_uncertainty_{key.rpartition('_')[2]}": u, "z": z}
-        for name, key, (value, u, z) in zip(FIGURES, NAMES, figures.T.tolist(), strict=True)
-    ]
 
 
 def _table(key: str, of: ArrayLike, figures: ArrayLike) -> pd.DataFrame:

@@ -188,10 +188,8 @@ def explain(
         order = np.argsort(_shares(found, rows, every)).tolist()
         best = {every[k].kind: every[k] for k in order}  # of each kind: first order misleads
         tried = (fit_terms(start, rows, parameters, (*found.terms, one)) for one in best.values())
-        price = np.log(rows.numbers)  # of each number
-        more = min(
-            tried, key=lambda one: one.chi2(rows, found.scale) + price * len(np.concatenate(one.x))
-        )
+        bic = np.log(rows.numbers)  # price of each number
+        more = min(tried, key=lambda one: one.chi2(rows, found.scale) + bic * sum(map(len, one.x)))
         width = np.array([len(x) for x in more.x])
         least = width * fdtri(width, more.freedom, 1 - P_FALSE / len(every))
         if (more.gain < least).any() or more.share.min() < MIN_SHARE:

@@ -109,13 +109,24 @@ def calibration_results(
         ValueError: the rig states no covariance, or `pan` does not fit the pairs.
     """
     quality = judge_calibration(calibration, pan)
-    images = {}
+    used, board, images = calibration.residuals.used, calibration.board, {}
     if picture is not None:
         images["rectified"] = draw_rectified(calibration.rig, *picture, picture_pan)
     return Results(
         summary={
             **(origin or ResultsOrigin()).summary("calibration"),
-            **_fit(calibration, quality),
+            "pairs": {
+                "used": len(calibration.frames),
+                "corners": int(used.sum()),
+                "refused": int((~used).sum()),
+            },
+            "reprojection": {
+                "rms_px": quality.rms[0],
+                "left_rms_px": quality.rms[1],
+                "right_rms_px": quality.rms[2],
+                "noise_factor": calibration.noise,
+                "degrees_of_freedom": calibration.degrees_of_freedom,
+            },
             "stereo": stereo_geometry(calibration.rig, quality.pan),
             "turning": pan_axes_angle(calibration.rig) if calibration.turning else None,
             "square": _square(calibration),
@@ -127,28 +138,19 @@ def calibration_results(
             "gaps": list(coverage_gaps(calibration, quality)),
             "parameter_correlation": _correlation(calibration),
         },
-        setup={"board": _board(calibration), "image_size_px": list(calibration.rig.image_size)},
+        setup={
+            "board": {
+                "columns": board.columns,
+                "rows": board.rows,
+                "square_mm": board.square * MM,
+                "markers": board.markers,
+                "marker_mm": None if board.marker is None else board.marker * MM,
+            },
+            "image_size_px": list(calibration.rig.image_size),
+        },
         tables=tables(calibration, quality),
         images=images,
     )
-
-
-def _fit(calibration: Calibration, quality: CalibrationQuality) -> dict[str, Any]:
-    used = calibration.residuals.used
-    return {
-        "pairs": {
-            "used": len(calibration.frames),
-            "corners": int(used.sum()),
-            "refused": int((~used).sum()),
-        },
-        "reprojection": {
-            "rms_px": quality.rms[0],
-            "left_rms_px": quality.rms[1],
-            "right_rms_px": quality.rms[2],
-            "noise_factor": calibration.noise,
-            "degrees_of_freedom": calibration.degrees_of_freedom,
-        },
-    }
 
 
 def _square(calibration: Calibration) -> dict[str, Any]:
@@ -211,14 +213,3 @@ def _correlation(calibration: Calibration) -> dict[str, Any]:
         return {"parameters": [], "correlation": []}
     free = given.take(np.flatnonzero(given.standard_uncertainty > 0).tolist())
     return {"parameters": list(free.parameters), "correlation": free.correlation.tolist()}
-
-
-def _board(calibration: Calibration) -> dict[str, Any]:
-    board = calibration.board
-    return {
-        "columns": board.columns,
-        "rows": board.rows,
-        "square_mm": board.square * MM,
-        "markers": board.markers,
-        "marker_mm": None if board.marker is None else board.marker * MM,
-    }

@@ -77,6 +77,7 @@ def calibrate(
     sides = zip(found.state.cameras, found.model.bases, corners.pan.T, strict=True)
     left, right = (_with_reading(*side, adjusted.scatter) for side in sides)
     frames = np.array([p.frame for p in begin.pairs])
+    refusals.refuse_changed(motion := _seen_errors(adjusted, par.MOTION), frames.tolist())
     progress(N_STAGES, N_STAGES)
     return Calibration(
         rig=Rig(
@@ -106,7 +107,7 @@ def calibrate(
         decisions=(*begin.notes, *_decisions(adjusted, board, frames)),
         square_found=estimate.square_edges(found, corners, board),
         turning=begin.bases != (BASE_FIXED, BASE_FIXED),
-        motion=_seen_errors(adjusted, par.MOTION),
+        motion=motion,
     )
 
 

@@ -21,8 +21,9 @@ MAX_NAMED_PAIRS = 8  # pairs that a message lists
 SAME_PLACE = np.deg2rad(1.0)  # boards that are turned and, from the camera, moved by less
 MAX_PAN_SCATTER = np.deg2rad(2.0)  # scatter of readings beyond which they are no readings
 MIN_READINGS = 8  # by which a scale is told from scatter
-MAX_UNEXPLAINED = 0.2  # of the squared errors, that a scale leaves
+MAX_UNEXPLAINED = 0.2  # of the squared errors, that a scale leaves, or a step
 MIN_SLOPE = 0.02  # of errors over readings: less is a base's own
+MIN_BESIDE = 5  # pairs on either side of a change of the rig
 MIN_SQUARE = 1e-12  # rad²: a base that did not turn
 MORE_PICTURES = (
     "Move the board through the whole picture, near and far, tilted 20 to 40° every way."
@@ -143,6 +144,23 @@ def refuse_wrong_readings(scatter: float, readings: Array, errors: Array) -> Non
     found = f"stand {np.rad2deg(scatter):.1f}° (rms) off the pan angles given"
     remedy = "Check the pan columns of frames.csv: degrees, their signs and their order."
     raise InputError("pairs", found, expected, remedy)
+
+
+def refuse_changed(motion: Array | None, frames: Sequence[int]) -> None:
+    """Raise InputError where the boards' seeming motions (b, 3), m, are two, before a pair and on.
+
+    A hand moves by another amount each time; a lens that focuses anew, or a camera that is touched,
+    stays so. None: the pictures show no motion.
+    """
+    shown = np.zeros((0, 3)) if motion is None else motion
+    for k in range(MIN_BESIDE, len(shown) - MIN_BESIDE + 1):
+        left = sum(len(part) * part.var(axis=0) for part in (shown[:k], shown[k:]))
+        if np.any(left < MAX_UNEXPLAINED * len(shown) * shown.var(axis=0)):
+            found = f"from about pair {frames[k]} on show another camera or lens than those before"
+            remedy = (
+                "Switch autofocus off, fix the cameras, and calibrate from pictures of one state."
+            )
+            raise InputError("pairs", found, "all must be of one rig", remedy)
 
 
 def refuse_undetermined(found: Estimate) -> None:

@@ -256,3 +256,27 @@ def test_scaled_pan_readings_are_no_scatter() -> None:
     with pytest.raises(InputError, match="pan_left_deg grows faster than its base turns"):
         calibrate(scaled, BOARD, SIZE)
     refuse_wrong_readings(0.01, pan, np.deg2rad(rng.normal(0.0, 0.5, (20, 2))))
+
+
+@pytest.mark.parametrize(("sides", "factor"), [(("right",), 1.005), (("left", "right"), 1.01)])
+def test_a_lens_that_focuses_anew_halfway_is_refused(sides: Sequence[str], factor: float) -> None:
+    rig, boards = fixed_rig(), poses(np.random.default_rng(4), 20)
+    other = rig
+    for side in sides:
+        matrix = getattr(rig, side).matrix * np.array([[factor, 1, 1], [1, factor, 1], [1, 1, 1]])
+        other = replace(other, **{side: replace(getattr(rig, side), matrix=matrix)})
+    before, after = (make_pairs(one, boards, np.random.default_rng(5)) for one in (rig, other))
+    error = refusal(calibrate, [*before[:10], *after[10:]], BOARD, SIZE)
+    assert error.found.startswith(("from about pair 9 on", "from about pair 10 on"))
+    assert "autofocus" in error.remedy
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_board_that_moves_in_the_hand_is_no_change_of_the_rig(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    boards = poses(rng, 14)
+    shifted = boards.copy()
+    shifted[:, :3, 3] += rng.normal(0, 1e-3, (14, 3))
+    lefts, rights = (make_pairs(fixed_rig(), seen, rng) for seen in (boards, shifted))
+    pairs = [replace(a, right=b.right) for a, b in zip(lefts, rights, strict=True)]
+    assert calibrate(pairs, BOARD, SIZE).motion is not None
