@@ -21,9 +21,9 @@ MAX_NAMED_PAIRS = 8  # pairs that a message lists
 SAME_PLACE = np.deg2rad(1.0)  # boards that are turned and, from the camera, moved by less
 MAX_PAN_SCATTER = np.deg2rad(2.0)  # scatter of readings beyond which they are no readings
 MIN_READINGS = 8  # by which a scale is told from scatter
-MAX_UNEXPLAINED = 0.2  # of the squared errors, that a scale leaves, or a step
+MAX_UNEXPLAINED = 0.2  # of the squared errors, that a scale leaves
 MIN_SLOPE = 0.02  # of errors over readings: less is a base's own
-MIN_BESIDE = 5  # pairs on either side of a change of the rig
+MIN_BESIDE, MAX_BESIDE = 5, 0.05  # pairs on either side of a change; variance that it leaves
 MIN_SQUARE = 1e-12  # rad²: a base that did not turn
 MORE_PICTURES = (
     "Move the board through the whole picture, near and far, tilted 20 to 40° every way."
@@ -155,7 +155,7 @@ def refuse_changed(motion: Array | None, frames: Sequence[int]) -> None:
     shown = np.zeros((0, 3)) if motion is None else motion
     for k in range(MIN_BESIDE, len(shown) - MIN_BESIDE + 1):
         left = sum(len(part) * part.var(axis=0) for part in (shown[:k], shown[k:]))
-        if np.any(left < MAX_UNEXPLAINED * len(shown) * shown.var(axis=0)):
+        if np.any(left < MAX_BESIDE * len(shown) * shown.var(axis=0)):
             found = f"from about pair {frames[k]} on show another camera or lens than those before"
             remedy = (
                 "Switch autofocus off, fix the cameras, and calibrate from pictures of one state."

@@ -17,7 +17,7 @@ from tests.support.command import verify
 from tests.support.devices.chromium import Browser
 from verify.calibration.corners.find import find_board
 from verify.calibration.corners.folder import find_boards
-from verify.cli.calibrate.boards import board_of, take_pictures
+from verify.cli.calibrate.live import board_of, take_pictures
 from verify.core.fiducials import Board, BoardPair, BoardView
 from verify.core.records import Array, StereoPair
 from verify.errors import InputError
