@@ -19,7 +19,8 @@ from tests.support.boards.fixture import STATED, board_pairs, doubtful_rig
 from tests.support.boards.made_views import BOARD, SIZE, fixed_rig, make_pairs
 from tests.support.moved_rig import bumped, seen_by
 from tests.support.scene import make_rig
-from verify.calibration.check.check import check_board, check_results, check_rig
+from verify.calibration.check.check import check_board, check_rig
+from verify.calibration.check.results import check_results
 from verify.calibration.origin import ResultsOrigin
 from verify.calibration.quality.results import calibration_results
 from verify.calibration.stereo.calibrate import calibrate

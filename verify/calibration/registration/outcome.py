@@ -7,7 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from verify.calibration.registration.adjustment import AdjustedRegistration, AdjustmentSetup, adjust
-from verify.calibration.registration.model import MotionRegistration, build_marker, predict_spots
+from verify.calibration.registration.model import predict_spots
+from verify.calibration.registration.records import MotionRegistration, build_marker
 from verify.calibration.registration.start import RegistrationStart
 from verify.calibration.registration.uncertainty import (
     absorption,

@@ -21,10 +21,8 @@ from verify.calibration.registration.led_tracks import (
     find_spots,
 )
 from verify.calibration.registration.model import (
-    MotionRegistration,
     RegistrationParameters,
     SpotStack,
-    order_like_marker,
     reading_variance,
     stack_spots,
 )
@@ -33,6 +31,7 @@ from verify.calibration.registration.outcome import (
     refuse_misplaced_led,
     registration_outcome,
 )
+from verify.calibration.registration.records import MotionRegistration, order_like_marker
 from verify.calibration.registration.start import RegistrationStart, start_registration
 from verify.core.fiducials import Marker
 from verify.core.readings import RATE_SPAN, Readings

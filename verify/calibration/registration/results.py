@@ -17,7 +17,7 @@ from verify.calibration.kinematics.placements import placement_uncertainty, targ
 from verify.calibration.kinematics.registration import PosesRegistration
 from verify.calibration.origin import DEG, MM, POSE_UNITS, ResultsOrigin
 from verify.calibration.registration.fixture import FixtureRegistration
-from verify.calibration.registration.model import MotionRegistration
+from verify.calibration.registration.records import MotionRegistration
 from verify.core.fiducials import Marker
 from verify.core.records import POSE_NAMES, SIDES, Array
 from verify.core.rig import Rig

@@ -214,7 +214,7 @@ def check(
 
     Example: verify calibrate check sample_sessions/quarter_circle_6r
     """
-    from verify.calibration.check.check import check_results
+    from verify.calibration.check.results import check_results
     from verify.cli.calibrate.boards import board_from_options, run_check
     from verify.io.results import refuse_existing, write_report_folder
 

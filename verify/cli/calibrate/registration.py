@@ -12,7 +12,7 @@ from verify.calibration.kinematics.sessions import gather_sessions, session_to_p
 from verify.calibration.origin import ResultsOrigin
 from verify.calibration.registration import results
 from verify.calibration.registration.fixture import register_fixture
-from verify.calibration.registration.model import MotionRegistration
+from verify.calibration.registration.records import MotionRegistration
 from verify.calibration.registration.register import register_motion
 from verify.cli.calibrate.boards import error_in_folder, require_same_size
 from verify.cli.terminal import report_files, terminal

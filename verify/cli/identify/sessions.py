@@ -22,7 +22,8 @@ from verify.calibration.kinematics.identify import (
     unstated_effects,
 )
 from verify.calibration.kinematics.mistakes import refuse_mistaken_readings, refuse_unfit
-from verify.calibration.kinematics.placements import encode_robot, session_files
+from verify.calibration.kinematics.placements import session_files
+from verify.calibration.kinematics.robot_file import encode_robot
 from verify.calibration.origin import ResultsOrigin
 from verify.cli.terminal import report_files, terminal
 from verify.core.version import __version__

@@ -19,10 +19,10 @@ from verify.calibration.check.check import (
     CheckResult,
     bar_marker,
     check_board,
-    check_results,
     check_rig,
     check_session,
 )
+from verify.calibration.check.results import check_results
 from verify.core.fiducials import Board
 from verify.core.records import Measurement
 from verify.errors import InputError

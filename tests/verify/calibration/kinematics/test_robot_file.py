@@ -16,7 +16,7 @@ from verify.calibration.kinematics.chain import (
     offset_parameters,
 )
 from verify.calibration.kinematics.model import predict_poses
-from verify.calibration.kinematics.placements import encode_robot
+from verify.calibration.kinematics.robot_file import encode_robot
 
 ORIGIN = ["Identified from a--b.", "Before: an arm."], {"x/rig.toml": "sha256:00"}
 

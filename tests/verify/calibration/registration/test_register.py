@@ -17,7 +17,7 @@ from tests.support.recorded import PAIRS, require_shared, write_session
 from tests.support.simulated import InMemory, in_memory, sample
 from verify.calibration.registration import register
 from verify.calibration.registration.led_tracks import PairSpots, find_spots
-from verify.calibration.registration.model import MotionRegistration
+from verify.calibration.registration.records import MotionRegistration
 from verify.calibration.registration.refusals import refuse_undetermined
 from verify.calibration.registration.register import register_motion
 from verify.calibration.registration.results import motion_results
