@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import asdict, replace
+from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -25,7 +26,7 @@ from verify.analysis.comparison import (
 )
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
-from verify.analysis.diagnosis.faults import about_turned_camera, without_misplacement
+from verify.analysis.diagnosis.faults import about_camera_errors, without_misplacement
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import JointErrors, ResolvedErrors, predict_errors, resolve_errors
 from verify.analysis.least_squares import autocorrelation, solve
@@ -247,7 +248,8 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
         left = model.xi - predict_errors(model, resolved)
         return resolved, autocorrelation(model.white.by_pair(left))
 
-    middle = plain = _tangent(compared, built)
+    tangent = partial(_tangent, built=built)
+    middle = plain = about_camera_errors(compared, (), tangent, built)
     factors = explained(built(middle), None)[1]
     rounds, changes, across = 0, 0, np.zeros(0, dtype=np.int64)
     cameras = bool(plain.systematic[:, :, -1].any())
@@ -259,7 +261,7 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
             turns = [("camera_turned", 0)]
         turned = bool(turns)
         if not rounds and changes < 2 and turned == (middle is plain):
-            middle = about_turned_camera(compared, plain, turns, built) if turned else plain
+            middle = about_camera_errors(compared, turns, tangent, built) if turned else plain
             factors, changes = explained(built(middle), None)[1], changes + 1
             continue
         resolved, rounds = explained(model, found)[0], rounds + 1

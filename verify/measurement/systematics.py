@@ -196,7 +196,8 @@ def pixel_sensitivities(
     if pose is None or left is None or right is None:
         raise ValueError("only a measured pair has spots that a pose predicts")
     spots = pose.rig_T_flange, (left, right), pose.sensitivity
-    return spot_derivatives(names, *spots, rig, marker).reshape(len(names), -1).T
+    moved = spot_derivatives(names, *spots, rig, marker)
+    return moved.reshape(len(names), 2 * len(pose.sensitivity)).T
 
 
 def spot_columns(

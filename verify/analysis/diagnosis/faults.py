@@ -6,9 +6,9 @@ Columns of a camera that is late or was moved are made of what a turn about its 
 pose, the largest part of its effect on depth.
 
 A turn of 0.5° puts the depth off by some per cent of itself, and spots that contradict each other
-are rejected: what is left of a line through 0 is many times the noise. So every pose is fitted
-again to the same spots with the camera turned by a, and Newton's steps find a beside the joints'
-offsets, until a' is a:
+are rejected: what is left of a line through 0 is many times the noise. So do optical centres that
+are known to a pixel. So every pose is fitted again to the same spots with the camera turned by a,
+and Newton's steps find a beside the joints' offsets, until a' is a:
 
     xi - (d(a) - c(a) a) = c(a) a' + J e + what is fitted and stated + noise
 
@@ -25,7 +25,13 @@ from functools import partial
 import numpy as np
 
 from robots.transforms import invert, rotation_exp
-from verify.analysis.comparison import Comparison, base_motion, body_motion, twist_difference
+from verify.analysis.comparison import (
+    Comparison,
+    base_motion,
+    body_motion,
+    solve_joints,
+    twist_difference,
+)
 from verify.analysis.least_squares import solve
 from verify.analysis.model import (
     MIN_SPEED_SIGMA,
@@ -35,8 +41,14 @@ from verify.analysis.model import (
 )
 from verify.core.records import Array, Measurement, rigid_transform
 from verify.core.rig import Rig
+from verify.core.statistics import chi2_bound
 from verify.measurement.pose import fit_pose
-from verify.measurement.systematics import sensitivities, spot_columns
+from verify.measurement.systematics import (
+    covariance_root,
+    pixel_sensitivities,
+    sensitivities,
+    spot_columns,
+)
 
 Name = tuple[str, int | None, str | None]
 Turn = tuple[str, int]  # of a camera: kind and variant
@@ -64,8 +76,10 @@ MIN_LEVER_RATIO = 0.5  # of the longest: a lever that varies less pulls like an 
 MIN_SPAN_ONE_WAVE = np.deg2rad(60.0)  # of one wave a turn, as the resolved error has it
 MIN_SPAN_WAVES = np.deg2rad(270.0)  # of several a turn, which must show that they come back
 KNOTS = 8  # of a camera that creeps unevenly
-MAX_STEPS_TURN = 6
-TOL_TURN = 1e-5  # rad: far below any turn of a camera that a session shows
+MAX_STEPS_CAMERAS = 6
+MIN_MOVED = 1e-3  # m: of what cameras move less, second order is some micrometres
+P_NOT_STATED = 1e-4  # of errors that are as stated, and larger
+TOL_MOVED = 1e-5  # m: far below any turn of a camera that a session shows
 WHOLE_POSE = 6  # degrees of freedom
 MIN_PAIRS_PER_WAVE = 2  # of what is sought: their mean, as pairs do not lie evenly
 MAX_WAVES_SOUGHT = 120  # a turn, of what is sought
@@ -320,60 +334,87 @@ def without_misplacement(comparison: Comparison, twists: Array) -> Comparison:
     return replace(comparison, base_T_measured=there, xi=xi)
 
 
-def about_turned_camera(
+def about_camera_errors(
     compared: SessionComparison,
-    comparison: Comparison,
     sought: Sequence[Turn],
+    tangent: Callable[[SessionComparison], Comparison],
     built: Callable[[Comparison], JointErrorModel],
 ) -> Comparison:
-    """Linearise a comparison about the turns of the cameras that fit, of those that are sought.
+    """Linearise a session about the errors of its cameras that fit.
 
-    `built` lays a comparison out as a model. Pairs that do not determine a whole pose, and those of
-    an instrument, stay as they are.
+    Those are the stated ones, where they move poses farther than first order tells, and the turns
+    that are sought. `tangent` linearises about the joints' errors, `built` lays out as a model.
     """
-    tangent, turns = comparison, np.zeros(1)
-    for _ in range(MAX_STEPS_TURN):
-        model, turning = built(tangent), camera_turns(tangent)
-        columns, angles = (np.concatenate([turning[t][i] for t in sought], -1) for i in (0, 1))
+    names = compared.systematics.names
+    of_cameras = [name.startswith(("left.", "right.")) for name in names]
+    root = covariance_root(compared.systematics.covariance) * np.reshape(of_cameras, (-1, 1))
+    middle = tangent(compared)
+    errors, nothing = np.zeros((len(middle), len(names) + 2)), np.zeros((len(middle), 6, 0))
+    for _ in range(MAX_STEPS_CAMERAS if compared.measurements else 0):
+        model, turning = built(middle), camera_turns(middle)
+        columns = np.concatenate([nothing, *(turning[turn][0] for turn in sought)], axis=2)
         shown = model.joints[:, np.linalg.norm(model.joints, axis=0) > 0]
         free = np.concatenate([model.white.rows(columns), model.fitted, shown], axis=1)
-        value = solve(free, model.xi, model.prior).value
-        before, turns = turns, value[: angles.shape[1]]
-        if np.all(np.abs(turns - before) < TOL_TURN):
+        fit, before = solve(free, model.xi, model.prior), errors
+        errors, held = np.zeros_like(before), fit.held[: root.shape[1]]
+        if held @ held < chi2_bound(P_NOT_STATED, len(held)):  # else something else is wrong
+            errors[:, :-2] = -root @ held
+        angles = np.concatenate([nothing[:, 0], *(turning[turn][1] for turn in sought)], axis=1)
+        errors[:, -1] = angles @ fit.value[: angles.shape[1]]
+        moved = np.einsum("nip,np->ni", middle.systematic[:, :3], errors - before)
+        enough = TOL_MOVED if sought or before.any() else MIN_MOVED
+        if np.linalg.norm(moved, axis=1).max(initial=0.0) < enough:
             break
-        tangent = _tangent(compared, comparison, angles @ turns)
-    return tangent
+        there, effect = _without_camera_errors(compared, errors)
+        middle = tangent(there)
+        middle = replace(middle, xi=middle.xi + effect)
+    return middle
 
 
-def _tangent(compared: SessionComparison, comparison: Comparison, angles: Array) -> Comparison:
-    """Linearise a comparison about turns of the right camera, (n,), rad."""
-    session = compared.session
-    base_T_rig = np.linalg.inv(session.rig.rig_T_base)
-    xi, systematic = comparison.xi.copy(), comparison.systematic.copy()
-    for row, i in enumerate(comparison.index.tolist() if compared.measurements else ()):
-        pose, angle = compared.measurements[i].pose, float(angles[row])
-        right = replace(session.rig.right, pan_zero=session.rig.right.pan_zero + angle)
-        rig = replace(session.rig, right=right)
-        again = _fit_in_rig(compared, compared.measurements[i], rig)
-        if pose is None or again is None or again.pose is None:
-            continue
-        columns = sensitivities(compared.systematics, again, rig, session.marker)
-        poses = (base_T_rig @ p.rig_T_flange for p in (again.pose, pose))
-        effect = twist_difference(*(p[None] for p in poses))[0]
-        xi[row] -= effect - columns[:, -1] * angle
-        systematic[row] = -columns
-    return replace(comparison, xi=xi, systematic=systematic)
+def _without_camera_errors(
+    compared: SessionComparison, errors: Array
+) -> tuple[SessionComparison, Array]:
+    """Fit all pairs without errors (n, p + 2) of what is stated and of both pan readings.
+
+    Beside it what they do there, (n, 6). What cannot be fitted anew stays as it is.
+    """
+    start, late = compared.at_shown_clock or (compared.comparison, 0.0)
+    base_T_rig, effect = np.linalg.inv(compared.session.rig.rig_T_base), np.zeros((len(start), 6))
+    measured, systematic = start.base_T_measured.copy(), start.systematic.copy()
+    for row, i in enumerate(start.index.tolist()):
+        again = _fit_again(compared, compared.measurements[i], errors[row])
+        if again is not None:
+            measured[row], systematic[row] = base_T_rig @ again[0], -again[1]
+            effect[row] = again[1] @ errors[row]
+    xi = twist_difference(start.base_T_encoder, measured)
+    moved = replace(start, base_T_measured=measured, xi=xi, systematic=systematic)
+    joints = solve_joints(moved, compared.session.arm)
+    shown = None if compared.at_shown_clock is None else (moved, late)
+    return replace(compared, comparison=moved, joints=joints, at_shown_clock=shown), effect
 
 
-def _fit_in_rig(compared: SessionComparison, measured: Measurement, rig: Rig) -> Measurement | None:
-    """Fit a pair's pose in another rig; None where one of both poses is not whole."""
+def _fit_again(
+    compared: SessionComparison, measured: Measurement, errors: Array
+) -> tuple[Array, Array] | None:
+    """Fit a pair's pose (4, 4) without errors (p + 2,) of its cameras; its sensitivities there.
+
+    None where it determines less of the pose then.
+    """
     left, right, pose = measured.left, measured.right, measured.pose
-    marker = compared.session.marker
-    if left is None or right is None or pose is None or pose.known_dof < WHOLE_POSE:
+    rig, marker, stated = compared.session.rig, compared.session.marker, compared.systematics
+    if left is None or right is None or pose is None:
         return None
-    columns = partial(spot_columns, compared.systematics, rig, marker, left, right)
+    off = pixel_sensitivities(stated.names, measured, rig, marker) @ errors[:-2]
+    of_left, of_right = np.split(off.reshape(-1, 2), [len(left)])
+    left = replace(left, centre=left.centre - of_left)
+    right = replace(right, centre=right.centre - of_right)
+    rig = replace(rig, right=replace(rig.right, pan_zero=rig.right.pan_zero + errors[-1]))
+    columns = partial(spot_columns, stated, rig, marker, left, right)
     try:
         again = fit_pose(left, right, rig, marker, pose.rig_T_flange, columns)
     except np.linalg.LinAlgError:
         return None
-    return replace(measured, pose=again) if again.known_dof == WHOLE_POSE else None
+    if again.known_dof < pose.known_dof:
+        return None
+    there = replace(measured, pose=again, left=left, right=right)
+    return again.rig_T_flange, sensitivities(stated, there, rig, marker)
