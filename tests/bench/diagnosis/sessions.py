@@ -128,13 +128,14 @@ def camera_creeps(session: InMemory, side: int, way: str, angles: Array) -> list
     About its pan axis (way `pan`), or about the x axis of its pictures (`tilt`).
     """
     played, seen = session.simulated, []
-    bench, name = played.world.bench, ("left", "right")[side]
+    bench = played.world.bench
     camera, spots = bench.cameras[side], [true_spots(played, each) for each in (0, 1)]
     instants = zip(played.t[:, side], played.true_pan[:, side], angles, strict=True)
     for t, pan, angle in instants:
         turn = rigid(np.array([angle * (way == "tilt"), 0.0, 0.0]), np.zeros(3))
         turned = replace(camera, turntable_T_camera=camera.turntable_T_camera @ turn)
-        world = replace(played.world, bench=replace(bench, **{name: turned}))
+        both = (bench.cameras[0], turned) if side else (turned, bench.cameras[1])
+        world = replace(played.world, bench=replace(bench, cameras=both))
         seen.append(led_images(world, side, t, pan + angle * (way == "pan")))
     spots[side] = np.array(seen)
     return spots

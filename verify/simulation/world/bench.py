@@ -74,15 +74,9 @@ class SimulatedCamera:
 class Bench:
     """What a calibration describes; one is what the user believes, another is how it truly is."""
 
-    left: SimulatedCamera
-    right: SimulatedCamera
+    cameras: tuple[SimulatedCamera, SimulatedCamera]  # left, right
     rig_T_base: Array  # (4, 4)
     leds: Array  # (n, 3), m, flange frame
-
-    @property
-    def cameras(self) -> tuple[SimulatedCamera, SimulatedCamera]:
-        """Left, right."""
-        return self.left, self.right
 
 
 def build_cameras(rig: BoardRig) -> tuple[SimulatedCamera, SimulatedCamera]:
@@ -115,7 +109,7 @@ def build_camera(table: ScenarioCamera, image_size: tuple[int, int], x: float) -
 def build_bench(scenario: Scenario, rig_T_base: Array) -> Bench:
     """Build what the scenario's tables say, with the robot's base where it was placed."""
     leds = np.array([led.position_mm for led in scenario.marker.led], dtype=float) / 1000
-    return Bench(*build_cameras(scenario.rig), rig_T_base, leds)
+    return Bench(build_cameras(scenario.rig), rig_T_base, leds)
 
 
 MARGIN_PX = 25.0  # from the edge to an LED's centre: a spot of 5 mm and its blur stay inside

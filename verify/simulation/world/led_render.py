@@ -159,19 +159,14 @@ class Renderer:
 
     def _expose(self, room: Picture, lights: Sequence[Light], rng: np.random.Generator) -> Image:
         glows = [glow for light in lights if (glow := self._glow(light, room.shape)) is not None]
+        scene = room.copy()
+        for area, light in glows:
+            scene[area] += light
         if self._dark[0] < MIN_BLACK_SHARE:
-            scene = room.copy()
-            for area, light in glows:
-                scene[area] += light
             return self._digitise(scene, rng)
         image = self._sparse(room.shape, rng)
-        for (rows, columns), _ in glows:  # elsewhere it is as dark as it was
-            scene = room[rows, columns].copy()
-            for (other_rows, other_columns), light in glows:
-                y, dy = overlap(rows, other_rows)
-                x, dx = overlap(columns, other_columns)
-                scene[y, x] += light[dy, dx]
-            image[rows, columns] = self._digitise(scene, rng)
+        for area, _ in glows:  # elsewhere it is as dark as it was
+            image[area] = self._digitise(scene[area], rng)
         return image
 
     def _sparse(self, shape: tuple[int, ...], rng: np.random.Generator) -> Image:
@@ -238,16 +233,6 @@ class Renderer:
             return None
         area = (slice(y0, y1), slice(x0, x1))
         return area, patch[y0 - top : y1 - top, x0 - left : x1 - left]
-
-
-def overlap(one: slice, other: slice) -> tuple[slice, slice]:
-    """What two stretches have in common, counted from the begin of each; perhaps nothing."""
-    begin = max(one.start, other.start)
-    end = max(min(one.stop, other.stop), begin)
-    return (
-        slice(begin - one.start, end - one.start),
-        slice(begin - other.start, end - other.start),
-    )
 
 
 def render_light(light: Light, blur_px: float) -> tuple[tuple[int, int], Picture]:

@@ -78,7 +78,7 @@ def apply_departure(bench: Bench, by: TrueDeviation) -> Bench:
     rig_T_base[:3, :3] = rigid(by.base[3:], np.zeros(3))[:3, :3] @ rig_T_base[:3, :3]
     rig_T_base[:3, 3] += by.base[:3]
     leds = transform(rigid(by.body[3:], by.body[:3]), bench.leds) + by.leds
-    return Bench(left, replace(right, turntable_T_camera=turned), rig_T_base, leds)
+    return Bench((left, replace(right, turntable_T_camera=turned)), rig_T_base, leds)
 
 
 def _twist(length_mm: float, angle_deg: float, numbers: Array) -> Array:

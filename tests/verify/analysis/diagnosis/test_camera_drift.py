@@ -101,7 +101,7 @@ def summary_of(
     late = np.outer(readings.t > readings.t.mean(), np.arange(6) == 2)
     read = replace(readings, q=readings.q + np.radians(step_deg) * late)
     session = replace(session, encoders=read)
-    focal = session.simulated.world.bench.right.matrix[0, 0]
+    focal = session.simulated.world.bench.cameras[1].matrix[0, 0]
     angles = creep(session.frames.t_left, pixels / focal, until)
     spots, rng = camera_creeps(session, RIGHT, way, angles), np.random.default_rng(4)
 

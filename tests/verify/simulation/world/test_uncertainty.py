@@ -43,12 +43,12 @@ def test_the_truth_lies_off_the_belief_in_the_formats_own_sense() -> None:
     assert_allclose(true.rig_T_base[:3, :3], turn @ rig.rig_T_base[:3, :3], atol=1e-12)
     assert_allclose(true.rig_T_base[:3, 3], rig.rig_T_base[:3, 3] + departure.base[:3], atol=1e-15)
     mount = Rotation.from_rotvec(departure.turn).as_matrix() @ rig.right.mount[:3, :3]
-    assert_allclose(true.right.turntable_T_camera[:3, :3], mount, atol=1e-12)
+    assert_allclose(true.cameras[1].turntable_T_camera[:3, :3], mount, atol=1e-12)
     body = Rotation.from_rotvec(departure.body[3:]).as_matrix()
     leds = session.marker.leds @ body.T + departure.body[:3] + departure.leds
     assert_allclose(true.leds, leds, atol=1e-12)
     fx, fy, cx, cy = departure.camera[0]
-    difference = true.left.matrix - rig.left.matrix
+    difference = true.cameras[0].matrix - rig.left.matrix
     assert_allclose(difference, [[fx, 0, cx], [0, fy, cy], [0, 0, 0]], atol=1e-9)
     assert_allclose(session.true_pan - session.pan, np.tile(departure.pan, (12, 1)), atol=1e-15)
 
@@ -57,7 +57,7 @@ def test_without_a_draw_the_world_is_that_of_the_files() -> None:
     session = played(uncertainty=ScenarioUncertainty(focal_px=1.0, led_mm=1.0, draw=False))
     assert session.rig.covariance is not None
     assert_allclose(session.world.bench.leds, session.marker.leds, atol=0)
-    assert_allclose(session.world.bench.left.matrix, session.rig.left.matrix, atol=0)
+    assert_allclose(session.world.bench.cameras[0].matrix, session.rig.left.matrix, atol=0)
 
 
 def test_nothing_stated_writes_no_covariance() -> None:
