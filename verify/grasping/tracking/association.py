@@ -18,7 +18,7 @@ import numpy as np
 from scipy.optimize import linear_sum_assignment
 
 from verify.core.records import Array
-from verify.grasping.tracking.kalman import KalmanTrack, begin_track, distances
+from verify.grasping.tracking.kalman import KalmanTrack, MotionHypothesis, begin_track, distances
 from verify.grasping.tracking.pairing import StereoObject
 from verify.grasping.tracking.target import TrackingOptions, TrackingStatus
 
@@ -54,21 +54,12 @@ class ObjectTrack:
 
 
 @dataclass(frozen=True, slots=True)
-class TrackHypothesis:
-    """How an object may have come to be where a candidate is."""
-
-    track: KalmanTrack  # predicted to the candidate's instant
-    abrupt: bool  # only a push explains it
-    cost: float  # minus twice the log likelihood of place and size
-
-
-@dataclass(frozen=True, slots=True)
 class ObjectAssignment:
     """Which candidate each object is."""
 
     choice: tuple[int, ...]  # for each object, the index of its candidate; -1: out of sight
     margin: tuple[float, ...]  # to the next best explanation of that candidate; inf without any
-    way: tuple[TrackHypothesis | None, ...]  # for each object, its motion to that candidate
+    way: tuple[MotionHypothesis | None, ...]  # for each object, its motion to that candidate
 
     def sure(self, known: int) -> bool:
         """Whether an object is in view for certain."""
@@ -100,7 +91,7 @@ def associate(
 
 def best_hypothesis(
     known: ObjectTrack, candidate: StereoObject, t: float, density: float
-) -> TrackHypothesis:
+) -> MotionHypothesis:
     """Find the likeliest way in which a candidate may be an object.
 
     Besides what its track says, one that was out of sight for long may have been put anywhere.
@@ -111,13 +102,13 @@ def best_hypothesis(
         [motion.track for motion in motions], candidate.place.point, candidate.spread
     )
     ways = [
-        TrackHypothesis(motion.track, motion.abrupt, cost - 2 * math.log(motion.prior) + grown**2)
+        replace(motion, cost=cost + motion.cost + grown**2)
         for motion, cost in zip(motions, (squared + volume).tolist(), strict=True)
     ]
     if t > known.t:
         gone = -math.expm1(-(t - known.t) / RELOCATION_TIME)
         cost = -2 * math.log(density) - 2 * math.log(gone)
-        ways.append(TrackHypothesis(ways[-1].track, True, cost + grown**2))
+        ways.append(replace(ways[-1], cost=cost + grown**2))
     return min(ways, key=lambda way: way.cost)
 
 
@@ -210,7 +201,7 @@ class TargetIdentity:
         return TargetDecision("lost", ONLY_OTHERS_SEEN if another else NOT_SEEN, None)
 
     def _seen(
-        self, t: float, candidate: StereoObject, way: TrackHypothesis | None
+        self, t: float, candidate: StereoObject, way: MotionHypothesis | None
     ) -> TargetDecision:
         assert self.target is not None
         assert way is not None  # it was assigned

@@ -82,9 +82,9 @@ class KalmanTrack:
         pushed = _each_coordinate([[push * dt**2, push * dt], [push * dt, push]], len(self.mean))
         abrupt = replace(free, covariance=free.covariance + pushed)
         return [
-            MotionHypothesis(steady, P_STEADY),
-            MotionHypothesis(free, P_FREE),
-            MotionHypothesis(abrupt, P_ABRUPT, abrupt=True),
+            MotionHypothesis(steady, -2 * math.log(P_STEADY)),
+            MotionHypothesis(free, -2 * math.log(P_FREE)),
+            MotionHypothesis(abrupt, -2 * math.log(P_ABRUPT), abrupt=True),
         ]
 
     def updated(self, position: Array, covariance: Array) -> "KalmanTrack":
@@ -115,9 +115,9 @@ class KalmanTrack:
 class MotionHypothesis:
     """One way in which a track may go on."""
 
-    track: KalmanTrack
-    prior: float  # probability beforehand
-    abrupt: bool = False
+    track: KalmanTrack  # predicted
+    cost: float  # minus twice the log of its probability; of a candidate, with place and size
+    abrupt: bool = False  # only a push explains it
 
 
 def distances(

@@ -15,6 +15,7 @@ from verify.core.records import Array, StereoPair
 from verify.core.rig import Rig
 from verify.grasping.tracking import stereo
 from verify.grasping.tracking.camshift import Blob
+from verify.grasping.tracking.kalman import KalmanTrack, begin_track
 from verify.grasping.tracking.target import TrackingOptions
 from verify.measurement.alignment import spot_instants
 from verify.measurement.triangulation import triangulate
@@ -24,14 +25,6 @@ MAX_RAY_DISTANCE_PX = 8.0  # a first, generous bound of the same
 # ln of the ratio of the two areas in m²: a side view, a part hidden in one picture
 MAX_LOG_AREA_RATIO = math.log(1.8)
 FORBIDDEN_COST = 1e6
-
-
-@dataclass(frozen=True, slots=True)
-class ObjectMotion:
-    """How an object moves, as far as is known; for pictures not taken at one instant."""
-
-    velocity: Array  # (3,), m/s
-    covariance: Array  # (3, 3), (m/s)²
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,7 +58,8 @@ def pair_blobs(
     Their velocities are not known here: where they are, use `join_blobs` again. Where two patches
     fit two others either way, opaque objects side by side have the same order in both pictures.
     """
-    motion = ObjectMotion(np.zeros(3), np.eye(3) * options.speed**2)
+    # of any velocity; its place is not used
+    motion = begin_track(pair.t_left, np.zeros(3), np.zeros((3, 3)), options.speed)
     cost = np.full((len(lefts), len(rights)), FORBIDDEN_COST)
     things: dict[tuple[int, int], StereoObject] = {}
     for i, j in _meeting_pairs(lefts, rights, pair, rig):
@@ -85,13 +79,14 @@ def join_blobs(
     right: Blob,
     pair: StereoPair,
     rig: Rig,
-    motion: ObjectMotion,
+    motion: KalmanTrack,
     doubt: tuple[float, float] = (0.0, 0.0),
 ) -> StereoObject | None:
     """Make an object of two patches; None where the rays do not meet before both cameras.
 
-    `pair` has the pictures' instants and pans, `motion` brings both to the left one's instant;
-    `doubt`, px, standard, left and right: by which a patch's centre may miss the object's.
+    `pair` has the pictures' instants and pans; the velocity of `motion` brings both to the left
+    one's instant. `doubt`, px, standard, left and right: by which a patch's centre may miss the
+    object's.
     """
     cameras = stereo.place_cameras(rig, pair)
     blobs, times = (left, right), (pair.t_left, pair.t_right)
@@ -162,13 +157,13 @@ def _meeting_pairs(
 
 
 def _shift_in_time(
-    sight: stereo.LineOfSight, point: Array, motion: ObjectMotion, late: float
+    sight: stereo.LineOfSight, point: Array, motion: KalmanTrack, late: float
 ) -> stereo.LineOfSight:
     """Bring a patch measured `late` s after the instant back to it."""
     if late == 0 or not np.isfinite(point).all():
         return sight
     slope = sight.placed.slope(sight.placed.inside(point))
-    spread = slope @ motion.covariance @ slope.T * late**2
+    spread = slope @ motion.velocity_covariance @ slope.T * late**2
     xy = sight.xy - slope @ motion.velocity * late
     return replace(sight, xy=xy, covariance=sight.covariance + spread)
 

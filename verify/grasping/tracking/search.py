@@ -9,10 +9,9 @@ from verify.core.records import Array, Image, StereoPair
 from verify.core.rig import Camera, Rig
 from verify.grasping.tracking import association, camshift
 from verify.grasping.tracking.colour import ColourModel
-from verify.grasping.tracking.kalman import KalmanTrack
+from verify.grasping.tracking.kalman import KalmanTrack, begin_track
 from verify.grasping.tracking.pairing import (
     MAX_LOG_AREA_RATIO,
-    ObjectMotion,
     StereoObject,
     is_plausible,
     join_blobs,
@@ -76,7 +75,6 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
     """Search for the target where it is predicted."""
     target = now.identity.target
     assert target is not None
-    motion = ObjectMotion(ahead.velocity, ahead.velocity_covariance)
     blobs: list[camshift.Blob] = []
     windows: list[camshift.Box] = []
     for model, (camera, t, image) in zip(now.models, _camera_sides(now), strict=True):
@@ -92,14 +90,14 @@ def _search_predicted(now: TargetSearch, ahead: KalmanTrack) -> tuple[StereoObje
             return None
         blobs.append(blob)
         windows.append(region)
-    thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, motion)
+    thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, ahead)
     if thing is None or thing.area < MIN_VISIBLE_SHARE * target.area:
         return None
     # by areas at the measured distance: at a predicted one that lags, a whole patch looks too
     # large, counts for little, and lets it lag the more
     doubts = _centre_doubts(target, thing.areas, (blobs[0], blobs[1]))
     if max(doubts) > 0:
-        thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, motion, doubts) or thing
+        thing = join_blobs(blobs[0], blobs[1], now.pair, now.rig, ahead, doubts) or thing
     # a finger may hide most of it from one camera alone; what is too large is not half hidden
     hidden = thing.areas.max() < association.COMPLETE_AREA_RANGE[1] * target.area
     if not is_plausible(
@@ -125,11 +123,9 @@ def _search_pictures(now: TargetSearch, target: StereoObject | None) -> list[Ste
 def _remeasure(now: TargetSearch, thing: StereoObject) -> StereoObject:
     """Measure an object again by what is known of its velocity, and of the target's size."""
     pair, target = now.pair, now.identity.target
-    moving = now.identity.nearest(pair.t_left, thing)
-    if moving is None:
-        motion = ObjectMotion(np.zeros(3), np.eye(3) * now.options.speed**2)
-    else:
-        motion = ObjectMotion(moving.velocity, moving.velocity_covariance)
+    motion = now.identity.nearest(pair.t_left, thing)
+    if motion is None:
+        motion = begin_track(pair.t_left, thing.place.point, thing.spread, now.options.speed)
     if target is None:
         return join_blobs(thing.left, thing.right, pair, now.rig, motion) or thing
     blobs = [

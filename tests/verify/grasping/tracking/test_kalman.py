@@ -95,6 +95,6 @@ def test_a_target_at_rest_gets_a_small_process_noise() -> None:
 def test_a_push_explains_what_neither_rest_nor_its_usual_motion_does() -> None:
     ways, far = rested(60).explanations(2.0), np.array([0.03, 0, 0])
     likely = np.sum(distances([way.track for way in ways], far, NOISE), axis=0)
-    costs = likely - 2 * np.log([way.prior for way in ways])
+    costs = likely + [way.cost for way in ways]
     assert [way.abrupt for way in ways] == [False, False, True]
     assert costs[2] < min(costs[:2])

@@ -10,11 +10,12 @@ from tests.support.grasp.caps import BLUE, Cap, pairs, small_rig, still
 from verify.core.records import StereoPair
 from verify.grasping.tracking.camshift import Blob, find_blobs
 from verify.grasping.tracking.colour import named_colour
-from verify.grasping.tracking.pairing import ObjectMotion, join_blobs, pair_blobs
+from verify.grasping.tracking.kalman import begin_track
+from verify.grasping.tracking.pairing import join_blobs, pair_blobs
 from verify.grasping.tracking.target import TrackingOptions
 
 RIG = small_rig()
-STILL = ObjectMotion(np.zeros(3), np.zeros((3, 3)))
+STILL = begin_track(0.0, np.zeros(3), np.zeros((3, 3)), speed=0.0)
 
 
 def blobs(*caps: Cap) -> tuple[StereoPair, list[Blob], list[Blob]]:
@@ -52,13 +53,13 @@ def test_patches_that_differ_in_place_or_size_or_are_no_target_are_no_object() -
 def test_a_moving_object_is_placed_at_the_left_pictures_instant() -> None:
     velocity = np.array([0.8, 0.0, 0.0])
     pair, lefts, rights = blobs(Cap(BLUE, lambda t: (0.8 * t, 0.02, 0.7)))
-    moving = join_blobs(lefts[0], rights[0], pair, RIG, ObjectMotion(velocity, np.zeros((3, 3))))
+    known = replace(STILL, mean=np.concatenate([np.zeros(3), velocity]))
+    moving = join_blobs(lefts[0], rights[0], pair, RIG, known)
     taken_still = join_blobs(lefts[0], rights[0], pair, RIG, STILL)
     assert abs(moving.place.point[2] - 0.7) < 0.002
     assert abs(taken_still.place.point[2] - 0.7) > 0.01  # 3 mm of motion in the 4 ms between
-    unknown = join_blobs(
-        lefts[0], rights[0], pair, RIG, ObjectMotion(np.zeros(3), np.eye(3) * 0.5**2)
-    )
+    any_velocity = begin_track(0.0, np.zeros(3), np.zeros((3, 3)), speed=0.5)
+    unknown = join_blobs(lefts[0], rights[0], pair, RIG, any_velocity)
     assert math.sqrt(unknown.place.covariance[2, 2]) > 0.5 * abs(unknown.place.point[2] - 0.7)
 
 
