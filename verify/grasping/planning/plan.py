@@ -48,9 +48,7 @@ def plan_grasp(setup: Workspace, thing: GraspObject, q_now: Array) -> GraspPlan 
     margin = grip_margin(thing, setup.cell)
     if isinstance(margin, GraspRefusal):
         return margin
-    if problem := trajectory.limit_violation(
-        setup.limits, trajectory.rest_motion(q_now)
-    ) or setup.clear(q_now[None]):
+    if problem := setup.limit_violation(q_now) or setup.clear(q_now[None]):
         return GraspRefusal("way", f"the arm cannot begin where it stands: {problem}")
     good, reasons = postures.find_postures(setup, margin.grip, q_now)
     if thing.hand is not None and thing.hand.used:  # a correction holds where it was measured
@@ -95,7 +93,7 @@ def _descent(
     if isinstance(path, str):
         return path
     for q in path.range():
-        if problem := trajectory.limit_violation(setup.limits, trajectory.rest_motion(q)):
+        if problem := setup.limit_violation(q):
             return f"on the line down {problem}"
     rates = trajectory.PathLimits(wanted.speed, wanted.acceleration, wanted.jerk)
     slowed = trajectory.required_slowdown(path, setup.limits, rates)
@@ -183,12 +181,7 @@ class HoverPlanner:
         flange = pose[0] @ invert(setup.cell.gripper.flange_T_grip)
         answers = robots.inverse(setup.arm, flange, hold=q_now).q
         q = near_within(setup.arm, answers[posture.branch], q_now)
-        if not np.isfinite(q).all() or trajectory.limit_violation(
-            setup.limits, trajectory.rest_motion(q)
-        ):
+        if not np.isfinite(q).all() or setup.limit_violation(q):
             return None
-        if postures.smallest_singular_value(
-            setup.arm, q
-        ) < postures.MIN_SINGULAR_VALUE or setup.clear(q[None]):
-            return None
-        return q
+        singular = postures.smallest_singular_value(setup.arm, q) < postures.MIN_SINGULAR_VALUE
+        return None if singular or setup.clear(q[None]) else q

@@ -17,7 +17,7 @@ import numpy as np
 import robots
 from robots.coupling import LENGTH_SCALE
 from robots.inverse import near, near_within
-from robots.trajectory import JointLimits, limit_violation, rest_motion
+from robots.trajectory import JointLimits
 from robots.transforms import invert
 from verify.core.records import Array, Index
 from verify.grasping.planning.approach import hand_poses, nearest_turn
@@ -169,7 +169,7 @@ def _rejection_reason(workspace: Workspace, table: _PostureTable, branch: int) -
         return next(
             f"{end} {problem}"
             for end, q in zip(END_NAMES, ends, strict=True)
-            if (problem := limit_violation(workspace.limits, rest_motion(q)))
+            if (problem := workspace.limit_violation(q))
         )
     if farthest == SINGULAR_STAGE:
         singular = [robots.coupled(workspace.arm, q) for q in ends]

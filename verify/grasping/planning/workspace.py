@@ -18,7 +18,7 @@ import numpy as np
 
 import robots
 from robots import Arm, DhArm, RobotError
-from robots.trajectory import JointLimits, JointPath, joint_limits
+from robots.trajectory import JointLimits, JointPath, joint_limits, limit_violation, rest_motion
 from robots.transforms import carry, invert
 from verify.core.records import Array
 from verify.core.rig import Camera, Rig
@@ -95,6 +95,10 @@ class Workspace:
             return f"the grip point would be {by:.0f} mm outside the workspace box"
         part, _, from_what = what.replace(" over ", " to ").partition(" to ")
         return f"the {part} would come {by:.0f} mm too near to {from_what}"
+
+    def limit_violation(self, q: Array) -> str:
+        """Say which limits joint angles (n,), rad, at rest are beyond; empty if none."""
+        return limit_violation(self.limits, rest_motion(q))
 
     def clear(self, q: Array) -> str:
         """Say what stands in the way through postures (m, n) one after the other; "" if nothing.

@@ -164,7 +164,7 @@ class SimMover:
         self.release()
 
     def _require_within(self, q: Array) -> None:
-        if violation := trajectory.limit_violation(self._setup.limits, trajectory.rest_motion(q)):
+        if violation := self._setup.limit_violation(q):
             raise MotionRefusedError(violation)
 
     def _enter(self, state: MoverState) -> None:

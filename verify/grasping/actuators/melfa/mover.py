@@ -73,7 +73,7 @@ class MelfaMover:
         if refusal:
             raise MotionRefusedError(refusal)
         controls.arrival = Arrival(target_deg)
-        worded = (orders.line_move if on_line else orders.joint_move)(target_deg)
+        worded = orders.move_commands(target_deg, on_line=on_line)
         controls.enter(MoverState.ORDERING, self._settings.move_limit, *worded)
 
     def hold(self) -> None:

@@ -46,19 +46,18 @@ class MotionCommand(protocol.ControllerCommand):
 Request = protocol.ReadCommand | MotionCommand
 
 
-def joint_move(angle_deg: Array) -> list[MotionCommand]:
-    """Word a joint-interpolated move to the controller's own angles, (joints,)."""
-    return [_set_joints(angle_deg), MotionCommand("EXEC", f"MOV {JOINT_VARIABLE}")]
+def move_commands(angle_deg: Array, *, on_line: bool) -> list[MotionCommand]:
+    """Word a move to the controller's own angles, (joints,): joint-interpolated, or straight.
 
-
-def line_move(angle_deg: Array) -> list[MotionCommand]:
-    """Word a straight move to where the controller's own angles, (joints,), put the hand.
-
-    The controller turns the angles into its pose itself (JTOP), with its own tool and base: no
-    convention of Euler angles, and no other posture that reaches the same pose, can come between.
+    For a straight one the controller turns the angles into its pose itself (JTOP), with its own
+    tool and base: no convention of Euler angles, and no other posture that reaches the same pose,
+    can come between.
     """
-    pose = MotionCommand("EXEC", f"{POSE_VARIABLE}=JTOP({JOINT_VARIABLE})")
-    return [_set_joints(angle_deg), pose, MotionCommand("EXEC", f"MVS {POSE_VARIABLE}")]
+    angles = ",".join(f"{angle:.3f}" for angle in angle_deg.tolist())
+    texts = [f"{JOINT_VARIABLE}=({angles})", f"MOV {JOINT_VARIABLE}"]
+    if on_line:
+        texts[1:] = [f"{POSE_VARIABLE}=JTOP({JOINT_VARIABLE})", f"MVS {POSE_VARIABLE}"]
+    return [MotionCommand("EXEC", text) for text in texts]
 
 
 def parse_limits(data: str, joints: int) -> Array | None:
@@ -74,11 +73,6 @@ def parse_limits(data: str, joints: int) -> Array | None:
         return None
     limits = np.array(values[: 2 * joints]).reshape(joints, 2)
     return limits if np.all(limits[:, 0] < limits[:, 1]) else None
-
-
-def _set_joints(angle_deg: Array) -> MotionCommand:
-    angles = ",".join(f"{angle:.3f}" for angle in angle_deg.tolist())
-    return MotionCommand("EXEC", f"{JOINT_VARIABLE}=({angles})")
 
 
 @dataclass(frozen=True, eq=False)

@@ -15,7 +15,7 @@ from verify.devices.melfa import protocol as r3
 from verify.devices.melfa.protocol import JointPosition, ReadCommand, RunState
 from verify.devices.ports import ClockFunction
 from verify.grasping.actuators.melfa.dialogue import Dialogue, Exchange
-from verify.grasping.actuators.melfa.orders import MotionCommand, Request, alarm_text
+from verify.grasping.actuators.melfa.orders import MotionCommand, Request, alarm_text, refusal_text
 from verify.grasping.actuators.protocols import ACCEPTING_STATES, FINAL_STATES, MoverState
 
 TOL_ARRIVAL_DEG = 0.05  # five of the controller's last digits
@@ -91,9 +91,7 @@ class Release:
         self.requests.popleft()
         if answer.error is not None:
             if request.name in ORDER_NAMES:
-                meaning = r3.ERROR_MEANINGS.get(answer.error, "not known")
-                name = ORDER_NAMES[request.name]
-                self.notes.append(f"{name} was refused, error {answer.error}: {meaning}")
+                self.notes.append(refusal_text(ORDER_NAMES[request.name], answer.error))
         elif request.name == "ERROR":
             self.alarm = r3.parse_error(answer.data)
             if self.alarm is not None and self.alarm not in r3.ERROR_MEANINGS:
@@ -167,10 +165,9 @@ class Controls:
             return waiting[0]
         if self.state is MoverState.POWERING or self.now() >= self.state_due:
             return STATE
-        if self.state is MoverState.MOVING and self.arrival is not None:
-            # is all that is missing the controller's word that the move is over?
-            return STATE if self.arrival.running and self.arrival.standing > 0 else JPOSF
-        return JPOSF
+        # is all that is missing the controller's word that the move is over?
+        at_target = self.arrival is not None and self.arrival.running and self.arrival.standing > 0
+        return STATE if self.state is MoverState.MOVING and at_target else JPOSF
 
     def state_problem(self, state: RunState) -> str:
         """Say what in an answer to STATE forbids to go on; empty where nothing does."""

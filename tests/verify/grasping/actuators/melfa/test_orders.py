@@ -42,15 +42,16 @@ def test_dangerous_commands_cannot_be_built() -> None:
 
 def test_moves_have_the_bytes_of_the_manual() -> None:
     angles = np.array([-7.42, 38.21, 77.74, 7.08, 61.72, -9.75])
-    worded = [order.encoded(b"\r") for order in orders.line_move(angles)]
+    worded = [order.encoded(b"\r") for order in orders.move_commands(angles, on_line=True)]
     assert worded == [
         b"1;1;EXECJVFY=(-7.420,38.210,77.740,7.080,61.720,-9.750)\r",
         b"1;1;EXECPVFY=JTOP(JVFY)\r",
         b"1;1;EXECMVS PVFY\r",
     ]
-    assert orders.joint_move(angles)[1].encoded(b"\r\n") == b"1;1;EXECMOV JVFY\r\n"
+    by_joints = orders.move_commands(angles, on_line=False)
+    assert by_joints[1].encoded(b"\r\n") == b"1;1;EXECMOV JVFY\r\n"
     with pytest.raises(ForbiddenCommandError):
-        orders.joint_move(np.full(6, np.nan))
+        orders.move_commands(np.full(6, np.nan), on_line=False)
     found = orders.parse_limits("MEJAR;-170.00,170.00,-90.00,135.00;4", 2)
     np.testing.assert_array_equal(found, [[-170, 170], [-90, 135]])
     for wrong in ("MEJAR;1.0;1", "MEJAR;5,-5,1,2;4", "nonsense", "MEJAR;a,b,c,d"):
