@@ -16,13 +16,11 @@ from verify.devices import protocols
 from verify.errors import InputError
 from verify.live.station.keys import SimSettings
 from verify.simulation import library
-from verify.simulation.boards.render import PrintedBoard
 from verify.simulation.boards.simulate import SimulatedBoards, simulate_boards
 from verify.simulation.devices.encoders import PAN_RATE, SimulatedReadings
 from verify.simulation.devices.scene import SimClock
 from verify.simulation.scenario import BoardScenario, BoardScenarioBases, Scenario, ScenarioBoards
 from verify.simulation.session import simulate as session_simulate
-from verify.simulation.world.motion import RandomStream, generator
 
 CARRY_TIME, N_CARRY_STEPS = 1.2, 3  # s on the way to the next place, and in how many jerks
 HOLD_TIME = 2.0  # s
@@ -53,8 +51,6 @@ class BoardScene:
 
     def __init__(self, boards: SimulatedBoards, clock: SimClock) -> None:
         self.boards, self.clock = boards, clock
-        scenario = boards.scenario
-        self._paper = PrintedBoard(boards.board, scenario.boards.margin_mm / 1000, scenario.image)
         self._pool = ThreadPoolExecutor(2, thread_name_prefix="simulated boards")
         self._lock, self._closed = threading.Lock(), False
         # when each began, and which moment
@@ -117,9 +113,7 @@ class BoardScene:
 
     def _render(self, number: int, side: int) -> Image:
         moment = self._moment(number)
-        rng = generator(self.boards.scenario.seed, RandomStream.PIXELS, side, number)
-        pan = float(moment.true_pan[side])
-        return self._paper.render(self.boards.cameras[side], pan, moment.rig_T_board, rng)
+        return self.boards.render(side, number, moment.true_pan, moment.rig_T_board)
 
 
 class BoardCameras:

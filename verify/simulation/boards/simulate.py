@@ -58,11 +58,14 @@ class SimulatedBoards:
 
     def image(self, side: int, index: int) -> Image:
         """Take one picture, (h, w)."""
+        return self.render(side, index, self.true_pan[index], self.rig_T_board[index])
+
+    def render(self, side: int, number: int, true_pan: Array, rig_T_board: Array) -> Image:
+        """Take a picture, (h, w), by how bases (2,), rad, and board stand; `number`: its noise."""
         scenario = self.scenario
         paper = PrintedBoard(self.board, scenario.boards.margin_mm / 1000, scenario.image)
-        rng = generator(scenario.seed, RandomStream.PIXELS, side, index)
-        pan = float(self.true_pan[index, side])
-        return paper.render(self.cameras[side], pan, self.rig_T_board[index], rng)
+        rng = generator(scenario.seed, RandomStream.PIXELS, side, number)
+        return paper.render(self.cameras[side], float(true_pan[side]), rig_T_board, rng)
 
 
 def simulate_boards(scenario: BoardScenario) -> SimulatedBoards:

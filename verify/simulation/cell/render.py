@@ -71,6 +71,7 @@ class CellCamera:
     def turn(self, pan: float) -> None:
         """Turn its base to where a reading would be pan, rad."""
         self._camera_T_base = self._camera.camera_T_rig(pan) @ self._rig_T_base
+        self._eye = invert(self._camera_T_base)[:3, 3]
         self._rotation = cv2.Rodrigues(self._camera_T_base[:3, :3])[0]
         across = np.linalg.inv(self._camera_T_base[:3, :3])[:, :2]  # a circle faces the camera
         self._disc = np.stack([np.cos(CIRCLE_ANGLES), np.sin(CIRCLE_ANGLES)], axis=1) @ across.T
@@ -150,7 +151,7 @@ class CellCamera:
     def _leds(self, flange: Array) -> list[Shape]:
         """Those that face the camera."""
         found = []
-        eye = invert(self._camera_T_base)[:3, 3]
+        eye = self._eye
         for led in self._marker.leds:
             at = carry(flange, led)
             outwards = flange[:3, :3] @ np.array([led[0], led[1], 0.0])
@@ -167,8 +168,7 @@ class CellCamera:
         top, bottom = carry(base_T_cap, ring + up), carry(base_T_cap, ring - up)
         colour = np.array(COLOURS[cap.colour], dtype=float)
         shade = ring[:, 1] > 0.3 * cap.radius
-        eye = invert(self._camera_T_base)[:3, 3]
-        aside = carry(invert(base_T_cap), eye)[1]
+        aside = carry(invert(base_T_cap), self._eye)[1]
         shift = np.array([0.3 * cap.radius, 0.5 * aside * cap.radius, 0.0])
         shine = carry(base_T_cap, 0.18 * ring + up + shift)
         return [

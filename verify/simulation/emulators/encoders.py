@@ -41,14 +41,10 @@ class LabencEngine(EmulatorEngine):
         self.log: list[str] = []  # every body received
         self._trajectory, self._axes, self._options = trajectory, axes, options
         self._status = 0
-        self.reset(0.0)
+        self.greet(0.0)
 
     def greet(self, t: float) -> None:
         """Start anew: opening the port pulls DTR, which resets such boards."""
-        self.reset(t)
-
-    def reset(self, t: float) -> None:
-        """Start anew."""
         options = self._options
         self._lines = LineBuffer()
         self._began = t

@@ -71,19 +71,15 @@ class OpcUaEmulator:
         await server.start()
         self._where = (self._where[0], server.bserver.port)
 
-    async def _plug(self, plugged: bool) -> None:
-        """Take the listener and all connections away, or listen again at the same port."""
-        self._plugged = plugged
-        await (self._server.bserver.start() if plugged else self._server.bserver.stop())
-
     async def _serve(self, until: Callable[[], bool], now: Callable[[], float]) -> None:
         start = now()
         count = 0
         while not until():
             t = now() - start
             plugged = not in_span(self.faults.unplug, t)
-            if plugged != self._plugged:
-                await self._plug(plugged)
+            if plugged != self._plugged:  # its listener and all connections; the port stays
+                self._plugged = plugged
+                await (self._server.bserver.start() if plugged else self._server.bserver.stop())
             if plugged and not in_span(self.faults.silence, t):
                 await self._write(t)
             count = max(count + 1, math.ceil((now() - start) * self._rate))

@@ -25,7 +25,6 @@ class RtdeOptions:
     version: tuple[int, int, int, int] = (5, 12, 0, 1101)  # of PolyScope
     protocol: int = 2  # the latest that it accepts
     starts: bool = True  # takes the request to start
-    drift: float = 0.0  # by which its clock is fast
 
 
 class RtdeEngine(EmulatorEngine):
@@ -41,22 +40,19 @@ class RtdeEngine(EmulatorEngine):
         self._clock_zero = -UPTIME  # s, emulator's time at which its clock was 0
         self._texts: list[str] = []
         self._stopped = False
-        self._begin()
+        self.greet(0.0)
 
-    def _begin(self) -> None:
+    def greet(self, t: float) -> None:  # noqa: ARG002  an engine has this verb
+        """Begin a session."""
         self._buffer = b""
         self._accepted = self._streams = False
         self._outputs: list[str] = []
         self._rate, self._next = self._fastest, 0.0
 
-    def greet(self, t: float) -> None:  # noqa: ARG002  an engine has this verb
-        """Begin a session."""
-        self._begin()
-
     def reset(self, t: float) -> None:
         """Start anew: the clock begins at 0, sessions are forgotten."""
         self._clock_zero, self._jump, self._stopped = t, 0.0, False
-        self._begin()
+        self.greet(t)
 
     def afflict(self, fault: str, value: float) -> None:
         """Let the clock leap by so many s, stop the program, or accept older protocols only."""
@@ -66,20 +62,19 @@ class RtdeEngine(EmulatorEngine):
             self._stopped = True
         elif fault == "version":
             self._protocol = int(value)
-            self._begin()
+            self.greet(0.0)  # sessions are at an end
 
     def step(self, t: float, received: bytes) -> list[TimedMessage]:
         """Answer requests, then give the samples that are due."""
         self._buffer += received
-        answers = []
+        messages = []
         while len(self._buffer) >= _HEADER.size:
             size, kind = _HEADER.unpack_from(self._buffer)
             if len(self._buffer) < size or size < _HEADER.size:
                 break
             payload, self._buffer = self._buffer[_HEADER.size : size], self._buffer[size:]
             self.log.append(chr(kind))
-            answers.append(self._answer(chr(kind), payload, t))
-        messages = [TimedMessage(t, answer) for answer in answers if answer]
+            messages.append(TimedMessage(t, self._answer(chr(kind), payload, t)))
         if self._accepted and self._texts:
             messages += [TimedMessage(t, _text(text)) for text in self._texts]
             self._texts.clear()
@@ -122,7 +117,7 @@ class RtdeEngine(EmulatorEngine):
     def _sample(self, t: float) -> bytes:
         q = self._trajectory(max(t, 0.0)).tolist()
         values = {
-            "timestamp": [(t - self._clock_zero) * (1.0 + self._options.drift) + self._jump],
+            "timestamp": [t - self._clock_zero + self._jump],
             "actual_q": q,
             "target_q": q,
             "runtime_state": [STOPPED if self._stopped else PLAYING],
