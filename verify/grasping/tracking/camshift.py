@@ -250,7 +250,7 @@ def find_blobs(image: Image, model: ColourModel, but: Box | None = None) -> list
     """
     found: list[Blob] = []
     for box in coarse_boxes(image, model):
-        if but is not None and boxes_overlap(box, but):
+        if but is not None and cv2.rectangleIntersectionArea(box, but) > 0:
             continue
         blob = camshift(image, box, _widen(box), model)
         if blob is not None and not any(_centre_in_box(blob, other.box) for other in found):
@@ -277,12 +277,6 @@ def coarse_boxes(image: Image, model: ColourModel) -> list[Box]:
             box = (COARSE_STEP * x, COARSE_STEP * y, COARSE_STEP * width, COARSE_STEP * height)
             found.append(box)
     return found[:MAX_PLACES]
-
-
-def boxes_overlap(one: Box, other: Box) -> bool:
-    """Whether two boxes have a pixel in common."""
-    apart = one[0] >= other[0] + other[2] or other[0] >= one[0] + one[2]
-    return not (apart or one[1] >= other[1] + other[3] or other[1] >= one[1] + one[3])
 
 
 def _widen(box: Box) -> Box:

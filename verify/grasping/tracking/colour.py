@@ -111,7 +111,6 @@ MIN_KEPT_SHARE = 0.85  # of the target, at least, by a gate of the value
 MIN_GATE_GAIN = 0.1  # of the target's pixels: what a tight gate must keep out beyond what it costs
 WIDE_GATE_RATIO = 0.5  # where the gate is loose, of the target's darkest pixels
 MAX_VALUE = 1020.0  # DN, in the light of then: no gate, for reflections and for a light turned up
-BoolMask = Flags  # (h, w)
 
 
 def learn_colour(hsv: Image, inside: Mask, outside: Mask) -> ColourModel:
@@ -143,7 +142,7 @@ def learn_colour(hsv: Image, inside: Mask, outside: Mask) -> ColourModel:
     return replace(fine, mixture=mixture, value=mean)
 
 
-def _weight_colours(hsv: Image, target: BoolMask, ground: BoolMask, share: float) -> ColourModel:
+def _weight_colours(hsv: Image, target: Flags, ground: Flags, share: float) -> ColourModel:
     own, other = _count(hsv, target), _count(hsv, ground) * share
     unseen = max(int(np.count_nonzero(target)), 1) / (N_HUES * (N_SATURATIONS - MIN_SATURATION))
     weight = 255.0 * own / (own + other + unseen)
@@ -151,7 +150,7 @@ def _weight_colours(hsv: Image, target: BoolMask, ground: BoolMask, share: float
     return ColourModel(weight.astype(np.float32))
 
 
-def _gate(value: Image, target: BoolMask, alike: BoolMask) -> tuple[float, float]:
+def _gate(value: Image, target: Flags, alike: Flags) -> tuple[float, float]:
     """Where to cut the value: tightly where the surroundings have the colour, only darker or paler.
 
     Of all the cuts that keep most of the target, those that let the least of the surroundings in.
@@ -182,7 +181,7 @@ def blend(old: ColourModel, new: ColourModel, share: float) -> ColourModel:
     return replace(old, weight=weight, mixture=mixture)
 
 
-def _count(hsv: Image, where: BoolMask) -> Array:
+def _count(hsv: Image, where: Flags) -> Array:
     """Count a region's colours, each spread a little: (180, 256), summing to its pixels."""
     mask = np.asarray(where, dtype=np.uint8)
     counts = cv2.calcHist(
