@@ -58,9 +58,11 @@ class OrderedArm(ABC):
             self.q = status.q
         return status
 
-    def arrived(self, q_read: Array) -> bool:
+    def arrived(self, q_read: Array | None) -> bool:
         """Nothing is under way, and the arm is where it was ordered, by angles read (n,), rad."""
-        return self.q is not None and self.resting and np.abs(q_read - self.q).max() < TOL_ARRIVAL
+        if self.q is None or q_read is None or not self.resting:
+            return False
+        return bool(np.abs(q_read - self.q).max() < TOL_ARRIVAL)
 
     @property
     @abstractmethod

@@ -269,7 +269,7 @@ class GraspLoop:
         else:
             arm.hold()
         # an obstacle may keep it from standing there: then it is planned for from here
-        settled = (above or bool(obstacle)) and self._arrived(arm)
+        settled = (above or bool(obstacle)) and arm.arrived(self._q)
         ready = machine.still and settled
         if ready:
             assert arm.q is not None
@@ -278,16 +278,13 @@ class GraspLoop:
             self.aim.forget()
         machine.planned = ready and self.aim.plan is not None
 
-    def _arrived(self, arm: DrivenArm) -> bool:
-        return self._q is not None and arm.arrived(self._q)
-
     def _descend(self, arm: DrivenArm, *, entered: bool) -> None:
         plan = self.aim.plan
         assert plan is not None  # the transition needs one
         if entered:
             arm.begin(plan.over, plan.down)
         arm.go()
-        if self._arrived(arm):
+        if arm.arrived(self._q):
             self.machine.tell(GraspEvent.AT_OBJECT)
 
     def _go_up(self, arm: DrivenArm) -> None:
@@ -300,7 +297,7 @@ class GraspLoop:
                 return
             arm.begin_back()
         arm.go()
-        if self._arrived(arm):
+        if arm.arrived(self._q):
             self.machine.tell(GraspEvent.AT_TOP)
 
     def _grip(self, gripper: Gripper, order: DeviceOrder, *, entered: bool) -> None:

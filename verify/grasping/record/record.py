@@ -76,11 +76,9 @@ class GraspRecord:
         """
         self._rows.append(rows.cycle_row(cycle, self._workspace))
         self._check_lift(cycle)
-        picture = self._film.add(cycle)
-        self._last = picture
-        if cycle.state not in self._shown and cycle.pair is not None:
-            self._shown[cycle.state] = picture
+        self._last = self._film.add(cycle)
         if cycle.pair is not None:
+            self._shown.setdefault(cycle.state, self._last)
             pair = _compressed(cycle.pair)
             if self._session is None:
                 place = self._folder / SESSION_FOLDER

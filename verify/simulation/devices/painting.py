@@ -19,7 +19,7 @@ from verify.simulation import library
 from verify.simulation.scenario import BoardScenario, Distractor
 from verify.simulation.session.simulate import START_OFFSET, SimulatedSession, simulate_session
 from verify.simulation.world.led_render import Renderer, visible_lights
-from verify.simulation.world.motion import MotionProfile
+from verify.simulation.world.motion import MotionProfile, direction_sign
 from verify.simulation.world.world import SimulatedWorld
 
 
@@ -41,8 +41,7 @@ class PeriodicMotion:
 
     def direction(self, t: Array) -> Array:
         """Last direction of travel, +1 or -1: (...,) to (..., joints)."""
-        back = np.asarray(np.sin(self._phase(t)) < 0)
-        way = np.where(back, -1.0, 1.0)[..., None]
+        way = direction_sign(np.sin(self._phase(t)))[..., None]
         return way * self.motion.direction(self._place(t))
 
     def _phase(self, t: Array) -> Array:
