@@ -23,7 +23,7 @@ class PanReader(LabencBoard):
         """Give what has arrived since the last call, oldest first; waits for at most 20 ms."""
         readings = []
         for sample in self.samples():
-            self.counts.good(sample.t_host)
+            self.counts.last = sample.t_host
             instant, pan = sample.instant, self._angles.joint_angles(sample.angle)
             moving = bool(sample.status & MOVING)
             readings.append(

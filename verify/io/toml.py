@@ -243,13 +243,11 @@ def _reword(
 
 
 def _all_keys(kind: Any) -> Iterator[str]:
-    """Give every key of a struct and of the structs in its fields."""
-    if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        for field in msgspec.structs.fields(kind):
+    """Give every key of the structs in a type and of the structs in their fields."""
+    for struct in _structs_in(kind):
+        for field in msgspec.structs.fields(struct):
             yield field.encode_name
             yield from _all_keys(field.type)
-    for part in get_args(kind):
-        yield from _all_keys(part)
 
 
 def _value_at(tree: Any, key: str) -> object:
@@ -288,7 +286,7 @@ def _find_unknown(
         if name not in fields:
             yield inner, tuple(fields)
             continue
-        table = _struct_in(fields[name])
+        table = next(_structs_in(fields[name]), None)
         if table is None:
             continue
         for index, item in enumerate(value if isinstance(value, list) else [value]):
@@ -297,11 +295,12 @@ def _find_unknown(
                 yield from _find_unknown(item, table, place)
 
 
-def _struct_in(kind: Any) -> type[msgspec.Struct] | None:
-    """Find the struct in `Table`, `Table | None` or `list[Table]`."""
+def _structs_in(kind: Any) -> Iterator[type[msgspec.Struct]]:
+    """Give the structs in `Table`, `Table | None` or `list[Table]`."""
     if isinstance(kind, type) and issubclass(kind, msgspec.Struct):
-        return kind
-    return next((found for part in get_args(kind) if (found := _struct_in(part))), None)
+        yield kind
+    for part in get_args(kind):
+        yield from _structs_in(part)
 
 
 def _table_lines(tree: Mapping[str, Any], name: str) -> Iterator[str]:

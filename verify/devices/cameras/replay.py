@@ -74,12 +74,11 @@ class ReplaySource:
         if self._ended:
             return None
         try:
-            image = next(self._images)
-        except StopIteration:
-            self._ended = True
-            return None
+            image = next(self._images, None)
         except InputError as error:
-            self._ended, self._fault = True, error.found
+            image, self._fault = None, error.found
+        if image is None:
+            self._ended = True
             return None
         size = (image.shape[1], image.shape[0])
         if self._settings.size not in (None, size):

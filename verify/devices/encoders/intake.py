@@ -155,40 +155,7 @@ class IntakeCounts:
     def __init__(self) -> None:
         self.bad: Counter[str] = Counter()
         self.lost = 0
-        self._last: float | None = None
-
-    def good(self, t_host: float) -> None:
-        """Note a good reading."""
-        self._last = t_host
-
-    def state(
-        self,
-        link: PortLink,
-        complaint: str = "",
-        note: str = "",
-        program_running: bool | None = None,
-    ) -> DeviceState:
-        """Describe the device."""
-        age = None if self._last is None else link.now() - self._last
-        if not link.connected:
-            status = f"not connected: {link.fault}"
-        elif complaint:
-            status = complaint
-        elif age is None or age > SILENCE_TIMEOUT:
-            status = "connected, no reading yet" if age is None else f"silent for {age:.1f} s"
-        else:
-            status = "reading"
-        dropped = ", ".join(f"{count} {reason}" for reason, count in self.bad.most_common())
-        parts = [
-            status,
-            note,
-            f"dropped: {dropped}" if dropped else "",
-            f"{self.lost} lost on the way" if self.lost else "",
-        ]
-        sentence = f"{link.name}: " + "; ".join(filter(None, parts))
-        return DeviceState(
-            link.connected, age, self.lost, dict(self.bad), sentence, program_running
-        )
+        self.last: float | None = None  # s, host: when the last good one was in hand
 
 
 class PortDriver:
@@ -201,7 +168,26 @@ class PortDriver:
 
     def state(self) -> DeviceState:
         """Describe the device."""
-        return self.counts.state(self.link, self._fault, self._remark, self._running)
+        link, counts = self.link, self.counts
+        age = None if counts.last is None else link.now() - counts.last
+        if not link.connected:
+            status = f"not connected: {link.fault}"
+        elif self._fault:
+            status = self._fault
+        elif age is None or age > SILENCE_TIMEOUT:
+            status = "connected, no reading yet" if age is None else f"silent for {age:.1f} s"
+        else:
+            status = "reading"
+        dropped = ", ".join(f"{count} {reason}" for reason, count in counts.bad.most_common())
+        parts = [
+            status,
+            self._remark,
+            f"dropped: {dropped}" if dropped else "",
+            f"{counts.lost} lost on the way" if counts.lost else "",
+        ]
+        sentence = f"{link.name}: " + "; ".join(filter(None, parts))
+        bad = dict(counts.bad)
+        return DeviceState(link.connected, age, counts.lost, bad, sentence, self._running)
 
     def close(self) -> None:
         """Close the port."""
@@ -235,7 +221,7 @@ class ReadingIntake:
             self._counts.bad[LEAP] += 1
             return []
         self._against, self._last = 0, reading
-        self._counts.good(t_host)
+        self._counts.last = t_host
         return [reading]
 
     def _leaps(self, reading: EncoderReading) -> bool:

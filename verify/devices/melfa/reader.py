@@ -50,12 +50,10 @@ class ConnectionState:
     opened: bool = False
     in_step: bool = False  # until each STATE was answered, late answers may be under way
     states_out: int = 0  # STATEs sent and not answered
-    program_running: bool | None = None
     alarm_stands: bool = False
     alarm_read: bool = False  # ERROR was answered
     alarm: int | None = None  # its number
     missing_text: int | None = None  # number of an error whose text is to be read
-    complaint: str = ""
     identity_note: str = ""
 
 
@@ -97,8 +95,9 @@ class MelfaEncoders(PortDriver):
         """Describe the controller."""
         raised = self._pause > self._settings.pause
         pause_note = f"the pause is back at {self._pause * 1e3:.0f} ms" if raised else ""
-        note = "; ".join(filter(None, (self._alarm_note(), self._talk.identity_note, pause_note)))
-        return self.counts.state(self.link, self._talk.complaint, note, self._talk.program_running)
+        notes = self._alarm_note(), self._talk.identity_note, pause_note
+        self._remark = "; ".join(filter(None, notes))
+        return super().state()
 
     def close(self) -> None:
         """Send CLOSE, if the line is up, and close the port."""
@@ -116,7 +115,7 @@ class MelfaEncoders(PortDriver):
     def _same_connection(self) -> bool:
         same = self.link.connected and self.link.connections == self._connection
         if not same:
-            self._talk = ConnectionState()
+            self._talk, self._fault, self._running = ConnectionState(), "", None
             self._answers.clear()
             self._connection = self.link.connections
         return same
@@ -170,7 +169,7 @@ class MelfaEncoders(PortDriver):
     def _take(self, line: r3.ReceivedAnswer) -> list[EncoderReading]:
         request, answer = self._talk.pending, r3.parse_answer(line.data)
         if r3.PROCEDURAL.match(line.data):
-            self._talk.complaint = "the controller uses procedural RS-232; set its CPRC232 to 0"
+            self._fault = "the controller uses procedural RS-232; set its CPRC232 to 0"
         state = r3.parse_state(answer.data) if answer is not None else None
         self._talk.states_out -= state is not None
         if request is None or answer is None:
@@ -234,7 +233,7 @@ class MelfaEncoders(PortDriver):
         if position is None:
             self._out_of_step()
             return self._drop("position that is not understood")
-        self._talk.complaint = ""
+        self._fault = ""
         trip = line.t - self._talk.sent_at
         enough = len(self.round_trips) >= MIN_ROUND_TRIPS
         usual = float(np.median(self.round_trips)) if enough else trip
@@ -251,7 +250,7 @@ class MelfaEncoders(PortDriver):
         if meaning is None:
             self._talk.missing_text = error
         self._drop(f"refusal with error {error}")
-        self._talk.complaint = f"{request.name} refused, error {error}: {meaning or 'not known'}"
+        self._fault = f"{request.name} refused, error {error}: {meaning or 'not known'}"
         self._talk.due = self.link.now() + REFUSAL_DELAY
         if 6000 <= error < 7000:  # the line's own errors: perhaps we ask too fast
             self._pause = max(self._pause, REQUEST_PAUSE)
@@ -267,7 +266,7 @@ class MelfaEncoders(PortDriver):
             return
         self._talk.state_due = self.link.now() + self._settings.state_every
         self._talk.in_step = True
-        self._talk.program_running = state.running
+        self._running = state.running
 
     def _alarm_note(self) -> str:
         number = self._talk.alarm

@@ -300,12 +300,10 @@ def settle_units(
         elif c in mapping.joints and spread is not None:
             unit, reason = _joint_unit(table, c, stated.angles, spread)
         elif c.target in (*POSITION, *POINTS):
-            _require_agreement(table, c, stated.lengths, "--lengths")
-            unit = stated.lengths or unit
+            unit = _agreed_unit(table, c, stated.lengths, "--lengths")
             _require_unit(table, c, unit, LENGTH_UNITS, "--lengths mm or --lengths m")
         elif c.target in ANGLES:
-            _require_agreement(table, c, stated.angles, "--angles")
-            unit = stated.angles or unit
+            unit = _agreed_unit(table, c, stated.angles, "--angles")
             _require_unit(table, c, unit, (DEGREES, RADIANS), "--angles deg or --angles rad")
         settled.append(MappedColumn(c.column, c.target, unit, reason))
     rotation = stated.rotation or mapping.rotation
@@ -322,13 +320,14 @@ def settle_units(
     return ColumnMapping(tuple(settled), rotation)
 
 
-def _require_agreement(table: LogTable, c: MappedColumn, stated: str, option: str) -> None:
-    """Refuse, by an InputError, a unit for all columns that a column's own name contradicts."""
+def _agreed_unit(table: LogTable, c: MappedColumn, stated: str, option: str) -> str:
+    """A column's unit: the one stated for all columns, else its own; InputError: they differ."""
     if stated and c.unit and not c.reason and c.unit != stated:
         found = f'"{c.column}" is in {c.unit}, and {option} says {stated}'
         example = f'"{c.target}={c.column}:{stated},…"'
         remedy = f"Leave {option} out, or name every column by --map: {example}."
         raise InputError(table.path, found, "each column has one unit", remedy)
+    return stated or c.unit
 
 
 def _require_unit(
@@ -364,8 +363,7 @@ def _joint_unit(
         remedy = f'Convert it, or name every column by --map: "{c.target}={c.column}:deg,…".'
         raise InputError(table.path, found, "deg or rad is expected", remedy)
     if stated:
-        _require_agreement(table, c, stated, "--angles")
-        return stated, ""
+        return _agreed_unit(table, c, stated, "--angles"), ""
     largest = float(np.maximum(np.abs(spread.least), np.abs(spread.greatest)).max())
     if c.unit and not c.reason:
         _require_unit(table, c, c.unit, (DEGREES, RADIANS), "--angles deg or --angles rad")

@@ -192,9 +192,8 @@ def write_poses(
         file.write(f"{head}\n")
         for first, values in table.chunks(names, progress):
             texts, kept = times.take(first, values)
-            points = _lengths(values, mapping.of(columns_of.POINTS))
-            if points is not None:
-                corners = points.reshape(-1, 3, 3)
+            if points := mapping.of(columns_of.POINTS):
+                corners = _lengths(values, points).reshape(-1, 3, 3)
                 triangle = triangle or Triangle(corners[0])
                 position, quaternion = triangle.poses(corners, first)
             else:
@@ -211,10 +210,8 @@ def write_poses(
     return times.repeats
 
 
-def _lengths(values: dict[str, Array], columns: tuple[MappedColumn, ...]) -> Array | None:
-    """Coordinates (m, n), mm; None where there are no such columns."""
-    if not columns:
-        return None
+def _lengths(values: dict[str, Array], columns: tuple[MappedColumn, ...]) -> Array:
+    """Coordinates (m, n), mm."""
     return np.stack([values[c.column] * columns_of.LENGTH_UNITS[c.unit] for c in columns], axis=1)
 
 
@@ -224,7 +221,6 @@ def _read_poses(
     """Positions (m, 3), mm, and quaternions (m, 4) or None."""
     position = _lengths(values, mapping.of(columns_of.POSITION))
     turn = mapping.of(columns_of.QUATERNION) or mapping.of(columns_of.ANGLES)
-    assert position is not None  # else there are points
     if not turn:
         return position, None
     numbers = [values[c.column] * ANGLE_UNITS.get(c.unit, 1.0) for c in turn]

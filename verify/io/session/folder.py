@@ -102,7 +102,7 @@ def recording_fields(
         "arm": arm,
         "robot": table.robot,
         "description": table.description,
-        "started": keys.format_start(table.started),
+        "started": msgspec.to_builtins(table.started),
         "open": table.recording == "open",
         "clock": clock,
         "encoder_resolution": keys.to_radians(table.encoder_readings.resolution_deg),

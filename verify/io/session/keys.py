@@ -251,16 +251,8 @@ def tolerance(path: Path, table: ToleranceTable | None, joints: int) -> Toleranc
     )
 
 
-def format_start(moment: datetime | None) -> str | None:
-    """Format a moment as session.toml has it."""
-    if moment is None:
-        return None
-    text = moment.isoformat()
-    return f"{text.removesuffix('+00:00')}Z" if moment.tzinfo == UTC else text
-
-
 def parse_start(text: str | None) -> datetime | None:
-    """Read what `format_start` gives; a time without a zone is taken as UTC."""
+    """Read a session's start, ISO 8601; a time without a zone is taken as UTC."""
     if text is None:
         return None
     read = datetime.fromisoformat(text)
