@@ -46,10 +46,8 @@ def solve_hand_eye(a: Array, b: Array) -> HandEye:
     turns_a, turns_b = a[:, :3, :3], b[:, :3, :3]
     kronecker = np.einsum("nij,nkl->ikjl", turns_b, turns_a).reshape(9, 9)
     u, _, vt = np.linalg.svd(kronecker)
-    x_like, y_like = (v.reshape(3, 3).T for v in (vt[0], u[:, 0]))  # vec stacks columns
-    x_turn, y_turn = (
-        nearest_rotation(like * np.sign(np.linalg.det(like))) for like in (x_like, y_like)
-    )
+    likes = (v.reshape(3, 3).T for v in (vt[0], u[:, 0]))  # vec stacks columns
+    x_turn, y_turn = (nearest_rotation(like * np.sign(np.linalg.det(like))) for like in likes)
     places, misfit = _translations(a, b, y_turn)
     # the turns fit X and Y as well as -X and -Y, a mirror image; the translations decide
     mirrored = _translations(a, b, -y_turn)[1] < misfit

@@ -73,9 +73,8 @@ class MarkerTable(msgspec.Struct, kw_only=True):
     led: list[LedTable]
 
 
-def read_marker(path: str | Path) -> tuple[Marker, tuple[str, ...]]:
+def read_marker(path: Path) -> tuple[Marker, tuple[str, ...]]:
     """Read and check a marker.toml; warnings name unknown keys, an InputError file and key."""
-    path = Path(path)
     table, warnings = decode(path, MarkerTable)
     if table.led_diameter_mm <= 0:
         found = f"is {table.led_diameter_mm}"
@@ -124,9 +123,9 @@ def encode_marker(marker: Marker) -> bytes:
     )
 
 
-def write_marker(path: str | Path, marker: Marker) -> None:
+def write_marker(path: Path, marker: Marker) -> None:
     """Write a marker.toml, whole or not at all; raises InputError where the system refuses it."""
-    write_whole(Path(path), encode_marker(marker))
+    write_whole(path, encode_marker(marker))
 
 
 def _check_leds(path: Path, table: MarkerTable) -> None:
@@ -171,13 +170,12 @@ class BoardTable(msgspec.Struct, kw_only=True):
     marker_mm: float | None = None
 
 
-def read_board(path: str | Path) -> tuple[Board, tuple[str, ...]]:
+def read_board(path: Path) -> tuple[Board, tuple[str, ...]]:
     """Read and check a board.toml; warnings: unknown keys, a square too small to be true.
 
     Raises:
         InputError: names the file, the key, what stands there, what should, and what to do.
     """
-    path = Path(path)
     table, warnings = decode(path, BoardTable)
     board = build_board(path, table)
     if table.square_mm < MIN_SQUARE_MM:
@@ -208,7 +206,7 @@ def build_board(place: str | Path, table: BoardTable) -> Board:
     return board
 
 
-def write_board(path: str | Path, board: Board) -> None:
+def write_board(path: Path, board: Board) -> None:
     """Write a board.toml, whole or not at all; raises InputError where the system refuses it."""
     tree = {
         "format": FORMAT,
@@ -218,7 +216,7 @@ def write_board(path: str | Path, board: Board) -> None:
         "markers": board.markers,
         "marker_mm": encode_numbers(board.marker, MM),
     }
-    write_whole(Path(path), encode_toml(tree))
+    write_whole(path, encode_toml(tree))
 
 
 def _corners(path: Path, table: BoardTable) -> tuple[int, int]:
@@ -297,13 +295,12 @@ class Fixture:
     covariance: Array  # (6, 6), m and rad, perturbation on the left, base axes; 0: not stated
 
 
-def read_fixture(path: str | Path) -> tuple[Fixture, tuple[str, ...]]:
+def read_fixture(path: Path) -> tuple[Fixture, tuple[str, ...]]:
     """Read and check a fixture file; warnings: unknown keys, uncertainties that are not stated.
 
     Raises:
         InputError: names the file, the key, what stands there, what should, and what to do.
     """
-    path = Path(path)
     table, warnings = decode(path, FixtureTable)
     base_T_board = _base_T_board(path, table)
     sigma, missing = [], []

@@ -283,7 +283,7 @@ def write_file_whole(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
+def write_folder_whole(out: Path, force: bool = False) -> Iterator[Path]:
     """Build a folder aside and put it in place at the end; a run that fails leaves nothing.
 
     Yields an empty folder to build in. A new `out` appears, with its parents, by one rename; in a
@@ -294,7 +294,6 @@ def write_folder_whole(out: str | Path, force: bool = False) -> Iterator[Path]:
         InputError: `out` is a file or a folder that is not empty (without `force`); no space, or
             no permission.
     """
-    out = Path(out)
     partial, target, exists = make_partial(out, force=force)
     try:
         yield partial

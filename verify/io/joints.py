@@ -3,7 +3,6 @@
 import re
 from collections import defaultdict
 from collections.abc import Sequence
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -79,17 +78,12 @@ def _counted(names: Sequence[str], joints: int) -> tuple[str, ...] | None:
     return found[0] if len(found) == 1 else None
 
 
-@dataclass(slots=True)
 class JointRange:
     """The least and the greatest reading of each joint so far, in the recording's own unit."""
 
-    least: Array  # (n,)
-    greatest: Array  # (n,)
-
-    @classmethod
-    def empty(cls, joints: int) -> "JointRange":
-        """Of no reading yet."""
-        return cls(np.full(joints, np.inf), np.full(joints, -np.inf))
+    def __init__(self, joints: int) -> None:
+        self.least = np.full(joints, np.inf)  # (n,)
+        self.greatest = np.full(joints, -np.inf)
 
     def add(self, values: Array) -> None:
         """Take in one reading (n,) or several (m, n)."""

@@ -47,7 +47,7 @@ class Poses:
         return len(self.t)
 
 
-def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
+def read(path: Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
     """Read poses.csv: one row a pose, or a row for each target in each pose.
 
     The columns may stand in any order. A quaternion and its negative are the same turn. Where the
@@ -56,7 +56,7 @@ def read(path: str | Path, torn: bool = False) -> tuple[Poses, tuple[str, ...]]:
     Raises:
         InputError: names the file, the line and the column.
     """
-    table, warnings = open_table(Path(path), torn, spare="t_s")
+    table, warnings = open_table(path, torn, spare="t_s")
     # one column of an optional group requires all of the group
     optional = (QUATERNION, POSITION_UNCERTAINTY, ORIENTATION_UNCERTAINTY, TARGET)
     present = [group for group in optional if any(name in table.header for name in group)]

@@ -152,14 +152,13 @@ class RigTable(msgspec.Struct, kw_only=True):
     covariance: CovarianceTable | None = None
 
 
-def read(path: str | Path, *, registered: bool = True) -> tuple[Rig, tuple[str, ...]]:
+def read(path: Path, *, registered: bool = True) -> tuple[Rig, tuple[str, ...]]:
     """Read and check a rig.toml; warnings: unknown keys, a principal point far off the centre.
 
     Raises:
         InputError: names the file, the key, what stands there, what should, and what to do; with
             `registered` also of a rig without the robot's base.
     """
-    path = Path(path)
     table, warnings = toml.decode(path, RigTable)
     width, height = table.image_size
     if min(width, height) < 1:
@@ -216,9 +215,9 @@ def _base_table(rig: Rig) -> dict[str, Any]:
     }
 
 
-def write(path: str | Path, rig: Rig) -> None:
+def write(path: Path, rig: Rig) -> None:
     """Write a rig.toml, whole or not at all; raises InputError where the system refuses it."""
-    write_whole(Path(path), encode(rig))
+    write_whole(path, encode(rig))
 
 
 def read_base(path: Path, base: BaseTable | None) -> dict[str, Any]:

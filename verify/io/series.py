@@ -72,7 +72,7 @@ class EncoderSeries:
 
 
 def read_frames(
-    path: str | Path, pan: tuple[float, float] = (0.0, 0.0), torn: bool = False
+    path: Path, pan: tuple[float, float] = (0.0, 0.0), torn: bool = False
 ) -> tuple[FrameSeries, tuple[str, ...]]:
     """Read frames.csv: one row a stereo pair; `pan`, rad, left and right, where it gives none.
 
@@ -81,7 +81,7 @@ def read_frames(
     Raises:
         InputError: names the file, the line and the column.
     """
-    table, warnings = open_table(Path(path), torn)
+    table, warnings = open_table(path, torn)
     timed = any(name in table.header for name in _PAIR_TIMES)
     required = ("frame", *_PAIR_TIMES) if timed else ("frame",)
     turning = any(name in table.header for name in PAN_COLUMNS)  # one alone is refused
@@ -104,7 +104,7 @@ def visit_times(count: int) -> Array:
 
 
 def read_encoders(
-    path: str | Path,
+    path: Path,
     joints: int,
     torn: bool = False,
     limits: tuple[Array, Array] | None = None,
@@ -119,7 +119,7 @@ def read_encoders(
     Raises:
         InputError: names the file, the line and the column.
     """
-    table, warnings = open_table(Path(path), torn, spare="t_s")
+    table, warnings = open_table(path, torn, spare="t_s")
     wanted = tuple(f"q{joint}_deg" for joint in range(1, joints + 1))
     present = [name for name in table.header if _JOINT.fullmatch(name)]
     if present and (len(present) < joints or set(present) - set(wanted)):
@@ -139,7 +139,7 @@ def read_encoders(
         remedy = "Export both with their times, or both without and row by row."
         raise InputError(path, times, expected, remedy)
     if limits is not None:
-        _refuse_far_beyond(Path(path), q, limits)
+        _refuse_far_beyond(path, q, limits)
     if leap := left_out.find_leap(t, q):
         found = f"t_s leaps by {leap[1]:.3f} s to {leap[0]:.2f}, and the joints go on as without it"
         remedy = f"If the clock was set, subtract {leap[1]:.3f} s from there on."
@@ -153,7 +153,7 @@ def read_encoders(
     late = float(np.median(np.diff(t))) / np.sqrt(12) if repeats.any() else 0.0
     series = take_rows(EncoderSeries(t, q, columns.get("t_host_s"), late), kept[~repeats])
     notes = (*left_out.warn_of_repeats(repeats, period), *left_out.warn_of_spikes(spike))
-    return series, (*warnings, *(f"{Path(path).name}: {note}" for note in notes))
+    return series, (*warnings, *(f"{path.name}: {note}" for note in notes))
 
 
 def _refuse_far_beyond(path: Path, q: Array, limits: tuple[Array, Array]) -> None:

@@ -176,7 +176,7 @@ def test_an_empty_folder_is_filled_and_stays_the_same_folder(
 ) -> None:
     inode = tmp_path.stat().st_ino  # it may be someone's current folder, or a mount
     monkeypatch.chdir(tmp_path)
-    with write_folder_whole(".") as folder:
+    with write_folder_whole(Path()) as folder:
         (folder / "summary.json").write_text("{}")
     assert Path("summary.json").read_text() == "{}"
     assert tmp_path.stat().st_ino == inode

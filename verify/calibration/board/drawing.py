@@ -20,7 +20,7 @@ from verify.core import fiducials
 from verify.core.fiducials import Board
 from verify.core.records import Array
 from verify.errors import InputError
-from verify.io.toml import did_you_mean
+from verify.io.toml import MM, did_you_mean
 
 PAPERS_MM = {  # ISO 216, upright; smallest first
     "A4": (210.0, 297.0),
@@ -37,7 +37,6 @@ QUIET_ZONE_MM = 5.0  # around the pattern at least; corner finders like a whole 
 # px/mm of the PNG: whole, so that pHYs states it exactly; 36 megapixels at most
 PX_PER_MM = {"A4": 12, "A3": 12, "A2": 12, "A1": 8, "A0": 6}
 MM_PER_INCH = 25.4
-_MM = 1e-3  # m
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +78,7 @@ def black_areas(board: Board) -> Array:
 
     They share edges but do not overlap. The square at the top left is black, as OpenCV has it.
     """
-    square = board.square / _MM
+    square = board.square / MM
     squares = [
         (column * square, row * square, square, square)
         for row in range(board.rows + 1)
@@ -97,10 +96,10 @@ def ticks(length: float) -> list[tuple[float, float]]:
 
 def print_instructions(board: Board, layout: PageLayout) -> list[str]:
     """Describe the board, how to print it and how to check the print."""
-    columns, rows, square = board.columns, board.rows, board.square / _MM
+    columns, rows, square = board.columns, board.rows, board.square / MM
     kind = "Checkerboard"
     if board.markers is not None and board.marker is not None:
-        kind = f"ChArUco board ({board.markers}, markers of {board.marker / _MM:g} mm)"
+        kind = f"ChArUco board ({board.markers}, markers of {board.marker / MM:g} mm)"
     _, _, width, height = layout.pattern
     counts = f"{columns} × {rows} inner corners ({columns + 1} × {rows + 1} squares)"
     sizes = f"the pattern is {width:g} mm wide and {height:g} mm high; both rulers begin at 0."
@@ -132,7 +131,7 @@ def _strips(text_upwards: bool) -> tuple[float, float, float]:
 
 
 def _layout(board: Board, paper: str, page: tuple[float, float], text_upwards: bool) -> PageLayout:
-    square = board.square / _MM
+    square = board.square / MM
     width, height = (board.columns + 1) * square, (board.rows + 1) * square
     left, right, bottom = _strips(text_upwards)
     white = (page[0] - left - right - width) / 2, (page[1] - bottom - height) / 2
@@ -160,9 +159,9 @@ def _marker_cells(board: Board) -> Iterator[tuple[float, float, float, float]]:
         return
     drawn = fiducials.charuco_board(board)
     size = fiducials.dictionary(board.markers).markerSize + 2  # its black border is a cell wide
-    cell = board.marker / _MM / size
+    cell = board.marker / MM / size
     for corners, number in zip(drawn.getObjPoints(), np.ravel(drawn.getIds()), strict=True):
-        x, y = np.asarray(corners)[0, :2] / _MM
+        x, y = np.asarray(corners)[0, :2] / MM
         image = fiducials.dictionary(board.markers).generateImageMarker(int(number), size)
         for row, bits in enumerate(np.asarray(image) == 0):
             edges = np.flatnonzero(np.diff(np.concatenate([[False], bits, [False]])))
@@ -172,7 +171,7 @@ def _marker_cells(board: Board) -> Iterator[tuple[float, float, float, float]]:
 
 def _size_refusal(board: Board, paper: str) -> InputError:
     """Refuse a board that does not fit, naming the squares and the paper that would."""
-    columns, rows, square = board.columns, board.rows, board.square / _MM
+    columns, rows, square = board.columns, board.rows, board.square / MM
     found = f"{columns} x {rows} corners of {square:g} mm do not fit on {paper}"
     largest = 0.0
     for text_upwards in (False, True):

@@ -100,7 +100,7 @@ def _read_outline(bag: Bag, request: BagRequest, progress: Progress) -> BagOutli
     left, right, joints = (topic.name for topic in request.topics)
     times: dict[str, list[int]] = {left: [], right: [], joints: []}
     greatest, joint_names = 0, JointNames(f"{bag.path}, {joints}", request)
-    spread = JointRange.empty(request.arm.dof)
+    spread = JointRange(request.arm.dof)
     for message in bag.messages(times, lambda d, n: progress(d, 2 * n, "stamps")):
         time = message.stamp if request.stamps == HEADER else message.received
         if message.topic != joints:
@@ -145,33 +145,31 @@ class JointNames:
             InputError: it names another arm than one before it.
         """
         listed = frozenset(map(str, message.content.name))
-        if listed not in self._tried:
-            self._tried.add(listed)
+        if listed in self._tried:
+            return self._names
+        self._tried.add(listed)
+        try:
             found = self._match(listed)
-            if found and self._names and found != self._names:
-                both = f"{', '.join(self._names)} and of {', '.join(found)}"
-                remedy = "Name those of the robot in its order: --joint-names NAME1,NAME2,…"
-                raise InputError(self._place, f"has the joints of {both}", "one arm", remedy)
-            self._names = self._names or found
-        return self._names
+        except InputError:  # another device's, of a gripper perhaps
+            return self._names
+        if self._names is not None and found != self._names:
+            both = f"{', '.join(self._names)} and of {', '.join(found)}"
+            remedy = "Name those of the robot in its order: --joint-names NAME1,NAME2,…"
+            raise InputError(self._place, f"has the joints of {both}", "one arm", remedy)
+        self._names = found
+        return found
 
     def require(self, *, found: bool) -> tuple[str, ...]:
         """Give the names; InputError: they are not all in one message (`found`)."""
         if self._names is not None and found:
             return self._names
-        seen = sorted(frozenset[str]().union(*self._tried))
-        request = self._request
-        names = match_joint_names(self._place, seen, request.arm, request.joint_names)
+        names = self._match(frozenset[str]().union(*self._tried))
         remedy = "Record one publisher of all joints, or name another."
         raise InputError(self._place, f"has no message with all of {', '.join(names)}", "", remedy)
 
-    def _match(self, listed: Iterable[str]) -> tuple[str, ...] | None:
-        try:
-            return match_joint_names(
-                self._place, sorted(listed), self._request.arm, self._request.joint_names
-            )
-        except InputError:  # another device's, of a gripper perhaps
-            return None
+    def _match(self, listed: Iterable[str]) -> tuple[str, ...]:
+        request = self._request
+        return match_joint_names(self._place, sorted(listed), request.arm, request.joint_names)
 
 
 def joint_values(message: BagMessage, names: Sequence[str]) -> Array | None:

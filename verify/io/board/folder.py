@@ -90,7 +90,7 @@ class BoardFolder:
             yield len(self) + i, self.alone[i][0], image
 
 
-def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFolder:
+def open_board_folder(folder: Path, board: Board | None = None) -> BoardFolder:
     """Open a folder of board pictures and check all but the pictures after the first.
 
     It holds left/ and right/ with pictures (or left01.jpg, right01.jpg, … side by side, or two
@@ -101,7 +101,6 @@ def open_board_folder(folder: str | Path, board: Board | None = None) -> BoardFo
     Raises:
         InputError: one line that names the file, what stands there, what should, and what to do.
     """
-    folder = Path(folder)
     require_folder(folder, EXPECTED_LAYOUT, "Give the folder of the board pictures.")
     board, board_warnings = _choose_board(folder, board)
     left, right, alone = _sides(folder)

@@ -53,7 +53,7 @@ def read_outline(table: LogTable, mapping: ColumnMapping, progress: Progress) ->
         InputError: a cell that is no number; names the line.
     """
     names = tuple(c.column for c in mapping.columns)
-    outline = LogOutline(joints=JointRange.empty(len(mapping.joints)) if mapping.joints else None)
+    outline = LogOutline(joints=JointRange(len(mapping.joints)) if mapping.joints else None)
     for start, values in table.chunks(names, progress):
         if outline.joints is not None:
             outline.joints.add(np.stack([values[c.column] for c in mapping.joints], axis=1))

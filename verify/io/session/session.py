@@ -143,18 +143,18 @@ def _open_poses(path: Path, rig: str | Path | None, marker: str | Path | None) -
     return Session(**read_pose_streams(path, placed=placed), rig_file=placed)
 
 
-def open_poses(folder: str | Path) -> Session | None:
+def open_poses(folder: Path) -> Session | None:
     """Open a session of poses whose base and target need not be known; None: it has pictures.
 
     Raises InputError as `open_session` does.
     """
-    path = session_folder.find_session_file(Path(folder))
+    path = session_folder.find_session_file(folder)
     if not session_keys.has_poses(path):
         return None
     return Session(**read_pose_streams(path, registered=False))
 
 
-def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Recording:
+def open_recording(folder: Path, *, rig: Path | None = None) -> Recording:
     """Open a session's folder to register the robot: neither its place nor its LEDs are needed.
 
     A marker file is not read. `rig` replaces the rig.toml that session.toml names and may lie
@@ -163,7 +163,6 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
     Raises:
         InputError: as `open_session`; a session of poses has nothing to register by.
     """
-    folder = Path(folder)
     path = session_folder.find_session_file(folder)
     if session_keys.has_poses(path):
         expected = "robot and LEDs are registered by pictures of the LEDs"
@@ -174,7 +173,7 @@ def open_recording(folder: str | Path, *, rig: str | Path | None = None) -> Reco
         expected = "the calibrated cameras are needed"
         raise key_error(path, "rig", "is missing", expected, "Name them there or with --rig.")
     named = _resolve_paths(path, table, _STREAMS if rig is not None else ("rig", *_STREAMS))
-    rig_path = named["rig"] if rig is None else Path(rig)
+    rig_path = named["rig"] if rig is None else rig
     arm = session_folder.load_arm(path, table)
     cameras, rig_warnings = io_rig.read(rig_path, registered=False)
     parts = _read_streams(path, table, named, arm, cameras, (*warnings, *rig_warnings))

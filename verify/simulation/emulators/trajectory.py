@@ -30,7 +30,7 @@ def load(motion: str, joints: int) -> EmulatedTrajectory:
     if not Path(motion).suffix:
         expected = f"known are {', '.join(NAMES)}, or the path of a CSV"
         raise InputError("--motion", f'is "{motion}"', expected, "Choose one of them.")
-    encoders, _ = read_encoders(motion, joints)
+    encoders, _ = read_encoders(Path(motion), joints)
     return partial(_recorded, Readings(encoders.t, encoders.q))
 
 
