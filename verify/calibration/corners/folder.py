@@ -118,10 +118,15 @@ def refuse_another_pattern(folder: BoardFolder) -> None:
     """
     board = folder.board
     pictures = [p for pair in islice(folder.pairs(), MAX_PAIRS) for p in (pair.left, pair.right)]
-    if board.markers is not None and not _shows(pictures, board.markers):
-        _refuse_without_its_markers(folder, pictures, board.markers)
+    shown = board.markers is not None and _shows(pictures, board.markers)
     # markers first: to search a picture of them for plain boards of any counts takes long
-    if board.markers is None and (kind := _agreed_dictionary(pictures)) is not None:
+    agreed = (name for name in MARKER_DICTIONARIES if _shows(pictures, name))
+    kind = None if shown else next(agreed, None)
+    charuco = f"board.toml says ChArUco, with markers of {board.markers}"
+    if kind is not None and board.markers is not None:
+        found = f"the pictures show markers as in {kind}"
+        raise InputError(folder.folder, found, charuco, "Correct markers in board.toml.")
+    if kind is not None:
         raise InputError(
             folder.folder,
             f"the pictures show a board with markers, as in {kind}",
@@ -129,6 +134,14 @@ def refuse_another_pattern(folder: BoardFolder) -> None:
             "Use the board.toml that `verify board --charuco` wrote, or add markers and marker_mm.",
         )
     counts = _counts(pictures, board)
+    if counts is not None and board.markers is not None and not shown:
+        raise InputError(
+            folder.folder,
+            "no marker was found in the pictures, which show a plain board of "
+            f"{_corners_text(counts)}",
+            charuco,
+            "Delete markers and marker_mm from board.toml, or take pictures of the ChArUco board.",
+        )
     if counts is not None and counts != (board.columns, board.rows):
         found = f"the pictures show {_corners_text(counts)}"
         remedy = "Correct inner_corners in board.toml, or give --corners."
@@ -145,26 +158,6 @@ def _corners_text(counts: tuple[int, int]) -> str:
     return f"{counts[0]} x {counts[1]} inner corners"
 
 
-def _refuse_without_its_markers(
-    folder: BoardFolder, pictures: Sequence[Image], markers: str
-) -> None:
-    """Refuse where no stated marker is found but another board is."""
-    kind = _agreed_dictionary(pictures)
-    expected = f"board.toml says ChArUco, with markers of {markers}"
-    if kind is not None:
-        found = f"the pictures show markers as in {kind}"
-        raise InputError(folder.folder, found, expected, "Correct markers in board.toml.")
-    counts = _counts(pictures, folder.board)
-    if counts is not None:
-        raise InputError(
-            folder.folder,
-            "no marker was found in the pictures, which show a plain board of "
-            f"{_corners_text(counts)}",
-            expected,
-            "Delete markers and marker_mm from board.toml, or take pictures of the ChArUco board.",
-        )
-
-
 def _counts(pictures: Sequence[Image], board: Board) -> tuple[int, int] | None:
     """Corner counts of a plain chessboard on which pictures agree."""
     votes: Counter[tuple[int, int]] = Counter()
@@ -174,11 +167,6 @@ def _counts(pictures: Sequence[Image], board: Board) -> tuple[int, int] | None:
         if counts is not None and votes[counts] >= MIN_AGREEING:
             return counts
     return None
-
-
-def _agreed_dictionary(pictures: Sequence[Image]) -> str | None:
-    """The kind of markers on which pictures agree."""
-    return next((kind for kind in MARKER_DICTIONARIES if _shows(pictures, kind)), None)
 
 
 def _shows(pictures: Sequence[Image], markers: str) -> bool:

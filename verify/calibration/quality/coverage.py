@@ -72,30 +72,25 @@ def image_coverage(calibration: Calibration) -> tuple[ImageCoverage, ...]:
         pixels = residuals.observed[(residuals.camera == camera) & residuals.used]
         offset = pixels - np.array([width - 1, height - 1]) / 2
         reach = float(np.linalg.norm(offset, axis=1).max() / half) if len(pixels) else 0.0
-        counts = cell_counts(pixels, size)
+        counts, regions, margins = pixel_counts(pixels, size)
         rows, columns = counts.shape
         x, y = _centres(width, columns), _centres(height, rows)
-        regions, margins = region_counts(pixels, size), bare_margins(pixels, size)
         found.append(ImageCoverage(camera, x, y, counts, regions, margins, reach))
     return tuple(found)
 
 
-def cell_counts(pixels: Array, size: tuple[int, int]) -> Array:
-    """Count pixels (n, 2) over a grid of square cells, (rows, columns); size: width, height."""
-    return _counts(pixels, size, CELLS_ACROSS, max(round(CELLS_ACROSS * size[1] / size[0]), 1))
+def pixel_counts(pixels: Array, size: tuple[int, int]) -> tuple[Array, Array, Array]:
+    """Count pixels (n, 2) over a grid of square cells, (rows, columns); size: width, height.
 
-
-def region_counts(pixels: Array, size: tuple[int, int]) -> Array:
-    """Count pixels (n, 2) over the regions that sentences can name, (3, 3)."""
-    return _counts(pixels, size, REGIONS_PER_SIDE, REGIONS_PER_SIDE)
-
-
-def bare_margins(pixels: Array, size: tuple[int, int]) -> Array:
-    """Share of the width or height left, above, right and below all pixels (n, 2); (4,)."""
+    Also over the regions that sentences can name, (3, 3); and the share of the width or height
+    left, above, right and below all pixels, (4,).
+    """
+    cells = _counts(pixels, size, CELLS_ACROSS, max(round(CELLS_ACROSS * size[1] / size[0]), 1))
+    regions = _counts(pixels, size, REGIONS_PER_SIDE, REGIONS_PER_SIDE)
     if not len(pixels):
-        return np.ones(4)
+        return cells, regions, np.ones(4)
     low, high = (pixels.min(axis=0) + 0.5) / size, (pixels.max(axis=0) + 0.5) / size
-    return np.concatenate([low, 1 - high])
+    return cells, regions, np.concatenate([low, 1 - high])
 
 
 def _centres(extent: int, cells: int) -> Array:

@@ -8,11 +8,9 @@ import numpy as np
 from verify.calibration.quality import advice
 from verify.calibration.quality.coverage import (
     BoardOrientation,
-    bare_margins,
     board_middle,
     board_orientation,
-    cell_counts,
-    region_counts,
+    pixel_counts,
 )
 from verify.calibration.stereo.start import InitialLens, board_pose, start_lens
 from verify.core.fiducials import Board, BoardPair, BoardView
@@ -145,13 +143,8 @@ def coverage(taken: CapturedPairs, side: int) -> CameraCoverage:
     """Count what the left (0) or right (1) camera has seen."""
     views = [(pair.left, pair.right)[side] for pair in taken.pairs]
     pixels = np.concatenate([v.centre for v in views if v is not None] or [np.empty((0, 2))])
-    size = taken.image_size
-    return CameraCoverage(
-        cell_counts(pixels, size),
-        region_counts(pixels, size),
-        bare_margins(pixels, size),
-        tuple(taken.of_camera(side)),
-    )
+    counted = pixel_counts(pixels, taken.image_size)
+    return CameraCoverage(*counted, tuple(taken.of_camera(side)))
 
 
 def goals(
