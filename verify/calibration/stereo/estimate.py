@@ -225,9 +225,8 @@ def robust_scale(squares: Array) -> float:
 
 def adjust_cauchy(state: BundleState, corners: CornerStack, model: AdjustmentModel) -> BundleState:
     """Adjust with Cauchy weights, so that gross errors do not spoil the start."""
-    before = np.inf
+    squares, before = bundle.squared_distances(state, corners), np.inf
     for _ in range(MAX_ROUNDS):
-        squares = bundle.squared_distances(state, corners)
         factor = max(robust_scale(squares), 1e-12)
         weight = 1 / (1 + squares / (CAUCHY_SCALE**2 * factor))
         state = bundle.adjust(state, corners, model, weight, iterations=2)
