@@ -11,6 +11,7 @@ P p         stated uncertainties that do not average out, in standard deviations
 ==========  =====================================================================
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,6 +88,9 @@ class JointErrorModel:
     def offsets(self) -> Array:
         """The joint columns that a constant error is judged by, (r, j)."""
         return self.hidden if self.through_encoders else self.joints
+
+
+ModelBuilder = Callable[[Comparison], JointErrorModel]  # lays a comparison out as a model
 
 
 def build_model(

@@ -1,8 +1,6 @@
 """A recorded session from pixels to results: measure, compare, estimate, present."""
 
-from collections.abc import Callable
 from dataclasses import asdict, replace
-from functools import partial
 
 import numpy as np
 import pandas as pd
@@ -48,6 +46,7 @@ from verify.analysis.measured import (
 from verify.analysis.mistakes import refuse_misread_pans
 from verify.analysis.model import (
     JointErrorModel,
+    ModelBuilder,
     SessionComparison,
     add_pan_noise,
     build_model,
@@ -98,7 +97,6 @@ MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
 MIN_MISFIT_TURNED = 10.0  # of the causes: a turned camera is tried though it is none of them
 MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
 NO_TOLERANCE = Tolerance(None, None, None)
-ModelBuilder = Callable[[Comparison], JointErrorModel]
 
 
 def analyse(
@@ -248,8 +246,7 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
         left = model.xi - predict_errors(model, resolved)
         return resolved, autocorrelation(model.white.by_pair(left))
 
-    tangent = partial(_tangent, built=built)
-    middle = plain = about_camera_errors(compared, (), tangent, built)
+    middle = plain = about_camera_errors(compared, (), _tangent, built)
     factors = explained(built(middle), None)[1]
     rounds, changes, across = 0, 0, np.zeros(0, dtype=np.int64)
     cameras = bool(plain.systematic[:, :, -1].any())
@@ -261,7 +258,7 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
             turns = [("camera_turned", 0)]
         turned = bool(turns)
         if not rounds and changes < 2 and turned == (middle is plain):
-            middle = about_camera_errors(compared, turns, tangent, built) if turned else plain
+            middle = about_camera_errors(compared, turns, _tangent, built) if turned else plain
             factors, changes = explained(built(middle), None)[1], changes + 1
             continue
         resolved, rounds = explained(model, found)[0], rounds + 1

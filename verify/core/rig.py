@@ -156,7 +156,7 @@ class Covariance:
         )
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, slots=True, eq=False)  # nor has this
 class Rig:
     """Two cameras and the robot's base, in one frame."""
 

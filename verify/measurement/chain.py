@@ -31,7 +31,12 @@ from verify.measurement.correspondence.assign import (
 from verify.measurement.detection.detect import detect
 from verify.measurement.kernels.entries import ACCELERATION_PER_SPEED, MIN_ACCELERATION, led_boxes
 from verify.measurement.pose import SightingStack, camera_rows, fit_stack, perturb
-from verify.measurement.systematics import Systematics, spot_columns, stated_systematics
+from verify.measurement.systematics import (
+    Systematics,
+    disparity_uncertainty,
+    spot_columns,
+    stated_systematics,
+)
 
 MARGIN_PX = 8.0  # about an LED in its window: for blur and halo, beside its diameter as stated
 MIN_MOTION_PX = 0.3  # what clocks and lenses leave between two pictures of one instant
@@ -373,7 +378,8 @@ def _fit(
         )  # fmt: skip
     except np.linalg.LinAlgError:  # spots that contradict each other so much that no step is finite
         return result("outlier")
-    good = pose.consistent and not pose.reprojection_rms_px > MAX_REPROJECTION_PX
+    bound = max(MAX_REPROJECTION_PX, 2 * disparity_uncertainty(setup.rig))
+    good = pose.consistent and not pose.reprojection_rms_px > bound
     status = "measured" if good else "outlier"
     return result(status, pose=pose, left=left, right=right)
 

@@ -31,7 +31,8 @@ from scipy.linalg import block_diag
 from verify.core.fiducials import Marker
 from verify.core.records import POSE_NAMES, SIDES, Array, Measurement, Pose, Sighting
 from verify.core.rig import Covariance, Rig
-from verify.measurement.sensitivities import AXES, spot_derivatives
+from verify.measurement.sensitivities import AXES, camera_derivatives, spot_derivatives
+from verify.measurement.triangulation import triangulate
 
 PAN_ANGLE, PAN_AXES = "pan angle", "pan axes"
 PAN_READINGS = "left.pan_zero_deg", "right.pan_zero_deg"  # err as the zeros of their scales do
@@ -223,6 +224,33 @@ def spot_columns(
     moved = moved.reshape(-1, 2 * len(by_point)).T
     own = [moved[:, : len(names)] @ spread, moved[:, len(names) :] * parameters.pan[turning]]
     return np.concatenate(own, axis=1)
+
+
+@lru_cache(maxsize=4)
+def disparity_uncertainty(rig: Rig) -> float:
+    """By how much a point's images may disagree, px: one standard uncertainty, as rig.toml states.
+
+    Of the one direction of both images that no place of the point explains, for a point before the
+    cameras that both see. 0 where nothing is stated.
+    """
+    half, cameras, stated = rig.image_size[0] / 10, (rig.left, rig.right), rig.covariance
+    middle = [np.array(rig.image_size) / 2 + [by, 0.0] for by in (half, -half)]
+    point, _ = triangulate(*cameras, rig.left.pan, rig.right.pan, middle[0], middle[1])
+    if stated is None or not np.isfinite(point).all():
+        return 0.0
+    moved, by_point = np.zeros((4, len(stated.parameters))), np.zeros((4, 3))
+    for rows, side, camera in zip((slice(0, 2), slice(2, 4)), SIDES, cameras, strict=True):
+        camera_T_rig = camera.camera_T_rig(camera.pan)
+        inside = camera_T_rig[:3] @ np.append(point, 1.0)
+        turn, sight = camera_T_rig[:3, :3] / inside[2], inside[:2] / inside[2]
+        by_point[rows] = camera.matrix[:2, :2] @ (turn[:2] - np.outer(sight, turn[2]))
+        keys = [name.partition(".")[2] * name.startswith(side) for name in stated.parameters]
+        own = [i for i, key in enumerate(keys) if CAMERA_KEYS.match(key)]
+        spot = inside[None], point[None], by_point[None, rows]
+        changes = camera_derivatives(tuple(keys[i] for i in own), camera, camera.pan, *spot)
+        moved[rows, own] = changes[:, 0].T
+    across = np.linalg.svd(by_point)[0][:, 3] @ moved
+    return float(np.sqrt(across @ covariance_in_si(stated) @ across))
 
 
 def covariance_root(covariance: Array) -> Array:

@@ -46,3 +46,16 @@ def test_optical_centres_known_to_a_pixel_accuse_no_joint(
         assert off < one["expanded_uncertainty_deg"] + other["expanded_uncertainty_deg"]
         true = OFFSET[sample] * (one["joint"] == 2)
         assert abs(one["mean_error_deg"] - true) < 1.5 * one["expanded_uncertainty_deg"]
+
+
+@pytest.mark.parametrize("sample", OFFSET)
+@pytest.mark.parametrize("seed", [1, 2, 3, 5, 11, 13])
+def test_images_that_disagree_as_the_rig_states_are_measured(sample: str, seed: int) -> None:
+    """Of two optical centres that are known to 2 px one point's images lie up to 6 px apart."""
+    session = open_session(SAMPLES / sample)
+    summary = analyse(with_rough_centres(session, seed, 2.0)).summary
+    assert summary["pairs"]["measured"] > 0.85 * len(session)
+    assert [c["joint"] for c in summary["diagnosis"] if c["joint"]] in ([], [2])
+    for joint in summary["joints"]:
+        true = OFFSET[sample] * (joint["joint"] == 2)
+        assert abs(joint["mean_error_deg"] - true) < 1.5 * joint["expanded_uncertainty_deg"]

@@ -36,6 +36,7 @@ from verify.analysis.least_squares import solve
 from verify.analysis.model import (
     MIN_SPEED_SIGMA,
     JointErrorModel,
+    ModelBuilder,
     SessionComparison,
     clock_effect,
 )
@@ -337,18 +338,19 @@ def without_misplacement(comparison: Comparison, twists: Array) -> Comparison:
 def about_camera_errors(
     compared: SessionComparison,
     sought: Sequence[Turn],
-    tangent: Callable[[SessionComparison], Comparison],
-    built: Callable[[Comparison], JointErrorModel],
+    tangent: Callable[[SessionComparison, ModelBuilder], Comparison],
+    built: ModelBuilder,
 ) -> Comparison:
     """Linearise a session about the errors of its cameras that fit.
 
     Those are the stated ones, where they move poses farther than first order tells, and the turns
-    that are sought. `tangent` linearises about the joints' errors, `built` lays out as a model.
+    that are sought. `tangent` linearises about the joints' errors.
     """
     names = compared.systematics.names
     of_cameras = [name.startswith(("left.", "right.")) for name in names]
     root = covariance_root(compared.systematics.covariance) * np.reshape(of_cameras, (-1, 1))
-    middle = tangent(compared)
+    best = middle = tangent(compared, built)
+    least = np.inf
     errors, nothing = np.zeros((len(middle), len(names) + 2)), np.zeros((len(middle), 6, 0))
     for _ in range(MAX_STEPS_CAMERAS if compared.measurements else 0):
         model, turning = built(middle), camera_turns(middle)
@@ -356,9 +358,11 @@ def about_camera_errors(
         shown = model.joints[:, np.linalg.norm(model.joints, axis=0) > 0]
         free = np.concatenate([model.white.rows(columns), model.fitted, shown], axis=1)
         fit, before = solve(free, model.xi, model.prior), errors
+        if fit.chi2 < least:
+            best, least = middle, fit.chi2
         errors, held = np.zeros_like(before), fit.held[: root.shape[1]]
-        if held @ held < chi2_bound(P_NOT_STATED, len(held)):  # else something else is wrong
-            errors[:, :-2] = -root @ held
+        farthest = np.sqrt(chi2_bound(P_NOT_STATED, max(len(held), 1)))  # what is stated holds
+        errors[:, :-2] = -root @ held * min(1.0, farthest / max(np.linalg.norm(held), 1e-9))
         angles = np.concatenate([nothing[:, 0], *(turning[turn][1] for turn in sought)], axis=1)
         errors[:, -1] = angles @ fit.value[: angles.shape[1]]
         moved = np.einsum("nip,np->ni", middle.systematic[:, :3], errors - before)
@@ -366,9 +370,9 @@ def about_camera_errors(
         if np.linalg.norm(moved, axis=1).max(initial=0.0) < enough:
             break
         there, effect = _without_camera_errors(compared, errors)
-        middle = tangent(there)
+        middle = tangent(there, built)
         middle = replace(middle, xi=middle.xi + effect)
-    return middle
+    return best
 
 
 def _without_camera_errors(

@@ -47,11 +47,11 @@ from verify.measurement.correspondence.refinement import (
     score,
 )
 from verify.measurement.correspondence.views import (
-    MODEL_PX,
     SpotViews,
     fit_limits,
     led_sigma,
     light_of,
+    model_variance,
     prepare_views,
     skew_variance,
     spot_arrays,
@@ -221,7 +221,7 @@ def track_leds(
             (spot_arrays(spots[1]), spots[1].peak, spots[1].diameter, right, instants[1]),
         ),
         optics.arrays,
-        (vague**2, MODEL_PX**2, skew_variance(skew)),
+        (vague**2, model_variance(rig), skew_variance(skew)),
         (marker.leds, light_of(marker.colours)),
         fit_limits(led_sigma(marker) * optics.mean_focal, skew),
         (prediction.rig_T_flange, *prediction.sigmas, skew),

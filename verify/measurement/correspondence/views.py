@@ -14,6 +14,7 @@ from verify.core.records import Array, Flags, Index, Spots
 from verify.core.rig import Camera, Rig
 from verify.measurement.correspondence.kernels import entries as kernel
 from verify.measurement.correspondence.kernels.entries import Limits, Scene
+from verify.measurement.systematics import disparity_uncertainty
 
 MIN_SKEW = 1e-3  # px: in effect simultaneous; avoids a division by zero
 MIN_DEPTH = 0.02  # m, depth below which a point cannot be imaged
@@ -61,6 +62,11 @@ def fit_limits(play: float, skew: float) -> Limits:
     return MIN_DEPTH, play, 1 / max(skew, MIN_SKEW) ** 2
 
 
+def model_variance(rig: Rig) -> float:
+    """Variance of a spot, px², by what lens and pan leave unexplained and by what is stated."""
+    return MODEL_PX**2 + disparity_uncertainty(rig) ** 2
+
+
 def skew_variance(skew: float) -> float:
     """Variance of a spot of the right image, px², where the marker may have moved so many px."""
     return (SKEW_SHARE * skew) ** 2
@@ -78,7 +84,7 @@ def prepare_views(
     images = kernel.prepare_images(
         (spot_arrays(spots[0]), spot_arrays(spots[1])),
         (optics.matrix, optics.lens),
-        (MODEL_PX**2, MERGED_PX**2, skew_variance(skew)),
+        (model_variance(rig), MERGED_PX**2, skew_variance(skew)),
         light_of(marker.colours),
         min(max(map(len, spots)), MAX_SPOTS),
     )
