@@ -34,15 +34,15 @@ MIN_SKEW_SIGMA = 4.0  # standard uncertainties by which the stamps must differ t
 
 @dataclass(frozen=True, slots=True)
 class FixedParameters:
-    """What is held, not adjusted."""
+    """What is held, not adjusted; and the known marker, held or not."""
 
+    named: Marker | None  # gives the LEDs' names
     base: bool
     leds: Marker | None  # the marker with these LEDs; None: they are adjusted
 
 
 def registration_outcome(
     recording: Recording,
-    named: Marker | None,
     held: FixedParameters,
     adjusted: AdjustedRegistration,
     setup: AdjustmentSetup,
@@ -51,11 +51,10 @@ def registration_outcome(
 ) -> MotionRegistration:
     """Turn an adjustment into the contents of rig and marker file and of the report.
 
-    The marker gives the LEDs' names; what is held was not adjusted; the diameter, m, is that of an
-    LED, from its image. No pair is left out yet.
+    The diameter, m, is that of an LED, from its image. No pair is left out yet.
     """
     spotted, at = adjusted.spotted, adjusted.at
-    marker = held.leds or build_marker(at.leds, diameter, named)
+    marker = held.leds or build_marker(at.leds, diameter, held.named)
     before = inherited_absorption(recording.rig, base=held.base, leds=held.leds)
     covariance = rig_covariance(recording.rig, marker, adjusted, held_marker=held.leds is not None)
     if held.leds is not None:  # stated in the rig's covariance, with its correlation with the base
@@ -90,7 +89,7 @@ def registration_outcome(
         left_out={},
         spots=spotted,
         residual=adjusted.predicted.residual,
-        decisions=tuple(_decisions(recording, named, held, adjusted, diameter)),
+        decisions=tuple(_decisions(recording, held, adjusted, diameter)),
         warnings=tuple(map(one_line, _warnings(adjusted, start, shown, marker.names))),
     )
 
@@ -114,13 +113,12 @@ def _hold_out_rms(
 
 def _decisions(
     recording: Recording,
-    named: Marker | None,
     held: FixedParameters,
     adjusted: AdjustedRegistration,
     diameter: float,
 ) -> Iterator[str]:
     yield f"{len(adjusted.at.leds)} LEDs move together as one rigid body."
-    if named is None:
+    if held.named is None:
         yield f"LED diameter {diameter * 1e3:.1f} mm, from its image."
     if held.base:
         yield "The robot base stands as rig.toml has it; the LEDs are fitted."

@@ -96,7 +96,7 @@ def register_motion(
         refuse_misplaced_led(adjusted, held.leds)
     left_out |= dict.fromkeys(wild, "the readings contradict it")
     diameter = round(float(np.median([pose.diameter for pose in poses])), 4)
-    outcome = registration_outcome(recording, marker, held, adjusted, setup, start, diameter)
+    outcome = registration_outcome(recording, held, adjusted, setup, start, diameter)
     return replace(outcome, left_out=dict(sorted(left_out.items())))
 
 
@@ -114,7 +114,7 @@ def _check_held(
         raise InputError(
             "--keep-leds", "no marker.toml is given", "", "Give it with --known-marker."
         )
-    return FixedParameters(keep_base, marker if keep_leds else None)
+    return FixedParameters(marker, keep_base, marker if keep_leds else None)
 
 
 def _setup(recording: Recording) -> AdjustmentSetup:
