@@ -6,28 +6,21 @@ import numpy as np
 import pandas as pd
 
 from reports.session.outliers import outlier_notes
-from robots import Arm
-from robots.transforms import misplacement, rotation_log
 from verify.analysis.clock.estimate import ClockEstimate, shown_offset, spread
 from verify.analysis.combinations import combinations
 from verify.analysis.comparison import (
     Comparison,
-    JointComparison,
     ReadingUncertainty,
     compare,
-    gross_errors,
     inflate_covariance,
-    placement_columns,
-    relinearise,
     solve_joints,
     without_weight,
 )
 from verify.analysis.diagnosis.detectability import detectable
 from verify.analysis.diagnosis.diagnose import Diagnosis, explained_by, find_causes
-from verify.analysis.diagnosis.faults import about_camera_errors, without_misplacement
 from verify.analysis.instrument import MeasuredSession
 from verify.analysis.joint_errors import JointErrors, ResolvedErrors, predict_errors, resolve_errors
-from verify.analysis.least_squares import autocorrelation, solve
+from verify.analysis.least_squares import autocorrelation
 from verify.analysis.measured import (
     Chain,
     measure_instrument,
@@ -68,6 +61,7 @@ from verify.analysis.results.tables import (
 )
 from verify.analysis.results.warnings import result_warnings
 from verify.analysis.sweeps.sweeps import judge_sweeps
+from verify.analysis.tangent import about_camera_errors, tangent_of
 from verify.analysis.uncertainty.budget import budget
 from verify.analysis.uncertainty.monte_carlo import monte_carlo
 from verify.core.readings import Readings
@@ -85,14 +79,6 @@ __all__ = ["analyse", "measure", "measure_session", "session_model", "setup_of"]
 
 TOL_REPEATED = 0.05  # of the factors by which pairs count for fewer
 MIN_VISIBLE_SHARE = 1e-9  # of a joint's column; a smaller share is rounding
-MIN_DISPLACED = np.deg2rad(0.5)  # an error of a joint: base or body may stand elsewhere instead
-DISPLACED = ((True, False), (False, True), (True, True))  # base, LED body
-MIN_LOOSE = np.deg2rad(0.25)  # of a body's turn, stated: it may take up what joints leave
-STEPS_DISPLACED = 3  # of Newton, to where they stand
-MIN_GAIN_DISPLACED = 2.0  # of chi-squared, about the place where they would stand
-MAX_MISFIT_DISPLACED = 2.0  # there: of a joint's step, more is left
-MIN_FAR = np.deg2rad(0.25)  # of an error from the typical one: 1° off it may accuse a neighbour
-MIN_FAR_SIGMA = 5.0  # that a Jacobian does not move with the poses' noise
 MAX_ROUNDS = 4  # of causes and what pairs repeat of what they leave
 MIN_MISFIT_TURNED = 10.0  # of the causes: a turned camera is tried though it is none of them
 MAX_RIVALS_JUDGED = 3  # of the clock offsets that fit as well: each costs an analysis
@@ -217,10 +203,8 @@ def compare_session(
         there = compare(track, session.arm, readings, shown, stated=stated, known=known)
         there = add_pan_noise(replace(there, timed=comparison.timed), track, systematics)
         tangent = there, clock.offset - shown
-    compared = SessionComparison(
-        session, track, systematics, clock, comparison, joints, posed, tangent
-    )
-    return compared, unreachable
+    parts = session, track, systematics, clock, comparison, joints, posed, tangent
+    return SessionComparison(*parts), unreachable
 
 
 def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
@@ -240,14 +224,33 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
             compared.clock, compared.systematics,
         )  # fmt: skip
 
+    plain = tangent_of(compared, built)
+    there = about_camera_errors(compared, plain, (), built)
+    places = [plain] if there is plain else [plain, there]
+    model, found, resolved = min(
+        (_explain(compared, place, built) for place in places), key=lambda one: one[0]
+    )[1:]
+    # what is told of pairs is their whole error, no tangent's
+    whole = compared.comparison.xi
+    return replace(model, comparison=replace(model.comparison, xi=whole)), found, resolved
+
+
+def _explain(
+    compared: SessionComparison, plain: Comparison, built: ModelBuilder
+) -> tuple[float, JointErrorModel, Diagnosis, ResolvedErrors]:
+    """Find the causes of a session's errors, linearised at one place, and what they cost.
+
+    That is the chi-squared they leave of all pairs, and what Schwarz's criterion asks for them.
+    """
+    session = compared.session
+
     def explained(model: JointErrorModel, found: Diagnosis | None) -> tuple[ResolvedErrors, Array]:
         causes = [] if found is None else explained_by(found, model, session.arm, session.rig)
         resolved = resolve_errors(model, causes)
         left = model.xi - predict_errors(model, resolved)
         return resolved, autocorrelation(model.white.by_pair(left))
 
-    middle = plain = about_camera_errors(compared, (), _tangent, built)
-    factors = explained(built(middle), None)[1]
+    middle, factors = plain, explained(built(plain), None)[1]
     rounds, changes, across = 0, 0, np.zeros(0, dtype=np.int64)
     cameras = bool(plain.systematic[:, :, -1].any())
     while rounds < MAX_ROUNDS:
@@ -256,9 +259,8 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
         turns = found.camera_turns
         if not turns and cameras and middle is plain and found.misfit > MIN_MISFIT_TURNED:
             turns = [("camera_turned", 0)]
-        turned = bool(turns)
-        if not rounds and changes < 2 and turned == (middle is plain):
-            middle = about_camera_errors(compared, turns, _tangent, built) if turned else plain
+        if not rounds and changes < 2 and bool(turns) == (middle is plain):
+            middle = about_camera_errors(compared, plain, turns, built) if turns else plain
             factors, changes = explained(built(middle), None)[1], changes + 1
             continue
         resolved, rounds = explained(model, found)[0], rounds + 1
@@ -270,66 +272,10 @@ def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnos
         if len(more) == len(across) and np.all(left > (1 - TOL_REPEATED) * factors):
             break
         factors, across = np.minimum(left, factors), more
-    # what is told of pairs is their whole error, no tangent's
-    whole = compared.comparison.xi
-    return replace(model, comparison=replace(model.comparison, xi=whole)), found, resolved
-
-
-def _tangent(compared: SessionComparison, built: ModelBuilder) -> Comparison:
-    """Linearise a session about the errors that are there.
-
-    Where base or LED body explain them better than the joints do, about the place where they would
-    stand; where a given clock is wrong, about the offset that the motion shows.
-    """
-    arm, (start, late) = compared.session.arm, compared.at_shown_clock or (compared.comparison, 0.0)
-    joints = solve_joints(start, arm) if late else compared.joints
-    middle = _about_joint_errors(start, joints, arm, built)
-    far = np.nanmax(np.abs(joints.error), initial=0.0) > MIN_DISPLACED
-    body = compared.session.marker.body_standard_uncertainty
-    loose = body is not None and body[3:].max() > MIN_LOOSE
-    if far and (loose or _fit_offsets(built(middle), (False, False))[1] > MAX_MISFIT_DISPLACED):
-        least = min(_fit_offsets(built(middle), own)[0] for own in DISPLACED)
-        for own in DISPLACED:
-            moved = misplacement(start.base_T_measured, start.base_T_encoder, *own)
-            twists = np.stack([np.append(m[:3, 3], rotation_log(m[:3, :3])) for m in moved])
-            for _ in range(STEPS_DISPLACED):
-                there = without_misplacement(start, twists)
-                tangent = _about_joint_errors(there, solve_joints(there, arm), arm, built)
-                taken = placement_columns(tangent.base_T_jacobian) @ twists.ravel()
-                tangent = replace(tangent, xi=tangent.xi - taken)
-                cost, misfit, twists = _fit_offsets(built(tangent), own)
-                if cost < least - MIN_GAIN_DISPLACED and misfit < MAX_MISFIT_DISPLACED:
-                    middle, least = tangent, cost
-    return replace(middle, xi=middle.xi + late * clock_effect(middle)[:, :, 0])
-
-
-def _about_joint_errors(
-    start: Comparison, joints: JointComparison, arm: Arm, built: ModelBuilder
-) -> Comparison:
-    error, known = np.nan_to_num(joints.error), ~np.isnan(joints.error)
-    typical = error.sum(axis=0) / np.maximum(known.sum(axis=0), 1)
-    if not known.any(axis=0).all():  # joints that no pair determines: from a first fit
-        first = np.nan_to_num(resolve_errors(built(start)).mean)
-        typical = np.where(known.any(axis=0), typical, first)
-    # a step, readings that stand or a rough stretch leave some pairs far from what is typical
-    rough = start.local_noise > 2 * start.reading_noise
-    doubt = np.sqrt(np.diagonal(joints.covariance, axis1=1, axis2=2))
-    far = known & (rough | (np.abs(error - typical) > np.maximum(MIN_FAR, MIN_FAR_SIGMA * doubt)))
-    expected, gross = np.where(far, error, typical), gross_errors(joints.error)
-    return relinearise(start, arm, expected, gross)
-
-
-def _fit_offsets(model: JointErrorModel, free: tuple[bool, bool]) -> tuple[float, float, Array]:
-    """Fit joints' constant errors, base and body if `free`: cost, a degree's misfit, twists (2, 6).
-
-    The cost is chi-squared and, for each unknown of a motion, twice what it gains by chance.
-    """
-    flange = model.comparison.base_T_jacobian
-    moved = model.white.rows(placement_columns(flange)) * np.repeat(free, 6)
-    fit = solve(np.concatenate([model.joints, model.fitted, moved], axis=1), model.xi, model.prior)
-    # what moves the measured flange is less of an error, encoder less measured
-    twists = -fit.value[-12:].reshape(2, 6)
-    return fit.chi2 + 12 * sum(free), fit.chi2 / max(fit.degrees_of_freedom, 1), twists
+    named = (cause.candidates[0] if cause.candidates else cause for cause in found.causes)
+    cost = explained(built(middle), found)[0].fit.chi2
+    cost += sum(one.fault.schwarz(len(model.xi)) for one in named)
+    return cost, model, found, resolved
 
 
 def zero_undetermined_columns(comparison: Comparison) -> Comparison:

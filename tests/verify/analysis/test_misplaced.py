@@ -133,3 +133,16 @@ def test_a_joint_that_steps_accuses_no_other(joint: int, size: float) -> None:
         assert cause["value"] == pytest.approx(true, abs=cause["expanded_uncertainty"] + 0.002)
     others = {1, 3, 4, 5} - {joint}
     assert all(verdicts.split()[other - 1] != "nonconform" for other in others)
+
+
+@pytest.mark.parametrize("along", [[3.0, 0.0, 0.0], [0.0, 3.0, 0.0], [-2.0, 0.0, 0.0]])
+def test_where_the_motion_leaves_a_shift_open_the_base_is_no_farther_off(
+    along: list[float],
+) -> None:
+    """Three joints in one plane do with any base there what one base does."""
+    session = open_session(SAMPLES / "quarter_circle_6r")
+    moved = rigid_transform(np.eye(3), 1e-3 * session.rig.rig_T_base[:3, :3].T @ np.array(along))
+    verdicts, kinds, (base,) = judged(with_base_elsewhere(session, moved))
+    assert kinds == [("base_moved", None)]
+    assert base["value"] == pytest.approx(np.linalg.norm(along), abs=base["expanded_uncertainty"])
+    assert "nonconform" not in verdicts

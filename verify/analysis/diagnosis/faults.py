@@ -4,52 +4,25 @@ Signs and zeros are those of docs/results.md: error = reading less true angle. A
 as the session's rows are, and holds what the registration left of a fault that was already there.
 Columns of a camera that is late or was moved are made of what a turn about its pan axis does to a
 pose, the largest part of its effect on depth.
-
-A turn of 0.5° puts the depth off by some per cent of itself, and spots that contradict each other
-are rejected: what is left of a line through 0 is many times the noise. So do optical centres that
-are known to a pixel. So every pose is fitted again to the same spots with the camera turned by a,
-and Newton's steps find a beside the joints' offsets, until a' is a:
-
-    xi - (d(a) - c(a) a) = c(a) a' + J e + what is fitted and stated + noise
-
-    symbol  meaning                                                         unit
-    d(a)    pose fitted with the camera turned by a, less pose as measured  m, rad
-    c(a)    derivative there, by the turned camera's pan reading            m/rad, 1
-    a'      the turn                                                        rad
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
-from robots.transforms import invert, rotation_exp
 from verify.analysis.comparison import (
     Comparison,
     base_motion,
     body_motion,
-    solve_joints,
-    twist_difference,
 )
-from verify.analysis.least_squares import solve
 from verify.analysis.model import (
     MIN_SPEED_SIGMA,
     JointErrorModel,
-    ModelBuilder,
-    SessionComparison,
     clock_effect,
 )
-from verify.core.records import Array, Measurement, rigid_transform
+from verify.core.records import Array
 from verify.core.rig import Rig
-from verify.core.statistics import chi2_bound
-from verify.measurement.pose import fit_pose
-from verify.measurement.systematics import (
-    covariance_root,
-    pixel_sensitivities,
-    sensitivities,
-    spot_columns,
-)
 
 Name = tuple[str, int | None, str | None]
 Turn = tuple[str, int]  # of a camera: kind and variant
@@ -77,10 +50,6 @@ MIN_LEVER_RATIO = 0.5  # of the longest: a lever that varies less pulls like an 
 MIN_SPAN_ONE_WAVE = np.deg2rad(60.0)  # of one wave a turn, as the resolved error has it
 MIN_SPAN_WAVES = np.deg2rad(270.0)  # of several a turn, which must show that they come back
 KNOTS = 8  # of a camera that creeps unevenly
-MAX_STEPS_CAMERAS = 6
-MIN_MOVED = 1e-3  # m: of what cameras move less, second order is some micrometres
-P_NOT_STATED = 1e-4  # of errors that are as stated, and larger
-TOL_MOVED = 1e-5  # m: far below any turn of a camera that a session shows
 WHOLE_POSE = 6  # degrees of freedom
 MIN_PAIRS_PER_WAVE = 2  # of what is sought: their mean, as pairs do not lie evenly
 MAX_WAVES_SOUGHT = 120  # a turn, of what is sought
@@ -321,104 +290,3 @@ def skew_effect(model: JointErrorModel, rig: Rig) -> Array:
     if not apart.any():  # no cameras, or nothing moves across them
         return np.zeros((len(comparison), 6, 1))
     return apart[:, :, None] + clock_effect(comparison, steady=True) / 2
-
-
-def without_misplacement(comparison: Comparison, twists: Array) -> Comparison:
-    """The comparison with base and LED body moved back by twists (2, 6), m and rad.
-
-    `base_motion` and `body_motion` at a tangent, times these, are what that takes off xi: given
-    back, it is linear at any size.
-    """
-    base, body = (rigid_transform(rotation_exp(twist[3:]), twist[:3]) for twist in twists)
-    there = invert(base) @ comparison.base_T_measured @ invert(body)
-    xi = twist_difference(comparison.base_T_encoder, there)
-    return replace(comparison, base_T_measured=there, xi=xi)
-
-
-def about_camera_errors(
-    compared: SessionComparison,
-    sought: Sequence[Turn],
-    tangent: Callable[[SessionComparison, ModelBuilder], Comparison],
-    built: ModelBuilder,
-) -> Comparison:
-    """Linearise a session about the errors of its cameras that fit.
-
-    Those are the stated ones, where they move poses farther than first order tells, and the turns
-    that are sought. `tangent` linearises about the joints' errors.
-    """
-    names = compared.systematics.names
-    of_cameras = [name.startswith(("left.", "right.")) for name in names]
-    root = covariance_root(compared.systematics.covariance) * np.reshape(of_cameras, (-1, 1))
-    best = middle = tangent(compared, built)
-    least = np.inf
-    errors, nothing = np.zeros((len(middle), len(names) + 2)), np.zeros((len(middle), 6, 0))
-    for _ in range(MAX_STEPS_CAMERAS if compared.measurements else 0):
-        model, turning = built(middle), camera_turns(middle)
-        columns = np.concatenate([nothing, *(turning[turn][0] for turn in sought)], axis=2)
-        shown = model.joints[:, np.linalg.norm(model.joints, axis=0) > 0]
-        free = np.concatenate([model.white.rows(columns), model.fitted, shown], axis=1)
-        fit, before = solve(free, model.xi, model.prior), errors
-        if fit.chi2 < least:
-            best, least = middle, fit.chi2
-        errors, held = np.zeros_like(before), fit.held[: root.shape[1]]
-        farthest = np.sqrt(chi2_bound(P_NOT_STATED, max(len(held), 1)))  # what is stated holds
-        errors[:, :-2] = -root @ held * min(1.0, farthest / max(np.linalg.norm(held), 1e-9))
-        angles = np.concatenate([nothing[:, 0], *(turning[turn][1] for turn in sought)], axis=1)
-        errors[:, -1] = angles @ fit.value[: angles.shape[1]]
-        moved = np.einsum("nip,np->ni", middle.systematic[:, :3], errors - before)
-        enough = TOL_MOVED if sought or before.any() else MIN_MOVED
-        if np.linalg.norm(moved, axis=1).max(initial=0.0) < enough:
-            break
-        there, effect = _without_camera_errors(compared, errors)
-        middle = tangent(there, built)
-        middle = replace(middle, xi=middle.xi + effect)
-    return best
-
-
-def _without_camera_errors(
-    compared: SessionComparison, errors: Array
-) -> tuple[SessionComparison, Array]:
-    """Fit all pairs without errors (n, p + 2) of what is stated and of both pan readings.
-
-    Beside it what they do there, (n, 6). What cannot be fitted anew stays as it is.
-    """
-    start, late = compared.at_shown_clock or (compared.comparison, 0.0)
-    base_T_rig, effect = np.linalg.inv(compared.session.rig.rig_T_base), np.zeros((len(start), 6))
-    measured, systematic = start.base_T_measured.copy(), start.systematic.copy()
-    for row, i in enumerate(start.index.tolist()):
-        again = _fit_again(compared, compared.measurements[i], errors[row])
-        if again is not None:
-            measured[row], systematic[row] = base_T_rig @ again[0], -again[1]
-            effect[row] = again[1] @ errors[row]
-    xi = twist_difference(start.base_T_encoder, measured)
-    moved = replace(start, base_T_measured=measured, xi=xi, systematic=systematic)
-    joints = solve_joints(moved, compared.session.arm)
-    shown = None if compared.at_shown_clock is None else (moved, late)
-    return replace(compared, comparison=moved, joints=joints, at_shown_clock=shown), effect
-
-
-def _fit_again(
-    compared: SessionComparison, measured: Measurement, errors: Array
-) -> tuple[Array, Array] | None:
-    """Fit a pair's pose (4, 4) without errors (p + 2,) of its cameras; its sensitivities there.
-
-    None where it determines less of the pose then.
-    """
-    left, right, pose = measured.left, measured.right, measured.pose
-    rig, marker, stated = compared.session.rig, compared.session.marker, compared.systematics
-    if left is None or right is None or pose is None:
-        return None
-    off = pixel_sensitivities(stated.names, measured, rig, marker) @ errors[:-2]
-    of_left, of_right = np.split(off.reshape(-1, 2), [len(left)])
-    left = replace(left, centre=left.centre - of_left)
-    right = replace(right, centre=right.centre - of_right)
-    rig = replace(rig, right=replace(rig.right, pan_zero=rig.right.pan_zero + errors[-1]))
-    columns = partial(spot_columns, stated, rig, marker, left, right)
-    try:
-        again = fit_pose(left, right, rig, marker, pose.rig_T_flange, columns)
-    except np.linalg.LinAlgError:
-        return None
-    if again.known_dof < pose.known_dof:
-        return None
-    there = replace(measured, pose=again, left=left, right=right)
-    return again.rig_T_flange, sensitivities(stated, there, rig, marker)
