@@ -27,9 +27,10 @@ from tests.support.boards.made_views import found_pairs
 from verify.calibration.quality.accuracy import parameter_derivatives
 from verify.calibration.stereo import bundle, gauge, refusals
 from verify.calibration.stereo.calibrate import calibrate, stack_corners
-from verify.calibration.stereo.estimate import inverse_root, prior_rows
+from verify.calibration.stereo.estimate import inverse_root
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel
 from verify.calibration.stereo.parameters import PARAMETER_NAMES, BundleState
+from verify.calibration.stereo.prior import prior_rows
 from verify.calibration.stereo.records import Calibration
 from verify.calibration.stereo.start import start_lens
 from verify.core.fiducials import Board, BoardPair, BoardView

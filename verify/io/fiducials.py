@@ -37,6 +37,7 @@ BODY_UNITS = np.array([MM] * 3 + [np.pi / 180] * 3)
 
 MIN_CORNERS = 3  # inner corners a side: fewer tell a tilt from nothing
 MIN_SIZE_MM = 1e-3  # no camera sees a smaller square or marker, and figures lose their digits
+MIN_POSITION_MM = 2.0  # no board's corner stands as near to the middle of a robot's base
 MIN_SQUARE_MM = 1.0  # of a square: a smaller number was hardly meant in millimetres
 
 
@@ -271,9 +272,6 @@ def _check_markers(path: Path, table: BoardTable, board: Board) -> None:
     if count < needed:
         found = f'is "{markers}", which has {count} markers'
         raise key_error(path, "markers", found, f"the board needs {needed}", "Choose a larger one.")
-
-
-MIN_POSITION_MM = 2.0  # no board's corner stands as near to the middle of a robot's base
 
 
 class FixtureTable(msgspec.Struct, kw_only=True):

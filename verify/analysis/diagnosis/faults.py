@@ -11,16 +11,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from verify.analysis.comparison import (
-    Comparison,
-    base_motion,
-    body_motion,
-)
-from verify.analysis.model import (
-    MIN_SPEED_SIGMA,
-    JointErrorModel,
-    clock_effect,
-)
+from verify.analysis.comparison import Comparison, base_motion, body_motion
+from verify.analysis.model import MIN_SPEED_SIGMA, JointErrorModel, clock_effect
 from verify.core.records import Array
 from verify.core.rig import Rig
 

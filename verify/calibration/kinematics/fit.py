@@ -28,13 +28,13 @@ from verify.analysis.least_squares import gauss_newton
 from verify.calibration.kinematics.chain import ArmState, Parameter, change_state
 from verify.calibration.kinematics.identifiability import information_root
 from verify.calibration.kinematics.model import predict_poses, predict_with_jacobian
-from verify.calibration.kinematics.poses import (
-    IdentificationPoses,
+from verify.calibration.kinematics.noise import (
     NoiseScale,
     initial_scale,
     median_scale,
     residual_scale,
 )
+from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.core.records import Array, Flags, take_rows
 from verify.core.statistics import chi2_isf, t_isf
 

@@ -39,7 +39,8 @@ from verify.calibration.kinematics.identifiability import (
     unsupported,
 )
 from verify.calibration.kinematics.model import predict_with_jacobian, start_state
-from verify.calibration.kinematics.poses import IdentificationPoses, initial_scale
+from verify.calibration.kinematics.noise import initial_scale
+from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.calibration.kinematics.validation import (
     CrossValidation,
     HoldOut,

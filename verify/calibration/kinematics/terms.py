@@ -32,12 +32,8 @@ from verify.calibration.kinematics.chain import (
 )
 from verify.calibration.kinematics.fit import scaled_columns, tolerances, without_nuisances
 from verify.calibration.kinematics.model import predict_with_jacobian
-from verify.calibration.kinematics.poses import (
-    IdentificationPoses,
-    NoiseScale,
-    initial_scale,
-    residual_scale,
-)
+from verify.calibration.kinematics.noise import NoiseScale, initial_scale, residual_scale
+from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.core.records import Array
 
 P_FALSE = 1e-3  # of a recording without any of these faults, that one is kept

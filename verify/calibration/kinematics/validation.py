@@ -31,7 +31,8 @@ from verify.calibration.kinematics.fit import (
     pose_residuals,
     tolerances,
 )
-from verify.calibration.kinematics.poses import IdentificationPoses, NoiseScale
+from verify.calibration.kinematics.noise import NoiseScale
+from verify.calibration.kinematics.poses import IdentificationPoses
 from verify.core.records import Array, Flags, Index, take_rows
 
 MAX_CHI2 = 25.0  # that a row may bring: noise brings a full pose's beyond it in 3 of 10,000

@@ -11,8 +11,8 @@ import numpy as np
 
 from verify.calibration.stereo import bundle, estimate, pan_bases, refusals, start
 from verify.calibration.stereo import parameters as par
-from verify.calibration.stereo.estimate import open_coefficients, prior_rows
 from verify.calibration.stereo.gauge import BASE_FIXED, AdjustmentModel, fixed_names
+from verify.calibration.stereo.prior import open_coefficients, prior_rows
 from verify.calibration.stereo.records import Calibration, Residuals, state_covariance
 from verify.calibration.stereo.scatter import ErrorScatter
 from verify.core.fiducials import Board, BoardPair, BoardView

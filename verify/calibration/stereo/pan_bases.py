@@ -11,8 +11,9 @@ from dataclasses import replace
 import numpy as np
 
 from verify.calibration.stereo import parameters as par
-from verify.calibration.stereo.estimate import Estimate, prior_rows, readjust
+from verify.calibration.stereo.estimate import Estimate, readjust
 from verify.calibration.stereo.gauge import BASE_FIXED, BASE_TURNING
+from verify.calibration.stereo.prior import prior_rows
 from verify.calibration.stereo.refusals import refuse_wrong_readings
 from verify.calibration.stereo.scatter import ErrorScatter, adjust_with_scatter
 from verify.core.records import SIDES, Array, Index

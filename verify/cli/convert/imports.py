@@ -23,7 +23,7 @@ from verify.io.files import read_bytes, require_apart, restated, write_folder_wh
 from verify.io.joints import RADIANS
 from verify.io.logs import mapping as columns_of
 from verify.io.logs import session as logs
-from verify.io.logs.session import require_rotation
+from verify.io.logs.bodies import require_rotation
 from verify.io.logs.table import LogTable, open_log
 from verify.io.rows import left_out, unended
 from verify.io.session.folder import ROBOT_FILES, SESSION_FILE, copy_robot, load_arm

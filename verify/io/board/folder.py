@@ -20,12 +20,15 @@ from verify.io.series import PAN_COLUMNS
 from verify.io.toml import did_you_mean
 from verify.io.video import Images, Video, decode_in_step, decode_picture
 
+PICTURE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
 VIDEO_SUFFIXES = {".mkv", ".avi", ".mp4", ".mov", ".webm", ".m4v"}
 EXPECTED_LAYOUT = "expected are left/ and right/ with pictures, or two videos left.* and right.*"
 
 MIN_PAN_SPAN = np.deg2rad(1.5)  # of a base that is turned on purpose; ± 45° read as radians
 
 Size = tuple[int, int]
+_REMEDY = "Take or copy it again, or delete it together with its partner."
+_SIDE = re.compile(r"left|right", re.IGNORECASE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -273,12 +276,6 @@ def _inputs(
         read += side.files if isinstance(side, PictureFiles) and flat else [side.path]
     read += [file for _, file in alone if file.parent == folder]
     return {str(path.relative_to(folder)): digest(path) for path in read}
-
-
-PICTURE_SUFFIXES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".pgm"}
-
-_REMEDY = "Take or copy it again, or delete it together with its partner."
-_SIDE = re.compile(r"left|right", re.IGNORECASE)
 
 
 class PictureFiles(Images):

@@ -8,8 +8,8 @@ import robots
 from tests.support.scene import make_rig
 from verify.calibration.kinematics.chain import ArmState, chain_of, registration_parameters
 from verify.calibration.kinematics.fit import KinematicFit
+from verify.calibration.kinematics.noise import NoiseScale
 from verify.calibration.kinematics.placements import moved_rig
-from verify.calibration.kinematics.poses import NoiseScale
 from verify.core.rig import Covariance
 
 BASE_U = np.array([1e-4, 2e-4, 3e-4, 1e-3, 2e-3, 3e-3])  # m, rad
