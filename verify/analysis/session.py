@@ -210,11 +210,12 @@ def compare_session(
 def session_model(compared: SessionComparison) -> tuple[JointErrorModel, Diagnosis, ResolvedErrors]:
     """Linearise a session about the errors that are there, find their causes, resolve them.
 
-    A turned camera is found first, and the session linearised anew about its angle. Pairs that
-    repeat each other's errors count for fewer. What a cause leaves in every pair from its beginning
-    on repeats itself as well: so causes are found first with all that counted as noise, then again
-    with what they themselves leave. A pair whose reading lies between one from before a change and
-    one from after it weighs nothing.
+    Where cameras are known roughly that is done about their errors too, and the explanation that
+    costs less is told. A turned camera is found first, and the session linearised anew about its
+    angle. Pairs that repeat each other's errors count for fewer. What a cause leaves in every pair
+    from its beginning on repeats itself as well: so causes are found first with all that counted as
+    noise, then again with what they themselves leave. A pair whose reading lies between one from
+    before a change and one from after it weighs nothing.
     """
     session = compared.session
 
@@ -354,7 +355,9 @@ def _results(found: SessionAnalysis) -> Results:
     tables = {
         "frames": frames_table(measured.measurements, found),
         "spots": spots_table(measured.measurements, session.marker),
-        "resolved": resolved_table(found),
+        "resolved": resolved_table(
+            found,
+        ),
         "relative": relative_table(found.relative, found.frame),
         "clock_curve": pd.DataFrame(clock.curve, columns=["offset_s", "cost"]),
         "budget": found.sources.lines,
